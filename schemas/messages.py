@@ -1,0 +1,173 @@
+"""Messages: the `.msg` text is the definition; the NumPy dtypes, and so the wire and log bytes, are made from it.
+
+A fixed-size ROS 2 message in little-endian CDR is a C struct behind the four bytes 00 01 00 00, every field aligned to
+its own size counted from behind them. One structured dtype a message therefore serves as Zenoh payload, MCAP message
+and array in memory.
+"""
+
+from __future__ import annotations
+
+import enum
+import re
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+
+from schemas.errors import MessageError
+
+CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+NANOSECONDS = 1_000_000_000
+
+_TIME = "builtin_interfaces/Time"
+_TIME_TEXT = "int32 sec\nuint32 nanosec\n"
+_PRIMITIVES = {
+    "int32": "<i4", "uint32": "<u4", "int64": "<i8", "uint64": "<u8", "float64": "<f8",
+}  # fmt: skip
+_FIELD = re.compile(r"^(?P<type>[\w/]+)(?:\[(?P<count>\d+)\])?\s+(?P<name>[a-z]\w*)$")
+
+
+class SampleFlag(enum.IntFlag):
+    """What is known to be wrong with a sample; set by drivers, carried through to every result."""
+
+    NOT_A_NUMBER = 1  # a position or torque is missing or not finite
+    OUT_OF_RANGE = 2  # a position no Delta joint can take (degrees for radians?) or no pose of this robot
+    GAP_BEFORE = 4  # cycles are missing between this sample and the one before
+    REPEATED = 8  # the stamp or the whole row is that of the sample before
+    TIME_BACKWARDS = 16  # the stamp is below that of the sample before
+    JUMP = 32  # the position moved further in one cycle than the joint can
+    BUS_FAULT = 64  # working counter wrong or drive not in operation
+    NO_COMMAND = 128  # no command came with the sample
+
+
+class FeedforwardSource(enum.IntEnum):
+    """Where the motion behind a feed-forward torque came from."""
+
+    ESTIMATE = 0  # measured position, Kalman filter
+    COMMAND = 1  # commanded position in the sample
+    REFERENCE = 2  # planned motion, one or more cycles ahead
+    NONE = 3  # no usable motion: the torque is zero
+
+
+class PayloadEvent(enum.IntEnum):
+    """What happened to the payload at this sample."""
+
+    NONE = 0
+    PICK = 1
+    RELEASE = 2
+
+
+class Role(enum.IntEnum):
+    """Who speaks. One process of each role per robot."""
+
+    PLAYER = 0
+    ESTIMATOR = 1
+    MONITOR = 2
+    ROBOT = 3
+    TAP = 4
+    MASTER = 5
+    OBSERVER = 6
+
+
+class HealthFlag(enum.IntFlag):
+    """Standing conditions of a role."""
+
+    NO_REALTIME = 1  # SCHED_FIFO or memory locking was refused
+    DISK_ERROR = 2  # the log cannot be written
+    STALE_INPUT = 4  # nothing came in for a second
+    BUS_FAULT = 8  # working counter, lost cycles or drive state
+    DUPLICATE_SOURCE = 16  # two senders on one key
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message type: its ROS 2 name, its text and the dtype of its CDR bytes (header included, as `cdr_header`)."""
+
+    name: str
+    text: str
+    dtype: np.dtype
+
+    @property
+    def schema_name(self) -> str:
+        return f"deltatwin_msgs/msg/{self.name}"
+
+    @property
+    def schema_text(self) -> str:
+        """The text with the definitions it depends on, as an MCAP `ros2msg` schema holds it."""
+        return f"{self.text}{'=' * 80}\nMSG: {_TIME}\n{_TIME_TEXT}"
+
+    def empty(self, count: int = 1) -> np.ndarray:
+        """`count` records of zeros with the CDR header in place."""
+        records = np.zeros(count, self.dtype)
+        records["cdr_header"] = np.frombuffer(CDR_LITTLE_ENDIAN, np.uint8)
+        return records
+
+    def decode(self, payload: bytes | bytearray | memoryview) -> np.void:
+        """One record viewing `payload`.
+
+        Raises:
+            MessageError: the size or the CDR header is not this message's.
+        """
+        if len(payload) != self.dtype.itemsize:
+            raise MessageError(f"{self.name}: {len(payload)} bytes, expected {self.dtype.itemsize}")
+        record = np.frombuffer(payload, self.dtype)[0]
+        if bytes(record["cdr_header"]) != CDR_LITTLE_ENDIAN:
+            raise MessageError(f"{self.name}: CDR header {bytes(record['cdr_header']).hex()}, expected 00010000")
+        return record
+
+
+def _dtype(name: str, text: str) -> np.dtype:
+    names, formats, offsets = ["cdr_header"], ["(4,)u1"], [0]
+    offset = 0  # CDR aligns from behind the header
+    for line in text.splitlines():
+        declaration = line.split("#", 1)[0].strip()
+        if not declaration:
+            continue
+        match = _FIELD.match(declaration)
+        if match is None or (match["type"] != _TIME and match["type"] not in _PRIMITIVES):
+            raise MessageError(f"{name}.msg: cannot read {declaration!r}")
+        if match["type"] == _TIME:
+            fields = [(f"{match['name']}_sec", "<i4", 4, 4), (f"{match['name']}_nanosec", "<u4", 4, 4)]
+        else:
+            code = _PRIMITIVES[match["type"]]
+            size, count = int(code[-1]), int(match["count"] or 1)
+            fields = [(match["name"], f"({count},){code}" if match["count"] else code, size, size * count)]
+        for field, code, alignment, size in fields:
+            offset += -offset % alignment
+            names.append(field)
+            formats.append(code)
+            offsets.append(4 + offset)
+            offset += size
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": 4 + offset})
+
+
+def _load(name: str) -> Message:
+    text = (resources.files("schemas") / "msg" / f"{name}.msg").read_text(encoding="utf-8")
+    return Message(name, text, _dtype(name, text))
+
+
+SAMPLE = _load("Sample")
+REFERENCE = _load("Reference")
+FEEDFORWARD = _load("Feedforward")
+PAYLOAD = _load("Payload")
+MODEL_ERROR = _load("ModelError")
+HEALTH = _load("Health")
+
+TOPICS = {
+    "sample": SAMPLE,
+    "reference": REFERENCE,
+    "feedforward": FEEDFORWARD,
+    "payload": PAYLOAD,
+    "error": MODEL_ERROR,
+    "health": HEALTH,
+}
+
+
+def stamp_ns(records: np.ndarray | np.void) -> np.ndarray:
+    """Bus time of `records` in nanoseconds, int64, shape of `records`."""
+    return np.asarray(records["stamp_sec"], np.int64) * NANOSECONDS + np.asarray(records["stamp_nanosec"], np.int64)
+
+
+def set_stamp(records: np.ndarray | np.void, time_ns: np.ndarray | int) -> None:
+    """Write bus time, given in nanoseconds since the epoch of the bus."""
+    records["stamp_sec"], records["stamp_nanosec"] = np.divmod(np.asarray(time_ns, np.int64), NANOSECONDS)

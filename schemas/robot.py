@@ -1,0 +1,210 @@
+"""Robot description: a TOML file checked by Pydantic, written back without losing the user's comments."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomlkit
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from schemas.columns import Columns
+from schemas.errors import RobotError
+from schemas.keys import check_robot_name
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Three = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class Geometry(_Section):
+    """Lengths in metres, azimuths in degrees. Frame: origin at the base centre, z up, the platform works at z < 0."""
+
+    active_link_length: Positive
+    passive_link_length: Positive
+    base_radius: Positive
+    platform_radius: Positive
+    arm_angles_deg: Three = [0.0, 120.0, 240.0]
+    active_link_length_error: Three = [0.0, 0.0, 0.0]  # true minus nominal per arm, found by `diagnose`
+    joint_offset_rad: Three = [0.0, 0.0, 0.0]  # true minus measured angle per joint, found by `diagnose`
+    joint_range_rad: Annotated[list[float], Field(min_length=2, max_length=2)] = [-1.6, 2.2]
+
+    @model_validator(mode="after")
+    def _possible(self) -> Geometry:
+        reach = self.base_radius - self.platform_radius + self.active_link_length
+        if self.passive_link_length <= abs(reach):
+            raise ValueError(
+                f"passive_link_length {self.passive_link_length} m does not reach the axis: it must exceed "
+                f"base_radius - platform_radius + active_link_length = {reach:.4g} m"
+            )
+        angles = sorted(a % 360 for a in self.arm_angles_deg)
+        gaps = [b - a for a, b in zip(angles, [*angles[1:], angles[0] + 360], strict=True)]
+        if min(gaps) < 10 or max(gaps) >= 180:
+            raise ValueError(
+                f"arm_angles_deg {self.arm_angles_deg}: arms must be at least 10 deg apart and not all on one side"
+            )
+        return self
+
+
+class Mass(_Section):
+    """Masses in kilograms. `passive_link` is one forearm, both rods together."""
+
+    active_link: NotNegative
+    passive_link: NotNegative
+    platform: Positive
+
+
+class Drive(_Section):
+    """What stands between the bus and the joint."""
+
+    gear_ratio: Positive = 1.0
+
+
+class Parameter(_Section):
+    """One identified number with its standard error in the same unit, and whether the data could tell it."""
+
+    value: float
+    std_error: NotNegative = 0.0
+    verdict: Literal["identifiable", "weak", "not identifiable"] = "identifiable"
+
+
+class JointParameter(_Section):
+    """The same for one number a joint."""
+
+    value: list[float]
+    std_error: list[NotNegative] = []
+    verdict: list[Literal["identifiable", "weak", "not identifiable"]] = []
+
+
+class Identified(_Section):
+    """What `identify` found. Absent terms are zero (friction, forearm) or one (rho)."""
+
+    method: Literal["pooled", "paper"] = "pooled"
+    rho_1: Parameter = Parameter(value=1.0)
+    rho_2: Parameter = Parameter(value=1.0)
+    viscous_friction_nms: JointParameter = JointParameter(value=[0.0, 0.0, 0.0])
+    coulomb_friction_nm: JointParameter = JointParameter(value=[0.0, 0.0, 0.0])
+    forearm_inertia_kg: Parameter = Parameter(value=0.0)  # forearm mass whose rod coupling is added; 0: two point masses
+    torque_noise_nm: JointParameter | None = None  # rms per sample of the torque signal's white noise
+
+
+class Effect(_Section):
+    """One unmodelled effect that `diagnose` named. Parameters as name -> {value, unit, std_error}."""
+
+    name: str
+    joints: list[Annotated[int, Field(ge=1)]]
+    parameters: dict[str, EffectParameter]
+
+
+class EffectParameter(_Section):
+    value: float
+    unit: str = ""
+    std_error: NotNegative = 0.0
+
+
+class Robot(_Section):
+    """A Delta robot with three actuated joints."""
+
+    name: Annotated[str, AfterValidator(check_robot_name)]
+    kind: Literal["delta"] = "delta"
+    gravity_mps2: Positive = 9.81
+    geometry: Geometry
+    mass: Mass
+    drive: Drive = Drive()
+    columns: Columns | None = None
+    identified: Identified | None = None
+    effect: list[Effect] = []
+
+    @property
+    def arm_angles(self) -> list[float]:
+        """Arm azimuths in radians."""
+        return [math.radians(a) for a in self.geometry.arm_angles_deg]
+
+
+def load_robot(path: str | Path) -> Robot:
+    """Read a robot description.
+
+    Raises:
+        RobotError: naming file, key and value of the first thing that is wrong.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise RobotError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
+    try:
+        return Robot.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise RobotError(f"{path}: not TOML: {error}") from error
+    except ValidationError as error:
+        raise RobotError(f"{path}: {explain(error)}") from error
+
+
+def explain(error: ValidationError) -> str:
+    """The first finding of a Pydantic error as `key: what is wrong (got value)`."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"]) or "file"
+    if first["type"] == "extra_forbidden":
+        return f"{key}: unknown key (value {first['input']!r})"
+    if first["type"] == "missing":
+        return f"{key}: missing key"
+    message = first["msg"].removeprefix("Value error, ")
+    return f"{key}: {message}" if first["type"] == "value_error" else f"{key}: {message} (got {first['input']!r})"
+
+
+def save_robot(robot: Robot, path: str | Path, template: str | Path | None = None) -> None:
+    """Write `robot` as TOML; with `template`, keep that file's comments, order and layout and change only what differs.
+
+    Raises:
+        RobotError: the file cannot be written.
+    """
+    document = tomlkit.parse(Path(template).read_text(encoding="utf-8")) if template else tomlkit.document()
+    _merge(document, robot.model_dump(exclude_none=True, exclude_defaults=True))
+    path = Path(path)
+    partial = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(tomlkit.dumps(document), encoding="utf-8")
+        partial.replace(path)  # a reader never sees half a file
+    except OSError as error:
+        raise RobotError(f"{path}: {error.strerror}") from error
+
+
+def _merge(document: Any, values: dict[str, Any]) -> None:
+    for key, value in values.items():
+        old = document.get(key)
+        if isinstance(value, dict) and isinstance(old, dict):
+            _merge(old, value)
+        elif old != value:
+            document[key] = _item(value)
+
+
+def _item(value: Any) -> Any:
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        tables = tomlkit.aot()
+        for entry in value:
+            tables.append(_item(entry))
+        return tables
+    if isinstance(value, dict) and any(isinstance(v, dict) for v in value.values()):
+        table = tomlkit.table()
+        for key, entry in value.items():
+            table[key] = _inline(entry) if isinstance(entry, dict) else entry
+        return table
+    return value
+
+
+def _inline(entry: dict[str, Any]) -> Any:
+    if any(isinstance(v, dict) for v in entry.values()):
+        return _item(entry)
+    table = tomlkit.inline_table()
+    table.update(entry)
+    return table

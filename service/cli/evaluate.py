@@ -1,0 +1,5 @@
+"""`deltatwin evaluate`."""
+
+
+def command() -> None:
+    """Errors of each model on traces."""

@@ -1,0 +1,27 @@
+"""Shared fixtures. A test that needs something outside the repository skips and says what; CI forbids such skips."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of reference data beside the checkout."""
+    folder = REPOSITORY.parent / "shared"
+    if not folder.is_dir():
+        pytest.skip("needs ../shared (reference logs and captures), which is not beside this checkout")
+    return folder
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """With DELTATWIN_NO_SKIPS=1 a skipped test fails the run: what may skip elsewhere must run in CI."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if os.environ.get("DELTATWIN_NO_SKIPS") == "1" and reporter and reporter.stats.get("skipped") and exitstatus == 0:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        reporter.write_line("DELTATWIN_NO_SKIPS=1: the skipped tests above count as failures", red=True)
