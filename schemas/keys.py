@@ -17,7 +17,9 @@ def check_robot_name(robot: str) -> str:
         RobotError: the name is empty or holds a character that keys or file names reserve.
     """
     if not _CHUNK.match(robot):
-        raise RobotError(f"robot name {robot!r}: use letters, digits, '.', '_' and '-', starting with a letter or digit")
+        raise RobotError(
+            f"robot name {robot!r}: use letters, digits, '.', '_' and '-', starting with a letter or digit"
+        )
     return robot
 
 

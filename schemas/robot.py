@@ -91,7 +91,9 @@ class Identified(_Section):
     rho_2: Parameter = Parameter(value=1.0)
     viscous_friction_nms: JointParameter = JointParameter(value=[0.0, 0.0, 0.0])
     coulomb_friction_nm: JointParameter = JointParameter(value=[0.0, 0.0, 0.0])
-    forearm_inertia_kg: Parameter = Parameter(value=0.0)  # forearm mass whose rod coupling is added; 0: two point masses
+    forearm_inertia_kg: Parameter = Parameter(
+        value=0.0
+    )  # forearm mass whose rod coupling is added; 0: two point masses
     torque_noise_nm: JointParameter | None = None  # rms per sample of the torque signal's white noise
 
 

@@ -1,0 +1,81 @@
+"""Inverse dynamics of the Delta as a sum of terms, so that every model is a choice of coefficients.
+
+    T = rho_1 inertia + rho_2 gravity + platform + m_f forearm + m_p payload + f_v theta_dot + f_c sign theta_dot
+
+`forearm` is what an exact rod adds to the paper's two point masses: with end velocities u (elbow) and w (platform) its
+kinetic energy is m_f/6 (|u|^2 + u.w + |w|^2) against m_f/4 (|u|^2 + |w|^2), a difference of -m_f/12 |s_dot|^2.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from service.model.kinematics import REACHED, lever_kernel, motion_kernel, pose_kernel, raise_pose, rows
+from service.model.parameters import DeltaModel
+
+TERMS = ("inertia", "gravity", "platform", "forearm", "payload")
+INERTIA, GRAVITY, PLATFORM, FOREARM, PAYLOAD = range(5)
+
+# Below this speed a joint is at rest and its friction can be anything within Coulomb's bounds.
+REST_SPEED = 0.01  # rad/s
+
+
+@njit(cache=True)
+def terms_kernel(model, theta, theta_dot, theta_ddot, position, work, terms):
+    """Torque terms of one sample. work: (8, 3, 3) scratch. Filled: position (3,) m, terms (5, 3). Returns a status."""
+    forearm, column, elbow, bend = work[0], work[1], work[2], work[3]
+    lever, velocity, acceleration, total = work[4, 0], work[4, 1], work[4, 2], work[5, 0]
+    status = pose_kernel(model, theta, position, forearm, column, work[6])
+    if status != REACHED:
+        return status
+    lever_kernel(model, theta, forearm, elbow, lever)
+    motion_kernel(model, theta, theta_dot, theta_ddot, forearm, column, elbow, lever, velocity, acceleration, bend)
+    swing = work[7]  # row i: s_ddot_i
+    for axis in range(3):
+        total[axis] = 0.0
+    for i in range(3):
+        for axis in range(3):
+            swing[i, axis] = (
+                acceleration[axis] - elbow[i, axis] * theta_ddot[i] - bend[i, axis] * theta_dot[i] * theta_dot[i]
+            )
+            total[axis] += swing[i, axis]
+    for i in range(3):
+        load = rod = own = 0.0
+        for axis in range(3):
+            slope = column[i, axis] * lever[i]  # J[axis, i]
+            load += slope * (acceleration[axis] + (model.gravity if axis == 2 else 0.0))
+            rod += slope * total[axis]
+            own += elbow[i, axis] * swing[i, axis]
+        terms[INERTIA, i] = model.inertia[i] * theta_ddot[i]
+        terms[GRAVITY, i] = -model.gravity_torque[i] * np.cos(theta[i] + model.joint_offset[i])
+        terms[PLATFORM, i] = model.moving_mass * load
+        terms[FOREARM, i] = -(rod - own) / 6.0
+        terms[PAYLOAD, i] = load
+    return REACHED
+
+
+@njit(cache=True)
+def _terms_batch(model, theta, theta_dot, theta_ddot, terms):
+    position, work = np.empty(3), np.empty((8, 3, 3))
+    for n in range(len(theta)):
+        status = terms_kernel(model, theta[n], theta_dot[n], theta_ddot[n], position, work, terms[n])
+        if status != REACHED:
+            return status, n
+    return REACHED, -1
+
+
+def torque_terms(model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
+    """The terms of the inverse dynamics, (N, 5, 3) in the order of `TERMS`.
+
+    theta, theta_dot, theta_ddot: (N, 3) rad, rad/s, rad/s^2. Inertia, gravity and platform are N m at the nominal
+    masses; forearm and payload are N m per kg.
+
+    Raises:
+        PoseError: unreachable or singular, naming the angles.
+    """
+    batch = rows(theta)
+    terms = np.empty((len(batch), len(TERMS), 3))
+    status, row = _terms_batch(model, batch, rows(theta_dot), rows(theta_ddot), terms)
+    raise_pose(status, row, batch[row], "rad")
+    return terms.reshape(*np.shape(theta)[:-1], len(TERMS), 3)

@@ -1,0 +1,19 @@
+"""Coulomb and viscous friction: T = f_v theta_dot + f_c sign theta_dot."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from service.model.dynamics import REST_SPEED
+
+
+@njit(cache=True)
+def direction(theta_dot: float) -> float:
+    """sign theta_dot, falling linearly through zero within the rest speed so that noise at rest does not chatter."""
+    return max(-1.0, min(1.0, theta_dot / REST_SPEED))
+
+
+@njit(cache=True)
+def friction_kernel(viscous: float, coulomb: float, theta_dot: float) -> float:
+    """Friction torque of one joint, N m. viscous: N m s/rad, coulomb: N m, theta_dot: rad/s."""
+    return viscous * theta_dot + coulomb * direction(theta_dot)
