@@ -61,10 +61,97 @@ class Mass(_Section):
     platform: Positive
 
 
+class RatedTorque(_Section):
+    """0x6077 counts per mille of the motor's rated torque, 0x6076, N m."""
+
+    reference: Literal["rated_torque"]
+    rated_torque_nm: Positive
+
+    @property
+    def full_scale_nm(self) -> float:
+        """Motor torque that 1000 per mille stand for, N m."""
+        return self.rated_torque_nm
+
+
+class StandstillTorque(_Section):
+    """0x6077 counts per mille of the motor's standstill (stall) torque, N m."""
+
+    reference: Literal["standstill_torque"]
+    standstill_torque_nm: Positive
+
+    @property
+    def full_scale_nm(self) -> float:
+        """Motor torque that 1000 per mille stand for, N m."""
+        return self.standstill_torque_nm
+
+
+class RatedCurrent(_Section):
+    """0x6077 counts per mille of a rated current, A, which a torque constant, N m/A, turns into torque.
+
+    Each of the two says whether it means the rms or the peak of the sinusoidal phase current.
+    """
+
+    reference: Literal["rated_current"]
+    rated_current_a: Positive
+    rated_current_form: Literal["rms", "peak"]
+    torque_constant_nmpa: Positive
+    torque_constant_form: Literal["rms", "peak"]
+
+    @property
+    def full_scale_nm(self) -> float:
+        """Motor torque that 1000 per mille stand for, N m."""
+        to_peak = {"rms": math.sqrt(2), "peak": 1.0}
+        per_form = to_peak[self.rated_current_form] / to_peak[self.torque_constant_form]
+        return self.rated_current_a * self.torque_constant_nmpa * per_form
+
+
+class JointDrive(_Section):
+    """One drive on the bus and the joint behind it: scaling, and where its objects lie in the process data.
+
+    joint angle = sign (counts - zero_counts) / counts_per_turn / gear_ratio, in turns.
+    joint torque = sign (0x6077 / 1000) full scale of `torque` times gear_ratio.
+    A mapped object is its index where CiA 402 fixes its size ("0x6064"), "index:bits" where it does not ("0x2010:16"),
+    and ":8" leaves eight bits out. Without a mapping here the robot's ENI file says where the objects are.
+    """
+
+    station: Annotated[int, Field(ge=1, le=0xFFFF)] | None = None  # configured station address; an ENI needs it
+    counts_per_turn: Positive  # encoder counts per motor turn, 0x608F
+    gear_ratio: Positive | None = None  # where it differs from [drive]
+    sign: Literal[1, -1]  # -1: the drive counts up while the active link rises
+    zero_counts: int  # 0x6064 at joint angle 0
+    torque: Annotated[RatedTorque | StandstillTorque | RatedCurrent, Field(discriminator="reference")]
+    velocity_unit_counts_per_s: Positive | None = None  # one unit of 0x606C; absent: 0x606C is not checked
+    outputs_address: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None  # logical address of the first byte
+    outputs: list[str] = []  # RxPDO: master to drive
+    inputs_address: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None
+    inputs: list[str] = []  # TxPDO: drive to master
+
+    @model_validator(mode="after")
+    def _addressed(self) -> JointDrive:
+        for name, entries, address in (
+            ("outputs", self.outputs, self.outputs_address),
+            ("inputs", self.inputs, self.inputs_address),
+        ):
+            if bool(entries) != (address is not None):
+                raise ValueError(f"{name} and {name}_address belong together")
+        return self
+
+
 class Drive(_Section):
-    """What stands between the bus and the joint."""
+    """What stands between the bus and the joint. `joint`: one drive a joint, in joint order, where a bus is decoded."""
 
     gear_ratio: Positive = 1.0
+    eni: str | None = None  # ENI file that maps the process data, relative to the robot description
+    joint: Annotated[list[JointDrive], Field(max_length=3)] = []
+
+    @model_validator(mode="after")
+    def _complete(self) -> Drive:
+        if self.joint and len(self.joint) != 3:
+            raise ValueError(f"joint: {len(self.joint)} drives, a Delta robot has 3")
+        stations = [joint.station for joint in self.joint if joint.station is not None]
+        if len(set(stations)) != len(stations):
+            raise ValueError(f"joint: two drives have one station address: {stations}")
+        return self
 
 
 class Parameter(_Section):
