@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,14 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip("needs ../shared (reference logs and captures), which is not beside this checkout")
     return folder
+
+
+@pytest.fixture
+def bus_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A runtime folder of its own for every Zenoh session of the test and of the processes it starts."""
+    with tempfile.TemporaryDirectory(prefix="dt-") as folder:  # short: socket paths end at 107 bytes
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield Path(folder)
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:

@@ -1,0 +1,343 @@
+"""The Zenoh bus of one robot: sessions that find each other without a router, publishers, receiving rings.
+
+Every role listens on a Unix socket of its own in a per-user folder and keeps trying to reach the roles numbered below
+it, so any start order and any restart works, and no pair is linked twice. Nothing is sent outside the host unless the
+user brings a Zenoh configuration. Real-time privileges have to be taken before `open_bus` (`replay.realtime`), because
+the threads of the session inherit them.
+
+What a subscriber that stops reading can do: the kernel and Zenoh buffer about a thousand messages for it; when they are
+full, a publisher waits `BLOCK_S` once, then drops the link to that subscriber and goes on. The subscriber, should it
+come back, links up again by itself and sees the hole in the sequence.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import stat
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import zenoh
+
+from schemas.errors import BusError
+from schemas.keys import liveliness_key, topic_key
+from schemas.messages import CDR_LITTLE_ENDIAN, TOPICS, Message, Role
+
+BLOCK_S = 0.02  # longest a publisher waits for one stuck subscriber before it drops the link; Zenoh's default is 5 s
+RETRY_MS = (100, 1000)  # first and longest pause between two attempts to reach a role that is not there
+SOURCES = frozenset({Role.PLAYER, Role.ROBOT, Role.TAP, Role.MASTER})  # roles that publish `sample`
+
+_SOCKET_PATH_BYTES = 107  # sun_path of Linux, without its closing zero
+_HISTORY = 4096  # sequence numbers below the newest of which it is known whether they came
+_RESTART_RUN = 16  # consecutive rising numbers below the newest that can only be a source that started over
+
+
+def runtime_folder() -> Path:
+    """The folder of the sockets: mode 0700, in XDG_RUNTIME_DIR or, without one, in the temporary folder.
+
+    Raises:
+        BusError: it cannot be made, or belongs to somebody else.
+    """
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    folder = Path(base) / "deltatwin" if base else Path(tempfile.gettempdir()) / f"deltatwin-{os.getuid()}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+            raise BusError(f"runtime folder {folder}: not a folder of this user's")
+        folder.chmod(0o700)
+    except OSError as error:
+        raise BusError(f"runtime folder {folder}: {error.strerror}") from error
+    return folder
+
+
+def _endpoint(folder: Path, robot: str, role: Role) -> str:
+    path = folder / f"{robot}.{role.name.lower()}.sock"
+    if len(os.fsencode(path)) > _SOCKET_PATH_BYTES:
+        raise BusError(f"socket {path}: longer than {_SOCKET_PATH_BYTES} bytes; shorten the robot name or the folder")
+    return f"unixsock-stream/{path}"
+
+
+def _own_config(folder: Path, robot: str, role: Role) -> zenoh.Config:
+    settings = {
+        "mode": "peer",
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "listen": {"endpoints": [_endpoint(folder, robot, role)], "exit_on_failure": True},
+        "connect": {
+            "endpoints": [_endpoint(folder, robot, other) for other in Role if other < role],
+            "timeout_ms": -1,
+            "exit_on_failure": False,
+            "retry": {"period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1], "period_increase_factor": 2},
+        },
+        "open": {"return_conditions": {"connect_scouted": False, "declares": True}},
+        "transport": {
+            "shared_memory": {"enabled": False},  # gains nothing at a hundred bytes
+            "link": {"tx": {"queue": {"congestion_control": {"block": {"wait_before_close": int(BLOCK_S * 1e6)}}}}},
+        },
+    }
+    return zenoh.Config.from_json5(json.dumps(settings))
+
+
+def _user_config(path: Path) -> zenoh.Config:
+    try:
+        path.read_bytes()
+        return zenoh.Config.from_file(str(path))
+    except OSError as error:
+        raise BusError(f"{path}: {error.strerror}") from error
+    except zenoh.ZError as error:
+        raise BusError(f"{path}: not a Zenoh configuration: {_first_line(error)}") from error
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+
+
+class SequenceCounter:
+    """Tells from the sequence numbers of one source what was lost, came twice or came late.
+
+    lost: numbers skipped and not come since. repeated: numbers seen before. out_of_order: numbers below the newest that
+    had been skipped. restarts: times the source began again from a lower number.
+    """
+
+    def __init__(self) -> None:
+        self.newest = -1
+        self.lost = 0
+        self.repeated = 0
+        self.out_of_order = 0
+        self.restarts = 0
+        self._missing: set[int] = set()
+        self._run_last = -2
+        self._run: list[bool] = []  # of the run below the newest: was each one a skipped number
+
+    def update(self, sequence: int) -> None:
+        """Count one message."""
+        step = sequence - self.newest
+        if step == 1 or self.newest < 0:
+            self.newest = sequence
+        elif step > 1:
+            self.lost += step - 1
+            self._missing.update(range(max(self.newest + 1, sequence - _HISTORY), sequence))
+            self.newest = sequence
+            if len(self._missing) > 2 * _HISTORY:
+                self._missing = {number for number in self._missing if number > sequence - _HISTORY}
+        else:
+            self._behind(sequence)
+
+    def update_many(self, sequences: np.ndarray) -> None:
+        """Count messages in the order they came, (N,) integers."""
+        count = len(sequences)
+        if count == 0:
+            return
+        first, last = int(sequences[0]), int(sequences[-1])
+        if first == self.newest + 1 and last == self.newest + count and bool(np.all(np.diff(sequences) == 1)):
+            self.newest = last
+            return
+        for sequence in sequences:
+            self.update(int(sequence))
+
+    def _behind(self, sequence: int) -> None:
+        late = sequence in self._missing
+        if late:
+            self._missing.discard(sequence)
+            self.lost -= 1
+            self.out_of_order += 1
+        else:
+            self.repeated += 1
+        self._run = [*self._run, late] if sequence == self._run_last + 1 else [late]
+        self._run_last = sequence
+        if len(self._run) == _RESTART_RUN:
+            self._restart(sequence)
+
+    def _restart(self, sequence: int) -> None:
+        late = sum(self._run)
+        self.lost += late
+        self.out_of_order -= late
+        self.repeated -= len(self._run) - late
+        self.restarts += 1
+        self.newest = sequence
+        self._missing.clear()
+        self._run, self._run_last = [], -2
+
+
+class Ring:
+    """Where a subscription puts what comes in: preallocated records, filled by Zenoh's thread, emptied by one consumer.
+
+    A message that finds the ring full is dropped and counted in `lost`; bytes that are not the message in `rejected`.
+    """
+
+    def __init__(self, message: Message, capacity: int) -> None:
+        self.message = message
+        self.lost = 0
+        self.rejected = 0
+        self._capacity = capacity
+        self._size = message.dtype.itemsize
+        self._records = message.empty(capacity)
+        self._bytes = memoryview(self._records.view(np.uint8))
+        self._arrival = np.zeros(capacity, np.int64)
+        self._head = 0  # messages put in, ever
+        self._tail = 0  # messages taken out, ever
+        self._filling = threading.Lock()  # senders on different links arrive on different threads
+        self._ready = threading.Lock()  # held while there is nothing to tell the consumer
+        self._ready.acquire()
+
+    def receive(self, sample: zenoh.Sample) -> None:
+        """Copy one Zenoh sample in; called by Zenoh, whose functions must not be called from here."""
+        arrival = time.monotonic_ns()
+        payload = sample.payload.to_bytes()
+        if len(payload) != self._size or payload[:4] != CDR_LITTLE_ENDIAN:
+            self.rejected += 1
+            return
+        with self._filling:
+            if self._head - self._tail >= self._capacity:
+                self.lost += 1
+                return
+            slot = self._head % self._capacity
+            self._bytes[slot * self._size : (slot + 1) * self._size] = payload
+            self._arrival[slot] = arrival
+            self._head += 1
+            if self._ready.locked():
+                self._ready.release()
+
+    def wait(self, timeout: float) -> bool:
+        """Sleep until there is something to take, at most `timeout` s; whether there is."""
+        self._ready.acquire(blocking=False)  # forget a call for what has been taken since
+        if self._head != self._tail:
+            return True
+        self._ready.acquire(timeout=timeout)
+        return self._head != self._tail
+
+    def take(self) -> tuple[np.ndarray, np.ndarray]:
+        """All that came since the last call, oldest first: (N,) records and (N,) int64 arrivals, ns CLOCK_MONOTONIC."""
+        tail, head = self._tail, self._head
+        first, count = tail % self._capacity, head - tail
+        if first + count <= self._capacity:
+            records = self._records[first : first + count].copy()
+            arrival = self._arrival[first : first + count].copy()
+        else:
+            slots = np.arange(first, first + count) % self._capacity
+            records, arrival = self._records[slots], self._arrival[slots]
+        self._tail = head
+        return records, arrival
+
+
+class Publisher:
+    """A declared publisher: `put` takes the bytes of one message and may be called from any thread but a callback's."""
+
+    def __init__(self, publisher: zenoh.Publisher) -> None:
+        self._publisher = publisher
+        self.put: Callable[[bytes], None] = publisher.put
+
+    @property
+    def heard(self) -> bool:
+        """Whether anybody subscribes at the moment."""
+        return self._publisher.matching_status.matching
+
+
+class Bus:
+    """The session of one role of one robot. Made by `open_bus`; closes with its `with` block."""
+
+    def __init__(self, session: zenoh.Session, robot: str, role: Role, lock: int) -> None:
+        self.robot = robot
+        self.role = role
+        self._session = session
+        self._lock = lock
+        self._alive: set[Role] = {role}
+        self._roles = {liveliness_key(robot, other): other for other in Role}
+        liveliness = session.liveliness()
+        self._token = liveliness.declare_token(liveliness_key(robot, role))
+        self._watch = liveliness.declare_subscriber(
+            f"deltatwin/{robot}/@/*", zenoh.handlers.Callback(self._notice, indirect=False), history=True
+        )
+
+    def _notice(self, sample: zenoh.Sample) -> None:
+        role = self._roles.get(str(sample.key_expr))
+        if role is None or role == self.role:
+            return
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._alive.add(role)
+        else:
+            self._alive.discard(role)
+
+    @property
+    def alive(self) -> frozenset[Role]:
+        """Roles of this robot that are running, this one among them."""
+        return frozenset(self._alive.copy())
+
+    @property
+    def duplicate_source(self) -> bool:
+        """Whether more than one role publishes samples."""
+        return len(self.alive & SOURCES) > 1
+
+    def publisher(self, topic: str) -> Publisher:
+        """A publisher of one of `schemas.messages.TOPICS`."""
+        return Publisher(
+            self._session.declare_publisher(
+                topic_key(self.robot, topic),
+                congestion_control=zenoh.CongestionControl.BLOCK,  # DROP loses samples even on an idle host
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+        )
+
+    def subscribe(self, topic: str, capacity: int = 16384) -> Ring:
+        """A ring that fills with one of `schemas.messages.TOPICS`, `capacity` messages deep."""
+        ring = Ring(TOPICS[topic], capacity)
+        self._session.declare_subscriber(
+            topic_key(self.robot, topic), zenoh.handlers.Callback(ring.receive, indirect=False)
+        )
+        return ring
+
+    def close(self) -> None:
+        """Close the session and give the role free."""
+        self._session.close()
+        os.close(self._lock)
+
+    def __enter__(self) -> Bus:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+def open_bus(robot: str, role: Role, zenoh_config: Path | None = None) -> Bus:
+    """Open the session of `role` of `robot`; `zenoh_config` replaces every connection setting.
+
+    Raises:
+        BusError: another process holds the role, or the session cannot be opened.
+        RobotError: the robot name cannot be part of a key.
+    """
+    token = liveliness_key(robot, role)
+    folder = runtime_folder()
+    config = _own_config(folder, robot, role) if zenoh_config is None else _user_config(zenoh_config)
+    lock = _hold(folder / f"{robot}.{role.name.lower()}.pid", robot, role)
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError as error:
+        os.close(lock)
+        raise BusError(f"robot {robot!r}, {role.name.lower()}: Zenoh does not open: {_first_line(error)}") from error
+    if zenoh_config is not None and any(reply.ok for reply in session.liveliness().get(token, timeout=1.0)):
+        session.close()
+        os.close(lock)
+        raise BusError(f"robot {robot!r}: another {role.name.lower()} is running elsewhere on its Zenoh network")
+    return Bus(session, robot, role, lock)
+
+
+def _hold(path: Path, robot: str, role: Role) -> int:
+    """Lock `path` for the life of this process, so that a role killed in any way leaves nothing to clean up."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        holder = os.read(descriptor, 32).decode(errors="replace").strip()
+        os.close(descriptor)
+        raise BusError(f"robot {robot!r} already has a {role.name.lower()} running (process {holder})") from None
+    os.ftruncate(descriptor, 0)
+    os.write(descriptor, f"{os.getpid()}\n".encode())
+    return descriptor

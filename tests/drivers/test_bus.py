@@ -1,0 +1,319 @@
+"""The bus between real processes: any start order, restarts, stuck subscribers, garbage, two of one role."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.bus import SOURCES, Ring, SequenceCounter, open_bus, runtime_folder
+from schemas.errors import BusError, RobotError
+from schemas.messages import SAMPLE, Role, set_stamp
+
+PEER = Path(__file__).with_name("bus_peer.py")
+DEADLINE_S = 30.0  # when a test gives up waiting; nothing here depends on how long things take
+
+
+class Peer:
+    """A `bus_peer.py` process and what it said."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, str(PEER), "bench", *arguments], stdout=subprocess.PIPE, text=True
+        )
+
+    def hear(self, wanted: str) -> dict:
+        """The next line that has the key `wanted`."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            said = json.loads(line)
+            if wanted in said:
+                return said
+        raise AssertionError(f"process ended without saying {wanted!r}")
+
+    def finish(self) -> dict:
+        """End a counting peer and return its counts."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.hear("end")
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+@pytest.fixture
+def peer(bus_folder: Path) -> Iterator[Callable[..., Peer]]:
+    started: list[Peer] = []
+
+    def start(*arguments: str) -> Peer:
+        started.append(Peer(*arguments))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.kill()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    give_up = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < give_up, "waited in vain"
+        time.sleep(0.01)
+
+
+def numbered(start: int, stop: int) -> list[bytes]:
+    records = SAMPLE.empty(stop - start)
+    records["sequence"] = np.arange(start, stop)
+    return [record.tobytes() for record in records]
+
+
+def collect(ring: Ring, count: int) -> np.ndarray:
+    taken: list[np.ndarray] = []
+    until(lambda: (taken.append(ring.take()[0]) or True) and sum(map(len, taken)) >= count)
+    return np.concatenate(taken)
+
+
+@pytest.mark.parametrize(("sender", "counter"), [("PLAYER", "MONITOR"), ("MASTER", "ESTIMATOR")])
+@pytest.mark.parametrize("sender_first", [True, False])
+def test_any_start_order_carries_every_sample(peer, sender: str, counter: str, sender_first: bool) -> None:
+    def send() -> Peer:
+        return peer(sender, "send", "400", "0.00025")
+
+    if sender_first:
+        sending = send()
+        sending.hear("ready")
+        counting = peer(counter, "count")
+    else:
+        counting = peer(counter, "count")
+        counting.hear("ready")
+        sending = send()
+    sending.hear("sent")
+    while counting.hear("received")["received"] < 400:
+        pass
+    end = counting.finish()
+    assert (end["received"], end["newest"], end["lost"], end["repeated"]) == (400, 399, 0, 0)
+
+
+def test_subscriber_killed_and_started_again_hears_again(bus_folder: Path, peer) -> None:
+    with open_bus("bench", Role.ROBOT) as bus:
+        publisher = bus.publisher("sample")
+        first = peer("OBSERVER", "count")
+        first.hear("ready")
+        until(lambda: publisher.heard)
+        first.kill()
+        until(lambda: not publisher.heard and Role.OBSERVER not in bus.alive)
+        second = peer("OBSERVER", "count")
+        second.hear("ready")
+        until(lambda: publisher.heard and Role.OBSERVER in bus.alive)
+        for payload in numbered(0, 100):
+            publisher.put(payload)
+        while second.hear("received")["received"] < 100:
+            pass
+
+
+@pytest.mark.parametrize("role", ["PLAYER", "MASTER"])
+def test_publisher_killed_and_started_again_is_heard_as_a_restart(bus_folder: Path, peer, role: str) -> None:
+    with open_bus("bench", Role.MONITOR) as bus:
+        ring, counter = bus.subscribe("sample"), SequenceCounter()
+        for _ in range(2):
+            sending = peer(role, "send", "200", "0.001")
+            counter.update_many(collect(ring, 200)["sequence"])
+            assert bus.alive == {Role.MONITOR, Role[role]}
+            sending.kill()
+            until(lambda: bus.alive == {Role.MONITOR})
+    assert (counter.restarts, counter.lost, counter.repeated, counter.out_of_order) == (1, 0, 0, 0)
+
+
+@pytest.mark.parametrize(("me", "victim"), [(Role.PLAYER, "MONITOR"), (Role.MASTER, "ESTIMATOR")])
+def test_stopped_subscriber_costs_the_others_nothing_and_comes_back(
+    bus_folder: Path, peer, me: Role, victim: str
+) -> None:
+    with open_bus("bench", me) as bus:
+        publisher = bus.publisher("sample")
+        stuck, healthy = peer(victim, "count"), peer("OBSERVER", "count")
+        until(lambda: len(bus.alive) == 3)
+        payloads = numbered(0, 8000)
+        for payload in payloads[:100]:
+            publisher.put(payload)
+        while stuck.hear("received")["received"] < 100:
+            pass
+        stuck.process.send_signal(signal.SIGSTOP)
+        for payload in payloads[100:6000]:  # many times what is buffered for it
+            publisher.put(payload)
+            time.sleep(0.0002)
+        until(lambda: Role[victim] not in bus.alive)
+        stuck.process.send_signal(signal.SIGCONT)
+        until(lambda: Role[victim] in bus.alive)
+        for payload in payloads[6000:]:
+            publisher.put(payload)
+            time.sleep(0.0002)
+        while healthy.hear("received")["received"] < 8000:
+            pass
+        while stuck.hear("newest")["newest"] < 7999:
+            pass
+        kept, hurt = healthy.finish(), stuck.finish()
+    assert (kept["received"], kept["lost"], kept["repeated"], kept["out_of_order"]) == (8000, 0, 0, 0)
+    assert hurt["lost"] > 0
+    assert hurt["received"] + hurt["lost"] == 8000
+
+
+def test_second_process_of_a_role_gets_one_clear_error(peer) -> None:
+    first = peer("PLAYER", "count")
+    first.hear("ready")
+    error = peer("PLAYER", "count").hear("error")["error"]
+    assert error == f"robot 'bench' already has a player running (process {first.process.pid})"
+    first.kill()  # leaves its socket and lock file behind
+    peer("PLAYER", "count").hear("ready")
+
+
+def test_one_robot_does_not_hear_the_other(bus_folder: Path) -> None:
+    with (
+        open_bus("left", Role.PLAYER) as left,
+        open_bus("right", Role.PLAYER) as right,
+        open_bus("left", Role.MONITOR) as monitor,
+    ):
+        ring, publisher = monitor.subscribe("sample"), left.publisher("sample")
+        until(lambda: publisher.heard)
+        assert not right.publisher("sample").heard
+        right.publisher("sample").put(numbered(7, 8)[0])
+        publisher.put(numbered(1, 2)[0])
+        assert collect(ring, 1)["sequence"].tolist() == [1]
+
+
+def test_garbage_is_counted_and_passed_over(bus_folder: Path) -> None:
+    with open_bus("bench", Role.PLAYER) as player, open_bus("bench", Role.MONITOR) as monitor:
+        ring = monitor.subscribe("sample")
+        publisher = player.publisher("sample")
+        until(lambda: publisher.heard)
+        good = numbered(0, 2)
+        for payload in (b"", b"garbage", good[0][:-1], good[0] + b"\0", b"\xff" * len(good[0]), good[1]):
+            publisher.put(payload)
+        assert collect(ring, 1).tobytes() == good[1]
+        assert (ring.rejected, ring.lost) == (5, 0)
+
+
+def test_full_ring_keeps_the_oldest_and_counts_the_rest(bus_folder: Path) -> None:
+    with open_bus("bench", Role.PLAYER) as player, open_bus("bench", Role.MONITOR) as monitor:
+        ring = monitor.subscribe("sample", capacity=64)
+        publisher = player.publisher("sample")
+        until(lambda: publisher.heard)
+        for payload in numbered(0, 100):
+            publisher.put(payload)
+        until(lambda: ring.lost == 36)
+        records, arrival = ring.take()
+        assert records["sequence"].tolist() == list(range(64))
+        for payload in numbered(100, 150):  # wraps round the end
+            publisher.put(payload)
+        assert collect(ring, 50)["sequence"].tolist() == list(range(100, 150))
+        assert np.all(np.diff(arrival) >= 0)
+        assert not ring.wait(0.01)
+
+
+def test_two_sources_are_noticed(bus_folder: Path) -> None:
+    with open_bus("bench", Role.MONITOR) as monitor, open_bus("bench", Role.PLAYER):
+        until(lambda: Role.PLAYER in monitor.alive)
+        assert not monitor.duplicate_source
+        with open_bus("bench", Role.TAP):
+            until(lambda: monitor.duplicate_source)
+        until(lambda: not monitor.duplicate_source)
+    assert Role.MONITOR not in SOURCES
+
+
+def test_user_configuration_replaces_the_sockets_and_still_finds_doubles(bus_folder: Path, tmp_path: Path) -> None:
+    quiet = '"scouting": {"multicast": {"enabled": false}, "gossip": {"enabled": false}}'
+    hub = tmp_path / "hub.json5"
+    hub.write_text(f'{{"mode": "peer", {quiet}, "listen": {{"endpoints": ["tcp/127.0.0.1:37447"]}}}}')
+    leaf = tmp_path / "leaf.json5"
+    leaf.write_text(
+        f'{{"mode": "client", {quiet}, "connect": {{"endpoints": ["tcp/127.0.0.1:37447"]}}, "listen": {{}}}}'
+    )
+    with open_bus("bench", Role.PLAYER, hub) as player:
+        assert not list(runtime_folder().glob("*.sock"))
+        with open_bus("bench", Role.MONITOR, leaf) as monitor:
+            ring, publisher = monitor.subscribe("sample"), player.publisher("sample")
+            until(lambda: publisher.heard)
+            publisher.put(numbered(3, 4)[0])
+            assert collect(ring, 1)["sequence"].tolist() == [3]
+        (runtime_folder() / "bench.player.pid").unlink()  # as on another host: only the network can tell
+        with pytest.raises(BusError, match="another player is running elsewhere"):
+            open_bus("bench", Role.PLAYER, leaf)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"), [(None, "No such file"), ("{mode: 'nonsense'}", "not a Zenoh configuration")]
+)
+def test_bad_user_configuration_is_named(bus_folder: Path, tmp_path: Path, text: str | None, message: str) -> None:
+    path = tmp_path / "user.json5"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(BusError, match=rf"user\.json5: .*{message}"):
+        open_bus("bench", Role.PLAYER, path)
+
+
+def test_robot_name_that_cannot_be_a_key_or_a_socket_is_refused(bus_folder: Path) -> None:
+    with pytest.raises(RobotError, match="a/b"):
+        open_bus("a/b", Role.PLAYER)
+    with pytest.raises(BusError, match="longer than 107 bytes"):
+        open_bus("r" * 120, Role.PLAYER)
+
+
+def test_runtime_folder_is_private(bus_folder: Path) -> None:
+    assert runtime_folder().stat().st_mode & 0o777 == 0o700
+
+
+def counts(sequences: list[int]) -> tuple[int, int, int, int, int]:
+    one_by_one, at_once = SequenceCounter(), SequenceCounter()
+    for sequence in sequences:
+        one_by_one.update(sequence)
+    at_once.update_many(np.array(sequences, np.uint64))
+    results = [(c.newest, c.lost, c.repeated, c.out_of_order, c.restarts) for c in (one_by_one, at_once)]
+    assert results[0] == results[1]
+    return results[0]
+
+
+@pytest.mark.parametrize(
+    ("sequences", "expected"),
+    [
+        ([5, 6, 7], (7, 0, 0, 0, 0)),  # joining late is no loss
+        ([0, 1, 4], (4, 2, 0, 0, 0)),
+        ([0, 1, 1, 2, 0], (2, 0, 2, 0, 0)),
+        ([0, 2, 1, 3], (3, 0, 0, 1, 0)),
+        ([0, 3, 2, 2, 4], (4, 1, 1, 1, 0)),
+        ([*range(1000), *range(50)], (49, 0, 0, 0, 1)),
+        ([0, 1, 100, *range(2, 50)], (49, 98, 0, 0, 1)),
+    ],
+)
+def test_sequence_counter(sequences: list[int], expected: tuple[int, ...]) -> None:
+    assert counts(sequences) == expected
+
+
+def test_sequence_counter_agrees_with_sets_on_random_traffic() -> None:
+    generator = np.random.default_rng(3)
+    sent = np.arange(2000)
+    kept = sent[generator.random(2000) > 0.05]
+    shuffled = kept[np.argsort(kept + generator.uniform(0, 6, len(kept)), kind="stable")]
+    doubled = np.repeat(shuffled, np.where(generator.random(len(shuffled)) < 0.03, 2, 1))
+    newest, lost, repeated, out_of_order, restarts = counts(doubled.tolist())
+    first = int(doubled[0])
+    assert newest == doubled.max()
+    assert lost == newest - first + 1 - len({number for number in doubled.tolist() if number >= first})
+    assert repeated + out_of_order == np.sum(doubled[1:] <= np.maximum.accumulate(doubled)[:-1])
+    assert restarts == 0
+
+
+def test_ring_reads_the_stamp_it_was_sent(bus_folder: Path) -> None:
+    record = SAMPLE.empty(1)
+    set_stamp(record, 1_700_000_000_123_456_789)
+    record["position"] = [[0.1, -0.2, 0.3]]
+    with open_bus("bench", Role.PLAYER) as player, open_bus("bench", Role.MONITOR) as monitor:
+        ring, publisher = monitor.subscribe("sample"), player.publisher("sample")
+        until(lambda: publisher.heard)
+        publisher.put(record[0].tobytes())
+        assert collect(ring, 1).tobytes() == record.tobytes()
