@@ -179,7 +179,7 @@ class Ring:
         self._capacity = capacity
         self._size = message.dtype.itemsize
         self._records = message.empty(capacity)
-        self._bytes = memoryview(self._records.view(np.uint8))
+        self._bytes = self._records.view(np.uint8).data
         self._arrival = np.zeros(capacity, np.int64)
         self._head = 0  # messages put in, ever
         self._tail = 0  # messages taken out, ever
@@ -237,7 +237,7 @@ class Publisher:
     @property
     def heard(self) -> bool:
         """Whether anybody subscribes at the moment."""
-        return self._publisher.matching_status.matching
+        return self._publisher.matching_status.matching  # pyright: ignore[reportAttributeAccessIssue]: stub says bool
 
 
 class Bus:
