@@ -1,9 +1,162 @@
-"""Column mapping: how a foreign table's columns and units become joint-side SI."""
+"""Column mapping: how a foreign table's columns and units become joint-side SI.
+
+It stands as `[columns]` in a robot description or in a TOML file of its own (`--columns FILE`, same keys, with or
+without the `[columns]` heading). `Columns()` itself describes our own CSV. A channel is one table a joint, or one for
+all joints with `{joint}` (1, 2, ...) in its name; a bare string is a name with every other key at its default:
+
+    header_line = 1
+    separator = ";"
+    decimal = ","
+    time = { name = "Zeit", unit = "ms" }
+    position = { name = "A{joint} Ist", unit = "counts", counts_per_rev = 1048576, side = "motor", gear_ratio = 55 }
+    torque = { name = "A{joint} M", unit = "permille", rated = 2.39, side = "motor", sign = -1, gear_ratio = 55 }
+"""
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from schemas.errors import TraceError
+from schemas.toml import read_toml, validate
+
+Positive = Annotated[float, Field(gt=0)]
+
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
 
 
-class Columns(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class TimeColumn(_Entry):
+    """The stamps. Where the name occurs several times, each channel has the nearest one to its left (TwinCAT Scope)."""
+
+    name: str = "time_s"
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+
+
+class _Channel(_Entry):
+    name: str
+    side: Literal["joint", "motor"] = "joint"  # motor: before the gear
+    gear_ratio: Positive | None = None  # motor turns per joint turn; absent: `drive.gear_ratio` of the robot
+    sign: Literal[1, -1] = 1  # -1: positive turns the active link up
+    zero: float = 0.0  # reading, in the column's unit, where the joint's angle (or torque) is zero
+    time: str | None = None  # name of this channel's own time column, same unit as `Columns.time`
+    between: Literal["linear", "hold"] = "linear"  # value between two samples where the stamps are another channel's
+
+
+class PositionColumn(_Channel):
+    """A joint position."""
+
+    unit: Literal["rad", "deg", "counts", "m", "mm"] = "rad"
+    counts_per_rev: Positive | None = None  # encoder increments per turn of its shaft
+
+    @model_validator(mode="after")
+    def _complete(self) -> PositionColumn:
+        if (self.unit == "counts") != (self.counts_per_rev is not None):
+            raise ValueError(
+                f"unit {self.unit!r} with counts_per_rev {self.counts_per_rev}: give it with 'counts' only"
+            )
+        return self
+
+    @property
+    def scale(self) -> float:
+        """Radians (or metres) per unit of the column, before the gear."""
+        if self.counts_per_rev is not None:
+            return 2 * math.pi / self.counts_per_rev
+        return {"rad": 1.0, "deg": math.pi / 180, "m": 1.0, "mm": 1e-3}[self.unit]
+
+
+class TorqueColumn(_Channel):
+    """A joint torque, or the force of a linear axis."""
+
+    unit: Literal["N m", "N", "permille", "V", "A"] = "N m"
+    rated: Positive | None = None  # permille: rated torque of the drive, N m (or rated force, N)
+    constant: Positive | None = None  # V, A: N m (or N) per volt or ampere
+
+    @model_validator(mode="after")
+    def _complete(self) -> TorqueColumn:
+        if (self.unit == "permille") != (self.rated is not None):
+            raise ValueError(f"unit {self.unit!r} with rated {self.rated}: give it with 'permille' only")
+        if (self.unit in ("V", "A")) != (self.constant is not None):
+            raise ValueError(f"unit {self.unit!r} with constant {self.constant}: give it with 'V' or 'A' only")
+        return self
+
+    @property
+    def scale(self) -> float:
+        """N m (or N) per unit of the column, before the gear."""
+        return self.constant or (self.rated or 1000.0) / 1000.0
+
+
+def _table(value: Any) -> Any:
+    return {"name": value} if isinstance(value, str) else value
+
+
+def _tables(value: Any) -> Any:
+    return [_table(v) for v in value] if isinstance(value, list) else [_table(value)]
+
+
+_Position = Annotated[list[PositionColumn], BeforeValidator(_tables)]
+_Torque = Annotated[list[TorqueColumn], BeforeValidator(_tables)]
+
+
+class Columns(_Entry):
+    """A table's layout and the meaning of its columns. Defaults: our own CSV. Lines count from 1, as editors do."""
+
+    separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    decimal: Literal[".", ","] = "."
+    encoding: str = "utf-8"
+    header_line: Annotated[int, Field(ge=1)] = 1
+    data_line: int | None = None  # first line of numbers; absent: the one behind the header
+    joints: Annotated[int, Field(ge=1)] = 3  # how many `{joint}` stands for
+    time: Annotated[TimeColumn, BeforeValidator(_table)] = TimeColumn()
+    position: _Position = [PositionColumn(name="position_{joint}_rad")]
+    torque: _Torque = [TorqueColumn(name="torque_{joint}_nm")]
+    position_command: _Position = [PositionColumn(name="position_command_{joint}_rad")]
+    torque_command: _Torque = [TorqueColumn(name="torque_command_{joint}_nm")]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Columns:
+        if self.decimal == self.separator:
+            raise ValueError(f"decimal {self.decimal!r} is also the separator")
+        if self.data_line is not None and self.data_line <= self.header_line:
+            raise ValueError(f"data_line {self.data_line} is not behind header_line {self.header_line}")
+        counts = {name: len(self.channel(name)) for name in CHANNELS if self.channel(name)}
+        if len({*counts.values()}) > 1 or not (self.position and self.torque):
+            raise ValueError(f"as many position as torque columns are needed, commands as many or none: {counts}")
+        return self
+
+    @property
+    def first_line(self) -> int:
+        """Line of the first row of numbers."""
+        return self.data_line or self.header_line + 1
+
+    def channel(self, name: str) -> list[PositionColumn] | list[TorqueColumn]:
+        """The columns of one of `CHANNELS`, one a joint; empty where the mapping has none."""
+        if name.endswith("command") and name not in self.model_fields_set and "position" in self.model_fields_set:
+            return []  # a foreign table has the commands it says it has
+        entries = getattr(self, name)
+        if len(entries) != 1 or "{joint}" not in entries[0].name:
+            return entries
+        return [
+            entries[0].model_copy(update={"name": entries[0].name.replace("{joint}", str(j + 1))})
+            for j in range(self.joints)
+        ]
+
+
+CHANNELS = ("position", "torque", "position_command", "torque_command")
+
+
+def load_columns(path: str | Path) -> Columns:
+    """Read a mapping file.
+
+    Raises:
+        TraceError: naming file, key and value of the first thing that is wrong.
+    """
+    path = Path(path)
+    values = read_toml(path, TraceError)
+    return validate(Columns, values.get("columns", values), path, TraceError)

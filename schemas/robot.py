@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomlkit
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from schemas.columns import Columns
 from schemas.errors import RobotError
 from schemas.keys import check_robot_name
+from schemas.toml import read_toml, validate
 
 
 class _Section(BaseModel):
@@ -224,30 +224,7 @@ def load_robot(path: str | Path) -> Robot:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise RobotError(f"{path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise RobotError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
-    try:
-        return Robot.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise RobotError(f"{path}: not TOML: {error}") from error
-    except ValidationError as error:
-        raise RobotError(f"{path}: {explain(error)}") from error
-
-
-def explain(error: ValidationError) -> str:
-    """The first finding of a Pydantic error as `key: what is wrong (got value)`."""
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"]) or "file"
-    if first["type"] == "extra_forbidden":
-        return f"{key}: unknown key (value {first['input']!r})"
-    if first["type"] == "missing":
-        return f"{key}: missing key"
-    message = first["msg"].removeprefix("Value error, ")
-    return f"{key}: {message}" if first["type"] == "value_error" else f"{key}: {message} (got {first['input']!r})"
+    return validate(Robot, read_toml(path, RobotError), path, RobotError)
 
 
 def save_robot(robot: Robot, path: str | Path, template: str | Path | None = None) -> None:

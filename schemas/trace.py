@@ -7,12 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.messages import SAMPLE, SampleFlag, set_stamp
+from schemas.errors import TraceError
+from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag, set_stamp
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong with the data: what, on which rows (0-based data rows), and one row's value as evidence."""
+    """Something to know about the data: what, on which rows of the trace (from 0), and evidence with file lines.
+
+    flag: the bit set on those rows; no bit where something is only to be known (a channel was interpolated).
+    """
 
     flag: SampleFlag
     message: str
@@ -25,6 +29,8 @@ class Trace:
 
     time: (N,) s, as in the file. position, torque: (N, n) rad and N m. position_command, torque_command: (N, n) or
     None where the source has none. flags: (N,) uint32 of SampleFlag. findings: what the reader noticed.
+    sequence: (N,) uint64 where the source counts its cycles, else None. epoch_ns: bus time of `time` 0, in ns; not
+    zero only where the stamps are too large for float64 seconds to tell nanoseconds (above 1e6 s). Linear axes: m, N.
     """
 
     path: Path
@@ -35,6 +41,12 @@ class Trace:
     torque_command: np.ndarray | None = None
     flags: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint32))
     findings: tuple[Finding, ...] = ()
+    sequence: np.ndarray | None = None
+    epoch_ns: int = 0
+
+    def __post_init__(self) -> None:
+        if len(self.flags) == 0:
+            object.__setattr__(self, "flags", np.zeros(len(self.time), np.uint32))
 
     def __len__(self) -> int:
         return len(self.time)
@@ -49,11 +61,24 @@ class Trace:
         """Median sample time, s."""
         return float(np.median(np.diff(self.time)))
 
+    @property
+    def time_ns(self) -> np.ndarray:
+        """(N,) int64 bus time, ns."""
+        seconds = np.floor(self.time)
+        fraction = np.rint((self.time - seconds) * NANOSECONDS).astype(np.int64)
+        return seconds.astype(np.int64) * NANOSECONDS + fraction + self.epoch_ns
+
     def samples(self) -> np.ndarray:
-        """The trace as (N,) records of `schemas.messages.SAMPLE`; sequence counts rows from 0."""
+        """The trace as (N,) records of `schemas.messages.SAMPLE`; sequence as recorded, else rows from 0.
+
+        Raises:
+            TraceError: the trace has not three joints.
+        """
+        if self.position.shape[1] != 3:
+            raise TraceError(f"{self.path}: {self.position.shape[1]} joints, a sample message holds 3")
         records = SAMPLE.empty(len(self))
-        set_stamp(records, np.rint(self.time * 1e9).astype(np.int64))
-        records["sequence"] = np.arange(len(self), dtype=np.uint64)
+        set_stamp(records, self.time_ns)
+        records["sequence"] = np.arange(len(self), dtype=np.uint64) if self.sequence is None else self.sequence
         records["position"] = self.position
         records["torque"] = self.torque
         records["position_command"] = np.nan if self.position_command is None else self.position_command

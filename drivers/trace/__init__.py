@@ -1,0 +1,77 @@
+"""Traces from and to files: CSV (plain, gzip) and MCAP, into one `schemas.trace.Trace`.
+
+An unusable file is an error, a bad row is flagged.
+
+`TraceError` (file, line, column, value): a file that cannot be opened, is empty, binary, a broken gzip or not a whole
+MCAP; a column that is missing or there twice; text where a number belongs; a line with more fields than the header;
+fewer than two samples; time that mostly does not rise; more than a tenth of the positions outside the joint range
+(degrees for radians, a wrong gear ratio); messages of another schema.
+
+Kept as they are, flagged in `Trace.flags` (and so in `.samples()`) and counted in `Trace.findings` with their lines:
+NaN, empty or infinite positions and torques (NOT_A_NUMBER) and commands (NO_COMMAND); stamps that go back
+(TIME_BACKWARDS) or repeat (REPEATED); a step above 1.5 periods (GAP_BEFORE); a joint that moves further in a cycle
+than a joint can (JUMP); positions outside the joint range (OUT_OF_RANGE).
+
+Left out and reported, because they cannot be kept: a last line that is cut off, a row without a time stamp. Channels
+with stamps of their own are brought to those of the first position column; that is reported too.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from schemas.columns import Columns
+from schemas.errors import TraceError
+from schemas.robot import Robot
+from schemas.trace import Trace
+
+CSV_ENDINGS = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv")
+
+
+def read_trace(path: str | Path, robot: Robot | None = None, columns: Columns | None = None) -> Trace:
+    """Read a recorded trace.
+
+    robot: gives the joint range, the gear ratio of motor-side columns, its own `[columns]`, and the topic where an MCAP
+    holds several robots. columns: the mapping of a foreign table; wins over the robot's. Without either, our own CSV.
+
+    Raises:
+        TraceError: the file is unusable (see the module).
+    """
+    path = Path(path)
+    if path.name.endswith(".mcap"):
+        from drivers.trace.mcap_file import read_mcap
+
+        return read_mcap(path, robot)
+    if path.name.endswith(CSV_ENDINGS):
+        from drivers.trace.csv_file import read_csv
+
+        return read_csv(path, robot, columns)
+    raise TraceError(f"{path}: unknown kind of trace, its name should end in .csv, .csv.gz or .mcap")
+
+
+def write_trace(trace: Trace, path: str | Path, robot: str = "robot") -> None:
+    """Write a trace in the format its name ends in; a reader never sees half a file.
+
+    robot: name in the topic of an MCAP.
+
+    Raises:
+        TraceError: the file cannot be written, or the format cannot hold the trace.
+    """
+    path = Path(path)
+    partial = path.with_name(f".part-{path.name}")
+    try:
+        if path.name.endswith(".mcap"):
+            from drivers.trace.mcap_file import write_mcap
+
+            write_mcap(trace, partial, robot)
+        elif path.name.endswith(CSV_ENDINGS):
+            from drivers.trace.csv_file import write_csv
+
+            write_csv(trace, partial)
+        else:
+            raise TraceError(f"{path}: unknown kind of trace, its name should end in .csv, .csv.gz or .mcap")
+        partial.replace(path)
+    except OSError as error:
+        raise TraceError(f"{path}: {error.strerror}") from error
+    finally:
+        partial.unlink(missing_ok=True)

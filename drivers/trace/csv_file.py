@@ -1,0 +1,287 @@
+"""CSV traces, plain or gzip: our own header, or any table that a `schemas.columns.Columns` describes."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import re
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from drivers.trace.quality import Rows, check
+from schemas.columns import CHANNELS, TIME_UNITS, Columns, PositionColumn, TorqueColumn
+from schemas.errors import TraceError
+from schemas.messages import SampleFlag
+from schemas.robot import Robot
+from schemas.trace import Finding, Trace
+
+MISSING = ["", " ", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]  # cells that say there is no value
+_OWN = re.compile(r"^position_(\d+)_rad$")
+_FIXED_POINT_LINES = 20  # lines looked at to tell whether the last field has a fixed number of decimals
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """One column of the file and where it goes."""
+
+    name: str  # of CHANNELS
+    joint: int
+    column: PositionColumn | TorqueColumn
+    index: int
+    time_index: int
+
+    @property
+    def label(self) -> str:
+        return f"{self.name}_{self.joint + 1} ({self.column.name!r})"
+
+
+def read_csv(path: Path, robot: Robot | None = None, columns: Columns | None = None) -> Trace:
+    """A table as a trace.
+
+    Raises:
+        TraceError: see `drivers.trace`.
+    """
+    raw = _load(path)
+    columns = columns or _mapping(raw, robot)
+    names, body = _split(raw, columns, path)
+    channels = _channels(names, columns, path)
+    body, notes = _without_cut_line(body, columns)
+    table = _parse(body, names, channels, columns, path)
+    return _assemble(table, channels, columns, robot, path, notes)
+
+
+def write_csv(trace: Trace, path: Path) -> None:
+    """Write `trace` in our own CSV, every digit that float64 needs; gzip where `path` ends in `.gz`.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    data: dict[str, np.ndarray] = {"time_s": trace.time + trace.epoch_ns * 1e-9}
+    for name, unit in (("position_command", "rad"), ("position", "rad"), ("torque_command", "nm"), ("torque", "nm")):
+        values = getattr(trace, name)
+        if values is not None:
+            data.update({f"{name}_{j + 1}_{unit}": values[:, j] for j in range(values.shape[1])})
+    text = pl.DataFrame(data).write_csv().encode()
+    path.write_bytes(gzip.compress(text, compresslevel=6) if path.suffix == ".gz" else text)
+
+
+def _load(path: Path) -> bytes:
+    try:
+        raw = path.read_bytes()
+        if raw[:2] == b"\x1f\x8b":
+            raw = gzip.decompress(raw)
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise TraceError(f"{path}: broken gzip file: {error}") from error
+    except OSError as error:
+        raise TraceError(f"{path}: {error.strerror}") from error
+    if not raw.strip():
+        raise TraceError(f"{path}: empty file")
+    zero = raw.find(b"\0", 0, 1 << 16)
+    if zero >= 0:
+        raise TraceError(f"{path}: not a text table: zero byte at offset {zero} (starts with {raw[:8]!r})")
+    return raw.removeprefix(b"\xef\xbb\xbf")
+
+
+def _mapping(raw: bytes, robot: Robot | None) -> Columns:
+    own = [m for name in _fields(raw.split(b"\n", 1)[0].decode("utf-8", "replace"), ",") if (m := _OWN.match(name))]
+    if own or robot is None or robot.columns is None:
+        return Columns(joints=len(own) or 3)
+    return robot.columns
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    return [field.strip().strip('"') for field in line.rstrip("\r\n").split(separator)]
+
+
+def _split(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], bytes]:
+    lines = raw.split(b"\n", columns.first_line - 1)
+    if len(lines) < columns.first_line or not lines[-1].strip():
+        raise TraceError(f"{path}: no data rows: the file ends before line {columns.first_line}")
+    try:
+        header = lines[columns.header_line - 1].decode(columns.encoding)
+    except (UnicodeDecodeError, LookupError) as error:
+        raise TraceError(f"{path}: line {columns.header_line} is not {columns.encoding} text: {error}") from error
+    return _fields(header, columns.separator), lines[-1]
+
+
+def _channels(names: list[str], columns: Columns, path: Path) -> list[_Channel]:
+    def find(name: str) -> int:
+        count = names.count(name)
+        if count != 1:
+            listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+            raise TraceError(
+                f"{path}: column {name!r} is {'there twice' if count else 'missing'}; "
+                f"line {columns.header_line} has: {listed} (other names and units: --columns)"
+            )
+        return names.index(name)
+
+    def find_time(entry: PositionColumn | TorqueColumn, index: int) -> int:
+        name = entry.time or columns.time.name
+        places = [i for i, n in enumerate(names) if n == name]
+        if len(places) <= 1:
+            return find(name)
+        return max((i for i in places if i < index), default=places[0])
+
+    found = []
+    for name in CHANNELS:
+        entries = columns.channel(name)
+        optional = name.endswith("command") and name not in columns.model_fields_set
+        if optional and not any(entry.name in names for entry in entries):
+            continue
+        for joint, entry in enumerate(entries):
+            index = find(entry.name)
+            found.append(_Channel(name, joint, entry, index, find_time(entry, index)))
+    return found
+
+
+def _without_cut_line(body: bytes, columns: Columns) -> tuple[bytes, list[Finding]]:
+    """Leave out a last line that stops in the middle: its last number may have lost digits without looking wrong."""
+    if body.endswith(b"\n"):
+        return body, []
+    separator = columns.separator.encode()
+    *before, last = body.rsplit(b"\n", _FIXED_POINT_LINES)
+    before = before[1:]
+    if not before:
+        return body, []
+    fields, expected = last.count(separator), before[-1].count(separator)
+    decimals = {_decimals(line, separator, columns.decimal) for line in before}
+    cut = fields < expected or (len(decimals) == 1 and _decimals(last, separator, columns.decimal) not in decimals)
+    if not cut:
+        return body, []
+    line = columns.first_line + body.count(b"\n")
+    what = f"{fields + 1} of {expected + 1} fields" if fields < expected else "its last number lacks digits"
+    message = f"the last line ({line}) is cut off ({what}) and was left out: {last[-40:].decode('utf-8', 'replace')!r}"
+    return body[: len(body) - len(last)], [Finding(SampleFlag(0), message, np.zeros(0, np.intp))]
+
+
+def _decimals(line: bytes, separator: bytes, decimal: str) -> int:
+    return len(line.rstrip(b"\r").rsplit(separator, 1)[-1].partition(decimal.encode())[2])
+
+
+def _parse(body: bytes, names: list[str], channels: list[_Channel], columns: Columns, path: Path) -> pl.DataFrame:
+    """The columns that are needed as float64, named by their index; null where a cell is empty."""
+    used = sorted({c.index for c in channels} | {c.time_index for c in channels})
+    width = max(len(names), body.split(b"\n", 1)[0].count(columns.separator.encode()) + 1)
+    options = {
+        "has_header": False,
+        "columns": used,
+        "separator": columns.separator,
+        "quote_char": '"' if b'"' in body else None,
+        "null_values": MISSING,
+    }
+    schema = {str(i): pl.Float64 if i in used else pl.String for i in range(width)}
+    try:
+        return pl.read_csv(io.BytesIO(body), schema=schema, decimal_comma=columns.decimal == ",", **options)
+    except pl.exceptions.PolarsError as error:
+        raise TraceError(f"{path}: {_explain(body, names, used, columns, str(error))}") from error
+
+
+def _explain(body: bytes, names: list[str], used: list[int], columns: Columns, error: str) -> str:
+    """The first cell or line that cannot be read."""
+    expected = len(names)
+    for line, text in enumerate(body.decode(columns.encoding, "replace").split("\n"), columns.first_line):
+        fields = _fields(text, columns.separator)
+        if len(fields) > expected and "".join(fields[expected:]):
+            return f"line {line} has {len(fields)} fields, the header has {expected}"
+        for index in used:
+            cell = fields[index] if index < len(fields) else ""
+            try:
+                float(cell.replace(columns.decimal, ".") if cell not in MISSING else 0)
+            except ValueError:
+                return f"line {line}, column {names[index]!r}: {cell!r} is not a number"
+    return error.splitlines()[0]
+
+
+def _assemble(
+    table: pl.DataFrame,
+    channels: list[_Channel],
+    columns: Columns,
+    robot: Robot | None,
+    path: Path,
+    notes: list[Finding],
+) -> Trace:
+    per_second = TIME_UNITS[columns.time.unit]
+    stamps = {
+        index: table[str(index)].to_numpy() / per_second
+        for index in sorted({channel.time_index for channel in channels})
+    }
+    base = channels[0].time_index
+    rows, left_out = _stamped(stamps[base], table, base, columns)
+    notes.extend(left_out)
+    if len(rows) == 0:
+        raise TraceError(f"{path}: no row has a time stamp in column {columns.time.name!r}")
+    joints = 1 + max(channel.joint for channel in channels)
+    time = stamps[base][rows]
+    arrays: dict[str, np.ndarray] = {}
+    for channel in channels:
+        raw = table[str(channel.index)].to_numpy()
+        own = stamps[channel.time_index]
+        if channel.time_index == base or np.array_equal(own, stamps[base], equal_nan=True):
+            values = raw[rows]
+        else:
+            values, note = _bring(time, own, raw, channel, channels[0], path)
+            notes.append(note)
+        array = arrays.setdefault(channel.name, np.empty((len(rows), joints)))
+        array[:, channel.joint] = _to_joint(values, channel, robot, path)
+    trace = Trace(
+        path=path,
+        time=time,
+        position=arrays["position"],
+        torque=arrays["torque"],
+        position_command=arrays.get("position_command"),
+        torque_command=arrays.get("torque_command"),
+        findings=tuple(notes),
+    )
+    angular = all(c.column.unit not in ("m", "mm") for c in channels) and (joints == 3 or robot is not None)
+    return check(trace, Rows("line", columns.first_line + rows), robot, angular)
+
+
+def _stamped(stamps: np.ndarray, table: pl.DataFrame, base: int, columns: Columns) -> tuple[np.ndarray, list[Finding]]:
+    """Rows with a stamp, and a finding for those in between that have none. Blank rows behind the last are the end."""
+    finite = np.isfinite(stamps)
+    rows = np.flatnonzero(finite)
+    if len(rows) == 0:
+        return rows, []
+    bad = np.flatnonzero(~finite[: rows[-1]])
+    if len(bad) == 0:
+        return rows, []
+    lines = Rows("line", columns.first_line + np.arange(len(stamps)))
+    message = f"{len(bad)} rows without a time stamp were left out: {lines.name(bad)}"
+    return rows, [Finding(SampleFlag(0), message, np.zeros(0, np.intp))]
+
+
+def _bring(
+    time: np.ndarray, own: np.ndarray, raw: np.ndarray, channel: _Channel, base: _Channel, path: Path
+) -> tuple[np.ndarray, Finding]:
+    """`raw`, stamped `own`, at `time`. Outside its own stamps a channel has no value: NaN, never extrapolated."""
+    known = np.isfinite(own)
+    own, raw = own[known], raw[known]
+    if len(own) < 2 or np.any(np.diff(own) <= 0):
+        raise TraceError(f"{path}: {channel.label}: its own time stamps do not rise, it cannot be brought to another's")
+    if channel.column.between == "hold":
+        values = raw[np.clip(np.searchsorted(own, time, side="right") - 1, 0, None)]
+    else:
+        values = np.interp(time, own, raw)
+    outside = np.flatnonzero((time < own[0]) | (time > own[-1]))
+    values[outside] = np.nan
+    how = "held" if channel.column.between == "hold" else "interpolated linearly"
+    message = (
+        f"{channel.label} is sampled every {np.median(np.diff(own)) * 1e3:.6g} ms, {how} at the "
+        f"{np.median(np.diff(time)) * 1e3:.6g} ms stamps of {base.label}; {len(outside)} of {len(time)} rows outside"
+    )
+    return values, Finding(SampleFlag(0), message, np.zeros(0, np.intp))
+
+
+def _to_joint(values: np.ndarray, channel: _Channel, robot: Robot | None, path: Path) -> np.ndarray:
+    column = channel.column
+    gear = 1.0
+    if column.side == "motor":
+        gear = column.gear_ratio or (robot.drive.gear_ratio if robot else 0.0)
+        if gear == 0.0:
+            raise TraceError(f"{path}: {channel.label} is motor side: give its gear_ratio or a robot with [drive]")
+    scale = column.sign * column.scale
+    return (values - column.zero) * (scale / gear if isinstance(column, PositionColumn) else scale * gear)

@@ -1,0 +1,129 @@
+"""MCAP traces: `deltatwin/<robot>/sample` messages, read and written with the mcap library, CDR bytes as they are."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import McapReader, make_reader
+from mcap.records import Channel, Schema
+from mcap.writer import CompressionType, Writer
+
+from drivers.trace.quality import Rows, check
+from schemas.errors import DeltatwinError, TraceError
+from schemas.keys import topic_key
+from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, stamp_ns
+from schemas.robot import Robot
+from schemas.trace import Trace
+
+_SAMPLE_TOPIC = re.compile(r"^deltatwin/(?P<robot>[^/]+)/sample$")
+EXACT_SECONDS = 1_000_000  # float64 seconds below this hold a nanosecond
+
+
+def read_mcap(path: Path, robot: Robot | None = None) -> Trace:
+    """The samples of an MCAP file in the order they were written, which shows what a sort by time would hide.
+
+    Raises:
+        TraceError: not a whole MCAP file, no samples, samples of several robots and not of `robot`, foreign messages.
+    """
+    try:
+        with path.open("rb") as stream:
+            samples = read_samples(make_reader(stream), path, robot)
+    except OSError as error:
+        raise TraceError(f"{path}: {error.strerror}") from error
+    except DeltatwinError:
+        raise
+    except Exception as error:  # the library lets struct, zlib, zstd and its own errors through
+        raise TraceError(
+            f"{path}: not a whole MCAP file ({type(error).__name__}: {error}); "
+            f"a log whose writer was killed: deltatwin recover {path}"
+        ) from error
+    return check(to_trace(samples, path), Rows("message", np.arange(1, len(samples) + 1)), robot)
+
+
+def read_samples(reader: McapReader, path: Path, robot: Robot | None = None) -> np.ndarray:
+    """(N,) records of `schemas.messages.SAMPLE` as they stand in the file, read-only.
+
+    Raises:
+        TraceError: see `read_mcap`.
+    """
+    summary = reader.get_summary()
+    if summary is None:
+        raise TraceError(f"{path}: the MCAP summary is missing (its writer was killed?): deltatwin recover {path}")
+    topic = _sample_topic(summary.channels, summary.schemas, path, robot)
+    data = [message.data for _, _, message in reader.iter_messages([topic], log_time_order=False)]
+    size = SAMPLE.dtype.itemsize
+    joined = b"".join(data)
+    wrong = next((i for i, d in enumerate(data) if len(d) != size), None) if len(joined) != size * len(data) else None
+    if wrong is not None:
+        raise TraceError(f"{path}: message {wrong + 1} on {topic} has {len(data[wrong])} bytes, expected {size}")
+    if not data:
+        raise TraceError(f"{path}: no messages on {topic}")
+    samples = np.frombuffer(joined, SAMPLE.dtype)
+    foreign = np.flatnonzero((samples["cdr_header"] != np.frombuffer(CDR_LITTLE_ENDIAN, np.uint8)).any(axis=1))
+    if len(foreign):
+        header = bytes(samples["cdr_header"][foreign[0]]).hex()
+        raise TraceError(f"{path}: message {foreign[0] + 1} on {topic} has CDR header {header}, expected 00010000")
+    return samples
+
+
+def _sample_topic(channels: dict[int, Channel], schemas: dict[int, Schema], path: Path, robot: Robot | None) -> str:
+    found = {m["robot"]: c for c in channels.values() if (m := _SAMPLE_TOPIC.match(c.topic))}
+    if not found:
+        topics = ", ".join(sorted(c.topic for c in channels.values())) or "none"
+        raise TraceError(f"{path}: no deltatwin/<robot>/sample topic (topics: {topics})")
+    if len(found) > 1 and (robot is None or robot.name not in found):
+        raise TraceError(f"{path}: samples of several robots ({', '.join(sorted(found))}): say which with --robot")
+    channel = found[robot.name] if robot and robot.name in found else next(iter(found.values()))
+    schema = schemas.get(channel.schema_id)
+    text = schema.data.decode("utf-8", "replace") if schema else ""
+    if channel.message_encoding != "cdr" or text != SAMPLE.schema_text:
+        name = schema.name if schema else "none"
+        raise TraceError(
+            f"{path}: {channel.topic} holds {channel.message_encoding!r} messages of schema {name}, which is not "
+            f"this version's {SAMPLE.schema_name} in cdr"
+        )
+    return channel.topic
+
+
+def to_trace(samples: np.ndarray, path: Path) -> Trace:
+    """Records of `schemas.messages.SAMPLE` as a trace with the flags they came with, unchecked."""
+    stamps = stamp_ns(samples)
+    epoch = int(stamps[0]) if np.abs(stamps).max() > EXACT_SECONDS * NANOSECONDS else 0
+    commands = {}
+    for name in ("position_command", "torque_command"):
+        command = np.ascontiguousarray(samples[name])
+        commands[name] = None if np.isnan(command).all() else command
+    return Trace(
+        path=path,
+        time=(stamps - epoch) / NANOSECONDS,
+        position=np.ascontiguousarray(samples["position"]),
+        torque=np.ascontiguousarray(samples["torque"]),
+        flags=samples["flags"].astype(np.uint32),
+        sequence=samples["sequence"].astype(np.uint64),
+        epoch_ns=epoch,
+        **commands,
+    )
+
+
+def write_mcap(trace: Trace, path: Path, robot: str) -> None:
+    """Write `trace` as sample messages of `robot`; log time is bus time.
+
+    Raises:
+        TraceError: stamps before zero, or joints other than three.
+        OSError: the file cannot be written.
+    """
+    samples = trace.samples()
+    stamps = stamp_ns(samples)
+    if stamps.min() < 0:
+        raise TraceError(f"{trace.path}: time {stamps.min() / NANOSECONDS} s is below zero, MCAP stamps cannot be")
+    size, data = samples.itemsize, samples.tobytes()
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="deltatwin")
+        schema = writer.register_schema(SAMPLE.schema_name, "ros2msg", SAMPLE.schema_text.encode())
+        channel = writer.register_channel(topic_key(robot, "sample"), "cdr", schema)
+        for i, (stamp, sequence) in enumerate(zip(stamps.tolist(), samples["sequence"].tolist(), strict=True)):
+            writer.add_message(channel, stamp, data[i * size : (i + 1) * size], stamp, sequence & 0xFFFFFFFF)
+        writer.finish()

@@ -1,0 +1,159 @@
+"""What is wrong with recorded samples: found, counted, flagged. Nothing here changes a value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from schemas.errors import TraceError
+from schemas.messages import SampleFlag
+from schemas.robot import Geometry, Robot
+from schemas.trace import Finding, Trace
+
+GAP_PERIODS = 1.5  # a step of the stamps above this many periods has lost cycles
+MAX_SPEED = 60.0  # rad/s or m/s at the joint; fast Delta robots reach about 20 rad/s
+MAX_ACCELERATION = 1e4  # rad/s^2 or m/s^2; fast Delta robots reach about 2e3 rad/s^2
+NOISE_SIGMAS = 15.0  # a jump stands this far out of the velocity's own noise
+UNUSABLE_SHARE = 0.1  # of all samples out of the joint range: the unit is wrong, not the sample
+SHOWN = 5  # rows named in a message
+
+
+@dataclass(frozen=True)
+class Rows:
+    """How the rows of a trace are called in its file: `line 17` of a CSV, `message 17` of an MCAP."""
+
+    word: str
+    numbers: np.ndarray
+
+    def name(self, rows: np.ndarray) -> str:
+        """The first few of `rows`, as a reader of the file would look for them."""
+        shown = ", ".join(str(n) for n in self.numbers[rows[:SHOWN]])
+        plural = "s" if len(rows) > 1 else ""
+        return f"{self.word}{plural} {shown}{', ...' if len(rows) > SHOWN else ''}"
+
+
+def check(trace: Trace, rows: Rows, robot: Robot | None, angular: bool = True) -> Trace:
+    """`trace` with every flag set and every finding added.
+
+    angular: positions are joint angles, held against the joint range of `robot` (or of Delta robots in general).
+
+    Raises:
+        TraceError: fewer than two samples, stamps that mostly do not rise, or positions mostly outside the joint range.
+    """
+    if len(trace) < 2:
+        raise TraceError(f"{trace.path}: {len(trace)} samples, at least 2 are needed")
+    flags = np.zeros(len(trace), np.uint32) if len(trace.flags) == 0 else trace.flags.copy()
+    findings = list(trace.findings)
+    for finding in (*_stamps(trace, rows), *_values(trace, rows), *_range(trace, rows, robot, angular)):
+        flags[finding.rows] |= finding.flag
+        findings.append(finding)
+    return replace(trace, flags=flags, findings=tuple(findings))
+
+
+def _stamps(trace: Trace, rows: Rows) -> Iterator[Finding]:
+    step = np.diff(trace.time)
+    rising = step > 0
+    if np.count_nonzero(rising) < 0.5 * len(step):
+        bad = np.flatnonzero(~rising)[:1] + 1
+        raise TraceError(
+            f"{trace.path}: time does not rise from row to row ({np.count_nonzero(~rising)} of {len(step)} steps; "
+            f"first at {rows.name(bad)}: {trace.time[bad[0] - 1]:.9g} s, then {trace.time[bad[0]]:.9g} s)"
+        )
+    period = float(np.median(step[rising]))
+    back, repeated, gap = (np.flatnonzero(s) + 1 for s in (step < 0, step == 0, step > GAP_PERIODS * period))
+    counted = None if trace.sequence is None else np.diff(trace.sequence.astype(np.int64))
+    if counted is not None:
+        gap = np.union1d(gap, np.flatnonzero(counted > 1) + 1)
+        repeated = np.union1d(repeated, np.flatnonzero(counted == 0) + 1)
+    if len(back):
+        i = back[0]
+        yield Finding(
+            SampleFlag.TIME_BACKWARDS,
+            f"time goes back {len(back)} times: {rows.name(back)} "
+            f"({trace.time[i]:.9g} s after {trace.time[i - 1]:.9g} s)",
+            back,
+        )
+    if len(repeated):
+        yield Finding(
+            SampleFlag.REPEATED,
+            f"{len(repeated)} stamps or sequence numbers repeated: {rows.name(repeated)} "
+            f"({trace.time[repeated[0]]:.9g} s)",
+            repeated,
+        )
+    if len(gap):
+        lost = np.maximum(np.rint(step[gap - 1] / period) - 1, 0)
+        if counted is not None:
+            lost = np.maximum(lost, counted[gap - 1] - 1)
+        yield Finding(
+            SampleFlag.GAP_BEFORE,
+            f"{len(gap)} gaps, {int(lost.sum())} cycles of {period * 1e3:.6g} ms missing: before {rows.name(gap)} "
+            f"(longest {step[gap - 1].max() * 1e3:.6g} ms)",
+            gap,
+        )
+
+
+def _values(trace: Trace, rows: Rows) -> Iterator[Finding]:
+    for name, values, flag in (
+        ("position", trace.position, SampleFlag.NOT_A_NUMBER),
+        ("torque", trace.torque, SampleFlag.NOT_A_NUMBER),
+        ("position_command", trace.position_command, SampleFlag.NO_COMMAND),
+        ("torque_command", trace.torque_command, SampleFlag.NO_COMMAND),
+    ):
+        if values is None:
+            continue
+        for joint in range(values.shape[1]):
+            bad = np.flatnonzero(~np.isfinite(values[:, joint]))
+            if len(bad):
+                what = f"{name} of joint {joint + 1}: {len(bad)} values missing or not finite"
+                yield Finding(flag, f"{what}: {rows.name(bad)} ({values[bad[0], joint]})", bad)
+    yield from _jumps(trace, rows)
+
+
+def _jumps(trace: Trace, rows: Rows) -> Iterator[Finding]:
+    step = np.diff(trace.time)
+    period = float(np.median(step[step > 0]))
+    step = np.maximum(step, period)[:, None]  # repeated or falling stamps: one cycle has passed at least
+    with np.errstate(invalid="ignore"):
+        speed = np.diff(trace.position, axis=0) / step
+    unknown = ~np.isfinite(speed)
+    speed = np.where(unknown, 0.0, speed)
+    away = np.abs(speed - median_filter(speed, size=(5, 1)))
+    noise = 1.4826 * np.median(away, axis=0)
+    jumped = (np.abs(speed) > MAX_SPEED) | (away > 2 * MAX_ACCELERATION * step + NOISE_SIGMAS * noise)
+    for joint in range(speed.shape[1]):
+        bad = np.flatnonzero(jumped[:, joint] & ~unknown[:, joint]) + 1
+        if len(bad):
+            before, after = trace.position[bad[0] - 1 : bad[0] + 1, joint]
+            yield Finding(
+                SampleFlag.JUMP,
+                f"position of joint {joint + 1} jumps {len(bad)} times, further in one cycle than a joint can: "
+                f"{rows.name(bad)} (from {before:.6g} to {after:.6g})",
+                bad,
+            )
+
+
+def _range(trace: Trace, rows: Rows, robot: Robot | None, angular: bool) -> Iterator[Finding]:
+    if not angular:
+        return
+    low, high = robot.geometry.joint_range_rad if robot else Geometry.model_fields["joint_range_rad"].default
+    for joint in range(trace.position.shape[1]):
+        position = trace.position[:, joint]
+        bad = np.flatnonzero((position < low) | (position > high))
+        if len(bad) == 0:
+            continue
+        span = f"{np.nanmin(position):.6g} to {np.nanmax(position):.6g} rad, joint range {low:.4g} to {high:.4g} rad"
+        if len(bad) > UNUSABLE_SHARE * len(position):
+            degrees = np.mean((np.radians(position) >= low) & (np.radians(position) <= high)) > 0.95
+            hint = "degrees for radians?" if degrees else "wrong unit, gear ratio, sign or zero?"
+            raise TraceError(
+                f"{trace.path}: position of joint {joint + 1}: {len(bad)} of {len(position)} samples out of range, "
+                f"{hint} ({span}; first at {rows.name(bad[:1])}: {position[bad[0]]:.6g}); state the unit in [columns]"
+            )
+        yield Finding(
+            SampleFlag.OUT_OF_RANGE,
+            f"position of joint {joint + 1}: {len(bad)} samples out of range: {rows.name(bad)} ({span})",
+            bad,
+        )
