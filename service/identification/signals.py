@@ -1,0 +1,223 @@
+"""Offline signals of a trace: joint motion by Kalman smoothing, rest, segments without a fault, the common low-pass.
+
+The smoother is Rauch, Tung and Striebel's on a white-jerk model. Its gains do not depend on the data, so filterpy
+designs them once for each bandwidth and sample time: exact over the start, constant once they have settled. The kernel
+only applies them.
+
+Both sides of the model are filtered alike: the motion comes from a smoother of wide bandwidth, regressors are built
+from it (sign theta_dot among them), and the same zero-phase low-pass is then put on regressors and torque.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from filterpy.common import Q_continuous_white_noise
+from filterpy.kalman import KalmanFilter
+from numba import njit
+from scipy.signal import butter, sosfiltfilt, welch
+
+from schemas.errors import TraceError
+from schemas.messages import SampleFlag
+from schemas.trace import Trace
+from service.model.dynamics import REST_SPEED
+
+# Of the motion. Wide, because the zero crossings of the velocity place the friction's jumps; what noise it lets
+# through is taken out after the regressors are built.
+MOTION_HZ = 200.0
+MOTION_SHARE = 0.2  # of the sample rate, where that is less
+ANALYSIS_HZ = 40.0  # of the low-pass on regressors and torque
+ANALYSIS_ORDER = 4
+REST_HZ = 60.0  # of the position whose slope tells rest from motion
+REST_TIME = 0.040  # s below REST_SPEED that make a rest
+REST_MARGIN = 0.015  # s left out on both sides of a rest
+EDGE = 0.1  # s at each end of a segment that the filters' start reaches into
+NOISE_HZ = 250.0  # above it (or a quarter of the sample rate) a robot's torque is noise
+
+UNUSABLE = (
+    SampleFlag.NOT_A_NUMBER
+    | SampleFlag.OUT_OF_RANGE
+    | SampleFlag.REPEATED
+    | SampleFlag.TIME_BACKWARDS
+    | SampleFlag.JUMP
+    | SampleFlag.BUS_FAULT
+)
+
+START_VARIANCE = 1e4  # of velocity and acceleration before the first sample, in the smoother's own units
+_SETTLED = 1e-13  # relative change of the gains that ends the exact start
+
+
+class Gains(NamedTuple):
+    """Smoother gains. filter: (S, 3), sample k uses row min(k, S - 1); smoother: (S, 3, 3) alike."""
+
+    filter: np.ndarray
+    smoother: np.ndarray
+
+
+def smoother_model(bandwidth: float) -> KalmanFilter:
+    """The white-jerk model as a filterpy filter.
+
+    bandwidth: half-amplitude frequency of the smoother, rad a sample. The unit of time is its inverse, which keeps the
+    covariances well conditioned. In the steady state the smoother is 1 / (1 + w^6), w in units of the bandwidth: the
+    Wiener filter of a spectrum 1 / w^6 in white noise of density 1.
+    """
+    model = KalmanFilter(dim_x=3, dim_z=1)
+    model.F = np.array([[1.0, bandwidth, bandwidth**2 / 2], [0.0, 1.0, bandwidth], [0.0, 0.0, 1.0]])
+    model.H = np.array([[1.0, 0.0, 0.0]])
+    model.Q = np.asarray(Q_continuous_white_noise(3, dt=bandwidth, spectral_density=1.0), np.float64)
+    model.R = np.array([[1.0 / bandwidth]])
+    model.P = np.diag([1.0 / bandwidth, START_VARIANCE, START_VARIANCE])
+    return model
+
+
+@lru_cache(maxsize=32)
+def design(bandwidth: float) -> Gains:
+    """Gains of `smoother_model`, run until they no longer change."""
+    model = smoother_model(bandwidth)
+    filters: list[np.ndarray] = []
+    smoothers: list[np.ndarray] = []
+    for _ in range(100_000):
+        model.update(np.zeros((1, 1)))
+        before = model.P.copy()
+        filters.append(model.K[:, 0].copy())
+        model.predict()
+        smoothers.append(np.linalg.solve(model.P, model.F @ before).T)
+        if len(filters) > 3:
+            change = max(_change(filters), _change(smoothers))
+            if change < _SETTLED:
+                break
+    return Gains(np.array(filters), np.array(smoothers))
+
+
+def _change(gains: list[np.ndarray]) -> float:
+    return float(np.max(np.abs(gains[-1] - gains[-2]) / np.max(np.abs(gains[-1]))))
+
+
+@njit(cache=True)
+def _smooth(position, step, filter_gain, smoother_gain, theta, theta_dot, theta_ddot):
+    half = 0.5 * step * step
+    count, joints = position.shape
+    settled = len(filter_gain) - 1
+    for joint in range(joints):
+        x, v, a = position[0, joint], 0.0, 0.0
+        for k in range(count):
+            if k > 0:
+                x, v = x + step * v + half * a, v + step * a
+            gain = filter_gain[min(k, settled)]
+            innovation = position[k, joint] - x
+            x += gain[0] * innovation
+            v += gain[1] * innovation
+            a += gain[2] * innovation
+            theta[k, joint], theta_dot[k, joint], theta_ddot[k, joint] = x, v, a
+        for k in range(count - 2, -1, -1):
+            x, v, a = theta[k, joint], theta_dot[k, joint], theta_ddot[k, joint]
+            dx = theta[k + 1, joint] - (x + step * v + half * a)
+            dv = theta_dot[k + 1, joint] - (v + step * a)
+            da = theta_ddot[k + 1, joint] - a
+            gain = smoother_gain[min(k, settled)]
+            theta[k, joint] = x + gain[0, 0] * dx + gain[0, 1] * dv + gain[0, 2] * da
+            theta_dot[k, joint] = v + gain[1, 0] * dx + gain[1, 1] * dv + gain[1, 2] * da
+            theta_ddot[k, joint] = a + gain[2, 0] * dx + gain[2, 1] * dv + gain[2, 2] * da
+
+
+def smooth(
+    position: np.ndarray, period: float, bandwidth_hz: float = MOTION_HZ
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """theta, theta_dot, theta_ddot, each (N, n) in rad, rad/s, rad/s^2, of evenly sampled positions (N, n) rad.
+
+    period: s. bandwidth_hz: half-amplitude frequency of the smoother, at most `MOTION_SHARE` of the sample rate.
+    """
+    bandwidth = 2.0 * np.pi * min(bandwidth_hz * period, MOTION_SHARE)
+    gains = design(bandwidth)
+    position = np.ascontiguousarray(position, np.float64)
+    theta, theta_dot, theta_ddot = np.empty_like(position), np.empty_like(position), np.empty_like(position)
+    _smooth(position, bandwidth, gains.filter, gains.smoother, theta, theta_dot, theta_ddot)
+    theta_dot *= bandwidth / period
+    theta_ddot *= (bandwidth / period) ** 2
+    return theta, theta_dot, theta_ddot
+
+
+def lowpass(values: np.ndarray, period: float, cutoff_hz: float = ANALYSIS_HZ) -> np.ndarray:
+    """`values` (N, ...) through the zero-phase Butterworth low-pass (4th order, forward and back) along axis 0."""
+    return sosfiltfilt(butter(ANALYSIS_ORDER, 2.0 * cutoff_hz * period, output="sos"), values, axis=0)
+
+
+def moving(position: np.ndarray, period: float) -> np.ndarray:
+    """(N, n) bool: False where a joint stands below `REST_SPEED` for `REST_TIME` or more, and `REST_MARGIN` around it.
+
+    position: (N, n) rad, evenly sampled.
+    """
+    cutoff = min(REST_HZ, MOTION_SHARE / period)
+    slow = np.abs(np.gradient(lowpass(position, period, cutoff), period, axis=0)) < REST_SPEED
+    result = np.ones(position.shape, bool)
+    margin = int(REST_MARGIN * (1 / period))
+    for joint in range(position.shape[1]):
+        edges = np.flatnonzero(np.diff(slow[:, joint].astype(np.int8), prepend=0, append=0))
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            if (end - start) * period >= REST_TIME:
+                result[max(0, start - margin) : end + margin, joint] = False
+    return result
+
+
+def noise_density(values: np.ndarray, period: float) -> np.ndarray:
+    """One-sided density (n,) above `NOISE_HZ`, units^2/Hz: the white floor of `values` (N, n)."""
+    frequency, density = welch(
+        values, 1.0 / period, nperseg=min(len(values), 1024), detrend="linear", axis=0, average="median"
+    )
+    return density[frequency >= min(NOISE_HZ, 0.25 / period)].mean(axis=0)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """M consecutive usable samples of a trace, motion already smoothed.
+
+    rows: (M,) row numbers in the trace. time: (M,) s. period: s. theta, theta_dot, theta_ddot, torque: (M, n), rad and
+    N m. moving: (M, n), False at rest and, for all joints, within `EDGE` of the ends.
+    """
+
+    rows: np.ndarray
+    time: np.ndarray
+    period: float
+    theta: np.ndarray
+    theta_dot: np.ndarray
+    theta_ddot: np.ndarray
+    torque: np.ndarray
+    moving: np.ndarray
+
+
+def usable(trace: Trace) -> np.ndarray:
+    """(N,) bool: rows without a flag that spoils position, torque or time."""
+    return (trace.flags & np.uint32(UNUSABLE)) == 0 if len(trace.flags) else np.ones(len(trace), bool)
+
+
+def segments(trace: Trace) -> list[Segment]:
+    """The parts of `trace` that no gap and no unusable row interrupts and that outlast the filters' ends.
+
+    Raises:
+        TraceError: no part is long enough, naming the file.
+    """
+    good = np.flatnonzero(usable(trace))
+    if len(good) < 2:
+        raise TraceError(f"{trace.path}: {len(good)} usable rows of {len(trace)}")
+    period = float(np.median(np.diff(trace.time[good])))
+    shortest = round(4 * EDGE / period)
+    parts = np.split(good, np.flatnonzero(np.diff(trace.time[good]) > 1.5 * period) + 1)
+    result = [_segment(trace, part, period) for part in parts if len(part) >= shortest]
+    if not result:
+        longest = max(len(part) for part in parts) * period
+        raise TraceError(
+            f"{trace.path}: longest part without a fault lasts {longest:.3g} s, at least {4 * EDGE:g} s are needed"
+        )
+    return result
+
+
+def _segment(trace: Trace, rows: np.ndarray, period: float) -> Segment:
+    position = trace.position[rows]
+    theta, theta_dot, theta_ddot = smooth(position, period)
+    mask = moving(position, period)
+    edge = round(EDGE / period)
+    mask[:edge] = mask[-edge:] = False
+    return Segment(rows, trace.time[rows], period, theta, theta_dot, theta_ddot, trace.torque[rows], mask)

@@ -1,0 +1,120 @@
+"""The smoother against filterpy's and against a motion known in closed form; rest and segments against planted ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.errors import TraceError
+from schemas.messages import SampleFlag
+from schemas.trace import Trace
+from service.identification import signals
+
+PERIOD = 1e-3
+
+
+def swing(count: int, period: float = PERIOD) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time and a motion of two joints with its exact derivatives."""
+    time = np.arange(count) * period
+    theta = theta_dot = theta_ddot = 0.0
+    for amplitude, hz, phase in ((0.3, 1.3, 0.2), (0.05, 4.1, 1.0), (0.01, 12.0, 2.0)):
+        w = 2 * np.pi * hz
+        angle = w * time[:, None] + phase + np.array([0.0, 0.7])
+        theta = theta + amplitude * np.sin(angle)
+        theta_dot = theta_dot + amplitude * w * np.cos(angle)
+        theta_ddot = theta_ddot - amplitude * w**2 * np.sin(angle)
+    return time, np.asarray(theta), np.asarray(theta_dot), np.asarray(theta_ddot)
+
+
+def filterpy_smooth(position: np.ndarray, period: float, bandwidth_hz: float) -> np.ndarray:
+    """(N, 3) theta, theta_dot, theta_ddot of one joint by filterpy's filter and smoother, sample by sample."""
+    bandwidth = 2 * np.pi * bandwidth_hz * period
+    model = signals.smoother_model(bandwidth)
+    model.x = np.array([[position[0]], [0.0], [0.0]])
+    means, covariances, _, _ = model.batch_filter(position, update_first=True)
+    result = model.rts_smoother(means, covariances)[0][:, :, 0]
+    return result * (bandwidth / period) ** np.arange(3)
+
+
+@pytest.mark.parametrize(("period", "bandwidth_hz"), [(1e-3, 200.0), (2.5e-4, 200.0), (1e-3, 60.0)])
+def test_smoother_equals_filterpy(period: float, bandwidth_hz: float) -> None:
+    rng = np.random.default_rng(1)
+    _, theta, _, _ = swing(1500, period)
+    position = theta + 1e-5 * rng.standard_normal(theta.shape)
+    ours = np.stack(signals.smooth(position, period, bandwidth_hz), axis=-1)
+    for joint in range(2):
+        reference = filterpy_smooth(position[:, joint], period, bandwidth_hz)
+        scale = np.abs(reference).max(axis=0)
+        assert np.max(np.abs(ours[:, joint] - reference) / scale) < 1e-9
+
+
+def test_smoother_follows_the_motion() -> None:
+    rng = np.random.default_rng(2)
+    _, theta, theta_dot, theta_ddot = swing(4000)
+    ours = signals.smooth(theta + 1e-7 * rng.standard_normal(theta.shape), PERIOD)
+    inside = slice(100, -100)
+    assert np.abs(ours[0] - theta)[inside].max() < 5e-7
+    assert np.abs(ours[1] - theta_dot)[inside].max() < 5e-4
+    assert np.std((signals.lowpass(ours[2] - theta_ddot, PERIOD))[inside]) < 1e-3 * np.std(theta_ddot)
+
+
+def test_rest_is_found_and_reversals_are_not_rest() -> None:
+    time = np.arange(4000) * PERIOD
+    theta = np.where(time < 1.0, 0.3 * np.sin(2 * np.pi * time) ** 2, 0.0)  # stops dead at 1 s ...
+    theta = np.where(time > 3.0, 0.3 * np.sin(2 * np.pi * (time - 3.0)) ** 2, theta)  # ... and starts at 3 s
+    mask = signals.moving(np.stack([theta, theta], axis=1), PERIOD)
+    assert not mask[1050:2950].any()
+    assert mask[400:600].all()  # the velocity passes zero at 0.5 s
+    assert mask[3100:3950].all()
+
+
+def test_rest_is_the_scorers(shared: Path) -> None:
+    scorer: dict = {}
+    text = (shared / "score_diagnosis.py").read_text(encoding="utf-8").split("def gap(")[0]
+    exec(compile(text, "score_diagnosis.py", "exec"), scorer)
+    for path in sorted((shared / "plant_logs").glob("case_00[0-3]/*.csv")):
+        position = np.loadtxt(path, delimiter=",", skiprows=1, usecols=(4, 5, 6))
+        assert np.array_equal(signals.moving(position, PERIOD), scorer["moving"](position, 1 / PERIOD))
+
+
+def trace(count: int = 3000) -> Trace:
+    time, theta, theta_dot, _ = swing(count)
+    return Trace(Path("log.csv"), time, theta, theta_dot, flags=np.zeros(count, np.uint32))
+
+
+def test_faults_and_gaps_split_a_trace() -> None:
+    log = trace()
+    log.flags[1000] |= SampleFlag.NOT_A_NUMBER
+    log.flags[2000] |= SampleFlag.NO_COMMAND  # no harm
+    log.position[1000] = np.nan
+    log.time[2200:] += 0.01
+    parts = signals.segments(log)
+    assert [(part.rows[0], part.rows[-1]) for part in parts] == [(0, 999), (1001, 2199), (2200, 2999)]
+    assert all(np.isfinite(part.theta_ddot).all() for part in parts)
+    assert not parts[1].moving[:100].any()
+
+
+def test_repeated_rows_are_left_out_without_a_cut() -> None:
+    log = trace()
+    keep = np.insert(np.arange(3000), 1500, 1499)
+    log = Trace(log.path, log.time[keep], log.position[keep], log.torque[keep], flags=np.zeros(3001, np.uint32))
+    log.flags[1500] |= SampleFlag.REPEATED
+    (part,) = signals.segments(log)
+    assert len(part.rows) == 3000
+    assert 1500 not in part.rows
+
+
+def test_nothing_usable_names_the_file() -> None:
+    log = trace(1000)
+    log.flags[::100] |= np.uint32(SampleFlag.BUS_FAULT)
+    with pytest.raises(TraceError, match=r"log\.csv: longest part without a fault lasts 0\.099 s"):
+        signals.segments(log)
+
+
+def test_noise_density_is_that_of_white_noise() -> None:
+    rng = np.random.default_rng(3)
+    _, theta, _, _ = swing(20_000)
+    density = signals.noise_density(10 * theta + 0.4 * rng.standard_normal(theta.shape), PERIOD)
+    assert np.allclose(np.sqrt(density / (2 * PERIOD)), 0.4, rtol=0.03)
