@@ -4,7 +4,7 @@ An unusable file is an error, a bad row is flagged.
 
 `TraceError` (file, line, column, value): a file that cannot be opened, is empty, binary, a broken gzip or not a whole
 MCAP; a column that is missing or there twice; text where a number belongs; a line with more fields than the header;
-fewer than two samples; time that mostly does not rise; more than a tenth of the positions outside the joint range
+fewer than two samples; time that mostly does not rise; more than a tenth of the positions beyond half a turn
 (degrees for radians, a wrong gear ratio); messages of another schema.
 
 Kept as they are, flagged in `Trace.flags` (and so in `.samples()`) and counted in `Trace.findings` with their lines:
@@ -20,11 +20,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from schemas.columns import Columns
+from schemas.columns import Columns, load_columns
 from schemas.errors import TraceError
 from schemas.robot import Robot
 from schemas.trace import Trace
 
+MAPPINGS = Path(__file__).parent / "mappings"
 CSV_ENDINGS = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv")
 
 
@@ -47,6 +48,20 @@ def read_trace(path: str | Path, robot: Robot | None = None, columns: Columns | 
 
         return read_csv(path, robot, columns)
     raise TraceError(f"{path}: unknown kind of trace, its name should end in .csv, .csv.gz or .mcap")
+
+
+def find_columns(name: str | Path) -> Columns:
+    """The mapping in a TOML file, or one that comes with deltatwin, by its name (`emps`, `twincat_scope`).
+
+    Raises:
+        TraceError: there is neither, or the mapping is wrong.
+    """
+    shipped = {path.stem: path for path in MAPPINGS.glob("*.toml")}
+    if not Path(name).exists() and str(name) not in shipped:
+        raise TraceError(
+            f"{name}: no such mapping file, nor one of those that come along: {', '.join(sorted(shipped))}"
+        )
+    return load_columns(shipped.get(str(name), Path(name)))
 
 
 def write_trace(trace: Trace, path: str | Path, robot: str = "robot") -> None:

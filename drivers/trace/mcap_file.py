@@ -54,13 +54,12 @@ def read_samples(reader: McapReader, path: Path, robot: Robot | None = None) -> 
     topic = _sample_topic(summary.channels, summary.schemas, path, robot)
     data = [message.data for _, _, message in reader.iter_messages([topic], log_time_order=False)]
     size = SAMPLE.dtype.itemsize
-    joined = b"".join(data)
-    wrong = next((i for i, d in enumerate(data) if len(d) != size), None) if len(joined) != size * len(data) else None
-    if wrong is not None:
+    if {*map(len, data)} - {size}:
+        wrong = next(i for i, d in enumerate(data) if len(d) != size)
         raise TraceError(f"{path}: message {wrong + 1} on {topic} has {len(data[wrong])} bytes, expected {size}")
     if not data:
         raise TraceError(f"{path}: no messages on {topic}")
-    samples = np.frombuffer(joined, SAMPLE.dtype)
+    samples = np.frombuffer(b"".join(data), SAMPLE.dtype)
     foreign = np.flatnonzero((samples["cdr_header"] != np.frombuffer(CDR_LITTLE_ENDIAN, np.uint8)).any(axis=1))
     if len(foreign):
         header = bytes(samples["cdr_header"][foreign[0]]).hex()

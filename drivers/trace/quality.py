@@ -17,7 +17,8 @@ GAP_PERIODS = 1.5  # a step of the stamps above this many periods has lost cycle
 MAX_SPEED = 60.0  # rad/s or m/s at the joint; fast Delta robots reach about 20 rad/s
 MAX_ACCELERATION = 1e4  # rad/s^2 or m/s^2; fast Delta robots reach about 2e3 rad/s^2
 NOISE_SIGMAS = 15.0  # a jump stands this far out of the velocity's own noise
-UNUSABLE_SHARE = 0.1  # of all samples out of the joint range: the unit is wrong, not the sample
+ANY_JOINT = np.pi  # rad; no joint of a Delta turns further, whatever its robot's range
+UNUSABLE_SHARE = 0.1  # of all samples beyond ANY_JOINT: the unit is wrong, not the sample
 SHOWN = 5  # rows named in a message
 
 
@@ -48,7 +49,7 @@ def check(trace: Trace, rows: Rows, robot: Robot | None, angular: bool = True) -
     flags = np.zeros(len(trace), np.uint32) if len(trace.flags) == 0 else trace.flags.copy()
     findings = list(trace.findings)
     for finding in (*_stamps(trace, rows), *_values(trace, rows), *_range(trace, rows, robot, angular)):
-        flags[finding.rows] |= finding.flag
+        flags[finding.rows] |= np.uint32(finding.flag)
         findings.append(finding)
     return replace(trace, flags=flags, findings=tuple(findings))
 
@@ -63,7 +64,8 @@ def _stamps(trace: Trace, rows: Rows) -> Iterator[Finding]:
             f"first at {rows.name(bad)}: {trace.time[bad[0] - 1]:.9g} s, then {trace.time[bad[0]]:.9g} s)"
         )
     period = float(np.median(step[rising]))
-    back, repeated, gap = (np.flatnonzero(s) + 1 for s in (step < 0, step == 0, step > GAP_PERIODS * period))
+    ahead = trace.time[1:] - np.maximum.accumulate(trace.time)[:-1]  # a step back makes no gap where time catches up
+    back, repeated, gap = (np.flatnonzero(s) + 1 for s in (step < 0, step == 0, ahead > GAP_PERIODS * period))
     counted = None if trace.sequence is None else np.diff(trace.sequence.astype(np.int64))
     if counted is not None:
         gap = np.union1d(gap, np.flatnonzero(counted > 1) + 1)
@@ -84,13 +86,13 @@ def _stamps(trace: Trace, rows: Rows) -> Iterator[Finding]:
             repeated,
         )
     if len(gap):
-        lost = np.maximum(np.rint(step[gap - 1] / period) - 1, 0)
+        lost = np.maximum(np.rint(ahead[gap - 1] / period) - 1, 0)
         if counted is not None:
             lost = np.maximum(lost, counted[gap - 1] - 1)
         yield Finding(
             SampleFlag.GAP_BEFORE,
             f"{len(gap)} gaps, {int(lost.sum())} cycles of {period * 1e3:.6g} ms missing: before {rows.name(gap)} "
-            f"(longest {step[gap - 1].max() * 1e3:.6g} ms)",
+            f"(longest {ahead[gap - 1].max() * 1e3:.6g} ms)",
             gap,
         )
 
@@ -145,12 +147,13 @@ def _range(trace: Trace, rows: Rows, robot: Robot | None, angular: bool) -> Iter
         if len(bad) == 0:
             continue
         span = f"{np.nanmin(position):.6g} to {np.nanmax(position):.6g} rad, joint range {low:.4g} to {high:.4g} rad"
-        if len(bad) > UNUSABLE_SHARE * len(position):
+        impossible = np.flatnonzero(np.abs(position) > ANY_JOINT)
+        if len(impossible) > UNUSABLE_SHARE * len(position):
             degrees = np.mean((np.radians(position) >= low) & (np.radians(position) <= high)) > 0.95
-            hint = "degrees for radians?" if degrees else "wrong unit, gear ratio, sign or zero?"
+            hint = "degrees for radians" if degrees else "a wrong unit, gear ratio, sign or zero"
             raise TraceError(
                 f"{trace.path}: position of joint {joint + 1}: {len(bad)} of {len(position)} samples out of range, "
-                f"{hint} ({span}; first at {rows.name(bad[:1])}: {position[bad[0]]:.6g}); state the unit in [columns]"
+                f"{hint}? ({span}; first at {rows.name(bad[:1])}: {position[bad[0]]:.6g}); state the unit in [columns]"
             )
         yield Finding(
             SampleFlag.OUT_OF_RANGE,
