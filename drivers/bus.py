@@ -31,7 +31,7 @@ from schemas.keys import liveliness_key, topic_key
 from schemas.messages import CDR_LITTLE_ENDIAN, TOPICS, Message, Role
 
 BLOCK_S = 0.02  # longest a publisher waits for one stuck subscriber before it drops the link; Zenoh's default is 5 s
-RETRY_MS = (100, 1000)  # first and longest pause between two attempts to reach a role that is not there
+RETRY_MS = (50, 250)  # first and longest pause between two attempts to reach a role that is not there
 SOURCES = frozenset({Role.PLAYER, Role.ROBOT, Role.TAP, Role.MASTER})  # roles that publish `sample`
 
 _SOCKET_PATH_BYTES = 107  # sun_path of Linux, without its closing zero

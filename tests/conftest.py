@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,19 @@ def bus_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="dt-") as folder:  # short: socket paths end at 107 bytes
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
         yield Path(folder)
+
+
+@pytest.fixture(scope="session")
+def until() -> Callable[[Callable[[], bool]], None]:
+    """Wait for a condition; half a minute in vain fails the test, how long it takes does not matter."""
+
+    def wait(condition: Callable[[], bool]) -> None:
+        give_up = time.monotonic() + 30.0
+        while not condition():
+            assert time.monotonic() < give_up, "waited in vain"
+            time.sleep(0.01)
+
+    return wait
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:

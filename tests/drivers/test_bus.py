@@ -18,7 +18,6 @@ from schemas.errors import BusError, RobotError
 from schemas.messages import SAMPLE, Role, set_stamp
 
 PEER = Path(__file__).with_name("bus_peer.py")
-DEADLINE_S = 30.0  # when a test gives up waiting; nothing here depends on how long things take
 
 
 class Peer:
@@ -61,20 +60,13 @@ def peer(bus_folder: Path) -> Iterator[Callable[..., Peer]]:
         one.kill()
 
 
-def until(condition: Callable[[], bool]) -> None:
-    give_up = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < give_up, "waited in vain"
-        time.sleep(0.01)
-
-
 def numbered(start: int, stop: int) -> list[bytes]:
     records = SAMPLE.empty(stop - start)
     records["sequence"] = np.arange(start, stop)
     return [record.tobytes() for record in records]
 
 
-def collect(ring: Ring, count: int) -> np.ndarray:
+def collect(ring: Ring, count: int, until) -> np.ndarray:
     taken: list[np.ndarray] = []
     until(lambda: (taken.append(ring.take()[0]) or True) and sum(map(len, taken)) >= count)
     return np.concatenate(taken)
@@ -101,7 +93,7 @@ def test_any_start_order_carries_every_sample(peer, sender: str, counter: str, s
     assert (end["received"], end["newest"], end["lost"], end["repeated"]) == (400, 399, 0, 0)
 
 
-def test_subscriber_killed_and_started_again_hears_again(bus_folder: Path, peer) -> None:
+def test_subscriber_killed_and_started_again_hears_again(bus_folder: Path, peer, until) -> None:
     with open_bus("bench", Role.ROBOT) as bus:
         publisher = bus.publisher("sample")
         first = peer("OBSERVER", "count")
@@ -119,12 +111,12 @@ def test_subscriber_killed_and_started_again_hears_again(bus_folder: Path, peer)
 
 
 @pytest.mark.parametrize("role", ["PLAYER", "MASTER"])
-def test_publisher_killed_and_started_again_is_heard_as_a_restart(bus_folder: Path, peer, role: str) -> None:
+def test_publisher_killed_and_started_again_is_heard_as_a_restart(bus_folder: Path, peer, role: str, until) -> None:
     with open_bus("bench", Role.MONITOR) as bus:
         ring, counter = bus.subscribe("sample"), SequenceCounter()
         for _ in range(2):
             sending = peer(role, "send", "200", "0.001")
-            counter.update_many(collect(ring, 200)["sequence"])
+            counter.update_many(collect(ring, 200, until)["sequence"])
             assert bus.alive == {Role.MONITOR, Role[role]}
             sending.kill()
             until(lambda: bus.alive == {Role.MONITOR})
@@ -133,7 +125,7 @@ def test_publisher_killed_and_started_again_is_heard_as_a_restart(bus_folder: Pa
 
 @pytest.mark.parametrize(("me", "victim"), [(Role.PLAYER, "MONITOR"), (Role.MASTER, "ESTIMATOR")])
 def test_stopped_subscriber_costs_the_others_nothing_and_comes_back(
-    bus_folder: Path, peer, me: Role, victim: str
+    bus_folder: Path, peer, me: Role, victim: str, until
 ) -> None:
     with open_bus("bench", me) as bus:
         publisher = bus.publisher("sample")
@@ -173,7 +165,7 @@ def test_second_process_of_a_role_gets_one_clear_error(peer) -> None:
     peer("PLAYER", "count").hear("ready")
 
 
-def test_one_robot_does_not_hear_the_other(bus_folder: Path) -> None:
+def test_one_robot_does_not_hear_the_other(bus_folder: Path, until) -> None:
     with (
         open_bus("left", Role.PLAYER) as left,
         open_bus("right", Role.PLAYER) as right,
@@ -184,10 +176,10 @@ def test_one_robot_does_not_hear_the_other(bus_folder: Path) -> None:
         assert not right.publisher("sample").heard
         right.publisher("sample").put(numbered(7, 8)[0])
         publisher.put(numbered(1, 2)[0])
-        assert collect(ring, 1)["sequence"].tolist() == [1]
+        assert collect(ring, 1, until)["sequence"].tolist() == [1]
 
 
-def test_garbage_is_counted_and_passed_over(bus_folder: Path) -> None:
+def test_garbage_is_counted_and_passed_over(bus_folder: Path, until) -> None:
     with open_bus("bench", Role.PLAYER) as player, open_bus("bench", Role.MONITOR) as monitor:
         ring = monitor.subscribe("sample")
         publisher = player.publisher("sample")
@@ -195,11 +187,11 @@ def test_garbage_is_counted_and_passed_over(bus_folder: Path) -> None:
         good = numbered(0, 2)
         for payload in (b"", b"garbage", good[0][:-1], good[0] + b"\0", b"\xff" * len(good[0]), good[1]):
             publisher.put(payload)
-        assert collect(ring, 1).tobytes() == good[1]
+        assert collect(ring, 1, until).tobytes() == good[1]
         assert (ring.rejected, ring.lost) == (5, 0)
 
 
-def test_full_ring_keeps_the_oldest_and_counts_the_rest(bus_folder: Path) -> None:
+def test_full_ring_keeps_the_oldest_and_counts_the_rest(bus_folder: Path, until) -> None:
     with open_bus("bench", Role.PLAYER) as player, open_bus("bench", Role.MONITOR) as monitor:
         ring = monitor.subscribe("sample", capacity=64)
         publisher = player.publisher("sample")
@@ -211,12 +203,12 @@ def test_full_ring_keeps_the_oldest_and_counts_the_rest(bus_folder: Path) -> Non
         assert records["sequence"].tolist() == list(range(64))
         for payload in numbered(100, 150):  # wraps round the end
             publisher.put(payload)
-        assert collect(ring, 50)["sequence"].tolist() == list(range(100, 150))
+        assert collect(ring, 50, until)["sequence"].tolist() == list(range(100, 150))
         assert np.all(np.diff(arrival) >= 0)
         assert not ring.wait(0.01)
 
 
-def test_two_sources_are_noticed(bus_folder: Path) -> None:
+def test_two_sources_are_noticed(bus_folder: Path, until) -> None:
     with open_bus("bench", Role.MONITOR) as monitor, open_bus("bench", Role.PLAYER):
         until(lambda: Role.PLAYER in monitor.alive)
         assert not monitor.duplicate_source
@@ -226,7 +218,7 @@ def test_two_sources_are_noticed(bus_folder: Path) -> None:
     assert Role.MONITOR not in SOURCES
 
 
-def test_user_configuration_replaces_the_sockets_and_still_finds_doubles(bus_folder: Path, tmp_path: Path) -> None:
+def test_user_configuration_replaces_the_sockets_and_finds_doubles(bus_folder: Path, tmp_path: Path, until) -> None:
     quiet = '"scouting": {"multicast": {"enabled": false}, "gossip": {"enabled": false}}'
     hub = tmp_path / "hub.json5"
     hub.write_text(f'{{"mode": "peer", {quiet}, "listen": {{"endpoints": ["tcp/127.0.0.1:37447"]}}}}')
@@ -240,7 +232,7 @@ def test_user_configuration_replaces_the_sockets_and_still_finds_doubles(bus_fol
             ring, publisher = monitor.subscribe("sample"), player.publisher("sample")
             until(lambda: publisher.heard)
             publisher.put(numbered(3, 4)[0])
-            assert collect(ring, 1)["sequence"].tolist() == [3]
+            assert collect(ring, 1, until)["sequence"].tolist() == [3]
         (runtime_folder() / "bench.player.pid").unlink()  # as on another host: only the network can tell
         with pytest.raises(BusError, match="another player is running elsewhere"):
             open_bus("bench", Role.PLAYER, leaf)
@@ -308,7 +300,7 @@ def test_sequence_counter_agrees_with_sets_on_random_traffic() -> None:
     assert restarts == 0
 
 
-def test_ring_reads_the_stamp_it_was_sent(bus_folder: Path) -> None:
+def test_ring_reads_the_stamp_it_was_sent(bus_folder: Path, until) -> None:
     record = SAMPLE.empty(1)
     set_stamp(record, 1_700_000_000_123_456_789)
     record["position"] = [[0.1, -0.2, 0.3]]
@@ -316,4 +308,4 @@ def test_ring_reads_the_stamp_it_was_sent(bus_folder: Path) -> None:
         ring, publisher = monitor.subscribe("sample"), player.publisher("sample")
         until(lambda: publisher.heard)
         publisher.put(record[0].tobytes())
-        assert collect(ring, 1).tobytes() == record.tobytes()
+        assert collect(ring, 1, until).tobytes() == record.tobytes()

@@ -1,0 +1,62 @@
+"""A live progress line for a loop that cannot afford one: it counts in shared memory, another process draws."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+REFRESH_S = 0.25
+
+
+@contextmanager
+def counting(title: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Yield a function that takes how many samples are done, of `total` (0: no end). Draws only on a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    import multiprocessing
+
+    context = multiprocessing.get_context("spawn")  # a fork would take the session's threads and locks along
+    done = context.Value("q", 0, lock=False)
+    running = context.Value("b", 1, lock=False)
+    drawing = context.Process(target=_draw, args=(title, total, done, running, os.getpid()), daemon=True)
+    drawing.start()
+
+    def show(count: int) -> None:
+        done.value = count
+
+    try:
+        yield show
+    finally:
+        running.value = 0
+        drawing.join()
+
+
+def _draw(title: str, total: int, done, running, parent: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
+    if total:
+        columns.append(TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as progress:
+        task = progress.add_task(title, total=total or None)
+        more = True
+        while more:
+            more = bool(running.value) and os.getppid() == parent
+            progress.update(task, completed=done.value, refresh=True)
+            if more:
+                time.sleep(REFRESH_S)
