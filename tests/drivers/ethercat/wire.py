@@ -1,0 +1,92 @@
+"""Frames and captures written byte by byte for the tests; tshark is the judge that they are what they claim."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import pytest
+
+MASTER = bytes.fromhex("000105112233")
+
+
+def datagram(command: int, address: int, data: bytes, working_counter: int = 0, index: int = 0) -> tuple[bytes, int]:
+    """Header and data without the more-follows bit; the working counter apart."""
+    return struct.pack("<BBIHH", command, index, address, len(data), 0) + data, working_counter
+
+
+def frame(*datagrams: tuple[bytes, int], returned: bool = False, vlan: int = 0, source: bytes = MASTER) -> bytes:
+    body = b""
+    for number, (content, working_counter) in enumerate(datagrams):
+        size = struct.unpack_from("<H", content, 6)[0] | (0x8000 if number + 1 < len(datagrams) else 0)
+        body += content[:6] + struct.pack("<H", size) + content[8:] + struct.pack("<H", working_counter)
+    address = bytes([source[0] | 2]) + source[1:] if returned else source
+    tags = b"\x81\x00\x20\x05" * vlan
+    return b"\xff" * 6 + address + tags + b"\x88\xa4" + struct.pack("<H", 0x1000 | len(body)) + body
+
+
+def pcap(
+    path: Path,
+    packets: list[tuple[int, bytes]],
+    link_type: int = 1,
+    order: str = "<",
+    nanoseconds: bool = False,
+    snap: int = 1 << 18,
+) -> Path:
+    """packets: (time in ns, bytes)."""
+    unit = 1 if nanoseconds else 1000
+    magic = 0xA1B23C4D if nanoseconds else 0xA1B2C3D4
+    parts = [struct.pack(order + "IHHiIII", magic, 2, 4, 0, 0, snap, link_type)]
+    for time, data in packets:
+        kept = data[:snap]
+        parts += struct.pack(order + "IIII", time // 10**9, time % 10**9 // unit, len(kept), len(data)), kept
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def pcapng(
+    path: Path,
+    packets: list[tuple[int, int, bytes]],
+    interfaces: list[tuple[int, bytes]],
+    order: str = "<",
+) -> Path:
+    """packets: (interface, ticks, bytes); interfaces: (link type, if_tsresol byte or nothing)."""
+
+    def block(kind: int, body: bytes) -> bytes:
+        body += bytes(-len(body) % 4)
+        size = len(body) + 12
+        return struct.pack(order + "II", kind, size) + body + struct.pack(order + "I", size)
+
+    out = block(0x0A0D0D0A, struct.pack(order + "IHHq", 0x1A2B3C4D, 1, 0, -1))
+    for link_type, resolution in interfaces:
+        option = struct.pack(order + "HH", 9, 1) + resolution + bytes(3) + bytes(4) if resolution else b""
+        out += block(1, struct.pack(order + "HHI", link_type, 0, 0) + option)
+    for interface, ticks, data in packets:
+        head = struct.pack(order + "IIIII", interface, ticks >> 32, ticks & 0xFFFFFFFF, len(data), len(data))
+        out += block(6, head + data)
+    path.write_bytes(out)
+    return path
+
+
+def netanalyzer(data: bytes, port: int = 0, errors: int = 0, transparent: bool = False, preamble: int = 7) -> bytes:
+    """A packet of link type 240 or 241: header, preamble where asked for, frame, FCS (not computed)."""
+    body = (b"\x55" * preamble + b"\xd5" if transparent else b"") + data + b"\xde\xad\xbe\xef"
+    return struct.pack("<I", errors | transparent << 9 | 1 << 10 | port << 14 | len(body) << 16) + body
+
+
+def gpio(number: int = 0) -> bytes:
+    """The pseudo frame of an event on one of the analyzer's digital inputs."""
+    return struct.pack("<I", 1 << 8 | 1 << 10 | number << 14 | 2 << 16) + b"\x00\x00"
+
+
+def tshark(path: Path, *fields: str, select: str = "frame") -> list[list[str]]:
+    """One row a frame, one string a field, several values of a field separated by commas."""
+    if shutil.which("tshark") is None:
+        pytest.skip("needs tshark, the independent reading of a capture")
+    command = ["tshark", "-r", str(path), "-Y", select, "-T", "fields", "-E", "aggregator=,", "-t", "e"]
+    for name in fields:
+        command += ["-e", name]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return [line.split("\t") for line in done.stdout.splitlines()]
