@@ -44,6 +44,8 @@ class Geometry(_Section):
                 f"passive_link_length {self.passive_link_length} m does not reach the axis: it must exceed "
                 f"base_radius - platform_radius + active_link_length = {reach:.4g} m"
             )
+        if self.joint_range_rad[0] >= self.joint_range_rad[1]:
+            raise ValueError(f"joint_range_rad {self.joint_range_rad}: the lower limit comes first")
         angles = sorted(a % 360 for a in self.arm_angles_deg)
         gaps = [b - a for a, b in zip(angles, [*angles[1:], angles[0] + 360], strict=True)]
         if min(gaps) < 10 or max(gaps) >= 180:
@@ -198,10 +200,17 @@ class EffectParameter(_Section):
     std_error: NotNegative = 0.0
 
 
+def _robot_name(name: str) -> str:
+    try:
+        return check_robot_name(name)
+    except RobotError as error:
+        raise ValueError(str(error)) from error  # Pydantic adds the key
+
+
 class Robot(_Section):
     """A Delta robot with three actuated joints."""
 
-    name: Annotated[str, AfterValidator(check_robot_name)]
+    name: Annotated[str, AfterValidator(_robot_name)]
     kind: Literal["delta"] = "delta"
     gravity_mps2: Positive = 9.81
     geometry: Geometry
@@ -231,10 +240,13 @@ def save_robot(robot: Robot, path: str | Path, template: str | Path | None = Non
     """Write `robot` as TOML; with `template`, keep that file's comments, order and layout and change only what differs.
 
     Raises:
-        RobotError: the file cannot be written.
+        RobotError: the template is no robot, or the file cannot be written.
     """
-    document = tomlkit.parse(Path(template).read_text(encoding="utf-8")) if template else tomlkit.document()
-    _merge(document, robot.model_dump(exclude_none=True, exclude_defaults=True))
+    document, old = tomlkit.document(), {}
+    if template is not None:
+        old = load_robot(template).model_dump()
+        document = tomlkit.parse(Path(template).read_text(encoding="utf-8"))
+    _update(document, old, robot.model_dump(), robot.model_dump(exclude_none=True, exclude_defaults=True))
     path = Path(path)
     partial = path.with_name(path.name + ".part")
     try:
@@ -243,15 +255,23 @@ def save_robot(robot: Robot, path: str | Path, template: str | Path | None = Non
         partial.replace(path)  # a reader never sees half a file
     except OSError as error:
         raise RobotError(f"{path}: {error.strerror}") from error
+    finally:
+        partial.unlink(missing_ok=True)
 
 
-def _merge(document: Any, values: dict[str, Any]) -> None:
-    for key, value in values.items():
-        old = document.get(key)
-        if isinstance(value, dict) and isinstance(old, dict):
-            _merge(old, value)
-        elif old != value:
-            document[key] = _item(value)
+def _update(document: Any, old: dict[str, Any], new: dict[str, Any], written: dict[str, Any]) -> None:
+    """Bring `document` from `old` to `new`; `written` is `new` without the defaults, which need not stand in a file."""
+    for key in [*new, *(key for key in old if key not in new)]:
+        if key in new and key in old and new[key] == old[key]:
+            continue
+        if isinstance(new.get(key), dict) and isinstance(document.get(key), dict):
+            _update(document[key], old.get(key) or {}, new[key], written.get(key, {}))
+        elif key in written:
+            document[key] = _item(written[key])
+        elif key in document and isinstance(new.get(key), (bool, int, float, str)):
+            document[key] = new[key]  # back to its default: say so where the file said otherwise
+        else:
+            document.pop(key, None)
 
 
 def _item(value: Any) -> Any:

@@ -44,7 +44,8 @@ def validate(model: type[_Model], values: dict[str, Any], path: Path, error: typ
 
 def explain(error: ValidationError) -> str:
     """The first finding of a Pydantic error as `key: what is wrong (got value)`."""
-    first = error.errors()[0]
+    errors = error.errors()
+    first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])  # a misspelt key, not its absence
     key = ".".join(str(part) for part in first["loc"]) or "file"
     if first["type"] == "extra_forbidden":
         return f"{key}: unknown key (value {first['input']!r})"
