@@ -143,6 +143,7 @@ class Drive(_Section):
     """What stands between the bus and the joint. `joint`: one drive a joint, in joint order, where a bus is decoded."""
 
     gear_ratio: Positive = 1.0
+    position_resolution_rad: Positive = 2.4e-7  # one encoder count at the joint; a 20-bit encoder behind a 25:1 gear
     eni: str | None = None  # ENI file that maps the process data, relative to the robot description
     joint: Annotated[list[JointDrive], Field(max_length=3)] = []
 

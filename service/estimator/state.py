@@ -1,0 +1,137 @@
+"""What the estimator remembers, as one record that the kernel reads and writes in place.
+
+One structured array instead of many arguments: handing thirty arrays to a compiled function costs more than running it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from schemas.messages import FeedforwardSource
+from schemas.robot import Robot
+from service.estimator import kalman, payload
+from service.model.dynamics import TERMS
+from service.model.parameters import DeltaModel, pack
+
+# Per sample, when `identify` has not measured it.
+DEFAULT_TORQUE_NOISE = 0.5  # N m
+
+_MODEL = np.dtype([(name, "f8", (3,)) if name in (
+    "azimuth_cos", "azimuth_sin", "joint_offset", "active_length", "inertia", "gravity_torque"
+) else (name, "f8") for name in DeltaModel._fields], align=True)  # fmt: skip
+
+_FILTER = np.dtype(
+    [
+        ("transition", "f8", (kalman.ORDER, kalman.ORDER)),
+        ("gain", "f8", kalman.ORDER),
+        ("smoothing", "f8", (kalman.MAX_LAG, kalman.ORDER)),
+        ("lag", "i8"),
+    ],
+    align=True,
+)
+
+SETTINGS = np.dtype(
+    [
+        ("model", _MODEL),
+        ("filter", _FILTER),
+        ("period", "f8"),  # s
+        ("range", "f8", 2),  # rad
+        ("rho", "f8", 2),
+        ("forearm", "f8"),  # kg
+        ("viscous", "f8", 3),  # N m s/rad
+        ("coulomb", "f8", 3),  # N m
+        ("variance", "f8", 3),  # (N m)^2 of one torque sample
+        ("forgetting", "f8"),
+        ("bin_size", "i8"),
+        ("worth", "f8"),
+    ],
+    align=True,
+)
+
+# One cycle in the lag line: what the filter knew at it and what was measured.
+_PAST = np.dtype(
+    [
+        ("filtered", "f8", (3, kalman.ORDER)),
+        ("innovation", "f8", 3),
+        ("torque", "f8", 3),
+        ("stamp_sec", "i4"),
+        ("stamp_nanosec", "u4"),
+        ("sequence", "u8"),
+        ("flags", "u4"),
+    ],
+    align=True,
+)
+
+STATE = np.dtype(
+    [
+        ("started", "i8"),
+        ("sequence", "u8"),
+        ("settled", "i8"),  # usable samples since the start of the stream
+        ("idle", "i8"),  # cycles since the last usable one
+        ("stray", "i8"),  # samples in a row that continue each other but not the stream
+        ("stray_sequence", "u8"),
+        ("stray_position", "f8", 3),
+        ("measured", "f8", (3, kalman.ORDER)),
+        ("commanded", "f8", (3, kalman.ORDER)),
+        ("command_settled", "i8"),  # samples in a row with a command
+        ("innovation", "f8", 3),
+        ("past", _PAST, kalman.MAX_LAG + 1),
+        ("head", "i8"),
+        ("filled", "i8"),
+        ("payload", payload.STATE),
+        ("mass", "f8"),  # kg
+        ("std_dev", "f8"),  # kg
+        ("mass_trusted", "i8"),
+        ("believed", "i8"),
+        ("torque", "f8", 3),  # N m, last feed-forward
+        ("source", "i8"),
+        ("reference_sequence", "u8"),
+        ("reference", "f8", (3, 3)),  # position, velocity, acceleration
+        ("reference_valid", "i8"),
+        # scratch of one step
+        ("work", "f8", (8, 3, 3)),
+        ("terms", "f8", (len(TERMS), 3)),
+        ("motion", "f8", (3, 3)),
+        ("position", "f8", 3),
+        ("predicted", "f8", (3, kalman.ORDER)),
+        ("phi", "f8", (2, 3)),
+        ("residual", "f8", 3),
+        ("noise", "f8", 3),
+    ],
+    align=True,
+)
+
+
+def settings(robot: Robot, period: float) -> np.ndarray:
+    """Everything the kernel needs to know of `robot` at one sample every `period` s, as one SETTINGS record."""
+    record = np.zeros(1, SETTINGS)
+    model, identified = pack(robot), robot.identified
+    for name in DeltaModel._fields:
+        record["model"][name] = getattr(model, name)
+    gains = kalman.design(period, robot.drive.position_resolution_rad)
+    for name in ("transition", "gain", "smoothing", "lag"):
+        record["filter"][name] = getattr(gains, name)
+    record["period"] = period
+    record["range"] = robot.geometry.joint_range_rad
+    record["rho"] = 1.0
+    noise = None
+    if identified is not None:
+        record["rho"] = identified.rho_1.value, identified.rho_2.value
+        record["forearm"] = identified.forearm_inertia_kg.value
+        record["viscous"] = identified.viscous_friction_nms.value
+        record["coulomb"] = identified.coulomb_friction_nm.value
+        noise = identified.torque_noise_nm
+    record["variance"] = np.square(DEFAULT_TORQUE_NOISE if noise is None else noise.value)
+    record["forgetting"] = np.exp(-period / payload.MEMORY_TIME)
+    record["bin_size"] = max(1, round(payload.BIN_TIME / period))
+    record["worth"] = min(1.0, period / payload.CORRELATION_TIME)
+    return record
+
+
+def fresh() -> np.ndarray:
+    """One STATE record of an estimator that has seen nothing."""
+    state = np.zeros(1, STATE)
+    payload.start(state["payload"])
+    state["source"] = FeedforwardSource.NONE
+    state["std_dev"] = payload.PRIOR_STD
+    return state
