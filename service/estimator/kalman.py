@@ -54,7 +54,8 @@ def filter_model(period: float, resolution: float) -> KalmanFilter:
     drive[3, 0] = EXPECTED_JERK * np.sqrt(2.0 / JERK_TIME)
     transition, noise = van_loan_discretization(drift, drive, period)
     kalman = KalmanFilter(dim_x=ORDER, dim_z=1)
-    kalman.F, kalman.Q = transition, noise
+    kalman.F = np.asarray(transition, np.float64)
+    kalman.Q = np.asarray(noise, np.float64)
     kalman.H = np.eye(1, ORDER)
     kalman.R = np.array([[resolution**2]])
     kalman.P = np.diag(np.array([resolution, 1.0, 10.0, EXPECTED_JERK]) ** 2)

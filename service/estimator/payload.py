@@ -30,7 +30,10 @@ MEMORY_TIME = 3.0  # s, forgetting: longer than a carry, shorter than the drift 
 PRIOR_STD = 2.0  # kg
 # Smallest change that counts as a pick or release (friction and inertia errors imitate less than this), and the share
 # of the load that a release must at least take off (less is the estimate settling).
-SMALLEST_CHANGE, RELEASE_SHARE = 0.12, 0.3  # kg, -
+SMALLEST_CHANGE, RELEASE_SHARE = 0.12, 0.5  # kg, -
+# A pick or release is reported once its step stands out of one standard deviation this many times, which for a heavy
+# load is well before its mass is trusted.
+CLEAR_STEP = 10.0
 # Squared, normalised difference at which a change is believed: with some thousand onsets looked at a second, and model
 # errors that are not white, 5 sigma would alarm every minute.
 CHANGE_THRESHOLD = 45.0
@@ -55,7 +58,7 @@ STATE = np.dtype(
         ("filled", "i8", 2),  # bins since the last change, at most WINDOW
         ("evidence", "f8"),  # > 0 speaks for WEIGHT
         ("believed", "i8"),
-        ("load", "f8"),  # kg, mass when last trusted
+        ("load", "f8"),  # kg, mass at the last event, then whenever it is trusted
         ("last_event", "i8"),
         ("quiet", "i8"),  # samples since then
     ],
@@ -116,20 +119,23 @@ def payload_kernel(state, forgetting, bin_size, worth, phi, residual, variance):
     std_dev = 1.0 / math.sqrt(state.information[state.believed])
     trusted = std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR
     state.quiet += 1
-    event = _event(state, mass, WINDOW * bin_size) if trusted else PayloadEvent.NONE.value
+    event = PayloadEvent.NONE.value
+    if trusted or abs(mass - state.load) > CLEAR_STEP * std_dev:
+        event = _event(state, mass, trusted, WINDOW * bin_size)
     return mass, std_dev, trusted, event
 
 
 @njit(cache=True)
-def _event(state, mass, refractory):
-    """What a trusted mass says beside the last trusted one. Another step the same way soon after refines the event."""
-    step = mass - state.load
+def _event(state, mass, trusted, refractory):
+    """What a mass says beside the one believed so far. Another step the same way soon after only refines the event."""
+    step = max(0.0, mass) - state.load
     event = PayloadEvent.NONE.value
     if step > SMALLEST_CHANGE:
         event = PayloadEvent.PICK.value
     elif step < -max(SMALLEST_CHANGE, RELEASE_SHARE * state.load):
         event = PayloadEvent.RELEASE.value
-    state.load = mass
+    if trusted or event != PayloadEvent.NONE.value:
+        state.load = max(0.0, mass)
     if event == PayloadEvent.NONE.value or (event == state.last_event and state.quiet < refractory):
         return PayloadEvent.NONE.value
     state.last_event = event

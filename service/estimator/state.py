@@ -66,6 +66,8 @@ STATE = np.dtype(
     [
         ("started", "i8"),
         ("sequence", "u8"),
+        ("stamp_sec", "i8"),
+        ("stamp_nanosec", "i8"),
         ("settled", "i8"),  # usable samples since the start of the stream
         ("idle", "i8"),  # cycles since the last usable one
         ("stray", "i8"),  # samples in a row that continue each other but not the stream

@@ -49,6 +49,8 @@ def _restart(state, sample):
     state.settled = 0
     state.idle = 0
     state.command_settled = 0
+    state.stamp_sec = sample.stamp_sec
+    state.stamp_nanosec = sample.stamp_nanosec
     for i in range(3):
         state.measured[i, 0] = sample.position[i]
         for order in range(1, ORDER):
@@ -81,6 +83,17 @@ def _flags(settings, state, sample, gap):
                 if abs(sample.position[i] - state.measured[i, 0]) > reach:
                     flags |= _JUMP
     return flags
+
+
+@njit(cache=True)
+def _gap(settings, state, sample):
+    """Cycles since the newest sample: by sequence, and by time where a source leaves no hole in its sequence."""
+    if state.started == 0:
+        return np.int64(1)
+    counted = np.int64(sample.sequence) - np.int64(state.sequence)
+    seconds = np.int64(sample.stamp_sec) - state.stamp_sec
+    elapsed = (seconds + (np.int64(sample.stamp_nanosec) - state.stamp_nanosec) * 1e-9) / settings.period
+    return max(counted, np.int64(round(min(elapsed, 1e9)))) if counted > 0 else counted
 
 
 @njit(cache=True)
@@ -202,7 +215,7 @@ def _usable_mass(state):
 @njit(cache=True)
 def _remember(settings, state, sample, flags):
     state.head = (state.head + 1) % (MAX_LAG + 1)
-    if state.filled <= settings.filter.lag:
+    if state.filled <= settings.filter.lag and state.settled * settings.period > SETTLE_TIME:
         state.filled += 1
     past = state.past[state.head]
     past.stamp_sec = sample.stamp_sec
@@ -286,7 +299,7 @@ def _lagged(settings, state, payload_out, error_out):
 @njit(cache=True)
 def step_kernel(settings, state, sample, feedforward, payload_out, error_out):
     """One sample. Fills `feedforward`; once the lag line is full also `payload_out` and `error_out`, returning True."""
-    gap = np.int64(sample.sequence) - np.int64(state.sequence) if state.started != 0 else 1
+    gap = _gap(settings, state, sample)
     flags = _flags(settings, state, sample, gap)
     if state.started == 0 and flags & _UNUSABLE == 0:
         _restart(state, sample)
@@ -311,6 +324,8 @@ def step_kernel(settings, state, sample, feedforward, payload_out, error_out):
         state.settled = state.settled + 1 if usable else state.settled
         _follow_command(settings, state, sample, flags, gap)
         state.sequence = sample.sequence
+        state.stamp_sec = sample.stamp_sec
+        state.stamp_nanosec = sample.stamp_nanosec
         _remember(settings, state, sample, flags)
 
     if flags & (_REPEATED | _BACKWARDS) == 0:
