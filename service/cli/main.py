@@ -7,7 +7,7 @@ import sys
 import typer
 
 from schemas.errors import DeltatwinError
-from service.cli import evaluate, replay
+from service.cli import evaluate, identify, replay
 
 app = typer.Typer(
     name="deltatwin",
@@ -17,6 +17,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("evaluate")(evaluate.command)
+app.command("identify")(identify.command)
 app.command("replay")(replay.command)
 
 

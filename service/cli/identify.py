@@ -1,0 +1,99 @@
+"""`deltatwin identify`: fit the model to traces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.table import Table
+
+    from service.identification.pooled import Estimate, Fit
+    from service.identification.regression import Trajectory
+
+UNITS = {"rho": "", "forearm": "kg", "f_v": "N m s/rad", "f_c": "N m"}
+
+
+def command(
+    traces: Annotated[
+        list[Path], typer.Argument(help="Logs to identify on: .csv, .csv.gz or .mcap", metavar="TRACE...")
+    ],
+    robot: Annotated[Path, typer.Option(help="Robot description (TOML)")],
+    out: Annotated[Path, typer.Option(help="Robot description to write, with its [identified] section")],
+    columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
+) -> None:
+    """Identify inertia, gravity, forearm and friction, with standard errors and a verdict for each.
+
+    Example: deltatwin identify fit_*.csv --robot robot.toml --out identified.toml
+    """
+    from rich.console import Console
+
+    from schemas.columns import load_columns
+    from schemas.robot import load_robot, save_robot
+    from service.identification.identify import identify
+
+    console = Console()
+    description = load_robot(robot)
+    mapping = load_columns(columns) if columns else None
+    trajectories = _summarise(traces, description, mapping)
+    result = identify(description, trajectories)
+    save_robot(result.robot, out, template=robot)
+    console.print(_parameters(result.fit.estimates))
+    console.print(_residuals(result.fit, trajectories))
+    for warning in result.warnings:
+        console.print(f"[yellow]warning[/yellow] {warning}", highlight=False)
+    console.print(f"wrote {out}", highlight=False)
+
+
+def _summarise(traces, description, mapping) -> list[Trajectory]:
+    from rich.console import Console
+    from rich.progress import track
+
+    from drivers.trace import read_trace
+    from service.identification.regression import summarise
+    from service.model.parameters import pack
+
+    model = pack(description)
+    console = Console(stderr=True)
+    return [
+        summarise(model, read_trace(path, description, mapping))
+        for path in track(traces, "reading", console=console, transient=True, disable=not console.is_terminal)
+    ]
+
+
+def _parameters(estimates: Sequence[Estimate]) -> Table:
+    from rich.table import Table
+
+    table = Table("parameter", "value", "std. error", "unit", "verdict", "why", title="identified")
+    for column in table.columns[1:3]:
+        column.justify = "right"
+    for estimate in estimates:
+        unit = next(unit for name, unit in UNITS.items() if estimate.name.startswith(name))
+        table.add_row(
+            estimate.name, f"{estimate.value:.4f}", f"{estimate.std_error:.4f}", unit, estimate.verdict, estimate.reason
+        )
+    return table
+
+
+def _residuals(fit: Fit, trajectories: Sequence[Trajectory]) -> Table:
+    from rich.table import Table
+
+    from service.identification.signals import ANALYSIS_HZ
+
+    title = f"rms while moving, below {ANALYSIS_HZ:g} Hz, N m, joints 1 / 2 / 3"
+    caption = f"noise of the torque in this band: {_three(fit.noise_floor)}"
+    table = Table("trajectory", "torque", "residual", "held out", title=title, caption=caption)
+    for column in table.columns[1:]:
+        column.justify = "right"
+        column.no_wrap = True
+    for row, trajectory in enumerate(trajectories):
+        table.add_row(trajectory.name, _three(fit.torque[row]), _three(fit.residual[row]), _three(fit.held_out[row]))
+    return table
+
+
+def _three(values) -> str:
+    return " / ".join(f"{value:.2f}" for value in values)

@@ -1,0 +1,61 @@
+"""From traces to a robot description with an `[identified]` section, and the words to go with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from schemas.robot import Identified, JointParameter, Parameter, Robot
+from service.identification import pooled
+from service.identification.pooled import COULOMB, FOREARM_MASS, RHO_1, RHO_2, VISCOUS, Estimate, Fit
+from service.identification.regression import Trajectory
+
+
+@dataclass(frozen=True)
+class Identification:
+    """robot: the description with what was found. fit: numbers and verdicts. warnings: what a user has to know."""
+
+    robot: Robot
+    fit: Fit
+    warnings: tuple[str, ...]
+
+
+def identify(robot: Robot, trajectories: Sequence[Trajectory]) -> Identification:
+    """Fit `robot` to `trajectories`.
+
+    Raises:
+        DataError: the data cannot give an answer, naming the log and the joint.
+    """
+    fit = pooled.fit(trajectories, robot.mass.passive_link)
+    estimates = fit.estimates
+    identified = Identified(
+        method="pooled",
+        rho_1=_parameter(estimates[RHO_1]),
+        rho_2=_parameter(estimates[RHO_2]),
+        viscous_friction_nms=_joints(estimates[VISCOUS]),
+        coulomb_friction_nm=_joints(estimates[COULOMB]),
+        forearm_inertia_kg=_parameter(estimates[FOREARM_MASS]),
+        torque_noise_nm=JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
+    )
+    # what diagnose found on another base does not hold on this one
+    return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, ())
+
+
+def _parameter(estimate: Estimate) -> Parameter:
+    return Parameter.model_validate(
+        {"value": _digits(estimate.value), "std_error": _digits(estimate.std_error), "verdict": estimate.verdict}
+    )
+
+
+def _joints(estimates: Sequence[Estimate]) -> JointParameter:
+    return JointParameter.model_validate(
+        {
+            "value": [_digits(estimate.value) for estimate in estimates],
+            "std_error": [_digits(estimate.std_error) for estimate in estimates],
+            "verdict": [estimate.verdict for estimate in estimates],
+        }
+    )
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.6g}")

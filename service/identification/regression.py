@@ -1,0 +1,143 @@
+"""Regressors of the model and their sums over short blocks of a trajectory.
+
+Everything `identify` answers follows from these sums: the fit, its standard errors (blocks left out in turn), the
+cross-validation (trajectories left out in turn), the paper's grid, the checks of the data. The samples are passed over
+once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.signal import decimate
+
+from schemas.errors import PoseError, TraceError
+from schemas.trace import Trace
+from service.identification.signals import EDGE, Segment, lowpass, noise_density, segments
+from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PLATFORM, torque_terms
+from service.model.parameters import DeltaModel
+
+# Columns of a joint's sums: what the parameters multiply, the platform's known torque, the torques, and one.
+COLUMNS = 10
+INERTIA_COLUMN, GRAVITY_COLUMN, FOREARM_COLUMN, VISCOUS_COLUMN, COULOMB_COLUMN, PLATFORM_COLUMN = range(6)
+TORQUE_COLUMN = 6  # of joint 1; the other joints' follow
+ONE_COLUMN = 9
+
+BLOCK = 0.5  # s, many times the correlation time of the low-passed noise (12 ms) and about one stroke of a pick
+RATE = 1000.0  # Hz, regressors are built at no less than this: plenty for what the motion smoother passes
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What one trace has to say, B blocks of 3 joints. Sums are over moving samples, times the sample time.
+
+    gram: (B, 3, COLUMNS, COLUMNS) products of the low-passed columns. seconds: (B, 3) of motion. density: (3,)
+    one-sided white noise of the torque, (N m)^2/Hz. period: s. forward, backward: (3,) s moved in each direction.
+    travel: (3,) rad between the extreme angles. rows, unusable: counts.
+    """
+
+    name: str
+    gram: np.ndarray
+    seconds: np.ndarray
+    density: np.ndarray
+    period: float
+    forward: np.ndarray
+    backward: np.ndarray
+    travel: np.ndarray
+    rows: int
+    unusable: int
+
+
+def thin(segment: Segment) -> Segment:
+    """Every k-th sample of `segment`, the torque low-passed for it, at no less than `RATE`."""
+    step = int(1.0 / (RATE * segment.period) + 1e-6)
+    if step < 2:
+        return segment
+    return replace(
+        segment,
+        rows=segment.rows[::step],
+        time=segment.time[::step],
+        period=segment.period * step,
+        theta=segment.theta[::step],
+        theta_dot=segment.theta_dot[::step],
+        theta_ddot=segment.theta_ddot[::step],
+        torque=decimate(segment.torque, step, ftype="fir", axis=0, zero_phase=True),
+        moving=segment.moving[::step],
+    )
+
+
+def regressors(model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
+    """(N, 3, 6): inertia, gravity, forearm, theta_dot, sign theta_dot and the platform's torque, not yet low-passed.
+
+    Raises:
+        PoseError: unreachable or singular, naming the angles.
+    """
+    terms = torque_terms(model, theta, theta_dot, theta_ddot)
+    return np.stack(
+        [terms[:, INERTIA], terms[:, GRAVITY], terms[:, FOREARM], theta_dot, np.sign(theta_dot), terms[:, PLATFORM]],
+        axis=-1,
+    )
+
+
+def summarise(model: DeltaModel, trace: Trace) -> Trajectory:
+    """Pass over `trace` once.
+
+    Raises:
+        TraceError: nothing usable, or positions that are no pose of the robot, naming the file.
+    """
+    parts = segments(trace)
+    grams: list[np.ndarray] = []
+    seconds: list[np.ndarray] = []
+    for part in parts:
+        try:
+            gram, moved = _blocks(model, thin(part))
+        except PoseError as error:
+            raise TraceError(f"{trace.path}: {error}") from error
+        grams.append(gram)
+        seconds.append(moved)
+    longest = max(parts, key=lambda part: len(part.rows))
+    theta = np.concatenate([part.theta for part in parts])
+    theta_dot = np.concatenate([part.theta_dot * part.moving for part in parts])
+    return Trajectory(
+        name=trace.path.name,
+        gram=np.concatenate(grams),
+        seconds=np.concatenate(seconds),
+        density=noise_density(_without_jumps(longest), longest.period),
+        period=longest.period,
+        forward=(theta_dot > 0).sum(axis=0) * longest.period,
+        backward=(theta_dot < 0).sum(axis=0) * longest.period,
+        travel=np.ptp(theta, axis=0),
+        rows=len(trace),
+        unusable=len(trace) - sum(len(part.rows) for part in parts),
+    )
+
+
+def _without_jumps(segment: Segment) -> np.ndarray:
+    """Torque (M, 3) less Coulomb friction, which alone of the model reaches the band where noise is measured."""
+    direction = np.sign(segment.theta_dot)
+    step = np.diff(direction, axis=0)
+    turns = np.maximum((step**2).sum(axis=0), 1.0)
+    return segment.torque - direction * (np.diff(segment.torque, axis=0) * step).sum(axis=0) / turns
+
+
+def _blocks(model: DeltaModel, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
+    count = len(segment.time)
+    columns = np.empty((count, 3, COLUMNS))
+    columns[:, :, :TORQUE_COLUMN] = regressors(model, segment.theta, segment.theta_dot, segment.theta_ddot)
+    columns[:, :, TORQUE_COLUMN:ONE_COLUMN] = segment.torque[:, None, :]
+    columns[:, :, ONE_COLUMN] = 1.0
+    filtered = lowpass(columns[:, :, :TORQUE_COLUMN], segment.period)
+    columns[:, :, :TORQUE_COLUMN] = filtered
+    columns[:, :, TORQUE_COLUMN:ONE_COLUMN] = lowpass(segment.torque, segment.period)[:, None, :]
+    edge = round(EDGE / segment.period)
+    inner = count - 2 * edge
+    blocks = max(1, round(inner * segment.period / BLOCK))
+    bounds = edge + np.linspace(0, inner, blocks + 1).astype(int)
+    gram = np.zeros((blocks, 3, COLUMNS, COLUMNS))
+    for block, (start, stop) in enumerate(pairwise(bounds)):
+        for joint in range(3):
+            moved = columns[start:stop, joint][segment.moving[start:stop, joint]]
+            gram[block, joint] = moved.T @ moved
+    return gram * segment.period, gram[:, :, ONE_COLUMN, ONE_COLUMN] * segment.period

@@ -1,0 +1,113 @@
+"""The pooled fit on robots whose parameters are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from schemas.errors import DataError
+from schemas.robot import Robot
+from schemas.trace import Trace
+from service.identification import pooled
+from service.identification.regression import Trajectory, summarise
+from service.model.parameters import pack
+from tests.service.identification.conftest import Truth, multisine
+
+Record = Callable[..., Trace]
+
+
+def trajectories(robot: Robot, traces: list[Trace]) -> list[Trajectory]:
+    return [summarise(pack(robot), trace) for trace in traces]
+
+
+def fit(robot: Robot, traces: list[Trace]) -> pooled.Fit:
+    return pooled.fit(trajectories(robot, traces), robot.mass.passive_link)
+
+
+def test_truth_is_recovered_without_noise(robot: Robot, record: Record) -> None:
+    truth = Truth(noise=0.0)
+    result = fit(robot, [record(seed, truth) for seed in range(3)])
+    assert np.allclose(result.values, truth.values, rtol=2e-3)
+    assert {estimate.verdict for estimate in result.estimates} == {"identifiable"}
+
+
+def test_standard_errors_cover_the_truth(robot: Robot, record: Record) -> None:
+    """Over 40 data sets the errors in units of their standard error have to look like a standard normal variable."""
+    truth = Truth(noise=1.0)
+    scores = []
+    for run in range(40):
+        result = fit(robot, [record(1000 + 4 * run + k, truth, seconds=6.0) for k in range(4)])
+        error = np.array([estimate.std_error for estimate in result.estimates])
+        scores.append((result.values - truth.values) / error)
+    scores = np.array(scores)  # 360 of them; 95 % inside 1.96 give 342 with a standard deviation of 4.1 at least
+    assert 0.90 <= np.mean(np.abs(scores) < 1.96) <= 0.99
+    assert np.all(np.abs(scores.mean(axis=0)) < 4 / np.sqrt(40))
+
+
+def test_noise_is_that_of_the_torque(robot: Robot, record: Record) -> None:
+    result = fit(robot, [record(seed, Truth(noise=0.7)) for seed in range(3)])
+    assert np.allclose(result.noise, 0.7, rtol=0.05)
+
+
+def test_residual_is_held_out_and_at_the_noise(robot: Robot, record: Record) -> None:
+    result = fit(robot, [record(seed, Truth(noise=0.7)) for seed in range(4)])
+    assert np.all(result.held_out > 0.99 * result.residual)
+    assert np.allclose(result.held_out, result.noise_floor, rtol=0.15)
+
+
+def test_4_khz_and_1_khz_agree(robot: Robot, record: Record) -> None:
+    truth = Truth(noise=0.0)
+    fine = fit(robot, [record(seed, truth, period=2.5e-4) for seed in range(3)])
+    assert np.allclose(fine.values, truth.values, rtol=2e-3)
+
+
+def test_a_joint_that_never_moves_has_no_friction(robot: Robot, record: Record) -> None:
+    result = fit(robot, [record(seed, moves=(1.0, 0.0, 1.0)) for seed in range(3)])
+    found = {estimate.name: estimate for estimate in result.estimates}
+    for name in ("f_v_2", "f_c_2"):
+        assert found[name].verdict == "not identifiable"
+        assert found[name].reason.startswith("joint 2 never moves")
+        assert found[name].value == 0.0
+    assert found["f_c_1"].verdict == "identifiable"
+    assert found["rho_1"].value == pytest.approx(1.9, abs=5 * found["rho_1"].std_error)
+
+
+def test_a_joint_that_never_reverses_is_named(robot: Robot, record: Record) -> None:
+    time = np.arange(8000)[:, None] * 1e-3
+    logs = []
+    for seed in range(3):
+        theta, theta_dot, theta_ddot = multisine(seed, 8.0, 2.0, 1e-3)
+        theta[:, 1:2] = 0.2 + 0.1 * time + 0.02 * np.sin(2 * time + seed)
+        theta_dot[:, 1:2] = 0.1 + 0.04 * np.cos(2 * time + seed)
+        theta_ddot[:, 1:2] = -0.08 * np.sin(2 * time + seed)
+        logs.append(record(seed, motion=(theta, theta_dot, theta_ddot)))
+    found = {estimate.name: estimate for estimate in fit(robot, logs).estimates}
+    assert found["f_c_2"].verdict == "not identifiable"
+    assert found["f_c_2"].reason == "joint 2 never reverses"
+    assert found["f_c_1"].verdict == "identifiable"
+
+
+def test_slow_motion_does_not_tell_inertia(robot: Robot, record: Record) -> None:
+    rng = np.random.default_rng(5)
+    logs = []
+    for seed in range(3):
+        time = np.arange(12_000)[:, None] * 1e-3
+        w, phase = 2 * np.pi * rng.uniform(0.08, 0.15, 3), rng.uniform(0, 6, 3)
+        motion = (
+            0.5 + 0.3 * np.sin(w * time + phase),
+            0.3 * w * np.cos(w * time + phase),
+            -0.3 * w**2 * np.sin(w * time + phase),
+        )
+        logs.append(record(seed, Truth(noise=2.0), motion=motion))
+    found = {estimate.name: estimate for estimate in fit(robot, logs).estimates}
+    assert found["rho_1"].verdict != "identifiable"
+    assert found["forearm"].verdict == "not identifiable"
+    assert found["forearm"].value == robot.mass.passive_link  # the description's mass stands
+    assert found["rho_2"].verdict == "identifiable"
+
+
+def test_too_little_motion_is_an_error(robot: Robot, record: Record) -> None:
+    with pytest.raises(DataError, match=r"log_1\.csv: too little motion"):
+        fit(robot, [record(1, seconds=3.0)])
