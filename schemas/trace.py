@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,7 +31,9 @@ class Trace:
     time: (N,) s, as in the file. position, torque: (N, n) rad and N m. position_command, torque_command: (N, n) or
     None where the source has none. flags: (N,) uint32 of SampleFlag. findings: what the reader noticed.
     sequence: (N,) uint64 where the source counts its cycles, else None. epoch_ns: bus time of `time` 0, in ns; not
-    zero only where the stamps are too large for float64 seconds to tell nanoseconds (above 1e6 s). Linear axes: m, N.
+    zero only where the stamps are too large for float64 seconds to tell nanoseconds (above 1e6 s). own_time: (M,) s,
+    the stamps of the channels (`torque_3`) that were brought to `time` from their own. angular: False where the axes
+    are linear, in m and N.
     """
 
     path: Path
@@ -43,6 +46,8 @@ class Trace:
     findings: tuple[Finding, ...] = ()
     sequence: np.ndarray | None = None
     epoch_ns: int = 0
+    own_time: Mapping[str, np.ndarray] = field(default_factory=dict)
+    angular: bool = True
 
     def __post_init__(self) -> None:
         if len(self.flags) == 0:

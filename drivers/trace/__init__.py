@@ -18,6 +18,7 @@ with stamps of their own are brought to those of the first position column; that
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from schemas.columns import Columns, load_columns
@@ -64,10 +65,12 @@ def find_columns(name: str | Path) -> Columns:
     return load_columns(shipped.get(str(name), Path(name)))
 
 
-def write_trace(trace: Trace, path: str | Path, robot: str = "robot") -> None:
+def write_trace(
+    trace: Trace, path: str | Path, robot: str = "robot", show: Callable[[int], object] = lambda done: None
+) -> None:
     """Write a trace in the format its name ends in; a reader never sees half a file.
 
-    robot: name in the topic of an MCAP.
+    robot: name in the topic of an MCAP. show: called now and then with how many samples are written.
 
     Raises:
         TraceError: the file cannot be written, or the format cannot hold the trace.
@@ -78,7 +81,7 @@ def write_trace(trace: Trace, path: str | Path, robot: str = "robot") -> None:
         if path.name.endswith(".mcap"):
             from drivers.trace.mcap_file import write_mcap
 
-            write_mcap(trace, partial, robot)
+            write_mcap(trace, partial, robot, show)
         elif path.name.endswith(CSV_ENDINGS):
             from drivers.trace.csv_file import write_csv
 

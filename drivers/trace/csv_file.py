@@ -8,6 +8,7 @@ import re
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -20,7 +21,8 @@ from schemas.robot import Robot
 from schemas.trace import Finding, Trace
 
 MISSING = ["", " ", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]  # cells that say there is no value
-_OWN = re.compile(r"^position_(\d+)_rad$")
+_OWN = re.compile(r"^position_\d+_(rad|m)$")
+OWN_UNITS = {True: ("rad", "nm"), False: ("m", "n")}  # endings of our own column names: angular, linear
 _FIXED_POINT_LINES = 20  # lines looked at to tell whether the last field has a fixed number of decimals
 
 
@@ -61,8 +63,9 @@ def write_csv(trace: Trace, path: Path) -> None:
         OSError: the file cannot be written.
     """
     data: dict[str, np.ndarray] = {"time_s": trace.time + trace.epoch_ns * 1e-9}
-    for name, unit in (("position_command", "rad"), ("position", "rad"), ("torque_command", "nm"), ("torque", "nm")):
+    for name in ("position_command", "position", "torque_command", "torque"):
         values = getattr(trace, name)
+        unit = OWN_UNITS[trace.angular][name.startswith("torque")]
         if values is not None:
             data.update({f"{name}_{j + 1}_{unit}": values[:, j] for j in range(values.shape[1])})
     text = pl.DataFrame(data).write_csv().encode()
@@ -87,10 +90,17 @@ def _load(path: Path) -> bytes:
 
 
 def _mapping(raw: bytes, robot: Robot | None) -> Columns:
-    own = [m for name in _fields(raw.split(b"\n", 1)[0].decode("utf-8", "replace"), ",") if (m := _OWN.match(name))]
-    if own or robot is None or robot.columns is None:
-        return Columns(joints=len(own) or 3)
-    return robot.columns
+    names = _fields(raw.split(b"\n", 1)[0].decode("utf-8", "replace"), ",")
+    own = [match[1] for name in names if (match := _OWN.match(name))]
+    if not own:
+        return robot.columns if robot is not None and robot.columns is not None else Columns()
+    if own[0] == "rad":
+        return Columns(joints=len(own))
+    linear: dict[str, Any] = {"joints": len(own)}
+    for channel, ending, unit in zip(CHANNELS, ("m", "n") * 2, ("m", "N") * 2, strict=True):
+        if f"{channel}_1_{ending}" in names or not channel.endswith("command"):
+            linear[channel] = {"name": f"{channel}_{{joint}}_{ending}", "unit": unit}
+    return Columns.model_validate(linear)
 
 
 def _fields(line: str, separator: str) -> list[str]:
@@ -217,6 +227,7 @@ def _assemble(
     joints = 1 + max(channel.joint for channel in channels)
     time = stamps[base][rows]
     arrays: dict[str, np.ndarray] = {}
+    own_time: dict[str, np.ndarray] = {}
     for channel in channels:
         raw = table[str(channel.index)].to_numpy()
         own = stamps[channel.time_index]
@@ -225,6 +236,7 @@ def _assemble(
         else:
             values, note = _bring(time, own, raw, channel, channels[0], path)
             notes.append(note)
+            own_time[f"{channel.name}_{channel.joint + 1}"] = own[np.isfinite(own)]
         array = arrays.setdefault(channel.name, np.empty((len(rows), joints)))
         array[:, channel.joint] = _to_joint(values, channel, robot, path)
     trace = Trace(
@@ -235,9 +247,10 @@ def _assemble(
         position_command=arrays.get("position_command"),
         torque_command=arrays.get("torque_command"),
         findings=tuple(notes),
+        own_time=own_time,
+        angular=all(channel.column.unit not in ("m", "mm") for channel in channels),
     )
-    angular = all(c.column.unit not in ("m", "mm") for c in channels) and (joints == 3 or robot is not None)
-    return check(trace, Rows("line", columns.first_line + rows), robot, angular)
+    return check(trace, Rows("line", columns.first_line + rows), robot)
 
 
 def _stamped(stamps: np.ndarray, table: pl.DataFrame, base: int, columns: Columns) -> tuple[np.ndarray, list[Finding]]:
@@ -276,12 +289,19 @@ def _bring(
     return values, Finding(SampleFlag(0), message, np.zeros(0, np.intp))
 
 
+def _gear_ratio(robot: Robot | None, joint: int) -> float | None:
+    if robot is None:
+        return None
+    own = robot.drive.joint[joint].gear_ratio if robot.drive.joint else None
+    return own or robot.drive.gear_ratio
+
+
 def _to_joint(values: np.ndarray, channel: _Channel, robot: Robot | None, path: Path) -> np.ndarray:
     column = channel.column
-    gear = 1.0
+    gear: float | None = 1.0
     if column.side == "motor":
-        gear = column.gear_ratio or (robot.drive.gear_ratio if robot else 0.0)
-        if gear == 0.0:
+        gear = column.gear_ratio or _gear_ratio(robot, channel.joint)
+        if gear is None:
             raise TraceError(f"{path}: {channel.label} is motor side: give its gear_ratio or a robot with [drive]")
     scale = column.sign * column.scale
     return (values - column.zero) * (scale / gear if isinstance(column, PositionColumn) else scale * gear)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from schemas.robot import Robot
 from schemas.trace import Trace
 
 _SAMPLE_TOPIC = re.compile(r"^deltatwin/(?P<robot>[^/]+)/sample$")
+SHOW_EVERY = 10_000  # samples
 EXACT_SECONDS = 1_000_000  # float64 seconds below this hold a nanosecond
 
 
@@ -106,7 +108,7 @@ def to_trace(samples: np.ndarray, path: Path) -> Trace:
     )
 
 
-def write_mcap(trace: Trace, path: Path, robot: str) -> None:
+def write_mcap(trace: Trace, path: Path, robot: str, show: Callable[[int], object] = lambda done: None) -> None:
     """Write `trace` as sample messages of `robot`; log time is bus time.
 
     Raises:
@@ -125,4 +127,6 @@ def write_mcap(trace: Trace, path: Path, robot: str) -> None:
         channel = writer.register_channel(topic_key(robot, "sample"), "cdr", schema)
         for i, (stamp, sequence) in enumerate(zip(stamps.tolist(), samples["sequence"].tolist(), strict=True)):
             writer.add_message(channel, stamp, data[i * size : (i + 1) * size], stamp, sequence & 0xFFFFFFFF)
+            if i % SHOW_EVERY == 0:
+                show(i)
         writer.finish()

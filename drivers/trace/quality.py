@@ -36,10 +36,10 @@ class Rows:
         return f"{self.word}{plural} {shown}{', ...' if len(rows) > SHOWN else ''}"
 
 
-def check(trace: Trace, rows: Rows, robot: Robot | None, angular: bool = True) -> Trace:
+def check(trace: Trace, rows: Rows, robot: Robot | None) -> Trace:
     """`trace` with every flag set and every finding added.
 
-    angular: positions are joint angles, held against the joint range of `robot` (or of Delta robots in general).
+    Joint angles are held against the range of `robot`, without one against that of Delta robots in general.
 
     Raises:
         TraceError: fewer than two samples, stamps that mostly do not rise, or positions mostly outside the joint range.
@@ -48,7 +48,7 @@ def check(trace: Trace, rows: Rows, robot: Robot | None, angular: bool = True) -
         raise TraceError(f"{trace.path}: {len(trace)} samples, at least 2 are needed")
     flags = np.zeros(len(trace), np.uint32) if len(trace.flags) == 0 else trace.flags.copy()
     findings = list(trace.findings)
-    for finding in (*_stamps(trace, rows), *_values(trace, rows), *_range(trace, rows, robot, angular)):
+    for finding in (*_stamps(trace, rows), *_values(trace, rows), *_range(trace, rows, robot)):
         flags[finding.rows] |= np.uint32(finding.flag)
         findings.append(finding)
     return replace(trace, flags=flags, findings=tuple(findings))
@@ -137,8 +137,8 @@ def _jumps(trace: Trace, rows: Rows) -> Iterator[Finding]:
             )
 
 
-def _range(trace: Trace, rows: Rows, robot: Robot | None, angular: bool) -> Iterator[Finding]:
-    if not angular:
+def _range(trace: Trace, rows: Rows, robot: Robot | None) -> Iterator[Finding]:
+    if not trace.angular or (robot is None and trace.position.shape[1] != 3):
         return
     low, high = robot.geometry.joint_range_rad if robot else Geometry.model_fields["joint_range_rad"].default
     for joint in range(trace.position.shape[1]):

@@ -7,7 +7,7 @@ import sys
 import typer
 
 from schemas.errors import DeltatwinError
-from service.cli import evaluate, identify, replay
+from service.cli import convert, evaluate, identify, inspect, replay
 
 app = typer.Typer(
     name="deltatwin",
@@ -16,8 +16,10 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+app.command("convert")(convert.command)
 app.command("evaluate")(evaluate.command)
 app.command("identify")(identify.command)
+app.command("inspect")(inspect.command)
 app.command("replay")(replay.command)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.trace import read_trace, write_trace
+from drivers.trace import find_columns, read_trace, write_trace
 from schemas.trace import Trace
 
 
@@ -65,3 +65,14 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path: Path) -> None:
         write_trace(bad, tmp_path / "a.mcap", "d3")
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
     assert (tmp_path / "a.mcap").read_bytes() == b"old"
+
+
+def test_a_linear_axis_stays_in_metres(shared: Path, tmp_path: Path) -> None:
+    trace = read_trace(shared / "real" / "emps" / "emps.csv", columns=find_columns("emps"))
+    write_trace(trace, tmp_path / "axis.csv")
+    again = read_trace(tmp_path / "axis.csv")
+    assert not trace.angular
+    assert not again.angular
+    for name in ("time", "position", "torque", "position_command"):
+        assert getattr(again, name).tobytes() == getattr(trace, name).tobytes()
+    assert (tmp_path / "axis.csv").read_text().startswith("time_s,position_command_1_m,position_1_m,torque_1_n\n")

@@ -1,0 +1,53 @@
+"""`deltatwin convert`: a trace from one format to another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Recorded trace (.csv, .csv.gz, .mcap).")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending says the format.")],
+    robot: Annotated[
+        Path | None,
+        typer.Option(help="Robot description (TOML): joint range, gear ratio, columns table, topic."),
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option(help="Column mapping of a foreign table: a TOML file, or emps, twincat_scope.")
+    ] = None,
+) -> None:
+    """Write a trace as .csv, .csv.gz (joint side, SI, every digit) or .mcap (ROS 2 messages, opens in Foxglove).
+
+    Rows are kept as recorded; what is wrong with them is said here and flagged in the MCAP. OUT appears when it is
+    complete.
+
+    Example: deltatwin convert scope_export.csv pick.mcap --robot d3.toml --columns twincat.toml
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from drivers.trace import find_columns, read_trace, write_trace
+    from schemas.robot import load_robot
+    from service.cli.signals import terminate_as_interrupt
+
+    terminate_as_interrupt()
+    description = load_robot(robot) if robot else None
+    mapping = find_columns(columns) if columns else None
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        reading = progress.add_task(f"reading {source.name}", total=None)
+        trace = read_trace(source, description, mapping)
+        progress.remove_task(reading)
+        writing = progress.add_task(f"writing {target.name}", total=len(trace))
+        write_trace(
+            trace,
+            target,
+            description.name if description else "robot",
+            lambda done: progress.update(writing, completed=done),
+        )
+    for finding in trace.findings:
+        typer.echo(f"{source}: {finding.message}", err=True)
+    typer.echo(f"{target}: {len(trace)} samples, {trace.position.shape[1]} joints")

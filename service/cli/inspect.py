@@ -1,0 +1,121 @@
+"""`deltatwin inspect`: what a trace holds and what is wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+STAMPS = ("rate_hz", "jitter_std_s", "jitter_p99_s", "jitter_max_s", "gaps", "repeats", "backwards")
+
+
+def command(
+    traces: Annotated[list[Path], typer.Argument(help="Recorded traces (.csv, .csv.gz, .mcap).")],
+    robot: Annotated[
+        Path | None, typer.Option(help="Robot description (TOML): joint range, gear ratio, its columns table.")
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option(help="Column mapping of a foreign table: a TOML file, or emps, twincat_scope.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print figures in SI as JSON.")] = False,
+) -> None:
+    """Show rate, jitter, gaps, repeats and ranges of each channel, and what is missing or wrong.
+
+    Exit code 1 if a trace is unusable; the others are shown all the same.
+
+    Example: deltatwin inspect pick_a.csv pick_b.mcap --robot d3.toml
+    """
+    import json as json_library
+
+    from rich.console import Console
+
+    from drivers.trace import find_columns, read_trace
+    from drivers.trace.survey import survey
+    from schemas.errors import TraceError
+    from schemas.robot import load_robot
+
+    description = load_robot(robot) if robot else None
+    mapping = find_columns(columns) if columns else None
+    console, failed, surveys = Console(), False, []
+    for path in traces:
+        try:
+            with Console(stderr=True).status(f"reading {path.name}"):
+                surveys.append(survey(read_trace(path, description, mapping)))
+        except TraceError as error:
+            failed = True
+            surveys.append({"path": str(path), "error": str(error)})
+            if not json:
+                typer.echo(f"deltatwin: {error}", err=True)
+            continue
+        if not json:
+            _show(surveys[-1], console)
+    if json:
+        typer.echo(json_library.dumps(surveys, indent=2, allow_nan=False))
+    if failed:
+        raise typer.Exit(1)
+
+
+def _show(figures: dict[str, Any], console: Console) -> None:
+    from rich.markup import escape
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True)
+
+    say(
+        f"[bold]{escape(figures['path'])}[/bold]: {figures['samples']} samples, {figures['joints']} joints, "
+        f"{figures['duration_s']:.6g} s from {figures['start_s']:.9g} s"
+    )
+    bases: dict[tuple, list[str]] = {}  # channels with the same stamps
+    for name, channel in figures["channels"].items():
+        bases.setdefault(tuple(channel[key] for key in STAMPS), []).append(name)
+    stamps = _table(["stamps of"], ["rate", "jitter std", "p99", "max", "gaps", "repeats", "back"])
+    for base, names in bases.items():
+        rate, *jitter, gaps, repeats, back = base
+        stamps.add_row(
+            "all channels" if len(bases) == 1 else "\n".join(names),
+            f"{rate:.6g} Hz",
+            *(f"{value * 1e6:.3f} µs" for value in jitter),
+            *(_count(value) for value in (gaps, repeats, back)),
+        )
+    console.print(stamps, highlight=False)
+    values = _table(["channel", "unit"], ["min", "max", "smallest step", "longest hold", "missing"])
+    for name, channel in figures["channels"].items():
+        hold = channel["longest_hold_s"]
+        values.add_row(
+            name,
+            channel["unit"],
+            *(_number(channel[key]) for key in ("min", "max", "resolution")),
+            "-" if hold is None else f"{hold * 1e3:.4g} ms",
+            _count(channel["missing"]),
+        )
+    console.print(values, highlight=False)
+    if figures["missing"]:
+        say(f"not recorded: {', '.join(figures['missing'])}")
+    for finding in figures["findings"]:
+        kind = f"[yellow]{finding['flag']}[/yellow]" if finding["flag"] else "[dim]note[/dim]"
+        say(f"{kind}: {escape(finding['message'])}")
+    if not figures["findings"]:
+        say("[green]nothing wrong found[/green]")
+    say("")
+
+
+def _table(left: list[str], right: list[str]) -> Table:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for heading in (*left, *right):
+        table.add_column(heading, justify="left" if heading in left else "right", no_wrap=True)
+    return table
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.5g}"
+
+
+def _count(value: int) -> str:
+    return f"[yellow]{value}[/yellow]" if value else "0"

@@ -1,0 +1,165 @@
+"""`convert` and `inspect` as a user runs them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from drivers.trace import read_trace, write_trace
+from schemas.trace import Trace
+from service.cli.main import main
+
+Run = Callable[..., "Done"]
+
+
+class Done(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def deltatwin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
+    """The command in this process, run in `tmp_path`; the signal handlers it sets are put back."""
+    handlers = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str | Path) -> Done:
+        monkeypatch.setattr(sys, "argv", ["deltatwin", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        code = end.value.code
+        told = capsys.readouterr()
+        return Done(code if isinstance(code, int) else 0, str(told.out), str(told.err))
+
+    yield run
+    for kind, handler in handlers.items():
+        signal.signal(kind, handler)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    time_s = np.arange(1000) / 1000
+    motion = 0.6 * np.sin(2 * np.pi * time_s)[:, None] + [0.1, 0.2, 0.3]
+    write_trace(Trace(Path("made"), time_s, motion, 10 * motion), tmp_path / "log.csv")
+    return tmp_path / "log.csv"
+
+
+def test_convert_there_and_back(deltatwin: Run, log: Path) -> None:
+    there = deltatwin("convert", log, "log.mcap")
+    assert (there.returncode, there.stdout, there.stderr) == (0, "log.mcap: 1000 samples, 3 joints\n", "")
+    assert deltatwin("convert", "log.mcap", "back.csv.gz").returncode == 0
+    assert deltatwin("convert", "back.csv.gz", "back.csv").returncode == 0
+    assert (log.parent / "back.csv").read_bytes() == log.read_bytes()
+
+
+def test_convert_tells_what_is_wrong_with_the_rows(deltatwin: Run, log: Path) -> None:
+    lines = log.read_text().splitlines()
+    log.write_text("\n".join([*lines[:500], *lines[510:]]) + "\n")
+    done = deltatwin("convert", log, "out.mcap")
+    assert done.returncode == 0
+    assert f"{log}: 1 gaps, 10 cycles of 1 ms missing: before line 501" in done.stderr
+    assert read_trace(log.parent / "out.mcap").flags.any()
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [("out.xlsx", "out.xlsx: unknown kind of trace"), ("none/out.mcap", "none/out.mcap: No such file or directory")],
+)
+def test_convert_fails_in_one_line(deltatwin: Run, log: Path, target: str, message: str) -> None:
+    done = deltatwin("convert", log, target)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"deltatwin: {message}")
+    assert done.stderr.count("\n") == 1
+    assert [p.name for p in log.parent.iterdir()] == ["log.csv"]
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_convert_stopped_half_way_leaves_the_old_file(tmp_path: Path, stop: signal.Signals) -> None:
+    count = 500_000  # seconds of writing
+    time_s = np.arange(count) / 4000
+    motion = np.sin(time_s)[:, None] * [0.5, 0.6, 0.7]
+    write_trace(Trace(Path("made"), time_s, motion, motion), tmp_path / "long.csv")
+    (tmp_path / "out.mcap").write_bytes(b"old")
+    command = [sys.executable, "-c", "from service.cli.main import main; main()", "convert", "long.csv", "out.mcap"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    part = tmp_path / ".part-out.mcap"
+    while not (part.exists() and part.stat().st_size > 0) and process.poll() is None:
+        time.sleep(0.01)
+    process.send_signal(stop)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["long.csv", "out.mcap"]
+    assert (tmp_path / "out.mcap").read_bytes() == b"old"
+
+
+def test_inspect_json_has_the_figures(deltatwin: Run, log: Path) -> None:
+    lines = log.read_text().splitlines()
+    lines[700] = lines[700].rsplit(",", 1)[0] + ",nan"
+    log.write_text("\n".join([*lines[:500], *lines[510:], lines[-1]]) + "\n")
+    done = deltatwin("inspect", log, "--json")
+    assert done.returncode == 0
+    (figures,) = json.loads(done.stdout)
+    assert (figures["samples"], figures["joints"], figures["gaps"], figures["repeats"]) == (991, 3, 1, 1)
+    assert figures["rate_hz"] == pytest.approx(1000)
+    assert figures["longest_step_s"] == pytest.approx(0.011)
+    assert figures["missing"] == ["position_command", "torque_command"]
+    assert figures["flags"] == {"NOT_A_NUMBER": 1, "GAP_BEFORE": 1, "REPEATED": 1}
+    channel = figures["channels"]["position_2"]
+    assert (channel["unit"], channel["missing"]) == ("rad", 0)
+    assert (channel["min"], channel["max"]) == pytest.approx((-0.4, 0.8), abs=1e-5)
+    assert figures["channels"]["torque_3"]["missing"] == 1
+
+
+def test_inspect_measures_jitter(deltatwin: Run, tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    time_s = np.arange(20_000) / 1000 + rng.normal(0, 20e-6, 20_000)
+    motion = np.sin(time_s)[:, None] * [0.5, 0.6, 0.7]
+    write_trace(Trace(Path("made"), time_s, motion, motion), tmp_path / "a.csv")
+    (figures,) = json.loads(deltatwin("inspect", "a.csv", "--json").stdout)
+    assert figures["jitter_std_s"] == pytest.approx(20e-6 * np.sqrt(2), rel=0.05)  # a step has two stamps
+
+
+def test_inspect_shows_the_others_when_one_is_unusable(deltatwin: Run, log: Path) -> None:
+    done = deltatwin("inspect", "none.mcap", log)
+    assert done.returncode == 1
+    assert done.stderr == "deltatwin: none.mcap: No such file or directory\n"
+    assert "1000 samples, 3 joints, 0.999 s from 0 s" in done.stdout
+    assert "position_3" in done.stdout
+    assert "…" not in done.stdout  # it fits in 80 columns
+    assert "not recorded: position_command, torque_command" in done.stdout
+    assert "nothing wrong found" in done.stdout
+
+
+def test_inspect_gives_each_channel_its_own_rate(deltatwin: Run, shared: Path, tmp_path: Path) -> None:
+    path = shared / "captures" / "twincat_scope_default.csv"
+    done = deltatwin("inspect", path, "--columns", "twincat_scope", "--json")
+    (figures,) = json.loads(done.stdout)
+    rates = {name: channel["rate_hz"] for name, channel in figures["channels"].items()}
+    assert rates == pytest.approx(
+        {
+            "position_1": 1000,
+            "position_2": 1000,
+            "position_3": 1000,
+            "torque_1": 5000,
+            "torque_2": 1000,
+            "torque_3": 200,
+        }
+    )
+
+
+@pytest.mark.parametrize("name", ["convert", "inspect"])
+def test_help_has_an_example(deltatwin: Run, name: str, tmp_path: Path) -> None:
+    done = deltatwin(name, "--help")
+    assert done.returncode == 0
+    assert f"Example: deltatwin {name}" in done.stdout
