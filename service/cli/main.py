@@ -1,13 +1,15 @@
-"""The `deltatwin` command: one file a subcommand in this folder, one line each here."""
+"""The `deltatwin` command: every file of this folder with a `command` in it is a subcommand of the file's name."""
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 import sys
 
 import typer
 
+import service.cli
 from schemas.errors import DeltatwinError
-from service.cli import convert, evaluate, identify, inspect, replay
 
 app = typer.Typer(
     name="deltatwin",
@@ -16,11 +18,11 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-app.command("convert")(convert.command)
-app.command("evaluate")(evaluate.command)
-app.command("identify")(identify.command)
-app.command("inspect")(inspect.command)
-app.command("replay")(replay.command)
+for _found in pkgutil.iter_modules(service.cli.__path__):
+    if _found.name != "main":
+        _module = importlib.import_module(f"service.cli.{_found.name}")
+        if hasattr(_module, "command"):
+            app.command(_found.name.replace("_", "-"))(_module.command)
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from schemas.messages import REFERENCE, FeedforwardSource, PayloadEvent, SampleFlag, stamp_ns
 from service.estimator.estimator import Estimator, period_of
-from tests.service.estimator.conftest import PERIOD
+from tests.known import PERIOD
 
 
 def concatenated(results):

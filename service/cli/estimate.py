@@ -1,0 +1,42 @@
+"""`deltatwin estimate`: the estimator on the bus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    robot: Annotated[Path, typer.Option(help="Robot description (TOML), best one that `identify` wrote.")],
+    zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration instead of local sockets.")] = None,
+) -> None:
+    """Answer every sample on the bus with feed-forward torque, payload mass and model errors, until Ctrl-C.
+
+    The sample rate is read from the stamps. Player, estimator and monitor may start and restart in any order.
+
+    Example: deltatwin estimate --robot identified.toml
+    """
+    from drivers.bus import open_bus
+    from replay.realtime import go_realtime
+    from schemas.messages import HealthFlag, Role
+    from schemas.robot import load_robot
+    from service.cli.signals import terminate_as_interrupt
+    from service.estimator.estimator import Estimator
+    from service.estimator.node import run
+
+    terminate_as_interrupt()
+    description = load_robot(robot)
+    if description.identified is None:
+        typer.echo(
+            f"{robot}: no [identified] parameters: friction is zero and rho 1; run `deltatwin identify`", err=True
+        )
+    Estimator(description, 1e-3).warm_up()  # before anybody can hear that the role is alive
+    realtime = go_realtime("estimate")
+    with open_bus(description.name, Role.ESTIMATOR, zenoh_config) as bus:
+        typer.echo(f"estimating for {description.name}; Ctrl-C ends it", err=True)
+        try:
+            run(description, bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
+        except KeyboardInterrupt:
+            typer.echo("estimate: stopped", err=True)

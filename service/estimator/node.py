@@ -1,0 +1,105 @@
+"""The estimator on the bus: takes `sample` and `reference`, gives `feedforward`, `payload` and `error`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from drivers.bus import Bus, SequenceCounter
+from drivers.health import Health
+from schemas.errors import DataError
+from schemas.messages import HealthFlag, SampleFlag
+from schemas.robot import Robot
+from service.estimator.estimator import PERIOD_SAMPLES, Estimator, period_of
+
+POLL = 0.2  # s, how often a silent bus is left to see whether to stop
+PERIOD_CHANGE = 0.1  # relative; a source with another sample rate needs other filters
+_INVALID = SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE | SampleFlag.JUMP
+
+
+class Node:
+    """One estimator behind one bus; `step` does what came in since the last call."""
+
+    def __init__(self, robot: Robot, bus: Bus, flags: HealthFlag) -> None:
+        self._robot = robot
+        self._samples, self._references = bus.subscribe("sample"), bus.subscribe("reference", capacity=1024)
+        self._put = [bus.publisher(topic).put for topic in ("feedforward", "payload", "error")]
+        self._health, self._flags = Health(bus, flags), flags
+        self._counter = SequenceCounter()
+        self._waiting = self._samples.message.empty(0)  # the first samples, until they tell the period
+        self._recent = self._waiting  # the newest ones, which tell whether it is still that
+        self._estimator: Estimator | None = None
+        self._received = self._published = self._invalid = 0
+        self._heard_ns = time.monotonic_ns()
+
+    def step(self) -> None:
+        """Wait for samples, at most POLL s, and answer them all."""
+        if self._samples.wait(POLL):
+            samples, arrival = self._samples.take()
+            self._heard_ns = int(arrival[-1])
+            self._received += len(samples)
+            self._counter.update_many(samples["sequence"])
+            self._recent = np.concatenate([self._recent, samples[-PERIOD_SAMPLES:]])[-PERIOD_SAMPLES:]
+            if self._estimator is None:
+                samples = self._waiting = np.concatenate([self._waiting, samples])
+                self._estimator = self._start()
+            if self._estimator is not None:
+                self._answer(self._estimator, samples, arrival)
+        if time.monotonic_ns() >= self._health.due_ns:
+            self._report()
+
+    def _start(self) -> Estimator | None:
+        if len(self._waiting) < PERIOD_SAMPLES:
+            return None
+        try:
+            return Estimator(self._robot, period_of(self._waiting))
+        except DataError:  # the stamps stand still: health shows samples coming in and nothing going out
+            self._waiting = self._waiting[-PERIOD_SAMPLES + 1 :]
+            return None
+
+    def _answer(self, estimator: Estimator, samples: np.ndarray, arrival: np.ndarray) -> None:
+        references, _ = self._references.take()
+        if len(references):
+            estimator.plan(references[-1])
+        result = estimator.run(samples)
+        for put, records in zip(self._put, (result.feedforward, result.payload, result.error), strict=True):
+            for n in range(len(records)):
+                put(records[n : n + 1].tobytes())
+            if records is result.feedforward:
+                self._health.time_many(time.monotonic_ns() - arrival)
+        self._published += len(result.feedforward) + len(result.payload) + len(result.error)
+        self._invalid += int(np.count_nonzero(result.feedforward["flags"] & _INVALID))
+
+    def _report(self) -> None:
+        if self._estimator is not None and len(self._recent) == PERIOD_SAMPLES:
+            self._follow_rate(self._estimator.period)
+        silent = time.monotonic_ns() - self._heard_ns > 1_000_000_000
+        self._health.flags = self._flags | (HealthFlag.STALE_INPUT if silent else HealthFlag(0))
+        self._health.publish(
+            received=self._received,
+            published=self._published,
+            lost=self._counter.lost + self._samples.lost,
+            repeated=self._counter.repeated,
+            out_of_order=self._counter.out_of_order,
+            rejected=self._samples.rejected + self._references.rejected,
+            invalid=self._invalid,
+        )
+
+    def _follow_rate(self, period: float) -> None:
+        try:
+            found = period_of(self._recent)
+        except DataError:
+            return
+        if abs(found / period - 1) > PERIOD_CHANGE:
+            print(f"estimate: sample period changed from {period:g} s to {found:g} s; starting anew", file=sys.stderr)
+            self._estimator = Estimator(self._robot, found)
+
+
+def run(robot: Robot, bus: Bus, flags: HealthFlag, stopped: Callable[[], bool] = lambda: False) -> None:
+    """Answer samples until `stopped` or Ctrl-C."""
+    node = Node(robot, bus, flags)
+    while not stopped():
+        node.step()

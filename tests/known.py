@@ -1,0 +1,89 @@
+"""A robot with known truth and motion whose derivatives are exact, so that every estimate has a right answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from schemas.messages import SAMPLE, set_stamp
+from schemas.robot import Geometry, Identified, JointParameter, Mass, Parameter, Robot
+from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
+from service.model.parameters import pack
+
+PERIOD = 1e-3
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    return Robot(
+        name="known",
+        geometry=Geometry(active_link_length=0.36, passive_link_length=0.85, base_radius=0.19, platform_radius=0.05),
+        mass=Mass(active_link=2.7, passive_link=0.55, platform=1.3),
+        identified=Identified(
+            rho_1=Parameter(value=2.3),
+            rho_2=Parameter(value=1.1),
+            viscous_friction_nms=JointParameter(value=[1.7, 2.0, 2.2]),
+            coulomb_friction_nm=JointParameter(value=[3.9, 5.3, 5.2]),
+            forearm_inertia_kg=Parameter(value=0.55),
+            torque_noise_nm=JointParameter(value=[0.25, 0.25, 0.25]),
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class Known:
+    """Samples and what is true of them: motion (N, 3) rad and derivatives, torque (N, 3) N m without noise."""
+
+    samples: np.ndarray
+    theta: np.ndarray
+    theta_dot: np.ndarray
+    theta_ddot: np.ndarray
+    torque: np.ndarray
+
+
+@pytest.fixture(scope="session")
+def make(robot: Robot) -> Callable[..., Known]:
+    """Sinusoidal joint motion; payload mass as a function of time; noise in the torque, counts in the position."""
+
+    def known(
+        seconds: float = 2.0,
+        *,
+        payload: Callable[[np.ndarray], np.ndarray] = np.zeros_like,
+        noise: float = 0.0,
+        inertia_shows: bool = True,
+        seed: int = 1,
+        period: float = PERIOD,
+    ) -> Known:
+        time = np.arange(round(seconds / period)) * period
+        rate = 2 * np.pi * np.array([1.1, 1.6, 2.1])
+        wave = rate * time[:, None] + [0.0, 1.0, 2.0]
+        theta = 0.4 + 0.35 * np.sin(wave)
+        theta_dot, theta_ddot = 0.35 * rate * np.cos(wave), -0.35 * rate**2 * np.sin(wave)
+        model, found = pack(robot), robot.identified
+        assert found is not None
+        terms = torque_terms(model, theta, theta_dot, theta_ddot)
+        load = terms if inertia_shows else torque_terms(model, theta, 0 * theta, 0 * theta)
+        torque = (
+            found.rho_1.value * terms[:, INERTIA]
+            + found.rho_2.value * terms[:, GRAVITY]
+            + terms[:, PLATFORM]
+            + found.forearm_inertia_kg.value * terms[:, FOREARM]
+            + found.viscous_friction_nms.value * theta_dot
+            + found.coulomb_friction_nm.value * np.clip(theta_dot / 0.01, -1, 1)
+            + payload(time)[:, None] * load[:, PAYLOAD]
+        )
+        random = np.random.default_rng(seed)
+        samples = SAMPLE.empty(len(time))
+        set_stamp(samples, np.rint(time * 1e9).astype(np.int64))
+        samples["sequence"] = np.arange(len(time))
+        resolution = robot.drive.position_resolution_rad
+        samples["position"] = np.round(theta / resolution) * resolution
+        samples["torque"] = torque + noise * random.standard_normal(torque.shape)
+        samples["position_command"] = theta
+        samples["torque_command"] = np.nan
+        return Known(samples, theta, theta_dot, theta_ddot, torque)
+
+    return known

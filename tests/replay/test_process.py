@@ -1,0 +1,69 @@
+"""Process replay and the bus give the same bits; a stored run guards both."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.bus import open_bus
+from replay.player import play, score
+from replay.process import process
+from schemas.messages import Role
+from schemas.robot import save_robot
+from schemas.trace import Trace
+from service.estimator.estimator import Estimator
+
+
+@pytest.fixture
+def estimator(bus_folder, tmp_path, robot, until):
+    """`deltatwin estimate` as a user runs it."""
+    Estimator(robot, 1e-3).warm_up()  # leaves the compiled kernel on the disk for the process
+    path = tmp_path / "robot.toml"
+    save_robot(robot, path)
+    process = subprocess.Popen([Path(sys.executable).with_name("deltatwin"), "estimate", "--robot", path])
+    yield process
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(20) == 0
+
+
+def collect(rings, counts):
+    """Take until every ring has given its count; the oldest first."""
+    parts = [[] for _ in rings]
+    give_up = time.monotonic() + 30
+    while any(sum(map(len, part)) < count for part, count in zip(parts, counts, strict=True)):
+        assert time.monotonic() < give_up, f"got {[sum(map(len, p)) for p in parts]} of {counts}"
+        for ring, part in zip(rings, parts, strict=True):
+            part.append(ring.take()[0])
+        time.sleep(0.01)
+    return [np.concatenate(part) for part in parts]
+
+
+@pytest.mark.parametrize("commands", [True, False], ids=["with commands", "without"])
+def test_the_bus_gives_the_bits_of_process_replay(estimator, robot, make, until, commands):
+    known = make(1.5, payload=lambda t: 2.0 * (t > 0.7), noise=0.25)
+    samples = known.samples
+    if not commands:
+        samples["position_command"] = np.nan
+    trace = Trace(
+        path=Path("known.csv"),
+        time=np.arange(len(samples)) * 1e-3,
+        position=samples["position"].copy(),
+        torque=samples["torque"].copy(),
+        position_command=samples["position_command"].copy() if commands else None,
+    )
+    expected = process(robot, trace.samples())
+    with open_bus(robot.name, Role.PLAYER) as bus, open_bus(robot.name, Role.OBSERVER) as observer:
+        rings = [observer.subscribe(topic) for topic in ("feedforward", "payload", "error")]
+        publisher = bus.publisher("sample")
+        until(lambda: Role.ESTIMATOR in observer.alive and Role.ESTIMATOR in bus.alive and publisher.heard)
+        time.sleep(0.3)  # until the estimator, too, has learnt who listens
+        play(score(trace), publisher.put, None, lambda _: None)
+        answers = collect(rings, [len(expected.feedforward), len(expected.payload), len(expected.error)])
+    for name, answer in zip(("feedforward", "payload", "error"), answers, strict=True):
+        assert answer.tobytes() == getattr(expected, name).tobytes(), name
