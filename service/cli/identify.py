@@ -32,14 +32,16 @@ def command(
     """
     from rich.console import Console
 
-    from schemas.columns import load_columns
     from schemas.robot import load_robot, save_robot
+    from service.cli.reading import reading
     from service.identification.identify import identify
+    from service.identification.regression import summarise
+    from service.model.parameters import pack
 
     console = Console()
     description = load_robot(robot)
-    mapping = load_columns(columns) if columns else None
-    trajectories = _summarise(traces, description, mapping)
+    model = pack(description)
+    trajectories = [summarise(model, trace) for trace in reading(traces, description, columns, "reading")]
     result = identify(description, trajectories)
     save_robot(result.robot, out, template=robot)
     console.print(_parameters(result.fit.estimates))
@@ -47,22 +49,6 @@ def command(
     for warning in result.warnings:
         console.print(f"[yellow]warning[/yellow] {warning}", highlight=False)
     console.print(f"wrote {out}", highlight=False)
-
-
-def _summarise(traces, description, mapping) -> list[Trajectory]:
-    from rich.console import Console
-    from rich.progress import track
-
-    from drivers.trace import read_trace
-    from service.identification.regression import summarise
-    from service.model.parameters import pack
-
-    model = pack(description)
-    console = Console(stderr=True)
-    return [
-        summarise(model, read_trace(path, description, mapping))
-        for path in track(traces, "reading", console=console, transient=True, disable=not console.is_terminal)
-    ]
 
 
 def _parameters(estimates: Sequence[Estimate]) -> Table:

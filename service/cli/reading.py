@@ -1,0 +1,32 @@
+"""Traces for commands that pass over many files: read one by one, with progress, what is wrong with them told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from schemas.robot import Robot
+    from schemas.trace import Trace
+
+
+def reading(paths: Sequence[Path], robot: Robot, columns: Path | None, title: str) -> Iterator[Trace]:
+    """Yield the trace of each of `paths`; its findings go to stderr, and a progress bar where that is a terminal.
+
+    Raises:
+        TraceError: a trace is unusable. RobotError: the column mapping is.
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from drivers.trace import read_trace
+    from schemas.columns import load_columns
+
+    mapping = load_columns(columns) if columns else None
+    console = Console(stderr=True)
+    for path in track(paths, title, console=console, transient=True, disable=not console.is_terminal):
+        trace = read_trace(path, robot, mapping)
+        for finding in trace.findings:
+            console.print(f"{path}: {finding.message}", highlight=False, markup=False, soft_wrap=True)
+        yield trace
