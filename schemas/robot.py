@@ -227,13 +227,32 @@ class Robot(_Section):
         return [math.radians(a) for a in self.geometry.arm_angles_deg]
 
 
+SHIPPED = Path(__file__).parent / "robots"
+
+
+def robot_file(name: str | Path) -> Path:
+    """The file of a robot description, or of one that comes with deltatwin, by name ("d3-1200").
+
+    Raises:
+        RobotError: there is neither; names the ones that there are.
+    """
+    path = Path(name)
+    if path.exists() or path.suffix == ".toml":
+        return path
+    shipped = SHIPPED / f"{path}.toml"
+    if len(path.parts) == 1 and shipped.is_file():
+        return shipped
+    known = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
+    raise RobotError(f"{path}: no such robot description; by name there are: {known}")
+
+
 def load_robot(path: str | Path) -> Robot:
-    """Read a robot description.
+    """Read a robot description: a file, or the name of one that comes with deltatwin ("d3-1200").
 
     Raises:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
-    path = Path(path)
+    path = robot_file(path)
     return validate(Robot, read_toml(path, RobotError), path, RobotError)
 
 
@@ -246,7 +265,7 @@ def save_robot(robot: Robot, path: str | Path, template: str | Path | None = Non
     document, old = tomlkit.document(), {}
     if template is not None:
         old = load_robot(template).model_dump()
-        document = tomlkit.parse(Path(template).read_text(encoding="utf-8"))
+        document = tomlkit.parse(robot_file(template).read_text(encoding="utf-8"))
     _update(document, old, robot.model_dump(), robot.model_dump(exclude_none=True, exclude_defaults=True))
     path = Path(path)
     partial = path.with_name(path.name + ".part")

@@ -1,0 +1,79 @@
+"""Physics that the robot description does not know of: every effect of the catalogue, and some that it lacks."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any, get_type_hints
+
+from pydantic import ConfigDict, ValidationError, create_model
+
+from drivers.plant.effects import friction, mechanics, outside, sensing, transmission
+from drivers.plant.effects.base import Effect
+from schemas.errors import RobotError
+from schemas.toml import explain
+
+CATALOGUE: dict[str, type[Effect]] = {
+    "stribeck_friction": friction.StribeckFriction,
+    "asymmetric_friction": friction.AsymmetricFriction,
+    "load_dependent_friction": friction.LoadDependentFriction,
+    "nonlinear_viscous_friction": friction.NonlinearViscousFriction,
+    "position_dependent_friction": friction.PositionDependentFriction,
+    "warmup_friction": friction.WarmupFriction,
+    "presliding_friction": friction.PreslidingFriction,
+    "passive_joint_friction": friction.PassiveJointFriction,
+    "rotor_inertia": mechanics.RotorInertia,
+    "arm_mass": mechanics.ArmMass,
+    "tool_mass": mechanics.ToolMass,
+    "base_tilt": mechanics.BaseTilt,
+    "joint_spring": mechanics.JointSpring,
+    "hose_spring": mechanics.HoseSpring,
+    "air_drag": mechanics.AirDrag,
+    "link_length_error": mechanics.LinkLengthError,
+    "joint_offset": mechanics.JointOffset,
+    "joint_elasticity": transmission.JointElasticity,
+    "backlash": transmission.Backlash,
+    "torque_scale": sensing.TorqueScale,
+    "torque_offset": sensing.TorqueOffset,
+    "torque_delay": sensing.TorqueDelay,
+    "torque_filter": sensing.TorqueFilter,
+    "cogging": sensing.Cogging,
+    "encoder_eccentricity": sensing.EncoderEccentricity,
+}
+# forearm_inertia, the catalogue's 26th, is in every plant: its forearms are rods
+
+OUTSIDE: dict[str, type[Effect]] = {
+    "contact_rail": outside.ContactRail,
+    "stick_events": outside.StickEvents,
+    "base_resonance": outside.BaseResonance,
+    "torque_dropouts": outside.TorqueDropouts,
+    "torque_constant_drift": outside.TorqueConstantDrift,
+    "hose_jerk": outside.HoseJerk,
+    "belt_tooth": outside.BeltTooth,
+    "cable_memory": outside.CableMemory,
+    "magnet": outside.Magnet,
+}
+
+EFFECTS = CATALOGUE | OUTSIDE
+
+
+def make_effects(entries: list[dict[str, object]], where: str) -> tuple[Effect, ...]:
+    """Effects from the `[[effect]]` tables of a truth file: `name`, and the fields of its dataclass.
+
+    Raises:
+        RobotError: an unknown name, a missing, unknown or wrong parameter; names `where` and the key.
+    """
+    made = []
+    for entry in entries:
+        parameters = dict(entry)
+        name = parameters.pop("name", None)
+        if name not in EFFECTS:
+            raise RobotError(f"{where}: effect.name: unknown effect {name!r}; known: {', '.join(EFFECTS)}")
+        kind = EFFECTS[str(name)]
+        hints = get_type_hints(kind)
+        wanted: dict[str, Any] = {field.name: (hints[field.name], ...) for field in fields(kind) if field.init}
+        try:
+            checked = create_model(kind.__name__, __config__=ConfigDict(extra="forbid"), **wanted)(**parameters)
+        except ValidationError as error:
+            raise RobotError(f"{where}: effect {name}: {explain(error)}") from error
+        made.append(kind(**checked.model_dump()))
+    return tuple(made)

@@ -1,0 +1,193 @@
+"""Effects in masses, geometry, springs and forces."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from drivers.plant.effects.base import Effect, on_one, signed, touched
+
+if TYPE_CHECKING:
+    from drivers.plant.mechanism import Design
+    from drivers.plant.plant import Plant
+    from drivers.plant.truth import PlantTruth
+
+
+def _plus(values: list[float], change: list[float]) -> list[float]:
+    return [value + extra for value, extra in zip(values, change, strict=True)]
+
+
+@dataclass
+class RotorInertia(Effect):
+    """Another motor or gear on one joint: more (or less) inertia reflected to it."""
+
+    inertia_kgm2: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * rng.uniform(0.012, 0.035)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.inertia_kgm2)
+
+    def shape(self, design: Design) -> Design:
+        return design.change(rotor_inertia_kgm2=_plus(design.truth.rotor_inertia_kgm2, self.inertia_kgm2))
+
+
+@dataclass
+class ArmMass(Effect):
+    """A cable, valve or repair on one active link: mass spread along it, so inertia and gravity change together."""
+
+    mass_kg: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * rng.uniform(0.2, 0.5)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.mass_kg)
+
+    def shape(self, design: Design) -> Design:
+        truth = design.truth
+        length = truth.active_link_length_m
+        mass = _plus(truth.active_link_kg, self.mass_kg)
+        moment = [
+            m * c + extra * l1 / 2
+            for m, c, extra, l1 in zip(
+                truth.active_link_kg, truth.active_link_centre_m, self.mass_kg, length, strict=True
+            )
+        ]
+        return design.change(
+            active_link_kg=mass,
+            active_link_centre_m=[a / b for a, b in zip(moment, mass, strict=True)],
+            active_link_inertia_kgm2=_plus(
+                truth.active_link_inertia_kgm2,
+                [extra * l1**2 / 3 for extra, l1 in zip(self.mass_kg, length, strict=True)],
+            ),
+        )
+
+
+@dataclass
+class ToolMass(Effect):
+    """A gripper that the description does not know: mass at the platform."""
+
+    mass_kg: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(float(severity * rng.uniform(0.10, 0.30)))
+
+    def shape(self, design: Design) -> Design:
+        return design.change(platform_kg=design.truth.platform_kg + self.mass_kg)
+
+
+@dataclass
+class BaseTilt(Effect):
+    """The base is not level: gravity leans by two angles, rotations about the base's x and y axes."""
+
+    about_x_rad: float
+    about_y_rad: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        angle, way = severity * math.radians(rng.uniform(1.5, 4.0)), rng.uniform(0, 2 * math.pi)
+        return cls(float(angle * math.cos(way)), float(angle * math.sin(way)))
+
+    def shape(self, design: Design) -> Design:
+        g = -design.truth.gravity_mps2[2]
+        a, b = self.about_x_rad, self.about_y_rad
+        # gravity seen from a base turned about x by a, then about y by b
+        down = [g * math.cos(a) * math.sin(b), -g * math.sin(a), -g * math.cos(a) * math.cos(b)]
+        return design.change(gravity_mps2=down)
+
+
+@dataclass
+class LinkLengthError(Effect):
+    """An active link was machined or mounted longer or shorter than drawn; its mass goes with it."""
+
+    length_m: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * signed(rng, 0.006, 0.012)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.length_m)
+
+    def shape(self, design: Design) -> Design:
+        return design.change(active_link_length_m=_plus(design.truth.active_link_length_m, self.length_m))
+
+
+@dataclass
+class JointOffset(Effect):
+    """Homing error: the encoder's zero is not where the link is horizontal. Figures are true minus measured angle."""
+
+    offset_rad: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * signed(rng, 0.012, 0.03)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.offset_rad)
+
+    def shape(self, design: Design) -> Design:
+        return design.change(joint_offset_rad=_plus(design.truth.joint_offset_rad, self.offset_rad))
+
+
+@dataclass
+class JointSpring(Effect):
+    """A counterbalance spring or a stiff cable bundle on a joint: -k (theta - theta_0)."""
+
+    stiffness_nmprad: list[float]
+    zero_rad: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * rng.uniform(1.5, 4.0)), rng.uniform(-0.3, 0.6, 3).tolist())
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.stiffness_nmprad)
+
+    def joint_torque(self, plant: Plant) -> np.ndarray:
+        return -np.asarray(self.stiffness_nmprad) * (plant.theta - np.asarray(self.zero_rad))
+
+
+@dataclass
+class HoseSpring(Effect):
+    """A vacuum hose pulls the platform towards the point where it is clamped."""
+
+    stiffness_npm: float
+    point_m: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        way, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m
+        radius = rng.uniform(0.2, 0.35) * depth
+        point = [float(radius * math.cos(way)), float(radius * math.sin(way)), float(-rng.uniform(0.3, 0.5) * depth)]
+        return cls(float(severity * rng.uniform(10.0, 22.0)), point)
+
+    def platform_force(self, plant: Plant) -> np.ndarray:
+        return self.stiffness_npm * (np.asarray(self.point_m) - plant.platform)
+
+
+@dataclass
+class AirDrag(Effect):
+    """Air against a flat gripper or product: c v |v| against the platform's motion."""
+
+    drag_ns2pm2: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(float(severity * rng.uniform(0.5, 1.2)))
+
+    def platform_force(self, plant: Plant) -> np.ndarray:
+        return -self.drag_ns2pm2 * math.sqrt(plant.platform_dot @ plant.platform_dot) * plant.platform_dot

@@ -1,0 +1,142 @@
+"""Effects between what happens and what the bus says of it, and ripple of the motors."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from drivers.plant.effects.base import Effect, on_one, signed, touched
+
+if TYPE_CHECKING:
+    from drivers.plant.plant import Plant
+    from drivers.plant.truth import PlantTruth
+
+
+@dataclass
+class TorqueScale(Effect):
+    """Torque constant or gear ratio off: the drive reports (1 + error) times the torque that acts."""
+
+    error: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * signed(rng, 0.04, 0.08)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.error)
+
+    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+        return torque / (1.0 + np.asarray(self.error))
+
+
+@dataclass
+class TorqueOffset(Effect):
+    """A current sensor with an offset: the drive reports, and regulates, a constant too much."""
+
+    offset_nm: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * signed(rng, 0.5, 1.2)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.offset_nm)
+
+    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+        return torque - np.asarray(self.offset_nm)
+
+
+@dataclass
+class TorqueDelay(Effect):
+    """The drive reports the torque of a while ago beside the position of now; fractions of a sample too."""
+
+    delay_s: float
+    _past: deque[np.ndarray] = field(default_factory=deque, init=False, repr=False)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(float(severity * rng.uniform(0.001, 0.003)))
+
+    def start(self, plant: Plant) -> None:
+        self._past = deque([plant.load.copy()], maxlen=math.floor(self.delay_s / plant.step) + 2)
+
+    def report(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+        self._past.appendleft(torque)
+        whole, share = divmod(self.delay_s / plant.step, 1.0)
+        newer = min(int(whole), len(self._past) - 1)
+        older = min(newer + 1, len(self._past) - 1)
+        return (1.0 - share) * self._past[newer] + share * self._past[older]
+
+
+@dataclass
+class TorqueFilter(Effect):
+    """The reported torque went through a first-order low-pass in the drive."""
+
+    cutoff_hz: float
+    _value: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(float(rng.uniform(30.0, 80.0) / severity))
+
+    def start(self, plant: Plant) -> None:
+        self._value = plant.load.copy()
+
+    def report(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+        self._value = torque + (self._value - torque) * math.exp(-2 * math.pi * self.cutoff_hz * plant.step)
+        return self._value
+
+
+@dataclass
+class Cogging(Effect):
+    """Torque ripple of the motor, periodic in its angle; the drive does not see it in its current."""
+
+    amplitude_nm: list[float]
+    order: float  # periods a motor turn
+    phase_rad: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(
+            on_one(rng, severity * rng.uniform(0.5, 1.4)),
+            float(rng.choice((1.0, 2.0, 4.0))),
+            float(rng.uniform(0, 2 * math.pi)),
+        )
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.amplitude_nm)
+
+    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+        angle = self.order * plant.truth.gear_ratio * plant.motor + self.phase_rad
+        return torque + np.asarray(self.amplitude_nm) * np.sin(angle)
+
+
+@dataclass
+class EncoderEccentricity(Effect):
+    """The encoder disc sits off its axis: the reading errs periodically with the motor angle."""
+
+    amplitude_rad: list[float]  # joint side
+    order: float  # periods a motor turn
+    phase_rad: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        order = float(rng.choice((1.0, 2.0)))
+        # the second derivative goes with the square of the periods a joint turn
+        amplitude = rng.uniform(0.6, 1.2) / (order * truth.gear_ratio) ** 2
+        return cls(on_one(rng, float(severity * amplitude)), order, float(rng.uniform(0, 2 * math.pi)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.amplitude_rad)
+
+    def reading(self, plant: Plant, position: np.ndarray) -> np.ndarray:
+        angle = self.order * plant.truth.gear_ratio * plant.motor + self.phase_rad
+        return position + np.asarray(self.amplitude_rad) * np.sin(angle)

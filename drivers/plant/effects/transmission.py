@@ -1,0 +1,56 @@
+"""Effects between motor and link: both become masses of their own, the encoder stays on the motor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from drivers.plant.effects.base import Effect, on_one, touched
+
+if TYPE_CHECKING:
+    from drivers.plant.mechanism import Design
+    from drivers.plant.truth import PlantTruth
+
+# Stiffness of a gear whose play is the point; its teeth bend some 0.5 mrad at 20 N m.
+TOOTH_STIFFNESS = 4e4  # N m/rad
+TOOTH_DAMPING_RATIO = 0.15
+
+
+@dataclass
+class JointElasticity(Effect):
+    """Compliance of gear and coupling: spring and damper between rotor and link."""
+
+    stiffness_nmprad: list[float]  # 0: stiff
+    damping_ratio: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, rng.uniform(1500.0, 4000.0) / severity), float(rng.uniform(0.03, 0.10)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.stiffness_nmprad)
+
+    def shape(self, design: Design) -> Design:
+        return design.soften(self.stiffness_nmprad, self.damping_ratio)
+
+
+@dataclass
+class Backlash(Effect):
+    """Lost motion: rotor and link touch only at the two ends of a gap, through teeth that are stiff but not rigid."""
+
+    half_gap_rad: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * rng.uniform(0.001, 0.0025)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.half_gap_rad)
+
+    def shape(self, design: Design) -> Design:
+        stiff = [TOOTH_STIFFNESS if gap else 0.0 for gap in self.half_gap_rad]
+        return design.soften(stiff, TOOTH_DAMPING_RATIO).loosen(self.half_gap_rad)

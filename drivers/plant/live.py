@@ -1,0 +1,168 @@
+"""The plant as a robot on the bus: publishes what it is about to do and what it measured, takes feed-forward torque.
+
+In cycle k the robot publishes `reference` k + 1, then `sample` k, and adds the feed-forward torque meant for cycle k.
+Where that did not come it holds the last one for `STALE_CYCLES`; after that the drives are on feedback alone, their
+integrators taking over the torque that was, so that nothing jumps.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers.bus import Bus, Ring
+from drivers.health import Health
+from drivers.plant.motion import Motion
+from drivers.plant.plant import Plant, Target
+from drivers.plant.simulate import Carrier
+from schemas.messages import NANOSECONDS, REFERENCE, SAMPLE, HealthFlag, set_stamp
+from schemas.trace import Trace
+
+STALE_CYCLES = 3
+LEAD_NS = 20_000_000  # from the call to the first deadline
+
+
+class FeedforwardIntake:
+    """Which feed-forward torque is in force in a cycle.
+
+    limit: N m, joint side; more is cut off, what is not finite is refused.
+    """
+
+    def __init__(self, ring: Ring, limit: float):
+        self.received = self.refused = 0
+        self._ring, self._limit = ring, limit
+        self._waiting: dict[int, np.ndarray] = {}
+        self._last: tuple[int, np.ndarray] | None = None
+
+    def at(self, cycle: int) -> np.ndarray | None:
+        """Torque (3,) N m for `cycle`; None: none that is fresh enough."""
+        records, _ = self._ring.take()
+        for record in records:
+            target, torque = int(record["target_sequence"]), np.array(record["torque"])
+            self.received += 1
+            # the far future is another run's
+            if np.isfinite(torque).all() and cycle - STALE_CYCLES <= target <= cycle + 1000:
+                self._waiting[target] = np.clip(torque, -self._limit, self._limit)
+            else:
+                self.refused += 1
+        due = [target for target in self._waiting if target <= cycle]
+        if due:
+            newest = max(due)
+            if self._last is None or newest >= self._last[0]:
+                self._last = (newest, self._waiting[newest])
+            for target in due:
+                del self._waiting[target]
+        if self._last is None or cycle - self._last[0] > STALE_CYCLES:
+            return None
+        return self._last[1]
+
+
+@dataclass(frozen=True)
+class LiveRun:
+    """What happened: the trace, and the feed-forward torque and payload in force.
+
+    feedforward (N, 3) N m, NaN where the drives were on feedback alone; payload (N,) kg.
+    late: cycles that began after the next was due; lateness (N,) ns.
+    """
+
+    trace: Trace
+    feedforward: np.ndarray
+    payload: np.ndarray
+    late: int
+    lateness: np.ndarray
+
+
+def run_live(
+    plant: Plant,
+    motion: Motion,
+    bus: Bus,
+    pace: Callable[[int], int],
+    *,
+    loops: int = 1,
+    realtime: bool = False,
+    progress: Callable[[int], object] = lambda cycle: None,
+    stop: Callable[[int], bool] = lambda cycle: False,
+) -> LiveRun:
+    """Run `motion` `loops` times (0: until Ctrl-C; it has to end where it starts) at the period of `plant`.
+
+    pace: waits for a deadline, ns of CLOCK_MONOTONIC, and says how late it is (`replay.clock.wait_until`). stop: asked
+    every cycle whether to end. Ctrl-C ends the run, what was recorded comes back.
+    """
+    sample_out, reference_out = bus.publisher("sample"), bus.publisher("reference")
+    intake = FeedforwardIntake(bus.subscribe("feedforward"), plant.truth.peak_torque_nm)
+    health = Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
+    period_ns = round(plant.period * NANOSECONDS)
+    count = len(motion)
+    carrier = Carrier(motion)
+    sample, reference = SAMPLE.empty(1), REFERENCE.empty(1)
+    rows: list[tuple[np.ndarray, ...]] = []
+    lateness: list[int] = []
+    late_count = 0
+    plant.set_payload(0.0)
+    plant.reset(motion.position[0])
+    plant.warm_up()
+    epoch = time.time_ns()
+    start = time.monotonic_ns() + LEAD_NS
+    fed: np.ndarray | None = None
+    try:
+        for cycle in _cycles(loops, count):
+            k = cycle % count
+            late = pace(start + cycle * period_ns)
+            late_count += late > period_ns
+            fed_before, fed = fed, intake.at(cycle)
+            if (fed is None) != (fed_before is None):
+                plant.take_over(fed_before, fed)
+            carrier.apply(plant, k)
+            measured = plant.latch(
+                Target(motion.position[k], motion.velocity[k]),
+                Target(motion.position[k + 1], motion.velocity[k + 1]),
+                fed,
+            )
+            stamp = epoch + cycle * period_ns
+            set_stamp(reference, stamp + period_ns)
+            reference["sequence"] = cycle + 1
+            reference["position"], reference["velocity"] = motion.position[k + 1], motion.velocity[k + 1]
+            reference["acceleration"] = motion.acceleration[k + 1]
+            reference_out.put(reference.tobytes())
+            set_stamp(sample, stamp)
+            sample["sequence"] = cycle
+            sample["position"], sample["torque"], sample["torque_command"] = measured
+            sample["position_command"] = motion.position[k]
+            sample_out.put(sample.tobytes())
+            plant.run()
+            rows.append(
+                (*measured, motion.position[k], np.full(3, np.nan) if fed is None else fed, np.array(plant.payload))
+            )
+            lateness.append(late)
+            health.time_one(late)
+            if time.monotonic_ns() >= health.due_ns:
+                health.publish(published=cycle + 1, received=intake.received, rejected=intake.refused, late=late_count)
+            progress(cycle)
+            if stop(cycle):
+                break
+    except KeyboardInterrupt:
+        pass
+    health.publish(published=len(rows), received=intake.received, rejected=intake.refused, late=late_count)
+    columns = [np.array(column) for column in zip(*rows, strict=True)] if rows else [np.empty((0, 3))] * 6
+    position, torque, command, target, feedforward, payload = columns
+    trace = Trace(
+        path=Path("live"),
+        time=np.arange(len(rows)) * plant.period,
+        position=position,
+        torque=torque,
+        position_command=target,
+        torque_command=command,
+        flags=np.zeros(len(rows), np.uint32),
+    )
+    return LiveRun(trace, feedforward, payload, late_count, np.array(lateness))
+
+
+def _cycles(loops: int, count: int) -> Iterator[int]:
+    cycle = 0
+    while loops == 0 or cycle < loops * count:
+        yield cycle
+        cycle += 1

@@ -1,0 +1,292 @@
+"""The closed-chain Delta as a MuJoCo model: arms, two rods a forearm, a platform that only translates.
+
+Each rod hangs on its elbow by a universal joint (a rod has no inertia about its own axis, so its spin is nobody's
+business) and is closed onto the platform by a `connect` constraint. MuJoCo's constraints are soft; at impedance 0.9999
+and a time constant of two steps the loops stay closed within a micrometre.
+
+No rigid-body formula of `service.model` is used here, only its geometry, to start in a closed pose.
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo's compiled modules carry no types)
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from drivers.plant.truth import ROD_SPACING, PlantTruth
+from schemas.errors import PoseError
+from service.model import kinematics
+from service.model.parameters import DeltaModel
+
+# What MuJoCo warns of (a mechanism torn apart) is an error of ours; by default it writes a log into the current folder.
+mujoco.set_mju_user_warning(lambda message: None)
+
+IMPEDANCE = 0.9999  # MuJoCo's upper bound: share of the constraint acceleration that is removed
+THIN = 1e-7  # kg m^2 about a link's own axis: nothing, but MuJoCo wants it positive
+
+
+@dataclass(frozen=True)
+class BaseMode:
+    """The base frame swings horizontally as one mass on a spring: mass kg, frequency Hz, damping ratio, azimuth rad."""
+
+    mass: float
+    frequency: float
+    damping_ratio: float
+    azimuth: float
+
+
+@dataclass(frozen=True)
+class Design:
+    """What is built: the truth, and what effects put between its bodies.
+
+    drive_stiffness: N m/rad a joint between motor and link; 0: they are one mass. drive_damping_ratio and half_gap
+    (rad) go with it.
+    """
+
+    truth: PlantTruth
+    drive_stiffness: tuple[float, ...] = (0.0, 0.0, 0.0)
+    drive_damping_ratio: tuple[float, ...] = (0.0, 0.0, 0.0)
+    half_gap: tuple[float, ...] = (0.0, 0.0, 0.0)
+    base_mode: BaseMode | None = None
+
+    @property
+    def split(self) -> tuple[bool, ...]:
+        """Joints whose motor is a mass of its own."""
+        return tuple(value > 0 for value in self.drive_stiffness)
+
+    def change(self, **fields: object) -> Design:
+        """The same with fields of the truth changed."""
+        return replace(self, truth=self.truth.model_copy(update=fields))
+
+    def soften(self, stiffness: Sequence[float], damping_ratio: float) -> Design:
+        """The same with a spring and damper between motor and link where `stiffness` (3,) N m/rad is not 0.
+
+        A softer one that is already there stays. A motor without inertia is given a tenth of the active link's.
+        """
+        softest, ratio, rotor = list(self.drive_stiffness), list(self.drive_damping_ratio), []
+        for i, value in enumerate(stiffness):
+            if value > 0 and (softest[i] == 0 or value < softest[i]):
+                softest[i], ratio[i] = value, damping_ratio
+            inertia = self.truth.rotor_inertia_kgm2[i]
+            rotor.append(inertia or (0.1 * self.truth.active_link_inertia_kgm2[i] if softest[i] else 0.0))
+        changed = self.change(rotor_inertia_kgm2=rotor)
+        return replace(changed, drive_stiffness=tuple(softest), drive_damping_ratio=tuple(ratio))
+
+    def loosen(self, half_gap: Sequence[float]) -> Design:
+        """The same with lost motion of +-`half_gap` (3,) rad between motor and link."""
+        return replace(self, half_gap=tuple(a + b for a, b in zip(self.half_gap, half_gap, strict=True)))
+
+
+class Mechanism(NamedTuple):
+    """A compiled model and where its coordinates lie."""
+
+    model: mujoco.MjModel
+    geometry: DeltaModel  # true geometry, angles at the link
+    arm: np.ndarray  # (3,) address of each link's joint
+    motor: np.ndarray  # (3,) address of each rotor, the link's own where motor and link are one
+    platform: np.ndarray  # (3,) addresses of x, y, z
+    platform_body: int
+
+
+def true_geometry(truth: PlantTruth) -> DeltaModel:
+    """The true lengths as the kinematics want them; angles are those of the links, so without encoder offset."""
+    azimuth = np.radians(truth.arm_angles_deg)
+    zero = np.zeros(3)
+    return DeltaModel(
+        azimuth_cos=np.cos(azimuth),
+        azimuth_sin=np.sin(azimuth),
+        joint_offset=zero,
+        active_length=np.array(truth.active_link_length_m),
+        passive_length=truth.passive_link_length_m,
+        radius=truth.base_radius_m - truth.platform_radius_m,
+        inertia=zero,
+        gravity_torque=zero,
+        moving_mass=0.0,
+        gravity=0.0,
+    )
+
+
+def build(design: Design, step: float) -> Mechanism:
+    """Compile `design` for an integration step of `step` s."""
+    truth = design.truth
+    model = mujoco.MjModel.from_xml_string(_document(design, step))
+    address = {model.joint(i).name: i for i in range(model.njnt)}  # hinges and slides only: joint = coordinate = dof
+    arm = np.array([address[f"arm{i}"] for i in range(3)])
+    motor = np.array([address.get(f"motor{i}", arm[i]) for i in range(3)])
+    platform = np.array([address[axis] for axis in "xyz"])
+    return Mechanism(model, true_geometry(truth), arm, motor, platform, model.body("platform").id)
+
+
+def close(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
+    """All coordinates (N, nq) of closed poses with the links at `theta` (N, 3) rad, rotors with them.
+
+    Raises:
+        PoseError: unreachable or singular.
+    """
+    geometry = mechanism.geometry
+    theta = kinematics.rows(theta)
+    platform = kinematics.forward(geometry, theta)
+    coordinates = np.zeros((len(theta), mechanism.model.nq))
+    coordinates[:, mechanism.motor] = theta
+    coordinates[:, mechanism.arm] = theta
+    coordinates[:, mechanism.platform] = platform
+    for i in range(3):
+        cosine, sine = geometry.azimuth_cos[i], geometry.azimuth_sin[i]
+        radial = cosine * platform[:, 0] + sine * platform[:, 1] - geometry.radius
+        radial = radial - geometry.active_length[i] * np.cos(theta[:, i])
+        lateral = -sine * platform[:, 0] + cosine * platform[:, 1]
+        vertical = platform[:, 2] + geometry.active_length[i] * np.sin(theta[:, i])
+        swing = np.unwrap(np.arctan2(-vertical, radial)) - theta[:, i]
+        for rod in range(2):
+            coordinates[:, mechanism.arm[i] + 1 + 2 * rod] = swing
+            coordinates[:, mechanism.arm[i] + 2 + 2 * rod] = np.arcsin(lateral / geometry.passive_length)
+    return coordinates
+
+
+def dependence(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
+    """d coordinates / d theta on the closed chain, (N, nv, 3), by central differences of `close`."""
+    delta = 1e-5
+    columns = []
+    for i in range(3):
+        shift = np.zeros(3)
+        shift[i] = delta
+        columns.append((close(mechanism, theta + shift) - close(mechanism, theta - shift)) / (2 * delta))
+    return np.stack(columns, axis=2)
+
+
+def required_torque(
+    mechanism: Mechanism, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray
+) -> np.ndarray:
+    """Joint torque (N, 3) N m that a motion of the closed chain takes, exactly: MuJoCo's inverse dynamics of the open
+    tree, virtual work over the loops. Friction in the joints is not in it.
+
+    theta, theta_dot, theta_ddot: (N, 3) rad, rad/s, rad/s^2 of the links.
+
+    Raises:
+        PoseError: unreachable or singular.
+    """
+    model = mechanism.model
+    theta, theta_dot, theta_ddot = (kinematics.rows(value) for value in (theta, theta_dot, theta_ddot))
+    position = close(mechanism, theta)
+    partial = dependence(mechanism, theta)
+    # d/dt along the motion of the dependence, from the motion a little earlier and later
+    tiny = 1e-4
+    later = dependence(mechanism, theta + theta_dot * tiny)
+    earlier = dependence(mechanism, theta - theta_dot * tiny)
+    change = (later - earlier) / (2 * tiny)
+    velocity = np.einsum("nki,ni->nk", partial, theta_dot)
+    acceleration = np.einsum("nki,ni->nk", partial, theta_ddot) + np.einsum("nki,ni->nk", change, theta_dot)
+    data = mujoco.MjData(model)
+    open_tree = np.empty_like(position)
+    loops, friction = model.opt.disableflags, model.dof_frictionloss.copy()
+    damping = model.dof_damping.copy()
+    model.opt.disableflags = loops | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    model.dof_damping[:] = 0.0
+    try:
+        for n in range(len(theta)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = position[n], velocity[n], acceleration[n]
+            mujoco.mj_inverse(model, data)
+            open_tree[n] = data.qfrc_inverse
+    finally:
+        model.opt.disableflags = loops
+        model.dof_frictionloss[:], model.dof_damping[:] = friction, damping
+    return np.einsum("nki,nk->ni", partial, open_tree)
+
+
+def holding_torque(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
+    """Joint torque (3,) N m that holds the links at `theta` (3,) rad."""
+    zero = np.zeros((1, 3))
+    return required_torque(mechanism, theta[None], zero, zero)[0]
+
+
+def reflected_inertia(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
+    """Diagonal (3,) kg m^2 of the joint-space inertia of the closed chain at `theta` (3,) rad."""
+    three = np.repeat(theta[None], 3, axis=0)
+    still = np.zeros((3, 3))
+    return np.diag(required_torque(mechanism, three, still, np.eye(3)) - holding_torque(mechanism, theta))
+
+
+def centre_pose(truth: PlantTruth) -> np.ndarray:
+    """Joint angles (3,) of a pose in the middle of the workspace: links a little below the horizontal."""
+    theta = np.full(3, 0.2)
+    try:
+        kinematics.forward(true_geometry(truth), theta)
+    except PoseError as error:
+        raise PoseError(f"the plant cannot be put together in its centre: {error}") from error
+    return theta
+
+
+def _document(design: Design, step: float) -> str:
+    truth = design.truth
+    soft = f'{2 * step} 1" solimp{{0}}="{IMPEDANCE} {IMPEDANCE} 1e-3'
+    closure, friction = soft.format(""), soft.format("friction")
+    arms, feet, loops, motors = [], [], [], []
+    for i in range(3):
+        azimuth = math.radians(truth.arm_angles_deg[i])
+        cosine, sine = math.cos(azimuth), math.sin(azimuth)
+        length, mass, centre = (
+            truth.active_link_length_m[i],
+            truth.active_link_kg[i],
+            truth.active_link_centre_m[i],
+        )
+        about_centre = max(truth.active_link_inertia_kgm2[i] - mass * centre**2, THIN)
+        rod_mass, rod_length = truth.forearm_kg[i] / 2, truth.passive_link_length_m
+        across = rod_mass * rod_length**2 / 12
+        rods = []
+        for rod, side in enumerate((-ROD_SPACING / 2, ROD_SPACING / 2)):
+            rods.append(
+                f'<body name="rod{i}{rod}" pos="{length} {side} 0">'
+                f'<joint name="swing{i}{rod}" axis="0 1 0"/><joint name="tilt{i}{rod}" axis="0 0 1"/>'
+                f'<inertial pos="{rod_length / 2} 0 0" mass="{rod_mass}" diaginertia="{THIN} {across} {across}"/>'
+                f'<site name="end{i}{rod}" pos="{rod_length} 0 0"/></body>'
+            )
+            x = truth.platform_radius_m * cosine - side * sine
+            y = truth.platform_radius_m * sine + side * cosine
+            feet.append(f'<site name="foot{i}{rod}" pos="{x} {y} 0"/>')
+            loops.append(f'<connect site1="end{i}{rod}" site2="foot{i}{rod}" solref="{closure}"/>')
+        place = (
+            f'pos="{truth.base_radius_m * cosine} {truth.base_radius_m * sine} 0" euler="0 0 {truth.arm_angles_deg[i]}"'
+        )
+        armature = 0.0 if design.split[i] else truth.rotor_inertia_kgm2[i]
+        arms.append(
+            f'<body name="arm{i}" {place}>'
+            f'<joint name="arm{i}" axis="0 1 0" armature="{armature}" solreffriction="{friction}"/>'
+            f'<inertial pos="{centre} 0 0" mass="{mass}" diaginertia="{THIN} {about_centre} {about_centre}"/>'
+            f"{''.join(rods)}</body>"
+        )
+        if design.split[i]:
+            rotor = truth.rotor_inertia_kgm2[i]
+            motors.append(
+                f'<body name="motor{i}" {place}><joint name="motor{i}" axis="0 1 0" solreffriction="{friction}"/>'
+                f'<inertial pos="0 0 0" mass="1" diaginertia="{rotor} {rotor} {rotor}"/></body>'
+            )
+    upper = "".join(arms + motors)
+    if design.base_mode is not None:
+        mode = design.base_mode
+        stiffness = mode.mass * (2 * math.pi * mode.frequency) ** 2
+        damping = 2 * mode.damping_ratio * math.sqrt(stiffness * mode.mass)
+        upper = (
+            f'<body name="base"><joint name="base" type="slide"'
+            f' axis="{math.cos(mode.azimuth)} {math.sin(mode.azimuth)} 0" stiffness="{stiffness}" damping="{damping}"/>'
+            f'<inertial pos="0 0 0" mass="{mode.mass}" diaginertia="1 1 1"/>{upper}</body>'
+        )
+    slides = "".join(
+        f'<joint name="{name}" type="slide" axis="{axis}"/>'
+        for name, axis in (("x", "1 0 0"), ("y", "0 1 0"), ("z", "0 0 1"))
+    )
+    gravity = " ".join(str(component) for component in truth.gravity_mps2)
+    return (
+        f'<mujoco><compiler angle="degree"/>'
+        f'<option timestep="{step}" gravity="{gravity}" integrator="implicitfast" solver="Newton" jacobian="dense"'
+        f' tolerance="1e-12" iterations="20"><flag contact="disable"/></option>'
+        f'<worldbody>{upper}<body name="platform">{slides}'
+        f'<inertial pos="0 0 0" mass="{truth.platform_kg}" diaginertia="1e-3 1e-3 1e-3"/>{"".join(feet)}</body>'
+        f"</worldbody><equality>{''.join(loops)}</equality></mujoco>"
+    )

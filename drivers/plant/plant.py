@@ -1,0 +1,269 @@
+"""The robot that runs: MuJoCo mechanism, drives, gears, friction, sensors, payload, one controller cycle at a time."""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo's compiled modules carry no types)
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from drivers.plant.drive import DriveState, drive_kernel, interpolate, rest, tune
+from drivers.plant.effects import Effect
+from drivers.plant.mechanism import (
+    Design,
+    build,
+    centre_pose,
+    close,
+    holding_torque,
+    reflected_inertia,
+)
+from drivers.plant.truth import PlantTruth
+from schemas.errors import DataError
+from schemas.robot import Robot
+
+LONGEST_STEP = 0.25e-3  # s: the drives close their loops at 4 kHz or faster, and the physics with them
+
+
+class Target(NamedTuple):
+    """Commanded motion of one instant, both (3,): rad, rad/s."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+
+
+class Measured(NamedTuple):
+    """What the bus carries of one cycle, all (3,): rad, N m, N m."""
+
+    position: np.ndarray
+    torque: np.ndarray
+    torque_command: np.ndarray
+
+
+@dataclass
+class Friction:
+    """Friction of the three joints in force at one instant; effects change it."""
+
+    forward: np.ndarray  # (3,) N m, Coulomb level while the joint turns positive
+    backward: np.ndarray  # (3,) N m, while it turns negative
+    viscous: np.ndarray  # (3,) N m s/rad
+    torque: np.ndarray  # (3,) N m, anything else that acts like friction, signed as it acts on the joint
+
+
+class Plant:
+    """A simulated Delta robot.
+
+    Call `latch` then `run` once a controller cycle: `latch` takes the command for this cycle, reads the sensors and
+    closes the drive loops for the first time; `run` lets the physics go to the end of the cycle.
+
+    Attributes read by effects: time s (since power-on); theta, theta_dot (3,) of the links; motor, motor_dot (3,);
+    platform, platform_dot (3,) m; load (3,) N m, torque last passed through the gears; payload kg; rng.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        truth: PlantTruth | None = None,
+        effects: tuple[Effect, ...] = (),
+        period: float = 1e-3,
+        seed: int = 0,
+    ):
+        truth = truth or PlantTruth.nominal(robot)
+        design = Design(truth)
+        for effect in effects:
+            design = effect.shape(design)
+        self.truth = design.truth
+        self.effects = effects
+        self.period = period
+        self.steps = max(1, math.ceil(period / LONGEST_STEP - 1e-9))
+        self.step = period / self.steps
+        self.rng = np.random.default_rng(seed)
+        self.mechanism = build(design, self.step)
+        self.data = mujoco.MjData(self.mechanism.model)
+        self.split = np.array(design.split)
+        self._stiffness, self._half_gap = np.array(design.drive_stiffness), np.array(design.half_gap)
+        rotor = np.array(self.truth.rotor_inertia_kgm2)
+        self._damping = 2 * np.array(design.drive_damping_ratio) * np.sqrt(self._stiffness * rotor)
+        inertia = reflected_inertia(self.mechanism, centre_pose(self.truth)) + np.where(self.split, rotor, 0.0)
+        self.tuning = tune(
+            inertia,
+            self.truth.position_bandwidth_hz,
+            self.truth.velocity_bandwidth_hz,
+            self.truth.integral_time_s,
+            self.truth.peak_torque_nm,
+            self.step,
+        )
+        self.offset = np.array(self.truth.joint_offset_rad)
+        counts = self.truth.encoder_counts_per_turn
+        self.resolution = 2 * math.pi / (counts * self.truth.gear_ratio) if counts else 0.0
+        self.noise = np.array(self.truth.torque_noise_nm)
+        self.friction = Friction(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
+        # hooks that an effect does not override cost nothing
+        self._on_friction = _overriding(effects, "friction")
+        self._on_joint = _overriding(effects, "joint_torque")
+        self._on_platform = _overriding(effects, "platform_force")
+        self._on_motor = _overriding(effects, "motor_torque")
+        self._on_reading = _overriding(effects, "reading")
+        self._on_report = _overriding(effects, "report")
+        self._on_bodies = _overriding(effects, "act_on_bodies")
+        self.time = 0.0
+        self.payload = 0.0
+        self.load = np.zeros(3)
+        self.torque = np.zeros(3)
+        self.reset(centre_pose(self.truth) - self.offset)
+
+    def reset(self, position: np.ndarray) -> None:
+        """Rest at joint `position` (3,) rad as the encoders read it, drives holding the weight. Time runs on."""
+        link = np.asarray(position, float) + self.offset
+        mujoco.mj_resetData(self.mechanism.model, self.data)
+        self.data.qpos[:] = close(self.mechanism, link)[0]
+        mujoco.mj_forward(self.mechanism.model, self.data)
+        holding = holding_torque(self.mechanism, link)
+        self.load[:] = holding
+        self.drive: DriveState = rest(holding)
+        self._observe()
+        for effect in self.effects:
+            effect.start(self)
+        self._set_friction()
+
+    def set_payload(self, mass: float) -> None:
+        """Put `mass` kg on the platform in place of what is there."""
+        if not mass >= 0 or not math.isfinite(mass):
+            raise DataError(f"payload of {mass} kg: must be zero or more")
+        model, body = self.mechanism.model, self.mechanism.platform_body
+        model.body_mass[body] = self.truth.platform_kg + mass
+        model.body_subtreemass[body] = model.body_mass[body]
+        model.dof_M0[self.mechanism.platform] = model.body_mass[body]  # MuJoCo takes a slider's inertia from here
+        self.payload = mass
+
+    def latch(self, now: Target, end: Target, feedforward: np.ndarray | None = None) -> Measured:
+        """Start a cycle that is commanded to go from `now` to `end` with `feedforward` (3,) N m added by the drives."""
+        self._now, self._end = now, end
+        self._feedforward = np.zeros(3) if feedforward is None else feedforward
+        self._control(0)
+        reported = self.motor_command.copy()
+        for effect in self._on_report:
+            reported = effect.report(self, reported)
+        if self.noise.any():
+            reported = reported + self.noise * self.rng.standard_normal(3)
+        if self.truth.torque_resolution_nm:
+            reported = np.round(reported / self.truth.torque_resolution_nm) * self.truth.torque_resolution_nm
+        return Measured(self.reading.copy(), reported, self.motor_command.copy())
+
+    def run(self) -> None:
+        """The rest of the cycle that `latch` started.
+
+        Raises:
+            DataError: the mechanism was torn apart (a singular pose, an unstable drive).
+        """
+        for k in range(self.steps):
+            if k:
+                self._control(k)
+                for effect in self._on_report:
+                    effect.report(self, self.motor_command)
+            self._advance()
+        if self.data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or abs(self.closure_error) > 1e-3:
+            raise DataError(
+                f"plant: the mechanism came apart at {self.time:.3f} s, joints at "
+                f"{', '.join(f'{angle:.3f}' for angle in self.theta)} rad: the motion runs into a singular pose"
+            )
+
+    def take_over(self, before: np.ndarray | None, after: np.ndarray | None) -> None:
+        """Let the drives' integrators make up for feed-forward (3,) N m that comes or goes, so that no torque jumps."""
+        if before is not None:
+            self.drive.integral[:] += before
+        if after is not None:
+            self.drive.integral[:] -= after
+
+    def warm_up(self) -> None:
+        """Compile and call everything once, at rest, so that the first cycle is as quick as the others."""
+        here = Target(self.reading.copy(), np.zeros(3))
+        self.latch(here, here)
+        self.run()
+        self.reset(here.position)
+
+    @property
+    def closure_error(self) -> float:
+        """Largest distance, m, by which a rod end misses its foot on the platform."""
+        return float(np.abs(self.data.efc_pos[: self.data.ne]).max())
+
+    def _observe(self) -> None:
+        data, at = self.data, self.mechanism
+        self.theta, self.theta_dot = data.qpos[at.arm], data.qvel[at.arm]
+        self.motor, self.motor_dot = data.qpos[at.motor], data.qvel[at.motor]
+        self.platform, self.platform_dot = data.qpos[at.platform], data.qvel[at.platform]
+        self.reading = self.motor - self.offset
+
+    def _control(self, k: int) -> None:
+        """Read the encoders and close the drives' loops."""
+        reading = self.reading
+        for effect in self._on_reading:
+            reading = effect.reading(self, reading)
+        if self.truth.encoder_noise_rad:
+            reading = reading + self.truth.encoder_noise_rad * self.rng.standard_normal(3)
+        if self.resolution:
+            reading = np.round(reading / self.resolution) * self.resolution
+        self.reading = reading
+        target, command = np.empty(3), np.empty(3)
+        interpolate(
+            k / self.steps, self.period,
+            self._now.position, self._now.velocity, self._end.position, self._end.velocity, target,
+        )  # fmt: skip
+        drive_kernel(self.tuning, self.drive, reading, target, self._feedforward, command)
+        self.motor_command = command
+
+    def _set_friction(self) -> None:
+        truth, friction, model = self.truth, self.friction, self.mechanism.model
+        friction.forward[:] = friction.backward[:] = truth.coulomb_friction_nm
+        friction.viscous[:] = truth.viscous_friction_nms
+        friction.torque[:] = 0.0
+        for effect in self._on_friction:
+            effect.friction(self, friction)
+        # MuJoCo's friction loss takes one level for both directions; the difference acts as a bias
+        model.dof_frictionloss[self.mechanism.motor] = np.maximum((friction.forward + friction.backward) / 2, 0.0)
+        model.dof_damping[self.mechanism.motor] = friction.viscous
+
+    def _drive_train(self) -> np.ndarray:
+        """Torque (3,) N m from motor to link through spring, damper and gap; zero where they are one mass."""
+        twist = self.motor - self.theta
+        beyond = twist - np.clip(twist, -self._half_gap, self._half_gap)
+        damping = self._damping * (self.motor_dot - self.theta_dot)
+        passed = self._stiffness * beyond + np.where((beyond != 0) | (self._half_gap == 0), damping, 0.0)
+        # teeth push, they do not pull
+        return np.where((self._half_gap > 0) & (passed * beyond < 0), 0.0, passed)
+
+    def _advance(self) -> None:
+        data, at = self.data, self.mechanism
+        torque = self.motor_command
+        for effect in self._on_motor:
+            torque = effect.motor_torque(self, torque)
+        self.torque = torque
+        data.qfrc_applied[:] = 0.0
+        force = data.qfrc_applied
+        if self._on_friction:
+            self._set_friction()
+            force[at.motor] += self.friction.torque - (self.friction.forward - self.friction.backward) / 2
+        for effect in self._on_joint:
+            force[at.arm] += effect.joint_torque(self)
+        for effect in self._on_platform:
+            force[at.platform] += effect.platform_force(self)
+        for effect in self._on_bodies:
+            effect.act_on_bodies(self)
+        force[at.motor] += torque
+        self.load = torque
+        if self.split.any():
+            passed = self._drive_train()
+            force[at.motor] -= passed
+            force[at.arm] += passed
+            self.load = np.where(self.split, passed, torque)
+        mujoco.mj_step(at.model, data)
+        self.time += self.step
+        self._observe()
+
+
+def _overriding(effects: tuple[Effect, ...], hook: str) -> tuple[Effect, ...]:
+    return tuple(effect for effect in effects if getattr(type(effect), hook) is not getattr(Effect, hook))

@@ -1,0 +1,109 @@
+"""What the simulated robot really is, where it departs from its description.
+
+The description (`schemas.robot`) is what the user believes; the truth is what the physics runs on. Without a truth file
+the plant is exactly as described: frictionless, noise-free, with ideal drives.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.errors import RobotError
+from schemas.robot import Robot
+from schemas.toml import read_toml, validate
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+PerJoint = Annotated[list[float], Field(min_length=3, max_length=3)]
+PositivePerJoint = Annotated[list[Positive], Field(min_length=3, max_length=3)]
+NotNegativePerJoint = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
+
+ROD_SPACING = 0.1  # m between the two rods of a forearm; of no effect on the torque while the platform cannot rotate
+
+# Drives are tuned in practice to a position loop of some 8 Hz and a velocity loop of some 30 Hz on robots of this size.
+POSITION_BANDWIDTH, VELOCITY_BANDWIDTH, INTEGRAL_TIME = 8.0, 30.0, 0.05  # Hz, Hz, s
+
+
+class PlantTruth(BaseModel):
+    """Everything the physics is made of. Joint side, SI, one entry an arm where three."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    gravity_mps2: PerJoint  # vector in the base frame
+    # geometry
+    active_link_length_m: PositivePerJoint
+    passive_link_length_m: Positive
+    base_radius_m: Positive
+    platform_radius_m: Positive
+    arm_angles_deg: PerJoint
+    joint_offset_rad: PerJoint = [0.0, 0.0, 0.0]  # true minus measured angle
+    # inertia
+    active_link_kg: PositivePerJoint
+    active_link_centre_m: PerJoint  # mass centre from the joint axis, along the link
+    active_link_inertia_kgm2: PositivePerJoint  # about the joint axis, rotor and gear not included
+    forearm_kg: PositivePerJoint  # both rods
+    platform_kg: Positive
+    rotor_inertia_kgm2: NotNegativePerJoint = [0.0, 0.0, 0.0]  # rotor and gear, reflected to the joint
+    # friction
+    coulomb_friction_nm: NotNegativePerJoint = [0.0, 0.0, 0.0]
+    viscous_friction_nms: NotNegativePerJoint = [0.0, 0.0, 0.0]
+    # drives and sensors
+    gear_ratio: Positive = 1.0
+    position_bandwidth_hz: Positive = POSITION_BANDWIDTH
+    velocity_bandwidth_hz: Positive = VELOCITY_BANDWIDTH
+    integral_time_s: Positive = INTEGRAL_TIME
+    peak_torque_nm: Positive
+    encoder_counts_per_turn: NotNegative = 0.0  # motor side; 0: no quantisation
+    encoder_noise_rad: NotNegative = 0.0  # rms per reading, joint side
+    torque_noise_nm: NotNegativePerJoint = [0.0, 0.0, 0.0]  # rms per sample of the reported torque
+    torque_resolution_nm: NotNegative = 0.0
+    # unmodelled physics: name and parameters of `drivers.plant.effects`
+    effect: list[dict[str, Any]] = []
+
+    @classmethod
+    def nominal(cls, robot: Robot) -> PlantTruth:
+        """A plant that is exactly as described: uniform links, no friction, no noise."""
+        geometry, mass = robot.geometry, robot.mass
+        length = [geometry.active_link_length + error for error in geometry.active_link_length_error]
+        reach = max(length)
+        # drives for pick-and-place throw links and platform about at some 400 rad/s^2
+        felt = (mass.active_link / 3 + mass.passive_link / 2) * reach**2 + mass.platform * reach**2
+        return cls(
+            gravity_mps2=[0.0, 0.0, -robot.gravity_mps2],
+            active_link_length_m=length,
+            passive_link_length_m=geometry.passive_link_length,
+            base_radius_m=geometry.base_radius,
+            platform_radius_m=geometry.platform_radius,
+            arm_angles_deg=geometry.arm_angles_deg,
+            joint_offset_rad=geometry.joint_offset_rad,
+            active_link_kg=[mass.active_link] * 3,
+            active_link_centre_m=[value / 2 for value in length],
+            active_link_inertia_kgm2=[mass.active_link * value**2 / 3 for value in length],
+            forearm_kg=[mass.passive_link] * 3,
+            platform_kg=mass.platform,
+            gear_ratio=robot.drive.gear_ratio,
+            peak_torque_nm=felt * 400.0,
+        )
+
+
+TRUTHS = Path(__file__).parent / "truths"
+
+
+def load_truth(path: str | Path, robot: Robot) -> PlantTruth:
+    """Read a truth file: any field of `PlantTruth`; what it leaves out is as `robot` describes it.
+
+    Raises:
+        RobotError: naming file, key and value of the first thing that is wrong.
+    """
+    path = Path(path)
+    given = read_toml(path, RobotError)
+    return validate(PlantTruth, PlantTruth.nominal(robot).model_dump() | given, path, RobotError)
+
+
+def shipped_truth(robot: Robot) -> Path | None:
+    """The truth file that comes with deltatwin for a robot of this name."""
+    path = TRUTHS / f"{robot.name}.toml"
+    return path if path.is_file() else None

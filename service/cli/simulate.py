@@ -1,0 +1,174 @@
+"""`deltatwin simulate`: the simulated robot, into a trace or live on the bus."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from drivers.plant.motion import Motion, Planner
+    from drivers.plant.plant import Plant
+    from schemas.robot import Robot
+
+
+class MotionKind(StrEnum):
+    """Motions that `drivers.plant.motion.Planner` plans."""
+
+    PICK = "pick"
+    MULTISINE = "multisine"
+    BOUND = "bound"
+    SLOW = "slow"
+
+
+def command(
+    robot: Annotated[Path, typer.Option(help="Robot description (TOML), or one that comes along: d3-1200.")],
+    motion: Annotated[
+        MotionKind,
+        typer.Option(help="pick: between two conveyors; multisine: excites all; bound: workspace rim; slow: sweep."),
+    ] = MotionKind.PICK,
+    out: Annotated[Path | None, typer.Option(help="Trace to write (.csv, .csv.gz, .mcap).")] = None,
+    duration: Annotated[float, typer.Option(min=0.5, help="Length of the motion (s).")] = 10.0,
+    rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz).")] = 1000.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of motion and noise: same seed, same trace.")] = 0,
+    payload: Annotated[
+        list[float] | None, typer.Option(min=0.0, help="Mass to carry in `pick` (kg); give several to mix them.")
+    ] = None,
+    speed: Annotated[float, typer.Option(min=0.05, max=1.0, help="Share of the motion limits to use.")] = 1.0,
+    max_speed: Annotated[float | None, typer.Option(min=0.01, help="Joint speed limit (rad/s).")] = None,
+    max_acceleration: Annotated[float | None, typer.Option(min=0.1, help="Joint acceleration limit (rad/s^2).")] = None,
+    max_torque: Annotated[float | None, typer.Option(min=0.1, help="Joint torque limit of the plan (N m).")] = None,
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            help="What the robot really is (TOML), or `ideal`: exactly as described, no friction, no noise. "
+            "Default: the one that comes along for this robot, else ideal."
+        ),
+    ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Run in real time on Zenoh, taking feed-forward torque.")
+    ] = False,
+    loop: Annotated[int, typer.Option(min=0, help="Live: times to run the motion; 0: until Ctrl-C.")] = 0,
+    zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration instead of local sockets.")] = None,
+) -> None:
+    """Simulate a closed-chain Delta (MuJoCo) with drives, friction, noise and payloads.
+
+    Writes what a controller would log, joint side, in SI units; or, live, is the robot: publishes samples and the
+    planned motion of the next cycle, and adds feed-forward torque to its drives.
+
+    Example: deltatwin simulate --robot d3-1200 --motion pick --payload 3.8 --duration 20 --out pick.csv
+
+    Example: deltatwin simulate --robot d3-1200 --live --payload 1 --payload 3.8
+    """
+    import numpy as np
+
+    from drivers.plant.motion import Limits, Planner
+    from schemas.errors import DataError
+    from schemas.robot import load_robot
+
+    if out is None and not live:
+        raise typer.BadParameter("say where to write the trace (--out), or run --live", param_hint="--out")
+    if payload and motion is not MotionKind.PICK:
+        raise typer.BadParameter(f"only `pick` carries a payload, not `{motion.value}`", param_hint="--payload")
+    description = load_robot(robot)
+    plant, which = _plant(description, truth, 1.0 / rate, seed)
+    planner = Planner(description, plant.period)
+    given = {"speed": max_speed, "acceleration": max_acceleration, "torque": max_torque}
+    planner.limits = Limits(**(vars(planner.limits) | {key: value for key, value in given.items() if value}))
+    if planner.limits.torque > plant.truth.peak_torque_nm:
+        raise DataError(f"--max-torque {max_torque} N m: the drives give {plant.truth.peak_torque_nm:.6g} N m at most")
+    planned = _plan(planner, motion, np.random.default_rng([seed, 1]), duration, tuple(payload or ()), speed)
+    if live:
+        _live(description, plant, planner.closed(planned), loop, out, zenoh_config)
+    else:
+        assert out is not None
+        _offline(description, plant, planned, out)
+    typer.echo(f"simulated {description.name}, {which}; workspace {_workspace(planner)}")
+
+
+def _plant(robot: Robot, truth: str | None, period: float, seed: int) -> tuple[Plant, str]:
+    from drivers.plant.effects import make_effects
+    from drivers.plant.plant import Plant
+    from drivers.plant.truth import PlantTruth, load_truth, shipped_truth
+
+    path = shipped_truth(robot) if truth is None else None if truth == "ideal" else Path(truth)
+    if path is None:
+        return Plant(robot, PlantTruth.nominal(robot), period=period, seed=seed), "ideal: exactly as described"
+    real = load_truth(path, robot)
+    plant = Plant(robot, real, make_effects(real.effect, str(path)), period, seed)
+    return plant, f"truth of {path.name}"
+
+
+def _plan(
+    planner: Planner,
+    kind: MotionKind,
+    rng: np.random.Generator,
+    duration: float,
+    masses: tuple[float, ...],
+    speed: float,
+) -> Motion:
+    if kind is MotionKind.PICK:
+        return planner.pick_and_place(rng, duration, masses, speed)
+    if kind is MotionKind.MULTISINE:
+        return planner.multisine(rng, duration, speed)
+    if kind is MotionKind.BOUND:
+        return planner.bound(rng, duration, speed)
+    return planner.slow(rng, duration)
+
+
+def _offline(robot: Robot, plant: Plant, motion: Motion, out: Path) -> None:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from drivers.plant.simulate import simulate
+    from drivers.trace import write_trace
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(f"simulate {robot.name}", total=len(motion))
+        trace = simulate(plant, motion, progress=lambda k: None if k % 200 else progress.update(task, completed=k))
+    write_trace(trace, out, robot.name)
+    typer.echo(f"{out}: {len(trace)} samples at {1 / plant.period:.6g} Hz, {motion.duration:.3f} s")
+    for load in motion.payloads:
+        typer.echo(f"  {load.mass:.3f} kg from {load.pick:.3f} s to {load.release:.3f} s")
+
+
+def _live(robot: Robot, plant: Plant, motion: Motion, loops: int, out: Path | None, zenoh_config: Path | None) -> None:
+    import numpy as np
+
+    from drivers.bus import open_bus
+    from drivers.plant.live import run_live
+    from drivers.trace import write_trace
+    from replay.clock import wait_until
+    from replay.realtime import go_realtime
+    from schemas.messages import Role
+    from service.cli.progress import counting
+    from service.cli.signals import terminate_as_interrupt
+
+    terminate_as_interrupt()
+    with counting(f"live {robot.name}", len(motion) * loops) as show:
+        realtime = go_realtime("simulate")
+        with open_bus(robot.name, Role.ROBOT, zenoh_config) as bus:
+            run = run_live(plant, motion, bus, wait_until, loops=loops, realtime=realtime, progress=show)
+    if not len(run.trace):
+        return
+    error = np.sqrt(np.mean((run.trace.position - motion.position[np.arange(len(run.trace)) % len(motion)]) ** 2))
+    helped = np.isfinite(run.feedforward).all(axis=1).mean()
+    lateness = np.sort(run.lateness) * 1e-3
+    typer.echo(
+        f"live {robot.name}: {len(run.trace)} cycles, feed-forward in {helped:.1%}, "
+        f"tracking error {error * 1e3:.3f} mrad rms; {run.late} cycles late, "
+        f"lateness median {lateness[len(lateness) // 2]:.1f}, "
+        f"p99.9 {lateness[int(len(lateness) * 0.999)]:.1f}, max {lateness[-1]:.1f} µs"
+    )
+    if out is not None:
+        write_trace(run.trace, out, robot.name)
+
+
+def _workspace(planner: Planner) -> str:
+    space = planner.workspace
+    return f"{2 * space.radius:.2f} m wide, z {space.bottom:.2f} to {space.top:.2f} m"
