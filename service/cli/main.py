@@ -10,10 +10,6 @@ import typer
 
 import service.cli
 from schemas.errors import DeltatwinError
-<<<<<<< HEAD
-=======
-from service.cli import convert, evaluate, identify, inspect, replay, simulate
->>>>>>> aa71837 (Simulate a closed-chain Delta: MuJoCo plant with drives, friction, noise and payloads)
 
 app = typer.Typer(
     name="deltatwin",
@@ -22,20 +18,11 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-<<<<<<< HEAD
 for _found in pkgutil.iter_modules(service.cli.__path__):
     if _found.name != "main":
         _module = importlib.import_module(f"service.cli.{_found.name}")
         if hasattr(_module, "command"):
             app.command(_found.name.replace("_", "-"))(_module.command)
-=======
-app.command("convert")(convert.command)
-app.command("evaluate")(evaluate.command)
-app.command("identify")(identify.command)
-app.command("inspect")(inspect.command)
-app.command("replay")(replay.command)
-app.command("simulate")(simulate.command)
->>>>>>> aa71837 (Simulate a closed-chain Delta: MuJoCo plant with drives, friction, noise and payloads)
 
 
 def main() -> None:
