@@ -13,16 +13,17 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from drivers.trace.quality import Rows, check
+from drivers.trace.quality import EXACT_SECONDS, Rows, check
 from schemas.columns import CHANNELS, TIME_UNITS, Columns, PositionColumn, TorqueColumn
 from schemas.errors import TraceError
-from schemas.messages import SampleFlag
+from schemas.messages import NANOSECONDS, SampleFlag
 from schemas.robot import Robot
 from schemas.trace import Finding, Trace
 
 MISSING = ["", " ", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]  # cells that say there is no value
 _OWN = re.compile(r"^position_\d+_(rad|m)$")
 OWN_UNITS = {True: ("rad", "nm"), False: ("m", "n")}  # endings of our own column names: angular, linear
+_STAMP = pl.Decimal(38, 9)
 _FIXED_POINT_LINES = 20  # lines looked at to tell whether the last field has a fixed number of decimals
 
 
@@ -53,7 +54,8 @@ def read_csv(path: Path, robot: Robot | None = None, columns: Columns | None = N
     channels = _channels(names, columns, path)
     body, notes = _without_cut_line(body, columns)
     table = _parse(body, names, channels, columns, path)
-    return _assemble(table, channels, columns, robot, path, notes)
+    table, epoch_ns = _from_epoch(table, body, names, channels, columns)
+    return _assemble(table, channels, columns, robot, path, notes, epoch_ns)
 
 
 def write_csv(trace: Trace, path: Path) -> None:
@@ -62,7 +64,10 @@ def write_csv(trace: Trace, path: Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    data: dict[str, np.ndarray] = {"time_s": trace.time + trace.epoch_ns * 1e-9}
+    data: dict[str, np.ndarray | pl.Series] = {"time_s": trace.time}
+    if trace.epoch_ns:  # float64 seconds would lose the nanoseconds
+        billion = pl.lit(NANOSECONDS).cast(_STAMP)
+        data["time_s"] = pl.DataFrame({"ns": trace.time_ns}).select(pl.col("ns").cast(_STAMP) / billion).to_series()
     for name in ("position_command", "position", "torque_command", "torque"):
         values = getattr(trace, name)
         unit = OWN_UNITS[trace.angular][name.startswith("torque")]
@@ -112,10 +117,12 @@ def _split(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], bytes]:
     if len(lines) < columns.first_line or not lines[-1].strip():
         raise TraceError(f"{path}: no data rows: the file ends before line {columns.first_line}")
     try:
-        header = lines[columns.header_line - 1].decode(columns.encoding)
+        header, body = lines[columns.header_line - 1].decode(columns.encoding), lines[-1]
+        if columns.encoding != "utf-8":
+            body = body.decode(columns.encoding).encode()
     except (UnicodeDecodeError, LookupError) as error:
-        raise TraceError(f"{path}: line {columns.header_line} is not {columns.encoding} text: {error}") from error
-    return _fields(header, columns.separator), lines[-1]
+        raise TraceError(f"{path}: not {columns.encoding} text: {error}") from error
+    return _fields(header, columns.separator), body
 
 
 def _channels(names: list[str], columns: Columns, path: Path) -> list[_Channel]:
@@ -175,25 +182,51 @@ def _decimals(line: bytes, separator: bytes, decimal: str) -> int:
 def _parse(body: bytes, names: list[str], channels: list[_Channel], columns: Columns, path: Path) -> pl.DataFrame:
     """The columns that are needed as float64, named by their index; null where a cell is empty."""
     used = sorted({c.index for c in channels} | {c.time_index for c in channels})
-    width = max(len(names), body.split(b"\n", 1)[0].count(columns.separator.encode()) + 1)
-    options = {
-        "has_header": False,
-        "columns": used,
-        "separator": columns.separator,
-        "quote_char": '"' if b'"' in body else None,
-        "null_values": MISSING,
-    }
-    schema = {str(i): pl.Float64 if i in used else pl.String for i in range(width)}
     try:
-        return pl.read_csv(io.BytesIO(body), schema=schema, decimal_comma=columns.decimal == ",", **options)
+        return _read(body, used, len(names), pl.Float64, columns)
     except pl.exceptions.PolarsError as error:
         raise TraceError(f"{path}: {_explain(body, names, used, columns, str(error))}") from error
+
+
+def _read(body: bytes, used: list[int], fields: int, kind: type[pl.DataType], columns: Columns) -> pl.DataFrame:
+    width = max(fields, body.split(b"\n", 1)[0].count(columns.separator.encode()) + 1)
+    return pl.read_csv(
+        io.BytesIO(body),
+        has_header=False,
+        schema={str(i): kind if i in used else pl.String for i in range(width)},
+        columns=used,
+        separator=columns.separator,
+        quote_char='"' if b'"' in body else None,
+        null_values=MISSING,
+        decimal_comma=columns.decimal == ",",
+    )
+
+
+def _from_epoch(
+    table: pl.DataFrame, body: bytes, names: list[str], channels: list[_Channel], columns: Columns
+) -> tuple[pl.DataFrame, int]:
+    """Stamps since 1970 or so, counted from the first instead: as float64 seconds they would lose nanoseconds."""
+    per_second = TIME_UNITS[columns.time.unit]
+    indices = sorted({channel.time_index for channel in channels})
+    largest = max(abs(stamp) if isinstance(stamp := table[str(i)].max(), float) else 0.0 for i in indices)
+    if largest <= EXACT_SECONDS * per_second:
+        return table, 0
+    text = _read(body, indices, len(names), pl.String, columns)
+    exact = text.select(
+        pl.all().str.strip_chars().str.replace(columns.decimal, ".", literal=True).cast(_STAMP, strict=False)
+    )
+    base = exact[str(channels[0].time_index)].drop_nulls()
+    if len(base) == 0 or any(exact[str(i)].null_count() != table[str(i)].null_count() for i in indices):
+        return table, 0  # not plain decimals (an exponent, say): the float64 stands
+    epoch = int(base[0] * NANOSECONDS) // int(per_second)
+    since = exact.select((pl.all() - base[0]).cast(pl.Float64))
+    return table.with_columns(since), epoch
 
 
 def _explain(body: bytes, names: list[str], used: list[int], columns: Columns, error: str) -> str:
     """The first cell or line that cannot be read."""
     expected = len(names)
-    for line, text in enumerate(body.decode(columns.encoding, "replace").split("\n"), columns.first_line):
+    for line, text in enumerate(body.decode("utf-8", "replace").split("\n"), columns.first_line):
         fields = _fields(text, columns.separator)
         if len(fields) > expected and "".join(fields[expected:]):
             return f"line {line} has {len(fields)} fields, the header has {expected}"
@@ -203,6 +236,9 @@ def _explain(body: bytes, names: list[str], used: list[int], columns: Columns, e
                 float(cell.replace(columns.decimal, ".") if cell not in MISSING else 0)
             except ValueError:
                 return f"line {line}, column {names[index]!r}: {cell!r} is not a number"
+    fields = body.split(b"\n", 1)[0].count(columns.separator.encode()) + 1
+    if fields < expected:
+        return f"line {columns.first_line} has {fields} fields, the header has {expected}"
     return error.splitlines()[0]
 
 
@@ -213,6 +249,7 @@ def _assemble(
     robot: Robot | None,
     path: Path,
     notes: list[Finding],
+    epoch_ns: int,
 ) -> Trace:
     per_second = TIME_UNITS[columns.time.unit]
     stamps = {
@@ -247,6 +284,7 @@ def _assemble(
         position_command=arrays.get("position_command"),
         torque_command=arrays.get("torque_command"),
         findings=tuple(notes),
+        epoch_ns=epoch_ns,
         own_time=own_time,
         angular=all(channel.column.unit not in ("m", "mm") for channel in channels),
     )

@@ -11,7 +11,7 @@ from mcap.reader import McapReader, make_reader
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
-from drivers.trace.quality import Rows, check
+from drivers.trace.quality import EXACT_SECONDS, Rows, check
 from schemas.errors import DeltatwinError, TraceError
 from schemas.keys import topic_key
 from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, stamp_ns
@@ -20,7 +20,6 @@ from schemas.trace import Trace
 
 _SAMPLE_TOPIC = re.compile(r"^deltatwin/(?P<robot>[^/]+)/sample$")
 SHOW_EVERY = 10_000  # samples
-EXACT_SECONDS = 1_000_000  # float64 seconds below this hold a nanosecond
 
 
 def read_mcap(path: Path, robot: Robot | None = None) -> Trace:
@@ -31,7 +30,7 @@ def read_mcap(path: Path, robot: Robot | None = None) -> Trace:
     """
     try:
         with path.open("rb") as stream:
-            samples = read_samples(make_reader(stream), path, robot)
+            samples = read_samples(make_reader(stream, validate_crcs=True), path, robot)
     except OSError as error:
         raise TraceError(f"{path}: {error.strerror}") from error
     except DeltatwinError:

@@ -13,6 +13,7 @@ from schemas.messages import SampleFlag
 from schemas.robot import Geometry, Robot
 from schemas.trace import Finding, Trace
 
+EXACT_SECONDS = 1_000_000  # float64 seconds below this hold a nanosecond
 GAP_PERIODS = 1.5  # a step of the stamps above this many periods has lost cycles
 MAX_SPEED = 60.0  # rad/s or m/s at the joint; fast Delta robots reach about 20 rad/s
 MAX_ACCELERATION = 1e4  # rad/s^2 or m/s^2; fast Delta robots reach about 2e3 rad/s^2

@@ -172,6 +172,7 @@ def test_a_column_twice(own_csv: Path) -> None:
     [
         (lambda lines: field(lines, 90, 4, "abc"), r"own\.csv: line 90, column 'torque_1_nm': 'abc' is not a number"),
         (lambda lines: field(lines, 90, 0, "0:12"), r"own\.csv: line 90, column 'time_s': '0:12' is not a number"),
+        (lambda lines: lines.__setitem__(1, "0,1,1,1"), r"own\.csv: line 2 has 4 fields, the header has 7"),
         (lambda lines: field(lines, 90, 4, "1,5"), r"own\.csv: line 90 has 8 fields, the header has 7"),
     ],
 )

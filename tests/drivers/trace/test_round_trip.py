@@ -7,8 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import CompressionType, Writer
 
 from drivers.trace import find_columns, read_trace, write_trace
+from schemas.columns import Columns
+from schemas.errors import TraceError
+from schemas.messages import SAMPLE
 from schemas.trace import Trace
 
 
@@ -76,3 +80,36 @@ def test_a_linear_axis_stays_in_metres(shared: Path, tmp_path: Path) -> None:
     for name in ("time", "position", "torque", "position_command"):
         assert getattr(again, name).tobytes() == getattr(trace, name).tobytes()
     assert (tmp_path / "axis.csv").read_text().startswith("time_s,position_command_1_m,position_1_m,torque_1_n\n")
+
+
+def test_a_corrupted_chunk_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:  # uncompressed: a flipped bit would otherwise read as another number
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(SAMPLE.schema_name, "ros2msg", SAMPLE.schema_text.encode())
+        channel = writer.register_channel("deltatwin/d3/sample", "cdr", schema)
+        for i, record in enumerate(make_trace().samples()):
+            writer.add_message(channel, i, record.tobytes(), i)
+        writer.finish()
+    assert len(read_trace(path)) == 500
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 3] ^= 1
+    path.write_bytes(raw)
+    with pytest.raises(TraceError, match="not a whole MCAP file"):
+        read_trace(path)
+
+
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_stamps_since_1970_keep_their_nanoseconds_in_csv(tmp_path: Path, decimal: str) -> None:
+    trace = make_trace(epoch_ns=1_795_000_000_123_456_789)
+    write_trace(trace, tmp_path / "a.csv")
+    columns = None
+    if decimal == ",":
+        text = (tmp_path / "a.csv").read_text().replace(",", ";").replace(".", ",")
+        (tmp_path / "a.csv").write_text(text)
+        columns = Columns(separator=";", decimal=",")
+    read = read_trace(tmp_path / "a.csv", columns=columns)
+    assert np.array_equal(read.time_ns, trace.time_ns)
+    assert read.time.tobytes() == trace.time.tobytes()
+    assert not read.findings

@@ -1,0 +1,63 @@
+"""How fast traces load and save; MCAP beside the library alone. `uv run python tests/bench/bench_trace.py [N]`."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+
+from drivers.trace import read_trace, write_trace
+from drivers.trace.mcap_file import read_samples
+from schemas.trace import Trace
+
+REPEATS = 7
+
+
+def main(count: int) -> None:
+    """Print samples a second, median of interleaved runs, and the ratio to reading with the mcap library alone."""
+    rng = np.random.default_rng(0)
+    time_s = np.arange(count) / 4000
+    position = 0.7 * np.sin(time_s)[:, None] * [1, 0.8, 0.6] + rng.normal(0, 1e-6, (count, 3))
+    torque = rng.normal(0, 20, (count, 3))
+    trace = Trace(Path("made"), time_s, position, torque, position, torque)
+    with tempfile.TemporaryDirectory() as folder:
+        mcap, csv = Path(folder, "a.mcap"), Path(folder, "a.csv")
+
+        def library(in_log_order: bool) -> None:
+            with mcap.open("rb") as stream:
+                for _ in make_reader(stream).iter_messages(log_time_order=in_log_order):
+                    pass
+
+        def samples() -> None:
+            with mcap.open("rb") as stream:
+                read_samples(make_reader(stream, validate_crcs=True), mcap)
+
+        runs: dict[str, Callable[[], object]] = {
+            "write csv": lambda: write_trace(trace, csv),
+            "write mcap": lambda: write_trace(trace, mcap),
+            "mcap library alone, its default order": lambda: library(True),
+            "mcap library alone, file order": lambda: library(False),
+            "mcap -> sample records": samples,
+            "mcap -> checked trace": lambda: read_trace(mcap),
+            "mcap -> checked trace -> samples": lambda: read_trace(mcap).samples(),
+            "csv -> checked trace": lambda: read_trace(csv),
+        }
+        taken: dict[str, list[float]] = {name: [] for name in runs}
+        for _ in range(REPEATS):
+            for name, run in runs.items():
+                start = time.perf_counter()
+                run()
+                taken[name].append(time.perf_counter() - start)
+    alone = np.median(taken["mcap library alone, its default order"])
+    for name, seconds in taken.items():
+        median = np.median(seconds)
+        print(f"{name:40s} {count / median:12.0f} samples/s   {alone / median:6.2f} x library   n={len(seconds)}")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 240_000)
