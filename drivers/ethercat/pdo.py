@@ -1,0 +1,93 @@
+"""One drive's process data in one direction: which CiA 402 objects, in which order, packed and unpacked."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+from drivers.ethercat.cia402 import OBJECTS
+from schemas.errors import RobotError
+from schemas.robot import Drive
+
+DIGITAL_OUTPUTS = 0x60FE
+GRIPPER = 1 << 16  # the first of 0x60FE's bits that CiA 402 leaves to the maker
+
+
+class Pdo:
+    """Objects in order. `entries`: (index, bits) each, index 0 for bits left out; `size`: bytes."""
+
+    def __init__(self, objects: Sequence[str], key: str) -> None:
+        """`objects` as `schemas.robot.JointDrive` declares them; `key` names them in errors.
+
+        Raises:
+            RobotError: an object's size is not known or not whole bytes.
+        """
+        self.entries = tuple(_entry(text, key) for text in objects)
+        layout, self._place = "<", {}
+        for index, bits in self.entries:
+            if index in OBJECTS:
+                self._place[index] = len(self._place)
+                layout += OBJECTS[index].char
+            else:
+                layout += f"{bits // 8}x"
+        self._struct = struct.Struct(layout)
+        self.size = self._struct.size
+        self._key = key
+
+    def places(self, *indices: int) -> tuple[int, ...]:
+        """Where each object is in what `unpack` gives and `pack` takes; -1 when it is not mapped."""
+        return tuple(self._place.get(index, -1) for index in indices)
+
+    def require(self, *indices: int) -> tuple[int, ...]:
+        """`places` of objects that have to be there.
+
+        Raises:
+            RobotError: one of them is not mapped.
+        """
+        for index in indices:
+            if index not in self._place:
+                raise RobotError(f"{self._key}: 0x{index:04X} is not mapped")
+        return self.places(*indices)
+
+    def blank(self) -> list[int]:
+        """A zero for every object."""
+        return [0] * len(self._place)
+
+    def pack(self, values: Sequence[int]) -> bytes:
+        """The bytes of one value for each object."""
+        return self._struct.pack(*values)
+
+    def unpack(self, data: bytes | bytearray | memoryview) -> tuple[int, ...]:
+        """One value for each object."""
+        return self._struct.unpack(data)
+
+
+def joint_pdos(drive: Drive) -> list[tuple[Pdo, Pdo]]:
+    """(outputs, inputs) of each joint's drive.
+
+    Raises:
+        RobotError: the robot description maps no process data, or something unknown.
+    """
+    if not drive.joint:
+        raise RobotError("drive.joint: missing key: a master has to know what its drives map")
+    pairs = []
+    for number, joint in enumerate(drive.joint):
+        key = f"drive.joint.{number}"
+        if not joint.outputs or not joint.inputs:
+            raise RobotError(f"{key}.outputs, {key}.inputs: missing key: a master has to know what its drives map")
+        pairs.append((Pdo(joint.outputs, f"{key}.outputs"), Pdo(joint.inputs, f"{key}.inputs")))
+    return pairs
+
+
+def _entry(text: str, key: str) -> tuple[int, int]:
+    name, _, size = text.partition(":")
+    try:
+        index = int(name, 16) if name else 0
+        bits = int(size) if size else 8 * OBJECTS[index].itemsize
+    except ValueError:
+        raise RobotError(f"{key}: {text!r} is neither an object (0x6064), nor index:bits, nor :bits") from None
+    except KeyError:
+        raise RobotError(f"{key}: the size of {text} is not fixed by CiA 402; write {text}:bits") from None
+    if bits <= 0 or bits % 8 or (index in OBJECTS and bits != 8 * OBJECTS[index].itemsize):
+        raise RobotError(f"{key}: {text}: {bits} bits do not fit")
+    return index, bits

@@ -1,0 +1,95 @@
+"""`deltatwin segment`: three simulated drives and their robot at the end of an Ethernet interface."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from drivers.ethercat.segment.wire import Switches
+
+
+def command(
+    interface: Annotated[str, typer.Argument(help="Ethernet interface to answer on, e.g. one end of a veth pair.")],
+    robot: Annotated[Path, typer.Option(help="Robot description (TOML) with its drives and their process data.")],
+    truth: Annotated[Path | None, typer.Option(help="Where the simulated robot departs from it (TOML).")] = None,
+    rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second that the master will run at (Hz).")] = 1000.0,
+    product: Annotated[float, typer.Option(min=0.0, help="What the gripper lifts when it is told to grip (kg).")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed of the sensors' noise.")] = 0,
+    trace: Annotated[Path | None, typer.Option(help="Write the robot's own account of the run here (.mcap).")] = None,
+) -> None:
+    """Be an EtherCAT segment of three CiA 402 drives that move a simulated Delta robot.
+
+    Any master can bring it into operation. Lines on standard input throw the switches: `break N` parts the cable before
+    drive N, `silence N` makes drive N miss the process data (the working counter falls short), `trip N` puts drive N
+    into fault, `mend` undoes the first two.
+
+    Example: ip link add bus0 type veth peer name seg0; ip link set bus0 up; ip link set seg0 up;
+    deltatwin segment seg0 --robot d3.toml
+    """
+    import sys
+    import threading
+
+    from drivers.ethercat.cia402 import scales
+    from drivers.ethercat.pdo import joint_pdos
+    from drivers.ethercat.segment.wire import Segment, serve
+    from drivers.plant.plant import Plant
+    from drivers.plant.truth import PlantTruth, load_truth
+    from drivers.trace import write_trace
+    from drivers.trace.mcap_file import to_trace
+    from replay.realtime import go_realtime
+    from schemas.robot import load_robot
+    from service.cli.signals import terminate_as_interrupt
+
+    terminate_as_interrupt()
+    description = load_robot(robot)
+    actual = load_truth(truth, description) if truth else PlantTruth.nominal(description)
+    drive = description.drive
+    plant = Plant(description, actual, period=1 / rate, seed=seed)
+    segment = Segment(joint_pdos(drive), scales(drive), plant, product)
+    threading.Thread(target=_listen, args=(segment.switches,), daemon=True).start()
+    go_realtime("segment")
+    print(f"segment: 3 drives of {description.name} on {interface}", file=sys.stderr, flush=True)
+    try:
+        serve(interface, segment, lambda: False)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        if trace and segment.cycles:
+            write_trace(to_trace(segment.trace, trace), trace, description.name)
+    frameless = int((segment.trace["flags"] != 0).sum())
+    typer.echo(f"{segment.cycles} cycles in operation, {frameless} of them without a frame")
+
+
+def _listen(switches: Switches) -> None:
+    import sys
+
+    for line in sys.stdin:
+        try:
+            throw(switches, line)
+            print(f"segment: switched: {line.strip()}", file=sys.stderr, flush=True)
+        except ValueError as error:
+            print(f"segment: {error}", file=sys.stderr, flush=True)
+
+
+def throw(switches: Switches, line: str) -> None:
+    """Carry out one line of standard input.
+
+    Raises:
+        ValueError: it is not a switch.
+    """
+    name, _, number = line.strip().partition(" ")
+    if name == "mend" and not number:
+        switches.broken_before = switches.silent = 0
+        return
+    if name not in ("break", "silence", "trip") or number not in ("1", "2", "3"):
+        raise ValueError(f"{line.strip()!r}: say break, silence or trip and a drive 1..3, or mend")
+    drive = int(number)
+    if name == "break":
+        switches.broken_before = drive
+    elif name == "silence":
+        switches.silent |= 1 << drive - 1
+    else:
+        switches.trip |= 1 << drive - 1
