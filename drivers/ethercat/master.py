@@ -1,0 +1,359 @@
+"""EtherCAT master of one Delta robot: SOEM carries the frames, this brings three CiA 402 drives into operation and runs
+them in cyclic synchronous position mode, one frame a cycle, with a torque offset beside each position.
+
+A cycle: wait for the deadline, send the outputs made ready in the cycle before, take the inputs, hand them out as a
+sample, make the next outputs ready. What an estimator does therefore falls between two frames and delays none.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+import pysoem
+
+from drivers.ethercat import cia402
+from drivers.ethercat.cia402 import Control, DriveState, Mode, Scale, drive_state
+from drivers.ethercat.course import Course
+from drivers.ethercat.pdo import DIGITAL_OUTPUTS, GRIPPER, Pdo, joint_pdos
+from schemas.errors import BusError
+from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag, set_stamp
+from schemas.robot import Robot
+
+STALE_CYCLES = 3  # older feed-forward than this is not used
+FAULTY_CYCLES = 20  # working-counter faults in a row that end the run: sooner than the drives' watchdogs, 100 ms
+ENABLE_TIME = 2.0  # s for all drives to get into operation
+RECEIVE_SHARE = 0.8  # of a cycle to wait for the frame to come back
+
+_NEXT_CONTROL = {
+    DriveState.FAULT: Control.FAULT_RESET,
+    DriveState.SWITCH_ON_DISABLED: Control.SHUTDOWN,
+    DriveState.READY_TO_SWITCH_ON: Control.SWITCH_ON,
+    DriveState.SWITCHED_ON: Control.ENABLE_OPERATION,
+    DriveState.OPERATION_ENABLED: Control.ENABLE_OPERATION,
+}
+_SIOCGIFFLAGS, _IFF_UP = 0x8913, 1
+
+
+@dataclass
+class Counts:
+    """What happened to the cycles: all; with a wrong working counter; skipped because this host was too late."""
+
+    cycles: int = 0
+    faulty: int = 0
+    missed: int = 0
+
+
+class _Axis:
+    """One drive's process data: values to send, and where in what comes back the three that matter are."""
+
+    def __init__(self, rx: Pdo, tx: Pdo) -> None:
+        rx.require(cia402.CONTROLWORD, cia402.TARGET_POSITION)
+        self.rx, self.tx = rx, tx
+        self.outputs = rx.blank()
+        self.places = tx.require(cia402.STATUSWORD, cia402.POSITION_ACTUAL, cia402.TORQUE_ACTUAL)
+        self.put(cia402.MODE_OF_OPERATION, Mode.CSP)
+
+    def put(self, index: int, value: int) -> None:
+        """Set an object, if it is mapped."""
+        (place,) = self.rx.places(index)
+        if place >= 0:
+            self.outputs[place] = value
+
+
+Feedforward = Callable[[np.ndarray, Course, int], tuple[np.ndarray, float]]
+"""(1,) record of SAMPLE, the course, the number of its coming cycle; gives tau_FF (3,) N m and its age in cycles."""
+
+
+class TorqueOffset:
+    """tau_FF to 0x60B2 of three drives: rounded to the drive's unit, limited in size and in slope, zero when stale."""
+
+    def __init__(self, scale: Scale, limit: float | None, slope: float, period: float) -> None:
+        """`scale`: of three drives, each field (3,). `limit`: N m, None: what each drive calls 1000 per mille.
+        `slope`: N m/s."""
+        full = 1000 * np.abs(scale.torque_nm_per_mille)
+        self._scale = scale
+        self._limit = full if limit is None else np.minimum(full, limit)
+        self._step = slope * period
+        self.torque = np.zeros(3)
+
+    def step(self, torque: np.ndarray, age: float) -> np.ndarray:
+        """(3,) int16 to write for (3,) N m that is `age` cycles old. Not finite counts as stale.
+
+        Going stale takes the torque away at once: what is not known to be right must not push. Coming back is limited
+        in slope.
+        """
+        if age > STALE_CYCLES or not np.isfinite(torque).all():
+            self.torque = np.zeros(3)
+        else:
+            wanted = np.clip(torque, -self._limit, self._limit)
+            self.torque = self.torque + np.clip(wanted - self.torque, -self._step, self._step)
+        return self._scale.per_mille(self.torque)
+
+
+class Master:
+    """The drives of one robot on one interface. Use as a context manager: leaving it stops the drives and the bus."""
+
+    def __init__(self, interface: str, robot: Robot, period: float, wait_until: Callable[[int], int]) -> None:
+        """`period`: s. `wait_until`: sleeps to a CLOCK_MONOTONIC time in ns, gives back how late it is, ns.
+
+        Raises:
+            RobotError: the robot description does not say what the drives map or how they count.
+        """
+        pdos = joint_pdos(robot.drive)
+        self.scale = _side_by_side(cia402.scales(robot.drive))
+        self._axes = [_Axis(rx, tx) for rx, tx in pdos]
+        self._interface, self._robot = interface, robot.name
+        self._period_ns = round(period * NANOSECONDS)
+        self._timeout_us = max(200, round(period * 1e6 * RECEIVE_SHARE))
+        self._wait_until = wait_until
+        self._deadline = 0
+        self.sent_ns = 0  # CLOCK_MONOTONIC of the last cycle's frame
+        self._faulty_run = 0
+        self._sample = SAMPLE.empty(1)
+        self._commanded = np.full(3, np.nan), np.full(3, np.nan)
+        self._soem = pysoem.Master()
+        self._states = [DriveState.UNKNOWN] * 3
+        self.counts = Counts()
+
+    def __enter__(self) -> Master:
+        check_interface(self._interface)
+        try:
+            self._soem.open(self._interface)
+        except ConnectionError as error:
+            raise BusError(f"{self._interface}: {error}") from error
+        try:
+            self._configure()
+        except BaseException:
+            self._soem.close()
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if self._soem.state == pysoem.OP_STATE and not self._faulty_run:
+            for control in (Control.QUICK_STOP, Control.DISABLE_VOLTAGE):
+                for axis in self._axes:
+                    axis.put(cia402.CONTROLWORD, control)
+                    axis.put(cia402.TORQUE_OFFSET, 0)
+                self._exchange()
+        self._soem.state = pysoem.INIT_STATE
+        self._soem.write_state()
+        self._soem.close()
+
+    def cycle(self) -> np.ndarray:
+        """Wait for the next deadline and exchange one frame; (1,) record of SAMPLE, good until the next call.
+
+        The sample holds the inputs and the commands of one frame, its stamp is the distributed clock in that frame.
+
+        Raises:
+            BusError: the working counter stays wrong, or a drive left operation.
+        """
+        late = self._wait_until(self._deadline)
+        behind = late // self._period_ns
+        self.counts.missed += behind
+        self._deadline += (1 + behind) * self._period_ns
+        self.sent_ns = time.monotonic_ns()
+        counter = self._exchange()
+        self.counts.cycles += 1
+        sample = self._sample
+        set_stamp(sample, self._soem.dc_time)
+        sample["sequence"] += np.uint64(1 + behind)
+        sample["position_command"], sample["torque_command"] = self._commanded
+        if counter == self._soem.expected_wkc:
+            self._faulty_run = 0
+            sample["flags"] = SampleFlag.GAP_BEFORE if behind else 0
+            self._read(sample[0])
+        else:
+            self.counts.faulty += 1
+            self._faulty_run += 1
+            sample["flags"] = SampleFlag.BUS_FAULT
+            if self._faulty_run >= FAULTY_CYCLES:
+                raise BusError(self._explain_counter(counter))
+        return sample
+
+    def operate(self) -> np.ndarray:
+        """Bring the bus to OP and every drive into operation, holding where its joint is; (3,) rad of the joints.
+
+        Raises:
+            BusError: naming the drive that does not follow.
+        """
+        self._deadline = time.monotonic_ns()
+        self._exchange()
+        self._adopt_positions()
+        self._soem.state = pysoem.OP_STATE
+        self._soem.write_state()
+        for _ in self._for(ENABLE_TIME):
+            self.cycle()
+            if self._soem.state_check(pysoem.OP_STATE, 0) == pysoem.OP_STATE:
+                break
+        else:
+            raise BusError(self._explain_states("OP"))
+        for _ in self._for(ENABLE_TIME):
+            self.cycle()
+            if all(state is DriveState.OPERATION_ENABLED for state in self._states):
+                break
+            self._adopt_positions()
+            for axis, state in zip(self._axes, self._states, strict=True):
+                axis.put(cia402.CONTROLWORD, self._walk(axis, state))
+        else:
+            raise BusError(self._explain_drives())
+        return self._sample["position"][0].copy()
+
+    def check_operation(self) -> None:
+        """Raise unless every drive was in operation in the last good cycle.
+
+        Raises:
+            BusError: naming the drive that was not.
+        """
+        if any(state is not DriveState.OPERATION_ENABLED for state in self._states):
+            raise BusError(self._explain_drives())
+
+    def command(self, position: np.ndarray, offset: np.ndarray, grip: bool = False) -> None:
+        """Make ready for the next frame.
+
+        position: (3,) rad to be at when the cycle that the frame starts is over. offset: (3,) int16 for 0x60B2.
+        grip: whether the gripper is to hold, the `GRIPPER` bit of 0x60FE where that is mapped.
+        """
+        counts = self.scale.counts(position)
+        for axis, target, torque in zip(self._axes, counts.tolist(), offset.tolist(), strict=True):
+            axis.put(cia402.TARGET_POSITION, target)
+            axis.put(cia402.TORQUE_OFFSET, torque)
+            axis.put(DIGITAL_OUTPUTS, GRIPPER if grip else 0)
+        self._commanded = self.scale.position(counts), self.scale.torque(offset)
+
+    def _configure(self) -> None:
+        found = self._soem.config_init()
+        if found <= 0:
+            raise BusError(f"{self._interface}: no EtherCAT slave answers; check cable and power")
+        if found != 3:
+            raise BusError(f"{self._interface}: {found} slaves on the bus, robot {self._robot!r} has 3 drives")
+        if self._soem.state_check(pysoem.PREOP_STATE, 2_000_000) != pysoem.PREOP_STATE:
+            raise BusError(self._explain_states("PREOP"))
+        self._soem.config_map()
+        for number, (slave, axis) in enumerate(zip(self._soem.slaves, self._axes, strict=True), start=1):
+            for name, pdo, size in (("outputs", axis.rx, len(slave.output)), ("inputs", axis.tx, len(slave.input))):
+                if pdo.size != size:  # written all the same, it would go over the edge of SOEM's process image
+                    raise BusError(
+                        f"{self._interface}: drive {number} ({slave.name}) maps {size} bytes of {name}, "
+                        f"drive.joint.{number - 1}.{name} declares {pdo.size}"
+                    )
+        self._soem.config_dc()
+        if self._soem.state_check(pysoem.SAFEOP_STATE, 2_000_000) != pysoem.SAFEOP_STATE:
+            raise BusError(self._explain_states("SAFEOP"))
+
+    def _exchange(self) -> int:
+        for axis, slave in zip(self._axes, self._soem.slaves, strict=True):
+            slave.output = axis.rx.pack(axis.outputs)
+        self._soem.send_processdata()
+        return self._soem.receive_processdata(self._timeout_us)
+
+    def _read(self, sample: np.void) -> None:
+        counts, torques = [], []
+        for number, (axis, slave) in enumerate(zip(self._axes, self._soem.slaves, strict=True)):
+            values = axis.tx.unpack(slave.input)
+            status, position, torque = axis.places
+            self._states[number] = _STATES[values[status] & 0x7F]
+            counts.append(values[position])
+            torques.append(values[torque])
+        sample["position"] = self.scale.position(np.array(counts))
+        sample["torque"] = self.scale.torque(np.array(torques))
+
+    def _adopt_positions(self) -> None:
+        targets = []
+        for axis, slave in zip(self._axes, self._soem.slaves, strict=True):
+            targets.append(axis.tx.unpack(slave.input)[axis.places[1]])
+            axis.put(cia402.TARGET_POSITION, targets[-1])
+        self._commanded = self.scale.position(np.array(targets)), np.zeros(3)
+
+    def _walk(self, axis: _Axis, state: DriveState) -> int:
+        control = _NEXT_CONTROL.get(state, Control.DISABLE_VOLTAGE)
+        (place,) = axis.rx.places(cia402.CONTROLWORD)
+        if control is Control.FAULT_RESET and axis.outputs[place] == Control.FAULT_RESET:
+            return Control.DISABLE_VOLTAGE  # the reset is the rising edge
+        return control
+
+    def _for(self, duration: float) -> Iterator[int]:
+        return iter(range(round(duration * NANOSECONDS / self._period_ns)))
+
+    def _explain_counter(self, counter: int) -> str:
+        expected, cycles = self._soem.expected_wkc, self._faulty_run
+        if counter <= 0:
+            return (
+                f"{self._interface}: working counter 0 of {expected} for {cycles} cycles: no drive answers; "
+                "check cable and power"
+            )
+        self._soem.read_state()
+        gone = [str(number) for number, slave in enumerate(self._soem.slaves, start=1) if slave.state == 0]
+        cause = f"drive {', '.join(gone)} does not answer" if gone else "a drive does not take part in the process data"
+        return f"{self._interface}: working counter {counter} of {expected} for {cycles} cycles: {cause}"
+
+    def _explain_states(self, wanted: str) -> str:
+        self._soem.read_state()
+        target = getattr(pysoem, f"{wanted}_STATE")
+        for number, slave in enumerate(self._soem.slaves, start=1):
+            if slave.state != target:
+                reason = pysoem.al_status_code_to_string(slave.al_status) if slave.al_status else "no reason given"
+                return f"{self._interface}: drive {number} ({slave.name}) does not reach {wanted}: {reason}"
+        return f"{self._interface}: the bus does not reach {wanted}"
+
+    def _explain_drives(self) -> str:
+        for number, state in enumerate(self._states, start=1):
+            if state is not DriveState.OPERATION_ENABLED:
+                words = state.name.lower().replace("_", " ")
+                return f"{self._interface}: drive {number} is not in operation: {words}"
+        return f"{self._interface}: the drives are not in operation"
+
+
+def follow(master: Master, course: Course, feedforward: Feedforward, offset: TorqueOffset) -> Iterator[np.ndarray]:
+    """Take drives in operation through `course`.
+
+    Yields the (1,) record of SAMPLE of each cycle, good until the next one, once the next command is ready.
+
+    Raises:
+        BusError: the bus failed or a drive left operation.
+    """
+    for number, (position, grip) in enumerate(zip(course.position, course.grip.tolist(), strict=True)):
+        sample = master.cycle()
+        master.check_operation()
+        torque, age = feedforward(sample, course, number)
+        master.command(position, offset.step(torque, age), grip)
+        yield sample
+
+
+_STATES = [DriveState(int(drive_state(bits))) for bits in range(128)]
+
+
+def _side_by_side(scales: tuple[Scale, ...]) -> Scale:
+    """One scale whose fields are (3,), so that one call converts all joints."""
+    return Scale(
+        zero_counts=np.array([scale.zero_counts for scale in scales]),  # pyright: ignore[reportArgumentType]
+        radians_per_count=np.array([scale.radians_per_count for scale in scales]),  # pyright: ignore[reportArgumentType]
+        torque_nm_per_mille=np.array([scale.torque_nm_per_mille for scale in scales]),  # pyright: ignore[reportArgumentType]
+        radians_per_s_per_unit=None,
+    )
+
+
+def check_interface(interface: str) -> None:
+    """Raise unless raw frames can be sent on `interface`.
+
+    Raises:
+        BusError: it does not exist, is down, or may not be used.
+    """
+    try:
+        socket.if_nametoindex(interface)
+    except OSError:
+        raise BusError(f"{interface}: no such interface") from None
+    try:
+        with socket.socket(socket.AF_PACKET, socket.SOCK_RAW) as probe:
+            request = struct.pack("16sH22x", interface.encode()[:15], 0)
+            flags = struct.unpack_from("H", fcntl.ioctl(probe, _SIOCGIFFLAGS, request), 16)[0]
+    except PermissionError:
+        raise BusError(f"{interface}: raw Ethernet needs the capability CAP_NET_RAW (run as root)") from None
+    if not flags & _IFF_UP:
+        raise BusError(f"{interface}: the interface is down (ip link set {interface} up)")

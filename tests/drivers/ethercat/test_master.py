@@ -1,0 +1,204 @@
+"""The master on a real wire: SOEM at one end of a veth pair, the segment's process at the other."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.ethercat.cia402 import Scale
+from drivers.ethercat.course import course
+from drivers.ethercat.master import FAULTY_CYCLES, STALE_CYCLES, Master, TorqueOffset, follow
+from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES
+from drivers.plant.motion import Planner
+from drivers.trace import read_trace
+from replay.clock import wait_until
+from schemas.errors import BusError
+from schemas.messages import SAMPLE, SampleFlag
+from schemas.robot import Robot, load_robot
+from tests.drivers.ethercat import rig
+
+PERIOD = 2e-3  # what a busy machine of two cores keeps up with
+
+
+@pytest.fixture(scope="module")
+def space() -> Iterator[rig.Namespace]:
+    with rig.namespace("deltatwin-master") as space:
+        yield space
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rig")
+    rig.robot(folder)
+    (folder / "truth.toml").write_text(rig.TRUTH)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def robot(files: Path) -> Robot:
+    return load_robot(files / "robot.toml")
+
+
+def start(space: rig.Namespace, files: Path) -> rig.SegmentProcess:
+    return rig.SegmentProcess(
+        space, "--robot", str(files / "robot.toml"), "--truth", str(files / "truth.toml"),
+        "--rate", str(1 / PERIOD), "--product", "1.5", "--trace", str(files / "own.mcap"),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def long_running(space: rig.Namespace, files: Path) -> Iterator[rig.SegmentProcess]:
+    process = start(space, files)
+    yield process
+    process.stop()
+
+
+@pytest.fixture
+def segment(long_running: rig.SegmentProcess) -> rig.SegmentProcess:
+    long_running.say("mend")
+    return long_running
+
+
+def nothing(*_: object) -> tuple[np.ndarray, float]:
+    return np.zeros(3), 0.0
+
+
+def run(robot: Robot, duration: float = 1.0, at_start: Callable[[], None] = lambda: None) -> np.ndarray:
+    """Records of SAMPLE of every cycle of a short pick-and-place."""
+    motion = Planner(robot, PERIOD).pick_and_place(np.random.default_rng(1), duration, (1.5,), speed=0.3)
+    taken = []
+    with Master(rig.NEAR, robot, PERIOD, wait_until) as master:
+        plan = course(master.operate(), motion)
+        offset = TorqueOffset(master.scale, None, 5000.0, PERIOD)
+        at_start()
+        for sample in follow(master, plan, nothing, offset):
+            taken.append(sample.copy())
+    return np.concatenate(taken) if taken else SAMPLE.empty(0)
+
+
+def test_samples_are_the_plants_own_trace(space: rig.Namespace, robot: Robot, files: Path) -> None:
+    segment = start(space, files)
+    try:
+        samples = space.call(lambda: run(robot, 3.0))
+    finally:
+        said = segment.stop()
+    own = read_trace(files / "own.mcap")
+    assert f"{len(own)} cycles in operation" in said
+    good = samples[samples["flags"] & SampleFlag.BUS_FAULT == 0]
+    assert len(good) > 0.98 * len(samples)
+    stamps = own.epoch_ns + np.rint(own.time * 1e9).astype(np.int64)
+    rows = np.searchsorted(stamps, good["stamp_sec"].astype(np.int64) * 10**9 + good["stamp_nanosec"])
+    for joint, drive in enumerate(robot.drive.joint):
+        count = 2 * np.pi / drive.counts_per_turn / robot.drive.gear_ratio
+        unit = drive.torque.full_scale_nm * robot.drive.gear_ratio / 1000
+        for values, true, half in (
+            (good["position"], own.position, count / 2),
+            (good["torque"], own.torque, unit / 2),
+        ):
+            difference = values[:, joint] - true[rows - INPUT_DELAY_CYCLES, joint]
+            assert np.abs(difference).max() < half * 1.01
+
+
+def test_a_second_master_finds_the_drives_as_the_first_left_them(
+    space: rig.Namespace, segment: rig.SegmentProcess, robot: Robot
+) -> None:
+    first = space.call(lambda: run(robot))
+    second = space.call(lambda: run(robot))
+    np.testing.assert_allclose(second["position"][0], first["position"][-1], atol=2e-3)
+
+
+def test_missing_drives(space: rig.Namespace, segment: rig.SegmentProcess, robot: Robot) -> None:
+    segment.say("break 3")
+    with pytest.raises(BusError, match=r"^bus0: 2 slaves on the bus, robot 'rig' has 3 drives$"):
+        space.call(lambda: run(robot))
+    segment.say("break 1")
+    with pytest.raises(BusError, match=r"^bus0: no EtherCAT slave answers; check cable and power$"):
+        space.call(lambda: run(robot))
+    segment.say("mend")
+    assert len(space.call(lambda: run(robot)))
+
+
+@pytest.mark.parametrize(
+    ("switch", "says"),
+    [
+        ("break 1", rf"working counter 0 of 9 for {FAULTY_CYCLES} cycles: no drive answers; check cable and power$"),
+        ("break 2", rf"working counter 3 of 9 for {FAULTY_CYCLES} cycles: drive 2, 3 does not answer$"),
+        ("silence 3", rf"working counter 6 of 9 for {FAULTY_CYCLES} cycles: a drive does not take part"),
+        ("trip 2", r"drive 2 is not in operation: fault"),
+    ],
+)
+def test_what_fails_while_running_ends_the_run_with_its_name(
+    space: rig.Namespace, segment: rig.SegmentProcess, robot: Robot, switch: str, says: str
+) -> None:
+    with pytest.raises(BusError, match=says):
+        space.call(lambda: run(robot, 5.0, lambda: segment.say(switch)))
+    segment.say("mend")
+    assert len(space.call(lambda: run(robot)))  # faults are reset, the drives run again
+
+
+def test_drives_that_map_something_else(space: rig.Namespace, segment: rig.SegmentProcess, tmp_path: Path) -> None:
+    other = rig.robot(tmp_path, outputs=rig.OUTPUTS[:-1])
+    says = r"^bus0: drive 1 \(deltatwin drive 1\) maps 15 bytes of outputs, drive.joint.0.outputs declares 11$"
+    with pytest.raises(BusError, match=says):
+        space.call(lambda: run(other))
+
+
+def master_command(space: rig.Namespace, files: Path, interface: str, *before: str) -> subprocess.CompletedProcess[str]:
+    command = (rig.DELTATWIN, "master", interface, "--robot", str(files / "robot.toml"), "--duration", "2")
+    return subprocess.run(space.prefix(*before, *command), capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_an_interface_that_is_not_there_or_not_up_is_one_line(space: rig.Namespace, files: Path) -> None:
+    done = master_command(space, files, "bus7")
+    assert (done.returncode, done.stderr) == (1, "deltatwin: bus7: no such interface\n")
+    link = ["ip", "-n", space.name, "link"]
+    subprocess.run([*link, "add", "dull0", "type", "veth", "peer", "name", "dull1"], check=True)
+    done = master_command(space, files, "dull0")
+    assert done.returncode == 1
+    assert done.stderr.endswith("deltatwin: dull0: the interface is down (ip link set dull0 up)\n")
+
+
+def test_without_privilege_it_says_which_is_missing(space: rig.Namespace, files: Path) -> None:
+    done = master_command(space, files, rig.NEAR, "setpriv", "--bounding-set=-net_raw", "--inh-caps=-net_raw")
+    assert done.returncode == 1
+    assert done.stderr.endswith("deltatwin: bus0: raw Ethernet needs the capability CAP_NET_RAW (run as root)\n")
+
+
+SCALE = Scale(
+    zero_counts=0,
+    radians_per_count=1e-6,
+    torque_nm_per_mille=np.array([0.02, -0.02, 0.03]),  # pyright: ignore[reportArgumentType]
+    radians_per_s_per_unit=None,
+)
+
+
+def test_the_torque_offset_is_in_the_drives_unit_and_sign() -> None:
+    offset = TorqueOffset(SCALE, None, 1e9, 1e-3)
+    assert offset.step(np.array([2.0, 2.0, -3.0]), 1.0).tolist() == [100, -100, -100]
+
+
+def test_the_torque_offset_is_limited_in_size() -> None:
+    rated = TorqueOffset(SCALE, None, 1e9, 1e-3)
+    assert rated.step(np.array([500.0, 500.0, -500.0]), 1.0).tolist() == [1000, -1000, -1000]
+    asked = TorqueOffset(SCALE, 3.0, 1e9, 1e-3)
+    assert asked.step(np.array([500.0, 1.0, -500.0]), 1.0).tolist() == [150, -50, -100]
+
+
+def test_the_torque_offset_is_limited_in_slope() -> None:
+    offset = TorqueOffset(SCALE, None, 1000.0, 1e-3)
+    steps = [offset.step(np.array([5.0, -5.0, 0.0]), 1.0).tolist()[0] for _ in range(7)]
+    assert steps == [50, 100, 150, 200, 250, 250, 250]
+
+
+@pytest.mark.parametrize("stale", [(np.ones(3), STALE_CYCLES + 1.0), (np.array([1.0, np.nan, 1.0]), 0.0)])
+def test_a_stale_or_senseless_torque_is_taken_away_at_once(stale: tuple[np.ndarray, float]) -> None:
+    offset = TorqueOffset(SCALE, None, 1000.0, 1e-3)
+    for _ in range(10):
+        offset.step(np.full(3, 5.0), STALE_CYCLES)
+    assert offset.torque.tolist() == [5.0, 5.0, 5.0]
+    assert offset.step(*stale).tolist() == [0, 0, 0]
+    assert offset.step(np.full(3, 5.0), 1.0).tolist() == [50, -50, 33]
