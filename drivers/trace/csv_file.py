@@ -86,7 +86,7 @@ def _load(path: Path) -> bytes:
         raise TraceError(f"{path}: broken gzip file: {error}") from error
     except OSError as error:
         raise TraceError(f"{path}: {error.strerror}") from error
-    if not raw.strip():
+    if not raw[:4096].strip() and not raw.strip():
         raise TraceError(f"{path}: empty file")
     zero = raw.find(b"\0", 0, 1 << 16)
     if zero >= 0:
@@ -95,7 +95,7 @@ def _load(path: Path) -> bytes:
 
 
 def _mapping(raw: bytes, robot: Robot | None) -> Columns:
-    names = _fields(raw.split(b"\n", 1)[0].decode("utf-8", "replace"), ",")
+    names = _fields(_first_line(raw).decode("utf-8", "replace"), ",")
     own = [match[1] for name in names if (match := _OWN.match(name))]
     if not own:
         return robot.columns if robot is not None and robot.columns is not None else Columns()
@@ -106,6 +106,10 @@ def _mapping(raw: bytes, robot: Robot | None) -> Columns:
         if f"{channel}_1_{ending}" in names or not channel.endswith("command"):
             linear[channel] = {"name": f"{channel}_{{joint}}_{ending}", "unit": unit}
     return Columns.model_validate(linear)
+
+
+def _first_line(table: bytes) -> bytes:
+    return next(io.BytesIO(table), b"")
 
 
 def _fields(line: str, separator: str) -> list[str]:
@@ -189,7 +193,7 @@ def _parse(body: bytes, names: list[str], channels: list[_Channel], columns: Col
 
 
 def _read(body: bytes, used: list[int], fields: int, kind: type[pl.DataType], columns: Columns) -> pl.DataFrame:
-    width = max(fields, body.split(b"\n", 1)[0].count(columns.separator.encode()) + 1)
+    width = max(fields, _first_line(body).count(columns.separator.encode()) + 1)
     return pl.read_csv(
         io.BytesIO(body),
         has_header=False,
@@ -236,7 +240,7 @@ def _explain(body: bytes, names: list[str], used: list[int], columns: Columns, e
                 float(cell.replace(columns.decimal, ".") if cell not in MISSING else 0)
             except ValueError:
                 return f"line {line}, column {names[index]!r}: {cell!r} is not a number"
-    fields = body.split(b"\n", 1)[0].count(columns.separator.encode()) + 1
+    fields = _first_line(body).count(columns.separator.encode()) + 1
     if fields < expected:
         return f"line {columns.first_line} has {fields} fields, the header has {expected}"
     return error.splitlines()[0]
