@@ -30,6 +30,18 @@ def bus_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield Path(folder)
 
 
+@pytest.fixture
+def bench_robot(tmp_path: Path) -> Path:
+    """The description of a robot called `bench`."""
+    path = tmp_path / "robot.toml"
+    path.write_text(
+        'name = "bench"\n'
+        "[geometry]\nactive_link_length = 0.3\npassive_link_length = 0.8\nbase_radius = 0.2\nplatform_radius = 0.05\n"
+        "[mass]\nactive_link = 1.0\npassive_link = 0.2\nplatform = 0.5\n"
+    )
+    return path
+
+
 @pytest.fixture(scope="session")
 def until() -> Callable[[Callable[[], bool]], None]:
     """Wait for a condition; half a minute in vain fails the test, how long it takes does not matter."""

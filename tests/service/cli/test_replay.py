@@ -16,23 +16,9 @@ from drivers.trace import write_trace
 from schemas.messages import Role
 from schemas.trace import Trace
 
-ROBOT = """
-name = "bench"
-[geometry]
-active_link_length = 0.3
-passive_link_length = 0.8
-base_radius = 0.2
-platform_radius = 0.05
-[mass]
-active_link = 1.0
-passive_link = 0.2
-platform = 0.5
-"""
-
 
 @pytest.fixture
-def folder(tmp_path: Path, bus_folder: Path) -> Path:
-    (tmp_path / "robot.toml").write_text(ROBOT)
+def folder(tmp_path: Path, bus_folder: Path, bench_robot: Path) -> Path:
     time = np.arange(500) / 1000.0
     position = 0.3 * np.sin(2 * np.pi * time[:, None] + np.arange(3))
     write_trace(Trace(tmp_path / "log.csv", time, position, position * 10), tmp_path / "log.csv")

@@ -1,0 +1,38 @@
+"""`deltatwin recover`: repair a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    source: Annotated[Path, typer.Argument(help="Recording whose writer was killed or whose disk was full (.mcap).")],
+    target: Annotated[Path, typer.Argument(help="Whole file to write; must not exist.")],
+) -> None:
+    """Copy every readable message of a broken MCAP file to a whole one.
+
+    Example: deltatwin recover run.mcap run-whole.mcap
+    """
+    import rich.progress
+    from rich.console import Console
+
+    from schemas.errors import StorageError
+    from service.monitor.recover import recover
+
+    console = Console(stderr=True)
+    try:
+        opened = rich.progress.open(
+            source, "rb", description=f"recover {source.name}", console=console, disable=not console.is_terminal
+        )
+    except OSError as error:
+        raise StorageError(f"{source}: {error.strerror}") from error
+    with opened as stream:
+        saved = recover(source, stream, target)
+    for topic, count in sorted(saved.counts.items()):
+        typer.echo(f"{count:>10}  {topic}")
+    state = "the file was whole" if saved.whole else "the end was missing or damaged"
+    chunks = f"; {saved.bad_chunks} damaged chunks left out" if saved.bad_chunks else ""
+    typer.echo(f"saved {sum(saved.counts.values())} messages over {saved.span_s:.3f} s in {target} ({state}{chunks})")

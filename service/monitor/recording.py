@@ -1,0 +1,95 @@
+"""One MCAP file being written: CDR messages as they came, readable by anything that reads ROS 2 logs."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from mcap.writer import Writer
+
+from schemas.errors import StorageError
+from schemas.keys import topic_key
+from schemas.messages import TOPICS, stamp_ns
+
+
+class Recording:
+    """An MCAP file with a channel for every topic of `robot`. Log time is arrival, publish time is bus time.
+
+    What `flush` has returned from survives the death of the process; a file without its end is repaired by `recover`.
+    """
+
+    def __init__(self, path: Path, robot: str) -> None:
+        """Raises StorageError: the file exists or cannot be made."""
+        self.path = path
+        self.written = 0
+        try:
+            self._stream = path.open("xb")
+        except OSError as error:
+            raise StorageError(f"{path}: cannot record: {error.strerror}") from error
+        self._writer = Writer(self._stream)
+        self._writer.start(profile="ros2", library="deltatwin")
+        self._channels = {}
+        for topic, message in TOPICS.items():
+            schema = self._writer.register_schema(message.schema_name, "ros2msg", message.schema_text.encode())
+            self._channels[topic] = self._writer.register_channel(topic_key(robot, topic), "cdr", schema)
+
+    def write(self, topic: str, records: np.ndarray, log_ns: np.ndarray) -> None:
+        """Append (N,) records that arrived at (N,) `log_ns`, ns since 1970.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        channel, size, data = self._channels[topic], records.itemsize, records.tobytes()
+        times = zip(log_ns.tolist(), np.maximum(stamp_ns(records), 0).tolist(), strict=True)
+        sequences = records["sequence"].astype(np.uint32).tolist()
+        try:
+            for i, (log, stamp) in enumerate(times):
+                self._writer.add_message(channel, log, data[i * size : (i + 1) * size], stamp, sequences[i])
+        except OSError as error:
+            raise self._refused(error) from error
+        self.written += len(records)
+
+    def note(self, name: str, facts: dict[str, str]) -> None:
+        """Append an MCAP metadata record.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        try:
+            self._writer.add_metadata(name, facts)
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def flush(self) -> None:
+        """Hand everything so far to the operating system.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        try:
+            self._writer.flush()
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def close(self) -> None:
+        """Write the end of the file and close it.
+
+        Raises:
+            StorageError: the disk refuses.
+        """
+        try:
+            self._writer.finish()
+            self._stream.close()
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def abandon(self) -> None:
+        """Close after the disk refused: what was flushed stays, without an end."""
+        with suppress(OSError):  # it tries once more to write what the disk refused, and closes all the same
+            self._stream.close()
+
+    def _refused(self, error: OSError) -> StorageError:
+        return StorageError(
+            f"{self.path}: recording stopped: {error.strerror}; what is on disk: deltatwin recover {self.path} OUT.mcap"
+        )

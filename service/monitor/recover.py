@@ -1,0 +1,113 @@
+"""Repair of an MCAP file whose writer was killed or whose disk was full: what can be read goes to a whole file."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import Writer
+
+from schemas.errors import StorageError
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was saved. counts: messages by topic. span_s: log time, first to last. whole: nothing was wrong."""
+
+    counts: dict[str, int]
+    span_s: float
+    bad_chunks: int
+    whole: bool
+
+
+def recover(source: Path, stream: IO[bytes], target: Path) -> Recovered:
+    """Copy every readable message of `stream`, which is `source` opened, to the new file `target`.
+
+    A chunk whose checksum is wrong is left out and counted; the copy ends where the records do.
+
+    Raises:
+        StorageError: not an MCAP file, nothing to save, `target` exists or cannot be written.
+    """
+    if target.exists():
+        raise StorageError(f"{target}: exists already; give another name")
+    partial = target.with_name(f".part-{target.name}")
+    try:
+        with partial.open("wb") as out:
+            copy = _Copy(Writer(out))
+            copy.all(source, stream)
+        if not copy.counts:
+            raise StorageError(f"{source}: not one whole message in it")
+        partial.replace(target)
+    except OSError as error:
+        raise StorageError(f"{error.filename or target}: {error.strerror}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return Recovered(dict(copy.counts), (copy.last_ns - copy.first_ns) * 1e-9, copy.bad_chunks, copy.whole)
+
+
+class _Copy:
+    """Writes records to a new file under the channels they had."""
+
+    def __init__(self, writer: Writer) -> None:
+        self.counts: Counter[str] = Counter()
+        self.first_ns = self.last_ns = 0
+        self.bad_chunks = 0
+        self.whole = False
+        self._ended = False
+        self._writer = writer
+        self._schemas: dict[int, int] = {0: 0}
+        self._channels: dict[int, tuple[int, str]] = {}
+
+    def all(self, source: Path, stream: IO[bytes]) -> None:
+        self._writer.start(profile="ros2", library="deltatwin recover")
+        limit = source.stat().st_size  # a length that was garbled must not be allocated
+        broken = ""
+        records = StreamReader(stream, emit_chunks=True, record_size_limit=limit).records
+        while not broken:
+            try:
+                record = next(records)
+            except StopIteration:
+                break
+            except OSError:
+                raise
+            except Exception as error:  # the library lets struct and its own errors through where the file breaks off
+                broken = str(error) or "the file ends in the middle of a record"
+            else:
+                self._record(record)
+        if broken and not self.counts:
+            raise StorageError(f"{source}: nothing to save: {broken}")
+        self.whole = self._ended and not broken and not self.bad_chunks
+        self._writer.finish()
+
+    def _record(self, record: McapRecord) -> None:
+        if isinstance(record, Chunk):
+            try:
+                inside = breakup_chunk(record, validate_crc=True)
+            except Exception:  # zstd, struct, its own: this chunk is lost, the next may be good
+                self.bad_chunks += 1
+                return
+            for one in inside:
+                self._record(one)
+        elif isinstance(record, Schema) and record.id not in self._schemas:
+            self._schemas[record.id] = self._writer.register_schema(record.name, record.encoding, record.data)
+        elif isinstance(record, Channel) and record.id not in self._channels and record.schema_id in self._schemas:
+            schema = self._schemas[record.schema_id]
+            channel = self._writer.register_channel(record.topic, record.message_encoding, schema, record.metadata)
+            self._channels[record.id] = channel, record.topic
+        elif isinstance(record, Message) and record.channel_id in self._channels:
+            self._message(record)
+        elif isinstance(record, Metadata):
+            self._writer.add_metadata(record.name, record.metadata)
+        elif isinstance(record, Footer):
+            self._ended = True
+
+    def _message(self, message: Message) -> None:
+        channel, topic = self._channels[message.channel_id]
+        self._writer.add_message(channel, message.log_time, message.data, message.publish_time, message.sequence)
+        self.first_ns = min(self.first_ns, message.log_time) if self.counts else message.log_time
+        self.last_ns = max(self.last_ns, message.log_time)
+        self.counts[topic] += 1

@@ -1,0 +1,159 @@
+"""Recordings: read back by the mcap and mcap-ros2 libraries, broken in every way a file breaks, repaired."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from mcap_ros2.decoder import DecoderFactory
+
+from drivers.trace import read_trace
+from schemas.errors import StorageError
+from schemas.messages import SAMPLE, TOPICS, Message, set_stamp
+from service.monitor.recording import Recording
+from service.monitor.recover import Recovered, recover
+
+WALL_NS = 1_790_000_000_000_000_000
+FLUSHES = 10
+PER_FLUSH = 200  # samples between two flushes, 1 kHz
+
+
+def filled(message: Message, count: int, first: int = 0) -> np.ndarray:
+    """`count` records with every field set to something of its own, drawn from the sequence number."""
+    records = message.empty(count)
+    generator = np.random.default_rng(first)
+    for name in message.dtype.names[1:]:  # pyright: ignore[reportOptionalSubscript]
+        shape, kind = records[name].shape, records[name].dtype.kind
+        records[name] = generator.normal(size=shape) if kind == "f" else generator.integers(0, 100, shape)
+    records["sequence"] = np.arange(first, first + count)
+    set_stamp(records, records["sequence"].astype(np.int64) * 1_000_000)
+    return records
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A whole recording: 2000 samples in ten flushes, and ten of each other message."""
+    recording = Recording(tmp_path / "run.mcap", "bench")
+    for number in range(FLUSHES):
+        first = number * PER_FLUSH
+        log = WALL_NS + np.arange(first, first + PER_FLUSH) * 1_000_000
+        recording.write("sample", filled(SAMPLE, PER_FLUSH, first), log)
+        for topic, message in TOPICS.items():
+            if topic != "sample":
+                recording.write(topic, filled(message, 1, number), log[:1])
+        recording.note("sequence_gap", {"topic": "sample", "missed": str(number)})
+        recording.flush()
+    recording.close()
+    return tmp_path / "run.mcap"
+
+
+def repaired(source: Path, target: Path) -> Recovered:
+    with source.open("rb") as stream:
+        return recover(source, stream, target)
+
+
+def samples(path: Path) -> np.ndarray:
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        data = [m.data for _, _, m in reader.iter_messages(["deltatwin/bench/sample"], log_time_order=False)]
+    return np.frombuffer(b"".join(data), SAMPLE.dtype)
+
+
+def test_every_field_of_every_message_decodes_as_ros2(run: Path) -> None:
+    counts: Counter[str] = Counter()
+    with run.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for schema, channel, raw, decoded in reader.iter_decoded_messages():
+            assert schema is not None
+            topic = channel.topic.removeprefix("deltatwin/bench/")
+            record = TOPICS[topic].decode(raw.data)
+            counts[topic] += 1
+            assert raw.log_time >= WALL_NS
+            assert raw.publish_time == decoded.stamp.sec * 1_000_000_000 + decoded.stamp.nanosec
+            assert raw.sequence == decoded.sequence
+            for name in record.dtype.names[1:]:  # pyright: ignore[reportOptionalSubscript]
+                if not name.startswith("stamp_"):
+                    assert np.array_equal(record[name], getattr(decoded, name)), (topic, name)
+    assert counts == {topic: PER_FLUSH * FLUSHES if topic == "sample" else FLUSHES for topic in TOPICS}
+
+
+def test_samples_come_back_bit_for_bit_and_as_a_trace(run: Path) -> None:
+    expected = np.concatenate([filled(SAMPLE, PER_FLUSH, n * PER_FLUSH) for n in range(FLUSHES)])
+    assert samples(run).tobytes() == expected.tobytes()
+    trace = read_trace(run)
+    assert np.array_equal(trace.position, expected["position"])
+    assert np.allclose(trace.time, np.arange(2000) * 1e-3, rtol=0, atol=1e-12)
+
+
+def test_whole_file_is_copied_whole(run: Path, tmp_path: Path) -> None:
+    saved = repaired(run, tmp_path / "copy.mcap")
+    assert saved.whole
+    assert saved.bad_chunks == 0
+    assert saved.span_s == pytest.approx(1.999)
+    assert saved.counts == {
+        f"deltatwin/bench/{topic}": PER_FLUSH * FLUSHES if topic == "sample" else FLUSHES for topic in TOPICS
+    }
+    assert samples(tmp_path / "copy.mcap").tobytes() == samples(run).tobytes()
+    with (tmp_path / "copy.mcap").open("rb") as stream:
+        assert len(list(make_reader(stream).iter_metadata())) == FLUSHES
+
+
+@pytest.mark.parametrize("part", [0.15, 0.3, 0.5, 0.7, 0.9, 0.999])
+def test_cut_file_keeps_every_whole_chunk_before_the_cut(run: Path, tmp_path: Path, part: float) -> None:
+    content = run.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(content[: int(len(content) * part)])
+    flushed = 0  # chunks that end before the cut, by the index of the whole file
+    with run.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    flushed = sum(c.chunk_start_offset + c.chunk_length <= len(content) * part for c in summary.chunk_indexes)
+    saved = repaired(cut, tmp_path / "out.mcap")
+    assert not saved.whole
+    assert saved.counts["deltatwin/bench/sample"] == flushed * PER_FLUSH > 0
+    assert samples(tmp_path / "out.mcap")["sequence"].tolist() == list(range(flushed * PER_FLUSH))
+
+
+def test_damaged_chunk_is_left_out_and_the_rest_saved(run: Path, tmp_path: Path) -> None:
+    content = bytearray(run.read_bytes())
+    with run.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[4]
+    content[chunk.chunk_start_offset + chunk.chunk_length - 10] ^= 0x55
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(content)
+    saved = repaired(bad, tmp_path / "out.mcap")
+    assert (saved.bad_chunks, saved.whole) == (1, False)
+    kept = [n for n in range(2000) if n // PER_FLUSH != 4]
+    assert samples(tmp_path / "out.mcap")["sequence"].tolist() == kept
+
+
+def test_tail_of_zeros_as_after_a_power_cut_is_passed_over(run: Path, tmp_path: Path) -> None:
+    content = run.read_bytes()
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(content[: len(content) // 2] + bytes(5000))
+    saved = repaired(bad, tmp_path / "out.mcap")
+    assert saved.counts["deltatwin/bench/sample"] >= 3 * PER_FLUSH
+    with (tmp_path / "out.mcap").open("rb") as stream:
+        assert list(StreamReader(stream, validate_crcs=True).records)
+
+
+@pytest.mark.parametrize("content", [b"", b"time_s,position_1_rad\n0,0\n" * 9, bytes(4000)])
+def test_what_is_no_recording_is_refused_and_nothing_is_left_behind(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(StorageError, match=r"x\.mcap: nothing to save: ."):
+        repaired(path, tmp_path / "out.mcap")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["x.mcap"]
+
+
+def test_existing_files_are_never_overwritten(run: Path) -> None:
+    with pytest.raises(StorageError, match=r"run\.mcap: exists already"):
+        repaired(run, run)
+    with pytest.raises(StorageError, match=r"run\.mcap: cannot record: File exists"):
+        Recording(run, "bench")
