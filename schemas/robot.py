@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomlkit
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from schemas.columns import Columns
 from schemas.errors import RobotError
@@ -111,7 +111,7 @@ class JointDrive(_Section):
     """One drive on the bus and the joint behind it: scaling, and where its objects lie in the process data.
 
     joint angle = sign (counts - zero_counts) / counts_per_turn / gear_ratio, in turns.
-    joint torque = sign (0x6077 / 1000) full scale of `torque` times gear_ratio.
+    joint torque = torque_sign (0x6077 / 1000) full scale of `torque` times gear_ratio.
     A mapped object is its index where CiA 402 fixes its size ("0x6064"), "index:bits" where it does not ("0x2010:16"),
     and ":8" leaves eight bits out. Without a mapping here the robot's ENI file says where the objects are.
     """
@@ -122,7 +122,9 @@ class JointDrive(_Section):
     sign: Literal[1, -1]  # -1: the drive counts up while the active link rises
     zero_counts: int  # 0x6064 at joint angle 0
     torque: Annotated[RatedTorque | StandstillTorque | RatedCurrent, Field(discriminator="reference")]
-    velocity_unit_counts_per_s: Positive | None = None  # one unit of 0x606C; absent: 0x606C is not checked
+    torque_sign: Literal[1, -1] | None = None  # where it differs from `sign` (0x607E)
+    velocity_unit_counts_per_s: Positive | None = None  # one unit of 0x606C, or:
+    velocity_unit_rpm: Positive | None = None  # of the motor; with neither 0x606C is not checked
     outputs_address: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None  # logical address of the first byte
     outputs: list[str] = []  # RxPDO: master to drive
     inputs_address: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None
@@ -130,6 +132,8 @@ class JointDrive(_Section):
 
     @model_validator(mode="after")
     def _addressed(self) -> JointDrive:
+        if self.velocity_unit_counts_per_s and self.velocity_unit_rpm:
+            raise ValueError("velocity_unit_counts_per_s and velocity_unit_rpm: one of them, not both")
         for name, entries, address in (
             ("outputs", self.outputs, self.outputs_address),
             ("inputs", self.inputs, self.inputs_address),
@@ -220,6 +224,12 @@ class Robot(_Section):
     columns: Columns | None = None
     identified: Identified | None = None
     effect: list[Effect] = []
+    _folder: Path = PrivateAttr(Path())
+
+    @property
+    def folder(self) -> Path:
+        """Where the description was read from: files that it names are relative to it."""
+        return self._folder
 
     @property
     def arm_angles(self) -> list[float]:
@@ -253,7 +263,9 @@ def load_robot(path: str | Path) -> Robot:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
     path = robot_file(path)
-    return validate(Robot, read_toml(path, RobotError), path, RobotError)
+    robot = validate(Robot, read_toml(path, RobotError), path, RobotError)
+    robot._folder = path.parent
+    return robot
 
 
 def save_robot(robot: Robot, path: str | Path, template: str | Path | None = None) -> None:

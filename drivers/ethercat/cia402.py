@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from schemas.errors import RobotError
 from schemas.robot import Drive
@@ -50,6 +51,28 @@ OBJECTS = {
     0x60FF: np.dtype("<i4"),  # target velocity
 }
 """Objects whose size CiA 402 fixes."""
+
+
+def parse_object(entry: str, key: str) -> tuple[int, int]:
+    """(index, bits) of a mapped object as a robot description writes it: "0x6064", "0x2010:16", ":8" (index 0).
+
+    Raises:
+        RobotError: naming `key`, where it is none, or its size is not known or not CiA 402's.
+    """
+    name, _, size = entry.partition(":")
+    try:
+        index, bits = int(name, 16) if name else 0, int(size) if size else 0
+    except ValueError:
+        index, bits = -1, 0
+    known = OBJECTS[index].itemsize * 8 if index in OBJECTS else 0
+    bits = bits or known
+    if index < 0 or bits < 0 or (not name and bits == 0):
+        raise RobotError(f'{key}: {entry!r} is no object: write "0x6064", "0x2010:16" or ":8"')
+    if bits == 0:
+        raise RobotError(f'{key}: the size of {entry} is not known: write "{name}:bits"')
+    if known and bits != known:
+        raise RobotError(f"{key}: {entry}: {name} has {known} bits in CiA 402")
+    return index, bits
 
 
 class Mode(enum.IntEnum):
@@ -113,6 +136,12 @@ def drive_state(statusword: np.ndarray | int) -> np.ndarray:
     return STATE_OF_BITS[np.asarray(statusword, np.int64) & 0x7F]
 
 
+@njit(cache=True)
+def joint_angle(counts, zero_counts, radians_per_count):
+    """Joint angle, rad, of 0x6064 or 0x607A, one int64 or an array. The object wraps at 2^32, and so does this."""
+    return (((counts - zero_counts + 2**31) & 0xFFFFFFFF) - 2**31) * radians_per_count
+
+
 @dataclass(frozen=True)
 class Scale:
     """One drive's units against its joint. Arrays of any shape go in and come out with that shape.
@@ -126,9 +155,8 @@ class Scale:
     radians_per_s_per_unit: float | None  # of 0x606C; None: not declared
 
     def position(self, counts: np.ndarray | int) -> np.ndarray:
-        """Joint angle, rad, of 0x6064 or 0x607A. The distance from zero is taken modulo 2^32, as the object wraps."""
-        distance = np.asarray(counts, np.int64) - self.zero_counts
-        return (((distance + 2**31) & 0xFFFFFFFF) - 2**31) * self.radians_per_count
+        """Joint angle, rad, of 0x6064 or 0x607A."""
+        return joint_angle(np.asarray(counts, np.int64), self.zero_counts, self.radians_per_count)
 
     def counts(self, position: np.ndarray | float) -> np.ndarray:
         """0x607A, int32, nearest to a joint angle in rad."""
@@ -159,10 +187,12 @@ def scales(drive: Drive) -> tuple[Scale, Scale, Scale]:
         gear_ratio = joint.gear_ratio or drive.gear_ratio
         radians_per_count = joint.sign * math.tau / joint.counts_per_turn / gear_ratio
         unit = joint.velocity_unit_counts_per_s
+        if joint.velocity_unit_rpm is not None:
+            unit = joint.velocity_unit_rpm * joint.counts_per_turn / 60
         return Scale(
             zero_counts=joint.zero_counts,
             radians_per_count=radians_per_count,
-            torque_nm_per_mille=joint.sign * joint.torque.full_scale_nm * gear_ratio / 1000,
+            torque_nm_per_mille=(joint.torque_sign or joint.sign) * joint.torque.full_scale_nm * gear_ratio / 1000,
             radians_per_s_per_unit=None if unit is None else unit * radians_per_count,
         )
 

@@ -5,9 +5,14 @@ from __future__ import annotations
 import shutil
 import struct
 import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from schemas.robot import Robot
 
 MASTER = bytes.fromhex("000105112233")
 
@@ -90,3 +95,85 @@ def tshark(path: Path, *fields: str, select: str = "frame") -> list[list[str]]:
         command += ["-e", name]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     return [line.split("\t") for line in done.stdout.splitlines()]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What one drive says and hears in a cycle: TxPDO 6041 6064 606C 6077 6061, RxPDO 6040 607A 6071 60B2 6060."""
+
+    position: int = 0
+    velocity: int = 0
+    torque: int = 0
+    status: int = 0x27
+    mode: int = 8
+    target: int = 0
+    target_torque: int = 0
+    offset: int = 0
+
+    @property
+    def inputs(self) -> bytes:
+        return struct.pack("<HiihbB", self.status, self.position, self.velocity, self.torque, self.mode, 0)
+
+    @property
+    def outputs(self) -> bytes:
+        return struct.pack("<HihhbB", 15, self.target, self.target_torque, self.offset, self.mode, 0)
+
+
+INPUTS = ["0x6041", "0x6064", "0x606C", "0x6077", "0x6061", ":8"]
+OUTPUTS = ["0x6040", "0x607A", "0x6071", "0x60B2", "0x6060", ":8"]
+INPUT_BYTES, OUTPUT_BYTES = 14, 12
+INPUTS_AT = 0x1000 + 3 * OUTPUT_BYTES
+
+
+def robot(shared: bool = False, drive: dict[str, Any] | None = None, **joint_changes: Any) -> Robot:
+    """A robot whose drives map what `Drive` packs: outputs from 0x1000, inputs behind them or over them."""
+    inputs_at = 0x1000 if shared else INPUTS_AT
+    joints = [
+        {
+            "station": 0x1001 + number, "counts_per_turn": 1 << 20, "sign": 1, "zero_counts": 0,
+            "torque": {"reference": "rated_torque", "rated_torque_nm": 1.5},
+            "velocity_unit_counts_per_s": 1.0,
+            "outputs_address": 0x1000 + number * OUTPUT_BYTES, "outputs": OUTPUTS,
+            "inputs_address": inputs_at + number * INPUT_BYTES, "inputs": INPUTS,
+            **joint_changes,
+        }
+        for number in range(3)
+    ]  # fmt: skip
+    return Robot.model_validate(
+        {
+            "name": "wired",
+            "geometry": {
+                "active_link_length": 0.35,
+                "passive_link_length": 0.8,
+                "base_radius": 0.2,
+                "platform_radius": 0.06,
+            },
+            "mass": {"active_link": 1.0, "passive_link": 0.4, "platform": 0.8},
+            "drive": {"gear_ratio": 20.0, "joint": joints, **(drive or {})},
+        }
+    )
+
+
+def passes(
+    drives: Sequence[Drive],
+    before: Sequence[Drive] | None = None,
+    working_counter: int = 9,
+    index: int = 0,
+    clock: bytes = b"",
+    shared: bool = False,
+    source: bytes = MASTER,
+) -> tuple[bytes, bytes]:
+    """One cycle as it is sent (inputs of the cycle before) and as it comes back."""
+    outputs, inputs = b"".join(d.outputs for d in drives), b"".join(d.inputs for d in drives)
+    old = b"".join(d.inputs for d in before or drives)
+    if shared:
+        sent, back = outputs.ljust(len(inputs), b"\0"), inputs
+    else:
+        sent, back = outputs + old, outputs + inputs
+    if working_counter == 0:
+        back = sent
+    times = [(datagram(14, 0x09101001, bytes(len(clock)), index=index), 0)] if clock else []
+    answers = [(datagram(14, 0x09101001, clock, index=index), 3)] if clock else []
+    out = frame(datagram(12, 0x1000, sent, index=index), *(d for d, _ in times), source=source)
+    answered = [(d[0], w if working_counter else 0) for d, w in answers]
+    return out, frame(datagram(12, 0x1000, back, working_counter, index=index), *answered, returned=True, source=source)

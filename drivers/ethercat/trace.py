@@ -1,0 +1,165 @@
+"""A capture as a trace: read whole, or streamed to an MCAP file in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from drivers.ethercat.capture import Capture, FrameFlag, Frames
+from drivers.ethercat.declaration import Declaration
+from drivers.ethercat.frames import Command, Kind, decode
+from drivers.ethercat.process_data import Assembler, make_layout
+from drivers.trace.mcap_file import to_trace, write_samples
+from drivers.trace.quality import Rows, check
+from schemas.errors import TraceError
+from schemas.messages import SampleFlag
+from schemas.robot import Robot
+from schemas.trace import Finding, Trace
+
+ENDINGS = (".pcap", ".pcapng", ".cap")
+
+
+class CaptureReader:
+    """The samples of one capture, block by block, and afterwards what there is to say about them."""
+
+    def __init__(self, path: Path, robot: Robot) -> None:
+        """
+        Raises:
+            RobotError: the robot description does not say how to read its bus.
+        """
+        self.capture = Capture(path)
+        self.assembler = Assembler(make_layout(robot))
+        self._declaration = Declaration(robot)
+        self._kinds = np.zeros(len(Kind), np.int64)
+        self._flags = np.zeros(8, np.int64)
+        self._seen: dict[tuple[int, int, int], int] = {}
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        """Records of SAMPLE, some at a time.
+
+        Raises:
+            TraceError: the file is no capture, or gives no sample; it says why.
+        """
+        made = 0
+        for frames in self.capture.blocks():
+            samples, raw = self.assembler.samples(frames)
+            self._flags += [np.count_nonzero(frames.flags & (1 << bit)) for bit in range(8)]
+            if made == 0:
+                self._look(frames)  # once samples come there is nothing to explain
+            made += len(samples)
+            self._declaration.add(samples, raw)
+            if len(samples):
+                yield samples
+        if made == 0:
+            raise TraceError(f"{self.capture.path}: {self._why_nothing()}")
+
+    def findings(self) -> list[Finding]:
+        """What is to be known about the bus and the declaration, once `blocks` has ended."""
+        count, said = self.assembler.count, []
+        clock = "the distributed clock" if self.assembler.distributed_clock else "the capture's clock, returned frames"
+        said.append(f"stamps are those of {clock}; cycle time {self.assembler.period_ns / 1e6:.6g} ms")
+        said += self.capture.findings
+        for number, text in (
+            (count("counter_faults"), "cycles with a working counter too low"),
+            (count("unanswered"), "of them unanswered, their values are NaN"),
+            (count("drive_faults"), "cycles with a drive in fault"),
+            (count("not_enabled") - count("drive_faults"), "cycles with a drive not in operation"),
+            (count("incomplete"), "cycles of which a part is missing, left out"),
+            (int(self._flags[_bit(FrameFlag.DAMAGED)]), "frames left out that the analyzer marked as damaged"),
+            (int(self._flags[_bit(FrameFlag.SNAPPED)]), "frames snapped by the capture"),
+            (int(self._flags[_bit(FrameFlag.PSEUDO)]), "GPIO events of the analyzer, no frames"),
+        ):
+            if number:
+                said.append(f"{number} {text}")
+        if count("sent") == 0:
+            said.append("only returned frames were captured")
+        nowhere = np.zeros(0, np.int64)
+        return [Finding(SampleFlag(0), text, nowhere) for text in said + self._declaration.findings()]
+
+    def _look(self, frames: Frames) -> None:
+        datagrams, kinds = decode(frames)
+        self._kinds += np.bincount(kinds, minlength=len(Kind))
+        logical = datagrams[np.isin(datagrams["command"], [Command.LRD, Command.LWR, Command.LRW])]
+        for row in np.unique(logical[["command", "address", "length"]])[:20]:
+            key = (int(row["command"]), int(row["address"]), int(row["length"]))
+            same = (logical["command"] == key[0]) & (logical["address"] == key[1]) & (logical["length"] == key[2])
+            highest = int(logical["working_counter"][same].max())
+            self._seen[key] = max(self._seen.get(key, 0), highest)
+
+    def _why_nothing(self) -> str:
+        capture, kinds = self.capture, self._kinds
+        damage = "".join(f"; {text}" for text in capture.findings)
+        if capture.frames == 0:
+            return f"no frames{damage}"
+        if self._flags[_bit(FrameFlag.FOREIGN)] == capture.frames:
+            types = ", ".join(map(str, sorted(capture.link_types)))
+            return f"link type {types} carries no Ethernet (1, 240 and 241 are read)"
+        ethercat = int(kinds[1:].sum())
+        if ethercat == 0:
+            return f"no EtherCAT among {capture.frames} frames{damage}"
+        if not self._seen:
+            return f"no process data: none of {ethercat} EtherCAT frames has a logical command{damage}"
+        seen = ", ".join(
+            f"{Command(command).name} {address:#x} to {address + length - 1:#x}"
+            for command, address, length in sorted(self._seen)
+        )
+        if self.assembler.count("returned") == 0 and self.assembler.count("sent"):
+            return (
+                f"no returned frame among {self.assembler.count('sent')} with process data: either only the way out "
+                f"was captured, or no drive answered (working counter 0){damage}"
+            )
+        layout = self.assembler.layout
+        missing = [
+            f"joint {joint + 1}"
+            for joint in range(3)
+            if not any(
+                address <= place < address + length
+                for place in layout.inputs[joint][layout.inputs[joint] >= 0]
+                for _, address, length in self._seen
+            )
+        ]
+        about = f" of {', '.join(missing)}" if missing else ""
+        return f"the inputs{about} that the robot description maps never came whole; on the bus: {seen}{damage}"
+
+
+def _bit(flag: FrameFlag) -> int:
+    return flag.value.bit_length() - 1
+
+
+def read_capture(path: Path, robot: Robot) -> Trace:
+    """A capture as a trace, in memory.
+
+    Raises:
+        TraceError: no capture, no EtherCAT, no process data, or not that of this robot.
+        RobotError: the robot description does not say how to read its bus.
+    """
+    reader = CaptureReader(path, robot)
+    samples = np.concatenate(list(reader.blocks()))
+    trace = to_trace(samples, path)
+    checked = check(trace, Rows("cycle", np.arange(1, len(samples) + 1)), robot)
+    object.__setattr__(checked, "findings", (*reader.findings(), *checked.findings))
+    return checked
+
+
+def convert_capture(
+    path: Path, robot: Robot, target: Path, progress: Callable[[int, int], None]
+) -> tuple[int, list[Finding]]:
+    """Stream a capture into an MCAP file; (samples, findings). `progress` takes bytes read and samples made.
+
+    Raises:
+        TraceError: see `read_capture`; the target cannot be written.
+        RobotError: the robot description does not say how to read its bus.
+    """
+    reader = CaptureReader(path, robot)
+
+    def blocks() -> Iterator[np.ndarray]:
+        made = 0
+        for samples in reader.blocks():
+            made += len(samples)
+            progress(reader.capture.bytes_read, made)
+            yield samples
+
+    made = write_samples(blocks(), target, robot.name)
+    return made, reader.findings()
