@@ -58,8 +58,9 @@ class Declaration:
         period = float(np.median(np.diff(stamp_ns(samples)))) * 1e-9
         window = max(5, int(SMOOTHED_S / period) | 1)
         position = samples["position"]
-        speed = savgol_filter(position, window, 3, deriv=1, delta=period, axis=0)
-        acceleration = savgol_filter(position, window, 3, deriv=2, delta=period, axis=0)
+        speed, acceleration = (
+            np.asarray(savgol_filter(position, window, 3, deriv=order, delta=period, axis=0)) for order in (1, 2)
+        )
         found = []
         for joint, scale in enumerate(self._scales):
             name = f"joint {joint + 1}"

@@ -87,14 +87,16 @@ def read_eni(path: Path) -> Network:
 def _number(path: Path, element: Element, tag: str) -> int | None:
     """A whole number under `tag`, decimal, #x or 0x; None where the tag is absent or empty."""
     text = (element.findtext(tag) or "").strip()
-    if not text:
-        return None
+    return _whole(path, f"<{element.tag}><{tag}>", text) if text else None
+
+
+def _whole(path: Path, where: str, text: str) -> int:
     try:
-        value = int(text.lower().replace("#x", "0x"), 0) if not text.isdecimal() else int(text)
+        value = int(text) if text.isdecimal() else int(text.lower().replace("#x", "0x"), 0)
     except ValueError:
         value = -1
     if value < 0:
-        raise RobotError(f"{path}: <{element.tag}><{tag}>: {text!r} is not a whole number")
+        raise RobotError(f"{path}: {where}: {text!r} is not a whole number")
     return value
 
 
@@ -135,7 +137,8 @@ def _objects(
     if start is None:
         return ()
     pdos = [p for p in slave.iterfind(f"ProcessData/{pdo}") if p.get("Sm") is not None]  # without Sm: not assigned
-    assigned = [int(e.text or 0) for e in slave.iterfind(f"ProcessData/Sm{pdos[0].get('Sm')}/Pdo")] if pdos else []
+    sm = f"Sm{pdos[0].get('Sm')}" if pdos else "Sm"
+    assigned = [_whole(path, f"<{sm}><Pdo>", (e.text or "").strip()) for e in slave.iterfind(f"ProcessData/{sm}/Pdo")]
     if assigned:  # the sync manager's list gives the order
         pdos.sort(key=lambda p: assigned.index(i) if (i := _number(path, p, "Index")) in assigned else len(assigned))
     objects = []

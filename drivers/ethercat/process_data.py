@@ -184,6 +184,21 @@ def make_layout(robot: Robot) -> Layout:
     )
 
 
+def mapped_objects(layout: Layout) -> list[dict[str, int | str]]:
+    """The objects of a layout in the order of their addresses: joint, object, direction, logical_address."""
+    places = [
+        (int(places[joint, item]), joint + 1, f"{index:#06x}", direction)
+        for places, indexes, direction in ((layout.inputs, INPUTS, "input"), (layout.outputs, OUTPUTS, "output"))
+        for item, index in enumerate(indexes)
+        for joint in range(3)
+        if places[joint, item] != NOT_MAPPED
+    ]
+    return [
+        {"joint": joint, "object": index, "direction": direction, "logical_address": place}
+        for place, joint, index, direction in sorted(places)
+    ]
+
+
 def _mapped(
     drive: JointDrive, joint: int, network: Network | None, eni: str | None
 ) -> tuple[tuple[MappedObject, ...], tuple[MappedObject, ...]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,13 @@ from drivers.ethercat.capture import Capture, FrameFlag, Frames
 from drivers.ethercat.declaration import Declaration
 from drivers.ethercat.frames import Command, Kind, decode
 from drivers.ethercat.process_data import Assembler, make_layout
+from drivers.trace import whole
 from drivers.trace.mcap_file import to_trace, write_samples
 from drivers.trace.quality import Rows, check
 from schemas.errors import TraceError
 from schemas.messages import SampleFlag
 from schemas.robot import Robot
 from schemas.trace import Finding, Trace
-
-ENDINGS = (".pcap", ".pcapng", ".cap")
 
 
 class CaptureReader:
@@ -36,8 +36,8 @@ class CaptureReader:
         self._flags = np.zeros(8, np.int64)
         self._seen: dict[tuple[int, int, int], int] = {}
 
-    def blocks(self) -> Iterator[np.ndarray]:
-        """Records of SAMPLE, some at a time.
+    def blocks(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """(M,) records of SAMPLE and (M, 3, 5) int64 of their INPUTS in drive units, some at a time.
 
         Raises:
             TraceError: the file is no capture, or gives no sample; it says why.
@@ -51,7 +51,7 @@ class CaptureReader:
             made += len(samples)
             self._declaration.add(samples, raw)
             if len(samples):
-                yield samples
+                yield samples, raw
         if made == 0:
             raise TraceError(f"{self.capture.path}: {self._why_nothing()}")
 
@@ -136,17 +136,15 @@ def read_capture(path: Path, robot: Robot) -> Trace:
         RobotError: the robot description does not say how to read its bus.
     """
     reader = CaptureReader(path, robot)
-    samples = np.concatenate(list(reader.blocks()))
-    trace = to_trace(samples, path)
-    checked = check(trace, Rows("cycle", np.arange(1, len(samples) + 1)), robot)
-    object.__setattr__(checked, "findings", (*reader.findings(), *checked.findings))
-    return checked
+    samples = np.concatenate([samples for samples, _ in reader.blocks()])
+    trace = replace(to_trace(samples, path), findings=tuple(reader.findings()))
+    return check(trace, Rows("cycle", np.arange(1, len(samples) + 1)), robot)
 
 
 def convert_capture(
-    path: Path, robot: Robot, target: Path, progress: Callable[[int, int], None]
+    path: Path, robot: Robot, target: Path, progress: Callable[[int, int], object]
 ) -> tuple[int, list[Finding]]:
-    """Stream a capture into an MCAP file; (samples, findings). `progress` takes bytes read and samples made.
+    """Stream a capture into an MCAP file; (samples, findings). `progress` takes bytes read and the file's size.
 
     Raises:
         TraceError: see `read_capture`; the target cannot be written.
@@ -155,11 +153,11 @@ def convert_capture(
     reader = CaptureReader(path, robot)
 
     def blocks() -> Iterator[np.ndarray]:
-        made = 0
-        for samples in reader.blocks():
-            made += len(samples)
-            progress(reader.capture.bytes_read, made)
+        size = path.stat().st_size
+        for samples, _ in reader.blocks():
+            progress(reader.capture.bytes_read, size)
             yield samples
 
-    made = write_samples(blocks(), target, robot.name)
+    with whole(target) as partial:
+        made = write_samples(blocks(), partial, robot.name, path)
     return made, reader.findings()

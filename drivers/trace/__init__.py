@@ -1,4 +1,4 @@
-"""Traces from and to files: CSV (plain, gzip) and MCAP, into one `schemas.trace.Trace`.
+"""Traces from and to files: CSV (plain, gzip), MCAP and EtherCAT captures (read only), into one `schemas.trace.Trace`.
 
 An unusable file is an error, a bad row is flagged.
 
@@ -18,7 +18,8 @@ with stamps of their own are brought to those of the first position column; that
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from schemas.columns import Columns, load_columns
@@ -27,6 +28,7 @@ from schemas.robot import Robot
 from schemas.trace import Trace
 
 MAPPINGS = Path(__file__).parent / "mappings"
+CAPTURE_ENDINGS = (".pcap", ".pcapng", ".cap")
 CSV_ENDINGS = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv")
 
 
@@ -48,7 +50,13 @@ def read_trace(path: str | Path, robot: Robot | None = None, columns: Columns | 
         from drivers.trace.csv_file import read_csv
 
         return read_csv(path, robot, columns)
-    raise TraceError(f"{path}: unknown kind of trace, its name should end in .csv, .csv.gz or .mcap")
+    if path.name.endswith(CAPTURE_ENDINGS):
+        if robot is None:
+            raise TraceError(f"{path}: a capture is read with its robot description (--robot): layout and scaling")
+        from drivers.ethercat.trace import read_capture
+
+        return read_capture(path, robot)
+    raise TraceError(f"{path}: unknown kind of trace, its name should end in .csv, .csv.gz, .mcap, .pcap or .pcapng")
 
 
 def find_columns(name: str | Path) -> Columns:
@@ -76,8 +84,7 @@ def write_trace(
         TraceError: the file cannot be written, or the format cannot hold the trace.
     """
     path = Path(path)
-    partial = path.with_name(f".part-{path.name}")
-    try:
+    with whole(path) as partial:
         if path.name.endswith(".mcap"):
             from drivers.trace.mcap_file import write_mcap
 
@@ -88,6 +95,18 @@ def write_trace(
             write_csv(trace, partial)
         else:
             raise TraceError(f"{path}: unknown kind of trace, its name should end in .csv, .csv.gz or .mcap")
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A file to write to that becomes `path` once it is complete.
+
+    Raises:
+        TraceError: it cannot be written.
+    """
+    partial = path.with_name(f".part-{path.name}")
+    try:
+        yield partial
         partial.replace(path)
     except OSError as error:
         raise TraceError(f"{path}: {error.strerror}") from error

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -114,18 +114,37 @@ def write_mcap(trace: Trace, path: Path, robot: str, show: Callable[[int], objec
         TraceError: stamps before zero, or joints other than three.
         OSError: the file cannot be written.
     """
-    samples = trace.samples()
-    stamps = stamp_ns(samples)
-    if stamps.min() < 0:
-        raise TraceError(f"{trace.path}: time {stamps.min() / NANOSECONDS} s is below zero, MCAP stamps cannot be")
-    size, data = samples.itemsize, samples.tobytes()
+    write_samples([trace.samples()], path, robot, trace.path, show)
+
+
+def write_samples(
+    blocks: Iterable[np.ndarray],
+    path: Path,
+    robot: str,
+    source: Path,
+    show: Callable[[int], object] = lambda done: None,
+) -> int:
+    """Write blocks of SAMPLE records, read from `source`, as messages of `robot`; how many.
+
+    Raises:
+        TraceError: stamps before zero.
+        OSError: the file cannot be written.
+    """
+    done = 0
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="deltatwin")
         schema = writer.register_schema(SAMPLE.schema_name, "ros2msg", SAMPLE.schema_text.encode())
         channel = writer.register_channel(topic_key(robot, "sample"), "cdr", schema)
-        for i, (stamp, sequence) in enumerate(zip(stamps.tolist(), samples["sequence"].tolist(), strict=True)):
-            writer.add_message(channel, stamp, data[i * size : (i + 1) * size], stamp, sequence & 0xFFFFFFFF)
-            if i % SHOW_EVERY == 0:
-                show(i)
+        for samples in blocks:
+            stamps = stamp_ns(samples)
+            if stamps.min() < 0:
+                raise TraceError(f"{source}: time {stamps.min() / NANOSECONDS} s is below zero, MCAP stamps cannot be")
+            size, data = samples.itemsize, samples.tobytes()
+            for i, (stamp, sequence) in enumerate(zip(stamps.tolist(), samples["sequence"].tolist(), strict=True)):
+                writer.add_message(channel, stamp, data[i * size : (i + 1) * size], stamp, sequence & 0xFFFFFFFF)
+                if i % SHOW_EVERY == 0:
+                    show(done + i)
+            done += len(samples)
         writer.finish()
+    return done

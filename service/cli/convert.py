@@ -9,7 +9,13 @@ import typer
 
 
 def command(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Recorded trace (.csv, .csv.gz, .mcap).")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="IN",
+            help="Recorded trace (.csv, .csv.gz, .mcap) or EtherCAT capture (.pcap, .pcapng; with --robot).",
+        ),
+    ],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending says the format.")],
     robot: Annotated[
         Path | None,
@@ -24,12 +30,14 @@ def command(
     Rows are kept as recorded; what is wrong with them is said here and flagged in the MCAP. OUT appears when it is
     complete.
 
+    A capture takes layout and scaling of its drives from --robot; its findings say what contradicts them.
+
     Example: deltatwin convert scope_export.csv pick.mcap --robot d3.toml --columns twincat.toml
     """
     from rich.console import Console
     from rich.progress import Progress
 
-    from drivers.trace import find_columns, read_trace, write_trace
+    from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace, write_trace
     from schemas.robot import load_robot
     from service.cli.signals import terminate_as_interrupt
 
@@ -37,6 +45,18 @@ def command(
     description = load_robot(robot) if robot else None
     mapping = find_columns(columns) if columns else None
     console = Console(stderr=True)
+    if source.name.endswith(CAPTURE_ENDINGS) and target.name.endswith(".mcap") and description:
+        from drivers.ethercat.trace import convert_capture  # as a stream: a capture can be larger than the memory
+
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task(f"converting {source.name}", total=None)
+            made, findings = convert_capture(
+                source, description, target, lambda done, size: progress.update(task, completed=done, total=size)
+            )
+        for finding in findings:
+            typer.echo(f"{source}: {finding.message}", err=True)
+        typer.echo(f"{target}: {made} samples, 3 joints")
+        return
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         reading = progress.add_task(f"reading {source.name}", total=None)
         trace = read_trace(source, description, mapping)

@@ -15,7 +15,9 @@ STAMPS = ("rate_hz", "jitter_std_s", "jitter_p99_s", "jitter_max_s", "gaps", "re
 
 
 def command(
-    traces: Annotated[list[Path], typer.Argument(help="Recorded traces (.csv, .csv.gz, .mcap).")],
+    traces: Annotated[
+        list[Path], typer.Argument(help="Recorded traces (.csv, .csv.gz, .mcap) or EtherCAT captures (.pcap, .pcapng).")
+    ],
     robot: Annotated[
         Path | None, typer.Option(help="Robot description (TOML): joint range, gear ratio, its columns table.")
     ] = None,
@@ -26,6 +28,9 @@ def command(
 ) -> None:
     """Show rate, jitter, gaps, repeats and ranges of each channel, and what is missing or wrong.
 
+    A capture: slaves, cycle time and its jitter, working-counter faults, lost cycles, state changes, mapping; with
+    --robot also the objects of its drives and what contradicts their declared scaling.
+
     Exit code 1 if a trace is unusable; the others are shown all the same.
 
     Example: deltatwin inspect pick_a.csv pick_b.mcap --robot d3.toml
@@ -34,16 +39,24 @@ def command(
 
     from rich.console import Console
 
-    from drivers.trace import find_columns, read_trace
+    from drivers.ethercat.survey import survey_capture
+    from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace
     from drivers.trace.survey import survey
     from schemas.errors import TraceError
     from schemas.robot import load_robot
+    from service.cli.capture_tables import show_capture
 
     description = load_robot(robot) if robot else None
     mapping = find_columns(columns) if columns else None
     console, failed, surveys = Console(), False, []
     for path in traces:
         try:
+            if path.name.endswith(CAPTURE_ENDINGS):
+                with Console(stderr=True).status(f"reading {path.name}"):
+                    surveys.append(survey_capture(path, description))
+                if not json:
+                    show_capture(surveys[-1], console)
+                continue
             with Console(stderr=True).status(f"reading {path.name}"):
                 surveys.append(survey(read_trace(path, description, mapping)))
         except TraceError as error:

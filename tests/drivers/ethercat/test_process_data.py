@@ -7,6 +7,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +45,7 @@ def cycle(number: int) -> list[Drive]:
     ]
 
 
-def stream(count: int, period: int = 1_000_000, **options) -> list[tuple[int, bytes]]:
+def stream(count: int, period: int = 1_000_000, **options: Any) -> list[tuple[int, bytes]]:
     """Both passes of `count` cycles, the returned one 20 µs behind."""
     packets = []
     for number in range(count):
@@ -68,7 +69,7 @@ def of_cycles(samples: np.ndarray, numbers: Sequence[int]) -> None:
 def test_the_returned_frame_carries_this_cycles_inputs(
     tmp_path: Path, shared_addresses: bool, source: bytes | None
 ) -> None:
-    options = {"shared": shared_addresses} | ({"source": source} if source else {})
+    options: dict[str, Any] = {"shared": shared_addresses} | ({"source": source} if source else {})
     path = pcap(tmp_path / "a.pcap", stream(300, **options), nanoseconds=True)
     samples, assembler = assembled(path, robot(shared=shared_addresses))
 
@@ -193,8 +194,9 @@ def test_a_clock_that_stands_at_zero_is_not_believed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("source", [None, LOCAL])
 def test_an_unanswered_cycle_is_a_flagged_sample_without_values(tmp_path: Path, source: bytes | None) -> None:
-    packets = stream(100, **({"source": source} if source else {}))
-    out, back = passes(cycle(50), working_counter=0, index=50, **({"source": source} if source else {}))
+    options: dict[str, Any] = {"source": source} if source else {}
+    packets = stream(100, **options)
+    out, back = passes(cycle(50), working_counter=0, index=50, **options)
     packets[100:102] = [(packets[100][0], out), (packets[101][0], back)]
     samples, assembler = assembled(pcap(tmp_path / "a.pcap", packets, nanoseconds=True), robot())
 

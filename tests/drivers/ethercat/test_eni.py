@@ -1,0 +1,107 @@
+"""ENI files: the same layout as the declared one, and everything a file can do wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.ethercat.process_data import make_layout
+from schemas.errors import RobotError
+from schemas.robot import Robot
+from tests.drivers.ethercat.wire import INPUT_BYTES, INPUTS, OUTPUT_BYTES, OUTPUTS, robot
+
+BITS = {"0x6041": 16, "0x6064": 32, "0x606C": 32, "0x6077": 16, "0x6061": 8, ":8": 8,
+        "0x6040": 16, "0x607A": 32, "0x6071": 16, "0x60B2": 16, "0x6060": 8}  # fmt: skip
+
+
+def entries(objects: list[str]) -> str:
+    return "".join(
+        f"<Entry>{f'<Index>#x{o[2:]}</Index><SubIndex>0</SubIndex>' if o[0] == '0' else '<Index>0</Index>'}"
+        f"<BitLen>{BITS[o]}</BitLen></Entry>"
+        for o in objects
+    )
+
+
+def slave(number: int) -> str:
+    """Process image: outputs from byte 4, inputs from byte 100; each in two PDOs whose order Sm3 turns round."""
+    return f"""<Slave><Info><Name>Drive {number}</Name><PhysAddr>{0x1001 + number}</PhysAddr></Info><ProcessData>
+      <Send><BitStart>{(4 + OUTPUT_BYTES * number) * 8}</BitStart><BitLength>96</BitLength></Send>
+      <Recv><BitStart>{(100 + INPUT_BYTES * number) * 8}</BitStart><BitLength>112</BitLength></Recv>
+      <Sm2><Pdo>5632</Pdo></Sm2><Sm3><Pdo>6657</Pdo><Pdo>6656</Pdo></Sm3>
+      <RxPdo Sm="2"><Index>#x1600</Index>{entries(OUTPUTS)}</RxPdo>
+      <TxPdo Sm="3"><Index>#x1a00</Index>{entries(INPUTS[2:])}</TxPdo>
+      <TxPdo Sm="3"><Index>#x1a01</Index>{entries(INPUTS[:2])}</TxPdo>
+      <TxPdo><Index>#x1a02</Index>{entries(["0x6077"])}</TxPdo></ProcessData></Slave>"""
+
+
+COMMANDS = f"""<Cyclic><CycleTime>1000</CycleTime><Frame>
+  <Cmd><Cmd>12</Cmd><Addr>4096</Addr><DataLength>{3 * OUTPUT_BYTES}</DataLength><Cnt>9</Cnt>
+    <InputOffs>0</InputOffs><OutputOffs>4</OutputOffs></Cmd>
+  <Cmd><Cmd>10</Cmd><Addr>#x1024</Addr><DataLength>{3 * INPUT_BYTES}</DataLength><InputOffs>100</InputOffs></Cmd>
+  <Cmd><Cmd>7</Cmd><Adp>0</Adp><Ado>304</Ado><DataLength>2</DataLength></Cmd></Frame></Cyclic>"""
+ENI = f"<EtherCATConfig><Config>{''.join(slave(k) for k in range(3))}{COMMANDS}</Config></EtherCATConfig>"
+
+
+def with_eni(folder: Path, text: str | bytes) -> Robot:
+    path = folder / "machine.xml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    unmapped = {"inputs": [], "inputs_address": None, "outputs": [], "outputs_address": None}
+    return robot(drive={"eni": str(path)}, **unmapped)
+
+
+def test_an_eni_gives_the_layout_that_the_declaration_gives(tmp_path: Path) -> None:
+    found, declared = make_layout(with_eni(tmp_path, ENI)), make_layout(robot())
+
+    np.testing.assert_array_equal(found.inputs, declared.inputs)
+    np.testing.assert_array_equal(found.outputs, declared.outputs)
+    assert found.counters.tolist() == [[12, 4096, 9]]
+    assert not found.shared
+
+
+def test_a_declared_mapping_wins_over_the_eni(tmp_path: Path) -> None:
+    (tmp_path / "machine.xml").write_text(ENI)
+    layout = make_layout(robot(drive={"eni": str(tmp_path / "machine.xml")}, inputs=["0x6064", "0x6077"]))
+    assert layout.inputs[0].tolist() == [-1, 0x1000 + 36, -1, 0x1000 + 40, -1]
+
+
+BOMB = (
+    '<!DOCTYPE b [<!ENTITY a "aaaaaaaaaa">'
+    + "".join(f'<!ENTITY {chr(98 + k)} "{f"&{chr(97 + k)};" * 10}">' for k in range(10))
+    + "]><EtherCATConfig><Config>&k;</Config></EtherCATConfig>"
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (BOMB, "document type or entities"),
+        ('<!DOCTYPE b SYSTEM "file:///etc/hostname"><EtherCATConfig/>', "document type or entities"),
+        ("", "not XML"),
+        ("<EtherCATConfig><Config>", "not XML"),
+        (b"\xff\xfe\x00broken", "not XML"),
+        ('<?xml version="1.0" encoding="nonsense"?><a/>', "not XML"),
+        ("<EtherCATInfo/>", "no ENI: its root is <EtherCATInfo>"),
+        ("<EtherCATConfig><Config/></EtherCATConfig>", "4097 is no slave"),
+        (ENI.replace(">4097<", ">four<"), "PhysAddr>: 'four' is not a whole number"),
+        (ENI.replace(">4097<", "><"), "has no <PhysAddr>"),
+        (ENI.replace("<BitLen>32</BitLen>", ""), "no <BitLen>"),
+        (ENI.replace("<Addr>4096<", "<Addr>-5<"), "not a whole number"),
+        (ENI.replace(f"<DataLength>{3 * OUTPUT_BYTES}</DataLength>", ""), "no <DataLength>"),
+        (ENI.replace("<InputOffs>100<", "<InputOffs>200<"), "no cyclic command carries bit 800"),
+        (ENI.replace("#x6077", "#x2077"), "0x6077 is not mapped"),
+        (ENI.replace("<BitLen>32</BitLen>", "<BitLen>31</BitLen>"), "whole bits are needed"),
+        (ENI.replace("<Pdo>6657</Pdo>", "<Pdo>x</Pdo>"), "not a whole number"),
+    ],
+)
+def test_a_wrong_eni_is_one_error(tmp_path: Path, text: str | bytes, message: str) -> None:
+    with pytest.raises(RobotError, match=message):
+        make_layout(with_eni(tmp_path, text))
+
+
+def test_an_eni_that_is_not_there_is_one_error(tmp_path: Path) -> None:
+    description = with_eni(tmp_path, ENI)
+    (tmp_path / "machine.xml").unlink()
+    with pytest.raises(RobotError, match=r"machine\.xml: No such file"):
+        make_layout(description)
