@@ -5,9 +5,10 @@ it, so any start order and any restart works, and no pair is linked twice. Nothi
 user brings a Zenoh configuration. Real-time privileges have to be taken before `open_bus` (`replay.realtime`), because
 the threads of the session inherit them.
 
-What a subscriber that stops reading can do: the kernel and Zenoh buffer about a thousand messages for it; when they are
-full, a publisher waits `BLOCK_S` once, then drops the link to that subscriber and goes on. The subscriber, should it
-come back, links up again by itself and sees the hole in the sequence.
+What a subscriber that stops reading can do: the kernel and Zenoh buffer about 280 messages for it (70 ms at 4 kHz).
+When they are full a publisher waits `PATIENCE_S` once, then passes that subscriber over, without waiting, for as long
+as it takes nothing. The others miss nothing, link and session stay, and the subscriber, should it come back, sees the
+hole in the sequence. (Blocking publishers would close the link instead and lose all until it is up again.)
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from schemas.errors import BusError
 from schemas.keys import liveliness_key, topic_key
 from schemas.messages import CDR_LITTLE_ENDIAN, TOPICS, Message, Role
 
-BLOCK_S = 0.02  # longest a publisher waits for one stuck subscriber before it drops the link; Zenoh's default is 5 s
+PATIENCE_S = 0.02  # longest a publisher waits for a stuck subscriber; Zenoh's 1 ms loses samples on an idle host
 RETRY_MS = (50, 250)  # first and longest pause between two attempts to reach a role that is not there
 SOURCES = frozenset({Role.PLAYER, Role.ROBOT, Role.TAP, Role.MASTER})  # roles that publish `sample`
 
@@ -79,7 +80,7 @@ def _own_config(folder: Path, robot: str, role: Role) -> zenoh.Config:
         "open": {"return_conditions": {"connect_scouted": False, "declares": True}},
         "transport": {
             "shared_memory": {"enabled": False},  # gains nothing at a hundred bytes
-            "link": {"tx": {"queue": {"congestion_control": {"block": {"wait_before_close": int(BLOCK_S * 1e6)}}}}},
+            "link": {"tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": int(PATIENCE_S * 1e6)}}}}},
         },
     }
     return zenoh.Config.from_json5(json.dumps(settings))
@@ -280,7 +281,7 @@ class Bus:
         return Publisher(
             self._session.declare_publisher(
                 topic_key(self.robot, topic),
-                congestion_control=zenoh.CongestionControl.BLOCK,  # DROP loses samples even on an idle host
+                congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.REAL_TIME,
                 express=True,
             )

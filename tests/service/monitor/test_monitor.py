@@ -186,32 +186,32 @@ def test_full_disk_is_one_error_and_the_monitor_watches_on(
     folder, before = small_disk
     path = folder / "run.mcap"
     process = watched.start(path, until, before)
-    noise = np.random.default_rng(0).normal(size=(8000, 12))  # what does not compress
-    records = SAMPLE.empty(8000)
-    records["sequence"] = np.arange(8000)
+    noise = np.random.default_rng(0).normal(size=(4000, 12))  # what does not compress
+    records = SAMPLE.empty(4000)
+    records["sequence"] = np.arange(4000)
     for n, name in enumerate(("position", "torque", "position_command", "torque_command")):
         records[name] = noise[:, 3 * n : 3 * n + 3]
     for record in records:
         watched.sample.put(record.tobytes())
-        time.sleep(0.0002)
+        time.sleep(0.0005)
     until(
         lambda: (
             (h := watched.last_health()) is not None
             and bool(h["flags"] & HealthFlag.DISK_ERROR)
-            and h["received"] >= 8000
+            and h["received"] >= 4000
         )
     )
     last = watched.last_health()
     assert last is not None
     assert last["lost"] == 0  # on the bus nothing was
-    assert last["published"] < 8000
+    assert last["published"] < 4000
     out, error = watched.finish()
     assert process.returncode == 1
     lines = [line for line in error.splitlines() if line.startswith("deltatwin:")]
     assert len(lines) == 1
     assert lines[0].startswith(f"deltatwin: {path}: recording stopped: ")
     assert "Traceback" not in error
-    assert "8000" in out
+    assert "4000" in out
     repair = subprocess.run([COMMAND, "recover", path, tmp_path / "out.mcap"], capture_output=True, check=False)
     assert repair.returncode == 0
     saved = recorded(tmp_path / "out.mcap", "sample")
