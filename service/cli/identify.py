@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -24,6 +24,10 @@ def command(
     ],
     robot: Annotated[Path, typer.Option(help="Robot description (TOML)")],
     out: Annotated[Path, typer.Option(help="Robot description to write, with its [identified] section")],
+    method: Annotated[
+        Literal["pooled", "paper"],
+        typer.Option(help="pooled: weighted least squares over all traces; paper: grid and mean over traces"),
+    ] = "pooled",
     columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
 ) -> None:
     """Identify inertia, gravity, forearm and friction, with standard errors and a verdict for each.
@@ -42,13 +46,13 @@ def command(
     description = load_robot(robot)
     model = pack(description)
     trajectories = [summarise(model, trace) for trace in reading(traces, description, columns, "reading")]
-    result = identify(description, trajectories)
+    result = identify(description, trajectories, method)
     save_robot(result.robot, out, template=robot)
     console.print(_parameters(result.fit.estimates))
     console.print(_residuals(result.fit, trajectories))
     for warning in result.warnings:
-        console.print(f"[yellow]warning[/yellow] {warning}", highlight=False)
-    console.print(f"wrote {out}", highlight=False)
+        console.print(f"warning: {warning}", highlight=False, markup=False, style="yellow", soft_wrap=True)
+    console.print(f"wrote {out}", highlight=False, markup=False, soft_wrap=True)
 
 
 def _parameters(estimates: Sequence[Estimate]) -> Table:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from schemas.robot import Identified, JointParameter, Parameter, Robot
-from service.identification import pooled
+from service.identification import checks, paper, pooled
 from service.identification.pooled import COULOMB, FOREARM_MASS, RHO_1, RHO_2, VISCOUS, Estimate, Fit
 from service.identification.regression import Trajectory
+from service.model.parameters import pack
+
+Method = Literal["pooled", "paper"]
 
 
 @dataclass(frozen=True)
@@ -20,16 +24,20 @@ class Identification:
     warnings: tuple[str, ...]
 
 
-def identify(robot: Robot, trajectories: Sequence[Trajectory]) -> Identification:
-    """Fit `robot` to `trajectories`.
+def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = "pooled") -> Identification:
+    """Fit `robot` to `trajectories`, by pooled least squares or as in the paper.
 
     Raises:
         DataError: the data cannot give an answer, naming the log and the joint.
     """
+    checks.check(trajectories, robot.drive.gear_ratio)
     fit = pooled.fit(trajectories, robot.mass.passive_link)
+    warnings = checks.check_fit(trajectories, fit, pack(robot).moving_mass)
+    if method == "paper":
+        fit = paper.refit(trajectories, fit)
     estimates = fit.estimates
     identified = Identified(
-        method="pooled",
+        method=method,
         rho_1=_parameter(estimates[RHO_1]),
         rho_2=_parameter(estimates[RHO_2]),
         viscous_friction_nms=_joints(estimates[VISCOUS]),
@@ -38,7 +46,7 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory]) -> Identification
         torque_noise_nm=JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
     )
     # what diagnose found on another base does not hold on this one
-    return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, ())
+    return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))
 
 
 def _parameter(estimate: Estimate) -> Parameter:

@@ -60,7 +60,7 @@ class Fit:
     """estimates in the order of `PARAMETERS`. noise: (3,) N m white rms per sample. noise_floor: (3,) N m, what of it
     lies in the analysis band. held_out: (T, 3) rms of the residual of each trajectory under the fit to the others, N m
     in the analysis band, NaN for a single trajectory. residual: (T, 3) the same under the fit to all. torque: (T, 3)
-    rms."""
+    rms. without: (T, 9) values from the other trajectories (from all, for a single one)."""
 
     estimates: tuple[Estimate, ...]
     noise: np.ndarray
@@ -68,6 +68,7 @@ class Fit:
     held_out: np.ndarray
     residual: np.ndarray
     torque: np.ndarray
+    without: np.ndarray
 
     @property
     def values(self) -> np.ndarray:
@@ -181,19 +182,24 @@ def fit(trajectories: Sequence[Trajectory], forearm_mass: float) -> Fit:
         _estimate(name, float(values[p]), float(error[p]), float(relative[p]), bool(held[p]), reasons.get(name, ""))
         for p, name in enumerate(PARAMETERS)
     )
+    without = _without_each(trajectories, weight, held, nominal)
     density = np.median([trajectory.density for trajectory in trajectories], axis=0)
     period = float(np.median([trajectory.period for trajectory in trajectories]))
     return Fit(
         estimates,
         np.sqrt(density / (2.0 * period)),
         np.sqrt(density * ANALYSIS_HZ),
-        _cross_validation(trajectories, weight, held, nominal),
-        np.array([_rms(trajectory, values) for trajectory in trajectories]),
+        np.full((1, 3), np.nan)
+        if len(trajectories) < 2
+        else np.array([rms_residual(t, others) for t, others in zip(trajectories, without, strict=True)]),
+        np.array([rms_residual(trajectory, values) for trajectory in trajectories]),
         np.array([np.sqrt(_mean_square([trajectory])) for trajectory in trajectories]),
+        without,
     )
 
 
 def _estimate(name: str, value: float, error: float, relative: float, held: bool, reason: str) -> Estimate:
+    """One parameter's verdict. relative: standard error over value."""
     if held:
         return Estimate(name, value, 0.0, "not identifiable", f"{reason}; {value:g} assumed")
     if reason or relative > NOT_IDENTIFIABLE:
@@ -260,17 +266,17 @@ def _jackknife(left: np.ndarray, right: np.ndarray, held: np.ndarray, nominal: n
     return np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
 
 
-def _cross_validation(
+def _without_each(
     trajectories: Sequence[Trajectory], weight: np.ndarray, held: np.ndarray, nominal: np.ndarray
 ) -> np.ndarray:
-    if len(trajectories) < 2:
-        return np.full((len(trajectories), 3), np.nan)
     left, right = normal_equations(np.stack([t.gram.sum(axis=0) for t in trajectories]), weight)
-    without = solve(left.sum(axis=0) - left, right.sum(axis=0) - right, held, nominal)
-    return np.array([_rms(t, values) for t, values in zip(trajectories, without, strict=True)])
+    if len(trajectories) < 2:
+        return solve(left, right, held, nominal)
+    return solve(left.sum(axis=0) - left, right.sum(axis=0) - right, held, nominal)
 
 
-def _rms(trajectory: Trajectory, parameters: np.ndarray) -> np.ndarray:
+def rms_residual(trajectory: Trajectory, parameters: np.ndarray) -> np.ndarray:
+    """(3,) N m rms of what `parameters` (9,) leave of a trajectory's moving samples."""
     squares = square_residual(trajectory.gram.sum(axis=0), parameters)
     seconds = trajectory.seconds.sum(axis=0)
     return np.sqrt(squares / np.where(seconds > 0, seconds, np.inf))

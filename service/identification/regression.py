@@ -17,13 +17,16 @@ from schemas.errors import PoseError, TraceError
 from schemas.trace import Trace
 from service.identification.signals import EDGE, Segment, lowpass, noise_density, segments
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PLATFORM, torque_terms
+from service.model.kinematics import jacobian
 from service.model.parameters import DeltaModel
 
-# Columns of a joint's sums: what the parameters multiply, the platform's known torque, the torques, and one.
-COLUMNS = 10
+# Columns of a joint's sums: what the parameters multiply, the platform's known torque, the weight of a kilogram on the
+# platform, the torques of joints 1 to 3, and one.
+COLUMNS = 11
 INERTIA_COLUMN, GRAVITY_COLUMN, FOREARM_COLUMN, VISCOUS_COLUMN, COULOMB_COLUMN, PLATFORM_COLUMN = range(6)
-TORQUE_COLUMN = 6  # of joint 1; the other joints' follow
-ONE_COLUMN = 9
+WEIGHT_COLUMN = 6
+TORQUE_COLUMN = 7
+ONE_COLUMN = 10
 
 BLOCK = 0.5  # s, many times the correlation time of the low-passed noise (12 ms) and about one stroke of a pick
 RATE = 1000.0  # Hz, regressors are built at no less than this: plenty for what the motion smoother passes
@@ -125,12 +128,11 @@ def _without_jumps(segment: Segment) -> np.ndarray:
 def _blocks(model: DeltaModel, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
     count = len(segment.time)
     columns = np.empty((count, 3, COLUMNS))
-    columns[:, :, :TORQUE_COLUMN] = regressors(model, segment.theta, segment.theta_dot, segment.theta_ddot)
-    columns[:, :, TORQUE_COLUMN:ONE_COLUMN] = segment.torque[:, None, :]
-    columns[:, :, ONE_COLUMN] = 1.0
-    filtered = lowpass(columns[:, :, :TORQUE_COLUMN], segment.period)
-    columns[:, :, :TORQUE_COLUMN] = filtered
+    columns[:, :, :WEIGHT_COLUMN] = regressors(model, segment.theta, segment.theta_dot, segment.theta_ddot)
+    columns[:, :, WEIGHT_COLUMN] = model.gravity * jacobian(model, segment.theta)[:, 2]
+    columns[:, :, :TORQUE_COLUMN] = lowpass(columns[:, :, :TORQUE_COLUMN], segment.period)
     columns[:, :, TORQUE_COLUMN:ONE_COLUMN] = lowpass(segment.torque, segment.period)[:, None, :]
+    columns[:, :, ONE_COLUMN] = 1.0
     edge = round(EDGE / segment.period)
     inner = count - 2 * edge
     blocks = max(1, round(inner * segment.period / BLOCK))

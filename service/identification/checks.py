@@ -1,0 +1,188 @@
+"""Logs that are not what they should be: found from the sums, named by file and joint.
+
+Errors where a fit would be worthless: torque swapped between joints, in the wrong sign, not multiplied by the gear
+ratio; one log that no fit to the others explains; the same log twice. Warnings where a fit stands but says something
+else than its user thinks: a payload on the platform, trajectories all alike, too few of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import permutations, product
+
+import numpy as np
+
+from schemas.errors import DataError
+from service.identification import pooled
+from service.identification.regression import (
+    COLUMNS,
+    PLATFORM_COLUMN,
+    TORQUE_COLUMN,
+    WEIGHT_COLUMN,
+    Trajectory,
+)
+
+# Share of the torque's rms that a fit leaves: a real Delta's friction, elasticity and payload mass errors stay below.
+SUSPECT = 0.1
+HOPELESS = 0.5
+# Another reading of the torque is believed when it leaves less than this share of what the given one leaves.
+BETTER = 0.5
+# A log is foreign when the fit to the others leaves this many times what it leaves of the middle one of the others.
+FOREIGN = 3.0
+PAYLOAD = 0.15  # kg against the other logs
+STEADY = 0.7  # mean over rms of a log's masses: friction errors ask for weight in both directions, a payload in one
+ALIKE = 0.999  # cosine between the information of two trajectories
+
+_ORDERS = tuple(permutations(range(3)))
+_SIGNS = tuple(product((1.0, -1.0), repeat=3))
+
+
+def check(trajectories: Sequence[Trajectory], gear_ratio: float) -> None:
+    """Refuse logs whose torque is not what the joints need.
+
+    Raises:
+        DataError: naming the logs, the joints and what is wrong with them.
+    """
+    _refuse_copies(trajectories)
+    readings = {trajectory.name: _reading(trajectory.gram.sum(axis=0), gear_ratio) for trajectory in trajectories}
+    wrong = {name: reading for name, reading in readings.items() if reading}
+    if wrong:
+        first = next(iter(wrong.values()))
+        names = ", ".join(wrong) if len(wrong) < len(readings) or len(wrong) < 3 else f"all {len(wrong)} logs"
+        raise DataError(f"{names}: {first}")
+
+
+def _refuse_copies(trajectories: Sequence[Trajectory]) -> None:
+    for later, trajectory in enumerate(trajectories):
+        for earlier in trajectories[:later]:
+            if trajectory.gram.shape == earlier.gram.shape and np.array_equal(trajectory.gram, earlier.gram):
+                raise DataError(f"{trajectory.name}: the same motion and torque as {earlier.name}, give it once")
+
+
+def _reading(gram: np.ndarray, gear_ratio: float) -> str:
+    """How else the torque of one log makes sense, "" if it does as it is. gram: (3, COLUMNS, COLUMNS)."""
+    given = _left(gram, (0, 1, 2), (1.0, 1.0, 1.0), 1.0)
+    if given < SUSPECT:
+        return ""
+    scales = (1.0, gear_ratio) if gear_ratio > 2.0 else (1.0,)
+    options = [(_left(gram, *option), *option) for option in product(_ORDERS, _SIGNS, scales)]
+    best, order, signs, scale = min(options)
+    if best > BETTER * given:
+        return ""
+    faults = []
+    swapped = [joint for joint in range(3) if order[joint] != joint]
+    turned = [joint for joint in range(3) if signs[joint] < 0]
+    if swapped:
+        faults.append(f"the torques of joints {_list(swapped)} are swapped")
+    if turned:
+        faults.append(f"the torque of joint{'s' if len(turned) > 1 else ''} {_list(turned)} has the wrong sign")
+    if scale != 1.0:
+        faults.append(f"the torque is not multiplied by the gear ratio {gear_ratio:g}")
+    shares = f"as given the model leaves {100 * given:.0f} % of it unexplained, put right {100 * best:.1f} %"
+    return f"{' and '.join(faults)}: {shares}"
+
+
+def _list(joints: Sequence[int]) -> str:
+    names = [str(joint + 1) for joint in joints]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _left(gram: np.ndarray, order: Sequence[int], signs: Sequence[float], scale: float) -> float:
+    """Share of the torque's rms that a fit leaves if joint j's torque is scale * signs[j] * torque[order[j]]."""
+    left = np.zeros((len(pooled.PARAMETERS), len(pooled.PARAMETERS)))
+    right = np.zeros(len(pooled.PARAMETERS))
+    square = torque = 0.0
+    for joint in range(3):
+        chosen = pooled.selection(joint)
+        wanted = np.zeros(COLUMNS)
+        wanted[TORQUE_COLUMN + order[joint]], wanted[PLATFORM_COLUMN] = signs[joint] * scale, -1.0
+        left += chosen.T @ gram[joint] @ chosen
+        right += chosen.T @ gram[joint] @ wanted
+        square += wanted @ gram[joint] @ wanted
+        column = TORQUE_COLUMN + order[joint]
+        torque += scale**2 * gram[joint, column, column]
+    values = np.linalg.lstsq(left, right, rcond=1e-10)[0]
+    return float(np.sqrt(max(square - right @ values, 0.0) / max(torque, 1e-12)))
+
+
+def check_fit(trajectories: Sequence[Trajectory], fit: pooled.Fit, moving_mass: float) -> list[str]:
+    """Warnings about logs that stand out against the fit to the others. moving_mass: kg, what the platform terms carry.
+
+    Raises:
+        DataError: a log that the fit to the others does not explain at all, or no fit explains any.
+    """
+    share = _share(fit.residual, fit.torque)
+    hints = _loads(trajectories, fit, moving_mass)
+    if len(trajectories) > 2:
+        held = _share(fit.held_out, fit.torque)
+        worst = int(np.argmax(held))
+        rest = [trajectory for t, trajectory in enumerate(trajectories) if t != worst]
+        others = np.array([pooled.rms_residual(trajectory, fit.without[worst]) for trajectory in rest])
+        typical = float(np.median(_share(others, np.delete(fit.torque, worst, axis=0))))
+        if held[worst] > max(FOREIGN * typical, 2 * SUSPECT):
+            name, joint = trajectories[worst].name, int(np.argmax(fit.held_out[worst] / fit.torque[worst]))
+            raise DataError(
+                f"{name}: does not go with the other logs, the fit to those leaves {100 * held[worst]:.0f} % of its "
+                f"torque unexplained (of theirs {100 * typical:.1f} %), most on joint {joint + 1}"
+                + (f"; {hints[name]}" if name in hints else "")
+            )
+    if share.max() > HOPELESS:
+        worst = int(np.argmax(share))
+        raise DataError(
+            f"{trajectories[worst].name}: the model leaves {100 * share[worst]:.0f} % of the torque unexplained; "
+            "wrong robot description, units, or joints?"
+        )
+    return [*(f"{name}: {hint} Identify on empty motion" for name, hint in hints.items()), *_sameness(trajectories)]
+
+
+def _share(residual: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    return np.sqrt((residual**2).sum(axis=1) / np.maximum((torque**2).sum(axis=1), 1e-12))
+
+
+def _loads(trajectories: Sequence[Trajectory], fit: pooled.Fit, moving_mass: float) -> dict[str, str]:
+    """Logs whose torque asks for more or less on the platform than the others', by name."""
+    masses = [_masses(t, values, fit.noise, moving_mass) for t, values in zip(trajectories, fit.without, strict=True)]
+    middle = float(np.median([np.median(mass) for mass, _ in masses]))
+    mean = np.array([np.average(mass - middle, weights=sure) for mass, sure in masses])
+    rms = np.array([np.sqrt(np.average((mass - middle) ** 2, weights=sure)) for mass, sure in masses])
+    loaded = (
+        (np.abs(mean) > PAYLOAD) & (np.abs(mean) > FOREIGN * np.median(np.abs(mean))) & (np.abs(mean) > STEADY * rms)
+    )
+    return {
+        trajectory.name: f"it asks for {mean[t]:+.2f} kg on the platform on average: a payload?"
+        for t, trajectory in enumerate(trajectories)
+        if loaded[t]
+    }
+
+
+def _masses(
+    trajectory: Trajectory, values: np.ndarray, noise: np.ndarray, moving_mass: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mass on the platform, kg, that each block of a log asks for by its weight, what it asks for by its inertia being
+    free; and how sure each is, kg^-2."""
+    weight = 1.0 / np.maximum(noise, 1e-3 * noise.max() + 1e-9) ** 2
+    remains = np.stack([pooled.target(joint) - pooled.selection(joint) @ values for joint in range(3)])
+    chosen = np.zeros((COLUMNS, 2))
+    chosen[WEIGHT_COLUMN] = 1.0, -1.0
+    chosen[PLATFORM_COLUMN, 1] = 1.0 / moving_mass  # the platform's torque per kg less its weight: its acceleration
+    left = np.einsum("j,ap,bjac,cq->bpq", weight, chosen, trajectory.gram, chosen, optimize=True)
+    right = np.einsum("j,ap,bjac,jc->bp", weight, chosen, trajectory.gram, remains, optimize=True)
+    used = left[:, 0, 0] > 0.2 * left[:, 0, 0].max()
+    left, right = left[used], right[used]
+    left[:, 1, 1] += 1e-3 * left[:, 0, 0]  # slow motion has no inertia to speak of
+    mass = np.linalg.solve(left, right[..., None])[:, 0, 0]
+    return mass, left[:, 0, 0] - left[:, 0, 1] ** 2 / left[:, 1, 1]
+
+
+def _sameness(trajectories: Sequence[Trajectory]) -> list[str]:
+    if len(trajectories) == 1:
+        return [
+            f"{trajectories[0].name}: a single trajectory cannot be held out, nothing shows how far the fit carries"
+        ]
+    left, _ = pooled.normal_equations(np.stack([t.gram.sum(axis=0) for t in trajectories]), np.ones(3))
+    scale = np.sqrt(np.einsum("pp->p", left.sum(axis=0)))
+    scaled = (left / np.where(scale > 0, scale, 1.0)[:, None] / np.where(scale > 0, scale, 1.0)).reshape(len(left), -1)
+    unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    if (unit @ unit.T).min() > ALIKE:
+        return ["the trajectories are too similar: held-out residuals only say how well this one motion repeats"]
+    return []

@@ -1,0 +1,113 @@
+"""The paper's method: (rho_1, rho_2) by greedy grid search per trajectory, then friction by least squares per joint and
+trajectory on what is left; the mean over trajectories of each. Two point masses for each forearm.
+
+The RMS error is a quadratic form in (rho_1, rho_2), so the grid follows from six sums over the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from service.identification import pooled
+from service.identification.pooled import COULOMB, FOREARM_MASS, PARAMETERS, RHO_1, RHO_2, VISCOUS, target
+from service.identification.regression import (
+    COLUMNS,
+    COULOMB_COLUMN,
+    GRAVITY_COLUMN,
+    INERTIA_COLUMN,
+    VISCOUS_COLUMN,
+    Trajectory,
+)
+
+GRID = 200  # points a side
+RHO_RANGE = (0.0, 5.0)
+REFINEMENTS = 2  # finer grids, each over the neighbours of the best point before
+
+
+def refit(trajectories: Sequence[Trajectory], fit: pooled.Fit) -> pooled.Fit:
+    """`fit` with the paper's values in place of the pooled ones. Verdicts are the pooled fit's, and weak at best where
+    the trajectories disagree; standard errors come from their spread."""
+    values, errors = means(trajectories)
+    estimates = []
+    for estimate, value, error in zip(fit.estimates, values, errors, strict=True):
+        verdict, reason = estimate.verdict, estimate.reason
+        if estimate.name == "forearm":
+            verdict, reason = "not identifiable", "two point masses in the paper's model"
+        elif verdict == "identifiable" and not error <= pooled.WEAK * abs(value):
+            verdict = "weak"
+            reason = "one trajectory: no spread to judge by" if np.isnan(error) else "the trajectories disagree"
+        estimates.append(pooled.Estimate(estimate.name, float(value), float(np.nan_to_num(error)), verdict, reason))
+    others = [[t for t in trajectories if t is not trajectory] for trajectory in trajectories]
+    return replace(
+        fit,
+        estimates=tuple(estimates),
+        residual=np.array([pooled.rms_residual(t, values) for t in trajectories]),
+        held_out=fit.held_out
+        if len(trajectories) < 2
+        else np.array([pooled.rms_residual(t, means(o)[0]) for t, o in zip(trajectories, others, strict=True)]),
+    )
+
+
+def means(trajectories: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
+    """(9,) parameters in the order of `pooled.PARAMETERS` and their standard errors from the spread over trajectories.
+
+    A single trajectory has no spread: its errors are NaN. A joint that rests throughout a trajectory has no say in it.
+    """
+    each = np.array([_trajectory(trajectory) for trajectory in trajectories])
+    known = np.isfinite(each)
+    count = known.sum(axis=0)
+    values = np.where(known, each, 0.0).sum(axis=0) / np.maximum(count, 1)
+    spread = (np.where(known, each - values, 0.0) ** 2).sum(axis=0) / np.maximum(count - 1, 1)
+    return values, np.where(count > 1, np.sqrt(spread / np.maximum(count, 1)), np.nan)
+
+
+def _trajectory(trajectory: Trajectory) -> np.ndarray:
+    gram = trajectory.gram.sum(axis=0)
+    result = np.full(len(PARAMETERS), np.nan)
+    result[RHO_1], result[RHO_2] = grid(six_sums(gram))
+    result[FOREARM_MASS] = 0.0
+    for joint in range(3):
+        left = target(joint)
+        left[INERTIA_COLUMN], left[GRAVITY_COLUMN] = -result[RHO_1], -result[RHO_2]
+        friction = gram[joint][[VISCOUS_COLUMN, COULOMB_COLUMN]]
+        if np.linalg.det(friction[:, [VISCOUS_COLUMN, COULOMB_COLUMN]]) > 0:
+            solved = np.linalg.solve(friction[:, [VISCOUS_COLUMN, COULOMB_COLUMN]], friction @ left)
+            result[VISCOUS.start + joint], result[COULOMB.start + joint] = solved
+    return result
+
+
+def six_sums(gram: np.ndarray) -> np.ndarray:
+    """(3, 3): squares and products of inertia, gravity and torque less the platform's, over all joints.
+
+    gram: (3, COLUMNS, COLUMNS).
+    """
+    result = np.zeros((3, 3))
+    for joint in range(3):
+        chosen = np.zeros((COLUMNS, 3))
+        chosen[INERTIA_COLUMN, 0] = chosen[GRAVITY_COLUMN, 1] = 1.0
+        chosen[:, 2] = target(joint)
+        result += chosen.T @ gram[joint] @ chosen
+    return result
+
+
+def grid(sums: np.ndarray) -> tuple[float, float]:
+    """(rho_1, rho_2) of least RMS error on a grid of `GRID` points a side, refined round the best one."""
+    low, high = np.full(2, RHO_RANGE[0]), np.full(2, RHO_RANGE[1])
+    best = np.zeros(2)
+    for _ in range(1 + REFINEMENTS):
+        rho_1, rho_2 = np.linspace(low, high, GRID).T
+        square = (
+            sums[2, 2]
+            + (sums[0, 0] * rho_1**2 - 2.0 * sums[0, 2] * rho_1)[:, None]
+            + sums[1, 1] * rho_2**2
+            - 2.0 * sums[1, 2] * rho_2
+            + 2.0 * sums[0, 1] * np.outer(rho_1, rho_2)
+        )
+        first, second = np.unravel_index(np.argmin(square), square.shape)
+        best = np.array([rho_1[first], rho_2[second]])
+        step = (high - low) / (GRID - 1)
+        low, high = best - step, best + step
+    return float(best[0]), float(best[1])

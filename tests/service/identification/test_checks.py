@@ -1,0 +1,123 @@
+"""Bad logs are named: on a robot made here and on the reference plant."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.trace import read_trace
+from schemas.errors import DataError
+from schemas.robot import Drive, Robot, load_robot
+from schemas.trace import Trace
+from service.identification.identify import Identification, identify
+from service.identification.regression import summarise
+from service.model.parameters import pack
+from tests.service.identification.conftest import Truth, multisine
+
+Record = Callable[..., Trace]
+Faults = dict[str, Callable[[np.ndarray], np.ndarray]]
+
+FAULTS: Faults = {
+    r"joints 1 and 3 are swapped": lambda torque: torque[:, [2, 1, 0]],
+    r"joints 1, 2 and 3 are swapped": lambda torque: torque[:, [1, 2, 0]],
+    r"joint 2 has the wrong sign": lambda torque: torque * (1, -1, 1),
+    r"joints 1, 2 and 3 has the wrong sign": lambda torque: -torque,
+    r"not multiplied by the gear ratio 25": lambda torque: torque / 25,
+}
+
+
+def run(robot: Robot, traces: list[Trace]) -> Identification:
+    return identify(robot, [summarise(pack(robot), trace) for trace in traces])
+
+
+@pytest.fixture(scope="module")
+def plant(shared: Path) -> tuple[Robot, list[Trace]]:
+    folder = shared / "plant_logs" / "case_000"
+    robot = load_robot(folder / "robot.toml")
+    return robot, [read_trace(path, robot) for path in sorted(folder.glob("fit_*.csv"))]
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_torque_that_is_not_the_joints(robot: Robot, record: Record, fault: str) -> None:
+    robot = robot.model_copy(update={"drive": Drive(gear_ratio=25.0)})
+    logs = [replace(log, torque=FAULTS[fault](log.torque)) for log in (record(seed) for seed in range(3))]
+    with pytest.raises(DataError, match=f"all 3 logs: .*{fault}"):
+        run(robot, logs)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_torque_that_is_not_the_joints_on_the_plant(plant: tuple[Robot, list[Trace]], fault: str) -> None:
+    robot, logs = plant
+    with pytest.raises(DataError, match=f"all 4 logs: .*{fault}"):
+        run(robot, [replace(log, torque=FAULTS[fault](log.torque)) for log in logs])
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_one_wrong_log_of_twelve_is_named(robot: Robot, record: Record, fault: str) -> None:
+    robot = robot.model_copy(update={"drive": Drive(gear_ratio=25.0)})
+    logs = [record(seed, seconds=5.0) for seed in range(12)]
+    logs[7] = replace(logs[7], torque=FAULTS[fault](logs[7].torque))
+    with pytest.raises(DataError, match=rf"^log_7\.csv: .*{fault}"):
+        run(robot, logs)
+
+
+def test_one_foreign_log_of_twelve_is_named(robot: Robot, record: Record) -> None:
+    logs = [record(seed, seconds=5.0) for seed in range(12)]
+    logs[4] = replace(logs[4], torque=np.roll(logs[4].torque, 200, axis=0))  # 0.2 s late
+    with pytest.raises(DataError, match=r"^log_4\.csv: "):
+        run(robot, logs)
+
+
+def test_all_logs_wrong_beyond_reading(robot: Robot, record: Record) -> None:
+    rng = np.random.default_rng(0)
+    logs = [replace(log, torque=20 * rng.standard_normal(log.torque.shape)) for log in (record(s) for s in range(3))]
+    with pytest.raises(DataError, match=r"log_\d\.csv: "):
+        run(robot, logs)
+
+
+def test_the_same_log_twice_is_refused(robot: Robot, record: Record) -> None:
+    log = record(1)
+    with pytest.raises(DataError, match=r"copy\.csv: the same motion and torque as log_1\.csv"):
+        run(robot, [log, record(2), replace(log, path=Path("copy.csv"))])
+
+
+def test_payload_on_one_log_is_named(robot: Robot, record: Record) -> None:
+    logs = [record(seed, Truth(payload=0.3 if seed == 2 else 0.0)) for seed in range(5)]
+    (warning,) = run(robot, logs).warnings
+    assert re.match(r"log_2\.csv: it asks for \+0\.[23]\d kg on the platform on average: a payload", warning)
+
+
+def test_heavy_payload_on_one_log_is_an_error(robot: Robot, record: Record) -> None:
+    logs = [record(seed, Truth(payload=2.0 if seed == 2 else 0.0)) for seed in range(5)]
+    with pytest.raises(DataError, match=r"^log_2\.csv: does not go with the other logs.*\+\d\.\d+ kg on the platform"):
+        run(robot, logs)
+
+
+def test_payload_on_a_plant_log_is_named(shared: Path) -> None:
+    folder = shared / "payload_logs" / "case_001"
+    robot = load_robot(folder / "robot.toml")
+    logs = [read_trace(path, robot) for path in [*sorted(folder.glob("fit_*.csv")), folder / "pick_a.csv"]]
+    (warning,) = run(robot, logs).warnings
+    assert re.match(r"pick_a\.csv: it asks for \+\d\.\d+ kg on the platform on average: a payload", warning)
+
+
+def test_clean_logs_pass_without_a_word(robot: Robot, record: Record, plant: tuple[Robot, list[Trace]]) -> None:
+    assert run(robot, [record(seed) for seed in range(4)]).warnings == ()
+    assert run(*plant).warnings == ()
+
+
+def test_one_motion_repeated_is_too_similar(robot: Robot, record: Record) -> None:
+    motion = multisine(3, 8.0, 2.0, 1e-3)
+    (warning,) = run(robot, [record(seed, motion=motion) for seed in range(3)]).warnings
+    assert "too similar" in warning
+
+
+def test_a_single_trajectory_cannot_be_held_out(robot: Robot, record: Record) -> None:
+    result = run(robot, [record(1, seconds=16.0)])
+    assert "cannot be held out" in result.warnings[0]
+    assert np.isnan(result.fit.held_out).all()

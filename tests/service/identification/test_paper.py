@@ -1,0 +1,56 @@
+"""The paper's method: its grid against a search over the samples, its means against a known robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from schemas.robot import Robot
+from schemas.trace import Trace
+from service.identification import paper
+from service.identification.identify import identify
+from service.identification.regression import summarise
+from service.identification.signals import lowpass, smooth
+from service.model.dynamics import torque_terms
+from service.model.parameters import pack
+from tests.service.identification.conftest import Truth
+
+Record = Callable[..., Trace]
+
+
+def test_grid_is_the_minimum_over_the_samples(robot: Robot, record: Record) -> None:
+    trace = record(4, Truth(noise=0.5))
+    rho_1, rho_2 = paper.grid(paper.six_sums(summarise(pack(robot), trace).gram.sum(axis=0)))
+
+    terms = torque_terms(pack(robot), *smooth(trace.position, 1e-3))
+    columns = [lowpass(part, 1e-3)[100:-100].ravel() for part in (terms[:, 0], terms[:, 1], trace.torque - terms[:, 2])]
+
+    def rms(first: float, second: float) -> float:
+        return float(np.sqrt(np.mean((columns[2] - first * columns[0] - second * columns[1]) ** 2)))
+
+    least = rms(rho_1, rho_2)
+    step = 2e-3
+    around = [rms(rho_1 + i * step, rho_2 + j * step) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    assert least <= min(around) * (1 + 1e-9)
+
+
+def test_means_without_forearm_and_friction_are_the_truth(robot: Robot, record: Record) -> None:
+    truth = Truth(forearm=0.0, viscous=np.zeros(3), coulomb=np.zeros(3), noise=0.1)
+    trajectories = [summarise(pack(robot), record(seed, truth)) for seed in range(4)]
+    values, errors = paper.means(trajectories)
+    assert np.allclose(values, truth.values, atol=0.01)
+    assert np.all(np.abs(values - truth.values)[:2] < 5 * errors[:2] + 1e-4)
+
+
+def test_grid_soaks_up_what_the_model_lacks(robot: Robot, record: Record) -> None:
+    """With friction and forearm in the torque the paper's rho are off where the pooled ones are not."""
+    truth = Truth()
+    trajectories = [summarise(pack(robot), record(seed, truth)) for seed in range(4)]
+    paper_fit = identify(robot, trajectories, "paper")
+    pooled_fit = identify(robot, trajectories)
+    assert paper_fit.robot.identified is not None
+    assert paper_fit.robot.identified.method == "paper"
+    assert paper_fit.robot.identified.forearm_inertia_kg.value == 0.0
+    assert abs(paper_fit.fit.values[0] - truth.rho_1) > 10 * abs(pooled_fit.fit.values[0] - truth.rho_1)
+    assert np.all(paper_fit.fit.held_out > pooled_fit.fit.held_out)
