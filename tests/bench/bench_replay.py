@@ -59,7 +59,17 @@ def cyclictest(rate: float, seconds: float) -> tuple[float, ...]:
 
 def replay(folder: Path, rate: float, seconds: float) -> tuple[tuple[float, ...], dict]:
     """The same of `deltatwin replay`, and what a process that subscribed counted."""
-    peer = subprocess.Popen([sys.executable, PEER, "bench", "MONITOR", "count"], stdout=subprocess.PIPE, text=True)
+    command = [
+        "chrt",
+        "-f",
+        str(PRIORITY),
+        sys.executable,
+        PEER,
+        "bench",
+        "MONITOR",
+        "count",
+    ]  # in real time, as roles are
+    peer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert peer.stdout is not None
     peer.stdout.readline()
     loops = max(1, round(rate * seconds / 4000))
