@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +16,22 @@ from drivers.ethercat.process_data import Assembler, make_layout
 from schemas.errors import RobotError
 from schemas.messages import SampleFlag, stamp_ns
 from schemas.robot import Robot, load_robot
-from tests.drivers.ethercat.wire import Drive, datagram, frame, netanalyzer, passes, pcap, pcapng, robot, tshark
+from tests.drivers.ethercat.wire import (
+    PER_COUNT,
+    PER_MILLE,
+    Drive,
+    cycle,
+    datagram,
+    frame,
+    netanalyzer,
+    of_cycles,
+    passes,
+    pcap,
+    pcapng,
+    robot,
+    tshark,
+)
 
-PER_COUNT = math.tau / (1 << 20) / 20
-PER_MILLE = 1.5 * 20 / 1000
 START = 1_700_000_000_000_000_000
 LOCAL = bytes.fromhex("7285c28dd3c4")  # a master whose own address has the bit set
 
@@ -31,20 +42,6 @@ def assembled(path: Path, description: Robot) -> tuple[np.ndarray, Assembler]:
     return np.concatenate(parts), assembler
 
 
-def cycle(number: int) -> list[Drive]:
-    """Drives whose every value tells cycle and drive apart."""
-    return [
-        Drive(
-            position=1000 * number + drive,
-            velocity=-number,
-            torque=number % 900 - 300 * drive,
-            target=1000 * number + drive + 7,
-            offset=number % 500 + drive,
-        )
-        for drive in range(3)
-    ]
-
-
 def stream(count: int, period: int = 1_000_000, **options: Any) -> list[tuple[int, bytes]]:
     """Both passes of `count` cycles, the returned one 20 µs behind."""
     packets = []
@@ -52,16 +49,6 @@ def stream(count: int, period: int = 1_000_000, **options: Any) -> list[tuple[in
         out, back = passes(cycle(number), cycle(number - 1), index=number % 256, **options)
         packets += [(START + number * period, out), (START + number * period + 20_000, back)]
     return packets
-
-
-def of_cycles(samples: np.ndarray, numbers: Sequence[int]) -> None:
-    """Every sample holds the values of its own cycle."""
-    n = np.asarray(numbers)[:, None]
-    drive = np.arange(3)
-    np.testing.assert_allclose(samples["position"], (1000 * n + drive) * PER_COUNT, atol=1e-12)
-    np.testing.assert_allclose(samples["torque"], (n % 900 - 300 * drive) * PER_MILLE, atol=1e-12)
-    np.testing.assert_allclose(samples["position_command"], (1000 * n + drive + 7) * PER_COUNT, atol=1e-12)
-    np.testing.assert_allclose(samples["torque_command"], (n % 500 + drive) * PER_MILLE, atol=1e-12)
 
 
 @pytest.mark.parametrize("shared_addresses", [False, True])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import struct
 import subprocess
@@ -10,9 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from schemas.robot import Robot
+
+# joint radians and N m of one unit of the drives of `robot`
+PER_COUNT = math.tau / (1 << 20) / 20
+PER_MILLE = 1.5 * 20 / 1000
 
 MASTER = bytes.fromhex("000105112233")
 
@@ -177,3 +183,27 @@ def passes(
     out = frame(datagram(12, 0x1000, sent, index=index), *(d for d, _ in times), source=source)
     answered = [(d[0], w if working_counter else 0) for d, w in answers]
     return out, frame(datagram(12, 0x1000, back, working_counter, index=index), *answered, returned=True, source=source)
+
+
+def cycle(number: int) -> list[Drive]:
+    """Drives whose every value tells cycle and drive apart."""
+    return [
+        Drive(
+            position=1000 * number + drive,
+            velocity=-number,
+            torque=number % 900 - 300 * drive,
+            target=1000 * number + drive + 7,
+            offset=number % 500 + drive,
+        )
+        for drive in range(3)
+    ]
+
+
+def of_cycles(samples: np.ndarray, numbers: Sequence[int]) -> None:
+    """Every sample holds the values of its own cycle."""
+    n = np.asarray(numbers)[:, None]
+    drive = np.arange(3)
+    np.testing.assert_allclose(samples["position"], (1000 * n + drive) * PER_COUNT, atol=1e-12)
+    np.testing.assert_allclose(samples["torque"], (n % 900 - 300 * drive) * PER_MILLE, atol=1e-12)
+    np.testing.assert_allclose(samples["position_command"], (1000 * n + drive + 7) * PER_COUNT, atol=1e-12)
+    np.testing.assert_allclose(samples["torque_command"], (n % 500 + drive) * PER_MILLE, atol=1e-12)

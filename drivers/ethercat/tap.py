@@ -1,0 +1,287 @@
+"""Live tap: frames off an interface, or out of a capture at its own pace, as samples. It never sends a frame.
+
+A sample is published from the frame that completes its cycle, before the next frame is read. Stamps are the distributed
+clock's where the bus carries one, else those of the network interface: its hardware's where that is switched on
+(`hwstamp_ctl`), the kernel's otherwise.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from drivers.ethercat.capture import Capture
+from drivers.ethercat.cia402 import DriveState, drive_state
+from drivers.ethercat.process_data import COUNT, INPUTS, NOT_MAPPED, Assembler, assemble, columns_of, make_layout
+from drivers.health import Health
+from schemas.errors import BusError
+from schemas.messages import NANOSECONDS, SAMPLE, HealthFlag, SampleFlag
+from schemas.robot import Robot
+
+FRAME_BYTES = 2048  # more than an Ethernet frame with tags
+RECEIVE_BYTES = 8 << 20  # of kernel buffer: 10 s of a busy bus
+IDLE_S = 0.2  # longest silence before the loop looks around
+QUIET_NS = 2 * NANOSECONDS  # without a sample before it is said
+CHANGE_NS = 20_000_000  # least time between two health messages when the bus breaks down and comes back
+
+_ETH_P_ALL = 0x0003
+_SOL_PACKET, _PACKET_ADD_MEMBERSHIP, _PACKET_STATISTICS, _PACKET_MR_PROMISC = 263, 1, 6, 1
+_SO_TIMESTAMPING = 37
+_SIOCGIFFLAGS, _IFF_UP = 0x8913, 1
+_RX_HARDWARE, _RX_SOFTWARE, _SOFTWARE, _RAW_HARDWARE = 1 << 2, 1 << 3, 1 << 4, 1 << 6
+_THREE_TIMES = struct.Struct("@6q")  # software, unused, hardware: seconds and nanoseconds each
+_ANCILLARY = socket.CMSG_SPACE(_THREE_TIMES.size)
+
+
+class InterfaceSource:
+    """Every frame that passes a network interface, both ways; listening only."""
+
+    def __init__(self, interface: str) -> None:
+        """
+        Raises:
+            BusError: no such interface, it is down, or reading frames is not allowed.
+        """
+        self.name = interface
+        self.ended = False
+        self._hardware = False
+        try:
+            index = socket.if_nametoindex(interface)
+        except OSError:
+            known = ", ".join(name for _, name in socket.if_nameindex())
+            raise BusError(f"{interface}: no such interface or capture file (interfaces: {known})") from None
+        try:
+            self._socket = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)
+        except PermissionError:
+            raise BusError(
+                f"{interface}: reading frames is not allowed to this user: run as root or with CAP_NET_RAW"
+            ) from None
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+            stamping = _RX_HARDWARE | _RX_SOFTWARE | _SOFTWARE | _RAW_HARDWARE
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, stamping)
+            promiscuous = struct.pack("IHH8s", index, _PACKET_MR_PROMISC, 0, b"")
+            self._socket.setsockopt(_SOL_PACKET, _PACKET_ADD_MEMBERSHIP, promiscuous)
+            self._socket.bind((interface, _ETH_P_ALL))
+            self._socket.settimeout(IDLE_S)
+            self._check_up()
+        except OSError as error:
+            self._socket.close()
+            raise BusError(f"{interface}: {error.strerror}") from error
+
+    def _check_up(self) -> None:
+        request = struct.pack("16sH14x", self.name.encode(), 0)
+        if not struct.unpack_from("H", fcntl.ioctl(self._socket, _SIOCGIFFLAGS, request), 16)[0] & _IFF_UP:
+            raise OSError(errno.ENETDOWN, f"the interface is down (ip link set {self.name} up)")
+
+    def receive(self, buffer: memoryview) -> tuple[int, int, int] | None:
+        """(bytes, time in ns, 1 for a frame this host sent) of the next frame; None after a silence.
+
+        Raises:
+            BusError: the interface went down or away.
+        """
+        try:
+            size, ancillary, _, address = self._socket.recvmsg_into([buffer], _ANCILLARY)
+        except TimeoutError:
+            return None
+        except OSError as error:
+            raise BusError(f"{self.name}: {error.strerror}") from error
+        seconds, nanoseconds, _, _, hard_seconds, hard_nanoseconds = _THREE_TIMES.unpack(ancillary[0][2])
+        outgoing = int(address[2] == socket.PACKET_OUTGOING)
+        if hard_seconds:
+            self._hardware = True
+            return size, hard_seconds * NANOSECONDS + hard_nanoseconds, outgoing
+        return size, seconds * NANOSECONDS + nanoseconds, outgoing
+
+    def age(self, stamp: int) -> int:
+        """Time since the kernel stamped a frame, ns; 0 where the stamp is of the hardware's own clock."""
+        return 0 if self._hardware else time.time_ns() - stamp
+
+    def dropped(self) -> int:
+        """Frames that the kernel could not keep for us, since the last call."""
+        return struct.unpack("II", self._socket.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8))[1]
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class FileSource:
+    """The frames of a capture at the times it gives them."""
+
+    def __init__(self, path: Path, wait_until: Callable[[int], object], speed: float = 1.0) -> None:
+        """wait_until: returns at a time of CLOCK_MONOTONIC, ns."""
+        self.name = path.name
+        self.ended = False
+        self._due = 0
+        self._frames = self._read(Capture(path))
+        self._wait_until = wait_until
+        self._speed = speed
+        self._start: tuple[int, int] | None = None
+
+    @staticmethod
+    def _read(capture: Capture) -> Iterator[tuple[bytes, int, int]]:
+        for frames in capture.blocks():
+            for i in np.flatnonzero(frames.length):
+                at = frames.offset[i]
+                yield (
+                    frames.data[at : at + frames.length[i]][:FRAME_BYTES].tobytes(),
+                    int(frames.time[i]),
+                    int(frames.port[i]),
+                )
+
+    def receive(self, buffer: memoryview) -> tuple[int, int, int] | None:
+        """As `InterfaceSource.receive`; None at the end.
+
+        Raises:
+            TraceError: the file is no capture.
+        """
+        following = next(self._frames, None)
+        if following is None:
+            self.ended = True
+            return None
+        data, stamp, port = following
+        if self._start is None:
+            self._start = (time.monotonic_ns(), stamp)
+        self._due = self._start[0] + int((stamp - self._start[1]) / self._speed)
+        self._wait_until(self._due)
+        buffer[: len(data)] = data
+        return len(data), stamp, port
+
+    def age(self, stamp: int) -> int:
+        """Time since the last frame was due, ns."""
+        return time.monotonic_ns() - self._due
+
+    def dropped(self) -> int:
+        """Frames lost on the way from a file: none."""
+        return 0
+
+    def close(self) -> None:
+        pass
+
+
+class Tap:
+    """The loop from frame to published sample, and what it has to say of itself."""
+
+    def __init__(self, source: InterfaceSource | FileSource, robot: Robot, say: Callable[[str], object]) -> None:
+        """say: takes a line for the user.
+
+        Raises:
+            RobotError: the robot description does not say how to read its bus.
+        """
+        self.assembler = Assembler(make_layout(robot))
+        self._source = source
+        self._say = say
+        self._buffer = np.zeros(FRAME_BYTES, np.uint8)
+        self._frame = np.zeros((3, 1), np.int64)  # offset, length, time
+        self._port = np.zeros((2, 1), np.uint8)  # port, flags
+        self._record = SAMPLE.empty(1)
+        self._columns = columns_of(self._record)
+        self._raw = np.zeros((1, 3, len(INPUTS)), np.int64)
+        self._states = np.full(3, DriveState.UNKNOWN, np.uint16)
+        self._told = _Told(self.assembler)
+        self._assemble()  # a frame of no bytes: the kernel is compiled before the bus is looked at
+
+    def _assemble(self) -> int:
+        offset, length, time_ns = self._frame
+        port, flags = self._port
+        return assemble(
+            self._buffer, offset, length, time_ns, port, flags,
+            self.assembler.layout, self.assembler.state, self._columns, self._raw,
+        )  # fmt: skip
+
+    def run(self, put: Callable[[bytes], object], health: Health, count: int = 0) -> None:
+        """Publish with `put` until `count` samples are out (0: without end), a capture ends, or Ctrl-C.
+
+        Raises:
+            BusError: the interface went down or away.
+            TraceError: the file is no capture.
+        """
+        view, counts, flags = self._buffer.data, self.assembler.state.counts, self._columns.flags
+        self._told.sample_ns = time.monotonic_ns()
+        health.time_one(0)
+        self._tell(health)  # what is called for the first time is slow
+        faulty = False
+        while not self._source.ended:
+            got = self._source.receive(view)
+            if got is not None:
+                self._frame[1, 0], self._frame[2, 0], self._port[0, 0] = got
+                if self._assemble():
+                    put(self._record.tobytes())
+                    health.time_one(self._source.age(got[1]))
+                    faulty = flags[0] & _FAULT != 0
+                    if counts[COUNT.samples] == count:
+                        break
+            now = time.monotonic_ns()
+            if now >= health.due_ns or (faulty != self._told.faulty and now >= self._told.at_ns + CHANGE_NS):
+                self._told.faulty = faulty
+                self._tell(health)
+        self._tell(health)
+
+    def _tell(self, health: Health) -> None:
+        """Publish the state of the bus, and tell the user what has changed."""
+        news, told = self.assembler.count, self._told
+        fresh = {name: news(name) - told.counts[name] for name in told.counts}
+        told.counts = {name: news(name) for name in told.counts}
+        told.at_ns = time.monotonic_ns()
+        if fresh["samples"]:
+            told.sample_ns = told.at_ns
+        quiet = told.at_ns - told.sample_ns > QUIET_NS
+        health.flags &= ~(HealthFlag.BUS_FAULT | HealthFlag.STALE_INPUT)
+        if told.faulty or any(fresh[name] for name in _TROUBLES):
+            health.flags |= HealthFlag.BUS_FAULT
+        if quiet:
+            health.flags |= HealthFlag.STALE_INPUT
+        health.publish(
+            received=news("sent") + news("returned"),
+            published=news("samples"),
+            lost=news("lost"),
+            repeated=news("repeated"),
+            out_of_order=news("backwards"),
+            rejected=news("damaged"),
+            invalid=news("unanswered"),
+        )
+        self._say_changes(fresh, quiet)
+
+    def _say_changes(self, fresh: dict[str, int], quiet: bool) -> None:
+        troubles = [f"{fresh[name]} {text}" for name, text in _TROUBLES.items() if fresh[name]]
+        if troubles:
+            self._say(f"{self._source.name}: {', '.join(troubles)}")
+        dropped = self._source.dropped()
+        if dropped:
+            self._say(f"{self._source.name}: the kernel dropped {dropped} frames")
+        if fresh["samples"]:
+            mapped = self.assembler.layout.inputs[:, 0] != NOT_MAPPED
+            states = drive_state(self._raw[0, :, 0])
+            for joint in np.flatnonzero(mapped & (states != self._states)):
+                self._say(f"joint {joint + 1}: {DriveState(int(states[joint])).name.lower().replace('_', ' ')}")
+            self._states = states
+        if quiet and not self._told.quiet:
+            seen = self.assembler.count("sent")
+            why = "frames with process data, but none comes back" if seen else "no process data of this robot"
+            self._say(f"{self._source.name}: no sample for {QUIET_NS / NANOSECONDS:g} s: {why}")
+        self._told.quiet = quiet
+
+
+_FAULT = SampleFlag.BUS_FAULT.value
+_TROUBLES = {
+    "counter_faults": "cycles with a working counter too low",
+    "lost": "cycles lost",
+    "incomplete": "cycles incomplete",
+    "damaged": "frames damaged",
+    "drive_faults": "cycles with a drive in fault",
+}
+
+
+class _Told:
+    """What the user and the bus know already."""
+
+    def __init__(self, assembler: Assembler) -> None:
+        self.counts = {name: assembler.count(name) for name in ("samples", *_TROUBLES)}
+        self.at_ns = self.sample_ns = time.monotonic_ns()
+        self.faulty = self.quiet = False

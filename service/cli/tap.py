@@ -1,0 +1,60 @@
+"""`deltatwin tap`: samples off a live EtherCAT bus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    interface: Annotated[
+        str, typer.Argument(metavar="IFACE", help="Network interface on the bus, or a capture to play as if live.")
+    ],
+    robot: Annotated[Path, typer.Option(help="Robot description (TOML): name, scaling and mapping of its drives.")],
+    count: Annotated[int, typer.Option(min=0, help="Samples to publish; 0: until Ctrl-C.")] = 0,
+    speed: Annotated[float, typer.Option(min=1e-3, help="Of a capture: times faster than recorded.")] = 1.0,
+    wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for a subscriber before the start (s).")] = 1.0,
+    zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration instead of local sockets.")] = None,
+) -> None:
+    """Listen to an EtherCAT bus and publish a sample a cycle over Zenoh; never sends a frame.
+
+    The interface hangs on a network analyzer or a mirror port, or is the master's own. Working-counter faults, lost
+    cycles and drive states go to the health messages and to stderr. Reading an interface takes CAP_NET_RAW.
+
+    Example: deltatwin tap eth1 --robot d3.toml
+    """
+    import time
+
+    from drivers.bus import open_bus
+    from drivers.ethercat.tap import FileSource, InterfaceSource, Tap
+    from drivers.health import Health
+    from replay.clock import wait_until
+    from replay.realtime import go_realtime
+    from schemas.messages import HealthFlag, Role
+    from schemas.robot import load_robot
+    from service.cli.signals import terminate_as_interrupt
+
+    terminate_as_interrupt()
+    description = load_robot(robot)
+    path = Path(interface)
+    source = FileSource(path, wait_until, speed) if path.is_file() else InterfaceSource(interface)
+    tap = Tap(source, description, lambda line: typer.echo(line, err=True))
+    realtime = go_realtime("tap")
+    try:
+        with open_bus(description.name, Role.TAP, zenoh_config) as bus:
+            publisher = bus.publisher("sample")
+            give_up = time.monotonic() + wait
+            while not publisher.heard and time.monotonic() < give_up:
+                time.sleep(0.01)
+            tap.run(publisher.put, Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME), count)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        source.close()
+    counted = tap.assembler.count
+    typer.echo(
+        f"published {counted('samples')} samples; {counted('lost')} cycles lost, "
+        f"{counted('counter_faults')} working-counter faults, {counted('not_enabled')} cycles not in operation"
+    )
