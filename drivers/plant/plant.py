@@ -88,7 +88,7 @@ class Plant:
         self._stiffness, self._half_gap = np.array(design.drive_stiffness), np.array(design.half_gap)
         rotor = np.array(self.truth.rotor_inertia_kgm2)
         self._damping = 2 * np.array(design.drive_damping_ratio) * np.sqrt(self._stiffness * rotor)
-        inertia = reflected_inertia(self.mechanism, centre_pose(self.truth)) + np.where(self.split, rotor, 0.0)
+        inertia = reflected_inertia(self.mechanism, centre_pose(self.truth))
         self.tuning = tune(
             inertia,
             self.truth.position_bandwidth_hz,
@@ -118,11 +118,15 @@ class Plant:
 
     def reset(self, position: np.ndarray) -> None:
         """Rest at joint `position` (3,) rad as the encoders read it, drives holding the weight. Time runs on."""
-        link = np.asarray(position, float) + self.offset
+        motor = np.asarray(position, float) + self.offset
+        holding = holding_torque(self.mechanism, motor)
+        # a drive train that carries weight is twisted
+        stiffness = np.where(self.split, self._stiffness, np.inf)
+        link = motor - holding / stiffness - np.sign(holding) * self._half_gap
         mujoco.mj_resetData(self.mechanism.model, self.data)
         self.data.qpos[:] = close(self.mechanism, link)[0]
+        self.data.qpos[self.mechanism.motor] = motor
         mujoco.mj_forward(self.mechanism.model, self.data)
-        holding = holding_torque(self.mechanism, link)
         self.load[:] = holding
         self.drive: DriveState = rest(holding)
         self._observe()
@@ -223,8 +227,13 @@ class Plant:
         friction.torque[:] = 0.0
         for effect in self._on_friction:
             effect.friction(self, friction)
-        # MuJoCo's friction loss takes one level for both directions; the difference acts as a bias
-        model.dof_frictionloss[self.mechanism.motor] = np.maximum((friction.forward + friction.backward) / 2, 0.0)
+        if self.truth.creep_radps:
+            level = np.where(self.motor_dot > 0, friction.forward, friction.backward)
+            friction.torque -= level * np.tanh(self.motor_dot / self.truth.creep_radps)
+        else:
+            # MuJoCo's friction loss takes one level for both directions; the difference acts as a bias
+            friction.torque -= (friction.forward - friction.backward) / 2
+            model.dof_frictionloss[self.mechanism.motor] = np.maximum((friction.forward + friction.backward) / 2, 0.0)
         model.dof_damping[self.mechanism.motor] = friction.viscous
 
     def _drive_train(self) -> np.ndarray:
@@ -244,9 +253,9 @@ class Plant:
         self.torque = torque
         data.qfrc_applied[:] = 0.0
         force = data.qfrc_applied
-        if self._on_friction:
+        if self._on_friction or self.truth.creep_radps:
             self._set_friction()
-            force[at.motor] += self.friction.torque - (self.friction.forward - self.friction.backward) / 2
+            force[at.motor] += self.friction.torque
         for effect in self._on_joint:
             force[at.arm] += effect.joint_torque(self)
         for effect in self._on_platform:

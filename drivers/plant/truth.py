@@ -50,6 +50,7 @@ class PlantTruth(BaseModel):
     # friction
     coulomb_friction_nm: NotNegativePerJoint = [0.0, 0.0, 0.0]
     viscous_friction_nms: NotNegativePerJoint = [0.0, 0.0, 0.0]
+    creep_radps: NotNegative = 0.0  # speed within which dry friction builds up in lubricated gears; 0: true stiction
     # drives and sensors
     gear_ratio: Positive = 1.0
     position_bandwidth_hz: Positive = POSITION_BANDWIDTH

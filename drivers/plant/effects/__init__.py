@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any, get_type_hints
 
@@ -56,7 +57,7 @@ OUTSIDE: dict[str, type[Effect]] = {
 EFFECTS = CATALOGUE | OUTSIDE
 
 
-def make_effects(entries: list[dict[str, object]], where: str) -> tuple[Effect, ...]:
+def make_effects(entries: Sequence[Mapping[str, object]], where: str) -> tuple[Effect, ...]:
     """Effects from the `[[effect]]` tables of a truth file: `name`, and the fields of its dataclass.
 
     Raises:

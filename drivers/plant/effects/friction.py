@@ -140,7 +140,7 @@ class PreslidingFriction(Effect):
     """
 
     stiffness_nmprad: list[float]
-    bristle: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False)
+    bristle: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
@@ -169,8 +169,8 @@ class PassiveJointFriction(Effect):
 
     dry_nm: float
     viscous_nms: float
-    _rods: list[int] = field(default_factory=list, init=False, repr=False)
-    _arms: list[int] = field(default_factory=list, init=False, repr=False)
+    _rods: list[int] = field(default_factory=list, init=False, repr=False, compare=False)
+    _arms: list[int] = field(default_factory=list, init=False, repr=False, compare=False)
 
     # relative speed below which the dry torque fades, rad/s: a ball seat is compliant
     SOFT = 0.05

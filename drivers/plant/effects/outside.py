@@ -47,7 +47,7 @@ class StickEvents(Effect):
     level_nm: list[float]
     rate_hz: float
     length_s: float
-    _until: float = field(default=-1.0, init=False, repr=False)
+    _until: float = field(default=-1.0, init=False, repr=False, compare=False)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
@@ -97,7 +97,7 @@ class TorqueDropouts(Effect):
     lost: list[float]  # share
     rate_hz: float
     length_s: float
-    _until: float = field(default=-1.0, init=False, repr=False)
+    _until: float = field(default=-1.0, init=False, repr=False, compare=False)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
@@ -124,7 +124,7 @@ class TorqueConstantDrift(Effect):
     loss: list[float]  # share of the torque constant that is lost when the motor runs at `hot_nm` rms for long
     hot_nm: float
     time_constant_s: float
-    _heat: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False)
+    _heat: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
@@ -182,7 +182,7 @@ class CableMemory(Effect):
 
     stiffness_nmprad: list[float]
     relaxation_s: float
-    _rest: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False)
+    _rest: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:

@@ -57,7 +57,7 @@ class TorqueDelay(Effect):
     """The drive reports the torque of a while ago beside the position of now; fractions of a sample too."""
 
     delay_s: float
-    _past: deque[np.ndarray] = field(default_factory=deque, init=False, repr=False)
+    _past: deque[np.ndarray] = field(default_factory=deque, init=False, repr=False, compare=False)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
@@ -79,7 +79,7 @@ class TorqueFilter(Effect):
     """The reported torque went through a first-order low-pass in the drive."""
 
     cutoff_hz: float
-    _value: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False)
+    _value: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
