@@ -165,7 +165,7 @@ def moving(position: np.ndarray, period: float) -> np.ndarray:
 def noise_density(values: np.ndarray, period: float) -> np.ndarray:
     """One-sided density (n,) above `NOISE_HZ`, units^2/Hz: the white floor of `values` (N, n)."""
     frequency, density = welch(
-        values, 1.0 / period, nperseg=256, noverlap=0, detrend="linear", axis=0, average="median"
+        values, 1.0 / period, nperseg=256, noverlap=0, detrend=False, axis=0, average="median"
     )  # the median is deaf to the few windows in which friction jumps
     return density[frequency >= min(NOISE_HZ, 0.25 / period)].mean(axis=0)
 

@@ -12,7 +12,7 @@ import pytest
 from schemas.robot import Geometry, Mass, Robot
 from schemas.trace import Trace
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
-from service.model.parameters import pack
+from service.model.parameters import DeltaModel, pack
 
 PERIOD = 1e-3
 
@@ -55,6 +55,31 @@ def multisine(seed: int, seconds: float, amplitude: float, period: float) -> tup
     return theta, theta_dot, theta_ddot
 
 
+def synthesise(
+    model: DeltaModel, seed: int, truth: Truth, motion: tuple[np.ndarray, np.ndarray, np.ndarray], period: float
+) -> Trace:
+    """What a robot with `truth` in it would record along `motion`."""
+    rng = np.random.default_rng([seed, 7])
+    theta, theta_dot, theta_ddot = motion
+    terms = torque_terms(model, theta, theta_dot, theta_ddot)
+    torque = (
+        truth.rho_1 * terms[:, INERTIA]
+        + truth.rho_2 * terms[:, GRAVITY]
+        + terms[:, PLATFORM]
+        + truth.forearm * terms[:, FOREARM]
+        + truth.payload * terms[:, PAYLOAD]
+        + truth.viscous * theta_dot
+        + truth.coulomb * np.sign(theta_dot)
+    )
+    return Trace(
+        Path(f"log_{seed}.csv"),
+        np.arange(len(theta)) * period,
+        theta + 1e-7 * rng.standard_normal(theta.shape),
+        torque + truth.noise * rng.standard_normal(theta.shape),
+        flags=np.zeros(len(theta), np.uint32),
+    )
+
+
 @pytest.fixture(scope="session")
 def record(robot: Robot) -> Callable[..., Trace]:
     """record(seed, truth, ...) -> Trace of `robot` with `truth` in it."""
@@ -69,27 +94,8 @@ def record(robot: Robot) -> Callable[..., Trace]:
         motion: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
         period: float = PERIOD,
     ) -> Trace:
-        truth = truth or Truth()
-        rng = np.random.default_rng([seed, 7])
         theta, theta_dot, theta_ddot = motion or multisine(seed, seconds, amplitude, period)
-        theta = 0.5 + (theta - 0.5) * moves
-        theta_dot, theta_ddot = theta_dot * moves, theta_ddot * moves
-        terms = torque_terms(model, theta, theta_dot, theta_ddot)
-        torque = (
-            truth.rho_1 * terms[:, INERTIA]
-            + truth.rho_2 * terms[:, GRAVITY]
-            + terms[:, PLATFORM]
-            + truth.forearm * terms[:, FOREARM]
-            + truth.payload * terms[:, PAYLOAD]
-            + truth.viscous * theta_dot
-            + truth.coulomb * np.sign(theta_dot)
-        )
-        return Trace(
-            Path(f"log_{seed}.csv"),
-            np.arange(len(theta)) * period,
-            theta + 1e-7 * rng.standard_normal(theta.shape),
-            torque + truth.noise * rng.standard_normal(theta.shape),
-            flags=np.zeros(len(theta), np.uint32),
-        )
+        scaled = (0.5 + (theta - 0.5) * moves, theta_dot * moves, theta_ddot * moves)
+        return synthesise(model, seed, truth or Truth(), scaled, period)
 
     return make
