@@ -22,7 +22,7 @@ def command(
     loop: Annotated[int, typer.Option(min=0, help="Times to play it; 0: until Ctrl-C.")] = 1,
     start: Annotated[float, typer.Option(min=0.0, help="First sample, after the trace's first (s).")] = 0.0,
     stop: Annotated[float | None, typer.Option(min=0.0, help="Last sample, after the trace's first (s).")] = None,
-    wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for a subscriber before the start (s).")] = 1.0,
+    wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for subscribers before the start (s).")] = 2.0,
     zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration instead of local sockets.")] = None,
 ) -> None:
     """Play a recorded trace over Zenoh at the controller's rate.
@@ -34,12 +34,11 @@ def command(
     """
     import time
 
-    from drivers.bus import open_bus
+    from drivers.bus import LINK_S, open_bus
     from drivers.health import Health
-    from drivers.trace import read_trace
+    from drivers.trace import find_columns, read_trace
     from replay.player import play, score
     from replay.realtime import go_realtime
-    from schemas.columns import load_columns
     from schemas.messages import HealthFlag, Role
     from schemas.robot import load_robot
     from service.cli.progress import counting
@@ -47,7 +46,7 @@ def command(
 
     terminate_as_interrupt()
     description = load_robot(robot)
-    recorded = read_trace(trace, description, load_columns(columns) if columns else None)
+    recorded = read_trace(trace, description, find_columns(columns) if columns else None)
     for finding in recorded.findings:
         typer.echo(f"{trace}: {finding.message}", err=True)
     plan = score(recorded, rate=rate, speed=speed, loops=loop, start=start, stop=stop)
@@ -55,8 +54,9 @@ def command(
         realtime = go_realtime("replay")
         with open_bus(description.name, Role.PLAYER, zenoh_config) as bus:
             publisher = bus.publisher("sample")
-            give_up = time.monotonic() + wait
-            while not publisher.heard and time.monotonic() < give_up:
+            opened = time.monotonic()
+            # whoever runs already tries again within RETRY_MS: only then has everybody had the chance to link up
+            while (waited := time.monotonic() - opened) < wait and (waited < LINK_S or not publisher.heard):
                 time.sleep(0.01)
             if not publisher.heard:
                 typer.echo(

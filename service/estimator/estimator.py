@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from service.estimator.step import run_kernel
 PERIOD_SAMPLES = 16
 
 
-@dataclass(frozen=True)
-class Result:
+class Result(NamedTuple):
     """Records of `schemas.messages`, oldest first: one `feedforward` a sample,
     `payload` and `error` a fixed lag later."""
 

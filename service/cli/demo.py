@@ -1,0 +1,230 @@
+"""`deltatwin demo`: the whole of it on a sample log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    import subprocess
+
+    import numpy as np
+    from rich.table import Table
+
+    from drivers.bus import Bus
+    from service.monitor.readback import Recorded
+
+LOOPS = 2  # of ten seconds
+READY_S = 180.0  # a first run compiles for a while
+
+
+def command(
+    out: Annotated[Path, typer.Option(help="Folder for the recording, the picture and the logs.")] = Path(
+        "deltatwin-demo"
+    ),
+) -> None:
+    """Replay a bundled Delta log in real time through player, estimator and monitor, each a process of its own.
+
+    Shows a live table for 20 s, then errors of each model, payload against truth, latency and loss. Leaves demo.mcap
+    (opens in Foxglove and PlotJuggler) and demo.html in the folder.
+
+    Example: deltatwin demo --out /tmp/demo
+    """
+    import time
+
+    from rich.console import Console
+    from rich.live import Live
+
+    from drivers.bus import open_bus
+    from replay.demo import LOG, ROBOT
+    from schemas.errors import StorageError
+    from schemas.messages import Role
+    from schemas.robot import load_robot
+    from service.cli.signals import terminate_as_interrupt
+    from service.monitor.readback import read_recording
+    from service.monitor.report import picture, write_page
+
+    terminate_as_interrupt()
+    console = Console()
+    robot = load_robot(ROBOT)
+    recording, page = out / "demo.mcap", out / "demo.html"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        recording.unlink(missing_ok=True)  # of an earlier run
+    except OSError as error:
+        raise StorageError(f"{out}: {error.strerror}") from error
+    roles: dict[str, subprocess.Popen] = {}
+    with open_bus(robot.name, Role.OBSERVER) as bus:
+        try:
+            roles["monitor"] = _start(out, "monitor", "--robot", ROBOT, "--output", recording)
+            roles["estimate"] = _start(out, "estimate", "--robot", ROBOT)
+            with console.status("starting monitor and estimator (a first run compiles, about half a minute)"):
+                _wait(bus, {Role.MONITOR, Role.ESTIMATOR}, roles, out)
+            live = _Live(bus)
+            roles["replay"] = _start(out, "replay", LOG, "--robot", ROBOT, "--loop", str(LOOPS), "--wait", "20")
+            with Live(console=console, refresh_per_second=8, transient=True) as display:
+                while roles["replay"].poll() is None:
+                    time.sleep(0.1)
+                    display.update(live.table())
+            time.sleep(0.5)  # the last answers
+        finally:
+            for role in roles.values():
+                role.terminate()
+            for role in roles.values():
+                role.wait(20)
+    _check(roles, out)
+    recorded = read_recording(recording)
+    write_page(picture(recorded, f"{LOG.name} replayed {LOOPS} times: measured against predicted torque"), page)
+    for table in _results(recorded):
+        console.print(table)
+    console.print((out / "replay.log").read_text().strip().splitlines()[-1])
+    console.print(f"recording: {recording}\npicture:   {page}")
+
+
+def _start(out: Path, *arguments: object) -> subprocess.Popen:
+    import subprocess
+    import sys
+
+    with (out / f"{arguments[0]}.log").open("w") as log:
+        return subprocess.Popen(
+            [sys.executable, "-m", "service.cli.main", *map(str, arguments)], stdout=log, stderr=log
+        )
+
+
+def _wait(bus: Bus, wanted: set, roles: dict[str, subprocess.Popen], out: Path) -> None:
+    import time
+
+    from schemas.errors import BusError
+
+    give_up = time.monotonic() + READY_S
+    while not wanted <= bus.alive:
+        _check({name: role for name, role in roles.items() if role.poll() is not None}, out)
+        if time.monotonic() > give_up:
+            missing = ", ".join(sorted(role.name.lower() for role in wanted - bus.alive))
+            raise BusError(f"{missing} did not come up within {READY_S:g} s; see the logs in {out}")
+        time.sleep(0.1)
+
+
+def _check(roles: dict[str, subprocess.Popen], out: Path) -> None:
+    """Raise what a role that failed said last."""
+    from schemas.errors import BusError
+
+    for name, role in roles.items():
+        if role.returncode not in (0, None):
+            said = (out / f"{name}.log").read_text().strip().splitlines() or ["nothing"]
+            raise BusError(f"{name} ended with code {role.returncode}: {said[-1].removeprefix('deltatwin: ')}")
+
+
+class _Live:
+    """The last second of the bus as a table."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._rings = {topic: bus.subscribe(topic) for topic in ("sample", "feedforward", "payload", "error")}
+        self._newest: dict[str, np.ndarray] = {}
+        self._events: list[str] = []
+
+    def table(self) -> Table:
+        import numpy as np
+        from rich.table import Table
+
+        from schemas.messages import PayloadEvent, stamp_ns
+
+        for topic, ring in self._rings.items():
+            records, _ = ring.take()
+            if len(records):
+                self._newest[topic] = records
+        for record in self._newest.get("payload", []):
+            if record["event"]:
+                event = PayloadEvent(int(record["event"])).name.lower()
+                line = f"{float(stamp_ns(record)) * 1e-9:.2f} s {event}"
+                self._events = [*self._events, line][-4:] if line not in self._events else self._events
+        table = Table("", "joint 1", "joint 2", "joint 3", title="replaying")
+        if set(self._newest) != set(self._rings):
+            return table
+        newest = {topic: records[-1] for topic, records in self._newest.items()}
+
+        def joints(label: str, values: np.ndarray, form: str) -> None:
+            table.add_row(label, *(format(value, form) for value in values))
+
+        joints("position, rad", newest["sample"]["position"], "+8.3f")
+        joints("torque measured, N m", newest["sample"]["torque"], "+8.2f")
+        joints("torque feed-forward, N m", newest["feedforward"]["torque"], "+8.2f")
+        for label, field in (("M_KH", "kh"), ("M_Id+F", "id_friction"), ("full", "full")):
+            joints(f"error {label}, rms N m", np.sqrt(np.nanmean(self._newest["error"][field] ** 2, axis=0)), "8.2f")
+        payload = newest["payload"]
+        trust = "trusted" if payload["trusted"] else "not yet trusted"
+        table.add_row("payload, kg", f"{payload['mass']:.3f} ± {payload['std_dev']:.3f}", trust, "")
+        table.caption = f"bus time {float(stamp_ns(newest['sample'])) * 1e-9:.1f} s   {'   '.join(self._events)}"
+        return table
+
+
+def _results(recorded: dict[str, Recorded]) -> list[Table]:
+    return [_errors(recorded), _payloads(recorded), _delivery(recorded)]
+
+
+def _errors(recorded: dict[str, Recorded]) -> Table:
+    from rich.table import Table
+
+    from service.monitor.report import errors_by_model
+
+    table = Table("model", *(f"joint {n}: mean, std" for n in (1, 2, 3)), title="measured - predicted torque, N m")
+    for label, (mean, std) in errors_by_model(recorded["error"].records).items():
+        table.add_row(label, *(f"{m:+.2f}, {s:.2f}" for m, s in zip(mean, std, strict=True)))
+    return table
+
+
+def _payloads(recorded: dict[str, Recorded]) -> Table:
+    import csv
+
+    import numpy as np
+    from rich.table import Table
+
+    from replay.demo import PAYLOADS
+    from schemas.messages import PayloadEvent
+    from service.estimator.kalman import SMOOTHING_LAG
+
+    payload = recorded["payload"].records
+    loop = (int(recorded["sample"].records["sequence"][-1]) + 1) // LOOPS
+    table = Table(
+        "picked at, s", "truth, kg", "estimate, kg", "error", "pick seen after, ms", "release seen after, ms",
+        title="payload",
+    )  # fmt: skip
+    sequence, lag = payload["sequence"].astype(np.int64), round(1000 * SMOOTHING_LAG)
+    for shift in range(0, LOOPS * loop, loop):
+        for row in csv.DictReader(PAYLOADS.open()):
+            begin, end, truth = (float(row[key]) for key in ("from_s", "until_s", "mass_kg"))
+            first, last = (shift + round(1000 * at) for at in (begin, end))  # the log's rate is 1 kHz
+
+            def seen(event: PayloadEvent, since: int, until: int) -> str:
+                found = sequence[(payload["event"] == event) & (sequence >= since) & (sequence < until)]
+                return f"{found[0] + lag - since}" if len(found) else "-"
+
+            held = payload[(sequence < last) & (sequence >= first)]
+            mass = float(held["mass"][-1]) if len(held) else float("nan")
+            table.add_row(
+                f"{first * 1e-3:.2f}", f"{truth:.2f}", f"{mass:.3f}", f"{100 * (mass / truth - 1):+.1f} %",
+                seen(PayloadEvent.PICK, first, last), seen(PayloadEvent.RELEASE, last, last + 400),
+            )  # fmt: skip
+    return table
+
+
+def _delivery(recorded: dict[str, Recorded]) -> Table:
+    import numpy as np
+    from rich.table import Table
+
+    samples, answers = recorded["sample"], recorded["feedforward"]
+    _, mine, its = np.intersect1d(samples.records["sequence"], answers.records["sequence"], return_indices=True)
+    latency = np.sort(answers.arrival[its] - samples.arrival[mine]) * 1e-3
+    table = Table(
+        "samples", "lost", "answered", "sample to feed-forward, µs: median", "p99", "p99.9", "max", title="bus"
+    )
+    sent = int(samples.records["sequence"][-1]) + 1
+    table.add_row(
+        str(len(samples.records)),
+        str(sent - len(samples.records)),
+        str(len(mine)),
+        *(f"{value:.0f}" for value in np.quantile(latency, [0.5, 0.99, 0.999, 1.0])),
+    )
+    return table

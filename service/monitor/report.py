@@ -1,0 +1,70 @@
+"""A recording as a picture: measured against predicted torque, and the payload over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from schemas.messages import stamp_ns
+from service.monitor.readback import Recorded
+
+POINTS = 5000  # a line; more than a screen has, few enough to draw without WebGL, which remote desktops lack
+MEASURED, PREDICTED, KH, MASS = "#7f7f7f", "#d62728", "#1f77b4", "#2ca02c"
+
+
+def errors_by_model(error: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Mean and standard deviation, (3,) N m each, of every model in (N,) MODEL_ERROR records; NaN rows are left out."""
+    return {
+        label: (np.nanmean(error[field], axis=0), np.nanstd(error[field], axis=0))
+        for label, field in (("M_KH", "kh"), ("M_Id", "id"), ("M_Id+F", "id_friction"), ("full", "full"))
+    }
+
+
+def picture(recorded: dict[str, Recorded], title: str) -> go.Figure:
+    """Three joints and the payload over bus time, s."""
+    samples, error, payload = (recorded[topic].records for topic in ("sample", "error", "payload"))
+    _, mine, its = np.intersect1d(samples["sequence"], error["sequence"], return_indices=True)
+    thin = slice(None, None, max(1, len(mine) // POINTS))
+    mine, its, payload = mine[thin], its[thin], payload[thin]
+    measured, error = samples["torque"][mine], error[its]
+    begin = stamp_ns(samples)[0]
+    time, payload_time = ((stamp_ns(records) - begin) * 1e-9 for records in (error, payload))
+    figure = make_subplots(
+        rows=4, cols=1, shared_xaxes=True, vertical_spacing=0.03, row_heights=[1, 1, 1, 0.8],
+        subplot_titles=[*(f"joint {joint + 1}, torque" for joint in range(3)), "payload"],
+    )  # fmt: skip
+    for joint in range(3):
+        lines = (
+            ("measured", measured[:, joint], MEASURED),
+            ("M_KH", measured[:, joint] - error["kh"][:, joint], KH),
+            ("full model with payload", measured[:, joint] - error["full"][:, joint], PREDICTED),
+        )
+        for name, torque, colour in lines:
+            figure.add_scatter(
+                x=time, y=torque, name=name, legendgroup=name, showlegend=joint == 0,
+                line={"color": colour, "width": 1.2}, row=joint + 1, col=1,
+            )  # fmt: skip
+        figure.update_yaxes(title_text="N m", row=joint + 1, col=1)
+    for bound, fill in ((-2, None), (2, "tonexty")):
+        figure.add_scatter(
+            x=payload_time, y=payload["mass"] + bound * payload["std_dev"], line={"width": 0}, fill=fill,
+            fillcolor="rgba(44,160,44,0.25)", name="± 2 standard deviations", showlegend=fill is not None,
+            hoverinfo="skip", row=4, col=1,
+        )  # fmt: skip
+    figure.add_scatter(x=payload_time, y=payload["mass"], name="payload", line={"color": MASS}, row=4, col=1)
+    figure.update_yaxes(
+        title_text="kg", range=[-0.5, max(0.5, 1.2 * float(payload["mass"].max(initial=0.0)))], row=4, col=1
+    )
+    figure.update_xaxes(title_text="bus time, s", row=4, col=1)
+    figure.update_layout(
+        title=title, template="plotly_white", height=1000, legend={"orientation": "h", "y": 1.06, "x": 0.4}
+    )
+    return figure
+
+
+def write_page(figure: go.Figure, path: Path) -> None:
+    """`figure` as one HTML file that needs nothing else."""
+    figure.write_html(path, include_plotlyjs=True)

@@ -1,0 +1,67 @@
+"""One estimator step, bytes in to bytes out, beside the same in plain NumPy; and process replay from memory.
+
+uv run python -m tests.bench.bench_step
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+
+import numpy as np
+
+from drivers.trace import read_trace
+from replay.demo import LOG, ROBOT
+from replay.process import process
+from replay.realtime import go_realtime
+from schemas.messages import SAMPLE
+from schemas.robot import load_robot
+from service.estimator.estimator import Estimator
+from tests.bench.numpy_step import NumpyEstimator
+
+LOOPS = 4  # of the demo log: 40 000 steps
+
+
+def main() -> None:
+    robot = load_robot(ROBOT)
+    samples = np.tile(read_trace(LOG, robot).samples(), LOOPS)
+    samples["sequence"] = np.arange(len(samples))
+    time_ns = np.arange(len(samples)) * 1_000_000
+    samples["stamp_sec"], samples["stamp_nanosec"] = np.divmod(time_ns, 10**9)
+    size, data = SAMPLE.dtype.itemsize, samples.tobytes()
+    messages = [data[n * size : (n + 1) * size] for n in range(len(samples))]
+    compiled, plain = Estimator(robot, 1e-3), NumpyEstimator(robot, 1e-3)
+    compiled.warm_up()
+
+    def ours(message: bytes) -> None:
+        result = compiled.run(np.frombuffer(message, SAMPLE.dtype))
+        for records in (result.feedforward, result.payload, result.error):
+            records.tobytes()
+
+    for message in messages[:200]:
+        ours(message)
+        plain.step(message)
+    go_realtime("bench")
+    gc.disable()
+    taken = {"compiled": np.zeros(len(messages)), "NumPy": np.zeros(len(messages))}
+    for n, message in enumerate(messages):  # in turns, so that both see the same machine
+        begin = time.perf_counter_ns()
+        ours(message)
+        middle = time.perf_counter_ns()
+        plain.step(message)
+        taken["compiled"][n], taken["NumPy"][n] = middle - begin, time.perf_counter_ns() - middle
+    print(f"{'step, µs':<10} {'median':>8} {'p99':>8} {'p99.9':>8} {'max':>9} {'count':>7}")
+    for name, nanoseconds in taken.items():
+        values = np.quantile(nanoseconds, [0.5, 0.99, 0.999, 1.0]) * 1e-3
+        print(f"{name:<10} {values[0]:8.2f} {values[1]:8.2f} {values[2]:8.2f} {values[3]:9.2f} {len(nanoseconds):7d}")
+    print(f"NumPy / compiled, median: {np.median(taken['NumPy']) / np.median(taken['compiled']):.1f}")
+    rates = []
+    for _ in range(5):
+        begin = time.perf_counter()
+        process(robot, samples)
+        rates.append(len(samples) / (time.perf_counter() - begin))
+    print(f"process replay from memory: median {np.median(rates):.0f} samples/s of 5 runs of {len(samples)}")
+
+
+if __name__ == "__main__":
+    main()
