@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.errors import DataError, PoseError, TraceError
+from schemas.errors import PoseError, TraceError
 from schemas.robot import Identified, Robot
 from schemas.trace import Trace
+from service.diagnosis.description import torque_along
 from service.identification.pooled import COULOMB, FOREARM_MASS, RHO_1, RHO_2, VISCOUS
 from service.identification.regression import regressors
 from service.identification.signals import lowpass, segments
@@ -66,8 +67,6 @@ def predict(robot: Robot, trace: Trace) -> dict[str, np.ndarray]:
 
 def predict_along(robot: Robot, trace: Trace, along: Motion) -> dict[str, np.ndarray]:
     """`predict` for a motion that is smoothed already."""
-    if robot.effect:
-        raise DataError(f"robot {robot.name}: effect {robot.effect[0].name!r} cannot be predicted")
     try:
         columns = regressors(pack(robot), along.theta, along.theta_dot, along.theta_ddot)
     except PoseError as error:
@@ -79,6 +78,8 @@ def predict_along(robot: Robot, trace: Trace, along: Motion) -> dict[str, np.nda
         result["M_Id"] = values[RHO_1] * inertia + values[RHO_2] * gravity + platform
         result["M_Id+F"] = result["M_Id"] + values[VISCOUS] * viscous + values[COULOMB] * coulomb
         result["full"] = result["M_Id+F"] + values[FOREARM_MASS] * forearm
+        if robot.effect or robot.identified.friction_transition_radps or robot.identified.torque_timing_s:
+            result["full"] = torque_along(robot, trace.time, along.theta, along.theta_dot, along.theta_ddot)
     return result
 
 

@@ -1,0 +1,78 @@
+"""The document that `diagnose` writes, `diagnosis.json`."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Verdict = Literal["within_noise", "explained", "partly_explained", "unexplained"]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Estimate(_Section):
+    """One parameter with its 95 % interval."""
+
+    value: float
+    unit: str
+    ci95: tuple[float, float]
+
+
+class NamedEffect(_Section):
+    """An effect that the data support. joints count from 1, empty where the effect sits on no single joint.
+
+    probability: share of block-bootstrap draws of the data in which it, and no rival or nothing, predicts best.
+    gap_share: of the gap's energy above the noise that it removes on data left out.
+    """
+
+    name: str
+    joints: list[int]
+    probability: float
+    parameters: dict[str, Estimate]
+    gap_share: float
+    confusable_with: list[str]
+    settles: str
+    online: str
+
+
+class Ranked(_Section):
+    """A candidate, named or not."""
+
+    name: str
+    joints: list[int]
+    probability: float
+    after_nm: float
+
+
+class Gap(_Section):
+    """Rms on runs left out of fitting and selection, in the analysis band, N m a joint (or the axis's own unit)."""
+
+    before_nm: list[float]
+    after_nm: list[float]
+    noise_floor_nm: list[float]
+    reversal_nm: list[float]
+    shrink: float
+    shrink_ci95: tuple[float, float]
+    shrink_of_explainable: float | None
+    band_hz: float
+
+
+class Diagnosis(_Section):
+    """Where the gap lies, which effect causes it, how far it shrinks."""
+
+    schema_: Literal["deltatwin.diagnosis/1"] = Field("deltatwin.diagnosis/1", alias="schema")
+    robot: str
+    traces: list[str]
+    verdict: Verdict
+    effects: list[NamedEffect]
+    cannot_tell: list[str]
+    ranking: list[Ranked]
+    probability_none: float
+    probability_unknown: float
+    base: dict[str, Estimate]
+    where: dict[str, Any]
+    gap: Gap
+    notes: list[str]

@@ -1,0 +1,41 @@
+"""`deltatwin diagnose`: which unmodelled effect causes the gap, where it lies, how far it shrinks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    traces: Annotated[list[Path], typer.Argument(help="Logs to diagnose: .csv, .csv.gz or .mcap", metavar="TRACE...")],
+    robot: Annotated[Path, typer.Option(help="Robot description (TOML)")],
+    out: Annotated[Path, typer.Option(help="Folder for diagnosis.json, corrected.toml and report.html")],
+    columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
+    effects: Annotated[Path | None, typer.Option(help="Python file with effects of your own")] = None,
+) -> None:
+    """Say where torque and model part, which effect explains it, and how far it shrinks on runs not used for the fit.
+
+    Example: deltatwin diagnose fit_*.csv --robot robot.toml --out diagnosis
+    """
+    from rich.console import Console
+
+    from schemas.robot import load_robot, save_robot
+    from service.cli.reading import reading
+    from service.diagnosis.diagnose import diagnose
+    from service.diagnosis.document import corrected, document
+    from service.diagnosis.effects import catalogue
+
+    console = Console()
+    description = load_robot(robot)
+    known = catalogue(effects)
+    recorded = list(reading(traces, description, columns, "reading"))
+    with console.status("starting") as status:
+        findings = diagnose(description, recorded, known, lambda what: status.update(what))
+    out.mkdir(parents=True, exist_ok=True)
+    result = document(findings)
+    (out / "diagnosis.json").write_text(result.model_dump_json(indent=1, by_alias=True), encoding="utf-8")
+    save_robot(corrected(findings), out / "corrected.toml", template=robot)
+    console.print(result.verdict, result.effects)
+    console.print(f"wrote {out}", highlight=False)

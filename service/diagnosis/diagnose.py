@@ -1,0 +1,117 @@
+"""The whole diagnosis: recordings in, findings out. Documents are made from the findings elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from schemas.robot import Robot
+from schemas.trace import Trace
+from service.diagnosis import statistics
+from service.diagnosis.effects.base import Effect
+from service.diagnosis.hypothesis import Hypothesis, Problem, fit, predict
+from service.diagnosis.mechanism import Delta, Mechanism
+from service.diagnosis.noise import white_noise
+from service.diagnosis.scene import Band, Base, Recording
+from service.diagnosis.selection import Scored, Selection, Split, score, search
+from service.identification.regression import thin
+from service.identification.signals import segments
+
+# What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
+# smoothing of the motion costs another two.
+WITHIN_NOISE = 1.06
+START_TRANSITION = 0.002  # rad/s
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything the documents need. Residuals are in units of `problem.sigma`.
+
+    plain: the model that `identify` writes. before, after: residuals (R,) a recording on data left out, of the plain
+    model and of the corrected one, the latter left out of selection too. noise: (n,) N m a sample. reversal: (n,) N m
+    in the band. errors: as `statistics.standard_errors` of the corrected model.
+    """
+
+    robot: Robot
+    problem: Problem
+    split: Split
+    plain: Scored
+    selection: Selection
+    before: list[np.ndarray]
+    after: list[np.ndarray]
+    noise: np.ndarray
+    reversal: np.ndarray
+    errors: np.ndarray
+    verdict: str
+
+    @property
+    def best(self) -> Scored:
+        """The corrected model."""
+        return self.selection.best
+
+
+def diagnose(
+    robot: Robot,
+    traces: Sequence[Trace],
+    effects: Sequence[Effect],
+    progress: Callable[[str], None] = lambda _: None,
+) -> Findings:
+    """Find out which effects the traces of `robot` support.
+
+    Raises:
+        TraceError: a trace without a usable part, naming the file.
+        PoseError: positions that are no pose of the robot.
+    """
+    progress("smoothing the motion")
+    mechanism: Mechanism = Delta.of(robot)
+    recordings = [
+        Recording(thin(segment), mechanism, index, trace.name)
+        for index, trace in enumerate(traces)
+        for segment in segments(trace)
+    ]
+    band = Band.of(recordings[0].segment.period)
+    progress("fitting the base model")
+    problem, noise = _problem(recordings, band)
+    split = Split.of(problem)
+    k, n = len(mechanism.coefficients), mechanism.joints
+    start = Base(np.zeros(k), np.zeros(n), np.zeros(n))
+    plain = score(fit(problem, Hypothesis(start, refined=False), iterations=2), split)
+    refined = Hypothesis(replace(plain.hypothesis.base, transition=START_TRANSITION))
+    selection = search(problem, split, refined, effects, progress)
+    progress("checking on data left out")
+    after = statistics.nested(selection, split, problem.count)
+    errors = statistics.standard_errors(selection.best.fitted, split)
+    reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
+    verdict = _verdict(problem, selection, after, reversal)
+    return Findings(robot, problem, split, plain, selection, plain.residuals, after, noise, reversal, errors, verdict)
+
+
+def _problem(recordings: list[Recording], band: Band) -> tuple[Problem, np.ndarray]:
+    """The problem in units of the noise, which is read from the residual of a first fit."""
+    noise = white_noise(recordings)
+    share = band.white_share**0.5
+    problem = Problem.of(recordings, band, np.maximum(noise, 1e-9) * share)
+    k, n = len(recordings[0].mechanism.coefficients), recordings[0].mechanism.joints
+    start = Base(np.zeros(k), np.zeros(n), np.zeros(n))
+    first = fit(problem, Hypothesis(start, refined=False), iterations=1).hypothesis
+    left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first.base)]
+    noise = np.minimum(noise, white_noise(recordings, left))
+    return replace(problem, sigma=np.maximum(noise, 1e-9) * share), noise
+
+
+def _verdict(problem: Problem, selection: Selection, after: list[np.ndarray], reversal: np.ndarray) -> str:
+    count = problem.count
+    floor = _floor(problem, reversal)
+    none = (selection.none.loss / count) ** 0.5 / floor
+    left = (float(sum(r @ r for r in after)) / count) ** 0.5 / floor
+    if not selection.best.hypothesis.terms:
+        return "within_noise" if none <= WITHIN_NOISE else "unexplained"
+    return "explained" if left <= WITHIN_NOISE else "partly_explained"
+
+
+def _floor(problem: Problem, reversal: np.ndarray) -> float:
+    """Rms that noise and unplaceable reversals leave, in units of the noise."""
+    weight = np.sum([rows.sum(axis=0) for rows in problem.rows], axis=0)
+    return float(np.sqrt(1.0 + np.sum(weight * (reversal / problem.sigma) ** 2) / np.sum(weight)))

@@ -1,0 +1,133 @@
+"""Two masses a joint: the motor, whose angle is measured, and the link behind a compliant or loose gear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from service.diagnosis.effects.base import Effect, Shape
+from service.diagnosis.scene import Scene
+
+SUBSTEPS_PER_SECOND = 16_000.0
+HALVES = (0.0003, 0.00045, 0.0007, 0.001, 0.0015, 0.0023, 0.0035, 0.005)
+
+
+@njit(cache=True)
+def _two_masses(acceleration, demand, inertia, half, stiffness, damping, step, substeps, angle, speed, change):
+    """Link minus motor angle along a recorded motor motion, semi-implicit Euler.
+
+    acceleration: (N,) motor, rad/s^2. demand: (N,) torque that the link needs at rest relative to its own acceleration,
+    N m. inertia: (N,) of the link. half: rad, lost motion to each side. Filled: angle, speed, change (N,): rad, rad/s,
+    rad/s^2 of the link relative to the motor, the last as a mean over the step.
+    """
+    need = inertia[0] * acceleration[0] + demand[0]
+    e = -need / stiffness - (half if need > 0.0 else -half)
+    v = 0.0
+    fine = step / substeps
+    count = len(acceleration)
+    for k in range(count):
+        following = min(k + 1, count - 1)
+        angle[k], speed[k] = e, v
+        mean = 0.0
+        for s in range(substeps):
+            share = s / substeps
+            a = acceleration[k] * (1.0 - share) + acceleration[following] * share
+            h = demand[k] * (1.0 - share) + demand[following] * share
+            contact = 0.0
+            if -e > half:
+                contact = max(0.0, stiffness * (-e - half) - damping * v)
+            elif -e < -half:
+                contact = min(0.0, stiffness * (-e + half) - damping * v)
+            if half == 0.0:
+                contact = -stiffness * e - damping * v
+            relative = (contact - h) / inertia[k] - a
+            mean += relative / substeps
+            v += relative * fine
+            e += v * fine
+        change[k] = mean
+
+
+def two_masses(
+    scene: Scene, joint: int, half: float, natural_hz: float, damping_ratio: float, motor_share: float
+) -> np.ndarray:
+    """Torque (N, n) N m that a two-mass joint adds to the rigid one.
+
+    motor_share: of the joint's mean inertia that sits on the motor. natural_hz: of the link against a held motor.
+    """
+    motion = scene.segment
+    whole = scene.inertia[:, joint, joint]
+    motor = motor_share * float(np.mean(whole))
+    link = np.maximum(whole - motor, 0.02 * whole)
+    mean = float(np.mean(link))
+    stiffness = mean * (2 * np.pi * natural_hz) ** 2
+    damping = 2 * damping_ratio * np.sqrt(stiffness * mean)
+    acceleration = np.ascontiguousarray(motion.theta_ddot[:, joint])
+    demand = scene.load[:, joint] - whole * acceleration
+    angle, speed, change = np.empty_like(demand), np.empty_like(demand), np.empty_like(demand)
+    substeps = max(1, round(SUBSTEPS_PER_SECOND * scene.period))
+    _two_masses(
+        acceleration, demand, link, half, stiffness, damping, scene.period, substeps, angle, speed, change
+    )  # fmt: skip
+    torque = scene.perturbed(joint, angle, speed, change)
+    torque[:, joint] -= motor * change + scene.base.viscous[joint] * speed  # these stay with the motor
+    return torque
+
+
+@dataclass(frozen=True)
+class JointElasticity(Effect):
+    """Compliance between motor and link.
+
+    Physics: the link lags by torque / stiffness; what the motor measures is not where the link is.
+    Implementation: the link is integrated behind the recorded motor motion (spring and damper), and the rigid torque
+    corrected by its relative motion; base friction stays on the motor side. First order only for the search.
+    Limitations: linear spring; stiffness far above the analysis band is a slight shift in time.
+    """
+
+    natural_hz: Shape = Shape(
+        "Hz", "natural frequency of the link against a held motor", (15.0, 25.0, 40.0, 70.0), 8.0, 250.0
+    )
+    damping_ratio: Shape = Shape("", "damping ratio of the link", (0.1, 0.5), 0.01, 2.0)
+    motor_share: Shape = Shape("", "share of the joint's inertia on the motor side", (0.15, 0.4), 0.02, 0.9)
+    name = "joint_elasticity"
+    own_joint = False
+    settles = "fast moves with jumps in acceleration"
+    online = "causal: the link is integrated behind the measured motor angle"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, n, 1)."""
+        return two_masses(scene, joint, 0.0, shape[0], shape[1], shape[2])[..., None]
+
+
+@dataclass(frozen=True)
+class Backlash(Effect):
+    """Lost motion between motor and link.
+
+    Physics: the flanks part when the transmitted torque changes sign; the motor runs alone until they meet again, with
+    an impact.
+    Implementation: two masses with a dead zone of +-half and a stiff, damped contact, integrated behind the recorded
+    motor motion; the rigid torque is corrected by the link's relative motion.
+    Limitations: only seen where the transmitted torque changes sign; single impacts are matched in their momentum, not
+    in their chatter.
+    """
+
+    half: Shape = Shape("rad", "half the lost motion, joint side", HALVES, 1e-4, 0.02)
+    contact_hz: Shape = Shape(
+        "Hz", "natural frequency of the link on the closed flank", (120.0,), 20.0, 400.0, fixed=True
+    )
+    contact_damping: Shape = Shape("", "damping ratio of the closed flank", (2.0,), 0.05, 4.0, fixed=True)
+    motor_share: Shape = Shape("", "share of the joint's inertia on the motor side", (0.1, 0.2, 0.35, 0.55), 0.02, 0.9)
+    name = "backlash"
+    own_joint = False
+    rough = True
+    settles = "moves whose braking torque exceeds gravity, so that the transmitted torque changes sign"
+    online = "causal: the link is integrated behind the measured motor angle"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, n, 1)."""
+        return two_masses(scene, joint, *shape)[..., None]
+
+    def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:
+        """Impacts move in time with the gap: neighbours on the grid's scale."""
+        return [(factor * shape[0], *shape[1:]) for factor in (0.87, 1.0, 1.15)]

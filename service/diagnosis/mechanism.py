@@ -1,0 +1,117 @@
+"""What moves: the rigid-body torque of a mechanism, linear in its identified coefficients.
+
+A mechanism gives a known torque, one column a coefficient, and - the Delta alone - the arms' kinematics that effects on
+the platform and in the ball joints need.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from schemas.robot import Robot
+from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
+from service.model.kinematics import jacobian, motion
+from service.model.parameters import DeltaModel, pack
+
+
+class Rigid(NamedTuple):
+    """known: (N, n) N m, free of coefficients. columns: (N, n, k) N m per unit of each coefficient."""
+
+    known: np.ndarray
+    columns: np.ndarray
+
+    def torque(self, coefficients: np.ndarray) -> np.ndarray:
+        """(N, n) N m."""
+        return self.known + self.columns @ coefficients
+
+
+class Mechanism(Protocol):
+    """n joints with k identified coefficients. coefficients: name -> unit."""
+
+    @property
+    def kind(self) -> str: ...
+    @property
+    def joints(self) -> int: ...
+    @property
+    def coefficients(self) -> dict[str, str]: ...
+    @property
+    def gear_ratio(self) -> np.ndarray: ...
+
+    def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid: ...
+
+
+class Arms(NamedTuple):
+    """Kinematics of N poses, base frame. position, velocity (N, 3) m, m/s; jacobian (N, 3, 3): [axis, joint];
+    payload (N, 3): torque per kg at the platform; slope, forearm, swing (N, arm, 3): dJ'_i/dtheta_i, s_i and its rate;
+    axle (3, 3): row i, the unit vector that a positive turn of joint i is about."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    jacobian: np.ndarray
+    slope: np.ndarray
+    forearm: np.ndarray
+    swing: np.ndarray
+    axle: np.ndarray
+
+
+@dataclass(frozen=True)
+class Delta:
+    """A Delta robot at its described geometry."""
+
+    model: DeltaModel
+    gear_ratio: np.ndarray
+    kind = "delta"
+    joints = 3
+    coefficients = {"rho_1": "", "rho_2": "", "forearm_inertia_kg": "kg"}  # noqa: RUF012 - a constant of the class
+
+    @classmethod
+    def of(cls, robot: Robot) -> Delta:
+        """The mechanism of a description; effects it names are not in it."""
+        return cls(pack(robot), np.full(3, robot.drive.gear_ratio))
+
+    def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
+        """Torque of (N, 3) motions."""
+        terms = torque_terms(self.model, theta, theta_dot, theta_ddot)
+        return Rigid(terms[:, PLATFORM], np.stack([terms[:, INERTIA], terms[:, GRAVITY], terms[:, FOREARM]], axis=-1))
+
+    def payload(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
+        """(N, 3) N m per kg at the platform."""
+        return torque_terms(self.model, theta, theta_dot, theta_ddot)[:, PAYLOAD]
+
+    def altered(self, length_error: np.ndarray, joint_offset: np.ndarray) -> Delta:
+        """The same robot with active links longer by (3,) m and joint zeros moved by (3,) rad."""
+        model = self.model
+        length = model.active_length + length_error
+        ratio = length / model.active_length
+        return Delta(
+            model._replace(
+                active_length=length,
+                joint_offset=model.joint_offset + joint_offset,
+                inertia=model.inertia * ratio**2,
+                gravity_torque=model.gravity_torque * ratio,
+            ),
+            self.gear_ratio,
+        )
+
+    def arms(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Arms:
+        """Kinematics of (N, 3) motions."""
+        model = self.model
+        platform = motion(model, theta, theta_dot, theta_ddot)
+        angle = theta + model.joint_offset
+        cosine, sine, l1 = np.cos(angle), np.sin(angle), model.active_length
+        outward = np.stack([model.azimuth_cos, model.azimuth_sin, np.zeros(3)], axis=1)
+        up = np.array([0.0, 0.0, 1.0])
+        elbow = (model.radius + l1 * cosine)[..., None] * outward - (l1 * sine)[..., None] * up
+        slope = -(l1 * sine)[..., None] * outward - (l1 * cosine)[..., None] * up
+        return Arms(
+            position=platform.position,
+            velocity=platform.velocity,
+            jacobian=jacobian(model, theta),
+            slope=slope,
+            forearm=platform.position[:, None, :] - elbow,
+            swing=platform.velocity[:, None, :] - slope * theta_dot[..., None],
+            axle=np.cross(up, outward),
+        )

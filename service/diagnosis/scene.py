@@ -1,0 +1,231 @@
+"""A stretch of recorded motion with everything that effects read from it, computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.signal import butter, freqz_sos
+
+from service.diagnosis.mechanism import Arms, Delta, Mechanism, Rigid
+from service.identification.signals import ANALYSIS_HZ, ANALYSIS_ORDER, Segment, lowpass
+
+ANGLE_STEP, SPEED_STEP = 1e-5, 1e-3  # rad, rad/s, of the finite differences of the rigid torque
+
+CHUNK = 32  # columns filtered at a time: what fits in the cache
+
+Moved = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Base:
+    """The model without effects: k rigid coefficients and friction of n joints.
+
+    transition: rad/s over which friction turns from one sign to the other, f_c tanh(theta_dot / transition); 0: a jump.
+    timing: s by which torque was sampled later than position, a fraction of a sample.
+    """
+
+    rigid: np.ndarray
+    viscous: np.ndarray
+    coulomb: np.ndarray
+    transition: float = 0.0
+    timing: float = 0.0
+
+
+def direction(theta_dot: np.ndarray, transition: float) -> np.ndarray:
+    """Which way (N, n) speeds go, in [-1, 1]: sign theta_dot, or smooth over `transition` rad/s.
+
+    The smooth form is the mean of tanh(theta_dot / transition) over the sample's interval, the speed taken as straight
+    between half-way points: a fast reversal falls between two samples, and its place there is worth 2 f_c times a
+    fraction of the interval.
+    """
+    if not transition:
+        return np.sign(theta_dot)
+    half = np.empty((len(theta_dot) + 1, theta_dot.shape[1]))
+    half[1:-1] = 0.5 * (theta_dot[1:] + theta_dot[:-1])
+    half[0], half[-1] = theta_dot[0], theta_dot[-1]
+    half /= transition
+    size = np.abs(half)
+    area = size + np.log1p(np.exp(-2.0 * size))  # integral of tanh, up to a constant
+    step = np.diff(half, axis=0)
+    flat = np.abs(step) < 1e-4
+    return np.where(flat, np.tanh(theta_dot / transition), np.diff(area, axis=0) / np.where(flat, 1.0, step))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One segment of a trace on a mechanism: what follows from the motion alone."""
+
+    segment: Segment
+    mechanism: Mechanism
+    trace: int  # which of the traces the segment is from
+    name: str
+
+    @cached_property
+    def rigid(self) -> Rigid:
+        """Rigid torque and its columns."""
+        return self.mechanism.rigid(self.segment.theta, self.segment.theta_dot, self.segment.theta_ddot)
+
+    @cached_property
+    def arms(self) -> Arms:
+        """Kinematics of the Delta."""
+        return self.delta.arms(self.segment.theta, self.segment.theta_dot, self.segment.theta_ddot)
+
+    @property
+    def delta(self) -> Delta:
+        """The mechanism, where it is a Delta."""
+        assert isinstance(self.mechanism, Delta)
+        return self.mechanism
+
+    @cached_property
+    def by_angle(self) -> np.ndarray:
+        """(N, n, k + 1, joint): slope of each column and, last, of the known torque with the joint's angle."""
+        motion = self.segment
+        return self._slope(ANGLE_STEP, lambda step: (motion.theta + step, motion.theta_dot, motion.theta_ddot))
+
+    @cached_property
+    def by_speed(self) -> np.ndarray:
+        """The same with the joint's speed."""
+        motion = self.segment
+        return self._slope(SPEED_STEP, lambda step: (motion.theta, motion.theta_dot + step, motion.theta_ddot))
+
+    @cached_property
+    def by_acceleration(self) -> np.ndarray:
+        """The same with the joint's acceleration."""
+        motion = self.segment
+        return self._slope(1.0, lambda step: (motion.theta, motion.theta_dot, motion.theta_ddot + step))
+
+    def _slope(self, size: float, moved: Moved) -> np.ndarray:
+        slopes = []
+        for joint in range(self.mechanism.joints):
+            step = np.zeros(self.mechanism.joints)
+            step[joint] = size
+            above, below = self.mechanism.rigid(*moved(step)), self.mechanism.rigid(*moved(-step))
+            columns = np.concatenate([above.columns - below.columns, (above.known - below.known)[..., None]], axis=-1)
+            slopes.append(columns / (2 * size))
+        return np.stack(slopes, axis=-1)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A recording seen from an operating point: `base` is where products of parameters are linearised."""
+
+    recording: Recording
+    base: Base
+
+    @property
+    def segment(self) -> Segment:
+        """Motion and torque."""
+        return self.recording.segment
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """What moves."""
+        return self.recording.mechanism
+
+    @property
+    def delta(self) -> Delta:
+        """The mechanism, where it is a Delta."""
+        return self.recording.delta
+
+    @property
+    def arms(self) -> Arms:
+        """Kinematics of the Delta."""
+        return self.recording.arms
+
+    @property
+    def time(self) -> np.ndarray:
+        """(N,) s, on the clock of the log."""
+        return self.segment.time
+
+    @property
+    def period(self) -> float:
+        """s."""
+        return self.segment.period
+
+    @property
+    def joints(self) -> int:
+        """n."""
+        return self.mechanism.joints
+
+    @cached_property
+    def direction(self) -> np.ndarray:
+        """(N, n): which way each joint moves, in [-1, 1]."""
+        return direction(self.segment.theta_dot, self.base.transition)
+
+    @cached_property
+    def load(self) -> np.ndarray:
+        """(N, n) N m: torque through the gear, without friction."""
+        return self.recording.rigid.torque(self.base.rigid)
+
+    @cached_property
+    def total(self) -> np.ndarray:
+        """(N, n) N m: the base model."""
+        return self.load + self.base.viscous * self.segment.theta_dot + self.base.coulomb * self.direction
+
+    @cached_property
+    def inertia(self) -> np.ndarray:
+        """(N, n, joint): d load / d theta_ddot, kg m^2."""
+        return self._at(self.recording.by_acceleration)
+
+    @cached_property
+    def damping(self) -> np.ndarray:
+        """(N, n, joint): d (load + viscous friction) / d theta_dot, N m s/rad."""
+        return self._at(self.recording.by_speed) + np.diag(self.base.viscous)
+
+    @cached_property
+    def stiffness(self) -> np.ndarray:
+        """(N, n, joint): d load / d theta, N m/rad."""
+        return self._at(self.recording.by_angle)
+
+    def _at(self, slopes: np.ndarray) -> np.ndarray:
+        return np.einsum("nikj,k->nij", slopes, np.append(self.base.rigid, 1.0))
+
+    def at_platform(self, force: np.ndarray) -> np.ndarray:
+        """Joint torque (N, 3) that holds a force (N, 3) or (3,) N acting from the platform on its surroundings."""
+        force = np.broadcast_to(force, (len(self.time), 3))
+        return np.einsum("nai,na->ni", self.arms.jacobian, force)
+
+    def perturbed(self, joint: int, angle: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """(N, n) N m: first-order change of the base torque when `joint` moves differently.
+
+        angle, speed, acceleration: (N,) rad, rad/s, rad/s^2 more than recorded.
+        """
+        return (
+            self.stiffness[:, :, joint] * angle[:, None]
+            + self.damping[:, :, joint] * speed[:, None]
+            + self.inertia[:, :, joint] * acceleration[:, None]
+        )
+
+
+@dataclass(frozen=True)
+class Band:
+    """The analysis band: a zero-phase low-pass, then every `step`-th sample."""
+
+    cutoff_hz: float
+    period: float
+    step: int
+
+    @classmethod
+    def of(cls, period: float, cutoff_hz: float = ANALYSIS_HZ) -> Band:
+        """Keeps five samples a period of the cut-off: at their Nyquist frequency the filter has fallen by 60 dB."""
+        cutoff = min(cutoff_hz, 0.2 / period)
+        return cls(cutoff, period, max(1, int(1.0 / (5.0 * cutoff * period))))
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """(N, ...) to (M, ...)."""
+        flat = values.reshape(len(values), -1)
+        parts = [
+            lowpass(flat[:, at : at + CHUNK], self.period, self.cutoff_hz)[:: self.step]
+            for at in range(0, flat.shape[1], CHUNK)
+        ]
+        return np.concatenate(parts, axis=1).reshape(-1, *values.shape[1:])
+
+    @cached_property
+    def white_share(self) -> float:
+        """Share of a white signal's power that passes."""
+        sections = butter(ANALYSIS_ORDER, 2.0 * self.cutoff_hz * self.period, output="sos")
+        _, response = freqz_sos(sections, worN=8192)
+        return float(np.mean(np.abs(response) ** 4))

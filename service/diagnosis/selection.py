@@ -1,0 +1,350 @@
+"""Which effects: forward selection on held-out prediction, every parameter refitted each time, with a backward check.
+
+A dictionary of candidate regressors (every effect, joint and shape on its grid) is turned into normal equations once a
+step, one Gram matrix a fold; leaving a fold out, adding any candidate and predicting what was left out then costs a
+small linear solve. The best few are fitted exactly, shapes included, before one is believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.diagnosis.effects.base import Effect, on_joint
+from service.diagnosis.hypothesis import Fit, Hypothesis, Problem, Term, fit, reported, solve
+from service.diagnosis.scene import Scene
+
+BLOCK = 0.5  # s, of the block bootstrap: longer than the residual remembers
+FOLDS = 4  # where fewer than three traces are given
+SHORTLIST = 5  # candidates fitted exactly a step
+MOST_EFFECTS = 4
+# What an effect has to be worth on data left out, as a fall of the mean square in units of the noise:
+LEAST_GAIN = 0.03  # 1.5 % of the noise floor's rms
+LEAST_SHARE_OF_GAP = 0.01  # of the gap above the noise
+LEAST_SHARE_OF_REST = 0.25  # of what was still above the noise when it was added
+LEAST_Z = 3.0  # standard errors over blocks
+JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
+
+
+@dataclass(frozen=True)
+class Split:
+    """Who is left out together. fold, block: a (R,) array a recording; blocks are numbered through."""
+
+    fold: list[np.ndarray]
+    block: list[np.ndarray]
+    folds: int
+    blocks: int
+
+    @classmethod
+    def of(cls, problem: Problem) -> Split:
+        """A trace a fold; with fewer than three traces, contiguous stretches."""
+        recordings = problem.recordings
+        traces = sorted({recording.trace for recording in recordings})
+        total = sum(len(target) for target in problem.target)
+        folds, blocks, done, first = [], [], 0, 0
+        for index, (recording, target) in enumerate(zip(recordings, problem.target, strict=True)):
+            count = len(target)
+            if len(traces) >= 3:
+                fold = np.full(count, traces.index(recording.trace))
+            else:
+                fold = (done + np.arange(count)) * FOLDS // total
+            length = max(1, round(BLOCK / (problem.band.period * problem.band.step)))
+            block = first + np.arange(count) // length
+            first, done = int(block[-1]) + 1, done + count
+            folds.append(_rows(problem, index, fold))
+            blocks.append(_rows(problem, index, block))
+        return cls(folds, blocks, len(traces) if len(traces) >= 3 else FOLDS, first)
+
+
+def _rows(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values[rows] for rows in problem.rows[index].T])
+
+
+def held_out(fitted: Fit, split: Split) -> list[np.ndarray]:
+    """Residuals (R,) a recording, each fold predicted by parameters from the other folds (linear in the refit)."""
+    grams, moments = [], []
+    for number in range(split.folds):
+        parts = [
+            (t[f == number], r[f == number])
+            for t, r, f in zip(fitted.moving, fitted.residuals, split.fold, strict=True)
+        ]
+        grams.append(np.asarray(sum(t.T @ t for t, _ in parts)))
+        moments.append(np.asarray(sum(t.T @ r for t, r in parts)))
+    gram, moment = sum(grams), sum(moments)
+    result = [residual.copy() for residual in fitted.residuals]
+    for number in range(split.folds):
+        step = solve(gram - grams[number], moment - moments[number])
+        for residual, slope, fold in zip(result, fitted.moving, split.fold, strict=True):
+            out = fold == number
+            residual[out] -= slope[out] @ step
+    return result
+
+
+def block_loss(residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:
+    """(blocks,) sums of squares."""
+    loss = np.zeros(split.blocks)
+    for residual, block in zip(residuals, split.block, strict=True):
+        loss += np.bincount(block, residual**2, split.blocks)
+    return loss
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One way an effect may be at work: where, in which shape."""
+
+    effect: Effect
+    joints: tuple[int, ...]
+    shape: tuple[float, ...]
+
+    def term(self) -> Term:
+        """At amplitude zero."""
+        places, k = max(1, len(self.joints)), len(self.effect.amplitudes)
+        return Term(self.effect, self.joints, np.zeros((places, k)), self.shape)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A fitted hypothesis with its squared residuals on data left out."""
+
+    fitted: Fit
+    residuals: list[np.ndarray]
+    blocks: np.ndarray
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """What was fitted."""
+        return self.fitted.hypothesis
+
+    @property
+    def loss(self) -> float:
+        """Sum over all blocks."""
+        return float(self.blocks.sum())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects, in the order they were found."""
+        return tuple(term.effect.name for term in self.hypothesis.terms)
+
+
+def score(fitted: Fit, split: Split) -> Scored:
+    """Held-out residuals of a fit."""
+    residuals = held_out(fitted, split)
+    return Scored(fitted, residuals, block_loss(residuals, split))
+
+
+class Dictionary:
+    """Normal equations of the present hypothesis's tangents, every candidate's regressors, and the residual."""
+
+    def __init__(self, problem: Problem, split: Split, fitted: Fit, effects: Iterable[Effect]):
+        self.index: dict[tuple[Effect, int, tuple[float, ...]], np.ndarray] = {}
+        own = fitted.moving
+        self.own = own[0].shape[1]
+        grams: list[np.ndarray] = []
+        effects = [e for e in effects if problem.recordings[0].mechanism.kind in e.kinds]
+        for number, scene in enumerate(problem.scenes(fitted.hypothesis.base)):
+            columns = self._columns(problem, number, scene, fitted.hypothesis, effects)
+            matrix = np.concatenate([own[number], columns, fitted.residuals[number][:, None]], axis=1)
+            if not grams:
+                grams = [np.zeros((matrix.shape[1], matrix.shape[1])) for _ in range(split.folds)]
+            for fold in np.unique(split.fold[number]):
+                part = matrix[split.fold[number] == fold]
+                grams[fold] += part.T @ part
+        self.effects = effects
+        self._reduce(grams)
+
+    def _columns(
+        self, problem: Problem, number: int, scene: Scene, hypothesis: Hypothesis, effects: list[Effect]
+    ) -> np.ndarray:
+        """(R, C), all candidates' regressors filtered in one go."""
+        n, at = scene.joints, self.own
+        measured = any(term.effect.measured for term in hypothesis.terms)
+        parts: list[np.ndarray] = []
+        owners: list[np.ndarray] = []  # a column's joint, or -1 for the first of n columns that are one regressor
+        for effect in effects:
+            for joint in range(n) if effect.per_joint else (0,):
+                for shape in effect.grid(scene):
+                    values = effect.regressors(scene, joint, shape)
+                    size = values.shape[-1]
+                    self.index[effect, joint, shape] = np.arange(at, at + size)
+                    at += size
+                    if effect.own_joint and not measured:
+                        parts.append(values)
+                        owners.append(np.full(size, joint))
+                        continue
+                    values = on_joint(values, joint, n) if effect.own_joint else values
+                    parts.append(np.moveaxis(reported(scene, hypothesis, values), 1, 2).reshape(len(values), -1))
+                    owners.append(np.tile(np.r_[-1, np.full(n - 1, -2)], size))
+        owner = np.concatenate(owners)
+        band = problem.band(np.concatenate(parts, axis=1))
+        columns = np.zeros((len(band), n, at - self.own))
+        whole = np.flatnonzero(owner == -1)
+        number_of = np.cumsum(owner != -2) - 1  # column -> regressor
+        for joint in range(n):
+            mine = np.flatnonzero(owner == joint)
+            columns[:, joint, number_of[mine]] = band[:, mine]
+            columns[:, joint, number_of[whole]] = band[:, whole + joint]
+        return problem.select(number, columns)
+
+    def _reduce(self, grams: list[np.ndarray]) -> None:
+        """Project the hypothesis's own tangents out of everything, a fold left out at a time."""
+        total, own = sum(grams), self.own
+        self.training, self.left_out = [], []
+        for gram in grams:
+            train = total - gram
+            map_ = solve(train[:own, :own], train[:own, own:])
+            self.training.append(train[own:, own:] - train[own:, :own] @ map_)
+            cross = gram[own:, :own] @ map_
+            self.left_out.append(gram[own:, own:] - cross - cross.T + map_.T @ gram[:own, :own] @ map_)
+        self.alive = np.diag(sum(self.training))[:-1] > 1e-9 * np.diag(total)[own:-1]
+        self.nothing = float(sum(gram[-1, -1] for gram in self.left_out))
+
+    def loss(self, candidate: Candidate) -> float:
+        """Squared residual on the folds left out, with the candidate added."""
+        places = candidate.joints or (0,)
+        chosen = np.concatenate([self.index[candidate.effect, joint, candidate.shape] for joint in places]) - self.own
+        chosen = chosen[self.alive[chosen]]
+        if not len(chosen):
+            return self.nothing
+        loss = 0.0
+        for train, out in zip(self.training, self.left_out, strict=True):
+            weight = solve(train[np.ix_(chosen, chosen)], train[chosen, -1])
+            loss += out[-1, -1] - 2 * weight @ out[chosen, -1] + weight @ out[np.ix_(chosen, chosen)] @ weight
+        return float(loss)
+
+    def ranking(self, taken: Iterable[Term], joints: int) -> list[tuple[float, Candidate]]:
+        """The best candidate of every effect, best first. An effect at work is not offered on its own joints again."""
+        busy = {(term.effect, place) for term in taken for place in term.places}
+        shapes: dict[Effect, set[tuple[float, ...]]] = {}
+        for effect, _, shape in self.index:
+            shapes.setdefault(effect, set()).add(shape)
+        result = []
+        for effect in self.effects:
+            options: list[tuple[int, ...]] = [(joint,) for joint in range(joints)] if effect.per_joint else [()]
+            options = [option for option in options if not any((effect, place) in busy for place in option or (0,))]
+            if effect.per_joint and len(options) == joints > 1:
+                options.append(tuple(range(joints)))
+            scored = [
+                (self.loss(candidate) + 2.0 * self._size(candidate), candidate)
+                for option in options
+                for shape in shapes[effect]
+                for candidate in [Candidate(effect, option, shape)]
+            ]
+            if scored:
+                result.append(_prefer_single(scored, self.nothing))
+        return sorted(result, key=lambda item: item[0])
+
+    def _size(self, candidate: Candidate) -> int:
+        return sum(len(self.index[candidate.effect, joint, candidate.shape]) for joint in candidate.joints or (0,))
+
+
+def _prefer_single(scored: list[tuple[float, Candidate]], nothing: float) -> tuple[float, Candidate]:
+    best = min(scored, key=lambda item: item[0])
+    single = [item for item in scored if len(item[1].joints) <= 1]
+    if not single:
+        return best
+    best_single = min(single, key=lambda item: item[0])
+    return best_single if best_single[0] - best[0] < JOINT_SHARE * (nothing - best[0]) else best
+
+
+def z_score(worse: np.ndarray, better: np.ndarray) -> float:
+    """How many standard errors over blocks the sum of `worse` - `better` is above zero."""
+    difference = worse - better
+    error = np.sqrt(len(difference)) * np.std(difference)
+    return float(difference.sum() / error) if error > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Selection:
+    """How the search went. none: the base model. best: with the effects found.
+
+    path: a round each, the hypotheses fitted and the one taken (None where none was worth it).
+    trimmed: a hypothesis taken -> what was left of it after the backward check.
+    """
+
+    none: Scored
+    best: Scored
+    path: list[tuple[list[Scored], Scored | None]]
+    trimmed: dict[int, Scored]
+
+    def after(self, taken: Scored) -> Scored:
+        """What a hypothesis taken became."""
+        return self.trimmed.get(id(taken), taken)
+
+
+def search(
+    problem: Problem, split: Split, start: Hypothesis, effects: Sequence[Effect], progress: Callable[[str], None]
+) -> Selection:
+    """Add effects one by one while each is worth it on data left out; then see whether one can go again."""
+    rows = problem.count
+    none = best = score(fit(problem, start), split)
+    path: list[tuple[list[Scored], Scored | None]] = []
+    trimmed: dict[int, Scored] = {}
+    for _ in range(MOST_EFFECTS):
+        progress("weighing the catalogue")
+        dictionary = Dictionary(problem, split, best.fitted, effects)
+        ranking = dictionary.ranking(best.hypothesis.terms, problem.recordings[0].mechanism.joints)
+        shortlist = [item for item in ranking[:SHORTLIST] if dictionary.nothing - item[0] > 0.3 * LEAST_GAIN * rows]
+        exact: list[Scored] = []
+        for _, candidate in shortlist:
+            progress(f"fitting {candidate.effect.name.replace('_', ' ')}")
+            exact.append(score(fit_added(problem, best.hypothesis, candidate.term()), split))
+        exact.sort(key=lambda scored: scored.loss + 2 * scored.fitted.tangents[0].shape[1])
+        if not exact:
+            break
+        if not worth(exact[0].blocks, best.blocks, none.blocks, rows):
+            path.append((exact, None))
+            break
+        path.append((exact, exact[0]))
+        best = trimmed[id(exact[0])] = pruned(problem, split, exact[0], none, rows)
+        if best.loss / rows < 1.0 + LEAST_GAIN:
+            break
+    return Selection(none, best, path, trimmed)
+
+
+def with_term(hypothesis: Hypothesis, term: Term) -> Hypothesis:
+    """One more effect; a delay takes the place of the timing within a sample."""
+    added = replace(hypothesis, terms=(*hypothesis.terms, term))
+    return added if added.fits_timing else replace(added, base=replace(added.base, timing=0.0))
+
+
+def fit_added(problem: Problem, hypothesis: Hypothesis, term: Term) -> Fit:
+    """Fit with one more effect, from the best of the starts it asks for."""
+    starts = [with_term(hypothesis, replace(term, shape=shape)) for shape in term.effect.starts(term.shape)]
+    if len(starts) > 1:
+        first = min((fit(problem, start, iterations=1) for start in starts), key=lambda fitted: fitted.cost)
+        return fit(problem, first.hypothesis)
+    return fit(problem, starts[0])
+
+
+def worth(candidate: np.ndarray, without: np.ndarray, none: np.ndarray, rows: int) -> bool:
+    """Whether the data left out support an addition: enough, of enough of the gap, and not by chance.
+
+    candidate, without, none: (blocks,) held-out losses with the addition, without it, and of the base model.
+    """
+    gain = float(without.sum() - candidate.sum()) / rows
+    gap, rest = float(none.sum()) / rows - 1.0, float(without.sum()) / rows - 1.0
+    least = max(LEAST_GAIN, LEAST_SHARE_OF_GAP * gap, LEAST_SHARE_OF_REST * rest)
+    return gain > least and z_score(without, candidate) > LEAST_Z
+
+
+def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int) -> Scored:
+    """Drop whole effects, then single joints of effects, that the others make superfluous."""
+    for term in best.hypothesis.terms[:-1]:
+        fewer = tuple(t for t in best.hypothesis.terms if t.effect is not term.effect)
+        trial = score(fit(problem, replace(best.hypothesis, terms=fewer)), split)
+        if not worth(best.blocks, trial.blocks, none.blocks, rows):
+            best = trial
+    for term in best.hypothesis.terms:
+        for joint in term.joints if len(term.joints) > 1 else ():
+            current = next(t for t in best.hypothesis.terms if t.effect is term.effect)
+            if len(current.joints) < 2:
+                continue
+            keep = [place for place, other in enumerate(current.joints) if other != joint]
+            smaller = replace(current, joints=tuple(current.joints[i] for i in keep), amplitude=current.amplitude[keep])
+            swapped = tuple(smaller if t is current else t for t in best.hypothesis.terms)
+            trial = score(fit(problem, replace(best.hypothesis, terms=swapped), iterations=2), split)
+            if trial.loss - best.loss < max(12.0, 0.02 * max(none.loss - best.loss, 0.0)):
+                best = trial
+    return best

@@ -1,0 +1,148 @@
+"""What the numbers are worth: standard errors, the noise floor, the gap on data left out, bootstrap intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.diagnosis.hypothesis import Fit, Hypothesis, Problem, Term, _free, solve
+from service.diagnosis.selection import Scored, Selection, Split, block_loss, worth
+
+# A reversal's place between two samples is known to about this share of the sample time.
+REVERSAL_PLACE = 0.2
+DRAWS = 2000
+
+
+def standard_errors(fitted: Fit, split: Split) -> np.ndarray:
+    """(P',) of base and effects' parameters, shapes on a grid as zero; transition and timing are left out.
+
+    Blocks of the residual count as independent, samples in a block do not: the residual may be coloured.
+    """
+    gram = np.asarray(sum(t.T @ t for t in fitted.moving))
+    inverse = solve(gram, np.eye(len(gram)))
+    score = np.zeros((split.blocks, len(gram)))
+    for tangent, residual, block in zip(fitted.moving, fitted.residuals, split.block, strict=True):
+        np.add.at(score, block, tangent * residual[:, None])
+    covariance = inverse @ (score.T @ score) @ inverse
+    error = np.zeros(len(fitted.free))
+    error[fitted.free] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    hypothesis = fitted.hypothesis
+    at = len(hypothesis.base.rigid) + 2 * len(hypothesis.base.viscous)
+    parts = [error[:at]]
+    at += int(hypothesis.refined) + int(hypothesis.fits_timing)
+    for term in hypothesis.terms:
+        free = _free(term)
+        size = term.amplitude.size
+        shape = np.zeros(len(free))
+        shape[free] = error[at + size : at + size + int(free.sum())]
+        parts += [error[at : at + size], shape]
+        at += size + int(free.sum())
+    return np.concatenate(parts)
+
+
+def joint_of(problem: Problem) -> list[np.ndarray]:
+    """(R,) joint of each row, a recording."""
+    return [np.repeat(np.arange(rows.shape[1]), rows.sum(axis=0)) for rows in problem.rows]
+
+
+def reversal_noise(problem: Problem, coulomb: np.ndarray) -> np.ndarray:
+    """(n,) N m rms in the band that no sampled model can remove: where between two samples friction changes sign.
+
+    A step of 2 f_c whose place is uncertain by `REVERSAL_PLACE` of a sample is an impulse of that area.
+    """
+    square, count = np.zeros(len(coulomb)), np.zeros(len(coulomb))
+    for recording in problem.recordings:
+        segment = recording.segment
+        turns = (np.diff(np.sign(segment.theta_dot), axis=0) != 0) & segment.moving[1:]
+        square += turns.sum(axis=0) * (2 * np.abs(coulomb) * REVERSAL_PLACE) ** 2 * problem.band.white_share
+        count += segment.moving.sum(axis=0)
+    return np.sqrt(square / np.maximum(count, 1.0))
+
+
+def nested(selection: Selection, split: Split, rows: int) -> list[np.ndarray]:
+    """Residuals on data left out of fitting *and* of selection.
+
+    For each fold the search is walked again among the hypotheses that were fitted, weighing them by folds that are
+    neither this one nor in training, and the fold is predicted by the one chosen without it.
+    """
+    result = [residual.copy() for residual in selection.none.residuals]
+    for fold in range(split.folds):
+        outside = [f != fold for f in split.fold]
+        share = sum(int(o.sum()) for o in outside)
+        chosen = selection.none
+        for tried, taken in selection.path:
+            inner = [(_inner(candidate, split, fold), candidate) for candidate in tried]
+            loss, best = min(inner, key=lambda item: item[0].sum())
+            if not worth(loss, _inner(chosen, split, fold), _inner(selection.none, split, fold), share):
+                break
+            chosen = selection.after(best)
+            if best is not taken:
+                break
+        for mine, theirs, f in zip(result, chosen.residuals, split.fold, strict=True):
+            mine[f == fold] = theirs[f == fold]
+    return result
+
+
+def _inner(scored: Scored, split: Split, out: int) -> np.ndarray:
+    """Block losses with `out` neither trained on nor counted, every other fold left out in turn."""
+    fitted = scored.fitted
+    pairs = list(zip(fitted.moving, fitted.residuals, split.fold, strict=True))
+    grams = [np.asarray(sum(t[f == k].T @ t[f == k] for t, _, f in pairs)) for k in range(split.folds)]
+    moments = [np.asarray(sum(t[f == k].T @ r[f == k] for t, r, f in pairs)) for k in range(split.folds)]
+    residuals = [r.copy() for r in fitted.residuals]
+    for fold in range(split.folds):
+        train = [k for k in range(split.folds) if k not in (fold, out)]
+        if fold == out or not train:
+            continue
+        step = solve(np.asarray(sum(grams[k] for k in train)), np.asarray(sum(moments[k] for k in train)))
+        for residual, slope, f in zip(residuals, fitted.moving, split.fold, strict=True):
+            residual[f == fold] -= slope[f == fold] @ step
+    for residual, f in zip(residuals, split.fold, strict=True):
+        residual[f == out] = 0.0
+    return block_loss(residuals, split)
+
+
+def rms_per_joint(problem: Problem, residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """(n,) N m."""
+    square, count = np.zeros(len(problem.sigma)), np.zeros(len(problem.sigma))
+    for residual, joint in zip(residuals, joint_of(problem), strict=True):
+        square += np.bincount(joint, residual**2, len(square))
+        count += np.bincount(joint, minlength=len(count))
+    return np.sqrt(square / np.maximum(count, 1)) * problem.sigma
+
+
+def pooled_squares(problem: Problem, residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:
+    """(blocks,) (N m)^2, all joints."""
+    scaled = [r * problem.sigma[j] for r, j in zip(residuals, joint_of(problem), strict=True)]
+    return block_loss(scaled, split)
+
+
+@dataclass(frozen=True)
+class Shrink:
+    """1 - rms after / rms before, with a 95 % block-bootstrap interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def shrink(before: np.ndarray, after: np.ndarray, seed: int = 0) -> Shrink:
+    """From block sums of squares."""
+    draw = np.random.default_rng(seed).integers(0, len(before), (DRAWS, len(before)))
+    ratio = np.sqrt(after[draw].sum(axis=1) / np.maximum(before[draw].sum(axis=1), 1e-300))
+    low, high = np.quantile(1.0 - ratio, [0.025, 0.975])
+    value = 1.0 - float(np.sqrt(after.sum() / max(float(before.sum()), 1e-300)))
+    return Shrink(value, float(low), float(high))
+
+
+def term_columns(hypothesis: Hypothesis, term: Term) -> np.ndarray:
+    """Indices of a term's amplitudes and shapes in `hypothesis.parameters()`."""
+    at = len(hypothesis.parameters()) - sum(t.amplitude.size + int(_free(t).sum()) for t in hypothesis.terms)
+    for other in hypothesis.terms:
+        size = other.amplitude.size + int(_free(other).sum())
+        if other is term:
+            return np.arange(at, at + size)
+        at += size
+    raise ValueError("term is not in the hypothesis")

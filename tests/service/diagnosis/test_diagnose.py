@@ -1,0 +1,52 @@
+"""Labelled logs of an independent plant: the named effect is the one that was put in, and the correction runs."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.trace import read_trace
+from schemas.robot import load_robot
+from service.cli.main import app
+from service.identification.predict import error_in_band, motion, predict_along
+
+
+@pytest.mark.parametrize(
+    ("case", "name", "joints", "parameter", "truth", "tolerance"),
+    [
+        ("case_000", None, [], None, 0.0, 0.0),
+        ("case_004", "torque_delay", [], "delay", 0.003, 2e-4),
+        ("case_007", "torque_scale", [1], "epsilon", 0.03, 1e-3),
+    ],
+)
+def test_names_what_was_put_in(shared, tmp_path, case, name, joints, parameter, truth, tolerance):
+    folder = shared / "plant_logs" / case
+    logs = [str(path) for path in sorted(folder.glob("fit_*.csv"))]
+    result = CliRunner().invoke(
+        app, ["diagnose", *logs, "--robot", str(folder / "robot.toml"), "--out", str(tmp_path)], catch_exceptions=False
+    )
+    assert result.exit_code == 0
+    document = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert document["schema"] == "deltatwin.diagnosis/1"
+    if name is None:
+        assert document["verdict"] == "within_noise"
+        assert document["effects"] == []
+    else:
+        assert document["verdict"] in ("explained", "partly_explained")
+        (effect,) = document["effects"]
+        assert (effect["name"], effect["joints"]) == (name, joints)
+        assert effect["parameters"][parameter]["value"] == pytest.approx(truth, abs=tolerance)
+
+    # the corrected description predicts logs that the diagnosis never saw, as well as it claims
+    robot = load_robot(tmp_path / "corrected.toml")
+    errors = []
+    for path in sorted(folder.glob("test_*.csv")):
+        trace = read_trace(path, robot)
+        along = motion(trace)
+        errors.append(error_in_band(trace, along, predict_along(robot, trace, along)["full"]))
+    measured = np.sqrt(np.nanmean(np.concatenate(errors) ** 2))
+    claimed = np.sqrt(np.mean(np.square(document["gap"]["after_nm"])))
+    assert measured == pytest.approx(claimed, rel=0.15)
