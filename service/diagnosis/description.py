@@ -18,7 +18,7 @@ from service.identification.signals import Segment
 
 
 def names(term: Term) -> list[tuple[str, str]]:
-    """(key, unit) of a term's parameters, amplitudes joint by joint, then shapes. Of several joints, keys end in one."""
+    """(key, unit) of a term's parameters, amplitudes joint by joint, then shapes; keys end in a joint where many."""
     effect = term.effect
     keys = []
     for joint in term.joints or (None,):
