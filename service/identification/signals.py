@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
@@ -164,9 +164,9 @@ def moving(position: np.ndarray, period: float) -> np.ndarray:
 
 def noise_density(values: np.ndarray, period: float) -> np.ndarray:
     """One-sided density (n,) above `NOISE_HZ`, units^2/Hz: the white floor of `values` (N, n)."""
-    frequency, density = welch(
-        values, 1.0 / period, nperseg=256, noverlap=0, detrend=False, axis=0, average="median"
-    )  # the median is deaf to the few windows in which friction jumps
+    options: dict[str, Any] = {"nperseg": 256, "noverlap": 0, "detrend": False, "average": "median"}
+    # the median is deaf to the few windows in which friction jumps
+    frequency, density = welch(values, 1.0 / period, axis=0, **options)
     return density[frequency >= min(NOISE_HZ, 0.25 / period)].mean(axis=0)
 
 
