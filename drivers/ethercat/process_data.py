@@ -47,6 +47,7 @@ NOT_MAPPED = -1
 GAP_PERIODS = 1.5  # a step of the stamps above this many cycles has lost cycles
 _INTERVALS = 64  # cycles whose median step is the cycle time
 _PERIOD_AFTER = 16  # cycles before the cycle time is known
+_CATCH_UP = 64  # cycles after a gap in which late ones can turn out not to be lost
 _PORT_AFTER = 16  # answered frames before a port is taken for the returning one
 
 
@@ -113,7 +114,7 @@ class State(NamedTuple):
     """What the kernel remembers from frame to frame."""
 
     counts: np.ndarray  # (len(Count),) int64
-    clock: np.ndarray  # (9,) int64, by the names below
+    clock: np.ndarray  # (12,) int64, by the names below
     intervals: np.ndarray  # (_INTERVALS,) int64, ns
     raw_inputs: np.ndarray  # (3, 5) int64 of the cycle in the making
     have_inputs: np.ndarray  # (3, 5) bool
@@ -126,7 +127,9 @@ class State(NamedTuple):
     ports: np.ndarray  # (256, 3) int64: answered frames, silent frames, highest working counter
 
 
-_LAST, _PERIOD, _DC_MODE, _DC_LAST, _DC_OFFSET, _DC_NOW, _PLAIN_SEEN, _FAULT, _HIGHEST = range(9)
+(
+    _LAST, _PERIOD, _DC_MODE, _DC_LAST, _DC_OFFSET, _DC_NOW, _PLAIN_SEEN, _FAULT, _HIGHEST, _OWED, _SLIP, _SINCE,
+) = range(12)  # fmt: skip
 _UNDECIDED, _CAPTURE_CLOCK, _DISTRIBUTED_CLOCK = range(3)
 _COUNTER_LOW, _COUNTER_ZERO = 1, 2
 
@@ -136,7 +139,7 @@ def new_state() -> State:
     objects = (3, len(INPUTS))
     return State(
         counts=np.zeros(len(Count()), np.int64),
-        clock=np.zeros(9, np.int64),
+        clock=np.zeros(12, np.int64),
         intervals=np.zeros(_INTERVALS, np.int64),
         raw_inputs=np.zeros(objects, np.int64),
         have_inputs=np.zeros(objects, np.bool_),
@@ -362,14 +365,23 @@ def _interval_flags(stamp, clock, counts, intervals):
     if step < 0:
         counts[COUNT.backwards] += 1
         return SampleFlag.TIME_BACKWARDS.value
-    if step == 0:
-        counts[COUNT.repeated] += 1
-        return SampleFlag.REPEATED.value
     period = clock[_PERIOD]
     if period > 0 and step > GAP_PERIODS * period:
         flags = SampleFlag.GAP_BEFORE.value
+        lost = max((step + period // 2) // period - 1, 1)
         counts[COUNT.gaps] += 1
-        counts[COUNT.lost] += max((step + period // 2) // period - 1, 1)
+        counts[COUNT.lost] += lost
+        clock[_OWED], clock[_SLIP], clock[_SINCE] = lost, step - (lost + 1) * period, number
+    elif clock[_OWED] > 0 and number - clock[_SINCE] < _CATCH_UP:
+        clock[_SLIP] += step - period
+        if 2 * clock[_SLIP] < -period:  # nothing was lost: that cycle was late, and those behind it caught up
+            clock[_SLIP] += period
+            clock[_OWED] -= 1
+            counts[COUNT.lost] -= 1
+            counts[COUNT.gaps] -= clock[_OWED] == 0
+    if step == 0:
+        counts[COUNT.repeated] += 1
+        return SampleFlag.REPEATED.value
     intervals[(number - 1) % _INTERVALS] = step
     if number >= _PERIOD_AFTER and number % _PERIOD_AFTER == 0:
         clock[_PERIOD] = np.int64(np.median(intervals[: min(number, _INTERVALS)]))

@@ -233,7 +233,7 @@ class Tap:
             told.sample_ns = told.at_ns
         quiet = told.at_ns - told.sample_ns > QUIET_NS
         health.flags &= ~(HealthFlag.BUS_FAULT | HealthFlag.STALE_INPUT)
-        if told.faulty or any(fresh[name] for name in _TROUBLES):
+        if told.faulty or any(fresh[name] > 0 for name in _TROUBLES):
             health.flags |= HealthFlag.BUS_FAULT
         if quiet:
             health.flags |= HealthFlag.STALE_INPUT
@@ -249,7 +249,7 @@ class Tap:
         self._say_changes(fresh, quiet)
 
     def _say_changes(self, fresh: dict[str, int], quiet: bool) -> None:
-        troubles = [f"{fresh[name]} {text}" for name, text in _TROUBLES.items() if fresh[name]]
+        troubles = [f"{fresh[name]} {text}" for name, text in _TROUBLES.items() if fresh[name] > 0]
         if troubles:
             self._say(f"{self._source.name}: {', '.join(troubles)}")
         dropped = self._source.dropped()

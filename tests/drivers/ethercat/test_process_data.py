@@ -243,6 +243,18 @@ def test_lost_cycles_are_a_flag_and_a_count_and_no_hole_in_the_sequence(tmp_path
     assert samples["sequence"].tolist() == list(range(97))
 
 
+@pytest.mark.parametrize("late", [[0.6], [0.7, 0.5, 0.3], [3.9, 2.9, 1.9, 0.9]])
+def test_a_late_cycle_that_is_caught_up_with_is_not_lost(tmp_path: Path, late: list[float]) -> None:
+    packets = stream(200)
+    for behind, share in enumerate(late):
+        for both in (200 + 2 * behind, 201 + 2 * behind):
+            packets[both] = (packets[both][0] + int(share * 1_000_000), packets[both][1])
+    samples, assembler = assembled(pcap(tmp_path / "a.pcap", packets, nanoseconds=True), robot())
+
+    assert (assembler.count("gaps"), assembler.count("lost")) == (0, 0)
+    assert samples["flags"][100] == SampleFlag.GAP_BEFORE  # known only afterwards
+
+
 def test_repeated_and_falling_stamps_are_flagged(tmp_path: Path) -> None:
     packets = stream(60)[1::2]
     packets[30] = (packets[29][0], packets[30][1])
