@@ -15,6 +15,7 @@ from schemas.messages import HealthFlag, SampleFlag
 from schemas.robot import Robot
 from service.estimator.estimator import PERIOD_SAMPLES, Estimator, period_of
 
+REPORT_PERIOD = 1e-3  # s, shortest between two payload or error messages; nobody steers by them, and they cost as much
 POLL = 0.2  # s, how often a silent bus is left to see whether to stop
 PERIOD_CHANGE = 0.1  # relative; a source with another sample rate needs other filters
 _INVALID = SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE | SampleFlag.JUMP
@@ -65,12 +66,15 @@ class Node:
         if len(references):
             estimator.plan(references[-1])
         result = estimator.run(samples)
-        for put, records in zip(self._put, (result.feedforward, result.payload, result.error), strict=True):
+        every = max(1, round(REPORT_PERIOD / estimator.period))
+        told = (result.payload["sequence"] % every == 0) | (result.payload["event"] != 0)
+        answers = (result.feedforward, result.payload[told], result.error[told])
+        for put, records in zip(self._put, answers, strict=True):
             for n in range(len(records)):
                 put(records[n : n + 1].tobytes())
             if records is result.feedforward:
                 self._health.time_many(time.monotonic_ns() - arrival)
-        self._published += len(result.feedforward) + len(result.payload) + len(result.error)
+        self._published += sum(map(len, answers))
         self._invalid += int(np.count_nonzero(result.feedforward["flags"] & _INVALID))
 
     def _report(self) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.bus import open_bus
+from drivers.bus import LINK_S, open_bus
 from replay.player import play, score
 from replay.process import process
 from schemas.messages import Role
@@ -44,6 +44,25 @@ def collect(rings, counts):
     return [np.concatenate(part) for part in parts]
 
 
+def test_at_a_higher_rate_a_thousand_reports_a_second_and_every_event(estimator, robot, make, until):
+    known = make(1.5, payload=lambda t: 3.0 * ((t > 0.7) & (t < 1.1)), noise=0.25, period=2.5e-4)
+    expected = process(robot, known.samples)
+    told = (expected.payload["sequence"] % 4 == 0) | (expected.payload["event"] != 0)
+    assert np.count_nonzero(expected.payload["event"]) == 2
+    with open_bus(robot.name, Role.PLAYER) as bus, open_bus(robot.name, Role.OBSERVER) as observer:
+        rings = [observer.subscribe(topic) for topic in ("feedforward", "payload", "error")]
+        publisher = bus.publisher("sample")
+        until(lambda: Role.ESTIMATOR in observer.alive and Role.ESTIMATOR in bus.alive and publisher.heard)
+        time.sleep(LINK_S)
+        for n in range(len(known.samples)):
+            publisher.put(known.samples[n : n + 1].tobytes())
+            time.sleep(2.5e-4)
+        answers = collect(rings, [len(known.samples), told.sum(), told.sum()])
+    assert answers[0].tobytes() == expected.feedforward.tobytes()
+    assert answers[1].tobytes() == expected.payload[told].tobytes()
+    assert answers[2].tobytes() == expected.error[told].tobytes()
+
+
 @pytest.mark.parametrize("commands", [True, False], ids=["with commands", "without"])
 def test_the_bus_gives_the_bits_of_process_replay(estimator, robot, make, until, commands):
     known = make(1.5, payload=lambda t: 2.0 * (t > 0.7), noise=0.25)
@@ -62,7 +81,7 @@ def test_the_bus_gives_the_bits_of_process_replay(estimator, robot, make, until,
         rings = [observer.subscribe(topic) for topic in ("feedforward", "payload", "error")]
         publisher = bus.publisher("sample")
         until(lambda: Role.ESTIMATOR in observer.alive and Role.ESTIMATOR in bus.alive and publisher.heard)
-        time.sleep(0.3)  # until the estimator, too, has learnt who listens
+        time.sleep(LINK_S)
         play(score(trace), publisher.put, None, lambda _: None)
         answers = collect(rings, [len(expected.feedforward), len(expected.payload), len(expected.error)])
     for name, answer in zip(("feedforward", "payload", "error"), answers, strict=True):
