@@ -9,6 +9,10 @@ import pytest
 
 from drivers.ethercat.capture import Capture, Frames
 from drivers.ethercat.frames import Command, DatagramFlag, Kind, decode
+from drivers.ethercat.process_data import Assembler, make_layout
+from drivers.ethercat.survey import Survey
+from schemas.errors import TraceError
+from schemas.robot import load_robot
 from tests.drivers.ethercat.wire import datagram, frame
 
 MUTANTS = 100_000
@@ -57,6 +61,39 @@ def test_mutated_frames_are_decoded_within_their_own_bytes(shared: Path) -> None
     assert (datagrams["data"] + datagrams["length"] + 2 <= end)[whole].all()
     assert (np.diff(datagrams["frame"]) >= 0).all()
     assert np.isin(datagrams["frame"][~whole], np.flatnonzero(kinds == Kind.CUT)).all()
+
+
+def test_mutated_frames_give_samples_or_none_but_no_crash(shared: Path) -> None:
+    frames = mutants(shared / "captures", MUTANTS)
+    robot = load_robot(Path(__file__).parent / "robots" / "own_three_drives.toml")
+    samples, raw = Assembler(make_layout(robot)).samples(frames)
+    Survey().add(frames)
+
+    assert 1000 < len(samples) < MUTANTS  # many mutants leave the process data readable
+    assert len(raw) == len(samples)
+    assert (np.abs(raw) < 2**32).all()
+    np.testing.assert_array_equal(samples["sequence"], np.arange(len(samples)))
+
+
+def test_mutated_files_end_in_frames_or_one_error(shared: Path, tmp_path: Path) -> None:
+    random = np.random.default_rng(6)
+    refused = []
+    for number in range(300):
+        name = ("ethercat.pcapng", "twincat-scan-boxes.pcapng", "own_three_drives_4khz.pcap")[number % 3]
+        data = bytearray((shared / "captures" / name).read_bytes()[:20_000])
+        for _ in range(random.integers(1, 8)):
+            data[int(random.integers(len(data) if number % 2 else 400))] = int(random.integers(256))
+        path = tmp_path / name
+        path.write_bytes(data[: random.integers(len(data))] if number % 4 == 0 else data)
+        capture = Capture(path)
+        try:
+            for frames in capture.blocks():
+                decode(frames)
+                assert (frames.offset + frames.length <= len(frames.data)).all()
+        except TraceError as error:
+            refused.append(str(error).startswith(f"{path}: "))
+    assert refused
+    assert all(refused)
 
 
 @pytest.mark.parametrize("size", range(0, 60))
