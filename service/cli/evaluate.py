@@ -85,8 +85,11 @@ def _write(result: Evaluation, path: Path) -> None:
 
 def _pooled(results: list[Evaluation]) -> dict[str, Moments]:
     from service.identification.evaluation import pooled
+    from service.identification.predict import FULL
 
-    return {name: pooled(result.errors[name] for result in results) for name in results[0].errors}
+    names = dict.fromkeys(name for result in results for name in result.errors)
+    # a trace without a pick has no entry with a payload: there the fullest model stands for itself
+    return {name: pooled(result.errors.get(name, result.errors[FULL]) for result in results) for name in names}
 
 
 def _json(results: list[Evaluation]) -> str:

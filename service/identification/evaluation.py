@@ -7,9 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.trace import Trace
-from service.identification.predict import error_in_band, motion, predict_along
+from service.estimator.estimator import Estimator, period_of
+from service.identification.predict import FULL, Motion, error_in_band, motion, predict_along
+from service.model.dynamics import PAYLOAD, torque_terms
+from service.model.parameters import pack
+
+WITH_PAYLOAD = "full, m_p estimated"
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,9 @@ class Moments:
 @dataclass(frozen=True)
 class Evaluation:
     """One trace. torque: model name -> (N, 3) N m, every row. errors: model name -> moments. unmeasured: rows left out
-    for a fault; their motion is bridged and their torque predicted all the same."""
+    for a fault; their motion is bridged and their torque predicted all the same. Where something was picked, `errors`
+    has one more entry, WITH_PAYLOAD: the fullest model with the payload mass as the estimator knew it at each sample.
+    """
 
     trace: Trace
     torque: dict[str, np.ndarray]
@@ -54,7 +62,27 @@ def evaluate(robot: Robot, trace: Trace) -> Evaluation:
     along = motion(trace)
     torque = predict_along(robot, trace, along)
     errors = {name: _moments(error_in_band(trace, along, values)) for name, values in torque.items()}
+    carried = _carried(robot, trace, along) if robot.identified is not None else None
+    if carried is not None:
+        errors[WITH_PAYLOAD] = _moments(error_in_band(trace, along, torque[FULL] + carried))
     return Evaluation(trace, torque, errors, int((~along.measured).sum()))
+
+
+def _carried(robot: Robot, trace: Trace, along: Motion) -> np.ndarray | None:
+    """Torque (N, 3), N m, of the payload as the online estimator weighs it; None where it saw no pick."""
+    samples = trace.samples()
+    payload = Estimator(robot, period_of(samples)).run(samples).payload
+    if not (payload["event"] == PayloadEvent.PICK).any():
+        return None
+    # row n came out with sample n + lag: no sample is credited with what was learnt after it
+    lag = len(samples) - len(payload)
+    mass = np.zeros(len(samples))
+    mass[lag:] = np.where(payload["trusted"] != 0, np.maximum(payload["mass"], 0.0), 0.0)
+    weight_only = np.zeros(len(samples), bool)
+    weight_only[lag:] = payload["weight_only"] != 0
+    moving = (1.0 - weight_only)[:, None]
+    terms = torque_terms(pack(robot), along.theta, moving * along.theta_dot, moving * along.theta_ddot)
+    return mass[:, None] * terms[:, PAYLOAD]
 
 
 def pooled(moments: Iterable[Moments]) -> Moments:

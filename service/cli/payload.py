@@ -1,0 +1,95 @@
+"""`deltatwin payload`: what was picked in traces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from service.identification.payload import Pick, Score
+
+
+def command(
+    traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE...")],
+    robot: Annotated[Path, typer.Option(help="Robot description (TOML) that `identify` wrote")],
+    columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
+    truth: Annotated[
+        list[Path] | None, typer.Option(help="What was really picked: CSV with from_s,until_s,mass_kg; one a trace")
+    ] = None,
+) -> None:
+    """Find picks and releases and weigh what was picked, as the online estimator does it.
+
+    With --truth beside it: how soon, how close, and the same for the paper's recursion at a fixed forgetting factor.
+
+    Example: deltatwin payload pick_a.csv --robot identified.toml --truth pick_a.payloads.csv
+    """
+    from rich.console import Console
+
+    from schemas.errors import DataError
+    from schemas.robot import load_robot
+    from service.cli.reading import reading
+    from service.identification.payload import course, picks, read_truth, score
+
+    if truth and len(truth) != len(traces):
+        raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one a trace, in their order")
+    description = load_robot(robot)
+    console = Console()
+    scores: list[Score] = []
+    for number, trace in enumerate(reading(traces, description, columns, "weighing")):
+        found = course(description, trace)
+        if truth:
+            scores += [score(found, pick) for pick in read_truth(truth[number])]
+        else:
+            console.print(_found(trace.path.name, picks(found)))
+    if scores:
+        for table in _scored(scores):
+            console.print(table)
+
+
+def _found(name: str, seen: list[Pick]) -> Table:
+    from rich.table import Table
+
+    table = Table("pick seen at, s", "held until, s", "mass, kg", title=f"{name}: {len(seen)} picks")
+    for pick in seen:
+        table.add_row(f"{pick.begin:.3f}", f"{pick.end:.3f}", f"{pick.mass:.3f}")
+    return table
+
+
+def _scored(scores: list[Score]) -> list[Table]:
+    import numpy as np
+    from rich.table import Table
+
+    each = Table(
+        "picked at, s", "truth, kg", "mass, kg", "found, ms", "pick seen, ms", "release seen, ms",
+        "paper: mass, kg", "paper: found, ms", title="payload: delays after the true pick or release",
+    )  # fmt: skip
+
+    def ms(seconds: float) -> str:
+        return "never" if np.isnan(seconds) else f"{seconds * 1e3:.0f}"
+
+    for s in scores:
+        each.add_row(
+            f"{s.truth.begin:.3f}", f"{s.truth.mass:.2f}", f"{s.mass:.3f}", ms(s.settled), ms(s.seen), ms(s.released),
+            f"{s.mass_recursion:.3f}", ms(s.settled_recursion),
+        )  # fmt: skip
+    summary = Table("", "estimator", "paper's recursion", title=f"{len(scores)} picks")
+    heavy = [s for s in scores if s.truth.mass >= 1.0]
+
+    def row(label: str, of: list[Score], value) -> None:
+        summary.add_row(label, *(value(of, suffix) for suffix in ("", "_recursion")))
+
+    def found(of: list[Score], suffix: str) -> str:
+        return f"{np.mean([getattr(s, f'settled{suffix}') <= 0.15 for s in of]):.0%}"
+
+    def off(of: list[Score], suffix: str) -> np.ndarray:
+        return np.array([abs(getattr(s, f"mass{suffix}") / s.truth.mass - 1) for s in of])
+
+    row("found within 150 ms (5 % or 50 g, and staying)", scores, found)
+    if heavy:
+        row("error at the release, median, >= 1 kg", heavy, lambda of, suffix: f"{np.median(off(of, suffix)):.2%}")
+        row("within 4 % at the release, >= 1 kg", heavy, lambda of, suffix: f"{np.mean(off(of, suffix) <= 0.04):.0%}")
+    return [each, summary]

@@ -1,0 +1,152 @@
+"""What was picked in a trace: the estimator's events and masses beside the paper's recursion, and beside the truth."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import TraceError
+from schemas.messages import PayloadEvent, stamp_ns
+from schemas.robot import Robot
+from schemas.trace import Trace
+from service.estimator.estimator import Estimator, period_of
+from service.estimator.recursion import FORGETTING, fixed_forgetting
+from service.identification.predict import motion, predict_along
+from service.model import kinematics
+from service.model.parameters import pack
+
+# What "found" means: within the larger of the two of the truth, and staying there to the release.
+BOUND_SHARE, BOUND_KG = 0.05, 0.05
+
+
+@dataclass(frozen=True)
+class Course:
+    """Payload over a trace, as known after each of N samples. time: s, bus. mass, std_dev: kg. event: PayloadEvent.
+
+    recursion: (N,) kg, the paper's at a fixed forgetting factor on M_Id+F.
+    """
+
+    time: np.ndarray
+    mass: np.ndarray
+    std_dev: np.ndarray
+    event: np.ndarray
+    recursion: np.ndarray
+
+
+@dataclass(frozen=True)
+class Pick:
+    """A pick: begin, end s, mass kg; of the truth, or as the estimator saw it."""
+
+    begin: float
+    end: float
+    mass: float
+
+
+@dataclass(frozen=True)
+class Score:
+    """How a true pick was found: delays in s (NaN: never), the mass at its end in kg, by estimator and recursion."""
+
+    truth: Pick
+    seen: float
+    released: float
+    settled: float
+    mass: float
+    settled_recursion: float
+    mass_recursion: float
+
+
+def course(robot: Robot, trace: Trace) -> Course:
+    """Run the online estimator and the paper's recursion over `trace`.
+
+    Raises:
+        TraceError: the trace cannot be used, naming the file.
+        DataError: its stamps do not rise.
+    """
+    samples = trace.samples()
+    result = Estimator(robot, period_of(samples)).run(samples).payload
+    lag = len(samples) - len(result)
+
+    def known(values: np.ndarray) -> np.ndarray:
+        shifted = np.zeros(len(samples), values.dtype)
+        shifted[lag:] = values
+        return shifted
+
+    along = motion(trace)
+    torque = predict_along(robot, trace, along)["M_Id+F"]
+    model = pack(robot)
+    platform = kinematics.motion(model, along.theta, along.theta_dot, along.theta_ddot)
+    x = platform.acceleration + [0.0, 0.0, robot.gravity_mps2]
+    jacobian = kinematics.jacobian(model, along.theta)
+    y = np.linalg.solve(np.swapaxes(jacobian, 1, 2), (trace.torque - torque)[..., None])[..., 0]
+    y[~along.measured] = np.nan
+    per_sample = FORGETTING ** (trace.period / 1e-3)
+    return Course(
+        time=stamp_ns(samples) * 1e-9,
+        mass=known(result["mass"]),
+        std_dev=known(result["std_dev"]),
+        event=known(result["event"]),
+        recursion=fixed_forgetting(y, x, per_sample),
+    )
+
+
+def picks(found: Course) -> list[Pick]:
+    """Picks as the estimator saw them; the mass is the one just before the release, or at the end of the trace."""
+    starts = np.flatnonzero(found.event == PayloadEvent.PICK)
+    releases = np.flatnonzero(found.event == PayloadEvent.RELEASE)
+    result = []
+    for start in starts:
+        later = releases[releases > start]
+        # the estimator sees a release a little late: the last mass it had before is that of the row before
+        end = int(later[0]) - 1 if len(later) else len(found.time) - 1
+        held = found.mass[start : end + 1]
+        result.append(Pick(float(found.time[start]), float(found.time[end]), float(np.median(held))))
+    return result
+
+
+def score(found: Course, truth: Pick) -> Score:
+    """Hold what was found against one true pick."""
+    held = (found.time >= truth.begin) & (found.time < truth.end)
+    mass, recursion = found.mass[held], found.recursion[held]
+
+    def delay(event: PayloadEvent, since: float, until: float) -> float:
+        rows = np.flatnonzero((found.event == event) & (found.time >= since) & (found.time < until))
+        return float(found.time[rows[0]] - since) if len(rows) else np.nan
+
+    def settled(values: np.ndarray) -> float:
+        off = np.flatnonzero(np.abs(values - truth.mass) > max(BOUND_SHARE * truth.mass, BOUND_KG))
+        if len(off) == 0:
+            return 0.0
+        return float(found.time[held][off[-1] + 1] - truth.begin) if off[-1] + 1 < len(values) else np.nan
+
+    return Score(
+        truth=truth,
+        seen=delay(PayloadEvent.PICK, truth.begin, truth.end),
+        released=delay(PayloadEvent.RELEASE, truth.end, truth.end + (truth.end - truth.begin)),
+        settled=settled(mass),
+        mass=float(mass[-1]),
+        settled_recursion=settled(recursion),
+        mass_recursion=float(recursion[-1]),
+    )
+
+
+def read_truth(path: Path) -> list[Pick]:
+    """True picks from a CSV with the columns `from_s, until_s, mass_kg`.
+
+    Raises:
+        TraceError: naming file, line and value.
+    """
+    try:
+        with path.open(newline="") as stream:
+            rows = list(csv.DictReader(stream))
+    except OSError as error:
+        raise TraceError(f"{path}: {error.strerror}") from error
+    result = []
+    for line, row in enumerate(rows, start=2):
+        try:
+            result.append(Pick(float(row["from_s"]), float(row["until_s"]), float(row["mass_kg"])))
+        except (KeyError, TypeError, ValueError) as error:
+            raise TraceError(f"{path}:{line}: wanted from_s, until_s, mass_kg as numbers, got {row}") from error
+    return result
