@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
-from drivers.ethercat.cia402 import OBJECTS
+from drivers.ethercat.cia402 import OBJECTS, parse_object
 from schemas.errors import RobotError
 from schemas.robot import Drive
 
@@ -80,14 +80,7 @@ def joint_pdos(drive: Drive) -> list[tuple[Pdo, Pdo]]:
 
 
 def _entry(text: str, key: str) -> tuple[int, int]:
-    name, _, size = text.partition(":")
-    try:
-        index = int(name, 16) if name else 0
-        bits = int(size) if size else 8 * OBJECTS[index].itemsize
-    except ValueError:
-        raise RobotError(f"{key}: {text!r} is neither an object (0x6064), nor index:bits, nor :bits") from None
-    except KeyError:
-        raise RobotError(f"{key}: the size of {text} is not fixed by CiA 402; write {text}:bits") from None
-    if bits <= 0 or bits % 8 or (index in OBJECTS and bits != 8 * OBJECTS[index].itemsize):
-        raise RobotError(f"{key}: {text}: {bits} bits do not fit")
+    index, bits = parse_object(text, key)
+    if bits % 8:
+        raise RobotError(f"{key}: {text}: {bits} bits are not whole bytes")
     return index, bits
