@@ -75,7 +75,7 @@ def command(
     if payload and motion is not MotionKind.PICK:
         raise typer.BadParameter(f"only `pick` carries a payload, not `{motion.value}`", param_hint="--payload")
     description = load_robot(robot)
-    plant, which = _plant(description, truth, 1.0 / rate, seed)
+    plant, which = make_plant(description, truth, 1.0 / rate, seed)
     planner = Planner(description, plant.period)
     given = {"speed": max_speed, "acceleration": max_acceleration, "torque": max_torque}
     planner.limits = Limits(**(vars(planner.limits) | {key: value for key, value in given.items() if value}))
@@ -90,7 +90,8 @@ def command(
     typer.echo(f"simulated {description.name}, {which}; workspace {_workspace(planner)}")
 
 
-def _plant(robot: Robot, truth: str | None, period: float, seed: int) -> tuple[Plant, str]:
+def make_plant(robot: Robot, truth: str | None, period: float, seed: int) -> tuple[Plant, str]:
+    """The plant of `--truth`, and that option's meaning in words."""
     from drivers.plant.effects import make_effects
     from drivers.plant.plant import Plant
     from drivers.plant.truth import PlantTruth, load_truth, shipped_truth

@@ -1,0 +1,170 @@
+"""The loop closed: a live simulated robot and an estimator, each a process of its own, on Zenoh.
+
+One run a variant, the same motion and the same noise in each; what differs is what the drives are fed.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.context import SpawnProcess
+
+import numpy as np
+
+from drivers.bus import Bus, open_bus
+from drivers.plant.live import LiveRun, run_live
+from drivers.plant.motion import Motion
+from drivers.plant.plant import Plant
+from replay.clock import wait_until
+from schemas.errors import BusError
+from schemas.messages import HealthFlag, Role
+from schemas.robot import Identified, JointParameter, Parameter, Robot
+from service.model import kinematics
+from service.model.parameters import pack
+
+ESTIMATOR_START = 60.0  # s that a cold estimator may take to compile
+SETTLING = 0.5  # s at the start of a run that do not count: the integrators hand the weight over to the feed-forward
+FEEDBACK = "feedback alone"
+BLIND = JointParameter(value=[1e6, 1e6, 1e6])  # N m of noise, in which no payload can be seen
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How well one variant followed its command.
+
+    joint_rms (3,) rad; platform_rms m; worst rad, any joint; helped: share of cycles with feed-forward; late: cycles
+    after their deadline. error (N, 3) rad, measured minus commanded, from the end of settling, at `time` (N,) s.
+    """
+
+    name: str
+    time: np.ndarray
+    error: np.ndarray
+    joint_rms: np.ndarray
+    platform_rms: float
+    worst: float
+    helped: float
+    late: int
+
+    @property
+    def rms(self) -> float:
+        """All joints, rad."""
+        return float(np.sqrt(np.mean(self.joint_rms**2)))
+
+
+def variants(robot: Robot) -> dict[str, Robot | None]:
+    """What the drives are fed in turn, by name; `robot` carries what was identified. None: no estimator.
+
+    The models are stages of one estimator, so a lesser one is a description with the later terms left out. To show what
+    the payload is worth, all but the last are blinded to it by a torque noise in which no payload can be told.
+    """
+    full = robot.identified or Identified()
+    none = JointParameter(value=[0.0, 0.0, 0.0])
+    empty = Parameter(value=0.0)
+    stages = {
+        "M_KH": Identified(),
+        "M_Id": full.model_copy(
+            update={"viscous_friction_nms": none, "coulomb_friction_nm": none, "forearm_inertia_kg": empty}
+        ),
+        "M_Id+F": full.model_copy(update={"forearm_inertia_kg": empty}),
+        "full": full,
+    }
+    blind = {
+        f"{name}, m_p = 0": robot.model_copy(update={"identified": stage.model_copy(update={"torque_noise_nm": BLIND})})
+        for name, stage in stages.items()
+    }
+    return {FEEDBACK: None} | blind | {"full, payload-aware": robot}
+
+
+def follow(
+    robot: Robot,
+    make_plant: Callable[[], Plant],
+    motion: Motion,
+    feed: Robot | None,
+    *,
+    pace: Callable[[int], int] = wait_until,
+    realtime: bool = False,
+    progress: Callable[[int], object] = lambda cycle: None,
+    lose_estimator_at: int | None = None,
+) -> LiveRun:
+    """One live run of `motion`, an estimator for `feed` running beside it (none: feedback alone).
+
+    pace: waits for a deadline and says how late it is, ns. lose_estimator_at: cycle at which the estimator's process
+    is killed.
+
+    Raises:
+        BusError: the estimator does not come up, or a role of this robot is taken.
+    """
+    with open_bus(robot.name, Role.ROBOT) as bus, _estimator(robot, feed, bus) as process:
+
+        def on_cycle(cycle: int) -> None:
+            if cycle == lose_estimator_at and process is not None and process.pid is not None:
+                os.kill(process.pid, signal.SIGKILL)
+            progress(cycle)
+
+        return run_live(make_plant(), motion, bus, pace, realtime=realtime, progress=on_cycle)
+
+
+def tracking(robot: Robot, name: str, run: LiveRun) -> Tracking:
+    """What `run` comes to, without its first half second."""
+    trace = run.trace
+    assert trace.position_command is not None
+    counted = slice(round(SETTLING / trace.period), None)
+    error = (trace.position - trace.position_command)[counted]
+    model = pack(robot)
+    missed = kinematics.forward(model, trace.position[counted]) - kinematics.forward(
+        model, trace.position_command[counted]
+    )
+    return Tracking(
+        name=name,
+        time=trace.time[counted],
+        error=error,
+        joint_rms=np.sqrt(np.mean(error**2, axis=0)),
+        platform_rms=float(np.sqrt(np.mean((missed**2).sum(axis=1)))),
+        worst=float(np.abs(error).max()),
+        helped=float(np.isfinite(run.feedforward[counted]).all(axis=1).mean()),
+        late=run.late,
+    )
+
+
+@contextmanager
+def _estimator(robot: Robot, feed: Robot | None, bus: Bus) -> Iterator[SpawnProcess | None]:
+    if feed is None:
+        yield None
+        return
+    # a fork would take the session's threads and locks along
+    process = multiprocessing.get_context("spawn").Process(
+        target=_estimate, args=(feed.model_copy(update={"name": robot.name}),), daemon=True
+    )
+    process.start()
+    try:
+        give_up = time.monotonic() + ESTIMATOR_START
+        while Role.ESTIMATOR not in bus.alive:
+            if not process.is_alive():
+                raise BusError(f"robot {robot.name!r}: the estimator ended before it was there")
+            if time.monotonic() > give_up:
+                raise BusError(f"robot {robot.name!r}: no estimator after {ESTIMATOR_START:g} s")
+            time.sleep(0.02)
+        yield process
+    finally:
+        process.terminate()
+        process.join(5.0)
+        if process.is_alive():
+            process.kill()
+            process.join()
+
+
+def _estimate(robot: Robot) -> None:
+    from replay.realtime import go_realtime
+    from service.estimator.estimator import Estimator
+    from service.estimator.node import run
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    Estimator(robot, 1e-3).warm_up()
+    realtime = go_realtime("estimate")
+    with open_bus(robot.name, Role.ESTIMATOR) as bus:
+        run(robot, bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
