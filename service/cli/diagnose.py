@@ -26,6 +26,8 @@ def command(
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.document import corrected, document
     from service.diagnosis.effects import catalogue
+    from service.diagnosis.report import write_report
+    from service.diagnosis.text import sentences
 
     console = Console()
     description = load_robot(robot)
@@ -33,9 +35,14 @@ def command(
     recorded = list(reading(traces, description, columns, "reading"))
     with console.status("starting") as status:
         findings = diagnose(description, recorded, known, lambda what: status.update(what))
-    out.mkdir(parents=True, exist_ok=True)
-    result = document(findings)
-    (out / "diagnosis.json").write_text(result.model_dump_json(indent=1, by_alias=True), encoding="utf-8")
-    save_robot(corrected(findings), out / "corrected.toml", template=robot)
-    console.print(result.verdict, result.effects)
-    console.print(f"wrote {out}", highlight=False)
+        status.update("writing the report")
+        result = document(findings)
+        out.mkdir(parents=True, exist_ok=True)
+        partial = out / "diagnosis.json.part"
+        partial.write_text(result.model_dump_json(indent=1, by_alias=True), encoding="utf-8")
+        partial.replace(out / "diagnosis.json")
+        save_robot(corrected(findings), out / "corrected.toml", template=robot)
+        write_report(findings, result, out / "report.html")
+    for line in sentences(result):
+        console.print(line, highlight=False, markup=False)
+    console.print(f"wrote diagnosis.json, corrected.toml and report.html in {out}", highlight=False)

@@ -31,7 +31,8 @@ class Findings:
 
     plain: the model that `identify` writes. before, after: residuals (R,) a recording on data left out, of the plain
     model and of the corrected one, the latter left out of selection too. noise: (n,) N m a sample. reversal: (n,) N m
-    in the band. errors: as `statistics.standard_errors` of the corrected model.
+    in the band. errors: as `statistics.standard_errors` of the corrected model. limit: rms up to which what is left is
+    noise. cannot_tell: what this data cannot say, with what to record. notes: what a reader has to know.
     """
 
     robot: Robot
@@ -45,6 +46,9 @@ class Findings:
     reversal: np.ndarray
     errors: np.ndarray
     verdict: str
+    limit: float
+    cannot_tell: list[str]
+    notes: list[str]
 
     @property
     def best(self) -> Scored:
@@ -84,8 +88,11 @@ def diagnose(
     after = statistics.nested(selection, split, problem.count)
     errors = statistics.standard_errors(selection.best.fitted, split)
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
-    verdict = _verdict(problem, selection, after, reversal)
-    return Findings(robot, problem, split, plain, selection, plain.residuals, after, noise, reversal, errors, verdict)
+    limit = WITHIN_NOISE * _floor(problem, reversal)
+    verdict = _verdict(problem, selection, after, limit)
+    return Findings(
+        robot, problem, split, plain, selection, plain.residuals, after, noise, reversal, errors, verdict, limit, [], []
+    )
 
 
 def _problem(recordings: list[Recording], band: Band) -> tuple[Problem, np.ndarray]:
@@ -101,14 +108,12 @@ def _problem(recordings: list[Recording], band: Band) -> tuple[Problem, np.ndarr
     return replace(problem, sigma=np.maximum(noise, 1e-9) * share), noise
 
 
-def _verdict(problem: Problem, selection: Selection, after: list[np.ndarray], reversal: np.ndarray) -> str:
+def _verdict(problem: Problem, selection: Selection, after: list[np.ndarray], limit: float) -> str:
     count = problem.count
-    floor = _floor(problem, reversal)
-    none = (selection.none.loss / count) ** 0.5 / floor
-    left = (float(sum(r @ r for r in after)) / count) ** 0.5 / floor
+    left = (float(sum(r @ r for r in after)) / count) ** 0.5
     if not selection.best.hypothesis.terms:
-        return "within_noise" if none <= WITHIN_NOISE else "unexplained"
-    return "explained" if left <= WITHIN_NOISE else "partly_explained"
+        return "within_noise" if left <= limit else "unexplained"
+    return "explained" if left <= limit else "partly_explained"
 
 
 def _floor(problem: Problem, reversal: np.ndarray) -> float:

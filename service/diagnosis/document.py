@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from schemas.diagnosis import Diagnosis, Estimate, Gap, NamedEffect
+from schemas.diagnosis import Diagnosis, Estimate, Gap, NamedEffect, Ranked
 from schemas.robot import Robot
 from service.diagnosis import statistics
 from service.diagnosis.description import described, digits, names, values
 from service.diagnosis.diagnose import Findings
-from service.diagnosis.hypothesis import Term
+from service.diagnosis.evidence import Contest, confusable, contests
+from service.diagnosis.selection import block_loss
+from service.diagnosis.where import where, without
 
 Z95 = 1.96
 
@@ -24,6 +24,7 @@ def corrected(findings: Findings) -> Robot:
 def document(findings: Findings) -> Diagnosis:
     """`diagnosis.json`."""
     problem, split = findings.problem, findings.split
+    rounds = contests(findings.selection, split, problem.count)
     before = statistics.rms_per_joint(problem, findings.before)
     after = statistics.rms_per_joint(problem, findings.after)
     before_blocks = statistics.pooled_squares(problem, findings.before, split)
@@ -41,16 +42,16 @@ def document(findings: Findings) -> Diagnosis:
         robot=findings.robot.name,
         traces=sorted({recording.name for recording in problem.recordings}),
         verdict=findings.verdict,  # pyright: ignore[reportArgumentType]
-        effects=_effects(findings),
-        cannot_tell=[],
-        ranking=[],
-        probability_none=0.0,
-        probability_unknown=0.0,
+        effects=_effects(findings, rounds),
+        cannot_tell=findings.cannot_tell,
+        ranking=_ranking(findings, rounds),
+        probability_none=_none(findings, rounds),
+        probability_unknown=_unknown(findings),
         base={
             name: _estimate(value, error, unit)
             for (name, unit), value, error in zip(names_, numbers, findings.errors, strict=False)
         },
-        where={},
+        where=where(findings),
         gap=Gap(
             before_nm=[digits(v) for v in before],
             after_nm=[digits(v) for v in after],
@@ -61,7 +62,7 @@ def document(findings: Findings) -> Diagnosis:
             shrink_of_explainable=min(1.0, removed / explainable) if explainable > 0.05 * floor_energy else None,
             band_hz=problem.band.cutoff_hz,
         ),
-        notes=[],
+        notes=findings.notes,
     )
 
 
@@ -80,49 +81,62 @@ def _estimate(value: float, error: float, unit: str) -> Estimate:
     return Estimate(value=digits(value), unit=unit, ci95=(digits(value - Z95 * error), digits(value + Z95 * error)))
 
 
-def _effects(findings: Findings) -> list[NamedEffect]:
+def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
     hypothesis = findings.best.hypothesis
     at = len(hypothesis.base.rigid) + 2 * len(hypothesis.base.viscous)
     result = []
-    gap = findings.selection.none.loss - findings.problem.count
+    gap = max(findings.selection.none.loss - findings.problem.count, 1e-9)
     for term in hypothesis.terms:
         count = len(names(term))
         errors = findings.errors[at : at + count]
         at += count
-        result.append((worth_of(findings, term) / max(gap, 1e-9), _named(term, errors)))
-    result.sort(key=lambda item: -item[0])
-    return [effect.model_copy(update={"gap_share": float(np.clip(share, 0, 1))}) for share, effect in result]
+        lost = sum(float(r @ r) for r in without(findings, term)) - findings.best.loss
+        probability = max(contest.probability(term.effect.name) for contest in rounds)
+        result.append(
+            NamedEffect(
+                name=term.effect.name,
+                joints=[joint + 1 for joint in term.joints],
+                probability=round(probability, 4),
+                parameters={
+                    key: _estimate(value, error, unit)
+                    for (key, unit), value, error in zip(names(term), values(term), errors, strict=True)
+                },
+                gap_share=round(float(np.clip(lost / gap, 0.0, 1.0)), 4),
+                confusable_with=confusable(findings.selection, term.effect.name),
+                settles=term.effect.settles,
+                online=term.effect.online,
+            )
+        )
+    return sorted(result, key=lambda effect: -effect.gap_share)
 
 
-def worth_of(findings: Findings, term: Term) -> float:
-    """Held-out loss that returns when the term alone is taken out, the others and the base refitted linearly."""
-    fitted = findings.best.fitted
-    from service.diagnosis.selection import Scored, block_loss, held_out
-    from service.diagnosis.statistics import term_columns
+def _ranking(findings: Findings, rounds: list[Contest]) -> list[Ranked]:
+    """Every candidate that was fitted, of the round it did best in."""
+    best: dict[str, Ranked] = {}
+    count = findings.problem.count
+    level = float(np.sqrt(np.mean(findings.problem.sigma**2)))
+    for contest in rounds:
+        for scored, probability in contest.candidates:
+            entry = Ranked(
+                name=scored.names[-1],
+                joints=[joint + 1 for joint in scored.hypothesis.terms[-1].joints],
+                probability=round(probability, 4),
+                after_nm=digits(level * (scored.loss / count) ** 0.5),
+            )
+            known = best.get(entry.name)
+            if known is None or entry.probability > known.probability:
+                best[entry.name] = entry
+    return sorted(best.values(), key=lambda entry: (-entry.probability, entry.after_nm))
 
-    columns = term_columns(fitted.hypothesis, term)
-    free = fitted.free.copy()
-    free[columns] = False
-    values_ = fitted.hypothesis.parameters()
-    change = np.zeros(len(values_))
-    change[columns] = -values_[columns]
-    residuals = [r - t @ change for r, t in zip(fitted.residuals, fitted.tangents, strict=True)]
-    without = replace(fitted, residuals=residuals, free=free)
-    del Scored
-    return float(block_loss(held_out(without, findings.split), findings.split).sum()) - findings.best.loss
+
+def _none(findings: Findings, rounds: list[Contest]) -> float:
+    return round(rounds[0].none, 4) if rounds else 1.0
 
 
-def _named(term: Term, errors: np.ndarray) -> NamedEffect:
-    return NamedEffect(
-        name=term.effect.name,
-        joints=[joint + 1 for joint in term.joints],
-        probability=1.0,
-        parameters={
-            key: _estimate(value, error, unit)
-            for (key, unit), value, error in zip(names(term), values(term), errors, strict=True)
-        },
-        gap_share=0.0,
-        confusable_with=[],
-        settles=term.effect.settles,
-        online=term.effect.online,
-    )
+def _unknown(findings: Findings) -> float:
+    """Share of bootstrap draws in which what is left is more than noise."""
+    loss = block_loss(findings.after, findings.split)
+    rows = block_loss([np.ones_like(r) for r in findings.after], findings.split)
+    draw = np.random.default_rng(0).integers(0, len(loss), (1000, len(loss)))
+    left = np.sqrt(loss[draw].sum(axis=1) / np.maximum(rows[draw].sum(axis=1), 1.0))
+    return round(float(np.mean(left > findings.limit)), 4)

@@ -12,7 +12,7 @@ from service.diagnosis.effects.signal import delayed
 from service.diagnosis.scene import Band, Base, Recording, Scene, direction
 
 TIMING_LIMIT = 0.25  # samples: a shift below this is sampling, beyond it an effect
-TRANSITION = (2e-4, 5e-3)  # rad/s, limits of the speed over which Coulomb friction turns; beyond is an effect
+TRANSITION = (2e-4, 2e-2)  # rad/s, limits of the speed over which Coulomb friction turns; beyond is an effect
 ITERATIONS = 6
 SETTLED = 1e-4  # relative fall of the squared residual that ends the fit
 
@@ -257,12 +257,14 @@ class Problem:
 class Fit:
     """A hypothesis at its optimum: residuals (R,) and tangents (R, P) a recording, in units of the noise.
 
-    free: (P,) bool, False for parameters that stand at a limit and for those too rough to be moved by a slope.
+    inside: (P,) bool, False for parameters that stand at a limit. free: also False for those too rough to be moved by a
+    slope.
     """
 
     hypothesis: Hypothesis
     residuals: list[np.ndarray]
     tangents: list[np.ndarray]
+    inside: np.ndarray
     free: np.ndarray
 
     @property
@@ -285,7 +287,8 @@ def evaluate(problem: Problem, hypothesis: Hypothesis) -> Fit:
         tangents.append(problem.select(index, slope))
     low, high = hypothesis.parameter_limits(problem.band.period)
     values = hypothesis.parameters()
-    return Fit(hypothesis, residuals, tangents, (values > low) & (values < high) & ~hypothesis.rough())
+    inside = (values > low) & (values < high)
+    return Fit(hypothesis, residuals, tangents, inside, inside & ~hypothesis.rough())
 
 
 def solve(gram: np.ndarray, moment: np.ndarray) -> np.ndarray:

@@ -25,6 +25,9 @@ LEAST_GAIN = 0.03  # 1.5 % of the noise floor's rms
 LEAST_SHARE_OF_GAP = 0.01  # of the gap above the noise
 LEAST_SHARE_OF_REST = 0.25  # of what was still above the noise when it was added
 LEAST_Z = 3.0  # standard errors over blocks
+TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
+ROUGH_PROMISE = 0.7  # of the cost: a rough effect that does not get below it is not refined
+ROUGH_STEPS = (0.94, 1.06, 0.97, 1.03)  # factors tried on its shapes, where slopes mislead
 JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
 
 
@@ -312,10 +315,21 @@ def with_term(hypothesis: Hypothesis, term: Term) -> Hypothesis:
 def fit_added(problem: Problem, hypothesis: Hypothesis, term: Term) -> Fit:
     """Fit with one more effect, from the best of the starts it asks for."""
     starts = [with_term(hypothesis, replace(term, shape=shape)) for shape in term.effect.starts(term.shape)]
-    if len(starts) > 1:
-        first = min((fit(problem, start, iterations=1) for start in starts), key=lambda fitted: fitted.cost)
-        return fit(problem, first.hypothesis)
-    return fit(problem, starts[0])
+    if not term.effect.rough:
+        return fit(problem, starts[0])
+    best = min((fit(problem, start, iterations=1) for start in starts), key=lambda fitted: fitted.cost)
+    plain = fit(problem, hypothesis, iterations=0).cost
+    if best.cost > ROUGH_PROMISE * plain:
+        return best
+    best = fit(problem, best.hypothesis)
+    for index, shape in enumerate(term.effect.shapes.values()):
+        for factor in ROUGH_STEPS if not shape.fixed else ():
+            last = best.hypothesis.terms[-1]
+            moved = tuple(v * factor if i == index else v for i, v in enumerate(last.shape))
+            terms = (*best.hypothesis.terms[:-1], replace(last, shape=moved))
+            trial = fit(problem, replace(best.hypothesis, terms=terms), iterations=2)
+            best = trial if trial.cost < best.cost else best
+    return best
 
 
 def worth(candidate: np.ndarray, without: np.ndarray, none: np.ndarray, rows: int) -> bool:

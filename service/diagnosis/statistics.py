@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.diagnosis.hypothesis import Fit, Hypothesis, Problem, Term, _free, solve
-from service.diagnosis.selection import Scored, Selection, Split, block_loss, worth
+from service.diagnosis.selection import TOLD_APART, Scored, Selection, Split, block_loss, worth, z_score
 
 # A reversal's place between two samples is known to about this share of the sample time.
 REVERSAL_PLACE = 0.2
@@ -20,14 +20,15 @@ def standard_errors(fitted: Fit, split: Split) -> np.ndarray:
 
     Blocks of the residual count as independent, samples in a block do not: the residual may be coloured.
     """
-    gram = np.asarray(sum(t.T @ t for t in fitted.moving))
+    tangents = [tangent[:, fitted.inside] for tangent in fitted.tangents]
+    gram = np.asarray(sum(t.T @ t for t in tangents))
     inverse = solve(gram, np.eye(len(gram)))
     score = np.zeros((split.blocks, len(gram)))
-    for tangent, residual, block in zip(fitted.moving, fitted.residuals, split.block, strict=True):
+    for tangent, residual, block in zip(tangents, fitted.residuals, split.block, strict=True):
         np.add.at(score, block, tangent * residual[:, None])
     covariance = inverse @ (score.T @ score) @ inverse
-    error = np.zeros(len(fitted.free))
-    error[fitted.free] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    error = np.zeros(len(fitted.inside))
+    error[fitted.inside] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     hypothesis = fitted.hypothesis
     at = len(hypothesis.base.rigid) + 2 * len(hypothesis.base.viscous)
     parts = [error[:at]]
@@ -75,6 +76,9 @@ def nested(selection: Selection, split: Split, rows: int) -> list[np.ndarray]:
         for tried, taken in selection.path:
             inner = [(_inner(candidate, split, fold), candidate) for candidate in tried]
             loss, best = min(inner, key=lambda item: item[0].sum())
+            kept = next((item for item in inner if item[1] is taken), None)
+            if kept is not None and z_score(kept[0], loss) < TOLD_APART:
+                loss, best = kept  # without this fold nothing speaks against the choice made with it
             if not worth(loss, _inner(chosen, split, fold), _inner(selection.none, split, fold), share):
                 break
             chosen = selection.after(best)

@@ -10,7 +10,8 @@ from numba import njit
 from service.diagnosis.effects.base import Effect, Shape
 from service.diagnosis.scene import Scene
 
-SUBSTEPS_PER_SECOND = 16_000.0
+SUBSTEPS_PER_SECOND = 8_000.0
+LOST = 0.5  # rad of relative motion at which a two-mass simulation has come apart
 HALVES = (0.0003, 0.00045, 0.0007, 0.001, 0.0015, 0.0023, 0.0035, 0.005)
 
 
@@ -47,6 +48,9 @@ def _two_masses(acceleration, demand, inertia, half, stiffness, damping, step, s
             v += relative * fine
             e += v * fine
         change[k] = mean
+        if not abs(e) < LOST:
+            angle[:], speed[:], change[:] = 0.0, 0.0, 0.0
+            return
 
 
 def two_masses(

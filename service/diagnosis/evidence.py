@@ -1,0 +1,58 @@
+"""How sure: probabilities over rivals by block bootstrap, and which effects this data cannot tell apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.diagnosis.selection import LEAST_GAIN, TOLD_APART, Scored, Selection, Split, z_score
+
+DRAWS = 1000
+SAME_SHARE = 0.95  # of an effect's gain: a rival that reaches it does the same on this data
+
+
+@dataclass(frozen=True)
+class Contest:
+    """One round of the search: each hypothesis's effect with its probability, and that of adding none."""
+
+    candidates: list[tuple[Scored, float]]
+    none: float
+
+    def probability(self, name: str) -> float:
+        """Of an effect, 0 if it did not come into question."""
+        return next((p for scored, p in self.candidates if scored.names[-1] == name), 0.0)
+
+
+def contests(selection: Selection, split: Split, rows: int, seed: int = 0) -> list[Contest]:
+    """The rounds of a search, weighed on bootstrap draws of its blocks."""
+    draw = np.random.default_rng(seed).integers(0, split.blocks, (DRAWS, split.blocks))
+    parent, result = selection.none, []
+    for tried, taken in selection.path:
+        hypotheses = [*tried, parent]
+        loss = np.stack([h.blocks[draw].sum(axis=1) + 2.0 * h.fitted.tangents[0].shape[1] for h in hypotheses])
+        loss[-1] -= LEAST_GAIN * rows  # an addition has to be worth it
+        wins = np.bincount(np.argmin(loss, axis=0), minlength=len(hypotheses)) / DRAWS
+        result.append(Contest(list(zip(tried, wins[:-1].tolist(), strict=True)), float(wins[-1])))
+        if taken is not None:
+            parent = selection.after(taken)
+    return result
+
+
+def confusable(selection: Selection, name: str) -> list[str]:
+    """Effects that would have done as well as `name` when it was chosen, as far as this data can tell."""
+    parent = selection.none
+    for tried, taken in selection.path:
+        if taken is None:
+            break
+        if taken.names[-1] == name:
+            gain = parent.loss - taken.loss
+            return [
+                rival.names[-1]
+                for rival in tried
+                if rival is not taken
+                and (z_score(rival.blocks, taken.blocks) < TOLD_APART or parent.loss - rival.loss > SAME_SHARE * gain)
+                and parent.loss - rival.loss > 0.5 * gain
+            ]
+        parent = selection.after(taken)
+    return []

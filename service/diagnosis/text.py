@@ -1,0 +1,91 @@
+"""The diagnosis in sentences that a plant engineer understands."""
+
+from __future__ import annotations
+
+import math
+
+from schemas.diagnosis import Diagnosis, Estimate, NamedEffect
+
+VERDICTS = {
+    "within_noise": "What is left between model and robot is within the noise of the torque signal.",
+    "explained": "The named effects explain the gap: what they leave is within the noise of the torque signal.",
+    "partly_explained": "The named effects explain part of the gap; what remains has structure that none explains.",
+    "unexplained": "There is structure in the gap, and no effect in the catalogue explains it.",
+}  # fmt: skip
+
+
+def sentences(document: Diagnosis, unit: str = "N m") -> list[str]:
+    """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next."""
+    lines = [VERDICTS[document.verdict]]
+    gap = document.gap
+    for entry in document.where["joints"]:
+        joint = entry["joint"]
+        before, floor = gap.before_nm[joint - 1], gap.noise_floor_nm[joint - 1]
+        if not entry["rows"] or not floor:
+            lines.append(f"Joint {joint} hardly moves: nothing is said about it.")
+            continue
+        line = f"Joint {joint}: {before:.3g} {unit} between model and robot, {before / floor:.1f} times the noise."
+        if before > 1.15 * floor and entry["before"]:
+            line += " " + _concentrated(entry["before"][0])
+        lines.append(line)
+    for effect in document.effects:
+        lines.append(_effect(effect))
+    if document.effects:
+        low, high = (100 * value for value in gap.shrink_ci95)
+        lines.append(
+            f"On runs used neither to fit nor to choose, the gap shrinks from {_rms(gap.before_nm):.3g} to "
+            f"{_rms(gap.after_nm):.3g} {unit}, by {100 * gap.shrink:.0f} % [{low:.0f}, {high:.0f}]."
+        )
+    if document.verdict in ("unexplained", "partly_explained"):
+        lines += _remaining(document)
+    lines += document.cannot_tell
+    settles = dict.fromkeys(e.settles for e in document.effects if e.confusable_with or e.probability < 0.9)
+    lines += [f"To be sure, record {settle}." for settle in settles]
+    return lines + document.notes
+
+
+def _rms(values: list[float]) -> float:
+    return math.sqrt(sum(value**2 for value in values) / len(values))
+
+
+def _concentrated(regime: dict) -> str:
+    return f"{100 * regime['share']:.0f} % of it: {regime['regime']} ({100 * regime['of_time']:.0f} % of the time)."
+
+
+def _effect(effect: NamedEffect) -> str:
+    name = effect.name.replace("_", " ")
+    parameters = ", ".join(f"{key} = {_value(estimate)}" for key, estimate in effect.parameters.items())
+    place = f" in joint {', '.join(map(str, effect.joints))}" if effect.joints else ""
+    line = f"Most likely {name}{place} ({100 * effect.probability:.0f} %): {parameters}."
+    line += f" It makes up {100 * effect.gap_share:.0f} % of the gap above the noise."
+    if effect.confusable_with:
+        others = " or ".join(other.replace("_", " ") for other in effect.confusable_with)
+        line += f" On this data it cannot be told from {others}."
+    return line
+
+
+def _value(estimate: Estimate) -> str:
+    half = (estimate.ci95[1] - estimate.ci95[0]) / 2
+    unit = f" {estimate.unit}" if estimate.unit else ""
+    return f"{estimate.value:.3g} ± {half:.1g}{unit}" if half > 0 else f"{estimate.value:.3g}{unit}"
+
+
+def _remaining(document: Diagnosis) -> list[str]:
+    lines = []
+    for entry in document.where["joints"]:
+        joint = entry["joint"]
+        after, floor = document.gap.after_nm[joint - 1], document.gap.noise_floor_nm[joint - 1]
+        if entry["after"] and after > 1.1 * floor:
+            bands = max(entry["spectrum_after"], key=lambda band: band["share"], default=None)
+            line = (
+                f"Unexplained in joint {joint}: {after / floor:.1f} times the noise. {_concentrated(entry['after'][0])}"
+            )
+            if bands and bands["share"] > 0:
+                line += f" {100 * bands['share']:.0f} % of it lies at {bands['from_hz']:g} to {bands['to_hz']:g} Hz."
+            lines.append(line)
+    if document.where["worst_runs"]:
+        worst = document.where["worst_runs"][0]
+        lines.append(
+            f"It is worst in {worst['run']} ({worst['after_over_noise']:.1f} times the noise): look there first."
+        )
+    return lines

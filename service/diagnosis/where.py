@@ -1,0 +1,203 @@
+"""Where the gap lies: a budget a joint that adds up, and the regimes that hold more than their share of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from service.diagnosis.diagnose import Findings
+from service.diagnosis.hypothesis import Hypothesis, Problem, Term
+from service.diagnosis.mechanism import Delta
+from service.diagnosis.scene import Scene
+from service.diagnosis.selection import held_out
+from service.diagnosis.statistics import joint_of, term_columns
+
+REVERSAL_SPEED = 0.1  # rad/s: nearer than this to zero is a reversal
+ANGLE_BINS = 10
+FREQUENCIES = (0.0, 3.0, 10.0, 20.0, 40.0)  # Hz
+MAP_BINS = 24
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Every row's joint, residual and state. All (R,) over all recordings; platform (R, 3) m or None."""
+
+    joint: np.ndarray
+    theta: np.ndarray
+    speed: np.ndarray
+    acceleration: np.ndarray
+    load: np.ndarray
+    clock: np.ndarray
+    platform: np.ndarray | None
+
+    @classmethod
+    def of(cls, problem: Problem, hypothesis: Hypothesis) -> Rows:
+        """The state at each row of the problem."""
+        parts: list[list[np.ndarray]] = [[] for _ in range(5)]
+        platforms: list[np.ndarray] = []
+        for index, recording in enumerate(problem.recordings):
+            segment, step = recording.segment, problem.band.step
+            scene = Scene(recording, hypothesis.base)
+            clock = np.repeat((segment.time - segment.time[0])[:, None], scene.joints, axis=1)
+            states = (segment.theta, segment.theta_dot, segment.theta_ddot, scene.load, clock)
+            for part, state in zip(parts, states, strict=True):
+                part.append(_select(problem, index, state[::step]))
+            if isinstance(recording.mechanism, Delta):
+                place = np.repeat(recording.arms.position[::step, None, :], scene.joints, axis=1)
+                platforms.append(_select(problem, index, place))
+        theta, speed, acceleration, load, clock = (np.concatenate(part) for part in parts)
+        platform = np.concatenate(platforms) if platforms else None
+        return cls(np.concatenate(joint_of(problem)), theta, speed, acceleration, load, clock, platform)
+
+
+def _select(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values[problem.rows[index][:, joint], joint] for joint in range(values.shape[1])])
+
+
+def budget(findings: Findings, joint: int) -> dict[str, float]:
+    """Energy of the gap of one joint, (N m)^2 mean square, by cause; adds up to that of the base model's gap.
+
+    reversals: friction steps whose place between two samples is open. refinement: what the base model gains by a
+    friction that turns smoothly and by timing within a sample.
+    """
+    problem = findings.problem
+    mine = [joints == joint for joints in joint_of(problem)]
+    count = sum(int(m.sum()) for m in mine)
+    if not count:
+        return {}
+    scale = problem.sigma[joint] ** 2 / count
+
+    def energy(residuals: list[np.ndarray]) -> float:
+        return scale * float(sum(r[m] @ r[m] for r, m in zip(residuals, mine, strict=True)))
+
+    before, after = energy(findings.before), energy(findings.after)
+    noise = min(problem.sigma[joint] ** 2, after)
+    reversals = min(float(findings.reversal[joint] ** 2), max(after - noise, 0.0))
+    parts = {"noise": noise, "reversals": reversals, "unexplained": max(after - noise - reversals, 0.0)}
+    explained = before - after
+    weights = {
+        term.effect.name: max(energy(without(findings, term)) - energy(findings.best.residuals), 0.0)
+        for term in findings.best.hypothesis.terms
+    }
+    weights["refinement"] = max(before - energy(findings.selection.none.residuals), 0.0)
+    total = sum(weights.values())
+    for name, weight in weights.items():
+        parts[name] = explained * weight / total if total > 0 else 0.0
+    return parts
+
+
+def without(findings: Findings, term: Term) -> list[np.ndarray]:
+    """Held-out residuals (R,) a recording with one effect taken out and everything else refitted, to first order."""
+    fitted = findings.best.fitted
+    columns = term_columns(fitted.hypothesis, term)
+    amplitudes = columns[: term.amplitude.size]
+    change = np.zeros(len(fitted.free))
+    change[amplitudes] = -term.amplitude.ravel()
+    free = fitted.free.copy()
+    free[columns] = False
+    if not term.amplitude.size:  # shapes alone: the base model with the other effects, as far as it was fitted
+        return findings.selection.none.residuals
+    residuals = [r - t @ change for r, t in zip(fitted.residuals, fitted.tangents, strict=True)]
+    return held_out(replace(fitted, residuals=residuals, free=free), findings.split)
+
+
+def regimes(findings: Findings, rows: Rows, residuals: list[np.ndarray], joint: int) -> list[dict[str, Any]]:
+    """Share of one joint's gap above the noise in each regime, strongest concentration first."""
+    residual = np.concatenate(residuals)
+    mine = rows.joint == joint
+    if not mine.any():
+        return []
+    square = residual[mine] ** 2 - 1.0
+    total = float(square.sum())
+    if total <= 0.02 * mine.sum():
+        return []
+    speed, acceleration, load = np.abs(rows.speed[mine]), np.abs(rows.acceleration[mine]), np.abs(rows.load[mine])
+    theta = rows.theta[mine]
+    masks: list[tuple[str, np.ndarray]] = [
+        (f"within {REVERSAL_SPEED:g} rad/s of reversal", speed < REVERSAL_SPEED),
+        ("forward motion", rows.speed[mine] > 0),
+    ]
+    for name, values, unit in (
+        ("speed", speed, "rad/s"),
+        ("acceleration", acceleration, "rad/s²"),
+        ("load", load, "N m"),
+    ):
+        low, high = np.quantile(values, [1 / 3, 2 / 3])
+        masks += [(f"{name} below {low:.2g} {unit}", values < low), (f"{name} above {high:.2g} {unit}", values > high)]
+    edges = np.linspace(theta.min(), theta.max() + 1e-9, ANGLE_BINS + 1)
+    masks += [(f"angle {low:.2f} to {high:.2f} rad", (theta >= low) & (theta < high)) for low, high in pairwise(edges)]
+    clock = rows.clock[mine]
+    masks.append(("first half of the runs", clock < 0.5 * clock.max()))
+    if rows.platform is not None:
+        place = rows.platform[mine]
+        for axis, letter in enumerate("xyz"):
+            middle = float(np.median(place[:, axis]))
+            masks.append((f"platform {letter} above {middle:.2f} m", place[:, axis] > middle))
+    found = []
+    for name, mask in masks:
+        of_time = float(mask.mean())
+        if 0.005 < of_time < 0.995:
+            share = float(square[mask].sum()) / total
+            found.append({"regime": name, "share": round(float(np.clip(share, 0, 1)), 4), "of_time": round(of_time, 4)})
+    return sorted(found, key=lambda item: -(item["share"] - item["of_time"]))
+
+
+def spectrum(findings: Findings, residuals: list[np.ndarray], joint: int) -> list[dict[str, float]]:
+    """Share of one joint's gap above the noise by frequency, in the analysis band."""
+    problem = findings.problem
+    rate = 1.0 / (problem.band.period * problem.band.step)
+    energy, floor = np.zeros(len(FREQUENCIES) - 1), np.zeros(len(FREQUENCIES) - 1)
+    for residual, joints in zip(residuals, joint_of(problem), strict=True):
+        values = residual[joints == joint]
+        if len(values) < 32:
+            continue
+        power = np.abs(np.fft.rfft(values)) ** 2 / len(values)
+        frequency = np.fft.rfftfreq(len(values), 1.0 / rate)
+        for band, (low, high) in enumerate(pairwise(FREQUENCIES)):
+            inside = (frequency >= low) & (frequency < high)
+            energy[band] += power[inside].sum()
+            floor[band] += inside.sum() * rate / 2 / problem.band.cutoff_hz
+    above = np.maximum(energy - floor, 0.0)
+    total = above.sum()
+    return [
+        {"from_hz": low, "to_hz": high, "share": round(float(value / total), 4) if total > 0 else 0.0}
+        for low, high, value in zip(FREQUENCIES[:-1], FREQUENCIES[1:], above, strict=True)
+    ]
+
+
+def where(findings: Findings) -> dict[str, Any]:
+    """The `where` section of the document."""
+    rows = Rows.of(findings.problem, findings.best.hypothesis)
+    joints = []
+    for joint in range(len(findings.problem.sigma)):
+        mine = int((rows.joint == joint).sum())
+        joints.append(
+            {
+                "joint": joint + 1,
+                "rows": mine,
+                "budget_nm2": {name: float(f"{value:.4g}") for name, value in budget(findings, joint).items()},
+                "before": regimes(findings, rows, findings.before, joint)[:8],
+                "after": regimes(findings, rows, findings.after, joint)[:8],
+                "spectrum_before": spectrum(findings, findings.before, joint),
+                "spectrum_after": spectrum(findings, findings.after, joint),
+            }
+        )
+    moving = sum(int(r.segment.moving.sum()) for r in findings.problem.recordings)
+    samples = sum(r.segment.moving.size for r in findings.problem.recordings)
+    return {
+        "joints": joints,
+        "left_out_at_rest_and_ends": round(1.0 - moving / samples, 4),
+        "worst_runs": _runs(findings),
+    }
+
+
+def _runs(findings: Findings) -> list[dict[str, Any]]:
+    after = findings.after
+    result = []
+    for recording, residual in zip(findings.problem.recordings, after, strict=True):
+        level = float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
+        result.append({"run": recording.name, "after_over_noise": round(level, 3)})
+    return sorted(result, key=lambda item: -item["after_over_noise"])
