@@ -111,12 +111,15 @@ def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
 
 
 def _ranking(findings: Findings, rounds: list[Contest]) -> list[Ranked]:
-    """Every candidate that was fitted, of the round it did best in."""
+    """Every rival of the effects named, in the round in which it lost, and the named ones in the round they won."""
     best: dict[str, Ranked] = {}
     count = findings.problem.count
     level = float(np.sqrt(np.mean(findings.problem.sigma**2)))
-    for contest in rounds:
+    named = {term.effect.name for term in findings.best.hypothesis.terms}
+    for number, contest in enumerate(rounds):
         for scored, probability in contest.candidates:
+            if number and scored.names[-1] not in named:
+                continue
             entry = Ranked(
                 name=scored.names[-1],
                 joints=[joint + 1 for joint in scored.hypothesis.terms[-1].joints],

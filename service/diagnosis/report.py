@@ -26,7 +26,8 @@ STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1f2328;max-width:1080px;margin:2rem auto;padding:0 1rem}
 h1{font-size:1.5rem;margin-bottom:.2rem} h2{font-size:1.15rem;margin:2rem 0 .4rem;border-bottom:1px solid #d0d7de}
 table{border-collapse:collapse;width:100%;font-size:.92em} td,th{padding:.25rem .6rem;border-bottom:1px solid #eaeef2;
-text-align:left} td.n,th.n{text-align:right;font-variant-numeric:tabular-nums} .verdict{font-size:1.1rem;padding:.7rem 1rem;
+text-align:left} td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}
+.verdict{font-size:1.1rem;padding:.7rem 1rem;
 border-left:5px solid #1f6feb;background:#f6f8fa} .muted{color:#59636e;font-size:.9em}
 @media print{body{max-width:none;margin:0;font-size:11px} h2{break-after:avoid} .plot,table{break-inside:avoid}
 .modebar{display:none!important}}
@@ -47,7 +48,7 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
     ]
     body = [
         f"<h1>Gap diagnosis of {escape(document.robot)}</h1>",
-        f"<p class=muted>{escape(', '.join(document.traces))} · below {document.gap.band_hz:g} Hz, while the joints move "
+        f"<p class=muted>{escape(', '.join(document.traces))} · below {document.gap.band_hz:g} Hz, while joints move "
         f"({100 * document.where['left_out_at_rest_and_ends']:.0f} % left out at rest and at the ends)</p>",
         f"<p class=verdict><b>{document.verdict.replace('_', ' ')}</b><br>{escape(lines[0])}</p>",
         *(f"<p>{escape(line)}</p>" for line in lines[1:]),

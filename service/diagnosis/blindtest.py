@@ -1,0 +1,284 @@
+"""The diagnosis checked on cases whose answers are sealed until it has spoken.
+
+The maker runs in a process of its own, on `drivers.plant`, which shares no effect code with the diagnosis. It leaves
+the logs of each case in a folder and the answers, with a random nonce, in one key file beside them; the SHA-256 of that
+file is written down before the first log is read, the answers of the diagnosis before the key is opened.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import secrets
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+
+from schemas.errors import DataError
+from schemas.robot import load_robot
+
+SHARES = {"null": 0.12, "pair": 0.12, "unknown": 0.18}  # of the cases; the rest has one catalogue effect
+SEVERITY = (0.5, 2.0)
+FINDABLE = 1.1  # lift from which an effect counts as findable
+SAME = ({"asymmetric_friction", "torque_offset"},)  # no motion tells them apart
+STRUCTURAL = {"forearm_inertia"}
+
+
+def plan(cases: int, seed: int) -> list[tuple[list[str], float]]:
+    """(effects, severity) of each case: every catalogue effect as often as any other, in random order."""
+    from drivers.plant.effects import CATALOGUE, OUTSIDE
+
+    rng = np.random.default_rng([seed, 17])
+    known, strange = [n for n in CATALOGUE if n not in STRUCTURAL], list(OUTSIDE)
+    counts = {kind: round(share * cases) for kind, share in SHARES.items()}
+    drawn: list[tuple[list[str], float]] = [([], 1.0)] * counts["null"]
+    drawn += [([str(n) for n in rng.choice(known, 2, replace=False)], 1.0) for _ in range(counts["pair"])]
+    drawn += [([strange[i % len(strange)]], _severity(rng)) for i in range(counts["unknown"])]
+    first = rng.permutation(len(known))
+    drawn += [([known[first[i % len(known)]]], _severity(rng)) for i in range(cases - len(drawn))]
+    return [drawn[i] for i in rng.permutation(len(drawn))]
+
+
+def _severity(rng: np.random.Generator) -> float:
+    return float(np.exp(rng.uniform(*np.log(SEVERITY))))
+
+
+def make(out: Path, cases: int, seed: int, jobs: int) -> None:
+    """The maker: simulate every case into `out`/cases and write `out`/sealed_key.json."""
+    from drivers.plant.cases import simulate_case
+
+    def one(number: int, effects: list[str], severity: float) -> dict[str, Any] | None:
+        for attempt in range(3):  # drives that cannot hold a robot make no case
+            try:
+                folder = out / "cases" / f"case_{number:03d}"
+                return simulate_case(folder, 1000 * seed + number + 500_000 * attempt, effects, severity)
+            except DataError as error:
+                print(f"case_{number:03d}: {error}", file=sys.stderr)
+        return None
+
+    work = [joblib.delayed(one)(i, effects, severity) for i, (effects, severity) in enumerate(plan(cases, seed))]
+    keys: list[dict[str, Any]] = []
+    for key in joblib.Parallel(n_jobs=jobs, return_as="generator")(work):
+        if key is not None:
+            keys.append(key)
+        print("made", flush=True)
+    text = json.dumps({"nonce": secrets.token_hex(16), "cases": keys}, default=_plain)
+    (out / "sealed_key.json").write_text(text, encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def made(out: Path, cases: int, seed: int, jobs: int) -> Iterator[None]:
+    """Run the maker in its own process, yielding once a case.
+
+    Raises:
+        DataError: it failed, with its last words.
+    """
+    command = [sys.executable, "-c", "from service.diagnosis.blindtest import maker; maker()"]
+    arguments = [str(out), str(cases), str(seed), str(jobs)]
+    with subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("made"):
+                yield
+    if process.returncode:
+        raise DataError(f"the simulation of the cases failed (exit code {process.returncode})")
+
+
+def maker() -> None:
+    """Entry of the maker's process: out, cases, seed, jobs."""
+    out, cases, seed, jobs = sys.argv[1:5]
+    make(Path(out), int(cases), int(seed), int(jobs))
+
+
+def seal(out: Path) -> str:
+    """SHA-256 of the key file, also written to `out`/commitment.txt."""
+    digest = hashlib.sha256((out / "sealed_key.json").read_bytes()).hexdigest()
+    (out / "commitment.txt").write_text(f"sha256 {digest}  sealed_key.json\n", encoding="utf-8")
+    return digest
+
+
+def unseal(out: Path) -> list[dict[str, Any]]:
+    """The answers.
+
+    Raises:
+        DataError: the key is not the one that was committed to.
+    """
+    content = (out / "sealed_key.json").read_bytes()
+    if hashlib.sha256(content).hexdigest() not in (out / "commitment.txt").read_text(encoding="utf-8"):
+        raise DataError(f"{out / 'sealed_key.json'}: changed since its hash was written down")
+    return json.loads(content)["cases"]
+
+
+def answer(folder: Path) -> dict[str, Any]:
+    """Diagnose one case from its description and fit logs; then measure the gap on its test logs.
+
+    Returns verdict, effects (name, joints), claimed and measured shrink, gaps in N m, seconds.
+    """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    from drivers.trace import read_trace
+    from service.diagnosis.diagnose import diagnose
+    from service.diagnosis.document import corrected, document
+    from service.diagnosis.effects import CATALOGUE
+    from service.identification.identify import identify
+    from service.identification.regression import summarise
+    from service.model.parameters import pack
+
+    robot = load_robot(folder / "robot.toml")
+    start, spent = time.monotonic(), time.process_time()
+    traces = [read_trace(path, robot) for path in sorted(folder.glob("fit_*.csv"))]
+    findings = diagnose(robot, traces, CATALOGUE)
+    result = document(findings)
+    seconds, spent = time.monotonic() - start, time.process_time() - spent
+    model = pack(robot)
+    base = identify(robot, [summarise(model, trace) for trace in traces]).robot
+    tests = [read_trace(path, robot) for path in sorted(folder.glob("test_*.csv"))]
+    before, after = measured_gap(base, tests), measured_gap(corrected(findings), tests)
+    return {
+        "case": folder.name,
+        "verdict": result.verdict,
+        "named": [{"name": e.name, "joints": e.joints, "probability": e.probability} for e in result.effects],
+        "claimed": result.gap.shrink,
+        "shrink": 1.0 - after / before,
+        "before_nm": before,
+        "after_nm": after,
+        "seconds": seconds,
+        "cpu_seconds": spent,
+    }
+
+
+def measured_gap(robot: Any, traces: list[Any]) -> float:
+    """rms of measured minus predicted torque over the moving rows of `traces`, N m, in the analysis band."""
+    from service.identification.predict import error_in_band, motion, predict_along
+
+    square, count = 0.0, 0
+    for trace in traces:
+        along = motion(trace)
+        error = error_in_band(trace, along, predict_along(robot, trace, along)["full"])
+        square += float(np.nansum(error**2))
+        count += int(np.isfinite(error).sum())
+    return (square / max(count, 1)) ** 0.5
+
+
+@contextmanager
+def backend(name: str, jobs: int, scheduler: str | None) -> Iterator[None]:
+    """Run joblib on `name`: loky on this host, or dask, on this host or on the workers of `scheduler`.
+
+    Raises:
+        DataError: dask is not installed.
+    """
+    if name != "dask":
+        with joblib.parallel_config(backend=name, n_jobs=jobs):
+            yield
+        return
+    try:
+        from dask.distributed import Client, LocalCluster
+    except ImportError as error:
+        raise DataError("--backend dask needs the package dask[distributed]") from error
+    if scheduler:
+        with Client(scheduler), joblib.parallel_config(backend="dask"):
+            yield
+        return
+    local = LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address="", host="127.0.0.1")
+    with local as cluster, Client(cluster), joblib.parallel_config(backend="dask"):
+        yield
+
+
+def answers(folders: list[Path], done: Callable[[], None]) -> list[dict[str, Any]]:
+    """Diagnose all cases on the backend in force. A case that fails is an answer with an `error`."""
+    result = []
+    for found in joblib.Parallel(return_as="generator_unordered")(joblib.delayed(_safe)(f) for f in folders):
+        result.append(found)
+        done()
+    return sorted(result, key=lambda row: row["case"])
+
+
+def _safe(folder: Path) -> dict[str, Any]:
+    try:
+        return answer(folder)
+    except Exception as error:  # one broken case must not lose the others
+        return {"case": folder.name, "error": f"{type(error).__name__}: {error}"}
+
+
+def _same(name: str) -> set[str]:
+    return set().union({name}, *(group for group in SAME if name in group))
+
+
+def judged(rows: list[dict[str, Any]], keys: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Answers with the truth beside them: hit, joint_ok, extra, both."""
+    truth = {key["case"]: key for key in keys}
+    result = []
+    for row in rows:
+        key = truth[row["case"]]
+        effects = [name for name in key["effects"] if name not in STRUCTURAL]
+        floor = key["noise"] * (2 * 40.0 * 1e-3) ** 0.5
+        judged_row = row | {
+            "kind": key["kind"], "truth": effects, "lift": key["lift"], "severity": key["severity"], "floor_nm": floor,
+        }  # fmt: skip
+        if "error" not in row:
+            named = [effect["name"] for effect in row["named"]]
+            judged_row["first"] = named[0] if named else ("none" if row["verdict"] == "within_noise" else "unknown")
+            judged_row["hit"] = bool(effects) and bool(named) and named[0] in set().union(*map(_same, effects))
+            judged_row["both"] = all(set(named) & _same(name) for name in effects) if effects else not named
+            judged_row["extra"] = sum(not any(name in _same(true) for true in effects) for name in named)
+            if judged_row["hit"] and key["kind"] == "catalogue" and len(key["joints"][0]) == 1:
+                judged_row["joint_ok"] = row["named"][0]["joints"] == [joint + 1 for joint in key["joints"][0]]
+        result.append(judged_row)
+    return result
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of merit over judged rows."""
+    good = [row for row in rows if "error" not in row]
+
+    def of(kind: str) -> list[dict[str, Any]]:
+        return [row for row in good if row["kind"] == kind]
+
+    def mean(values: list[Any]) -> float | None:
+        return round(float(np.mean(values)), 3) if values else None
+
+    findable = [row for row in of("catalogue") if row["lift"] >= FINDABLE]
+    strange = [row for row in of("unknown") if row["lift"] >= FINDABLE]
+    errors = [abs(row["claimed"] - row["shrink"]) for row in good]
+    single = [row["after_nm"] / row["floor_nm"] for row in good if row["kind"] in ("catalogue", "null")]
+    return {
+        "cases": len(rows),
+        "failed": len(rows) - len(good),
+        "findable_single": len(findable),
+        "right_first": mean([row["hit"] for row in findable]),
+        "right_joint": mean([row["joint_ok"] for row in findable if "joint_ok" in row]),
+        "extra_per_case": mean([row["extra"] for row in good if row["kind"] != "unknown"]),
+        "null_clean": mean([row["verdict"] == "within_noise" and not row["named"] for row in of("null")]),
+        "unknown_said": mean([row["verdict"] in ("unexplained", "partly_explained") for row in strange]),
+        "pair_both": mean([row["both"] for row in of("pair")]),
+        "after_over_floor_median": round(float(np.median(single)), 3) if single else None,
+        "claim_error_median": round(float(np.median(errors)), 3) if errors else None,
+        "claim_error_p90": round(float(np.quantile(errors, 0.9)), 3) if errors else None,
+        "seconds_median": round(float(np.median([row["seconds"] for row in good])), 1) if good else None,
+        "cpu_seconds_median": round(float(np.median([row["cpu_seconds"] for row in good])), 1) if good else None,
+    }
+
+
+def confusion(rows: list[dict[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
+    """Truth, first answer, counts: findable single effects, effects outside the catalogue, and gap-free logs."""
+    single = [r for r in rows if "error" not in r and r["kind"] in ("catalogue", "unknown", "null")]
+    single = [r for r in single if r["kind"] == "null" or r["lift"] >= FINDABLE]
+    label = [r["truth"][0] if r["truth"] else "none" for r in single]
+    outside = {r["truth"][0] for r in single if r["kind"] == "unknown"}
+    truth = sorted(set(label) - outside - {"none"}) + sorted(outside) + ["none"]
+    answer_ = sorted({r["first"] for r in single} | (set(truth) - outside))
+    table = np.zeros((len(truth), len(answer_)), int)
+    for row, name in zip(single, label, strict=True):
+        if name in truth:
+            table[truth.index(name), answer_.index(row["first"])] += 1
+    return truth, answer_, table
