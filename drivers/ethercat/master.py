@@ -114,6 +114,7 @@ class Master:
         self._timeout_us = max(200, round(period * 1e6 * RECEIVE_SHARE))
         self._wait_until = wait_until
         self._deadline = 0
+        self._stamp, self._has_clock = 0, False
         self.sent_ns = 0  # CLOCK_MONOTONIC of the last cycle's frame
         self._faulty_run = 0
         self._sample = SAMPLE.empty(1)
@@ -149,7 +150,8 @@ class Master:
     def cycle(self) -> np.ndarray:
         """Wait for the next deadline and exchange one frame; (1,) record of SAMPLE, good until the next call.
 
-        The sample holds the inputs and the commands of one frame, its stamp is the distributed clock in that frame.
+        The sample holds the inputs and the commands of one frame. Its stamp is the distributed clock in that frame, and
+        its sequence goes with the stamp; drives without a clock leave counting cycles.
 
         Raises:
             BusError: the working counter stays wrong, or a drive left operation.
@@ -161,13 +163,18 @@ class Master:
         self.sent_ns = time.monotonic_ns()
         counter = self._exchange()
         self.counts.cycles += 1
-        sample = self._sample
-        set_stamp(sample, self._soem.dc_time)
-        sample["sequence"] += np.uint64(1 + behind)
+        sample, good = self._sample, counter == self._soem.expected_wkc
+        stamp = self._stamp + (1 + behind) * self._period_ns
+        if good and self._has_clock:
+            stamp = self._soem.dc_time
+        steps = max(1, round((stamp - self._stamp) / self._period_ns)) if self._stamp else 1
+        self._stamp = stamp
+        set_stamp(sample, stamp)
+        sample["sequence"] += np.uint64(steps)
         sample["position_command"], sample["torque_command"] = self._commanded
-        if counter == self._soem.expected_wkc:
+        if good:
             self._faulty_run = 0
-            sample["flags"] = SampleFlag.GAP_BEFORE if behind else 0
+            sample["flags"] = SampleFlag.GAP_BEFORE if steps > 1 else 0
             self._read(sample[0])
         else:
             self.counts.faulty += 1
@@ -243,7 +250,7 @@ class Master:
                         f"{self._interface}: drive {number} ({slave.name}) maps {size} bytes of {name}, "
                         f"drive.joint.{number - 1}.{name} declares {pdo.size}"
                     )
-        self._soem.config_dc()
+        self._has_clock = bool(self._soem.config_dc())
         if self._soem.state_check(pysoem.SAFEOP_STATE, 2_000_000) != pysoem.SAFEOP_STATE:
             raise BusError(self._explain_states("SAFEOP"))
 

@@ -24,7 +24,7 @@ def command(
 
     Any master can bring it into operation. Lines on standard input throw the switches: `break N` parts the cable before
     drive N, `silence N` makes drive N miss the process data (the working counter falls short), `trip N` puts drive N
-    into fault, `mend` undoes the first two.
+    into fault, `mend` undoes the first two; `product KG` changes what there is to grip.
 
     Example: ip link add bus0 type veth peer name seg0; ip link set bus0 up; ip link set seg0 up;
     deltatwin segment seg0 --robot d3.toml
@@ -48,7 +48,8 @@ def command(
     actual = load_truth(truth, description) if truth else PlantTruth.nominal(description)
     drive = description.drive
     plant = Plant(description, actual, period=1 / rate, seed=seed)
-    segment = Segment(joint_pdos(drive), scales(drive), plant, product)
+    segment = Segment(joint_pdos(drive), scales(drive), plant)
+    segment.switches.product = product
     threading.Thread(target=_listen, args=(segment.switches,), daemon=True).start()
     go_realtime("segment")
     print(f"segment: 3 drives of {description.name} on {interface}", file=sys.stderr, flush=True)
@@ -84,8 +85,11 @@ def throw(switches: Switches, line: str) -> None:
     if name == "mend" and not number:
         switches.broken_before = switches.silent = 0
         return
+    if name == "product":
+        switches.product = max(0.0, float(number))
+        return
     if name not in ("break", "silence", "trip") or number not in ("1", "2", "3"):
-        raise ValueError(f"{line.strip()!r}: say break, silence or trip and a drive 1..3, or mend")
+        raise ValueError(f"{line.strip()!r}: say break, silence or trip and a drive 1..3, mend, or product and a mass")
     drive = int(number)
     if name == "break":
         switches.broken_before = drive

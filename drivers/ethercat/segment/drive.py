@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.ethercat.cia402 import Control, DriveState, Mode, Scale
+from drivers.ethercat.cia402 import Control, DriveState, Mode, Scale, joint_angle
 
 VOLTAGE_ENABLED, REMOTE, FOLLOWS_COMMAND = 0x0010, 0x0200, 0x1000
 
@@ -64,8 +64,7 @@ class Drive:
             self._hold(position)
             self.torque = (torque + offset) * unit
         elif self.mode is Mode.CSP:
-            distance = ((counts - self._scale.zero_counts + 2**31) & 0xFFFFFFFF) - 2**31
-            self.target = distance * self._scale.radians_per_count
+            self.target = joint_angle(counts, self._scale.zero_counts, self._scale.radians_per_count)
             self.velocity = (self.target - self.start) / period
             self.torque = offset * unit
             if abs(self.target - position) > self._following_error:

@@ -53,6 +53,7 @@ class Switches:
     broken_before: int = 0  # cable broken before this drive, 1..3; 0: whole
     silent: int = 0  # bit mask of drives that miss logical datagrams: the working counter falls short
     trip: int = 0  # bit mask of drives to trip once; cleared when done
+    product: float = 0.0  # kg that hang on the platform while a drive's 0x60FE has the gripper's bit set
 
 
 class _Station:
@@ -120,10 +121,8 @@ class Segment:
         pdos: Sequence[tuple[Pdo, Pdo]],
         scales: Sequence[Scale],
         plant: Plant,
-        product: float = 0.0,
     ) -> None:
-        """`pdos`: (outputs, inputs) of each drive. The plant's period is the cycle. `product`: kg that hang on the
-        platform while a drive's 0x60FE has the gripper's bit set.
+        """`pdos`: (outputs, inputs) of each drive. The plant's period is the cycle.
 
         Raises:
             RobotError: a drive maps neither control word nor status word, or no position to see it by.
@@ -133,7 +132,7 @@ class Segment:
             tx.require(cia402.STATUSWORD, cia402.POSITION_ACTUAL)
         self._plant, self._period = plant, plant.period
         self._period_ns = round(plant.period * 1e9)
-        self._product, self._gripping = product, False
+        self._payload = 0.0
         self._gains = plant.tuning.velocity_gain.copy()
         self.switches = Switches()
         self._clock_ns = self._seen_ns = time.monotonic_ns()
@@ -152,7 +151,9 @@ class Segment:
                 zip(pdos, scales, self._position.tolist(), strict=True), start=1
             )
         ]
-        self._rest()  # which also compiles what a cycle needs
+        self._settling = 0  # cycles that the brakes still need
+        self._move()  # compiles what a cycle needs
+        self._report()
 
     @property
     def trace(self) -> np.ndarray:
@@ -196,6 +197,7 @@ class Segment:
         if self.due:
             self.advance()
         self._look()
+        self._settle()
 
     def advance(self) -> None:
         """One cycle: outputs to the drives, sensors are read, the plant moves, the clock goes on by the period."""
@@ -213,22 +215,24 @@ class Segment:
                 station.drive.release(position)
             elif not flags:
                 station.command(position, self._period)
-        gripping = any(station.gripping for station in self._stations)
-        if gripping != self._gripping:
-            self._plant.set_payload(self._product if gripping else 0.0)
-            self._gripping = gripping
+        payload = switches.product if any(station.gripping for station in self._stations) else 0.0
+        if payload != self._payload:
+            self._plant.set_payload(payload)
+            self._payload = payload
         self._move()
         self._record(flags)
         self._clock_ns += self._period_ns
         self._report()
 
     def idle(self) -> None:
-        """No frame came for a while: while in operation, let the cycles that have gone by happen without one."""
+        """No frame came for a while: let the cycles that have gone by happen without one."""
         now = time.monotonic_ns()
         while self._operating and now - self._seen_ns >= self._period_ns:
             self._seen_ns += self._period_ns
             self.advance()
             self._look()
+        for _ in range(round(SILENCE / self._period)):
+            self._settle()
 
     def _tick(self) -> None:
         """In operation the clock is the plant's, else the host's."""
@@ -240,16 +244,17 @@ class Segment:
     def _look(self) -> None:
         operating = any(station.controller.state is AlState.OP for station in self._stations)
         if self._operating and not operating:
-            self._rest()
+            for station, position in zip(self._stations, self._position.tolist(), strict=True):
+                station.drive.release(position)
+            self._settling = round(REST / self._period)
         self._operating = operating
 
-    def _rest(self) -> None:
-        """Out of operation: the brakes take the arms, and the plant is let come to rest in them."""
-        for station, position in zip(self._stations, self._position.tolist(), strict=True):
-            station.drive.release(position)
-        for _ in range(round(REST / self._period)):
+    def _settle(self) -> None:
+        """Out of operation: one cycle of coming to rest in the brakes. A cycle a frame, so that frames do not wait."""
+        if self._settling and not self._operating:
+            self._settling -= 1
             self._move()
-        self._report()
+            self._report()
 
     def _move(self) -> None:
         drives = [station.drive for station in self._stations]

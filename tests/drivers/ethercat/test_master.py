@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +14,7 @@ from drivers.ethercat.cia402 import Scale
 from drivers.ethercat.course import course
 from drivers.ethercat.master import FAULTY_CYCLES, STALE_CYCLES, Master, TorqueOffset, follow
 from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES
-from drivers.plant.motion import Planner
+from drivers.plant.motion import Motion, Planner
 from drivers.trace import read_trace
 from replay.clock import wait_until
 from schemas.errors import BusError
@@ -67,15 +68,20 @@ def nothing(*_: object) -> tuple[np.ndarray, float]:
     return np.zeros(3), 0.0
 
 
-def run(robot: Robot, duration: float = 1.0, at_start: Callable[[], None] = lambda: None) -> np.ndarray:
+@functools.cache
+def plan(folder: Path) -> Motion:
+    planner = Planner(load_robot(folder / "robot.toml"), PERIOD)
+    return planner.pick_and_place(np.random.default_rng(1), 1.5, (1.5,), speed=0.3)
+
+
+def run(robot: Robot, at_start: Callable[[], None] = lambda: None) -> np.ndarray:
     """Records of SAMPLE of every cycle of a short pick-and-place."""
-    motion = Planner(robot, PERIOD).pick_and_place(np.random.default_rng(1), duration, (1.5,), speed=0.3)
-    taken = []
+    taken, motion = [], plan(robot.folder)
     with Master(rig.NEAR, robot, PERIOD, wait_until) as master:
-        plan = course(master.operate(), motion)
+        whole = course(master.operate(), motion)
         offset = TorqueOffset(master.scale, None, 5000.0, PERIOD)
         at_start()
-        for sample in follow(master, plan, nothing, offset):
+        for sample in follow(master, whole, nothing, offset):
             taken.append(sample.copy())
     return np.concatenate(taken) if taken else SAMPLE.empty(0)
 
@@ -83,7 +89,7 @@ def run(robot: Robot, duration: float = 1.0, at_start: Callable[[], None] = lamb
 def test_samples_are_the_plants_own_trace(space: rig.Namespace, robot: Robot, files: Path) -> None:
     segment = start(space, files)
     try:
-        samples = space.call(lambda: run(robot, 3.0))
+        samples = space.call(lambda: run(robot))
     finally:
         said = segment.stop()
     own = read_trace(files / "own.mcap")
@@ -135,7 +141,7 @@ def test_what_fails_while_running_ends_the_run_with_its_name(
     space: rig.Namespace, segment: rig.SegmentProcess, robot: Robot, switch: str, says: str
 ) -> None:
     with pytest.raises(BusError, match=says):
-        space.call(lambda: run(robot, 5.0, lambda: segment.say(switch)))
+        space.call(lambda: run(robot, lambda: segment.say(switch)))
     segment.say("mend")
     assert len(space.call(lambda: run(robot)))  # faults are reset, the drives run again
 

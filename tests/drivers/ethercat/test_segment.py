@@ -36,7 +36,7 @@ class Bench:
         self.scales = cia402.scales(robot.drive)
         self.pdos = joint_pdos(robot.drive)
         self.plant = Plant(robot, period=PERIOD)
-        self.segment = Segment(self.pdos, self.scales, self.plant, product=1.5)
+        self.segment = Segment(self.pdos, self.scales, self.plant)
         self.outputs = [rx.blank() for rx, _ in self.pdos]
         for number, address in enumerate(STATIONS):
             self.access(Command.APWR, -number & 0xFFFF, STATION_ADDRESS, struct.pack("<H", address))
@@ -360,6 +360,7 @@ def test_the_gripper_lifts_the_product(bench: Bench, tmp_path: Path) -> None:
     for _ in range(300):
         bench.cycle()
     empty = bench.segment.trace["torque"][-1]
+    bench.segment.switches.product = 1.5
     bench.put(0x60FE, [GRIPPER, 0, 0])
     for _ in range(400):
         bench.cycle()
