@@ -33,7 +33,7 @@ CHANGE_NS = 20_000_000  # least time between two health messages when the bus br
 
 _ETH_P_ALL = 0x0003
 _SOL_PACKET, _PACKET_ADD_MEMBERSHIP, _PACKET_STATISTICS, _PACKET_MR_PROMISC = 263, 1, 6, 1
-_SO_TIMESTAMPING = 37
+_SO_RCVBUFFORCE, _SO_TIMESTAMPING = 33, 37
 _SIOCGIFFLAGS, _IFF_UP = 0x8913, 1
 _RX_HARDWARE, _RX_SOFTWARE, _SOFTWARE, _RAW_HARDWARE = 1 << 2, 1 << 3, 1 << 4, 1 << 6
 _THREE_TIMES = struct.Struct("@6q")  # software, unused, hardware: seconds and nanoseconds each
@@ -63,7 +63,7 @@ class InterfaceSource:
                 f"{interface}: reading frames is not allowed to this user: run as root or with CAP_NET_RAW"
             ) from None
         try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+            self._reserve()
             stamping = _RX_HARDWARE | _RX_SOFTWARE | _SOFTWARE | _RAW_HARDWARE
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, stamping)
             promiscuous = struct.pack("IHH8s", index, _PACKET_MR_PROMISC, 0, b"")
@@ -75,10 +75,32 @@ class InterfaceSource:
             self._socket.close()
             raise BusError(f"{interface}: {error.strerror}") from error
 
+    def _reserve(self) -> None:
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BYTES)  # over the system's limit
+        except PermissionError:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+
     def _check_up(self) -> None:
         request = struct.pack("16sH14x", self.name.encode(), 0)
         if not struct.unpack_from("H", fcntl.ioctl(self._socket, _SIOCGIFFLAGS, request), 16)[0] & _IFF_UP:
             raise OSError(errno.ENETDOWN, f"the interface is down (ip link set {self.name} up)")
+
+    def start(self) -> None:
+        """Forget the frames that came while the process was getting ready.
+
+        Raises:
+            BusError: the interface went down or away.
+        """
+        self._socket.setblocking(False)
+        try:
+            while True:
+                self._socket.recv(FRAME_BYTES)
+        except BlockingIOError:
+            self._socket.settimeout(IDLE_S)
+        except OSError as error:
+            raise BusError(f"{self.name}: {error.strerror}") from error
+        self.dropped()
 
     def receive(self, buffer: memoryview) -> tuple[int, int, int] | None:
         """(bytes, time in ns, 1 for a frame this host sent) of the next frame; None after a silence.
@@ -123,6 +145,9 @@ class FileSource:
         self._wait_until = wait_until
         self._speed = speed
         self._start: tuple[int, int] | None = None
+
+    def start(self) -> None:
+        """The first frame is due when it is asked for."""
 
     @staticmethod
     def _read(capture: Capture) -> Iterator[tuple[bytes, int, int]]:
@@ -203,6 +228,7 @@ class Tap:
             TraceError: the file is no capture.
         """
         view, counts, flags = self._buffer.data, self.assembler.state.counts, self._columns.flags
+        self._source.start()
         self._told.sample_ns = time.monotonic_ns()
         health.time_one(0)
         self._tell(health)  # what is called for the first time is slow

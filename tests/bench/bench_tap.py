@@ -9,8 +9,10 @@ tap, and a subscriber of its samples. Latencies count from the kernel's stamp of
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -81,7 +83,9 @@ def tap(cycles: int) -> None:
             count += 1
 
         stamps = np.zeros(cycles, np.int64)
-        tapping.run(timed, Health(bus), cycles)
+        with contextlib.suppress(KeyboardInterrupt):
+            tapping.run(timed, Health(bus), cycles)
+    ready, out, stamps = ready[:count], out[:count], stamps[:count]
     lost = tapping.assembler.count("lost")
     report({"samples": count, "lost": lost}, {"ready": ready - stamps, "published": out - stamps})
 
@@ -139,10 +143,17 @@ def main() -> None:
                     [*command, "--rates", str(rate)], stdout=subprocess.PIPE, text=True, env=environment
                 )
 
-            listening = {role: start(role) for role in ("subscriber", "bare", "tap")}
-            time.sleep(15)
-            listening["master"] = start("master")
-            print(f"{rate:g} Hz, {arguments.cycles} cycles (median, p99, p99.9, max in µs)")
+            with open_bus("wired", Role.MONITOR) as bus:
+                health = bus.subscribe("health")
+                listening = {role: start(role) for role in ("subscriber", "bare", "tap")}
+                while not health.wait(1.0):  # the tap's first message: it listens
+                    pass
+                time.sleep(3)
+                listening["master"] = start("master")
+                print(f"{rate:g} Hz, {arguments.cycles} cycles (median, p99, p99.9, max in µs)")
+                listening["master"].wait()
+                time.sleep(2)
+                listening["tap"].send_signal(signal.SIGINT)  # where it still waits for what it lost
             for role in ("master", "bare", "tap", "subscriber"):
                 print(f"  {role}: {listening[role].communicate()[0].strip()}")
 

@@ -69,13 +69,12 @@ def start(space: Namespace, robot_file: Path, *arguments: str) -> subprocess.Pop
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def until_alive(bus: Bus, tap: subprocess.Popen[str]) -> None:
+def until_ready(health: Ring, tap: subprocess.Popen[str]) -> None:
+    """Wait for the first health message: the tap listens."""
     give_up = time.monotonic() + 120
-    while Role.TAP not in bus.alive:
+    while not health.wait(0.1):
         assert tap.poll() is None, tap.communicate()
         assert time.monotonic() < give_up
-        time.sleep(0.02)
-    time.sleep(0.2)
 
 
 def taken(ring: Ring, count: int) -> np.ndarray:
@@ -93,7 +92,7 @@ def test_every_cycle_on_the_wire_is_one_sample_and_nothing_is_sent(
     samples, health = observer.subscribe("sample"), observer.subscribe("health")
     sound = CYCLES - len(LOST)
     tap = start(space, robot_file, "--count", str(sound), "--wait", "10")
-    until_alive(observer, tap)
+    until_ready(health, tap)
     space.call(send)
     got = taken(samples, sound)
     out, said = tap.communicate(timeout=30)
@@ -117,8 +116,9 @@ def test_every_cycle_on_the_wire_is_one_sample_and_nothing_is_sent(
 
 
 def test_ctrl_c_ends_it_with_its_counts(space: Namespace, observer: Bus, robot_file: Path) -> None:
+    health = observer.subscribe("health")
     tap = start(space, robot_file)
-    until_alive(observer, tap)
+    until_ready(health, tap)
     tap.send_signal(signal.SIGINT)
     out, _ = tap.communicate(timeout=30)
 
@@ -127,8 +127,9 @@ def test_ctrl_c_ends_it_with_its_counts(space: Namespace, observer: Bus, robot_f
 
 
 def test_an_interface_that_goes_down_is_one_error(space: Namespace, observer: Bus, robot_file: Path) -> None:
+    health = observer.subscribe("health")
     tap = start(space, robot_file)
-    until_alive(observer, tap)
+    until_ready(health, tap)
     subprocess.run(["ip", "-n", space.name, "link", "set", NEAR, "down"], check=True)
     _, said = tap.communicate(timeout=30)
 
