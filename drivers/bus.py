@@ -34,7 +34,7 @@ from schemas.messages import CDR_LITTLE_ENDIAN, TOPICS, Message, Role
 PATIENCE_S = 0.02  # longest a publisher waits for a stuck subscriber; Zenoh's 1 ms loses samples on an idle host
 RETRY_MS = (50, 250)  # first and longest pause between two attempts to reach a role that is not there
 LINK_S = 0.5  # by then every role that runs has linked up with one that has just come
-SOURCES = frozenset({Role.PLAYER, Role.ROBOT, Role.TAP, Role.MASTER})  # roles that publish `sample`
+SOURCES = frozenset({Role.PLAYER, Role.ROBOT, Role.TAP})  # roles that publish `sample`
 
 _SOCKET_PATH_BYTES = 107  # sun_path of Linux, without its closing zero
 _HISTORY = 4096  # sequence numbers below the newest of which it is known whether they came

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from drivers.bus import Ring
     from drivers.ethercat.course import Course
     from drivers.ethercat.master import Counts
+    from drivers.health import Health
     from service.estimator.estimator import Estimator
 
 
@@ -67,10 +68,11 @@ def command(
 
     from drivers.bus import open_bus
     from drivers.ethercat.course import course
+    from drivers.health import Health
     from drivers.plant.motion import Planner
     from replay.clock import wait_until
     from replay.realtime import go_realtime
-    from schemas.messages import Role
+    from schemas.messages import HealthFlag, Role
     from service.cli.progress import counting
     from service.cli.signals import terminate_as_interrupt
     from service.estimator.estimator import Estimator
@@ -85,10 +87,12 @@ def command(
         torque: InCycle | OverBus | None = None
         if feedforward is Source.CYCLE:
             torque = InCycle(Estimator(description, period))
-        go_realtime("master")
+        realtime = go_realtime("master")
+        health: Health | None = None
         if feedforward is Source.BUS:
             bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config))
             torque = OverBus(bus.subscribe("feedforward", 64), period)
+            health = Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
         master = stack.enter_context(Master(interface, description, period, wait_until))
         plan = course(master.operate(), motion)
         offset = TorqueOffset(master.scale, max_torque, max_slope, period)
@@ -99,12 +103,23 @@ def command(
                 sent[done - 1] = master.sent_ns
                 if done % 256 == 0:
                     show(done)
+                if health and master.sent_ns >= health.due_ns:
+                    tell(health, master.counts)
         except KeyboardInterrupt:
             pass
         show(done)
     typer.echo(summary(done, len(plan), master.counts, sent[:done]))
     if torque:
         typer.echo(torque.summary())
+
+
+def tell(health: Health, counts: Counts) -> None:
+    """Publish what became of the cycles so far; BUS_FAULT stays once a working counter was wrong."""
+    from schemas.messages import HealthFlag
+
+    if counts.faulty:
+        health.flags |= HealthFlag.BUS_FAULT
+    health.publish(received=counts.cycles, invalid=counts.faulty, late=counts.missed)
 
 
 def nothing(sample: np.ndarray, course: Course, number: int) -> tuple[np.ndarray, float]:

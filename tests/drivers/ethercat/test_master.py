@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import re
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -153,8 +154,19 @@ def test_drives_that_map_something_else(space: rig.Namespace, segment: rig.Segme
         space.call(lambda: run(other))
 
 
+def test_the_estimator_inside_the_cycle_weighs_what_is_carried(
+    space: rig.Namespace, segment: rig.SegmentProcess, files: Path
+) -> None:
+    done = master_command(space, files, rig.NEAR)
+    assert done.returncode == 0, done.stderr
+    found = re.search(r"payload last trusted: ([\d.]+) kg", done.stdout)
+    assert found
+    assert float(found[1]) == pytest.approx(1.5, abs=0.1)
+
+
 def master_command(space: rig.Namespace, files: Path, interface: str, *before: str) -> subprocess.CompletedProcess[str]:
-    command = (rig.DELTATWIN, "master", interface, "--robot", str(files / "robot.toml"), "--duration", "2")
+    rate, robot = str(1 / PERIOD), str(files / "robot.toml")
+    command = (rig.DELTATWIN, "master", interface, "--robot", robot, "--duration", "2.5", "--rate", rate)
     return subprocess.run(space.prefix(*before, *command), capture_output=True, text=True, timeout=60, check=False)
 
 
