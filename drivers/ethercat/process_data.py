@@ -99,8 +99,8 @@ class Count(NamedTuple):
     unanswered: int = 4  # of these: nobody answered
     not_enabled: int = 5  # cycles in which a drive was not in operation
     drive_faults: int = 6  # of these: in fault
-    gaps: int = 7
-    lost: int = 8  # cycles missing in the gaps
+    gaps: int = 7  # samples that came later than the next cycle
+    lost: int = 8  # cycles missing in the gaps, without those that only were late
     incomplete: int = 9  # cycles of which a part never came
     damaged: int = 10  # frames left out: marked by the analyzer, snapped, or not as long as they say
     backwards: int = 11
@@ -114,7 +114,7 @@ class State(NamedTuple):
     """What the kernel remembers from frame to frame."""
 
     counts: np.ndarray  # (len(Count),) int64
-    clock: np.ndarray  # (12,) int64, by the names below
+    clock: np.ndarray  # (13,) int64, by the names below
     intervals: np.ndarray  # (_INTERVALS,) int64, ns
     raw_inputs: np.ndarray  # (3, 5) int64 of the cycle in the making
     have_inputs: np.ndarray  # (3, 5) bool
@@ -129,7 +129,8 @@ class State(NamedTuple):
 
 (
     _LAST, _PERIOD, _DC_MODE, _DC_LAST, _DC_OFFSET, _DC_NOW, _PLAIN_SEEN, _FAULT, _HIGHEST, _OWED, _SLIP, _SINCE,
-) = range(12)  # fmt: skip
+    _STEPS,
+) = range(13)  # fmt: skip
 _UNDECIDED, _CAPTURE_CLOCK, _DISTRIBUTED_CLOCK = range(3)
 _COUNTER_LOW, _COUNTER_ZERO = 1, 2
 
@@ -139,7 +140,7 @@ def new_state() -> State:
     objects = (3, len(INPUTS))
     return State(
         counts=np.zeros(len(Count()), np.int64),
-        clock=np.zeros(12, np.int64),
+        clock=np.zeros(13, np.int64),
         intervals=np.zeros(_INTERVALS, np.int64),
         raw_inputs=np.zeros(objects, np.int64),
         have_inputs=np.zeros(objects, np.bool_),
@@ -366,25 +367,32 @@ def _interval_flags(stamp, clock, counts, intervals):
         counts[COUNT.backwards] += 1
         return SampleFlag.TIME_BACKWARDS.value
     period = clock[_PERIOD]
+    catching_up = clock[_OWED] > 0 and number - clock[_SINCE] < _CATCH_UP
     if period > 0 and step > GAP_PERIODS * period:
         flags = SampleFlag.GAP_BEFORE.value
         lost = max((step + period // 2) // period - 1, 1)
         counts[COUNT.gaps] += 1
         counts[COUNT.lost] += lost
-        clock[_OWED], clock[_SLIP], clock[_SINCE] = lost, step - (lost + 1) * period, number
-    elif clock[_OWED] > 0 and number - clock[_SINCE] < _CATCH_UP:
+        if not catching_up:
+            clock[_OWED], clock[_SLIP] = 0, 0
+        clock[_OWED] += lost
+        clock[_SLIP] += step - (lost + 1) * period
+        clock[_SINCE] = number
+    elif catching_up:
         clock[_SLIP] += step - period
         if 2 * clock[_SLIP] < -period:  # nothing was lost: that cycle was late, and those behind it caught up
             clock[_SLIP] += period
             clock[_OWED] -= 1
             counts[COUNT.lost] -= 1
-            counts[COUNT.gaps] -= clock[_OWED] == 0
     if step == 0:
         counts[COUNT.repeated] += 1
         return SampleFlag.REPEATED.value
-    intervals[(number - 1) % _INTERVALS] = step
-    if number >= _PERIOD_AFTER and number % _PERIOD_AFTER == 0:
-        clock[_PERIOD] = np.int64(np.median(intervals[: min(number, _INTERVALS)]))
+    if not catching_up or 2 * step > period:  # cycles that run after a stall say nothing of the cycle time
+        steps = clock[_STEPS]
+        intervals[steps % _INTERVALS] = step
+        clock[_STEPS] = steps + 1
+        if (steps + 1) % _PERIOD_AFTER == 0:
+            clock[_PERIOD] = np.int64(np.median(intervals[: min(steps + 1, _INTERVALS)]))
     return flags
 
 
