@@ -32,6 +32,9 @@ def command(
         typer.Option(help="pick: between two conveyors; multisine: excites all; bound: workspace rim; slow: sweep."),
     ] = MotionKind.PICK,
     out: Annotated[Path | None, typer.Option(help="Trace to write (.csv, .csv.gz, .mcap).")] = None,
+    picks: Annotated[
+        Path | None, typer.Option(help="CSV to write of what was carried when, as `payload` takes it.")
+    ] = None,
     duration: Annotated[float, typer.Option(min=0.5, help="Length of the motion (s).")] = 10.0,
     rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz).")] = 1000.0,
     seed: Annotated[int, typer.Option(min=0, help="Of motion and noise: same seed, same trace.")] = 0,
@@ -87,6 +90,8 @@ def command(
     else:
         assert out is not None
         _offline(description, plant, planned, out)
+        if picks is not None:
+            _write_picks(planned, picks)
     typer.echo(f"simulated {description.name}, {which}; workspace {_workspace(planner)}")
 
 
@@ -136,6 +141,16 @@ def _offline(robot: Robot, plant: Plant, motion: Motion, out: Path) -> None:
     typer.echo(f"{out}: {len(trace)} samples at {1 / plant.period:.6g} Hz, {motion.duration:.3f} s")
     for load in motion.payloads:
         typer.echo(f"  {load.mass:.3f} kg from {load.pick:.3f} s to {load.release:.3f} s")
+
+
+def _write_picks(motion: Motion, path: Path) -> None:
+    from schemas.errors import StorageError
+
+    lines = [f"{load.pick:.6f},{load.release:.6f},{load.mass:.6f}\n" for load in motion.payloads]
+    try:
+        path.write_text("from_s,until_s,mass_kg\n" + "".join(lines), encoding="utf-8")
+    except OSError as error:
+        raise StorageError(f"{path}: {error.strerror}") from error
 
 
 def _live(robot: Robot, plant: Plant, motion: Motion, loops: int, out: Path | None, zenoh_config: Path | None) -> None:

@@ -24,6 +24,17 @@ def identification_motions(planner: Planner, rng: np.random.Generator, count: in
         yield kinds[number % len(kinds)]()
 
 
+def excitations(planner: Planner, rng: np.random.Generator, count: int, duration: float) -> Iterator[Motion]:
+    """`count` motions of `duration` s that excite inertia, weight and friction alike, as an identification wants."""
+    for number in range(count):
+        share = rng.uniform(0.7, 1.0)
+        yield (
+            planner.multisine(rng, duration, share)
+            if number % 2 == 0
+            else planner.pick_and_place(rng, duration, speed=0.6 * share)
+        )
+
+
 def record(
     plant: Plant, motions: Iterator[Motion], name: str, progress: Callable[[float], object] = lambda seconds: None
 ) -> list[Trace]:
