@@ -60,7 +60,9 @@ def command(
     """
     from drivers.ethercat.master import Master, TorqueOffset, check_interface, follow
     from schemas.robot import load_robot
+    from service.cli.signals import terminate_as_interrupt
 
+    terminate_as_interrupt()
     description = load_robot(robot)
     check_interface(interface)
 
@@ -74,10 +76,8 @@ def command(
     from replay.realtime import go_realtime
     from schemas.messages import HealthFlag, Role
     from service.cli.progress import counting
-    from service.cli.signals import terminate_as_interrupt
     from service.estimator.estimator import Estimator
 
-    terminate_as_interrupt()
     period = 1 / rate
     motion = Planner(description, period).pick_and_place(
         np.random.default_rng(seed), duration, masses=(1.0,) if carry else (), speed=speed
@@ -96,6 +96,7 @@ def command(
         master = stack.enter_context(Master(interface, description, period, wait_until))
         plan = course(master.operate(), motion)
         offset = TorqueOffset(master.scale, max_torque, max_slope, period)
+        typer.echo(f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True)
         sent = np.zeros(len(plan), np.int64)
         done = 0
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -164,10 +165,31 @@ def test_the_estimator_inside_the_cycle_weighs_what_is_carried(
     assert float(found[1]) == pytest.approx(1.5, abs=0.1)
 
 
-def master_command(space: rig.Namespace, files: Path, interface: str, *before: str) -> subprocess.CompletedProcess[str]:
+def test_ctrl_c_stops_the_drives_and_says_how_far_it_came(
+    space: rig.Namespace, segment: rig.SegmentProcess, robot: Robot, files: Path
+) -> None:
+    running = subprocess.Popen(
+        space.prefix(*arguments(files, rig.NEAR)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert running.stderr is not None
+    while "drives in operation" not in (line := running.stderr.readline()):
+        assert line, "the master ended before it ran"
+    running.send_signal(signal.SIGINT)
+    said, _ = running.communicate(timeout=20)
+    assert running.returncode == 0
+    done, planned = re.findall(r"\d+", said)[:2]
+    assert int(done) < int(planned)
+    assert len(space.call(lambda: run(robot)))
+
+
+def arguments(files: Path, interface: str) -> tuple[str, ...]:
     rate, robot = str(1 / PERIOD), str(files / "robot.toml")
-    command = (rig.DELTATWIN, "master", interface, "--robot", robot, "--duration", "2.5", "--rate", rate)
-    return subprocess.run(space.prefix(*before, *command), capture_output=True, text=True, timeout=60, check=False)
+    return (rig.DELTATWIN, "master", interface, "--robot", robot, "--duration", "2.5", "--rate", rate)
+
+
+def master_command(space: rig.Namespace, files: Path, interface: str, *before: str) -> subprocess.CompletedProcess[str]:
+    command = space.prefix(*before, *arguments(files, interface))
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
 def test_an_interface_that_is_not_there_or_not_up_is_one_line(space: rig.Namespace, files: Path) -> None:
