@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from schemas.messages import SAMPLE, set_stamp
+from schemas.messages import SAMPLE, set_stamp, stamp_ns
 from schemas.robot import Geometry, Identified, JointParameter, Mass, Parameter, Robot
+from schemas.trace import Trace
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
 from service.model.parameters import pack
 
@@ -87,3 +89,16 @@ def make(robot: Robot) -> Callable[..., Known]:
         return Known(samples, theta, theta_dot, theta_ddot, torque)
 
     return known
+
+
+def trace_of(known: Known) -> Trace:
+    """The samples as a recorded trace."""
+    samples = known.samples
+    command = samples["position_command"]
+    return Trace(
+        path=Path("known.csv"),
+        time=stamp_ns(samples) * 1e-9,
+        position=samples["position"].copy(),
+        torque=samples["torque"].copy(),
+        position_command=None if np.isnan(command).any() else command.copy(),
+    )

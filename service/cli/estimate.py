@@ -23,6 +23,7 @@ def command(
     from schemas.messages import HealthFlag, Role
     from schemas.robot import load_robot
     from service.cli.signals import terminate_as_interrupt
+    from service.estimator.effects import carried
     from service.estimator.estimator import Estimator
     from service.estimator.node import run
 
@@ -32,6 +33,9 @@ def command(
         typer.echo(
             f"{robot}: no [identified] parameters: friction is zero and rho 1; run `deltatwin identify`", err=True
         )
+    left_out = [effect.name for effect in description.effect if not carried(effect.name)]
+    if left_out:
+        typer.echo(f"{robot}: the online model does not carry {', '.join(left_out)}", err=True)
     Estimator(description, 1e-3).warm_up()  # before anybody can hear that the role is alive
     realtime = go_realtime("estimate")
     with open_bus(description.name, Role.ESTIMATOR, zenoh_config) as bus:

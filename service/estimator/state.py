@@ -9,7 +9,7 @@ import numpy as np
 
 from schemas.messages import FeedforwardSource
 from schemas.robot import Robot
-from service.estimator import kalman, payload
+from service.estimator import effects, kalman, payload
 from service.model.dynamics import TERMS
 from service.model.parameters import DeltaModel, pack
 
@@ -36,10 +36,14 @@ SETTINGS = np.dtype(
         ("filter", _FILTER),
         ("period", "f8"),  # s
         ("range", "f8", 2),  # rad
-        ("rho", "f8", 2),
+        ("rho", "f8", (2, 3)),
         ("forearm", "f8"),  # kg
         ("viscous", "f8", 3),  # N m s/rad
         ("coulomb", "f8", 3),  # N m
+        ("transition", "f8"),  # rad/s over which friction turns
+        ("effect", effects.EFFECT, effects.MAX_EFFECTS),
+        ("scale", "f8", 3),  # reported over true torque
+        ("gear_ratio", "f8"),
         ("variance", "f8", 3),  # (N m)^2 of one torque sample
         ("forgetting", "f8"),
         ("bin_size", "i8"),
@@ -97,6 +101,9 @@ STATE = np.dtype(
         ("position", "f8", 3),
         ("predicted", "f8", (3, kalman.ORDER)),
         ("phi", "f8", (2, 3)),
+        ("way", "f8", 3),
+        ("load", "f8", 3),
+        ("full", "f8", 3),
         ("residual", "f8", 3),
         ("noise", "f8", 3),
     ],
@@ -107,6 +114,7 @@ STATE = np.dtype(
 def settings(robot: Robot, period: float) -> np.ndarray:
     """Everything the kernel needs to know of `robot` at one sample every `period` s, as one SETTINGS record."""
     record = np.zeros(1, SETTINGS)
+    robot, ratio = effects.corrected(robot)
     model, identified = pack(robot), robot.identified
     for name in DeltaModel._fields:
         record["model"][name] = getattr(model, name)
@@ -118,11 +126,17 @@ def settings(robot: Robot, period: float) -> np.ndarray:
     record["rho"] = 1.0
     noise = None
     if identified is not None:
-        record["rho"] = identified.rho_1.value, identified.rho_2.value
+        # rho also stands for rotor and gear: a longer link changes its own share of inertia and gravity, not theirs
+        for row, (rho, power) in enumerate(((identified.rho_1.value, 2), (identified.rho_2.value, 1))):
+            record["rho"][0, row] = rho + (1.0 - rho) * (1.0 - ratio**-power)
+        record["transition"] = identified.friction_transition_radps
         record["forearm"] = identified.forearm_inertia_kg.value
         record["viscous"] = identified.viscous_friction_nms.value
         record["coulomb"] = identified.coulomb_friction_nm.value
         noise = identified.torque_noise_nm
+    record["effect"] = effects.pack_effects(robot.effect)
+    record["scale"] = effects.scales(robot)
+    record["gear_ratio"] = robot.drive.gear_ratio
     record["variance"] = np.square(DEFAULT_TORQUE_NOISE if noise is None else noise.value)
     record["forgetting"] = np.exp(-period / payload.MEMORY_TIME)
     record["bin_size"] = max(1, round(payload.BIN_TIME / period))

@@ -16,10 +16,11 @@ import numpy as np
 from numba import njit
 
 from schemas.messages import CDR_LITTLE_ENDIAN, FeedforwardSource, PayloadEvent, SampleFlag
+from service.estimator.effects import effects_kernel
 from service.estimator.kalman import MAX_LAG, ORDER, predict_kernel, update_kernel
 from service.estimator.payload import MODEL_SHARE, PRIOR_STD, RIGID, WEIGHT, payload_kernel
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, terms_kernel
-from service.model.friction import friction_kernel
+from service.model.friction import direction, friction_kernel
 from service.model.kinematics import REACHED
 
 MAX_JOINT_SPEED = 40.0  # rad/s, no Delta joint is faster
@@ -178,31 +179,47 @@ def _feedforward(settings, state, sample, flags, out):
             out.torque[i] = 0.0
     else:
         mass = _usable_mass(state)
+        _torque(settings, state, sample.stamp_sec + sample.stamp_nanosec * 1e-9)
         for i in range(3):
-            load = _load(settings, state, state.believed, i)
-            out.torque[i] = _full(settings, state.terms, state.motion[1, i], i) + mass * load
+            out.torque[i] = state.full[i] + mass * _load(settings, state, state.believed, i)
     out.source = source
 
 
 @njit(cache=True)
-def _full(settings, terms, theta_dot, i):
-    """Torque of the fullest model of joint i, without payload, N m."""
-    return (
-        settings.rho[0] * terms[INERTIA, i]
-        + settings.rho[1] * terms[GRAVITY, i]
-        + terms[PLATFORM, i]
-        + settings.forearm * terms[FOREARM, i]
-        + friction_kernel(settings.viscous[i], settings.coulomb[i], theta_dot)
-    )
+def _torque(settings, state, seconds):
+    """state.full (3,): reported torque, N m, of the fullest model without payload, for state.motion and its terms."""
+    terms, motion = state.terms, state.motion
+    for i in range(3):
+        state.load[i] = _grey(settings, terms, i) + settings.forearm * terms[FOREARM, i]
+        state.way[i] = direction(motion[1, i], settings.transition)
+        state.full[i] = state.load[i] + _friction(settings, state, i)
+    effects_kernel(
+        settings.effect, settings.model, settings.gear_ratio, settings.rho[1, 0], motion[0], motion[1], motion[2],
+        state.way, state.load, seconds, state.position, state.work, state.full,
+    )  # fmt: skip
+    for i in range(3):
+        state.full[i] *= settings.scale[i]
+
+
+@njit(cache=True)
+def _friction(settings, state, i):
+    """Coulomb and viscous friction of joint i, N m."""
+    return friction_kernel(settings.viscous[i], settings.coulomb[i], state.motion[1, i], settings.transition)
+
+
+@njit(cache=True)
+def _grey(settings, terms, i):
+    """M_Id of joint i, N m."""
+    return settings.rho[0, i] * terms[INERTIA, i] + settings.rho[1, i] * terms[GRAVITY, i] + terms[PLATFORM, i]
 
 
 @njit(cache=True)
 def _load(settings, state, hypothesis, i):
-    """Torque on joint i per kg of payload, N m/kg, for the pose last given to the terms kernel."""
+    """Reported torque on joint i per kg of payload, N m/kg, for the pose last given to the terms kernel."""
     if hypothesis == RIGID:
-        return state.terms[PAYLOAD, i]
+        return settings.scale[i] * state.terms[PAYLOAD, i]
     # J[z, i] g: the kernel left column_i in work[1] and the levers in work[4, 0]
-    return state.work[1, i, 2] * state.work[4, 0, i] * settings.model.gravity
+    return settings.scale[i] * state.work[1, i, 2] * state.work[4, 0, i] * settings.model.gravity
 
 
 @njit(cache=True)
@@ -253,16 +270,16 @@ def _lagged(settings, state, payload_out, error_out):
             error_out.kh[i] = error_out.id[i] = error_out.id_friction[i] = error_out.full[i] = math.nan
         error_out.flags = past.flags | (_RANGE if status != REACHED else 0)
     else:
+        _torque(settings, state, past.stamp_sec + past.stamp_nanosec * 1e-9)
         for i in range(3):
             terms, speed = state.terms, abs(state.motion[1, i])
             kh = terms[INERTIA, i] + terms[GRAVITY, i] + terms[PLATFORM, i]
-            grey = settings.rho[0] * terms[INERTIA, i] + settings.rho[1] * terms[GRAVITY, i] + terms[PLATFORM, i]
-            friction = friction_kernel(settings.viscous[i], settings.coulomb[i], state.motion[1, i])
-            full = _full(settings, terms, state.motion[1, i], i)
+            grey = _grey(settings, terms, i)
+            friction = _friction(settings, state, i)
             error_out.kh[i] = past.torque[i] - kh
             error_out.id[i] = past.torque[i] - grey
             error_out.id_friction[i] = past.torque[i] - grey - friction
-            state.residual[i] = past.torque[i] - full
+            state.residual[i] = past.torque[i] - state.full[i]
             state.phi[RIGID, i] = _load(settings, state, RIGID, i)
             state.phi[WEIGHT, i] = _load(settings, state, WEIGHT, i)
             doubt = MODEL_SHARE * (

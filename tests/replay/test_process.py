@@ -16,8 +16,8 @@ from replay.player import play, score
 from replay.process import process
 from schemas.messages import Role
 from schemas.robot import save_robot
-from schemas.trace import Trace
 from service.estimator.estimator import Estimator
+from tests.known import trace_of
 
 
 @pytest.fixture
@@ -69,13 +69,7 @@ def test_the_bus_gives_the_bits_of_process_replay(estimator, robot, make, until,
     samples = known.samples
     if not commands:
         samples["position_command"] = np.nan
-    trace = Trace(
-        path=Path("known.csv"),
-        time=np.arange(len(samples)) * 1e-3,
-        position=samples["position"].copy(),
-        torque=samples["torque"].copy(),
-        position_command=samples["position_command"].copy() if commands else None,
-    )
+    trace = trace_of(known)
     expected = process(robot, trace.samples())
     with open_bus(robot.name, Role.PLAYER) as bus, open_bus(robot.name, Role.OBSERVER) as observer:
         rings = [observer.subscribe(topic) for topic in ("feedforward", "payload", "error")]

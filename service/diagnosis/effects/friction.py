@@ -158,7 +158,7 @@ class PreslidingFriction(Effect):
     distance: Shape = Shape("rad", "displacement of the build-up", _geometric(3e-4, 0.1, 8), 2e-4, 0.3)
     name = "presliding_friction"
     settles = "small reversals (0.001 to 0.05 rad) about several angles"
-    online = "causal: the hysteresis state is integrated sample by sample"
+    online = "not carried: it takes the past of the joint"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
@@ -188,6 +188,7 @@ class PassiveJointFriction(Effect):
     own_joint = False
     kinds = frozenset({"delta"})
     settles = "long moves of the platform at several speeds, where a forearm swings while its own joint rests"
+    online = "not carried"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 4)."""

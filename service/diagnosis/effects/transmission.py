@@ -97,7 +97,7 @@ class JointElasticity(Effect):
     name = "joint_elasticity"
     own_joint = False
     settles = "fast moves with jumps in acceleration"
-    online = "causal: the link is integrated behind the measured motor angle"
+    online = "not carried: it takes the past of motor and link"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
@@ -126,7 +126,7 @@ class Backlash(Effect):
     own_joint = False
     rough = True
     settles = "moves whose braking torque exceeds gravity, so that the transmitted torque changes sign"
-    online = "causal: the link is integrated behind the measured motor angle"
+    online = "not carried: it takes the past of motor and link"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""

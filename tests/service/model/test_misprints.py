@@ -93,7 +93,7 @@ def test_friction_coefficients_stand_in_the_order_of_their_columns():
 
     f_v, f_c, speed = 1.4, 3.0, np.array([-2.0, 0.7, 5.0])
     phi = np.stack([speed, np.sign(speed)], axis=1)
-    kernel = np.array([friction_kernel(f_v, f_c, s) for s in speed])
+    kernel = np.array([friction_kernel(f_v, f_c, s, 0.0) for s in speed])
     assert np.allclose(phi @ [f_v, f_c], kernel)
     assert not np.allclose(phi @ [f_c, f_v], kernel)
 
