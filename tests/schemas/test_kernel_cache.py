@@ -18,10 +18,12 @@ def run(folder: Path) -> str:
 
 
 def test_a_change_in_a_called_file_recompiles_its_callers(tmp_path):
+    (tmp_path / "schemas").mkdir()
+    shutil.copy(PROJECT / "schemas" / "__init__.py", tmp_path / "schemas")
     room = tmp_path / "service"
     room.mkdir()
-    shutil.copy(PROJECT / "service" / "__init__.py", room)
-    header = "from numba import njit\n"
+    (room / "__init__.py").touch()
+    header = "from numba import njit\nimport schemas\n"
     (room / "caller.py").write_text(
         f"{header}from service.called import answer\n\n@njit(cache=True)\ndef ask():\n    return answer()\n"
     )
