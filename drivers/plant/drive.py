@@ -64,6 +64,15 @@ def interpolate(share, period, start, start_dot, end, end_dot, position):
 
 
 @njit(cache=True)
+def read_kernel(position, noise, resolution, reading):
+    """What the encoders give for `position` (3,) rad: with `noise` (3,) rad, in steps of `resolution` rad (0: none)."""
+    for i in range(3):
+        reading[i] = position[i] + noise[i]
+        if resolution > 0.0:
+            reading[i] = np.rint(reading[i] / resolution) * resolution
+
+
+@njit(cache=True)
 def drive_kernel(tuning, state, reading, target, feedforward, torque):
     """One pass of the three cascades; fills torque (3,) N m. The integral stands still while the torque is limited.
 
@@ -79,3 +88,22 @@ def drive_kernel(tuning, state, reading, target, feedforward, torque):
         torque[i] = min(max(free, -tuning.peak_torque), tuning.peak_torque)
         if torque[i] == free:
             state.integral[i] += push * tuning.step / tuning.integral_time
+
+
+@njit(cache=True)
+def control_kernel(
+    tuning, state, share, period, start, start_dot, end, end_dot, feedforward, position, noise, resolution,
+    target, reading, torque,
+):  # fmt: skip
+    """Encoders, interpolation and drives of one pass; fills target (3,), reading (3,) rad and torque (3,) N m."""
+    read_kernel(position, noise, resolution, reading)
+    interpolate(share, period, start, start_dot, end, end_dot, target)
+    drive_kernel(tuning, state, reading, target, feedforward, torque)
+
+
+@njit(cache=True)
+def creep_kernel(forward, backward, speed, creep, torque):
+    """Add dry friction (3,) N m of the levels `forward`, `backward` that builds up within `creep` rad/s."""
+    for i in range(3):
+        level = forward[i] if speed[i] > 0.0 else backward[i]
+        torque[i] -= level * math.tanh(speed[i] / creep)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from drivers.plant.drive import DriveState, drive_kernel, interpolate, rest, tune
+from drivers.plant.drive import DriveState, control_kernel, creep_kernel, rest, tune
 from drivers.plant.effects import Effect
 from drivers.plant.mechanism import (
     Design,
@@ -61,7 +61,8 @@ class Plant:
     closes the drive loops for the first time; `run` lets the physics go to the end of the cycle.
 
     Attributes read by effects: time s (since power-on); theta, theta_dot (3,) of the links; motor, motor_dot (3,);
-    platform, platform_dot (3,) m; load (3,) N m, torque last passed through the gears; payload kg; rng.
+    platform, platform_dot (3,) m; load (3,) N m, torque last passed through the gears; payload kg; rng. They follow the
+    physics: copy what has to last.
     """
 
     def __init__(
@@ -82,9 +83,12 @@ class Plant:
         self.steps = max(1, math.ceil(period / LONGEST_STEP - 1e-9))
         self.step = period / self.steps
         self.rng = np.random.default_rng(seed)
+        self._encoder_rng = np.random.default_rng([seed, 1])
+        self._encoder_noise = iter(())
         self.mechanism = build(design, self.step)
         self.data = mujoco.MjData(self.mechanism.model)
         self.split = np.array(design.split)
+        self._is_split = bool(self.split.any())
         self._stiffness, self._half_gap = np.array(design.drive_stiffness), np.array(design.half_gap)
         rotor = np.array(self.truth.rotor_inertia_kgm2)
         self._damping = 2 * np.array(design.drive_damping_ratio) * np.sqrt(self._stiffness * rotor)
@@ -101,6 +105,8 @@ class Plant:
         counts = self.truth.encoder_counts_per_turn
         self.resolution = 2 * math.pi / (counts * self.truth.gear_ratio) if counts else 0.0
         self.noise = np.array(self.truth.torque_noise_nm)
+        self._coulomb = np.array(self.truth.coulomb_friction_nm)
+        self._viscous = np.array(self.truth.viscous_friction_nms)
         self.friction = Friction(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
         # hooks that an effect does not override cost nothing
         self._on_friction = _overriding(effects, "friction")
@@ -114,6 +120,7 @@ class Plant:
         self.payload = 0.0
         self.load = np.zeros(3)
         self.torque = np.zeros(3)
+        self._target = np.empty(3)
         self.reset(centre_pose(self.truth) - self.offset)
 
     def reset(self, position: np.ndarray) -> None:
@@ -127,9 +134,10 @@ class Plant:
         self.data.qpos[:] = close(self.mechanism, link)[0]
         self.data.qpos[self.mechanism.motor] = motor
         mujoco.mj_forward(self.mechanism.model, self.data)
-        self.load[:] = holding
+        self.load = holding.copy()
         self.drive: DriveState = rest(holding)
         self._observe()
+        self.reading = self.motor - self.offset
         for effect in self.effects:
             effect.start(self)
         self._set_friction()
@@ -197,39 +205,45 @@ class Plant:
 
     def _observe(self) -> None:
         data, at = self.data, self.mechanism
-        self.theta, self.theta_dot = data.qpos[at.arm], data.qvel[at.arm]
-        self.motor, self.motor_dot = data.qpos[at.motor], data.qvel[at.motor]
-        self.platform, self.platform_dot = data.qpos[at.platform], data.qvel[at.platform]
-        self.reading = self.motor - self.offset
+        arm, platform = _stride(at.arm), _stride(at.platform)
+        self.theta, self.theta_dot = data.qpos[arm], data.qvel[arm]
+        self.platform, self.platform_dot = data.qpos[platform], data.qvel[platform]
+        self._arm_force, self._platform_force = data.qfrc_applied[arm], data.qfrc_applied[platform]
+        self.motor, self.motor_dot = self.theta, self.theta_dot
+        self._observe_motors()
+
+    def _observe_motors(self) -> None:
+        """The rotors lie where they lie among the coordinates, so theirs are copies."""
+        if self._is_split:
+            at = self.mechanism.motor
+            self.motor, self.motor_dot = self.data.qpos[at], self.data.qvel[at]
 
     def _control(self, k: int) -> None:
         """Read the encoders and close the drives' loops."""
-        reading = self.reading
+        position = self.motor - self.offset
         for effect in self._on_reading:
-            reading = effect.reading(self, reading)
-        if self.truth.encoder_noise_rad:
-            reading = reading + self.truth.encoder_noise_rad * self.rng.standard_normal(3)
-        if self.resolution:
-            reading = np.round(reading / self.resolution) * self.resolution
-        self.reading = reading
-        target, command = np.empty(3), np.empty(3)
-        interpolate(
-            k / self.steps, self.period,
-            self._now.position, self._now.velocity, self._end.position, self._end.velocity, target,
+            position = effect.reading(self, position)
+        noise = next(self._encoder_noise, None)
+        if noise is None:  # drawn a few thousand at a time, which is much cheaper
+            block = self.truth.encoder_noise_rad * self._encoder_rng.standard_normal((4096, 3))
+            self._encoder_noise = iter(block)
+            noise = next(self._encoder_noise)
+        self.reading, self.motor_command = np.empty(3), np.empty(3)
+        control_kernel(
+            self.tuning, self.drive, k / self.steps, self.period,
+            self._now.position, self._now.velocity, self._end.position, self._end.velocity,
+            self._feedforward, position, noise, self.resolution, self._target, self.reading, self.motor_command,
         )  # fmt: skip
-        drive_kernel(self.tuning, self.drive, reading, target, self._feedforward, command)
-        self.motor_command = command
 
     def _set_friction(self) -> None:
-        truth, friction, model = self.truth, self.friction, self.mechanism.model
-        friction.forward[:] = friction.backward[:] = truth.coulomb_friction_nm
-        friction.viscous[:] = truth.viscous_friction_nms
+        friction, model = self.friction, self.mechanism.model
+        friction.forward[:] = friction.backward[:] = self._coulomb
+        friction.viscous[:] = self._viscous
         friction.torque[:] = 0.0
         for effect in self._on_friction:
             effect.friction(self, friction)
         if self.truth.creep_radps:
-            level = np.where(self.motor_dot > 0, friction.forward, friction.backward)
-            friction.torque -= level * np.tanh(self.motor_dot / self.truth.creep_radps)
+            creep_kernel(friction.forward, friction.backward, self.motor_dot, self.truth.creep_radps, friction.torque)
         else:
             # MuJoCo's friction loss takes one level for both directions; the difference acts as a bias
             friction.torque -= (friction.forward - friction.backward) / 2
@@ -251,27 +265,37 @@ class Plant:
         for effect in self._on_motor:
             torque = effect.motor_torque(self, torque)
         self.torque = torque
-        data.qfrc_applied[:] = 0.0
-        force = data.qfrc_applied
-        if self._on_friction or self.truth.creep_radps:
+        if self._on_friction:
             self._set_friction()
-            force[at.motor] += self.friction.torque
+            rubbed = torque + self.friction.torque
+        elif self.truth.creep_radps:
+            rubbed = torque.copy()
+            creep_kernel(self._coulomb, self._coulomb, self.motor_dot, self.truth.creep_radps, rubbed)
+        else:
+            rubbed = torque
+        if self._is_split:
+            passed = self._drive_train()
+            data.qfrc_applied[at.motor] = np.where(self.split, rubbed - passed, 0.0)
+            self._arm_force[:] = np.where(self.split, passed, rubbed)
+            self.load = np.where(self.split, passed, torque)
+        else:
+            self._arm_force[:] = rubbed
+            self.load = torque
         for effect in self._on_joint:
-            force[at.arm] += effect.joint_torque(self)
-        for effect in self._on_platform:
-            force[at.platform] += effect.platform_force(self)
+            self._arm_force += effect.joint_torque(self)
+        if self._on_platform:
+            self._platform_force[:] = sum(effect.platform_force(self) for effect in self._on_platform)
         for effect in self._on_bodies:
             effect.act_on_bodies(self)
-        force[at.motor] += torque
-        self.load = torque
-        if self.split.any():
-            passed = self._drive_train()
-            force[at.motor] -= passed
-            force[at.arm] += passed
-            self.load = np.where(self.split, passed, torque)
         mujoco.mj_step(at.model, data)
         self.time += self.step
-        self._observe()
+        self._observe_motors()
+
+
+def _stride(address: np.ndarray) -> slice:
+    """Evenly spaced addresses as a slice, which gives a view where an index array gives a copy."""
+    every = int(address[1] - address[0])
+    return slice(int(address[0]), int(address[-1]) + 1, every)
 
 
 def _overriding(effects: tuple[Effect, ...], hook: str) -> tuple[Effect, ...]:

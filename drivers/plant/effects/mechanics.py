@@ -132,7 +132,7 @@ class JointOffset(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * signed(rng, 0.012, 0.03)))
+        return cls(on_one(rng, severity * signed(rng, 0.02, 0.045)))
 
     @property
     def joints(self) -> list[int]:
