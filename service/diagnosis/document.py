@@ -9,6 +9,7 @@ from schemas.robot import Robot
 from service.diagnosis import statistics
 from service.diagnosis.description import described, digits, names, values
 from service.diagnosis.diagnose import Findings
+from service.diagnosis.effects.base import Effect
 from service.diagnosis.evidence import Contest, confusable, contests
 from service.diagnosis.selection import block_loss
 from service.diagnosis.where import where, without
@@ -84,27 +85,32 @@ def _estimate(value: float, error: float, unit: str) -> Estimate:
 def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
     hypothesis = findings.best.hypothesis
     at = len(hypothesis.base.rigid) + 2 * len(hypothesis.base.viscous)
-    result = []
-    gap = max(findings.selection.none.loss - findings.problem.count, 1e-9)
+    parameters: dict[Effect, dict[str, Estimate]] = {}
+    joints: dict[Effect, list[int]] = {}
     for term in hypothesis.terms:
         count = len(names(term))
         errors = findings.errors[at : at + count]
         at += count
-        lost = sum(float(r @ r) for r in without(findings, term)) - findings.best.loss
-        probability = max(contest.probability(term.effect.name) for contest in rounds)
+        shared = sum(other.effect is term.effect for other in hypothesis.terms) > 1
+        suffix = f"_{term.joints[0] + 1}" if shared and term.joints else ""
+        for (key, unit), value, error in zip(names(term), values(term), errors, strict=True):
+            parameters.setdefault(term.effect, {})[key + suffix] = _estimate(value, error, unit)
+        joints.setdefault(term.effect, []).extend(joint + 1 for joint in term.joints)
+    gap = max(findings.selection.none.loss - findings.problem.count, 1e-9)
+    result = []
+    for effect, found in parameters.items():
+        lost = sum(float(r @ r) for r in without(findings, effect)) - findings.best.loss
+        probability = max((contest.probability(effect.name) for contest in rounds), default=0.0)
         result.append(
             NamedEffect(
-                name=term.effect.name,
-                joints=[joint + 1 for joint in term.joints],
+                name=effect.name,
+                joints=joints[effect],
                 probability=round(probability, 4),
-                parameters={
-                    key: _estimate(value, error, unit)
-                    for (key, unit), value, error in zip(names(term), values(term), errors, strict=True)
-                },
+                parameters=found,
                 gap_share=round(float(np.clip(lost / gap, 0.0, 1.0)), 4),
-                confusable_with=confusable(findings.selection, term.effect.name),
-                settles=term.effect.settles,
-                online=term.effect.online,
+                confusable_with=confusable(findings.selection, effect.name),
+                settles=effect.settles,
+                online=effect.online,
             )
         )
     return sorted(result, key=lambda effect: -effect.gap_share)

@@ -159,7 +159,7 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
         at_joint.append(-np.gradient(torque, scene.period, axis=0)[..., None])
     raw: dict[int, np.ndarray] = {}
     count = sum(part.shape[-1] for part in at_joint)
-    for term in hypothesis.terms:
+    for number, term in enumerate(hypothesis.terms):
         if term.effect.amplitudes:
             for place, amplitude in zip(term.places, term.amplitude, strict=True):
                 if term.effect.measured:
@@ -177,7 +177,7 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
                 raw[count] = change / size
                 at_joint.append(np.zeros((len(torque), n, 1)))
             else:
-                twin = next(t for t in moved.terms if t.effect is term.effect)
+                twin = moved.terms[number]
                 change = np.zeros(torque.shape)
                 for place, amplitude in zip(term.places, term.amplitude, strict=True):
                     change += term.effect.torque(scene, place, amplitude, twin.shape)

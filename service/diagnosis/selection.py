@@ -27,7 +27,8 @@ LEAST_SHARE_OF_REST = 0.25  # of what was still above the noise when it was adde
 LEAST_Z = 3.0  # standard errors over blocks
 TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
 ROUGH_PROMISE = 0.7  # of the cost: a rough effect that does not get below it is not refined
-ROUGH_STEPS = (0.94, 1.06, 0.97, 1.03)  # factors tried on its shapes, where slopes mislead
+ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its shapes, where slopes mislead
+SPREAD_GAIN = 40.0  # squared residual, in units of the noise, that shapes of their own must be worth
 JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
 
 
@@ -300,7 +301,7 @@ def search(
             path.append((exact, None))
             break
         path.append((exact, exact[0]))
-        best = trimmed[id(exact[0])] = pruned(problem, split, exact[0], none, rows)
+        best = trimmed[id(exact[0])] = spread(problem, split, pruned(problem, split, exact[0], none, rows))
         if best.loss / rows < 1.0 + LEAST_GAIN:
             break
     return Selection(none, best, path, trimmed)
@@ -343,17 +344,29 @@ def worth(candidate: np.ndarray, without: np.ndarray, none: np.ndarray, rows: in
     return gain > least and z_score(without, candidate) > LEAST_Z
 
 
+def spread(problem: Problem, split: Split, best: Scored) -> Scored:
+    """Give the joints of the effect found last shapes of their own, where the data left out gain by it."""
+    term = best.hypothesis.terms[-1]
+    if not term.effect.own_shapes or len(term.joints) < 2:
+        return best
+    apart = tuple(
+        replace(term, joints=(joint,), amplitude=term.amplitude[[place]]) for place, joint in enumerate(term.joints)
+    )
+    trial = score(fit(problem, replace(best.hypothesis, terms=(*best.hypothesis.terms[:-1], *apart))), split)
+    return trial if best.loss - trial.loss > max(SPREAD_GAIN, 0.01 * (best.loss - problem.count)) else best
+
+
 def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int) -> Scored:
     """Drop whole effects, then single joints of effects, that the others make superfluous."""
-    for term in best.hypothesis.terms[:-1]:
-        fewer = tuple(t for t in best.hypothesis.terms if t.effect is not term.effect)
+    for effect in dict.fromkeys(term.effect for term in best.hypothesis.terms[:-1]):
+        fewer = tuple(t for t in best.hypothesis.terms if t.effect is not effect)
         trial = score(fit(problem, replace(best.hypothesis, terms=fewer)), split)
         if not worth(best.blocks, trial.blocks, none.blocks, rows):
             best = trial
     for term in best.hypothesis.terms:
         for joint in term.joints if len(term.joints) > 1 else ():
-            current = next(t for t in best.hypothesis.terms if t.effect is term.effect)
-            if len(current.joints) < 2:
+            current = next((t for t in best.hypothesis.terms if t.effect is term.effect), None)
+            if current is None or len(current.joints) < 2:
                 continue
             keep = [place for place, other in enumerate(current.joints) if other != joint]
             smaller = replace(current, joints=tuple(current.joints[i] for i in keep), amplitude=current.amplitude[keep])

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from service.diagnosis.diagnose import Findings
-from service.diagnosis.hypothesis import Hypothesis, Problem, Term
+from service.diagnosis.effects.base import Effect
+from service.diagnosis.hypothesis import Hypothesis, Problem
 from service.diagnosis.mechanism import Delta
 from service.diagnosis.scene import Scene
 from service.diagnosis.selection import held_out
@@ -78,10 +79,9 @@ def budget(findings: Findings, joint: int) -> dict[str, float]:
     reversals = min(float(findings.reversal[joint] ** 2), max(after - noise, 0.0))
     parts = {"noise": noise, "reversals": reversals, "unexplained": max(after - noise - reversals, 0.0)}
     explained = before - after
-    weights = {
-        term.effect.name: max(energy(without(findings, term)) - energy(findings.best.residuals), 0.0)
-        for term in findings.best.hypothesis.terms
-    }
+    left = energy(findings.best.residuals)
+    effects = dict.fromkeys(term.effect for term in findings.best.hypothesis.terms)
+    weights = {effect.name: max(energy(without(findings, effect)) - left, 0.0) for effect in effects}
     weights["refinement"] = max(before - energy(findings.selection.none.residuals), 0.0)
     total = sum(weights.values())
     for name, weight in weights.items():
@@ -89,17 +89,17 @@ def budget(findings: Findings, joint: int) -> dict[str, float]:
     return parts
 
 
-def without(findings: Findings, term: Term) -> list[np.ndarray]:
+def without(findings: Findings, effect: Effect) -> list[np.ndarray]:
     """Held-out residuals (R,) a recording with one effect taken out and everything else refitted, to first order."""
     fitted = findings.best.fitted
-    columns = term_columns(fitted.hypothesis, term)
-    amplitudes = columns[: term.amplitude.size]
-    change = np.zeros(len(fitted.free))
-    change[amplitudes] = -term.amplitude.ravel()
-    free = fitted.free.copy()
-    free[columns] = False
-    if not term.amplitude.size:  # shapes alone: the base model with the other effects, as far as it was fitted
-        return findings.selection.none.residuals
+    change, free = np.zeros(len(fitted.free)), fitted.free.copy()
+    for term in fitted.hypothesis.terms:
+        if term.effect is effect:
+            if not term.amplitude.size:  # shapes alone have no slope to zero: the model without any effect
+                return findings.selection.none.residuals
+            columns = term_columns(fitted.hypothesis, term)
+            change[columns[: term.amplitude.size]] = -term.amplitude.ravel()
+            free[columns] = False
     residuals = [r - t @ change for r, t in zip(fitted.residuals, fitted.tangents, strict=True)]
     return held_out(replace(fitted, residuals=residuals, free=free), findings.split)
 

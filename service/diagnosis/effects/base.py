@@ -41,8 +41,9 @@ class Effect(ABC):
 
     name: as in the catalogue. per_joint: sits on single joints. own_joint: adds torque to no other joint than its own.
     measured: alters the reported torque instead of adding to it. rough: its torque is no smooth function of its shapes,
-    so they are kept when a part of the data is left out. kinds: mechanisms it makes sense for.
-    settles: the motion that tells it from what it resembles. online: how the online model carries it.
+    so they are kept when a part of the data is left out. own_shapes: each joint may have shapes of its own. kinds:
+    mechanisms it makes sense for. settles: the motion that tells it from what it resembles. online: how the online
+    model carries it.
     """
 
     name: ClassVar[str]
@@ -50,6 +51,7 @@ class Effect(ABC):
     own_joint: ClassVar[bool] = True
     measured: ClassVar[bool] = False
     rough: ClassVar[bool] = False
+    own_shapes: ClassVar[bool] = False
     kinds: ClassVar[frozenset[str]] = frozenset({"delta", "axes"})
     settles: ClassVar[str]
     online: ClassVar[str] = "exact, from the present sample"

@@ -27,6 +27,7 @@ class StribeckFriction(Effect):
     f_s: Amplitude = Amplitude("N m", "breakaway friction above the Coulomb level")
     v_s: Shape = Shape("rad/s", "speed at which it has fallen to 37 %", _geometric(0.01, 1.0, 9), 0.005, 2.0)
     name = "stribeck_friction"
+    own_shapes = True
     settles = "a slow sweep with reversals, 0.005 to 1 rad/s"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
@@ -85,6 +86,7 @@ class NonlinearViscousFriction(Effect):
     f: Amplitude = Amplitude("N m (s/rad)^p", "coefficient")
     p: Shape = Shape("", "exponent of speed", (0.35, 0.6, 1.5, 2.0, 3.0), 0.2, 4.0)
     name = "nonlinear_viscous_friction"
+    own_shapes = True
     settles = "runs of one path at 10, 30, 60 and 100 % speed"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
@@ -134,9 +136,9 @@ class WarmupFriction(Effect):
 
 
 @njit(cache=True)
-def _dahl(theta, theta_dot, distance, state):
+def _dahl(theta, distance, state):
     """Relative bristle deflection z in [-1, 1]: dz / dtheta = (1 - z sign v) / distance, exact along each step."""
-    z = 1.0 if theta_dot[0] > 0.0 else -1.0
+    z = 0.0  # where the bristles stand at the start is not in the log
     for k in range(len(theta)):
         step = theta[k] - theta[k - 1] if k > 0 else 0.0
         sign = 1.0 if step > 0.0 else -1.0
@@ -157,6 +159,7 @@ class PreslidingFriction(Effect):
     f: Amplitude = Amplitude("N m", "part of the Coulomb friction that builds up over the distance")
     distance: Shape = Shape("rad", "displacement of the build-up", _geometric(3e-4, 0.1, 8), 2e-4, 0.3)
     name = "presliding_friction"
+    own_shapes = True
     settles = "small reversals (0.001 to 0.05 rad) about several angles"
     online = "not carried: it takes the past of the joint"
 
@@ -164,7 +167,7 @@ class PreslidingFriction(Effect):
         """(N, 1)."""
         motion = scene.segment
         state = np.empty(len(scene.time))
-        _dahl(motion.theta[:, joint], motion.theta_dot[:, joint], shape[0], state)
+        _dahl(motion.theta[:, joint], shape[0], state)
         return (state - scene.direction[:, joint])[:, None]
 
 
