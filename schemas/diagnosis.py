@@ -48,8 +48,9 @@ class Ranked(_Section):
 
 
 class Gap(_Section):
-    """Rms on runs left out of fitting and selection, in the analysis band, N m a joint (or the axis's own unit)."""
+    """Rms a joint on runs left out of fitting and selection, in the analysis band. unit: N m, N for linear axes."""
 
+    unit: str
     before_nm: list[float]
     after_nm: list[float]
     noise_floor_nm: list[float]
@@ -61,7 +62,10 @@ class Gap(_Section):
 
 
 class Diagnosis(_Section):
-    """Where the gap lies, which effect causes it, how far it shrinks."""
+    """Where the gap lies, which effect causes it, how far it shrinks.
+
+    plain: parameters of the base model fitted without effects. base: refitted together with the effects.
+    """
 
     schema_: Literal["deltatwin.diagnosis/1"] = Field("deltatwin.diagnosis/1", alias="schema")
     robot: str
@@ -72,6 +76,7 @@ class Diagnosis(_Section):
     ranking: list[Ranked]
     probability_none: float
     probability_unknown: float
+    plain: dict[str, float]
     base: dict[str, Estimate]
     where: dict[str, Any]
     gap: Gap

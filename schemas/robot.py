@@ -214,10 +214,13 @@ def _robot_name(name: str) -> str:
         raise ValueError(str(error)) from error  # Pydantic adds the key
 
 
+RobotName = Annotated[str, AfterValidator(_robot_name)]
+
+
 class Robot(_Section):
     """A Delta robot with three actuated joints."""
 
-    name: Annotated[str, AfterValidator(_robot_name)]
+    name: RobotName
     kind: Literal["delta"] = "delta"
     gravity_mps2: Positive = 9.81
     geometry: Geometry
@@ -301,18 +304,19 @@ def _update(document: Any, old: dict[str, Any], new: dict[str, Any], written: di
         if isinstance(new.get(key), dict) and isinstance(document.get(key), dict):
             _update(document[key], old.get(key) or {}, new[key], written.get(key, {}))
         elif key in written:
-            document[key] = _item(written[key])
+            document[key] = toml_item(written[key])
         elif key in document and isinstance(new.get(key), (bool, int, float, str)):
             document[key] = new[key]  # back to its default: say so where the file said otherwise
         else:
             document.pop(key, None)
 
 
-def _item(value: Any) -> Any:
+def toml_item(value: Any) -> Any:
+    """`value` as TOML: lists of tables as such, small tables on one line."""
     if isinstance(value, list) and value and isinstance(value[0], dict):
         tables = tomlkit.aot()
         for entry in value:
-            tables.append(_item(entry))
+            tables.append(toml_item(entry))
         return tables
     if isinstance(value, dict) and any(isinstance(v, dict) for v in value.values()):
         table = tomlkit.table()
@@ -324,7 +328,7 @@ def _item(value: Any) -> Any:
 
 def _inline(entry: dict[str, Any]) -> Any:
     if any(isinstance(v, dict) for v in entry.values()):
-        return _item(entry)
+        return toml_item(entry)
     table = tomlkit.inline_table()
     table.update(entry)
     return table

@@ -13,6 +13,9 @@ def command(
     robot: Annotated[Path, typer.Option(help="Robot description (TOML)")],
     out: Annotated[Path, typer.Option(help="Folder for diagnosis.json, corrected.toml and report.html")],
     columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
+    baseline: Annotated[
+        Path | None, typer.Option(help="Identified description whose gap is the one before; default: identify anew")
+    ] = None,
     effects: Annotated[Path | None, typer.Option(help="Python file with effects of your own")] = None,
 ) -> None:
     """Say where torque and model part, which effect explains it, and how far it shrinks on runs not used for the fit.
@@ -21,6 +24,7 @@ def command(
     """
     from rich.console import Console
 
+    from schemas.axes import Axes, is_axes, load_axes, save_axes
     from schemas.robot import load_robot, save_robot
     from service.cli.reading import reading
     from service.diagnosis.diagnose import diagnose
@@ -30,18 +34,26 @@ def command(
     from service.diagnosis.text import sentences
 
     console = Console()
-    description = load_robot(robot)
     known = catalogue(effects)
-    recorded = list(reading(traces, description, columns, "reading"))
+    if is_axes(robot):
+        description = load_axes(robot)
+        recorded = list(reading(traces, None, columns or description.columns, "reading"))
+    else:
+        description = load_robot(robot)
+        recorded = list(reading(traces, description, columns, "reading"))
     with console.status("starting") as status:
-        findings = diagnose(description, recorded, known, lambda what: status.update(what))
+        findings = diagnose(description, recorded, known, status.update, load_robot(baseline) if baseline else None)
         status.update("writing the report")
         result = document(findings)
         out.mkdir(parents=True, exist_ok=True)
         partial = out / "diagnosis.json.part"
         partial.write_text(result.model_dump_json(indent=1, by_alias=True), encoding="utf-8")
         partial.replace(out / "diagnosis.json")
-        save_robot(corrected(findings), out / "corrected.toml", template=robot)
+        fixed = corrected(findings)
+        if isinstance(fixed, Axes):
+            save_axes(fixed, out / "corrected.toml")
+        else:
+            save_robot(fixed, out / "corrected.toml", template=robot)
         write_report(findings, result, out / "report.html")
     for line in sentences(result):
         console.print(line, highlight=False, markup=False)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from schemas.trace import Trace
 
 
-def reading(paths: Sequence[Path], robot: Robot, columns: Path | None, title: str) -> Iterator[Trace]:
+def reading(paths: Sequence[Path], robot: Robot | None, columns: Path | str | None, title: str) -> Iterator[Trace]:
     """Yield the trace of each of `paths`; its findings go to stderr, and a progress bar where that is a terminal.
 
     Raises:
@@ -20,10 +20,9 @@ def reading(paths: Sequence[Path], robot: Robot, columns: Path | None, title: st
     from rich.console import Console
     from rich.progress import track
 
-    from drivers.trace import read_trace
-    from schemas.columns import load_columns
+    from drivers.trace import find_columns, read_trace
 
-    mapping = load_columns(columns) if columns else None
+    mapping = find_columns(columns) if columns else None
     console = Console(stderr=True)
     for path in track(paths, title, console=console, transient=True, disable=not console.is_terminal):
         trace = read_trace(path, robot, mapping)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from schemas.axes import Axes, AxesIdentified
 from schemas.errors import DataError
 from schemas.robot import Effect as EffectEntry
 from schemas.robot import EffectParameter, Identified, JointParameter, Parameter, Robot
@@ -115,6 +116,30 @@ def described(robot: Robot, hypothesis: Hypothesis, errors: np.ndarray, noise: n
         entries.append(entry(term_, errors[at : at + count]))
         at += count
     return robot.model_copy(update={"identified": identified, "effect": entries})
+
+
+def described_axes(axes: Axes, hypothesis: Hypothesis, errors: np.ndarray) -> Axes:
+    """The same for decoupled axes."""
+    base, n = hypothesis.base, len(axes.axis)
+    shown = [digits(value) for value in np.concatenate([base.rigid, base.viscous, base.coulomb])]
+    doubt = [digits(value) for value in errors[: 4 * n]]
+    inertia, offset, viscous, coulomb = (
+        JointParameter(value=shown[at : at + n], std_error=doubt[at : at + n]) for at in range(0, 4 * n, n)
+    )
+    identified = AxesIdentified(
+        inertia=inertia,
+        offset=offset,
+        viscous_friction=viscous,
+        coulomb_friction=coulomb,
+        friction_transition=digits(base.transition),
+        torque_timing_s=digits(base.timing),
+    )
+    at, entries = 4 * n, []
+    for term_ in hypothesis.terms:
+        count = len(names(term_))
+        entries.append(entry(term_, errors[at : at + count]))
+        at += count
+    return axes.model_copy(update={"identified": identified, "effect": entries})
 
 
 def torque_along(

@@ -7,12 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from schemas.axes import Axes
+from schemas.errors import DataError
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.diagnosis import statistics
+from service.diagnosis.cautions import doubts_of, limits_of
+from service.diagnosis.description import hypothesis_of
 from service.diagnosis.effects.base import Effect
-from service.diagnosis.hypothesis import Hypothesis, Problem, fit, predict
-from service.diagnosis.mechanism import Delta, Mechanism
+from service.diagnosis.hypothesis import Hypothesis, Problem, Term, evaluate, fit, predict
+from service.diagnosis.mechanism import DecoupledAxes, Delta, Mechanism
 from service.diagnosis.noise import white_noise
 from service.diagnosis.scene import Band, Base, Recording
 from service.diagnosis.selection import Scored, Selection, Split, score, search
@@ -29,17 +33,19 @@ START_TRANSITION = 0.002  # rad/s
 class Findings:
     """Everything the documents need. Residuals are in units of `problem.sigma`.
 
-    plain: the model that `identify` writes. before, after: residuals (R,) a recording on data left out, of the plain
-    model and of the corrected one, the latter left out of selection too. noise: (n,) N m a sample. reversal: (n,) N m
-    in the band. errors: as `statistics.standard_errors` of the corrected model. limit: rms up to which what is left is
-    noise. cannot_tell: what this data cannot say, with what to record. notes: what a reader has to know.
+    plain: the model that `identify` writes. given: effects that the description carried already. before, after:
+    residuals (R,) a recording on data left out, of the plain model and of the corrected one, the latter left out of
+    selection too. noise: (n,) N m a sample. reversal: (n,) N m in the band. errors: as `statistics.standard_errors` of
+    the corrected model. limit: rms up to which what is left is noise. cannot_tell: what this data cannot say, with what
+    to record. notes: what a reader has to know.
     """
 
-    robot: Robot
+    robot: Robot | Axes
     problem: Problem
     split: Split
     plain: Scored
     selection: Selection
+    given: tuple[Term, ...]
     before: list[np.ndarray]
     after: list[np.ndarray]
     noise: np.ndarray
@@ -57,24 +63,30 @@ class Findings:
 
 
 def diagnose(
-    robot: Robot,
+    robot: Robot | Axes,
     traces: Sequence[Trace],
     effects: Sequence[Effect],
     progress: Callable[[str], None] = lambda _: None,
+    baseline: Robot | None = None,
 ) -> Findings:
     """Find out which effects the traces of `robot` support.
 
+    Effects that the description carries already are part of the model and not found again. baseline: the description
+    whose gap counts as "before"; default: the plain model refitted, as `identify` does.
+
     Raises:
-        TraceError: a trace without a usable part, naming the file.
+        TraceError: a trace without a usable part, naming the file. DataError: no joint moves.
         PoseError: positions that are no pose of the robot.
     """
     progress("smoothing the motion")
-    mechanism: Mechanism = Delta.of(robot)
+    mechanism: Mechanism = DecoupledAxes.of(robot) if isinstance(robot, Axes) else Delta.of(robot)
     recordings = [
         Recording(thin(segment), mechanism, index, trace.name)
         for index, trace in enumerate(traces)
         for segment in segments(trace)
     ]
+    if not any(recording.segment.moving.any() for recording in recordings):
+        raise DataError(f"{traces[0].path}: no joint moves")
     band = Band.of(recordings[0].segment.period)
     progress("fitting the base model")
     problem, noise = _problem(recordings, band)
@@ -82,17 +94,29 @@ def diagnose(
     k, n = len(mechanism.coefficients), mechanism.joints
     start = Base(np.zeros(k), np.zeros(n), np.zeros(n))
     plain = score(fit(problem, Hypothesis(start, refined=False), iterations=2), split)
-    refined = Hypothesis(replace(plain.hypothesis.base, transition=START_TRANSITION))
-    selection = search(problem, split, refined, effects, progress)
+    given = () if isinstance(robot, Axes) else hypothesis_of(robot).terms
+    refined = Hypothesis(replace(plain.hypothesis.base, transition=START_TRANSITION), given)
+    if given:
+        plain = score(fit(problem, refined), split)
+    offer = limits_of(problem)
+    selection = search(problem, split, refined, effects if offer.enough else (), progress, offer.allows)
     progress("checking on data left out")
-    after = statistics.nested(selection, split, problem.count)
-    errors = statistics.standard_errors(selection.best.fitted, split)
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     limit = WITHIN_NOISE * _floor(problem, reversal)
-    verdict = _verdict(problem, selection, after, limit)
+    doubts = doubts_of(problem, selection, limit) if offer.enough else []
+    if doubts:
+        selection = replace(selection, best=selection.none, path=[])
+    after = statistics.nested(selection, split, problem.count)
+    errors = statistics.standard_errors(selection.best.fitted, split)
+    before = plain.residuals
+    if baseline is not None:
+        before = evaluate(problem, hypothesis_of(baseline)).residuals
+    notes = [f"{term.effect.name.replace('_', ' ')} is in the description already." for term in given]
+    verdict = _verdict(problem, selection, given, after, limit)
     return Findings(
-        robot, problem, split, plain, selection, plain.residuals, after, noise, reversal, errors, verdict, limit, [], []
-    )
+        robot, problem, split, plain, selection, given, before, after, noise, reversal, errors, verdict, limit,
+        [*offer.reasons, *doubts], notes,
+    )  # fmt: skip
 
 
 def _problem(recordings: list[Recording], band: Band) -> tuple[Problem, np.ndarray]:
@@ -108,10 +132,12 @@ def _problem(recordings: list[Recording], band: Band) -> tuple[Problem, np.ndarr
     return replace(problem, sigma=np.maximum(noise, 1e-9) * share), noise
 
 
-def _verdict(problem: Problem, selection: Selection, after: list[np.ndarray], limit: float) -> str:
+def _verdict(
+    problem: Problem, selection: Selection, given: tuple[Term, ...], after: list[np.ndarray], limit: float
+) -> str:
     count = problem.count
     left = (float(sum(r @ r for r in after)) / count) ** 0.5
-    if not selection.best.hypothesis.terms:
+    if len(selection.best.hypothesis.terms) == len(given):
         return "within_noise" if left <= limit else "unexplained"
     return "explained" if left <= limit else "partly_explained"
 

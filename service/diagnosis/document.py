@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from schemas.axes import Axes
 from schemas.diagnosis import Diagnosis, Estimate, Gap, NamedEffect, Ranked
 from schemas.robot import Robot
 from service.diagnosis import statistics
-from service.diagnosis.description import described, digits, names, values
+from service.diagnosis.description import described, described_axes, digits, names, values
 from service.diagnosis.diagnose import Findings
 from service.diagnosis.effects.base import Effect
 from service.diagnosis.evidence import Contest, confusable, contests
@@ -17,8 +18,10 @@ from service.diagnosis.where import where, without
 Z95 = 1.96
 
 
-def corrected(findings: Findings) -> Robot:
+def corrected(findings: Findings) -> Robot | Axes:
     """The description with base model and effects refitted together."""
+    if isinstance(findings.robot, Axes):
+        return described_axes(findings.robot, findings.best.hypothesis, findings.errors)
     return described(findings.robot, findings.best.hypothesis, findings.errors, findings.noise)
 
 
@@ -48,12 +51,17 @@ def document(findings: Findings) -> Diagnosis:
         ranking=_ranking(findings, rounds),
         probability_none=_none(findings, rounds),
         probability_unknown=_unknown(findings),
+        plain={
+            name: digits(value)
+            for (name, _), value in zip(names_, findings.plain.hypothesis.parameters(), strict=False)
+        },
         base={
-            name: _estimate(value, error, unit)
+            name: _estimate(value, error, in_units_of(findings.robot, unit))
             for (name, unit), value, error in zip(names_, numbers, findings.errors, strict=False)
         },
         where=where(findings),
         gap=Gap(
+            unit=in_units_of(findings.robot, "N m"),
             before_nm=[digits(v) for v in before],
             after_nm=[digits(v) for v in after],
             noise_floor_nm=[digits(v) for v in problem.sigma],
@@ -78,6 +86,13 @@ def base_names(findings: Findings) -> list[tuple[str, str]]:
     ]
 
 
+def in_units_of(robot: Robot | Axes, unit: str) -> str:
+    """A unit of angle and torque as that of the description's axes."""
+    if isinstance(robot, Axes) and all(axis.unit == "m" for axis in robot.axis):
+        return unit.replace("N m", "N").replace("rad", "m")
+    return unit
+
+
 def _estimate(value: float, error: float, unit: str) -> Estimate:
     return Estimate(value=digits(value), unit=unit, ci95=(digits(value - Z95 * error), digits(value + Z95 * error)))
 
@@ -87,14 +102,17 @@ def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
     at = len(hypothesis.base.rigid) + 2 * len(hypothesis.base.viscous)
     parameters: dict[Effect, dict[str, Estimate]] = {}
     joints: dict[Effect, list[int]] = {}
-    for term in hypothesis.terms:
+    for number, term in enumerate(hypothesis.terms):
         count = len(names(term))
         errors = findings.errors[at : at + count]
         at += count
+        if number < len(findings.given):
+            continue
         shared = sum(other.effect is term.effect for other in hypothesis.terms) > 1
         suffix = f"_{term.joints[0] + 1}" if shared and term.joints else ""
         for (key, unit), value, error in zip(names(term), values(term), errors, strict=True):
-            parameters.setdefault(term.effect, {})[key + suffix] = _estimate(value, error, unit)
+            known = in_units_of(findings.robot, unit)
+            parameters.setdefault(term.effect, {})[key + suffix] = _estimate(value, error, known)
         joints.setdefault(term.effect, []).extend(joint + 1 for joint in term.joints)
     gap = max(findings.selection.none.loss - findings.problem.count, 1e-9)
     result = []

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from schemas.axes import Axes
 from schemas.robot import Robot
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
 from service.model.kinematics import jacobian, motion
@@ -115,3 +116,33 @@ class Delta:
             swing=platform.velocity[:, None, :] - slope * theta_dot[..., None],
             axle=np.cross(up, outward),
         )
+
+
+@dataclass(frozen=True)
+class DecoupledAxes:
+    """n axes that do not feel each other: inertia and a constant load each."""
+
+    gear_ratio: np.ndarray
+    kind = "axes"
+
+    @classmethod
+    def of(cls, axes: Axes) -> DecoupledAxes:
+        """The mechanism of a description."""
+        return cls(np.array([axis.gear_ratio for axis in axes.axis]))
+
+    @property
+    def joints(self) -> int:
+        """n."""
+        return len(self.gear_ratio)
+
+    @property
+    def coefficients(self) -> dict[str, str]:
+        """Inertias, then constant loads."""
+        joints = range(1, self.joints + 1)
+        return {f"inertia_{j}": "N m s^2/rad" for j in joints} | {f"offset_{j}": "N m" for j in joints}
+
+    def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
+        """Torque of (N, n) motions."""
+        eye = np.eye(self.joints)
+        constant = np.broadcast_to(eye, (len(theta), self.joints, self.joints))
+        return Rigid(np.zeros(theta.shape), np.concatenate([theta_ddot[..., None] * eye, constant], axis=-1))

@@ -217,7 +217,9 @@ class Dictionary:
             loss += out[-1, -1] - 2 * weight @ out[chosen, -1] + weight @ out[np.ix_(chosen, chosen)] @ weight
         return float(loss)
 
-    def ranking(self, taken: Iterable[Term], joints: int) -> list[tuple[float, Candidate]]:
+    def ranking(
+        self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
+    ) -> list[tuple[float, Candidate]]:
         """The best candidate of every effect, best first. An effect at work is not offered on its own joints again."""
         busy = {(term.effect, place) for term in taken for place in term.places}
         shapes: dict[Effect, set[tuple[float, ...]]] = {}
@@ -226,7 +228,11 @@ class Dictionary:
         result = []
         for effect in self.effects:
             options: list[tuple[int, ...]] = [(joint,) for joint in range(joints)] if effect.per_joint else [()]
-            options = [option for option in options if not any((effect, place) in busy for place in option or (0,))]
+            options = [
+                option
+                for option in options
+                if not any((effect, place) in busy or not allows(effect, place) for place in option or (0,))
+            ]
             if effect.per_joint and len(options) == joints > 1:
                 options.append(tuple(range(joints)))
             scored = [
@@ -278,17 +284,26 @@ class Selection:
 
 
 def search(
-    problem: Problem, split: Split, start: Hypothesis, effects: Sequence[Effect], progress: Callable[[str], None]
+    problem: Problem,
+    split: Split,
+    start: Hypothesis,
+    effects: Sequence[Effect],
+    progress: Callable[[str], None],
+    allows: Callable[[Effect, int], bool] = lambda effect, joint: True,
 ) -> Selection:
-    """Add effects one by one while each is worth it on data left out; then see whether one can go again."""
+    """Add effects one by one while each is worth it on data left out; then see whether one can go again.
+
+    allows: whether the data let an effect be looked for on a joint at all.
+    """
+    given = len(start.terms)
     rows = problem.count
     none = best = score(fit(problem, start), split)
     path: list[tuple[list[Scored], Scored | None]] = []
     trimmed: dict[int, Scored] = {}
-    for _ in range(MOST_EFFECTS):
+    for _ in range(MOST_EFFECTS if effects else 0):
         progress("weighing the catalogue")
         dictionary = Dictionary(problem, split, best.fitted, effects)
-        ranking = dictionary.ranking(best.hypothesis.terms, problem.recordings[0].mechanism.joints)
+        ranking = dictionary.ranking(best.hypothesis.terms, problem.recordings[0].mechanism.joints, allows)
         shortlist = [item for item in ranking[:SHORTLIST] if dictionary.nothing - item[0] > 0.3 * LEAST_GAIN * rows]
         exact: list[Scored] = []
         for _, candidate in shortlist:
@@ -301,7 +316,7 @@ def search(
             path.append((exact, None))
             break
         path.append((exact, exact[0]))
-        best = trimmed[id(exact[0])] = spread(problem, split, pruned(problem, split, exact[0], none, rows))
+        best = trimmed[id(exact[0])] = spread(problem, split, pruned(problem, split, exact[0], none, rows, given))
         if best.loss / rows < 1.0 + LEAST_GAIN:
             break
     return Selection(none, best, path, trimmed)
@@ -356,14 +371,14 @@ def spread(problem: Problem, split: Split, best: Scored) -> Scored:
     return trial if best.loss - trial.loss > max(SPREAD_GAIN, 0.01 * (best.loss - problem.count)) else best
 
 
-def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int) -> Scored:
+def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int, given: int) -> Scored:
     """Drop whole effects, then single joints of effects, that the others make superfluous."""
-    for effect in dict.fromkeys(term.effect for term in best.hypothesis.terms[:-1]):
+    for effect in dict.fromkeys(term.effect for term in best.hypothesis.terms[given:-1]):
         fewer = tuple(t for t in best.hypothesis.terms if t.effect is not effect)
         trial = score(fit(problem, replace(best.hypothesis, terms=fewer)), split)
         if not worth(best.blocks, trial.blocks, none.blocks, rows):
             best = trial
-    for term in best.hypothesis.terms:
+    for term in best.hypothesis.terms[given:]:
         for joint in term.joints if len(term.joints) > 1 else ():
             current = next((t for t in best.hypothesis.terms if t.effect is term.effect), None)
             if current is None or len(current.joints) < 2:

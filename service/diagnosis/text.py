@@ -14,10 +14,11 @@ VERDICTS = {
 }  # fmt: skip
 
 
-def sentences(document: Diagnosis, unit: str = "N m") -> list[str]:
+def sentences(document: Diagnosis) -> list[str]:
     """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next."""
     lines = [VERDICTS[document.verdict]]
     gap = document.gap
+    unit = gap.unit
     for entry in document.where["joints"]:
         joint = entry["joint"]
         before, floor = gap.before_nm[joint - 1], gap.noise_floor_nm[joint - 1]
@@ -27,6 +28,8 @@ def sentences(document: Diagnosis, unit: str = "N m") -> list[str]:
         line = f"Joint {joint}: {before:.3g} {unit} between model and robot, {before / floor:.1f} times the noise."
         if before > 1.15 * floor and entry["before"]:
             line += " " + _concentrated(entry["before"][0])
+        if unit == "N":  # regimes are named in angles
+            line = line.replace("rad/s", "m/s").replace(" rad", " m").replace("N m ", "N ")
         lines.append(line)
     for effect in document.effects:
         lines.append(_effect(effect))
@@ -83,6 +86,10 @@ def _remaining(document: Diagnosis) -> list[str]:
             if bands and bands["share"] > 0:
                 line += f" {100 * bands['share']:.0f} % of it lies at {bands['from_hz']:g} to {bands['to_hz']:g} Hz."
             lines.append(line)
+    events = document.where["bursts"]
+    if events:
+        times = ", ".join(f"{e['from_s']:.1f} to {e['to_s']:.1f} s in {e['run']}" for e in events[:6])
+        lines.append(f"{len(events)} stretches stand far above the rest, as events do: {times}.")
     if document.where["worst_runs"]:
         worst = document.where["worst_runs"][0]
         lines.append(

@@ -19,7 +19,8 @@ from service.diagnosis.statistics import joint_of, term_columns
 REVERSAL_SPEED = 0.1  # rad/s: nearer than this to zero is a reversal
 ANGLE_BINS = 10
 FREQUENCIES = (0.0, 3.0, 10.0, 20.0, 40.0)  # Hz
-MAP_BINS = 24
+BURST = 0.1  # s over which the gap is averaged to look for events
+BURST_RATIO = 3.0  # to the median of the runs
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,41 @@ def where(findings: Findings) -> dict[str, Any]:
         "joints": joints,
         "left_out_at_rest_and_ends": round(1.0 - moving / samples, 4),
         "worst_runs": _runs(findings),
+        "bursts": bursts(findings, findings.after)[:20],
     }
+
+
+def bursts(findings: Findings, residuals: list[np.ndarray]) -> list[dict[str, Any]]:
+    """Stretches of time in which a joint's gap stands far above the rest of its runs: events, not a property."""
+    problem = findings.problem
+    rate = 1.0 / (problem.band.period * problem.band.step)
+    width = max(1, round(BURST * rate))
+    found = []
+    for joint in range(len(problem.sigma)):
+        smoothed = []
+        for index, residual in enumerate(residuals):
+            values = residual[joint_of(problem)[index] == joint]
+            smoothed.append(
+                np.sqrt(np.convolve(values**2, np.ones(width) / width, mode="same")) if len(values) else values
+            )
+        joined = np.concatenate(smoothed)
+        if not len(joined):
+            continue
+        limit = max(BURST_RATIO * float(np.median(joined)), 2.0)
+        for recording, rows, level in zip(problem.recordings, problem.rows, smoothed, strict=True):
+            time = recording.segment.time[:: problem.band.step][rows[:, joint]]
+            edges = np.flatnonzero(np.diff((level > limit).astype(np.int8), prepend=0, append=0))
+            for start, end in zip(edges[::2], edges[1::2], strict=True):
+                found.append(
+                    {
+                        "run": recording.name,
+                        "joint": joint + 1,
+                        "from_s": round(float(time[start]), 3),
+                        "to_s": round(float(time[end - 1]), 3),
+                        "over_noise": round(float(level[start:end].max()), 2),
+                    }
+                )
+    return sorted(found, key=lambda item: -item["over_noise"])
 
 
 def _runs(findings: Findings) -> list[dict[str, Any]]:

@@ -1,0 +1,118 @@
+"""Data that cannot carry an answer get the honest one, never a confident name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.trace import read_trace
+from schemas.errors import DataError, RobotError
+from schemas.robot import load_robot
+from service.diagnosis.cautions import limits_of
+from service.diagnosis.diagnose import diagnose
+from service.diagnosis.document import document
+from service.diagnosis.effects import CATALOGUE, by_name, catalogue
+from service.diagnosis.text import sentences
+
+EFFECTS = by_name(CATALOGUE)
+
+
+def motion(*speeds: np.ndarray) -> Any:
+    """A problem of one 10 s run whose joints move at the given (N,) speeds."""
+    theta_dot = np.stack(speeds, axis=1)
+    segment = SimpleNamespace(theta_dot=theta_dot, moving=np.abs(theta_dot) > 0.01, period=0.01)
+    return SimpleNamespace(recordings=[SimpleNamespace(segment=segment, trace=0)], sigma=np.ones(theta_dot.shape[1]))
+
+
+SWING = np.sin(np.arange(1000) * 0.02)
+
+
+def test_a_single_moving_joint_leaves_the_robot_as_a_whole_open():
+    offer = limits_of(motion(SWING, 0 * SWING, 0 * SWING))
+    assert offer.allows(EFFECTS["torque_scale"], 0)
+    assert not offer.allows(EFFECTS["torque_scale"], 1)
+    assert not offer.allows(EFFECTS["hose_spring"], 0)
+    assert any("Joint 2, 3 hardly moves" in reason for reason in offer.reasons)
+
+
+def test_without_reversals_friction_is_not_looked_for():
+    offer = limits_of(motion(1.0 + 0 * SWING, SWING, SWING))
+    assert not offer.allows(EFFECTS["asymmetric_friction"], 0)
+    assert offer.allows(EFFECTS["asymmetric_friction"], 1)
+    assert any("one way only" in reason for reason in offer.reasons)
+
+
+def test_a_short_log_is_too_little():
+    offer = limits_of(motion(*[SWING[:200]] * 3))
+    assert not offer.enough
+    assert "Record three or more runs" in offer.reasons[0]
+
+
+@pytest.fixture(scope="module")
+def logs(shared):
+    def of(case, robot=None):
+        folder = shared / "plant_logs" / case
+        robot = robot or load_robot(folder / "robot.toml")
+        return robot, [read_trace(path, robot) for path in sorted(folder.glob("fit_*.csv"))]
+
+    return of
+
+
+def test_runs_of_two_robots_are_not_explained_by_an_effect(logs):
+    robot, mine = logs("case_000")
+    _, theirs = logs("case_007", robot)
+    result = document(diagnose(robot, [*mine[1:3], *theirs[1:3]], CATALOGUE))
+    assert result.effects == []
+    assert result.verdict == "unexplained"
+    assert any("not all together" in line or "Check the description" in line for line in sentences(result))
+
+
+def test_a_grossly_wrong_geometry_is_no_effect(logs):
+    robot, traces = logs("case_000")
+    geometry = robot.geometry.model_copy(update={"passive_link_length": 0.62, "base_radius": 0.30})
+    wrong = robot.model_copy(update={"geometry": geometry})
+    result = document(diagnose(wrong, traces[1:3], CATALOGUE))
+    assert result.verdict == "unexplained"
+    assert result.effects == []
+    assert any("Check the description" in reason for reason in result.cannot_tell)
+
+
+def test_commands_are_not_needed_and_one_run_is_said_to_be_one(logs):
+    robot, traces = logs("case_000")
+    bare = replace(traces[1], position_command=None, torque_command=None)
+    result = document(diagnose(robot, [bare], CATALOGUE))
+    assert result.effects == []
+    assert any("one run only" in reason for reason in result.cannot_tell)
+
+
+def test_nothing_moves(logs):
+    robot, traces = logs("case_000")
+    still = replace(traces[0], position=np.repeat(traces[0].position[:1], len(traces[0]), axis=0))
+    with pytest.raises(DataError, match="no joint moves"):
+        diagnose(robot, [still], CATALOGUE)
+
+
+def test_effects_of_ones_own(tmp_path):
+    own = tmp_path / "own.py"
+    own.write_text(
+        "from dataclasses import dataclass\n"
+        "from service.diagnosis.effects.base import Amplitude, Effect\n"
+        "@dataclass(frozen=True)\n"
+        "class Bump(Effect):\n"
+        "    height: Amplitude = Amplitude('N m', 'height')\n"
+        "    name = 'bump'\n"
+        "    settles = 'a slow sweep'\n"
+        "    def regressors(self, scene, joint, shape):\n"
+        "        return scene.segment.theta[:, [joint]] ** 2\n"
+    )
+    assert catalogue(own)[-1].name == "bump"
+    own.write_text("x = 1\n")
+    with pytest.raises(RobotError, match="no class derived"):
+        catalogue(own)
+    own.write_text("1 / 0\n")
+    with pytest.raises(RobotError, match="ZeroDivisionError"):
+        catalogue(own)
