@@ -82,9 +82,9 @@ def page(found: Findings, which: str) -> Page:
             f"platform, servo drives; {which}) made to resemble the SIPRO D3-1200 in size; its maker's figures are not "
             "public, so geometry and masses are ours. Its mass centre, rotor inertia, friction and unmodelled effects "
             "were chosen so that the models are off by about as much as on the paper's real robot: that the first rows "
-            "agree is by choice, what identification makes of them is not. Stribeck friction and a torque filter were left "
-            "out of the plant because the payload came out worse with them, so the payload shown is favoured by that "
-            "choice too.",
+            "agree is by choice, what identification makes of them is not. Stribeck friction and a torque filter were "
+            "left out of the plant because the payload came out worse with them, so the payload shown is favoured by "
+            "that choice too.",
             "Published figures: Gray-Box Model Identification and Payload Estimation for Delta Robots, IFAC 2020. "
             "Tables and figures follow the order of the paper's; published values are shown where we know them.",
         ),
