@@ -14,8 +14,13 @@ from service.diagnosis.effects.base import Effect
 from service.diagnosis.evidence import Contest, confusable, contests
 from service.diagnosis.selection import block_loss
 from service.diagnosis.where import where, without
+from service.estimator.effects import carried
 
 Z95 = 1.96
+ONLINE = {
+    True: "carried by the online model, from the present sample",
+    False: "offline only: the online model does without it",
+}
 
 
 def corrected(findings: Findings) -> Robot | Axes:
@@ -128,7 +133,7 @@ def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
                 gap_share=round(float(np.clip(lost / gap, 0.0, 1.0)), 4),
                 confusable_with=confusable(findings.selection, effect.name),
                 settles=effect.settles,
-                online=effect.online,
+                online=ONLINE[carried(effect.name)],
             )
         )
     return sorted(result, key=lambda effect: -effect.gap_share)

@@ -42,8 +42,7 @@ class Effect(ABC):
     name: as in the catalogue. per_joint: sits on single joints. own_joint: adds torque to no other joint than its own.
     measured: alters the reported torque instead of adding to it. rough: its torque is no smooth function of its shapes,
     so they are kept when a part of the data is left out. own_shapes: each joint may have shapes of its own. kinds:
-    mechanisms it makes sense for. settles: the motion that tells it from what it resembles. online: how the online
-    model carries it.
+    mechanisms it makes sense for. settles: the motion that tells it from what it resembles.
     """
 
     name: ClassVar[str]
@@ -54,7 +53,6 @@ class Effect(ABC):
     own_shapes: ClassVar[bool] = False
     kinds: ClassVar[frozenset[str]] = frozenset({"delta", "axes"})
     settles: ClassVar[str]
-    online: ClassVar[str] = "exact, from the present sample"
 
     @property
     def amplitudes(self) -> dict[str, Amplitude]:

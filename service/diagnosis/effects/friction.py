@@ -128,7 +128,6 @@ class WarmupFriction(Effect):
     tau: Shape = Shape("s", "time constant of the warm-up", (3.0, 8.0, 20.0, 50.0, 150.0, 600.0), 1.0, 3600.0)
     name = "warmup_friction"
     settles = "one path, cold and after half an hour of running, on one clock"
-    online = "exact, while the controller's clock counts from power-on"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
@@ -161,7 +160,6 @@ class PreslidingFriction(Effect):
     name = "presliding_friction"
     own_shapes = True
     settles = "small reversals (0.001 to 0.05 rad) about several angles"
-    online = "not carried: it takes the past of the joint"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
@@ -191,7 +189,6 @@ class PassiveJointFriction(Effect):
     own_joint = False
     kinds = frozenset({"delta"})
     settles = "long moves of the platform at several speeds, where a forearm swings while its own joint rests"
-    online = "not carried"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 4)."""

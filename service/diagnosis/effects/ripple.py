@@ -48,7 +48,6 @@ class EncoderEccentricity(Effect):
     name = "encoder_eccentricity"
     own_joint = False
     settles = "a constant-speed sweep of this joint at medium speed"
-    online = "not carried: the measured angle is taken as it is"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, n, 2)."""

@@ -79,7 +79,6 @@ class TorqueDelay(Effect):
     own_joint = False
     measured = True
     settles = "fast moves with sharp reversals"
-    online = "not carried: feed-forward is the torque at the joint, now"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
@@ -105,7 +104,6 @@ class TorqueFilter(Effect):
     own_joint = False
     measured = True
     settles = "fast moves with sharp reversals"
-    online = "not carried: feed-forward is the torque at the joint, now"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""

@@ -108,7 +108,6 @@ class JointElasticity(Effect):
     own_joint = False
     rough = True
     settles = "fast moves with jumps in acceleration"
-    online = "not carried: it takes the past of motor and link"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
@@ -137,7 +136,6 @@ class Backlash(Effect):
     own_joint = False
     rough = True
     settles = "moves whose braking torque exceeds gravity, so that the transmitted torque changes sign"
-    online = "not carried: it takes the past of motor and link"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
