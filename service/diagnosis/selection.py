@@ -29,6 +29,7 @@ TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
 ROUGH_PROMISE = 0.7  # of the cost: a rough effect that does not get below it is not refined
 ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its shapes, where slopes mislead
 SPREAD_GAIN = 40.0  # squared residual, in units of the noise, that shapes of their own must be worth
+ROUGH_JOINT_SHARE = 0.3  # the same where the grid only comes near
 JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
 
 
@@ -255,7 +256,8 @@ def _prefer_single(scored: list[tuple[float, Candidate]], nothing: float) -> tup
     if not single:
         return best
     best_single = min(single, key=lambda item: item[0])
-    return best_single if best_single[0] - best[0] < JOINT_SHARE * (nothing - best[0]) else best
+    share = ROUGH_JOINT_SHARE if best[1].effect.rough else JOINT_SHARE
+    return best_single if best_single[0] - best[0] < share * (nothing - best[0]) else best
 
 
 def z_score(worse: np.ndarray, better: np.ndarray) -> float:

@@ -12,6 +12,7 @@ from service.diagnosis.scene import Scene
 
 SUBSTEPS_PER_SECOND = 8_000.0
 LOST = 0.5  # rad of relative motion at which a two-mass simulation has come apart
+NATURAL_HZ = (4.0, 5.4, 7.3, 9.8, 13.0, 18.0, 24.0, 33.0, 45.0, 60.0)
 HALVES = (0.0003, 0.00045, 0.0007, 0.001, 0.0015, 0.0023, 0.0035, 0.005)
 
 
@@ -99,11 +100,9 @@ class JointElasticity(Effect):
     Limitations: linear spring; stiffness far above the analysis band is a slight shift in time.
     """
 
-    natural_hz: Shape = Shape(
-        "Hz", "natural frequency of the link against a held motor", (4.0, 7.0, 12.0, 20.0, 35.0, 60.0), 2.0, 250.0
-    )
-    damping_ratio: Shape = Shape("", "damping ratio of the link", (0.1,), 0.01, 2.0)
-    motor_share: Shape = Shape("", "share of the joint's inertia on the motor side", (0.15, 0.4), 0.02, 0.9)
+    natural_hz: Shape = Shape("Hz", "natural frequency of the link against a held motor", NATURAL_HZ, 2.0, 250.0)
+    damping_ratio: Shape = Shape("", "damping ratio of the link", (0.07,), 0.01, 2.0)
+    motor_share: Shape = Shape("", "share of the joint's inertia on the motor side", (0.13, 0.35), 0.02, 0.9)
     name = "joint_elasticity"
     own_joint = False
     rough = True
@@ -112,6 +111,10 @@ class JointElasticity(Effect):
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
         return two_masses(scene, joint, 0.0, shape[0], shape[1], shape[2])[..., None]
+
+    def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:
+        """A lightly damped link answers sharply to its natural frequency."""
+        return [(factor * shape[0], *shape[1:]) for factor in (0.9, 1.0, 1.1)]
 
 
 @dataclass(frozen=True)
