@@ -261,10 +261,15 @@ def _prefer_single(scored: list[tuple[float, Candidate]], nothing: float) -> tup
 
 
 def z_score(worse: np.ndarray, better: np.ndarray) -> float:
-    """How many standard errors over blocks the sum of `worse` - `better` is above zero."""
-    difference = worse - better
-    error = np.sqrt(len(difference)) * np.std(difference)
-    return float(difference.sum() / error) if error > 0 else 0.0
+    """How many standard errors over blocks `worse` is above `better`, in squares or in their roots.
+
+    The roots are asked too: a few violent blocks make the spread of the squares large however sure the rest is.
+    """
+    scores = []
+    for difference in (worse - better, np.sqrt(worse) - np.sqrt(better)):
+        error = np.sqrt(len(difference)) * np.std(difference)
+        scores.append(float(difference.sum() / error) if error > 0 else 0.0)
+    return max(scores)
 
 
 @dataclass(frozen=True)
