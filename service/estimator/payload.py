@@ -23,7 +23,7 @@ from schemas.messages import PayloadEvent
 
 RIGID, WEIGHT = 0, 1
 
-BIN_TIME = 0.001  # s, resolution of an onset
+BIN_TIME = 0.002  # s, resolution of an onset
 WINDOW = 150  # bins, how far back an onset is looked for
 MEMORY_TIME = 3.0  # s, forgetting: longer than a carry, shorter than the drift of friction with temperature
 # An unloaded gripper is the prior, within this; also the bound of the covariance when nothing excites.
@@ -37,11 +37,12 @@ CLEAR_STEP = 10.0
 # Squared, normalised difference at which a change is believed: with some thousand onsets looked at a second, and model
 # errors that are not white, 5 sigma would alarm every minute.
 CHANGE_THRESHOLD = 45.0
-SHORTEST = 5  # bins of motion since the onset
+SHORTEST = 3  # bins of motion since the onset
 # The rigid-body terms are known to about this share of themselves after identification.
 MODEL_SHARE = 0.01
-# Consecutive model errors are alike for about this long, so a sample is worth period / this time.
-CORRELATION_TIME = 0.003  # s
+# Torque noise and small errors are alike for about this long, so a sample is worth period / this time; what a model
+# with unmodelled effects leaves over lasts as long as a stretch of a move.
+CORRELATION_TIME, MODEL_ERROR_TIME = 0.003, 0.015  # s
 # Trusted when one standard deviation is below share * mass + floor.
 TRUST_SHARE, TRUST_FLOOR = 0.015, 0.025  # -, kg
 # Evidence (log-likelihood ratio) at which the believed hypothesis changes, and its bound.
@@ -64,6 +65,16 @@ STATE = np.dtype(
     ],
     align=True,
 )
+
+
+def sample_variance(noise: np.ndarray, model_error: np.ndarray) -> np.ndarray:
+    """Variance (3,) (N m)^2 to weigh a torque sample with, from rms (3,) N m of white noise and of what the model left.
+
+    A model error well below the noise is told from the noise's own colour by nothing, so it counts for less.
+    """
+    square = np.square(model_error)
+    shown = square / np.maximum(square + np.square(noise), 1e-12)
+    return np.square(noise) + shown * square * MODEL_ERROR_TIME / CORRELATION_TIME
 
 
 def start(state: np.ndarray) -> None:

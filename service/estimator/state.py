@@ -44,7 +44,7 @@ SETTINGS = np.dtype(
         ("effect", effects.EFFECT, effects.MAX_EFFECTS),
         ("scale", "f8", 3),  # reported over true torque
         ("gear_ratio", "f8"),
-        ("variance", "f8", 3),  # (N m)^2 of one torque sample
+        ("variance", "f8", 3),  # (N m)^2 of a torque sample, worth CORRELATION_TIME
         ("forgetting", "f8"),
         ("bin_size", "i8"),
         ("worth", "f8"),
@@ -124,7 +124,7 @@ def settings(robot: Robot, period: float) -> np.ndarray:
     record["period"] = period
     record["range"] = robot.geometry.joint_range_rad
     record["rho"] = 1.0
-    noise = None
+    noise, left_over = np.full(3, DEFAULT_TORQUE_NOISE), np.zeros(3)
     if identified is not None:
         # rho also stands for rotor and gear: a longer link changes its own share of inertia and gravity, not theirs
         for row, (rho, power) in enumerate(((identified.rho_1.value, 2), (identified.rho_2.value, 1))):
@@ -133,11 +133,14 @@ def settings(robot: Robot, period: float) -> np.ndarray:
         record["forearm"] = identified.forearm_inertia_kg.value
         record["viscous"] = identified.viscous_friction_nms.value
         record["coulomb"] = identified.coulomb_friction_nm.value
-        noise = identified.torque_noise_nm
+        if identified.torque_noise_nm is not None:
+            noise = np.array(identified.torque_noise_nm.value)
+        if identified.model_error_nm is not None:
+            left_over = np.array(identified.model_error_nm.value)
     record["effect"] = effects.pack_effects(robot.effect)
     record["scale"] = effects.scales(robot)
     record["gear_ratio"] = robot.drive.gear_ratio
-    record["variance"] = np.square(DEFAULT_TORQUE_NOISE if noise is None else noise.value)
+    record["variance"] = payload.sample_variance(noise, left_over)
     record["forgetting"] = np.exp(-period / payload.MEMORY_TIME)
     record["bin_size"] = max(1, round(payload.BIN_TIME / period))
     record["worth"] = min(1.0, period / payload.CORRELATION_TIME)

@@ -44,6 +44,7 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = 
         coulomb_friction_nm=_joints(estimates[COULOMB]),
         forearm_inertia_kg=_parameter(estimates[FOREARM_MASS]),
         torque_noise_nm=JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
+        model_error_nm=JointParameter(value=[float(f"{error:.4g}") for error in fit.model_error]),
     )
     # what diagnose found on another base does not hold on this one
     return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))

@@ -71,6 +71,12 @@ class Fit:
     without: np.ndarray
 
     @property
+    def model_error(self) -> np.ndarray:
+        """(3,) N m rms of what is left above the noise, on trajectories not seen by the fit where there are several."""
+        left = np.where(np.isfinite(self.held_out), self.held_out, self.residual)
+        return np.sqrt(np.maximum(np.nanmean(left**2, axis=0) - self.noise_floor**2, 0.0))
+
+    @property
     def values(self) -> np.ndarray:
         return np.array([estimate.value for estimate in self.estimates])
 

@@ -31,7 +31,9 @@ class NumpyEstimator:
         self.viscous = np.array(found.viscous_friction_nms.value)
         self.coulomb = np.array(found.coulomb_friction_nm.value)
         assert found.torque_noise_nm is not None
-        self.variance = np.square(found.torque_noise_nm.value)
+        assert found.model_error_nm is not None
+        square, noise = np.square(found.model_error_nm.value), np.square(found.torque_noise_nm.value)
+        self.variance = noise + square**2 / (square + noise) * p.MODEL_ERROR_TIME / p.CORRELATION_TIME
         self.forgetting, self.worth = np.exp(-period / p.MEMORY_TIME), min(1.0, period / p.CORRELATION_TIME)
         self.bin_size = max(1, round(p.BIN_TIME / period))
         self.azimuth = np.stack([self.model.azimuth_cos, self.model.azimuth_sin, np.zeros(3)], axis=1)
