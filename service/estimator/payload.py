@@ -44,7 +44,7 @@ MODEL_SHARE = 0.01
 # with unmodelled effects leaves over lasts as long as a stretch of a move.
 CORRELATION_TIME, MODEL_ERROR_TIME = 0.003, 0.015  # s
 # Trusted when one standard deviation is below share * mass + floor.
-TRUST_SHARE, TRUST_FLOOR = 0.015, 0.025  # -, kg
+TRUST_SHARE, TRUST_FLOOR = 0.1, 0.025  # -, kg
 # Evidence (log-likelihood ratio) at which the believed hypothesis changes, and its bound.
 EVIDENCE_SWITCH, EVIDENCE_BOUND = 8.0, 40.0
 

@@ -147,7 +147,9 @@ def found(robot: Robot) -> Robot:
 def test_round_trip_without_a_template(tmp_path: Path) -> None:
     robot = found(load(tmp_path, TEXT))
     save_robot(robot, tmp_path / "out" / "s.toml")
-    assert load_robot(tmp_path / "out" / "s.toml") == robot
+    assert (
+        load_robot(tmp_path / "out" / "s.toml").model_dump() == robot.model_dump()
+    )  # but for the folder it was read from
 
 
 def test_a_save_keeps_comments_order_and_layout(tmp_path: Path) -> None:
