@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -69,9 +70,11 @@ def replay(folder: Path, rate: float, seconds: float) -> tuple[tuple[float, ...]
         "MONITOR",
         "count",
     ]  # in real time, as roles are
-    peer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert peer.stdout is not None
-    peer.stdout.readline()
+    said = folder / "peer.txt"  # a pipe that nobody reads for minutes would fill up and stop the peer
+    with said.open("w") as stream:
+        peer = subprocess.Popen(command, stdout=stream)
+    while not said.read_text():
+        time.sleep(0.05)
     loops = max(1, round(rate * seconds / 4000))
     done = subprocess.run(
         [COMMAND, "replay", folder / "log.mcap", "--robot", folder / "robot.toml", "--rate", str(rate),
@@ -79,7 +82,8 @@ def replay(folder: Path, rate: float, seconds: float) -> tuple[tuple[float, ...]
         check=True, capture_output=True, text=True,
     )  # fmt: skip
     peer.send_signal(signal.SIGTERM)
-    counts = json.loads(peer.communicate(timeout=30)[0].splitlines()[-1])
+    peer.wait(30)
+    counts = json.loads(said.read_text().splitlines()[-1])
     match = LINE.search(done.stdout)
     assert match, done.stdout + done.stderr
     sent, *lateness = map(float, match.groups())
@@ -96,9 +100,9 @@ def main() -> None:
         folder = Path(name)
         os.environ["XDG_RUNTIME_DIR"] = name
         (folder / "robot.toml").write_text(ROBOT)
-        time = np.arange(4000) / 4000.0
-        position = 0.3 * np.sin(2 * np.pi * time[:, None] + np.arange(3))
-        write_trace(Trace(folder / "log.mcap", time, position, position), folder / "log.mcap", "bench")
+        instants = np.arange(4000) / 4000.0
+        position = 0.3 * np.sin(2 * np.pi * instants[:, None] + np.arange(3))
+        write_trace(Trace(folder / "log.mcap", instants, position, position), folder / "log.mcap", "bench")
         print(f"{'':<11} {'Hz':>6} {'median':>9} {'p99':>9} {'p99.9':>9} {'max':>9} µs {'count':>9}")
         for rate in given.rates:
             for _ in range(given.rounds):
