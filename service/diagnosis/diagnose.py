@@ -92,14 +92,14 @@ def diagnose(
     problem, noise = _problem(recordings, band)
     split = Split.of(problem)
     k, n = len(mechanism.coefficients), mechanism.joints
-    start = Base(np.zeros(k), np.zeros(n), np.zeros(n))
-    plain = score(fit(problem, Hypothesis(start, refined=False), iterations=2), split)
+    start = Base(np.zeros(k), np.zeros(n), np.zeros(n), START_TRANSITION)
+    plain = score(fit(problem, Hypothesis(start, timed=False)), split)
     given = () if isinstance(robot, Axes) else hypothesis_of(robot).terms
-    refined = Hypothesis(replace(plain.hypothesis.base, transition=START_TRANSITION), given)
+    timed = Hypothesis(plain.hypothesis.base, given)
     if given:
-        plain = score(fit(problem, refined), split)
+        plain = score(fit(problem, timed), split)
     offer = limits_of(problem)
-    selection = search(problem, split, refined, effects if offer.enough else (), progress, offer.allows)
+    selection = search(problem, split, timed, effects if offer.enough else (), progress, offer.allows)
     progress("checking on data left out")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     limit = WITHIN_NOISE * _floor(problem, reversal)
@@ -125,8 +125,8 @@ def _problem(recordings: list[Recording], band: Band) -> tuple[Problem, np.ndarr
     share = band.white_share**0.5
     problem = Problem.of(recordings, band, np.maximum(noise, 1e-9) * share)
     k, n = len(recordings[0].mechanism.coefficients), recordings[0].mechanism.joints
-    start = Base(np.zeros(k), np.zeros(n), np.zeros(n))
-    first = fit(problem, Hypothesis(start, refined=False), iterations=1).hypothesis
+    start = Base(np.zeros(k), np.zeros(n), np.zeros(n), START_TRANSITION)
+    first = fit(problem, Hypothesis(start, timed=False), iterations=2).hypothesis
     left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first.base)]
     noise = np.minimum(noise, white_noise(recordings, left))
     return replace(problem, sigma=np.maximum(noise, 1e-9) * share), noise

@@ -9,7 +9,8 @@ import numpy as np
 
 from service.diagnosis.effects.base import Effect, on_joint
 from service.diagnosis.effects.signal import delayed
-from service.diagnosis.scene import Band, Base, Recording, Scene, direction
+from service.diagnosis.scene import Band, Base, Recording, Scene
+from service.model.friction import mean_direction
 
 TIMING_LIMIT = 0.25  # samples: a shift below this is sampling, beyond it an effect
 TRANSITION = (2e-4, 2e-2)  # rad/s, limits of the speed over which Coulomb friction turns; beyond is an effect
@@ -38,13 +39,11 @@ class Hypothesis:
 
     base: Base
     terms: tuple[Term, ...] = ()
-    refined: bool = True  # False: friction jumps at rest and timing is exact, the model that `identify` writes
+    timed: bool = True  # False: torque and position of one instant, as in the model that `identify` writes
 
     def parameters(self) -> np.ndarray:
         """All free parameters in one vector, the order of `with_parameters`."""
-        parts = [self.base.rigid, self.base.viscous, self.base.coulomb]
-        if self.refined:
-            parts.append(np.array([self.base.transition]))
+        parts = [self.base.rigid, self.base.viscous, self.base.coulomb, np.array([self.base.transition])]
         if self.fits_timing:
             parts.append(np.array([self.base.timing]))
         for term in self.terms:
@@ -54,15 +53,13 @@ class Hypothesis:
     @property
     def fits_timing(self) -> bool:
         """A delay effect takes the place of the timing within a sample."""
-        return self.refined and not any(term.effect.name == "torque_delay" for term in self.terms)
+        return self.timed and not any(term.effect.name == "torque_delay" for term in self.terms)
 
     def parameter_limits(self, period: float) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper limits in the order of `parameters`."""
         count = len(self.base.rigid) + 2 * len(self.base.viscous)
-        low, high = [np.full(count, -np.inf)], [np.full(count, np.inf)]
-        if self.refined:
-            low.append(np.array([TRANSITION[0]]))
-            high.append(np.array([TRANSITION[1]]))
+        low = [np.full(count, -np.inf), np.array([TRANSITION[0]])]
+        high = [np.full(count, np.inf), np.array([TRANSITION[1]])]
         if self.fits_timing:
             low.append(np.array([-TIMING_LIMIT * period]))
             high.append(np.array([TIMING_LIMIT * period]))
@@ -84,11 +81,10 @@ class Hypothesis:
     def with_parameters(self, values: np.ndarray) -> Hypothesis:
         """The same hypothesis at other parameters."""
         k, n = len(self.base.rigid), len(self.base.viscous)
-        base = replace(self.base, rigid=values[:k], viscous=values[k : k + n], coulomb=values[k + n : k + 2 * n])
+        rigid, viscous, coulomb = values[:k], values[k : k + n], values[k + n : k + 2 * n]
         at = k + 2 * n
-        if self.refined:
-            base = replace(base, transition=float(values[at]))
-            at += 1
+        base = replace(self.base, rigid=rigid, viscous=viscous, coulomb=coulomb, transition=float(values[at]))
+        at += 1
         if self.fits_timing:
             base = replace(base, timing=float(values[at]))
             at += 1
@@ -120,7 +116,7 @@ def unreported(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
     """Torque (N, n) N m at the joints."""
     base, motion = hypothesis.base, scene.segment
     torque = scene.recording.rigid.torque(base.rigid)
-    torque += base.viscous * motion.theta_dot + base.coulomb * direction(motion.theta_dot, base.transition)
+    torque += base.viscous * motion.theta_dot + base.coulomb * mean_direction(motion.theta_dot, base.transition)
     for term in hypothesis.terms:
         if not term.effect.measured:
             for place, amplitude in zip(term.places, term.amplitude, strict=True):
@@ -150,11 +146,10 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
     at_joint: list[np.ndarray] = [scene.recording.rigid.columns]
     motion = scene.segment
     at_joint.append(_per_joint(motion.theta_dot))
-    sign = direction(motion.theta_dot, hypothesis.base.transition)
+    sign = mean_direction(motion.theta_dot, hypothesis.base.transition)
     at_joint.append(_per_joint(sign))
-    if hypothesis.refined:
-        wider = direction(motion.theta_dot, 1.05 * hypothesis.base.transition) - sign
-        at_joint.append((hypothesis.base.coulomb * wider / (0.05 * hypothesis.base.transition))[..., None])
+    wider = mean_direction(motion.theta_dot, 1.05 * hypothesis.base.transition) - sign
+    at_joint.append((hypothesis.base.coulomb * wider / (0.05 * hypothesis.base.transition))[..., None])
     if hypothesis.fits_timing:
         at_joint.append(-np.gradient(torque, scene.period, axis=0)[..., None])
     raw: dict[int, np.ndarray] = {}

@@ -11,6 +11,7 @@ from scipy.signal import butter, freqz_sos
 
 from service.diagnosis.mechanism import Arms, Delta, Mechanism, Rigid
 from service.identification.signals import ANALYSIS_HZ, ANALYSIS_ORDER, Segment, lowpass
+from service.model.friction import mean_direction
 
 ANGLE_STEP, SPEED_STEP = 1e-5, 1e-3  # rad, rad/s, of the finite differences of the rigid torque
 
@@ -32,26 +33,6 @@ class Base:
     coulomb: np.ndarray
     transition: float = 0.0
     timing: float = 0.0
-
-
-def direction(theta_dot: np.ndarray, transition: float) -> np.ndarray:
-    """Which way (N, n) speeds go, in [-1, 1]: sign theta_dot, or smooth over `transition` rad/s.
-
-    The smooth form is the mean of tanh(theta_dot / transition) over the sample's interval, the speed taken as straight
-    between half-way points: a fast reversal falls between two samples, and its place there is worth 2 f_c times a
-    fraction of the interval.
-    """
-    if not transition:
-        return np.sign(theta_dot)
-    half = np.empty((len(theta_dot) + 1, theta_dot.shape[1]))
-    half[1:-1] = 0.5 * (theta_dot[1:] + theta_dot[:-1])
-    half[0], half[-1] = theta_dot[0], theta_dot[-1]
-    half /= transition
-    size = np.abs(half)
-    area = size + np.log1p(np.exp(-2.0 * size))  # integral of tanh, up to a constant
-    step = np.diff(half, axis=0)
-    flat = np.abs(step) < 1e-4
-    return np.where(flat, np.tanh(theta_dot / transition), np.diff(area, axis=0) / np.where(flat, 1.0, step))
 
 
 @dataclass(frozen=True)
@@ -153,7 +134,7 @@ class Scene:
     @cached_property
     def direction(self) -> np.ndarray:
         """(N, n): which way each joint moves, in [-1, 1]."""
-        return direction(self.segment.theta_dot, self.base.transition)
+        return mean_direction(self.segment.theta_dot, self.base.transition)
 
     @cached_property
     def load(self) -> np.ndarray:

@@ -32,7 +32,7 @@ def standard_errors(fitted: Fit, split: Split) -> np.ndarray:
     hypothesis = fitted.hypothesis
     at = len(hypothesis.base.rigid) + 2 * len(hypothesis.base.viscous)
     parts = [error[:at]]
-    at += int(hypothesis.refined) + int(hypothesis.fits_timing)
+    at += 1 + int(hypothesis.fits_timing)
     for term in hypothesis.terms:
         free = _free(term)
         size = term.amplitude.size

@@ -62,8 +62,8 @@ def _select(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
 def budget(findings: Findings, joint: int) -> dict[str, float]:
     """Energy of the gap of one joint, (N m)^2 mean square, by cause; adds up to that of the base model's gap.
 
-    reversals: friction steps whose place between two samples is open. refinement: what the base model gains by a
-    friction that turns smoothly and by timing within a sample.
+    reversals: friction steps whose place between two samples is open. timing: what the base model gains by torque
+    and position not being of one instant, within a sample.
     """
     problem = findings.problem
     mine = [joints == joint for joints in joint_of(problem)]
@@ -83,7 +83,7 @@ def budget(findings: Findings, joint: int) -> dict[str, float]:
     left = energy(findings.best.residuals)
     effects = dict.fromkeys(term.effect for term in findings.best.hypothesis.terms)
     weights = {effect.name: max(energy(without(findings, effect)) - left, 0.0) for effect in effects}
-    weights["refinement"] = max(before - energy(findings.selection.none.residuals), 0.0)
+    weights["timing"] = max(before - energy(findings.selection.none.residuals), 0.0)
     total = sum(weights.values())
     for name, weight in weights.items():
         parts[name] = explained * weight / total if total > 0 else 0.0

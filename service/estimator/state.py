@@ -10,7 +10,7 @@ import numpy as np
 from schemas.messages import FeedforwardSource
 from schemas.robot import Robot
 from service.estimator import effects, kalman, payload
-from service.model.dynamics import TERMS
+from service.model.dynamics import REST_SPEED, TERMS
 from service.model.parameters import DeltaModel, pack
 
 # Per sample, when `identify` has not measured it.
@@ -40,7 +40,7 @@ SETTINGS = np.dtype(
         ("forearm", "f8"),  # kg
         ("viscous", "f8", 3),  # N m s/rad
         ("coulomb", "f8", 3),  # N m
-        ("transition", "f8"),  # rad/s over which friction turns
+        ("transition", "f8"),  # rad/s over which friction turns, 0: within the rest speed
         ("effect", effects.EFFECT, effects.MAX_EFFECTS),
         ("scale", "f8", 3),  # reported over true torque
         ("gear_ratio", "f8"),
@@ -129,7 +129,9 @@ def settings(robot: Robot, period: float) -> np.ndarray:
         # rho also stands for rotor and gear: a longer link changes its own share of inertia and gravity, not theirs
         for row, (rho, power) in enumerate(((identified.rho_1.value, 2), (identified.rho_2.value, 1))):
             record["rho"][0, row] = rho + (1.0 - rho) * (1.0 - ratio**-power)
-        record["transition"] = identified.friction_transition_radps
+        turning = identified.friction_transition_radps
+        # sharper than this it would chatter with the noise of a joint at rest
+        record["transition"] = turning if turning > 0.5 * REST_SPEED else 0.0
         record["forearm"] = identified.forearm_inertia_kg.value
         record["viscous"] = identified.viscous_friction_nms.value
         record["coulomb"] = identified.coulomb_friction_nm.value

@@ -25,6 +25,7 @@ from service.identification.regression import (
 # Share of the torque's rms that a fit leaves: a real Delta's friction, elasticity and payload mass errors stay below.
 SUSPECT = 0.1
 HOPELESS = 0.5
+FOREIGN_SHARE = 0.4  # of one log's torque, by the fit to the others: no effect of a robot that works
 # Another reading of the torque is believed when it leaves less than this share of what the given one leaves.
 BETTER = 0.5
 # A log is foreign when the fit to the others leaves this many times what it leaves of the middle one of the others.
@@ -113,6 +114,7 @@ def check_fit(trajectories: Sequence[Trajectory], fit: pooled.Fit, moving_mass: 
     """
     share = _share(fit.residual, fit.torque)
     hints = _loads(trajectories, fit, moving_mass)
+    warnings: list[str] = []
     if len(trajectories) > 2:
         held = _share(fit.held_out, fit.torque)
         worst = int(np.argmax(held))
@@ -121,18 +123,23 @@ def check_fit(trajectories: Sequence[Trajectory], fit: pooled.Fit, moving_mass: 
         typical = float(np.median(_share(others, np.delete(fit.torque, worst, axis=0))))
         if held[worst] > max(FOREIGN * typical, 2 * SUSPECT):
             name, joint = trajectories[worst].name, int(np.argmax(fit.held_out[worst] / fit.torque[worst]))
-            raise DataError(
+            stands_out = (
                 f"{name}: does not go with the other logs, the fit to those leaves {100 * held[worst]:.0f} % of its "
                 f"torque unexplained (of theirs {100 * typical:.1f} %), most on joint {joint + 1}"
-                + (f"; {hints[name]}" if name in hints else "")
             )
+            if name in hints:
+                raise DataError(f"{stands_out}; {hints[name]}")
+            if held[worst] > FOREIGN_SHARE:
+                raise DataError(stands_out)
+            warnings.append(f"{stands_out}; a motion that wakes what the model lacks? `deltatwin diagnose` tells")
     if share.max() > HOPELESS:
         worst = int(np.argmax(share))
         raise DataError(
             f"{trajectories[worst].name}: the model leaves {100 * share[worst]:.0f} % of the torque unexplained; "
             "wrong robot description, units, or joints?"
         )
-    return [*(f"{name}: {hint} Identify on empty motion" for name, hint in hints.items()), *_sameness(trajectories)]
+    warnings += [f"{name}: {hint} Identify on empty motion" for name, hint in hints.items()]
+    return warnings + _sameness(trajectories)
 
 
 def _share(residual: np.ndarray, torque: np.ndarray) -> np.ndarray:

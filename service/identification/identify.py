@@ -31,6 +31,8 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = 
         DataError: the data cannot give an answer, naming the log and the joint.
     """
     checks.check(trajectories, robot.drive.gear_ratio)
+    transition = pooled.transition(trajectories) if method == "pooled" else 0.0
+    trajectories = [trajectory.at(transition) for trajectory in trajectories]
     fit = pooled.fit(trajectories, robot.mass.passive_link)
     warnings = checks.check_fit(trajectories, fit, pack(robot).moving_mass)
     if method == "paper":
@@ -43,6 +45,7 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = 
         viscous_friction_nms=_joints(estimates[VISCOUS]),
         coulomb_friction_nm=_joints(estimates[COULOMB]),
         forearm_inertia_kg=_parameter(estimates[FOREARM_MASS]),
+        friction_transition_radps=transition,
         torque_noise_nm=JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
         model_error_nm=JointParameter(value=[float(f"{error:.4g}") for error in fit.model_error]),
     )

@@ -1,6 +1,8 @@
 """Pooled weighted least squares over all trajectories, with everything that says how far to trust it.
 
-    tau_j - platform_j = rho_1 inertia_j + rho_2 gravity_j + m_f forearm_j + f_v,j theta_dot_j + f_c,j sign theta_dot_j
+    tau_j - platform_j = rho_1 inertia_j + rho_2 gravity_j + m_f forearm_j + f_v,j theta_dot_j + f_c,j dir theta_dot_j
+
+dir is the sign, turning over a speed that is fitted too: in slow motion a jump would be read as a gap.
 
 The forearm's rod coupling is fitted, not taken from the described mass: what it multiplies is a mass only for a uniform
 rod, and ball joints at the ends make it less. Where the data cannot tell it, the described forearm mass stands.
@@ -25,6 +27,7 @@ from service.identification.regression import (
     INERTIA_COLUMN,
     PLATFORM_COLUMN,
     TORQUE_COLUMN,
+    TRANSITIONS,
     VISCOUS_COLUMN,
     Trajectory,
 )
@@ -40,6 +43,7 @@ WEAK, NOT_IDENTIFIABLE = 0.1, 0.5
 NEGLIGIBLE_SHARE = 0.05
 # A parameter whose effect the others reproduce but for this share of its variance is not told apart from them.
 COLLINEAR = 1e-5
+TURNS_SMOOTHLY = 10.0  # squared residual in units of the noise by which a smooth reversal must beat a jump
 MOVES = 0.02  # rad of travel below which a joint does not move
 REVERSES = 0.05  # share of the motion time that must go in each direction
 
@@ -141,6 +145,21 @@ def solve(left: np.ndarray, right: np.ndarray, held: np.ndarray, nominal: np.nda
         scaled = left[..., free[:, None], free] / (scale[..., :, None] * scale[..., None, :])
         result[..., free] = np.linalg.solve(scaled, (known[..., free] / scale)[..., None])[..., 0] / scale
     return result
+
+
+def transition(trajectories: Sequence[Trajectory]) -> float:
+    """Which of `TRANSITIONS` the logs ask for, rad/s; 0 unless they speak against a jump."""
+    weight = weights(trajectories)
+    held = np.array([_still(trajectories, name) for name in PARAMETERS])
+    lost = []
+    for speed in TRANSITIONS:
+        gram = np.sum([trajectory.at(speed).gram.sum(axis=0) for trajectory in trajectories], axis=0)
+        left, right = normal_equations(gram, weight)
+        values = np.zeros(len(PARAMETERS))
+        values[~held] = np.linalg.lstsq(left[np.ix_(~held, ~held)], right[~held], rcond=1e-10)[0]
+        lost.append(float(weight @ square_residual(gram, values)))
+    best = int(np.argmin(lost))
+    return TRANSITIONS[best] if lost[0] - lost[best] > TURNS_SMOOTHLY else 0.0
 
 
 def fit(trajectories: Sequence[Trajectory], forearm_mass: float) -> Fit:

@@ -68,7 +68,8 @@ def predict(robot: Robot, trace: Trace) -> dict[str, np.ndarray]:
 def predict_along(robot: Robot, trace: Trace, along: Motion) -> dict[str, np.ndarray]:
     """`predict` for a motion that is smoothed already."""
     try:
-        columns = regressors(pack(robot), along.theta, along.theta_dot, along.theta_ddot)
+        turning = robot.identified.friction_transition_radps if robot.identified else 0.0
+        columns = regressors(pack(robot), along.theta, along.theta_dot, along.theta_ddot, turning)
     except PoseError as error:
         raise TraceError(f"{trace.path}: {error}") from error
     inertia, gravity, forearm, viscous, coulomb, platform = np.moveaxis(columns, -1, 0)
@@ -78,7 +79,7 @@ def predict_along(robot: Robot, trace: Trace, along: Motion) -> dict[str, np.nda
         result["M_Id"] = values[RHO_1] * inertia + values[RHO_2] * gravity + platform
         result["M_Id+F"] = result["M_Id"] + values[VISCOUS] * viscous + values[COULOMB] * coulomb
         result["full"] = result["M_Id+F"] + values[FOREARM_MASS] * forearm
-        if robot.effect or robot.identified.friction_transition_radps or robot.identified.torque_timing_s:
+        if robot.effect or robot.identified.torque_timing_s:
             result["full"] = torque_along(robot, trace.time, along.theta, along.theta_dot, along.theta_ddot)
     return result
 

@@ -17,6 +17,7 @@ from schemas.errors import PoseError, TraceError
 from schemas.trace import Trace
 from service.identification.signals import EDGE, Segment, lowpass, noise_density, segments
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PLATFORM, torque_terms
+from service.model.friction import mean_direction
 from service.model.kinematics import jacobian
 from service.model.parameters import DeltaModel
 
@@ -28,6 +29,9 @@ WEIGHT_COLUMN = 6
 TORQUE_COLUMN = 7
 ONE_COLUMN = 10
 
+# rad/s over which Coulomb friction may turn, to choose from; 0 is a jump. Below 0.5 mrad/s no log tells it from a jump.
+TRANSITIONS = (0.0, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 16e-3)
+
 BLOCK = 0.5  # s, many times the correlation time of the low-passed noise (12 ms) and about one stroke of a pick
 RATE = 1000.0  # Hz, regressors are built at no less than this: plenty for what the motion smoother passes
 
@@ -38,7 +42,9 @@ class Trajectory:
 
     gram: (B, 3, COLUMNS, COLUMNS) products of the low-passed columns. seconds: (B, 3) of motion. density: (3,)
     one-sided white noise of the torque, (N m)^2/Hz. period: s. forward, backward: (3,) s moved in each direction.
-    travel: (3,) rad between the extreme angles. rows, unusable: counts.
+    travel: (3,) rad between the extreme angles. rows, unusable: counts. transition: rad/s, over which gram's Coulomb
+    column turns. turning: (B, 3, len(TRANSITIONS), COLUMNS + 1), products of the Coulomb column at each of
+    `TRANSITIONS` with gram's columns and, last, with itself.
     """
 
     name: str
@@ -51,6 +57,16 @@ class Trajectory:
     travel: np.ndarray
     rows: int
     unusable: int
+    transition: float
+    turning: np.ndarray
+
+    def at(self, transition: float) -> Trajectory:
+        """The same with Coulomb friction turning over another of `TRANSITIONS`, rad/s."""
+        products = self.turning[:, :, TRANSITIONS.index(transition)]
+        gram = self.gram.copy()
+        gram[..., COULOMB_COLUMN, :] = gram[..., :, COULOMB_COLUMN] = products[..., :COLUMNS]
+        gram[..., COULOMB_COLUMN, COULOMB_COLUMN] = products[..., COLUMNS]
+        return replace(self, gram=gram, transition=transition)
 
 
 def thin(segment: Segment) -> Segment:
@@ -71,16 +87,20 @@ def thin(segment: Segment) -> Segment:
     )
 
 
-def regressors(model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
-    """(N, 3, 6): inertia, gravity, forearm, theta_dot, sign theta_dot and the platform's torque, not yet low-passed.
+def regressors(
+    model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, transition: float = 0.0
+) -> np.ndarray:
+    """(N, 3, 6): inertia, gravity, forearm, theta_dot, its direction and the platform's torque, not yet low-passed.
+
+    transition: rad/s over which the direction turns; 0: sign theta_dot.
 
     Raises:
         PoseError: unreachable or singular, naming the angles.
     """
     terms = torque_terms(model, theta, theta_dot, theta_ddot)
+    way = mean_direction(theta_dot, transition)
     return np.stack(
-        [terms[:, INERTIA], terms[:, GRAVITY], terms[:, FOREARM], theta_dot, np.sign(theta_dot), terms[:, PLATFORM]],
-        axis=-1,
+        [terms[:, INERTIA], terms[:, GRAVITY], terms[:, FOREARM], theta_dot, way, terms[:, PLATFORM]], axis=-1
     )
 
 
@@ -92,21 +112,22 @@ def summarise(model: DeltaModel, trace: Trace) -> Trajectory:
     """
     parts = segments(trace)
     grams: list[np.ndarray] = []
-    seconds: list[np.ndarray] = []
+    turning: list[np.ndarray] = []
     for part in parts:
         try:
-            gram, moved = _blocks(model, thin(part))
+            gram, turned = _blocks(model, thin(part))
         except PoseError as error:
             raise TraceError(f"{trace.path}: {error}") from error
         grams.append(gram)
-        seconds.append(moved)
+        turning.append(turned)
     longest = max(parts, key=lambda part: len(part.rows))
     theta = np.concatenate([part.theta for part in parts])
     theta_dot = np.concatenate([part.theta_dot * part.moving for part in parts])
+    gram = np.concatenate(grams)
     return Trajectory(
         name=trace.path.name,
-        gram=np.concatenate(grams),
-        seconds=np.concatenate(seconds),
+        gram=gram,
+        seconds=gram[:, :, ONE_COLUMN, ONE_COLUMN],
         density=noise_density(_without_jumps(longest), longest.period),
         period=longest.period,
         forward=(theta_dot > 0).sum(axis=0) * longest.period,
@@ -114,6 +135,8 @@ def summarise(model: DeltaModel, trace: Trace) -> Trajectory:
         travel=np.ptp(theta, axis=0),
         rows=len(trace),
         unusable=len(trace) - sum(len(part.rows) for part in parts),
+        transition=0.0,
+        turning=np.concatenate(turning),
     )
 
 
@@ -133,13 +156,19 @@ def _blocks(model: DeltaModel, segment: Segment) -> tuple[np.ndarray, np.ndarray
     columns[:, :, :TORQUE_COLUMN] = lowpass(columns[:, :, :TORQUE_COLUMN], segment.period)
     columns[:, :, TORQUE_COLUMN:ONE_COLUMN] = lowpass(segment.torque, segment.period)[:, None, :]
     columns[:, :, ONE_COLUMN] = 1.0
+    ways = [lowpass(mean_direction(segment.theta_dot, transition), segment.period) for transition in TRANSITIONS[1:]]
+    ways = np.stack([columns[:, :, COULOMB_COLUMN], *ways], axis=-1)
     edge = round(EDGE / segment.period)
     inner = count - 2 * edge
     blocks = max(1, round(inner * segment.period / BLOCK))
     bounds = edge + np.linspace(0, inner, blocks + 1).astype(int)
     gram = np.zeros((blocks, 3, COLUMNS, COLUMNS))
+    turning = np.zeros((blocks, 3, len(TRANSITIONS), COLUMNS + 1))
     for block, (start, stop) in enumerate(pairwise(bounds)):
         for joint in range(3):
-            moved = columns[start:stop, joint][segment.moving[start:stop, joint]]
+            moving = segment.moving[start:stop, joint]
+            moved, way = columns[start:stop, joint][moving], ways[start:stop, joint][moving]
             gram[block, joint] = moved.T @ moved
-    return gram * segment.period, gram[:, :, ONE_COLUMN, ONE_COLUMN] * segment.period
+            turning[block, joint, :, :COLUMNS] = way.T @ moved
+            turning[block, joint, :, COLUMNS] = (way**2).sum(axis=0)
+    return gram * segment.period, turning * segment.period

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from service.model.dynamics import REST_SPEED
@@ -24,3 +25,23 @@ def direction(theta_dot: float, transition: float) -> float:
 def friction_kernel(viscous: float, coulomb: float, theta_dot: float, transition: float) -> float:
     """Friction torque of one joint, N m. viscous: N m s/rad, coulomb: N m, theta_dot and transition: rad/s."""
     return viscous * theta_dot + coulomb * direction(theta_dot, transition)
+
+
+def mean_direction(theta_dot: np.ndarray, transition: float) -> np.ndarray:
+    """Which way (N, n) speeds go, in [-1, 1]: sign theta_dot, or smooth over `transition` rad/s.
+
+    The smooth form is the mean of tanh(theta_dot / transition) over the sample's interval, the speed taken as straight
+    between half-way points: a fast reversal falls between two samples, and its place there is worth 2 f_c times a
+    fraction of the interval.
+    """
+    if not transition:
+        return np.sign(theta_dot)
+    half = np.empty((len(theta_dot) + 1, theta_dot.shape[1]))
+    half[1:-1] = 0.5 * (theta_dot[1:] + theta_dot[:-1])
+    half[0], half[-1] = theta_dot[0], theta_dot[-1]
+    half /= transition
+    size = np.abs(half)
+    area = size + np.log1p(np.exp(-2.0 * size))  # integral of tanh, up to a constant
+    step = np.diff(half, axis=0)
+    flat = np.abs(step) < 1e-4
+    return np.where(flat, np.tanh(theta_dot / transition), np.diff(area, axis=0) / np.where(flat, 1.0, step))
