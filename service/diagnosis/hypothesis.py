@@ -114,13 +114,14 @@ def limits(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
 
 def unreported(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
     """Torque (N, n) N m at the joints."""
-    base, motion = hypothesis.base, scene.segment
-    torque = scene.recording.rigid.torque(base.rigid)
-    torque += base.viscous * motion.theta_dot + base.coulomb * mean_direction(motion.theta_dot, base.transition)
-    for term in hypothesis.terms:
-        if not term.effect.measured:
-            for place, amplitude in zip(term.places, term.amplitude, strict=True):
-                torque += term.effect.torque(scene, place, amplitude, term.shape)
+    return scene.total + sum(added(scene, term) for term in hypothesis.terms if not term.effect.measured)
+
+
+def added(scene: Scene, term: Term) -> np.ndarray:
+    """Torque (N, n) N m that an effect adds at the joints."""
+    torque = np.zeros((len(scene.time), scene.joints))
+    for place, amplitude in zip(term.places, term.amplitude, strict=True):
+        torque += term.effect.torque(scene, place, amplitude, term.shape)
     return torque
 
 
@@ -142,13 +143,13 @@ def predict(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
 def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarray, np.ndarray]:
     """Prediction (M, n) and its derivative (M, n, P) by every free parameter, in the analysis band."""
     n = scene.joints
-    torque = unreported(scene, hypothesis)
+    own = [np.zeros(()) if term.effect.measured else added(scene, term) for term in hypothesis.terms]
+    torque = scene.total + sum(own)
     at_joint: list[np.ndarray] = [scene.recording.rigid.columns]
     motion = scene.segment
     at_joint.append(_per_joint(motion.theta_dot))
-    sign = mean_direction(motion.theta_dot, hypothesis.base.transition)
-    at_joint.append(_per_joint(sign))
-    wider = mean_direction(motion.theta_dot, 1.05 * hypothesis.base.transition) - sign
+    at_joint.append(_per_joint(scene.direction))
+    wider = mean_direction(motion.theta_dot, 1.05 * hypothesis.base.transition) - scene.direction
     at_joint.append((hypothesis.base.coulomb * wider / (0.05 * hypothesis.base.transition))[..., None])
     if hypothesis.fits_timing:
         at_joint.append(-np.gradient(torque, scene.period, axis=0)[..., None])
@@ -172,12 +173,7 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
                 raw[count] = change / size
                 at_joint.append(np.zeros((len(torque), n, 1)))
             else:
-                twin = moved.terms[number]
-                change = np.zeros(torque.shape)
-                for place, amplitude in zip(term.places, term.amplitude, strict=True):
-                    change += term.effect.torque(scene, place, amplitude, twin.shape)
-                    change -= term.effect.torque(scene, place, amplitude, term.shape)
-                at_joint.append((change / size)[..., None])
+                at_joint.append(((added(scene, moved.terms[number]) - own[number]) / size)[..., None])
             count += 1
     columns = reported(scene, hypothesis, np.concatenate([torque[..., None], *at_joint], axis=-1))
     columns[..., 0] = delayed(columns[..., 0], hypothesis.base.timing, scene.period)  # slopes can do without

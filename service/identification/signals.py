@@ -142,7 +142,13 @@ def smooth(
 
 def lowpass(values: np.ndarray, period: float, cutoff_hz: float = ANALYSIS_HZ) -> np.ndarray:
     """`values` (N, ...) through the zero-phase Butterworth low-pass (4th order, forward and back) along axis 0."""
-    return sosfiltfilt(butter(ANALYSIS_ORDER, 2.0 * cutoff_hz * period, output="sos"), values, axis=0)
+    return sosfiltfilt(_sections(2.0 * cutoff_hz * period), values, axis=0)
+
+
+@lru_cache(maxsize=32)
+def _sections(share: float) -> np.ndarray:
+    """share: cut-off over the Nyquist frequency."""
+    return butter(ANALYSIS_ORDER, share, output="sos")
 
 
 def moving(position: np.ndarray, period: float) -> np.ndarray:

@@ -12,6 +12,7 @@ from service.diagnosis.scene import Scene
 
 SUBSTEPS_PER_SECOND = 8_000.0
 LOST = 0.5  # rad of relative motion at which a two-mass simulation has come apart
+SLIGHT = 0.01  # rad of relative motion up to which its square is below a thousandth of the torque
 NATURAL_HZ = (4.0, 5.4, 7.3, 9.8, 13.0, 18.0, 24.0, 33.0, 45.0, 60.0)
 HALVES = (0.0003, 0.00045, 0.0007, 0.001, 0.0015, 0.0023, 0.0035, 0.005)
 
@@ -63,6 +64,7 @@ def two_masses(
     """Torque (N, n) N m that a two-mass joint adds to the rigid one.
 
     motor_share: of the joint's mean inertia that sits on the motor. natural_hz: of the link against a held motor.
+    The link's torque is taken to first order in its relative motion where that stays below `SLIGHT`.
     """
     motion = scene.segment
     whole = scene.inertia[:, joint, joint]
@@ -82,6 +84,10 @@ def two_masses(
     )  # fmt: skip
     if not angle.any():
         return np.zeros(scene.load.shape)
+    if np.max(np.abs(angle)) < SLIGHT:
+        torque = scene.perturbed(joint, angle, speed, change)
+        torque[:, joint] -= scene.base.viscous[joint] * speed + motor * change
+        return torque
     moved = [signal.copy() for signal in (motion.theta, motion.theta_dot, motion.theta_ddot)]
     for signal, relative in zip(moved, (angle, speed, change), strict=True):
         signal[:, joint] += relative
