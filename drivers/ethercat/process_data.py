@@ -12,6 +12,11 @@ the bit that the first slave sets, where the master's own address has it clear; 
 only ever seen answered frames; so is the second sight of one datagram index. Between two slaves both passes are
 answered: there the port with the smaller working counter is the way out.
 
+What a missing pass does. A sample's values depend on the frames of its own cycle alone, so two recordings of one bus
+that miss different frames agree on every cycle both saw. Returned pass missing: no sample, GAP_BEFORE on the next one,
+counted as lost. Sent pass missing: nothing where addresses are not shared; where they are, the sample has no command
+(NaN, NO_COMMAND), never that of another cycle: an index comes again, so a sent frame counts for `_FLIGHT` of a cycle.
+
 Time is the distributed clock's where the frame of the first cycle carries it, else the capture's own, of the returned
 frame, for the whole stream. Cycles in which the clock's datagram is missing go on by the capture's clock.
 """
@@ -49,6 +54,7 @@ _INTERVALS = 64  # cycles whose median step is the cycle time
 _PERIOD_AFTER = 16  # cycles before the cycle time is known
 _CATCH_UP = 64  # cycles after a gap in which late ones can turn out not to be lost
 _PORT_AFTER = 16  # answered frames before a port is taken for the returning one
+_FLIGHT = 0.75  # of a cycle: a frame that was sent longer ago is not the one that comes back
 
 
 class Layout(NamedTuple):
@@ -121,8 +127,8 @@ class State(NamedTuple):
     raw_outputs: np.ndarray  # (3, 5) int64
     have_outputs: np.ndarray  # (3, 5) bool
     sent_outputs: np.ndarray  # (256, 3, 5) int64, by datagram index
-    have_sent: np.ndarray  # (256, 3, 5) bool
-    outstanding: np.ndarray  # (256,) bool, by datagram index: sent and not come back
+    outputs_at: np.ndarray  # (256, 3, 5) int64, ns, when they were sent, _NEVER once they came back
+    sent_at: np.ndarray  # (256,) int64, ns, by datagram index: when a frame was sent, _NEVER once it came back
     counters: np.ndarray  # (16, 3) int64: command, logical address, highest working counter seen
     ports: np.ndarray  # (256, 3) int64: answered frames, silent frames, highest working counter
 
@@ -133,6 +139,7 @@ class State(NamedTuple):
 ) = range(13)  # fmt: skip
 _UNDECIDED, _CAPTURE_CLOCK, _DISTRIBUTED_CLOCK = range(3)
 _COUNTER_LOW, _COUNTER_ZERO = 1, 2
+_NEVER = -(1 << 62)
 
 
 def new_state() -> State:
@@ -147,8 +154,8 @@ def new_state() -> State:
         raw_outputs=np.zeros(objects, np.int64),
         have_outputs=np.zeros(objects, np.bool_),
         sent_outputs=np.zeros((256, *objects), np.int64),
-        have_sent=np.zeros((256, *objects), np.bool_),
-        outstanding=np.zeros(256, np.bool_),
+        outputs_at=np.full((256, *objects), _NEVER, np.int64),
+        sent_at=np.full(256, _NEVER, np.int64),
         counters=np.zeros((16, 3), np.int64),
         ports=np.zeros((256, 3), np.int64),
     )
@@ -269,8 +276,11 @@ def _value(data, at, size, signed):
 
 
 @njit(cache=True)
-def _take(data, at, address, length, places, sizes, values, have):
-    """Objects that lie in the logical range [address, address + length), whose bytes are at `at`; how many joints."""
+def _take(data, at, address, length, places, sizes, values, have, mark):
+    """Objects that lie in the logical range [address, address + length), whose bytes are at `at`; how many joints.
+
+    have: takes `mark` for each of them.
+    """
     joints = 0
     for joint in range(3):
         found = False
@@ -278,7 +288,7 @@ def _take(data, at, address, length, places, sizes, values, have):
             place = places[joint, item]
             if place >= address and place + sizes[item, 0] <= address + length:
                 values[joint, item] = _value(data, at + place - address, sizes[item, 0], sizes[item, 1] == 1)
-                have[joint, item] = True
+                have[joint, item] = mark
                 found = True
         joints += found
     return joints
@@ -346,12 +356,23 @@ def _stamp(time, clock):
 
 
 @njit(cache=True)
-def _distributed_clock(data, at, length, last):
-    """System time of the reference clock, ns since 2000; 32-bit clocks are continued over their wrap."""
+def _on_its_way(sent_at, time, clock):
+    """Whether what was sent at `sent_at` and has not come back can come back at `time`, both ns of the capture."""
+    return sent_at != _NEVER and (clock[_PERIOD] == 0 or time - sent_at < _FLIGHT * clock[_PERIOD])
+
+
+@njit(cache=True)
+def _distributed_clock(data, at, length, time, clock):
+    """System time of the reference clock, ns since 2000; 32-bit clocks are continued over their wraps.
+
+    time: ns of the capture, whose clock tells how often a 32-bit one has wrapped since it was last read.
+    """
     low = u32(data, at)
-    if length >= 8:
-        return low | (u32(data, at + 4) << 32)
-    return last + ((low - last + (1 << 31)) & 0xFFFFFFFF) - (1 << 31) if last else low
+    high = u32(data, at + 4) if length >= 8 else 0
+    if high or not clock[_DC_LAST]:
+        return low | (high << 32)
+    expected = time + clock[_DC_OFFSET]
+    return expected + ((low - expected + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
 
 
 @njit(cache=True)
@@ -500,8 +521,8 @@ def _scan(data, first, end, inputs, outputs):
 
 
 @njit(cache=True)
-def _read_frame(data, first, end, returned, layout, state):
-    """Take the objects of one whole frame into the cycle in the making."""
+def _read_frame(data, first, end, returned, time, layout, state):
+    """Take the objects of one whole frame, captured at `time`, ns, into the cycle in the making."""
     at, more = first, True
     while more:
         head = u16(data, at + 6)
@@ -511,14 +532,13 @@ def _read_frame(data, first, end, returned, layout, state):
         address = u32(data, at + 2)
         reads = command == Command.LRD.value or command == Command.LRW.value
         writes = command == Command.LWR.value or command == Command.LRW.value
+        if (reads or writes) and not returned:
+            state.sent_at[index] = time
         if writes and not returned:
-            state.outstanding[index] = True
             _take(data, body, address, length, layout.outputs, layout.output_bytes,
-                  state.sent_outputs[index], state.have_sent[index])  # fmt: skip
-        elif reads and not returned:
-            state.outstanding[index] = True
-        elif reads or writes:
-            state.outstanding[index] = False
+                  state.sent_outputs[index], state.outputs_at[index], time)  # fmt: skip
+        elif returned and (reads or writes):
+            state.sent_at[index] = _NEVER
             joints_in = _joints_within(address, length, layout.inputs) if reads else 0
             joints_out = _joints_within(address, length, layout.outputs) if writes else 0
             if joints_in and _starts_again(address, length, layout.inputs, state.have_inputs):
@@ -532,14 +552,14 @@ def _read_frame(data, first, end, returned, layout, state):
                     state.clock[_FAULT] = max(state.clock[_FAULT], fault)
             if reads:
                 _take(data, body, address, length, layout.inputs, layout.input_bytes,
-                      state.raw_inputs, state.have_inputs)  # fmt: skip
+                      state.raw_inputs, state.have_inputs, True)  # fmt: skip
             if writes and reads and layout.shared:
-                _take_sent(index, state)
+                _take_sent(index, time, state)
             elif writes:
                 _take(data, body, address, length, layout.outputs, layout.output_bytes,
-                      state.raw_outputs, state.have_outputs)  # fmt: skip
+                      state.raw_outputs, state.have_outputs, True)  # fmt: skip
         elif returned and counter > 0 and length >= 4 and address >> 16 == DC_SYSTEM_TIME and command != _FPWR:
-            state.clock[_DC_NOW] = _distributed_clock(data, body, length, state.clock[_DC_LAST])
+            state.clock[_DC_NOW] = _distributed_clock(data, body, length, time, state.clock)
         more = head & 0x8000 != 0
         at = body + length + 2
 
@@ -559,13 +579,13 @@ def _starts_again(address, length, places, have):
 
 
 @njit(cache=True)
-def _take_sent(index, state):
+def _take_sent(index, time, state):
     for joint in range(3):
         for item in range(state.raw_outputs.shape[1]):
-            if state.have_sent[index, joint, item]:
+            if _on_its_way(state.outputs_at[index, joint, item], time, state.clock):
                 state.raw_outputs[joint, item] = state.sent_outputs[index, joint, item]
                 state.have_outputs[joint, item] = True
-                state.have_sent[index, joint, item] = False
+            state.outputs_at[index, joint, item] = _NEVER
 
 
 @njit(cache=True)
@@ -599,11 +619,12 @@ def assemble(data, offset, length, time, port, flags, layout, state, samples, ra
             continue
         if not carries:
             continue
+        outstanding = _on_its_way(state.sent_at[index], time[frame], state.clock)
         returned = _is_returned(
-            data[offset[frame] + 6], port[frame], state.outstanding[index], answered, highest, state.ports, state.clock
+            data[offset[frame] + 6], port[frame], outstanding, answered, highest, state.ports, state.clock
         )
         state.counts[COUNT.returned if returned else COUNT.sent] += 1
-        _read_frame(data, first, end, returned, layout, state)
+        _read_frame(data, first, end, returned, time[frame], layout, state)
         if returned and _complete(layout.inputs, state.have_inputs):
             _emit(time[frame], layout, state, samples, raw, made)
             made += 1

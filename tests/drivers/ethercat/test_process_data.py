@@ -142,6 +142,51 @@ def test_inputs_and_outputs_in_datagrams_and_frames_of_their_own(tmp_path: Path)
     assert assembler.count("incomplete") == 0
 
 
+@pytest.mark.parametrize("shared_addresses", [False, True])
+@pytest.mark.parametrize("source", [None, LOCAL])
+@pytest.mark.parametrize("indexes", [256, 16, 1])
+def test_recordings_that_miss_different_frames_agree_on_every_cycle_both_saw(
+    tmp_path: Path, shared_addresses: bool, source: bytes | None, indexes: int
+) -> None:
+    options: dict[str, Any] = {"shared": shared_addresses} | ({"source": source} if source else {})
+    packets = []
+    for number in range(600):
+        clock = struct.pack("<Q", 10**9 + 1_000_000 * number)
+        pair = passes(cycle(number), cycle(number - 1), index=number % indexes, clock=clock, **options)
+        packets += [(START + number * 1_000_000 + 20_000 * returned, data) for returned, data in enumerate(pair)]
+    whole, _ = assembled(pcap(tmp_path / "whole.pcap", packets, nanoseconds=True), robot(shared=shared_addresses))
+    rng = np.random.default_rng(7)
+    for number in range(5):
+        kept = rng.random(1200) > 0.1
+        kept[:40] = True  # until the cycle time is known
+        path = pcap(tmp_path / f"{number}.pcap", [p for p, k in zip(packets, kept, strict=True) if k], nanoseconds=True)
+        samples, assembler = assembled(path, robot(shared=shared_addresses))
+
+        seen = kept[1::2]
+        assert stamp_ns(samples).tolist() == stamp_ns(whole[seen]).tolist()
+        for name in ("position", "torque"):
+            assert samples[name].tobytes() == whole[seen][name].tobytes()
+        commanded = kept[::2][seen] | (not shared_addresses)
+        for name in ("position_command", "torque_command"):
+            assert samples[name][commanded].tobytes() == whole[seen][name][commanded].tobytes()
+            assert np.isnan(samples[name][~commanded]).all()
+        after_gap = np.diff(np.flatnonzero(seen), prepend=-1) > 1
+        flags = np.where(after_gap, SampleFlag.GAP_BEFORE, 0) | np.where(commanded, 0, SampleFlag.NO_COMMAND)
+        np.testing.assert_array_equal(samples["flags"], flags)
+        assert assembler.count("lost") == len(seen) - seen[::-1].argmax() - seen.sum()  # behind the last one none shows
+
+
+def test_a_short_clock_is_continued_over_a_pause_of_several_of_its_wraps(tmp_path: Path) -> None:
+    numbers = [*range(50), *range(20_000, 20_050)]  # 20 s
+    packets = [
+        (START + k * 1_000_000, passes(cycle(k), index=k % 256, clock=struct.pack("<Q", (k + 1) * 1_000_000)[:4])[1])
+        for k in numbers
+    ]
+    samples, _ = assembled(pcap(tmp_path / "a.pcap", packets, nanoseconds=True), robot())
+
+    np.testing.assert_array_equal(stamp_ns(samples), 1_000_000 * (np.array(numbers) + 1))
+
+
 @pytest.mark.parametrize("size", [8, 4])
 def test_time_is_the_distributed_clocks_even_over_the_wrap_of_its_low_word(tmp_path: Path, size: int) -> None:
     first = (1 << 32) * 7 - 50 * 250_000  # wraps after 50 cycles
