@@ -256,7 +256,7 @@ class Tap:
         told.counts = {name: news(name) for name in told.counts}
         told.at_ns = time.monotonic_ns()
         if fresh["samples"]:
-            told.sample_ns = told.at_ns
+            told.sample_ns, told.sent = told.at_ns, news("sent")
         quiet = told.at_ns - told.sample_ns > QUIET_NS
         health.flags &= ~(HealthFlag.BUS_FAULT | HealthFlag.STALE_INPUT)
         if told.faulty or any(fresh[name] > 0 for name in _TROUBLES):
@@ -288,8 +288,10 @@ class Tap:
                 self._say(f"joint {joint + 1}: {DriveState(int(states[joint])).name.lower().replace('_', ' ')}")
             self._states = states
         if quiet and not self._told.quiet:
-            seen = self.assembler.count("sent")
-            why = "frames with process data, but none comes back" if seen else "no process data of this robot"
+            if self.assembler.count("sent") > self._told.sent:
+                why = "frames with process data, but none comes back"
+            else:
+                why = "the frames have stopped" if self.assembler.count("samples") else "no process data of this robot"
             self._say(f"{self._source.name}: no sample for {QUIET_NS / NANOSECONDS:g} s: {why}")
         self._told.quiet = quiet
 
@@ -310,4 +312,5 @@ class _Told:
     def __init__(self, assembler: Assembler) -> None:
         self.counts = {name: assembler.count(name) for name in ("samples", *_TROUBLES)}
         self.at_ns = self.sample_ns = time.monotonic_ns()
+        self.sent = 0  # frames on their way out when the last sample came
         self.faulty = self.quiet = False

@@ -1,0 +1,87 @@
+"""The one demonstration of the whole EtherCAT chain, as its user runs it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.trace.mcap_file import write_samples
+from service.demonstration import compare
+from service.monitor.readback import read_recording
+from tests.drivers.ethercat import rig
+
+DEMO = (sys.executable, "-c", "from service.cli.main import main; main()", "ethercat-demo", "--out")
+
+
+def run(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=560)
+
+
+@pytest.fixture(scope="module")
+def demonstrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """The folder of one run, and what the run said."""
+    rig.require_namespaces()
+    if shutil.which("dumpcap") is None:
+        pytest.skip("needs dumpcap (wireshark-common) to capture the wire")
+    out = tmp_path_factory.mktemp("demonstration") / "demo"
+    return out, run(*DEMO, str(out), "--rate", "500")
+
+
+@pytest.mark.timeout(600)  # a minute, several where a busy host compiles first
+def test_every_claim_holds(demonstrated: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    out, done = demonstrated
+    logs = "\n".join(f"{log.name}: {log.read_text()}" for log in sorted(out.glob("*.log")))
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}\n{logs}"
+    assert done.stdout.count("│ holds") == 6
+    assert "│ fails" not in done.stdout
+    names = {path.name for path in out.iterdir()}
+    assert names >= {"own.mcap", "first.mcap", "second.mcap", "offline.mcap", "wire.pcapng", "identified.toml"}
+
+
+@pytest.mark.timeout(600)
+def test_a_cycle_that_differs_or_is_missing_untold_fails_its_claim(
+    demonstrated: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path
+) -> None:
+    out, _ = demonstrated
+    other = tmp_path / "other"
+    shutil.copytree(out, other)
+    samples = read_recording(out / "offline.mcap")["sample"].records
+    moved = samples.copy()
+    moved["position"][3000, 1] = np.nextafter(moved["position"][3000, 1], 9.0)
+
+    def claims(offline: np.ndarray, missing: int) -> list[bool]:
+        (other / "offline.mcap").unlink()
+        write_samples([offline], other / "offline.mcap", "d3-1200", other)
+        return [check.holds for check in compare(other, 1.5, missing)]
+
+    assert claims(samples, 0) == [True] * 6
+    assert claims(moved, 0) == [True, True, True, False, True, True]
+    assert claims(np.delete(samples, slice(-24, None)), 0) == [True, True, True, False, True, True]
+    assert claims(np.delete(samples, slice(-24, None)), 48) == [True] * 6  # a capture that lost frames, and said so
+    renumbered = np.delete(samples, slice(3000, 3024))
+    renumbered["sequence"] = np.arange(len(renumbered))
+    assert claims(renumbered, 48) == [True, True, False, True, True, True]
+
+
+def test_a_folder_in_use_is_left_alone(tmp_path: Path) -> None:
+    rig.require_namespaces()
+    if shutil.which("dumpcap") is None:
+        pytest.skip("needs dumpcap (wireshark-common) to capture the wire")
+    (tmp_path / "mine").touch()
+    done = run(*DEMO, str(tmp_path))
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == f"deltatwin: {tmp_path}: is not empty; give another folder with --out\n"
+
+
+def test_without_the_right_to_make_a_namespace_it_says_so(tmp_path: Path) -> None:
+    rig.require_namespaces()
+    done = run("setpriv", "--bounding-set=-sys_admin", "--inh-caps=-sys_admin", *DEMO, str(tmp_path / "demo"))
+    assert done.returncode == 1
+    assert done.stderr == (
+        "deltatwin: network namespace: Operation not permitted; needs the capability CAP_SYS_ADMIN (run as root)\n"
+    )
