@@ -9,14 +9,15 @@ unit = "m"                  # of the position: m, or rad; torque is then a force
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomlkit
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
 from schemas.errors import RobotError
-from schemas.robot import Effect, JointParameter, Positive, RobotName, toml_item
+from schemas.robot import Effect, JointParameter, Positive, Robot, RobotName, load_robot, toml_item
 from schemas.toml import read_toml, validate
 
 
@@ -51,6 +52,46 @@ class Axes(_Section):
     columns: str | None = None
     identified: AxesIdentified | None = None
     effect: list[Effect] = []
+    _folder: Path = PrivateAttr(Path())
+
+    @property
+    def mapping(self) -> str | None:
+        """`columns`, a file as found from here."""
+        beside = self._folder / self.columns if self.columns else None
+        return str(beside) if beside is not None and beside.is_file() else self.columns
+
+    @property
+    def linear(self) -> bool:
+        """Metres and newtons, on all axes."""
+        return all(axis.unit == "m" for axis in self.axis)
+
+    @property
+    def angular(self) -> bool:
+        """Radians and newton metres, on all axes."""
+        return all(axis.unit == "rad" for axis in self.axis)
+
+
+Description = Robot | Axes
+
+
+def load_description(path: str | Path) -> Description:
+    """Read a description of a Delta robot or of axes, as its `kind` says.
+
+    Raises:
+        RobotError: naming file, key and value of the first thing that is wrong.
+    """
+    return load_axes(path) if is_axes(path) else load_robot(path)
+
+
+def no_axes(robot: Description | None, what: str) -> Robot | None:
+    """`robot`, where it is a Delta or none.
+
+    Raises:
+        RobotError: it describes axes; `what` says what for that is no use.
+    """
+    if isinstance(robot, Axes):
+        raise RobotError(f"{what}: {robot.name} describes axes, a Delta robot is needed")
+    return robot
 
 
 def is_axes(path: str | Path) -> bool:
@@ -68,14 +109,28 @@ def load_axes(path: str | Path) -> Axes:
     Raises:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
-    return validate(Axes, read_toml(Path(path), RobotError), Path(path), RobotError)
+    axes = validate(Axes, read_toml(Path(path), RobotError), Path(path), RobotError)
+    axes._folder = Path(path).parent
+    return axes
 
 
 def save_axes(axes: Axes, path: Path) -> None:
-    """Write a description of axes."""
+    """Write a description of axes; a mapping file that it names is named as seen from `path`.
+
+    Raises:
+        RobotError: the file cannot be written.
+    """
     document: Any = tomlkit.document()
-    for key, value in axes.model_dump(exclude_none=True, exclude_defaults=True).items():
+    values = axes.model_dump(exclude_none=True, exclude_defaults=True)
+    if axes.mapping != axes.columns:
+        values["columns"] = os.path.relpath(str(axes.mapping), path.parent)
+    for key, value in values.items():
         document[key] = toml_item(value)
     partial = path.with_name(path.name + ".part")
-    partial.write_text(tomlkit.dumps(document), encoding="utf-8")
-    partial.replace(path)
+    try:
+        partial.write_text(tomlkit.dumps(document), encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        raise RobotError(f"{path}: {error.strerror}") from error
+    finally:
+        partial.unlink(missing_ok=True)

@@ -61,10 +61,47 @@ class Gap(_Section):
     band_hz: float
 
 
+class Burst(_Section):
+    """A stretch in which the gap of a joint (from 1) stands far above the rest: an event, not a property.
+
+    over_noise: its rms, slow parts taken out, over the noise floor.
+    """
+
+    run: str
+    joint: int
+    from_s: float
+    to_s: float
+    over_noise: float
+
+
+class Shrunk(_Section):
+    """Rms a joint by the model before and after, in the analysis band."""
+
+    before_nm: list[float]
+    after_nm: list[float]
+    shrink: float
+    shrink_ci95: tuple[float, float]
+
+
+class Unseen(_Section):
+    """A log kept out of everything. bursts: of the corrected model's gap there, and the period in s that most keep.
+
+    outside: without the bursts, where there are any. outside_share: of the moving time that is left then.
+    """
+
+    trace: str
+    whole: Shrunk
+    bursts: list[Burst]
+    rhythm_s: float | None
+    outside: Shrunk | None
+    outside_share: float
+
+
 class Diagnosis(_Section):
     """Where the gap lies, which effect causes it, how far it shrinks.
 
-    plain: parameters of the base model fitted without effects. base: refitted together with the effects.
+    plain: parameters of the base model fitted without effects. base: refitted together with the effects. tests: the
+    correction on logs given for that alone.
     """
 
     schema_: Literal["deltatwin.diagnosis/1"] = Field("deltatwin.diagnosis/1", alias="schema")
@@ -80,4 +117,5 @@ class Diagnosis(_Section):
     base: dict[str, Estimate]
     where: dict[str, Any]
     gap: Gap
+    tests: list[Unseen] = []
     notes: list[str]

@@ -22,9 +22,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from schemas.axes import Axes, Description, no_axes
 from schemas.columns import Columns, load_columns
 from schemas.errors import TraceError
-from schemas.robot import Robot
 from schemas.trace import Trace
 
 MAPPINGS = Path(__file__).parent / "mappings"
@@ -32,16 +32,29 @@ CAPTURE_ENDINGS = (".pcap", ".pcapng", ".cap")
 CSV_ENDINGS = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv")
 
 
-def read_trace(path: str | Path, robot: Robot | None = None, columns: Columns | None = None) -> Trace:
+def read_trace(path: str | Path, robot: Description | None = None, columns: Columns | None = None) -> Trace:
     """Read a recorded trace.
 
     robot: gives the joint range, the gear ratio of motor-side columns, its own `[columns]`, and the topic where an MCAP
     holds several robots. columns: the mapping of a foreign table; wins over the robot's. Without either, our own CSV.
 
     Raises:
-        TraceError: the file is unusable (see the module).
+        TraceError: the file is unusable (see the module), or not of as many axes, of the same kind, as described.
     """
     path = Path(path)
+    trace = _read(path, robot, columns)
+    if isinstance(robot, Axes):
+        found = trace.position.shape[1]
+        if found != len(robot.axis):
+            raise TraceError(f"{path}: {found} axes, {robot.name} is described with {len(robot.axis)}")
+        if trace.angular != robot.angular:
+            raise TraceError(
+                f"{path}: {'no' if trace.angular else 'an'} axis in m, {robot.name} is described otherwise"
+            )
+    return trace
+
+
+def _read(path: Path, robot: Description | None, columns: Columns | None) -> Trace:
     if path.name.endswith(".mcap"):
         from drivers.trace.mcap_file import read_mcap
 
@@ -49,8 +62,13 @@ def read_trace(path: str | Path, robot: Robot | None = None, columns: Columns | 
     if path.name.endswith(CSV_ENDINGS):
         from drivers.trace.csv_file import read_csv
 
-        return read_csv(path, robot, columns)
+        if isinstance(robot, Axes):
+            fallback = find_columns(robot.mapping) if robot.mapping else None
+        else:
+            fallback = robot.columns if robot else None
+        return read_csv(path, robot, columns, fallback)
     if path.name.endswith(CAPTURE_ENDINGS):
+        robot = no_axes(robot, str(path))
         if robot is None:
             raise TraceError(f"{path}: a capture is read with its robot description (--robot): layout and scaling")
         from drivers.ethercat.trace import read_capture

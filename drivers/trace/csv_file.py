@@ -14,10 +14,10 @@ import numpy as np
 import polars as pl
 
 from drivers.trace.quality import EXACT_SECONDS, Rows, check
+from schemas.axes import Axes, Description
 from schemas.columns import CHANNELS, TIME_UNITS, Columns, PositionColumn, TorqueColumn
 from schemas.errors import TraceError
 from schemas.messages import NANOSECONDS, SampleFlag
-from schemas.robot import Robot
 from schemas.trace import Finding, Trace
 
 MISSING = ["", " ", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]  # cells that say there is no value
@@ -42,14 +42,18 @@ class _Channel:
         return f"{self.name}_{self.joint + 1} ({self.column.name!r})"
 
 
-def read_csv(path: Path, robot: Robot | None = None, columns: Columns | None = None) -> Trace:
+def read_csv(
+    path: Path, robot: Description | None = None, columns: Columns | None = None, fallback: Columns | None = None
+) -> Trace:
     """A table as a trace.
+
+    columns: its mapping, whatever its header. fallback: its mapping where the header is not our own.
 
     Raises:
         TraceError: see `drivers.trace`.
     """
     raw = _load(path)
-    columns = columns or _mapping(raw, robot)
+    columns = columns or _mapping(raw, fallback)
     names, body = _split(raw, columns, path)
     channels = _channels(names, columns, path)
     body, notes = _without_cut_line(body, columns)
@@ -94,11 +98,11 @@ def _load(path: Path) -> bytes:
     return raw.removeprefix(b"\xef\xbb\xbf")
 
 
-def _mapping(raw: bytes, robot: Robot | None) -> Columns:
+def _mapping(raw: bytes, fallback: Columns | None) -> Columns:
     names = _fields(_first_line(raw).decode("utf-8", "replace"), ",")
     own = [match[1] for name in names if (match := _OWN.match(name))]
     if not own:
-        return robot.columns if robot is not None and robot.columns is not None else Columns()
+        return fallback or Columns()
     if own[0] == "rad":
         return Columns(joints=len(own))
     linear: dict[str, Any] = {"joints": len(own)}
@@ -250,7 +254,7 @@ def _assemble(
     table: pl.DataFrame,
     channels: list[_Channel],
     columns: Columns,
-    robot: Robot | None,
+    robot: Description | None,
     path: Path,
     notes: list[Finding],
     epoch_ns: int,
@@ -331,14 +335,16 @@ def _bring(
     return values, Finding(SampleFlag(0), message, np.zeros(0, np.intp))
 
 
-def _gear_ratio(robot: Robot | None, joint: int) -> float | None:
+def _gear_ratio(robot: Description | None, joint: int) -> float | None:
     if robot is None:
         return None
+    if isinstance(robot, Axes):
+        return robot.axis[joint].gear_ratio if joint < len(robot.axis) else None
     own = robot.drive.joint[joint].gear_ratio if robot.drive.joint else None
     return own or robot.drive.gear_ratio
 
 
-def _to_joint(values: np.ndarray, channel: _Channel, robot: Robot | None, path: Path) -> np.ndarray:
+def _to_joint(values: np.ndarray, channel: _Channel, robot: Description | None, path: Path) -> np.ndarray:
     column = channel.column
     gear: float | None = 1.0
     if column.side == "motor":

@@ -12,17 +12,17 @@ from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
 from drivers.trace.quality import EXACT_SECONDS, Rows, check
+from schemas.axes import Description
 from schemas.errors import DeltatwinError, TraceError
 from schemas.keys import topic_key
 from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, stamp_ns
-from schemas.robot import Robot
 from schemas.trace import Trace
 
 _SAMPLE_TOPIC = re.compile(r"^deltatwin/(?P<robot>[^/]+)/sample$")
 SHOW_EVERY = 10_000  # samples
 
 
-def read_mcap(path: Path, robot: Robot | None = None) -> Trace:
+def read_mcap(path: Path, robot: Description | None = None) -> Trace:
     """The samples of an MCAP file in the order they were written, which shows what a sort by time would hide.
 
     Raises:
@@ -43,7 +43,7 @@ def read_mcap(path: Path, robot: Robot | None = None) -> Trace:
     return check(to_trace(samples, path), Rows("message", np.arange(1, len(samples) + 1)), robot)
 
 
-def read_samples(reader: McapReader, path: Path, robot: Robot | None = None) -> np.ndarray:
+def read_samples(reader: McapReader, path: Path, robot: Description | None = None) -> np.ndarray:
     """(N,) records of `schemas.messages.SAMPLE` as they stand in the file, read-only.
 
     Raises:
@@ -68,7 +68,9 @@ def read_samples(reader: McapReader, path: Path, robot: Robot | None = None) -> 
     return samples
 
 
-def _sample_topic(channels: dict[int, Channel], schemas: dict[int, Schema], path: Path, robot: Robot | None) -> str:
+def _sample_topic(
+    channels: dict[int, Channel], schemas: dict[int, Schema], path: Path, robot: Description | None
+) -> str:
     found = {m["robot"]: c for c in channels.values() if (m := _SAMPLE_TOPIC.match(c.topic))}
     if not found:
         topics = ", ".join(sorted(c.topic for c in channels.values())) or "none"

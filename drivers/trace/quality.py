@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import median_filter
 
+from schemas.axes import Axes, Description
 from schemas.errors import TraceError
 from schemas.messages import SampleFlag
-from schemas.robot import Geometry, Robot
+from schemas.robot import Geometry
 from schemas.trace import Finding, Trace
 
 EXACT_SECONDS = 1_000_000  # float64 seconds below this hold a nanosecond
@@ -37,7 +38,7 @@ class Rows:
         return f"{self.word}{plural} {shown}{', ...' if len(rows) > SHOWN else ''}"
 
 
-def check(trace: Trace, rows: Rows, robot: Robot | None) -> Trace:
+def check(trace: Trace, rows: Rows, robot: Description | None) -> Trace:
     """`trace` with every flag set and every finding added.
 
     Joint angles are held against the range of `robot`, without one against that of Delta robots in general.
@@ -138,8 +139,8 @@ def _jumps(trace: Trace, rows: Rows) -> Iterator[Finding]:
             )
 
 
-def _range(trace: Trace, rows: Rows, robot: Robot | None) -> Iterator[Finding]:
-    if not trace.angular or (robot is None and trace.position.shape[1] != 3):
+def _range(trace: Trace, rows: Rows, robot: Description | None) -> Iterator[Finding]:
+    if not trace.angular or isinstance(robot, Axes) or (robot is None and trace.position.shape[1] != 3):
         return
     low, high = robot.geometry.joint_range_rad if robot else Geometry.model_fields["joint_range_rad"].default
     for joint in range(trace.position.shape[1]):

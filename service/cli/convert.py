@@ -38,20 +38,22 @@ def command(
     from rich.progress import Progress
 
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace, write_trace
-    from schemas.robot import load_robot
+    from schemas.axes import load_description, no_axes
     from service.cli.signals import terminate_as_interrupt
 
     terminate_as_interrupt()
-    description = load_robot(robot) if robot else None
+    description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
     console = Console(stderr=True)
-    if source.name.endswith(CAPTURE_ENDINGS) and target.name.endswith(".mcap") and description:
+    capture = source.name.endswith(CAPTURE_ENDINGS)
+    delta = no_axes(description, str(source)) if capture else None
+    if delta and target.name.endswith(".mcap"):
         from drivers.ethercat.trace import convert_capture  # as a stream: a capture can be larger than the memory
 
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task(f"converting {source.name}", total=None)
             made, findings = convert_capture(
-                source, description, target, lambda done, size: progress.update(task, completed=done, total=size)
+                source, delta, target, lambda done, size: progress.update(task, completed=done, total=size)
             )
         for finding in findings:
             typer.echo(f"{source}: {finding.message}", err=True)

@@ -17,15 +17,21 @@ def command(
         Path | None, typer.Option(help="Identified description whose gap is the one before; default: identify anew")
     ] = None,
     effects: Annotated[Path | None, typer.Option(help="Python file with effects of your own")] = None,
+    test: Annotated[
+        list[Path] | None, typer.Option(help="Log to try the correction on, used for nothing else; may be repeated")
+    ] = None,
 ) -> None:
     """Say where torque and model part, which effect explains it, and how far it shrinks on runs not used for the fit.
 
-    Example: deltatwin diagnose fit_*.csv --robot robot.toml --out diagnosis
+    --robot may also describe decoupled axes (kind = "axes"). Effects that --robot or --baseline carry are not found
+    again. --test tells events, stretches far above the rest, from what the correction leaves elsewhere.
+
+    Example: deltatwin diagnose fit_*.csv --robot robot.toml --out diagnosis --test other_day.csv
     """
     from rich.console import Console
 
-    from schemas.axes import Axes, is_axes, load_axes, save_axes
-    from schemas.robot import load_robot, save_robot
+    from schemas.axes import Axes, load_description, save_axes
+    from schemas.robot import save_robot
     from service.cli.reading import reading
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.document import corrected, document
@@ -35,16 +41,14 @@ def command(
 
     console = Console()
     known = catalogue(effects)
-    if is_axes(robot):
-        description = load_axes(robot)
-        recorded = list(reading(traces, None, columns or description.columns, "reading"))
-    else:
-        description = load_robot(robot)
-        recorded = list(reading(traces, description, columns, "reading"))
+    description = load_description(robot)
+    reference = load_description(baseline) if baseline else None
+    recorded = list(reading(traces, description, columns, "reading"))
+    tests = list(reading(test or [], description, columns, "reading"))
     with console.status("starting") as status:
-        findings = diagnose(description, recorded, known, status.update, load_robot(baseline) if baseline else None)
+        findings = diagnose(description, recorded, known, status.update, reference)
         status.update("writing the report")
-        result = document(findings)
+        result = document(findings, tests)
         out.mkdir(parents=True, exist_ok=True)
         partial = out / "diagnosis.json.part"
         partial.write_text(result.model_dump_json(indent=1, by_alias=True), encoding="utf-8")

@@ -14,9 +14,12 @@ if TYPE_CHECKING:
     from service.identification.evaluation import Evaluation, Moments
 
 
+MOST_EVENTS = 4  # told
+
+
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE...")],
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML), plain, identified or corrected")],
+    robot: Annotated[Path, typer.Option(help="Robot description (TOML), plain, identified or corrected; or of axes")],
     columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table")] = False,
     predictions: Annotated[
@@ -25,18 +28,20 @@ def command(
 ) -> None:
     """Mean and standard deviation of measured minus predicted torque for each model.
 
-    Offline: the motion is smoothed in both directions; joints at rest are left out.
+    Offline: the motion is smoothed in both directions; joints at rest are left out. Stretches far above the rest are
+    named, and the fullest model shown without them too.
 
     Example: deltatwin evaluate test_*.csv --robot identified.toml --predictions predicted/
     """
     from rich.console import Console
 
+    from schemas.axes import Axes, load_description
     from schemas.errors import TraceError
-    from schemas.robot import load_robot
     from service.cli.reading import reading
     from service.identification.evaluation import evaluate
 
-    description = load_robot(robot)
+    description = load_description(robot)
+    unit = "N" if isinstance(description, Axes) and description.linear else "N m"
     targets = [predictions / _csv_name(path) for path in traces] if predictions else []
     for number, target in enumerate(targets):
         if target in targets[:number]:
@@ -45,16 +50,20 @@ def command(
     for number, trace in enumerate(reading(traces, description, columns, "evaluating")):
         result = evaluate(description, trace)
         if targets:
-            _write(result, targets[number])
+            _write(result, targets[number], unit)
         result.torque.clear()
         results.append(result)
     for result in results:
         if result.unmeasured:
             print(f"{result.trace.path}: {result.unmeasured} of {len(result.trace)} rows left out", file=sys.stderr)
     if json:
-        print(_json(results))
+        print(_json(results, unit))
     else:
-        Console().print(_table(results))
+        console = Console()
+        console.print(_table(results, unit))
+        for result in results:
+            for line in _events(result, unit):
+                console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _csv_name(path: Path) -> str:
@@ -65,13 +74,15 @@ def _csv_name(path: Path) -> str:
     return name if name.endswith(".csv") else f"{name}.csv"
 
 
-def _write(result: Evaluation, path: Path) -> None:
+def _write(result: Evaluation, path: Path, unit: str) -> None:
     import polars as pl
 
     from schemas.errors import TraceError
 
     fullest = list(result.torque.values())[-1]
-    columns = {"time_s": result.trace.time} | {f"torque_model_{j + 1}_nm": fullest[:, j] for j in range(3)}
+    ending = unit.replace(" ", "").lower()
+    columns = {"time_s": result.trace.time}
+    columns |= {f"torque_model_{j + 1}_{ending}": values for j, values in enumerate(fullest.T)}
     partial = path.with_name(f".part-{path.name}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -83,16 +94,21 @@ def _write(result: Evaluation, path: Path) -> None:
         partial.unlink(missing_ok=True)
 
 
-def _pooled(results: list[Evaluation]) -> dict[str, Moments]:
+def _pooled(results: list[Evaluation], which: str = "errors") -> dict[str, Moments]:
     from service.identification.evaluation import pooled
     from service.identification.predict import FULL
 
-    names = dict.fromkeys(name for result in results for name in result.errors)
+    figures: list[dict[str, Moments]] = [getattr(result, which) for result in results]
+    names = dict.fromkeys(name for errors in figures for name in errors)
     # a trace without a pick has no entry with a payload: there the fullest model stands for itself
-    return {name: pooled(result.errors.get(name, result.errors[FULL]) for result in results) for name in names}
+    return {
+        name: pooled(errors.get(name, errors.get(FULL, next(iter(errors.values())))) for errors in figures)
+        for name in names
+    }
 
 
-def _json(results: list[Evaluation]) -> str:
+def _json(results: list[Evaluation], unit: str) -> str:
+    from dataclasses import asdict
     from json import dumps
 
     from service.identification.signals import ANALYSIS_HZ
@@ -110,13 +126,17 @@ def _json(results: list[Evaluation]) -> str:
     document = {
         "schema": "deltatwin.evaluation/1",
         "analysis_hz": ANALYSIS_HZ,
+        "unit": unit,
         "models": figures(_pooled(results)),
+        "outside_events": figures(_pooled(results, "calm")),
         "traces": [
             {
                 "trace": str(result.trace.path),
                 "rows": len(result.trace),
                 "unmeasured_rows": result.unmeasured,
                 "models": figures(result.errors),
+                "outside_events": figures(result.calm),
+                "events": [asdict(event) | {"joint": event.joint + 1} for event in result.events],
             }
             for result in results
         ],
@@ -128,18 +148,38 @@ def _finite(values) -> list[float | None]:
     return [float(value) if value == value else None for value in values]
 
 
-def _table(results: list[Evaluation]) -> Table:
+def _table(results: list[Evaluation], unit: str) -> Table:
     from rich.table import Table
 
     from service.identification.signals import ANALYSIS_HZ
 
     table = Table(
         "model",
-        *(f"joint {joint + 1}: mean, std" for joint in range(3)),
-        title=f"torque - model, N m, below {ANALYSIS_HZ:g} Hz while moving, {len(results)} trace(s)",
+        *(f"joint {joint + 1}: mean, std" for joint in range(results[0].trace.position.shape[1])),
+        title=f"torque - model, {unit}, below {ANALYSIS_HZ:g} Hz while moving, {len(results)} trace(s)",
     )
     for column in table.columns[1:]:
         column.justify = "right"
-    for name, moments in _pooled(results).items():
+    shown = _pooled(results)
+    if any(result.events for result in results):
+        name, moments = list(_pooled(results, "calm").items())[-1]
+        shown[f"{name}, outside events"] = moments
+    for name, moments in shown.items():
         table.add_row(name, *(f"{m:.3f}, {s:.3f}" for m, s in zip(moments.mean, moments.std, strict=True)))
     return table
+
+
+def _events(result: Evaluation, unit: str) -> list[str]:
+    from service.diagnosis.events import rhythm
+
+    if not result.events:
+        return []
+    share = 1.0 - result.calm_share
+    beat = rhythm(result.events)
+    keeping = f", most of them every {beat:.3g} s" if beat is not None else ""
+    strongest = sorted(result.events, key=lambda event: -event.level)[:MOST_EVENTS]
+    told = "; ".join(f"joint {e.joint + 1} {e.start:.2f} to {e.end:.2f} s ({e.level:.3g} {unit})" for e in strongest)
+    return [
+        f"{result.trace.path}: {len(result.events)} events stand far above the rest ({100 * share:.0f} % of the motion)"
+        f"{keeping}; strongest {told}"
+    ]

@@ -42,18 +42,18 @@ def command(
     from drivers.ethercat.survey import survey_capture
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace
     from drivers.trace.survey import survey
+    from schemas.axes import load_description, no_axes
     from schemas.errors import TraceError
-    from schemas.robot import load_robot
     from service.cli.capture_tables import show_capture
 
-    description = load_robot(robot) if robot else None
+    description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
     console, failed, surveys = Console(), False, []
     for path in traces:
         try:
             if path.name.endswith(CAPTURE_ENDINGS):
                 with Console(stderr=True).status(f"reading {path.name}"):
-                    surveys.append(survey_capture(path, description))
+                    surveys.append(survey_capture(path, no_axes(description, str(path))))
                 if not json:
                     show_capture(surveys[-1], console)
                 continue

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from schemas.robot import Robot
+    from schemas.axes import Description
     from schemas.trace import Trace
 
 
-def reading(paths: Sequence[Path], robot: Robot | None, columns: Path | str | None, title: str) -> Iterator[Trace]:
+def reading(
+    paths: Sequence[Path], robot: Description | None, columns: Path | str | None, title: str
+) -> Iterator[Trace]:
     """Yield the trace of each of `paths`; its findings go to stderr, and a progress bar where that is a terminal.
 
     Raises:

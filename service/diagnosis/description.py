@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from schemas.axes import Axes, AxesIdentified
+from schemas.axes import Axes, AxesIdentified, Description
 from schemas.errors import DataError
 from schemas.robot import Effect as EffectEntry
 from schemas.robot import EffectParameter, Identified, JointParameter, Parameter, Robot
 from service.diagnosis.effects import by_name, catalogue
 from service.diagnosis.effects.base import Effect
 from service.diagnosis.hypothesis import Hypothesis, Term, predict
-from service.diagnosis.mechanism import Delta
+from service.diagnosis.mechanism import mechanism_of
 from service.diagnosis.scene import Base, Recording, Scene
 from service.identification.signals import Segment
 
@@ -33,13 +33,20 @@ def values(term: Term) -> np.ndarray:
     return np.concatenate([term.amplitude.ravel(), np.array(term.shape)])
 
 
-def entry(term: Term, errors: np.ndarray) -> EffectEntry:
+def entry(term: Term, errors: np.ndarray, robot: Description) -> EffectEntry:
     """The `[[effect]]` table of a term."""
     parameters = {
-        key: EffectParameter(value=digits(value), unit=unit, std_error=digits(error))
+        key: EffectParameter(value=digits(value), unit=in_units_of(robot, unit), std_error=digits(error))
         for (key, unit), value, error in zip(names(term), values(term), errors, strict=True)
     }
     return EffectEntry(name=term.effect.name, joints=[joint + 1 for joint in term.joints], parameters=parameters)
+
+
+def in_units_of(robot: Description, unit: str) -> str:
+    """A unit of angle and torque as that of the description's axes."""
+    if isinstance(robot, Axes) and robot.linear:
+        return unit.replace("kg m^2", "kg").replace("N m", "N").replace("rad", "m")
+    return unit
 
 
 def digits(value: float) -> float:
@@ -84,7 +91,22 @@ def base_of(identified: Identified | None) -> Base:
     )
 
 
-def hypothesis_of(robot: Robot) -> Hypothesis:
+def base_of_axes(axes: Axes) -> Base:
+    """The base model that a description of axes carries; without one nothing is known but that they move."""
+    zero = [0.0] * len(axes.axis)
+    if axes.identified is None:
+        return Base(np.array(zero + zero), np.array(zero), np.array(zero))
+    known = axes.identified
+    return Base(
+        np.array(known.inertia.value + known.offset.value),
+        np.array(known.viscous_friction.value),
+        np.array(known.coulomb_friction.value),
+        known.friction_transition,
+        known.torque_timing_s,
+    )
+
+
+def hypothesis_of(robot: Description) -> Hypothesis:
     """Base model and effects of a description.
 
     Raises:
@@ -92,7 +114,8 @@ def hypothesis_of(robot: Robot) -> Hypothesis:
     """
     effects = by_name(catalogue())
     terms = tuple(term(effect, effects, robot.name) for effect in robot.effect)
-    return Hypothesis(base_of(robot.identified), terms)
+    base = base_of_axes(robot) if isinstance(robot, Axes) else base_of(robot.identified)
+    return Hypothesis(base, terms)
 
 
 def described(robot: Robot, hypothesis: Hypothesis, errors: np.ndarray, noise: np.ndarray) -> Robot:
@@ -113,7 +136,7 @@ def described(robot: Robot, hypothesis: Hypothesis, errors: np.ndarray, noise: n
     at, entries = 3 + 2 * n, []
     for term_ in hypothesis.terms:
         count = len(names(term_))
-        entries.append(entry(term_, errors[at : at + count]))
+        entries.append(entry(term_, errors[at : at + count], robot))
         at += count
     return robot.model_copy(update={"identified": identified, "effect": entries})
 
@@ -137,17 +160,17 @@ def described_axes(axes: Axes, hypothesis: Hypothesis, errors: np.ndarray) -> Ax
     at, entries = 4 * n, []
     for term_ in hypothesis.terms:
         count = len(names(term_))
-        entries.append(entry(term_, errors[at : at + count]))
+        entries.append(entry(term_, errors[at : at + count], axes))
         at += count
     return axes.model_copy(update={"identified": identified, "effect": entries})
 
 
 def torque_along(
-    robot: Robot, time: np.ndarray, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray
+    robot: Description, time: np.ndarray, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray
 ) -> np.ndarray:
-    """Reported torque (N, 3) N m that a description expects along a smoothed motion, effects included.
+    """Reported torque (N, n) N m that a description expects along a smoothed motion, effects included.
 
-    time: (N,) s. theta, theta_dot, theta_ddot: (N, 3) rad, rad/s, rad/s^2.
+    time: (N,) s. theta, theta_dot, theta_ddot: (N, n) rad, rad/s, rad/s^2; m and N of linear axes.
 
     Raises:
         DataError: an effect that is not known, or not described in full.
@@ -159,5 +182,5 @@ def torque_along(
     segment = Segment(
         np.arange(len(time)), time, period, theta, theta_dot, theta_ddot, still, np.ones(theta.shape, bool)
     )
-    recording = Recording(segment, Delta.of(robot), 0, robot.name)
+    recording = Recording(segment, mechanism_of(robot), 0, robot.name)
     return predict(Scene(recording, hypothesis.base), hypothesis)

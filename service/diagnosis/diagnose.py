@@ -7,16 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from schemas.axes import Axes
-from schemas.errors import DataError
-from schemas.robot import Robot
+from schemas.axes import Description
+from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis import statistics
 from service.diagnosis.cautions import doubts_of, limits_of
 from service.diagnosis.description import hypothesis_of
 from service.diagnosis.effects.base import Effect
 from service.diagnosis.hypothesis import Hypothesis, Problem, Term, evaluate, fit, predict
-from service.diagnosis.mechanism import DecoupledAxes, Delta, Mechanism
+from service.diagnosis.mechanism import mechanism_of
 from service.diagnosis.noise import white_noise
 from service.diagnosis.scene import Band, Base, Recording
 from service.diagnosis.selection import Scored, Selection, Split, score, search
@@ -33,17 +32,18 @@ START_TRANSITION = 0.002  # rad/s
 class Findings:
     """Everything the documents need. Residuals are in units of `problem.sigma`.
 
-    plain: the model that `identify` writes. given: effects that the description carried already. before, after:
-    residuals (R,) a recording on data left out, of the plain model and of the corrected one, the latter left out of
-    selection too. noise: (n,) N m a sample. reversal: (n,) N m in the band. errors: as `statistics.standard_errors` of
-    the corrected model. limit: rms up to which what is left is noise. cannot_tell: what this data cannot say, with what
-    to record. notes: what a reader has to know.
+    plain: the model that `identify` writes. reference: the one whose gap is "before". given: effects that the
+    description carried already. before, after: residuals (R,) a recording on data left out, of the reference and of the
+    corrected model, the latter left out of selection too. noise: (n,) N m a sample. reversal: (n,) N m in the band.
+    errors: as `statistics.standard_errors` of the corrected model. limit: rms up to which what is left is noise.
+    cannot_tell: what this data cannot say, with what to record. notes: what a reader has to know.
     """
 
-    robot: Robot | Axes
+    robot: Description
     problem: Problem
     split: Split
     plain: Scored
+    reference: Hypothesis
     selection: Selection
     given: tuple[Term, ...]
     before: list[np.ndarray]
@@ -63,23 +63,24 @@ class Findings:
 
 
 def diagnose(
-    robot: Robot | Axes,
+    robot: Description,
     traces: Sequence[Trace],
     effects: Sequence[Effect],
     progress: Callable[[str], None] = lambda _: None,
-    baseline: Robot | None = None,
+    baseline: Description | None = None,
 ) -> Findings:
     """Find out which effects the traces of `robot` support.
 
-    Effects that the description carries already are part of the model and not found again. baseline: the description
-    whose gap counts as "before"; default: the plain model refitted, as `identify` does.
+    Effects that the description or the baseline carries already are part of the model and not found again. baseline:
+    the description whose gap counts as "before"; default: the plain model refitted, as `identify` does.
 
     Raises:
+        RobotError: the baseline is of another robot.
         TraceError: a trace without a usable part, naming the file. DataError: no joint moves.
         PoseError: positions that are no pose of the robot.
     """
     progress("smoothing the motion")
-    mechanism: Mechanism = DecoupledAxes.of(robot) if isinstance(robot, Axes) else Delta.of(robot)
+    mechanism = mechanism_of(robot)
     recordings = [
         Recording(thin(segment), mechanism, index, trace.name)
         for index, trace in enumerate(traces)
@@ -94,7 +95,7 @@ def diagnose(
     k, n = len(mechanism.coefficients), mechanism.joints
     start = Base(np.zeros(k), np.zeros(n), np.zeros(n), START_TRANSITION)
     plain = score(fit(problem, Hypothesis(start, timed=False)), split)
-    given = () if isinstance(robot, Axes) else hypothesis_of(robot).terms
+    given = _given(robot, baseline)
     timed = Hypothesis(plain.hypothesis.base, given)
     if given:
         plain = score(fit(problem, timed), split)
@@ -108,15 +109,28 @@ def diagnose(
         selection = replace(selection, best=selection.none, path=[])
     after = statistics.nested(selection, split, problem.count)
     errors = statistics.standard_errors(selection.best.fitted, split)
-    before = plain.residuals
+    before, reference = plain.residuals, plain.hypothesis
     if baseline is not None:
-        before = evaluate(problem, hypothesis_of(baseline)).residuals
+        reference = hypothesis_of(baseline)
+        before = evaluate(problem, reference).residuals
     notes = [f"{term.effect.name.replace('_', ' ')} is in the description already." for term in given]
     verdict = _verdict(problem, selection, given, after, limit)
     return Findings(
-        robot, problem, split, plain, selection, given, before, after, noise, reversal, errors, verdict, limit,
-        [*offer.reasons, *doubts], notes,
+        robot, problem, split, plain, reference, selection, given, before, after, noise, reversal, errors, verdict,
+        limit, [*offer.reasons, *doubts], notes,
     )  # fmt: skip
+
+
+def _given(robot: Description, baseline: Description | None) -> tuple[Term, ...]:
+    """Effects that are known already."""
+    known = hypothesis_of(robot).terms
+    if baseline is None:
+        return known
+    for key in ("kind", "axis", "geometry", "mass"):
+        if getattr(baseline, key, None) != getattr(robot, key, None):
+            raise RobotError(f"baseline {baseline.name}: its {key} is not that of robot {robot.name}")
+    taken = {term.effect.name for term in known}
+    return known + tuple(term for term in hypothesis_of(baseline).terms if term.effect.name not in taken)
 
 
 def _problem(recordings: list[Recording], band: Band) -> tuple[Problem, np.ndarray]:

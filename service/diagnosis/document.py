@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from schemas.axes import Axes
+from schemas.axes import Axes, Description
 from schemas.diagnosis import Diagnosis, Estimate, Gap, NamedEffect, Ranked
-from schemas.robot import Robot
+from schemas.trace import Trace
 from service.diagnosis import statistics
-from service.diagnosis.description import described, described_axes, digits, names, values
+from service.diagnosis.description import described, described_axes, digits, in_units_of, names, values
 from service.diagnosis.diagnose import Findings
 from service.diagnosis.effects.base import Effect
 from service.diagnosis.evidence import Contest, confusable, contests
 from service.diagnosis.selection import block_loss
+from service.diagnosis.unseen import unseen
 from service.diagnosis.where import where, without
 from service.estimator.effects import carried
 
@@ -23,15 +26,15 @@ ONLINE = {
 }
 
 
-def corrected(findings: Findings) -> Robot | Axes:
+def corrected(findings: Findings) -> Description:
     """The description with base model and effects refitted together."""
     if isinstance(findings.robot, Axes):
         return described_axes(findings.robot, findings.best.hypothesis, findings.errors)
     return described(findings.robot, findings.best.hypothesis, findings.errors, findings.noise)
 
 
-def document(findings: Findings) -> Diagnosis:
-    """`diagnosis.json`."""
+def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
+    """`diagnosis.json`. tests: logs to try the correction on, kept out of everything else."""
     problem, split = findings.problem, findings.split
     rounds = contests(findings.selection, split, problem.count)
     before = statistics.rms_per_joint(problem, findings.before)
@@ -76,6 +79,7 @@ def document(findings: Findings) -> Diagnosis:
             shrink_of_explainable=min(1.0, removed / explainable) if explainable > 0.05 * floor_energy else None,
             band_hz=problem.band.cutoff_hz,
         ),
+        tests=[unseen(findings, trace) for trace in tests],
         notes=findings.notes,
     )
 
@@ -89,13 +93,6 @@ def base_names(findings: Findings) -> list[tuple[str, str]]:
         *((f"f_v_{joint}", "N m s/rad") for joint in joints),
         *((f"f_c_{joint}", "N m") for joint in joints),
     ]
-
-
-def in_units_of(robot: Robot | Axes, unit: str) -> str:
-    """A unit of angle and torque as that of the description's axes."""
-    if isinstance(robot, Axes) and all(axis.unit == "m" for axis in robot.axis):
-        return unit.replace("N m", "N").replace("rad", "m")
-    return unit
 
 
 def _estimate(value: float, error: float, unit: str) -> Estimate:

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from schemas.axes import Axes
+from schemas.axes import Axes, Description
 from schemas.robot import Robot
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
 from service.model.kinematics import jacobian, motion
@@ -139,10 +139,15 @@ class DecoupledAxes:
     def coefficients(self) -> dict[str, str]:
         """Inertias, then constant loads."""
         joints = range(1, self.joints + 1)
-        return {f"inertia_{j}": "N m s^2/rad" for j in joints} | {f"offset_{j}": "N m" for j in joints}
+        return {f"inertia_{j}": "kg m^2" for j in joints} | {f"offset_{j}": "N m" for j in joints}
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, n) motions."""
         eye = np.eye(self.joints)
         constant = np.broadcast_to(eye, (len(theta), self.joints, self.joints))
         return Rigid(np.zeros(theta.shape), np.concatenate([theta_ddot[..., None] * eye, constant], axis=-1))
+
+
+def mechanism_of(robot: Description) -> Mechanism:
+    """The mechanism of a description; effects it names are not in it."""
+    return DecoupledAxes.of(robot) if isinstance(robot, Axes) else Delta.of(robot)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from schemas.diagnosis import Diagnosis, Estimate, NamedEffect
+from schemas.diagnosis import Burst, Diagnosis, Estimate, NamedEffect, Shrunk, Unseen
 
 VERDICTS = {
     "within_noise": "What is left between model and robot is within the noise of the torque signal.",
@@ -12,6 +12,7 @@ VERDICTS = {
     "partly_explained": "The named effects explain part of the gap; what remains has structure that none explains.",
     "unexplained": "There is structure in the gap, and no effect in the catalogue explains it.",
 }  # fmt: skip
+MOST_TOLD = 6  # events
 
 
 def sentences(document: Diagnosis) -> list[str]:
@@ -28,8 +29,6 @@ def sentences(document: Diagnosis) -> list[str]:
         line = f"Joint {joint}: {before:.3g} {unit} between model and robot, {before / floor:.1f} times the noise."
         if before > 1.15 * floor and entry["before"]:
             line += " " + _concentrated(entry["before"][0])
-        if unit == "N":  # regimes are named in angles
-            line = line.replace("rad/s", "m/s").replace(" rad", " m").replace("N m ", "N ")
         lines.append(line)
     for effect in document.effects:
         lines.append(_effect(effect))
@@ -39,6 +38,8 @@ def sentences(document: Diagnosis) -> list[str]:
             f"On runs used neither to fit nor to choose, the gap shrinks from {_rms(gap.before_nm):.3g} to "
             f"{_rms(gap.after_nm):.3g} {unit}, by {100 * gap.shrink:.0f} % [{low:.0f}, {high:.0f}]."
         )
+    for test in document.tests:
+        lines += _unseen(test, unit)
     if document.verdict in ("unexplained", "partly_explained"):
         lines += _remaining(document)
     lines += document.cannot_tell
@@ -73,6 +74,30 @@ def _value(estimate: Estimate) -> str:
     return f"{estimate.value:.3g} ± {half:.1g}{unit}" if half > 0 else f"{estimate.value:.3g}{unit}"
 
 
+def _unseen(test: Unseen, unit: str) -> list[str]:
+    lines = [f"On {test.trace}, kept out of everything, the gap goes {_goes(test.whole, unit)}."]
+    if test.outside is not None:
+        lines[0] += f" Outside events ({100 * test.outside_share:.0f} % of the motion): {_goes(test.outside, unit)}."
+        lines.append(_bursts(sorted(test.bursts, key=lambda burst: -burst.over_noise), test.rhythm_s))
+    return lines
+
+
+def _goes(shrunk: Shrunk, unit: str) -> str:
+    low, high = (100 * value for value in shrunk.shrink_ci95)
+    return (
+        f"from {_rms(shrunk.before_nm):.3g} to {_rms(shrunk.after_nm):.3g} {unit}, "
+        f"a shrink of {100 * shrunk.shrink:.0f} % [{low:.0f}, {high:.0f}]"
+    )
+
+
+def _bursts(events: list[Burst], rhythm: float | None) -> str:
+    many = "1 stretch stands" if len(events) == 1 else f"{len(events)} stretches stand"
+    beat = f", most of them every {rhythm:.3g} s" if rhythm is not None else ""
+    times = ", ".join(f"{e.run} {e.from_s:.2f} to {e.to_s:.2f} s" for e in events[:MOST_TOLD])
+    more = ", ..." if len(events) > MOST_TOLD else ""
+    return f"{many} far above the rest, as events do{beat}, the strongest first: {times}{more}."
+
+
 def _remaining(document: Diagnosis) -> list[str]:
     lines = []
     for entry in document.where["joints"]:
@@ -86,10 +111,9 @@ def _remaining(document: Diagnosis) -> list[str]:
             if bands and bands["share"] > 0:
                 line += f" {100 * bands['share']:.0f} % of it lies at {bands['from_hz']:g} to {bands['to_hz']:g} Hz."
             lines.append(line)
-    events = document.where["bursts"]
+    events = [Burst(**values) for values in document.where["bursts"]]
     if events:
-        times = ", ".join(f"{e['from_s']:.1f} to {e['to_s']:.1f} s in {e['run']}" for e in events[:6])
-        lines.append(f"{len(events)} stretches stand far above the rest, as events do: {times}.")
+        lines.append(_bursts(events, document.where["bursts_rhythm_s"]))
     if document.where["worst_runs"]:
         worst = document.where["worst_runs"][0]
         lines.append(

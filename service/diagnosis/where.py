@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from service.diagnosis.description import in_units_of
 from service.diagnosis.diagnose import Findings
 from service.diagnosis.effects.base import Effect
+from service.diagnosis.events import bursts, events_of, rhythm
 from service.diagnosis.hypothesis import Hypothesis, Problem
 from service.diagnosis.mechanism import Delta
 from service.diagnosis.scene import Scene
@@ -19,8 +21,7 @@ from service.diagnosis.statistics import joint_of, term_columns
 REVERSAL_SPEED = 0.1  # rad/s: nearer than this to zero is a reversal
 ANGLE_BINS = 10
 FREQUENCIES = (0.0, 3.0, 10.0, 20.0, 40.0)  # Hz
-BURST = 0.1  # s over which the gap is averaged to look for events
-BURST_RATIO = 3.0  # to the median of the runs
+MOST_BURSTS = 60  # told, strongest first
 
 
 @dataclass(frozen=True)
@@ -115,21 +116,25 @@ def regimes(findings: Findings, rows: Rows, residuals: list[np.ndarray], joint: 
     total = float(square.sum())
     if total <= 0.02 * mine.sum():
         return []
+    speed_unit, angle_unit, torque_unit = (in_units_of(findings.robot, unit) for unit in ("rad/s", "rad", "N m"))
     speed, acceleration, load = np.abs(rows.speed[mine]), np.abs(rows.acceleration[mine]), np.abs(rows.load[mine])
     theta = rows.theta[mine]
     masks: list[tuple[str, np.ndarray]] = [
-        (f"within {REVERSAL_SPEED:g} rad/s of reversal", speed < REVERSAL_SPEED),
+        (f"within {REVERSAL_SPEED:g} {speed_unit} of reversal", speed < REVERSAL_SPEED),
         ("forward motion", rows.speed[mine] > 0),
     ]
     for name, values, unit in (
-        ("speed", speed, "rad/s"),
-        ("acceleration", acceleration, "rad/s²"),
-        ("load", load, "N m"),
+        ("speed", speed, speed_unit),
+        ("acceleration", acceleration, f"{speed_unit}²"),
+        ("load", load, torque_unit),
     ):
         low, high = np.quantile(values, [1 / 3, 2 / 3])
         masks += [(f"{name} below {low:.2g} {unit}", values < low), (f"{name} above {high:.2g} {unit}", values > high)]
     edges = np.linspace(theta.min(), theta.max() + 1e-9, ANGLE_BINS + 1)
-    masks += [(f"angle {low:.2f} to {high:.2f} rad", (theta >= low) & (theta < high)) for low, high in pairwise(edges)]
+    masks += [
+        (f"angle {low:.2f} to {high:.2f} {angle_unit}", (theta >= low) & (theta < high))
+        for low, high in pairwise(edges)
+    ]
     clock = rows.clock[mine]
     masks.append(("first half of the runs", clock < 0.5 * clock.max()))
     if rows.platform is not None:
@@ -192,41 +197,14 @@ def where(findings: Findings) -> dict[str, Any]:
         "joints": joints,
         "left_out_at_rest_and_ends": round(1.0 - moving / samples, 4),
         "worst_runs": _runs(findings),
-        "bursts": bursts(findings, findings.after)[:20],
+        **_bursts(findings),
     }
 
 
-def bursts(findings: Findings, residuals: list[np.ndarray]) -> list[dict[str, Any]]:
-    """Stretches of time in which a joint's gap stands far above the rest of its runs: events, not a property."""
-    problem = findings.problem
-    rate = 1.0 / (problem.band.period * problem.band.step)
-    width = max(1, round(BURST * rate))
-    found = []
-    for joint in range(len(problem.sigma)):
-        smoothed = []
-        for index, residual in enumerate(residuals):
-            values = residual[joint_of(problem)[index] == joint]
-            smoothed.append(
-                np.sqrt(np.convolve(values**2, np.ones(width) / width, mode="same")) if len(values) else values
-            )
-        joined = np.concatenate(smoothed)
-        if not len(joined):
-            continue
-        limit = max(BURST_RATIO * float(np.median(joined)), 2.0)
-        for recording, rows, level in zip(problem.recordings, problem.rows, smoothed, strict=True):
-            time = recording.segment.time[:: problem.band.step][rows[:, joint]]
-            edges = np.flatnonzero(np.diff((level > limit).astype(np.int8), prepend=0, append=0))
-            for start, end in zip(edges[::2], edges[1::2], strict=True):
-                found.append(
-                    {
-                        "run": recording.name,
-                        "joint": joint + 1,
-                        "from_s": round(float(time[start]), 3),
-                        "to_s": round(float(time[end - 1]), 3),
-                        "over_noise": round(float(level[start:end].max()), 2),
-                    }
-                )
-    return sorted(found, key=lambda item: -item["over_noise"])
+def _bursts(findings: Findings) -> dict[str, Any]:
+    found = events_of(findings.problem, findings.after)
+    told = sorted(bursts(findings.problem, found), key=lambda burst: -burst.over_noise)
+    return {"bursts": [burst.model_dump() for burst in told[:MOST_BURSTS]], "bursts_rhythm_s": rhythm(found)}
 
 
 def _runs(findings: Findings) -> list[dict[str, Any]]:

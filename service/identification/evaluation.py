@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from schemas.axes import Axes, Description
 from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.trace import Trace
+from service.diagnosis.events import Event, Run, events, outside
 from service.estimator.estimator import Estimator, period_of
 from service.identification.predict import FULL, Motion, error_in_band, motion, predict_along
 from service.model.dynamics import PAYLOAD, torque_terms
@@ -20,7 +22,7 @@ WITH_PAYLOAD = "full, m_p estimated"
 
 @dataclass(frozen=True)
 class Moments:
-    """Sums over moving samples, per joint (3,): how many, of the error, N m, and of its square."""
+    """Sums over moving samples, per joint (n,): how many, of the error, N m or N, and of its square."""
 
     count: np.ndarray
     total: np.ndarray
@@ -41,31 +43,58 @@ class Moments:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One trace. torque: model name -> (N, 3) N m, every row. errors: model name -> moments. unmeasured: rows left out
+    """One trace. torque: model name -> (N, n) N m, every row. errors: model name -> moments. unmeasured: rows left out
     for a fault; their motion is bridged and their torque predicted all the same. Where something was picked, `errors`
     has one more entry, WITH_PAYLOAD: the fullest model with the payload mass as the estimator knew it at each sample.
+    events: of the last of `errors`. calm: as `errors`, outside them.
     """
 
     trace: Trace
     torque: dict[str, np.ndarray]
     errors: dict[str, Moments]
     unmeasured: int
+    events: list[Event]
+    calm: dict[str, Moments]
+
+    @property
+    def calm_share(self) -> float:
+        """Of the motion, what lies outside events."""
+        whole, free = (next(iter(moments.values())).count for moments in (self.errors, self.calm))
+        return float(np.nansum(free) / np.nansum(whole))
 
 
-def evaluate(robot: Robot, trace: Trace) -> Evaluation:
+def evaluate(robot: Description, trace: Trace) -> Evaluation:
     """Predict `trace` by every model that `robot` carries figures for and compare.
 
     Raises:
         TraceError: the trace cannot be used, naming the file.
-        DataError: the robot carries an effect that is not known.
+        DataError: the robot carries an effect that is not known, or describes axes without figures.
     """
     along = motion(trace)
     torque = predict_along(robot, trace, along)
-    errors = {name: _moments(error_in_band(trace, along, values)) for name, values in torque.items()}
-    carried = _carried(robot, trace, along) if robot.identified is not None else None
+    errors = {name: error_in_band(trace, along, values) for name, values in torque.items()}
+    carried = None
+    if not isinstance(robot, Axes) and robot.identified is not None:
+        carried = _carried(robot, trace, along)
     if carried is not None:
-        errors[WITH_PAYLOAD] = _moments(error_in_band(trace, along, torque[FULL] + carried))
-    return Evaluation(trace, torque, errors, int((~along.measured).sum()))
+        errors[WITH_PAYLOAD] = error_in_band(trace, along, torque[FULL] + carried)
+    # a model without friction misses every reversal: those are no events
+    found = _events(trace, list(errors.values())[-1]) if robot.identified is not None else []
+    free = outside(trace.name, trace.time, found)[:, None]
+    return Evaluation(
+        trace,
+        torque,
+        {name: _moments(error) for name, error in errors.items()},
+        int((~along.measured).sum()),
+        found,
+        {name: _moments(np.where(free, error, np.nan)) for name, error in errors.items()},
+    )
+
+
+def _events(trace: Trace, error: np.ndarray) -> list[Event]:
+    known = np.isfinite(error)
+    runs = [Run(trace.name, j, trace.time[known[:, j]], error[known[:, j], j]) for j in range(error.shape[1])]
+    return events(runs, np.zeros(error.shape[1]))
 
 
 def _carried(robot: Robot, trace: Trace, along: Motion) -> np.ndarray | None:

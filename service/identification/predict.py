@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.errors import PoseError, TraceError
-from schemas.robot import Identified, Robot
+from schemas.axes import Axes, Description
+from schemas.errors import DataError, PoseError, TraceError
+from schemas.robot import Identified, JointParameter
 from schemas.trace import Trace
 from service.diagnosis.description import torque_along
 from service.identification.pooled import COULOMB, FOREARM_MASS, RHO_1, RHO_2, VISCOUS
@@ -55,18 +56,20 @@ def motion(trace: Trace) -> Motion:
     return Motion(signals[0], signals[1], signals[2], moving, measured)
 
 
-def predict(robot: Robot, trace: Trace) -> dict[str, np.ndarray]:
-    """Torque (N, 3), N m, of every row of `trace` by each of `MODELS` that `robot` carries figures for.
+def predict(robot: Description, trace: Trace) -> dict[str, np.ndarray]:
+    """Torque (N, n), N m or N, of every row of `trace` by each of `MODELS` that `robot` carries figures for.
 
     Raises:
         TraceError: no part of the trace is long enough, or its positions are no pose of the robot, naming the file.
-        DataError: the robot carries an effect that is not known.
+        DataError: the robot carries an effect that is not known, or describes axes without figures.
     """
     return predict_along(robot, trace, motion(trace))
 
 
-def predict_along(robot: Robot, trace: Trace, along: Motion) -> dict[str, np.ndarray]:
+def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, np.ndarray]:
     """`predict` for a motion that is smoothed already."""
+    if isinstance(robot, Axes):
+        return _axes_along(robot, trace, along)
     try:
         turning = robot.identified.friction_transition_radps if robot.identified else 0.0
         columns = regressors(pack(robot), along.theta, along.theta_dot, along.theta_ddot, turning)
@@ -82,6 +85,21 @@ def predict_along(robot: Robot, trace: Trace, along: Motion) -> dict[str, np.nda
         if robot.effect or robot.identified.torque_timing_s:
             result["full"] = torque_along(robot, trace.time, along.theta, along.theta_dot, along.theta_ddot)
     return result
+
+
+def _axes_along(axes: Axes, trace: Trace, along: Motion) -> dict[str, np.ndarray]:
+    """Inertia and offset alone stand for M_Id; without figures nothing is known of an axis but that it moves."""
+    if axes.identified is None:
+        raise DataError(f"robot {axes.name}: no [identified] parameters: run `deltatwin diagnose` on its logs first")
+    signals = (trace.time, along.theta, along.theta_dot, along.theta_ddot)
+    zero = JointParameter(value=[0.0] * len(axes.axis))
+    rigid = axes.identified.model_copy(update={"viscous_friction": zero, "coulomb_friction": zero})
+    plain = axes.model_copy(update={"effect": []})
+    return {
+        "M_Id": torque_along(plain.model_copy(update={"identified": rigid}), *signals),
+        "M_Id+F": torque_along(plain, *signals),
+        FULL: torque_along(axes, *signals),
+    }
 
 
 def coefficients(identified: Identified) -> np.ndarray:

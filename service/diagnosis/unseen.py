@@ -1,0 +1,59 @@
+"""The correction on logs kept out of everything: how far the gap shrinks there, with events and without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from schemas.diagnosis import Shrunk, Unseen
+from schemas.trace import Trace
+from service.diagnosis import statistics
+from service.diagnosis.description import digits
+from service.diagnosis.diagnose import Findings
+from service.diagnosis.events import bursts, events_of, outside, rhythm
+from service.diagnosis.hypothesis import Hypothesis, Problem, evaluate
+from service.diagnosis.scene import Band, Recording
+from service.diagnosis.selection import Split
+from service.identification.regression import thin
+from service.identification.signals import segments
+
+
+def unseen(findings: Findings, trace: Trace) -> Unseen:
+    """The models of `findings`, as they stand, on `trace`.
+
+    Raises:
+        TraceError: no usable part, naming the file. PoseError: positions that are no pose of the robot.
+    """
+    known, corrected = findings.problem, findings.best.hypothesis
+    mechanism = known.recordings[0].mechanism
+    parts = [Recording(thin(part), mechanism, 0, trace.name) for part in segments(trace)]
+    problem = Problem.of(parts, Band.of(parts[0].segment.period), known.sigma)
+    found = events_of(problem, evaluate(problem, corrected).residuals)
+    calm = replace(
+        problem,
+        rows=[
+            rows & outside(part.name, part.segment.time[:: problem.band.step], found)[:, None]
+            for part, rows in zip(parts, problem.rows, strict=True)
+        ],
+    )
+    return Unseen(
+        trace=trace.name,
+        whole=_shrunk(problem, findings.reference, corrected),
+        bursts=bursts(problem, found),
+        rhythm_s=rhythm(found),
+        outside=_shrunk(calm, findings.reference, corrected) if found and calm.count else None,
+        outside_share=round(calm.count / max(problem.count, 1), 4),
+    )
+
+
+def _shrunk(problem: Problem, reference: Hypothesis, corrected: Hypothesis) -> Shrunk:
+    split = Split.of(problem)
+    before, after = (evaluate(problem, hypothesis).residuals for hypothesis in (reference, corrected))
+    shrink = statistics.shrink(
+        statistics.pooled_squares(problem, before, split), statistics.pooled_squares(problem, after, split)
+    )
+    return Shrunk(
+        before_nm=[digits(value) for value in statistics.rms_per_joint(problem, before)],
+        after_nm=[digits(value) for value in statistics.rms_per_joint(problem, after)],
+        shrink=shrink.value,
+        shrink_ci95=(shrink.low, shrink.high),
+    )
