@@ -17,6 +17,15 @@ WRONG_MODEL = 0.10  # rms left, of the torque's own rms: a description that leav
 FOREIGN = 0.7  # of what is left that runs shed when each is fitted alone: they are not of one robot
 FOREIGN_LEFT = 2.0  # times the noise that has to be left for that question to arise
 WHOLE_GEOMETRY = 0.05  # of a link's length, or rad: on several arms at once the description is wrong, not an arm
+# Amplitudes beyond what any robot that runs has, several times the strongest of the blind test: an effect that large
+# stands in for a wrong description. Share of the length for a link; else the unit of the amplitude.
+BEYOND = {
+    "link_length_error": 0.2,
+    "joint_offset": 0.3,
+    "encoder_eccentricity": 0.05,
+    "base_tilt": 0.35,
+    "torque_scale": 0.5,
+}
 CHECK = "Check the description (lengths, gear ratio, order and sign of joints)."
 DIRECTIONAL = frozenset(
     {
@@ -86,8 +95,16 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[str]
         mechanism = problem.recordings[0].mechanism
         if term.effect.name == "link_length_error" and isinstance(mechanism, Delta):
             size /= mechanism.model.active_length[0]
+        if size > BEYOND.get(term.effect.name, np.inf):
+            return [
+                f"It would take {term.effect.name.replace('_', ' ')} beyond any robot's: cannot be told apart on this "
+                f"data. {CHECK}"
+            ]
         if term.effect.name in ("link_length_error", "joint_offset") and len(term.joints) > 1 and size > WHOLE_GEOMETRY:
-            return [f"Several arms at once would have to be far from the described geometry. {CHECK}"]
+            return [
+                "Several arms at once would have to be far from the described geometry: cannot be told apart on this "
+                f"data. {CHECK}"
+            ]
     left = best.loss / problem.count
     if left**0.5 <= max(limit, FOREIGN_LEFT):
         return []

@@ -17,7 +17,9 @@ MOST_TOLD = 6  # events
 
 def sentences(document: Diagnosis) -> list[str]:
     """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next."""
-    lines = [VERDICTS[document.verdict]]
+    open_ = [reason for reason in document.cannot_tell if "cannot be told apart" in reason.lower()]
+    unasked = document.verdict == "unexplained" and not document.effects and bool(open_)
+    lines = open_ if unasked else [VERDICTS[document.verdict]]
     gap = document.gap
     unit = gap.unit
     for entry in document.where["joints"]:
@@ -34,15 +36,16 @@ def sentences(document: Diagnosis) -> list[str]:
         lines.append(_effect(effect))
     if document.effects:
         low, high = (100 * value for value in gap.shrink_ci95)
+        left_out = "runs" if len(document.traces) > 2 else "stretches"
         lines.append(
-            f"On runs used neither to fit nor to choose, the gap shrinks from {_rms(gap.before_nm):.3g} to "
+            f"On {left_out} used neither to fit nor to choose, the gap shrinks from {_rms(gap.before_nm):.3g} to "
             f"{_rms(gap.after_nm):.3g} {unit}, by {100 * gap.shrink:.0f} % [{low:.0f}, {high:.0f}]."
         )
     for test in document.tests:
         lines += _unseen(test, unit)
     if document.verdict in ("unexplained", "partly_explained"):
         lines += _remaining(document)
-    lines += document.cannot_tell
+    lines += [reason for reason in document.cannot_tell if reason not in lines]
     settles = dict.fromkeys(e.settles for e in document.effects if e.confusable_with or e.probability < 0.9)
     lines += [f"To be sure, record {settle}." for settle in settles]
     return lines + document.notes

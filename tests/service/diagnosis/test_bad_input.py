@@ -1,0 +1,165 @@
+"""Bad input on the command line: the honest answer or one line, never a confident name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.trace import write_trace
+from schemas.errors import DeltatwinError
+from schemas.robot import Geometry, Mass, Robot, save_robot
+from schemas.trace import Trace
+from service.cli.main import app
+from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PLATFORM, torque_terms
+from service.model.parameters import pack
+
+ROBOT = Robot(
+    name="bench",
+    geometry=Geometry(active_link_length=0.36, passive_link_length=0.85, base_radius=0.19, platform_radius=0.05),
+    mass=Mass(active_link=2.7, passive_link=0.55, platform=1.3),
+)
+RESOLUTION = 2.4e-7  # rad
+NOISE = 0.3  # N m
+Write = Callable[..., str]
+Angles = Callable[[np.ndarray], np.ndarray]
+
+
+def swing(seed: int, joints: tuple[int, ...] = (0, 1, 2)) -> Angles:
+    """Angles (N, 3) rad of a slow multisine on `joints`, the others held."""
+    rng = np.random.default_rng(seed)
+    rate, phase = rng.uniform(2.0, 9.0, (3, 4)), rng.uniform(0, 2 * np.pi, (3, 4))
+
+    def angles(time: np.ndarray) -> np.ndarray:
+        sines = np.sin(time[:, None, None] * rate + phase).sum(axis=2)
+        return np.where(np.isin(np.arange(3), joints), 0.45 + 0.09 * sines, 0.45)
+
+    return angles
+
+
+def one_way(time: np.ndarray) -> np.ndarray:
+    """All joints down, never up, at a speed that varies."""
+    return np.stack([0.0 + 0.18 * time + 0.02 * np.sin((3 + j) * time) for j in range(3)], axis=1)
+
+
+def record(path: Path, robot: Robot, angles: Angles, seconds: float, seed: int, stuck: float) -> str:
+    """A log of `robot` moving by `angles`, without commands. stuck: N m of Stribeck friction below 0.3 rad/s."""
+    rng = np.random.default_rng(seed)
+    step = 1e-4
+    time = np.arange(0.0, seconds, 1e-3)
+    before, theta, after = angles(time - step), angles(time), angles(time + step)
+    speed, acceleration = (after - before) / (2 * step), (after - 2 * theta + before) / step**2
+    terms = torque_terms(pack(robot), theta, speed, acceleration)
+    torque = 1.6 * terms[:, INERTIA] + 1.1 * terms[:, GRAVITY] + terms[:, PLATFORM] + 0.55 * terms[:, FOREARM]
+    sign = np.tanh(speed / 0.002)
+    torque += 0.8 * speed + sign * (3.0 + stuck * np.exp(-((speed / 0.3) ** 2)))
+    torque += rng.normal(0.0, NOISE, torque.shape)
+    write_trace(Trace(path, time, np.round(theta / RESOLUTION) * RESOLUTION, torque), path)
+    return str(path)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def log(
+        name: str, angles: Angles, seconds: float = 4.0, robot: Robot = ROBOT, seed: int = 0, stuck: float = 0.0
+    ) -> str:
+        return record(tmp_path / f"{name}.csv", robot, angles, seconds, seed, stuck)
+
+    save_robot(ROBOT, tmp_path / "robot.toml")
+    return log
+
+
+@pytest.fixture
+def diagnosed(tmp_path: Path) -> Callable[..., tuple[dict[str, Any], str]]:
+    """The command's document and text, spaces as one."""
+
+    def command(*logs: str, **options: Path) -> tuple[dict[str, Any], str]:
+        arguments = {"robot": tmp_path / "robot.toml", "out": tmp_path / "out"} | options
+        words = [word for key, value in arguments.items() for word in (f"--{key}", str(value))]
+        result = CliRunner().invoke(app, ["diagnose", *logs, *words], catch_exceptions=False)
+        assert result.exit_code == 0
+        found = json.loads((arguments["out"] / "diagnosis.json").read_text())
+        return found, " ".join(result.output.split())
+
+    return command
+
+
+def test_one_short_log(write: Write, diagnosed) -> None:
+    found, text = diagnosed(write("short", swing(1), seconds=1.5, stuck=3.0))
+    assert found["effects"] == []
+    assert "Cannot be told apart on this data" in text
+    assert "Record three or more runs" in text
+    assert "no effect in the catalogue explains it" not in text  # none was tried
+
+
+def test_no_reversals(write: Write, diagnosed) -> None:
+    logs = [write(f"down_{seed}", one_way, seconds=5.0, seed=seed, stuck=3.0) for seed in range(2)]
+    found, text = diagnosed(*logs)
+    assert not {effect["name"] for effect in found["effects"]} & {"stribeck_friction", "asymmetric_friction"}
+    for joint in (1, 2, 3):
+        assert f"Joint {joint} moves one way only" in text
+    assert "Record runs with reversals" in text
+
+
+def test_a_single_joint_moving(write: Write, diagnosed) -> None:
+    found, text = diagnosed(*(write(f"one_{seed}", swing(seed, (1,)), seed=seed) for seed in range(2)))
+    assert found["effects"] == []
+    assert "Joint 1, 3 hardly moves" in text
+    assert "Record runs in which all joints move" in text
+    assert "Joint 1 hardly moves: nothing is said about it." in text
+
+
+def test_two_robots_mixed(write: Write, diagnosed) -> None:
+    other = ROBOT.model_copy(update={"mass": Mass(active_link=3.4, passive_link=0.7, platform=2.4)})
+    found, text = diagnosed(
+        *(write(f"mine_{seed}", swing(seed), seed=seed) for seed in (1, 2)),
+        *(write(f"theirs_{seed}", swing(seed), robot=other, seed=seed) for seed in (3, 4)),
+    )
+    assert found["effects"] == []
+    assert found["verdict"] == "unexplained"
+    assert "annot be told apart on this data" in text
+
+
+def test_grossly_wrong_geometry(write: Write, diagnosed, tmp_path: Path) -> None:
+    geometry = ROBOT.geometry.model_copy(update={"active_link_length": 0.25, "base_radius": 0.35})
+    save_robot(ROBOT.model_copy(update={"geometry": geometry}), tmp_path / "wrong.toml")
+    logs = [write(f"run_{seed}", swing(seed), seconds=3.0, seed=seed) for seed in range(2)]
+    found, text = diagnosed(*logs, robot=tmp_path / "wrong.toml")
+    assert found["effects"] == []
+    assert "Check the description" in text
+
+
+def test_a_log_already_corrected(write: Write, diagnosed, tmp_path: Path) -> None:
+    logs = [write(f"run_{seed}", swing(seed), seed=seed, stuck=3.0) for seed in range(3)]
+    found, _ = diagnosed(*logs)  # without commands
+    assert [effect["name"] for effect in found["effects"]] == ["stribeck_friction"]
+    corrected = tmp_path / "out" / "corrected.toml"
+    for options in ({"robot": corrected}, {"baseline": corrected}):
+        again, text = diagnosed(*logs, **options, out=tmp_path / "again")
+        assert again["effects"] == []
+        assert again["verdict"] == "within_noise"
+        assert "stribeck friction is in the description already" in text
+        assert again["gap"]["shrink"] == pytest.approx(0.0, abs=0.05)
+
+    identified = tmp_path / "identified.toml"
+    arguments = ["identify", *logs, "--robot", str(tmp_path / "robot.toml"), "--out", str(identified)]
+    assert CliRunner().invoke(app, arguments, catch_exceptions=False).exit_code == 0
+    from_there, _ = diagnosed(*logs, baseline=identified)
+    assert [effect["name"] for effect in from_there["effects"]] == ["stribeck_friction"]
+    assert from_there["gap"]["shrink"] == pytest.approx(found["gap"]["shrink"], abs=0.1)
+
+
+def test_a_baseline_of_another_robot_is_one_line(write: Write, tmp_path: Path) -> None:
+    heavier = ROBOT.model_copy(update={"mass": Mass(active_link=3.4, passive_link=0.7, platform=2.4)})
+    save_robot(heavier, tmp_path / "heavier.toml")
+    arguments = ["diagnose", write("run", swing(1), seconds=1.0), "--robot", str(tmp_path / "robot.toml")]
+    arguments += ["--baseline", str(tmp_path / "heavier.toml"), "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 1
+    assert isinstance(result.exception, DeltatwinError)
+    assert str(result.exception) == "baseline bench: its mass is not that of robot bench"
