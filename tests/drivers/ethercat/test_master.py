@@ -14,7 +14,7 @@ import pytest
 
 from drivers.ethercat.cia402 import Scale
 from drivers.ethercat.course import course
-from drivers.ethercat.master import FAULTY_CYCLES, STALE_CYCLES, Master, TorqueOffset, follow
+from drivers.ethercat.master import FAULTY_TIME, STALE_CYCLES, Master, TorqueOffset, follow
 from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES
 from drivers.plant.motion import Motion, Planner
 from drivers.trace import read_trace
@@ -25,6 +25,7 @@ from schemas.robot import Robot, load_robot
 from tests.drivers.ethercat import rig
 
 PERIOD = 2e-3  # what a busy machine of two cores keeps up with
+FAULTY_CYCLES = round(FAULTY_TIME / PERIOD)
 
 
 @pytest.fixture(scope="module")
