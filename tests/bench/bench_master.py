@@ -5,8 +5,8 @@
 What the host does hits both alike, so the figure is the ratio of neighbouring turns. A missed cycle is put down to our
 own work where that took longer than a cycle in processor time; to the frame where that came back later than the cycle
 was long; to the host where the thread slept and was woken that late, or was put aside (`run_delay` of
-/proc/thread-self/schedstat is the time it was ready and waited for a processor). A virtual processor that its host takes away
-while it runs looks like own work: the turns without the estimator, which do none, tell how often that is so.
+/proc/thread-self/schedstat is the time it was ready and waited for a processor). A virtual processor that its host
+takes away while it runs looks like own work: the turns without the estimator, which do none, tell how often.
 """
 
 from __future__ import annotations
