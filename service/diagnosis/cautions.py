@@ -16,6 +16,7 @@ LEAST_SHARE = 0.02  # of the time that a joint moves in its rarer direction
 WRONG_MODEL = 0.10  # rms left, of the torque's own rms: a description that leaves more is wrong somewhere
 FOREIGN = 0.7  # of what is left that runs shed when each is fitted alone: they are not of one robot
 FOREIGN_LEFT = 2.0  # times the noise that has to be left for that question to arise
+CARRIES_OVER = 0.6  # of the gap above the noise that effects remove on runs left out: then they are no accident
 WHOLE_GEOMETRY = 0.05  # of a link's length, or rad: on several arms at once the description is wrong, not an arm
 # Amplitudes beyond what any robot that runs has, several times the strongest of the blind test: an effect that large
 # stands in for a wrong description. Share of the length for a link; else the unit of the amplitude.
@@ -106,7 +107,8 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[str]
                 f"data. {CHECK}"
             ]
     left = best.loss / problem.count
-    if left**0.5 <= max(limit, FOREIGN_LEFT):
+    gap = selection.none.loss / problem.count
+    if left**0.5 <= max(limit, FOREIGN_LEFT) or gap - left > CARRIES_OVER * (gap - 1.0):
         return []
     if len({recording.trace for recording in problem.recordings}) > 1:
         alone = _alone(problem, selection)

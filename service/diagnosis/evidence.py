@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.selection import LEAST_GAIN, TOLD_APART, Scored, Selection, Split, z_score
+from service.diagnosis.selection import LEAST_GAIN, SIMPLER_SHARE, TOLD_APART, Scored, Selection, Split, z_score
 
 DRAWS = 1000
 SAME_SHARE = 0.95  # of an effect's gain: a rival that reaches it does the same on this data
@@ -30,8 +30,10 @@ def contests(selection: Selection, split: Split, rows: int, seed: int = 0) -> li
     parent, result = selection.none, []
     for tried, taken in selection.path:
         hypotheses = [*tried, parent]
-        loss = np.stack([h.blocks[draw].sum(axis=1) + 2.0 * h.fitted.tangents[0].shape[1] for h in hypotheses])
+        sizes = np.array([h.fitted.tangents[0].shape[1] for h in hypotheses])
+        loss = np.stack([h.blocks[draw].sum(axis=1) for h in hypotheses]) + 2.0 * sizes[:, None]
         loss[-1] -= LEAST_GAIN * rows  # an addition has to be worth it
+        loss[sizes > sizes[0]] += SIMPLER_SHARE * max(parent.loss - tried[0].loss, 0.0)  # as the search weighs them
         wins = np.bincount(np.argmin(loss, axis=0), minlength=len(hypotheses)) / DRAWS
         result.append(Contest(list(zip(tried, wins[:-1].tolist(), strict=True)), float(wins[-1])))
         if taken is not None:

@@ -25,6 +25,7 @@ LEAST_GAIN = 0.03  # 1.5 % of the noise floor's rms
 LEAST_SHARE_OF_GAP = 0.01  # of the gap above the noise
 LEAST_SHARE_OF_REST = 0.25  # of what was still above the noise when it was added
 LEAST_Z = 3.0  # standard errors over blocks
+SIMPLER_SHARE = 0.02  # of a gain that a hypothesis with fewer parameters may lack
 TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
 ROUGH_PROMISE = 0.7  # of the cost: a rough effect that does not get below it is not refined
 ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its shapes, where slopes mislead
@@ -261,12 +262,18 @@ def _prefer_single(scored: list[tuple[float, Candidate]], nothing: float) -> tup
 
 
 def z_score(worse: np.ndarray, better: np.ndarray) -> float:
-    """How many standard errors over blocks `worse` is above `better`, in squares or in their roots.
+    """How many standard errors over blocks `worse` is above `better`, in squares, their roots or their logarithms.
 
-    The roots are asked too: a few violent blocks make the spread of the squares large however sure the rest is.
+    Roots and logarithms are asked too: a few violent blocks make the spread of the squares large however sure the rest
+    is.
     """
     scores = []
-    for difference in (worse - better, np.sqrt(worse) - np.sqrt(better)):
+    floor = 1e-9 * float(np.mean(worse)) + 1e-300
+    for difference in (
+        worse - better,
+        np.sqrt(worse) - np.sqrt(better),
+        np.log(worse + floor) - np.log(better + floor),
+    ):
         error = np.sqrt(len(difference)) * np.std(difference)
         scores.append(float(difference.sum() / error) if error > 0 else 0.0)
     return max(scores)
@@ -316,9 +323,9 @@ def search(
         for _, candidate in shortlist:
             progress(f"fitting {candidate.effect.name.replace('_', ' ')}")
             exact.append(score(fit_added(problem, best.hypothesis, candidate.term()), split))
-        exact.sort(key=lambda scored: scored.loss + 2 * scored.fitted.tangents[0].shape[1])
         if not exact:
             break
+        exact = simplest_first(exact, best)
         if not worth(exact[0].blocks, best.blocks, none.blocks, rows):
             path.append((exact, None))
             break
@@ -327,6 +334,23 @@ def search(
         if best.loss / rows < 1.0 + LEAST_GAIN:
             break
     return Selection(none, best, path, trimmed)
+
+
+def simplest_first(tried: list[Scored], without: Scored) -> list[Scored]:
+    """Best first; but of those that the data do not tell from the best, the one with the fewest parameters leads.
+
+    A scale on every joint is a mass on the platform with two parameters more, a spring a constant torque with one.
+    """
+
+    def size(scored: Scored) -> int:
+        return scored.fitted.tangents[0].shape[1]
+
+    ordered = sorted(tried, key=lambda scored: scored.loss + 2 * size(scored))
+    best = ordered[0]
+    most = SIMPLER_SHARE * (without.loss - best.loss)
+    equals = [s for s in ordered if s.loss - best.loss < most and z_score(s.blocks, best.blocks) < TOLD_APART]
+    lead = min(equals, key=size, default=best)
+    return [lead, *(scored for scored in ordered if scored is not lead)]
 
 
 def with_term(hypothesis: Hypothesis, term: Term) -> Hypothesis:

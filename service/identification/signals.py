@@ -148,7 +148,7 @@ def lowpass(values: np.ndarray, period: float, cutoff_hz: float = ANALYSIS_HZ) -
 @lru_cache(maxsize=32)
 def _sections(share: float) -> np.ndarray:
     """share: cut-off over the Nyquist frequency."""
-    return butter(ANALYSIS_ORDER, share, output="sos")
+    return np.asarray(butter(ANALYSIS_ORDER, share, output="sos"))
 
 
 def moving(position: np.ndarray, period: float) -> np.ndarray:

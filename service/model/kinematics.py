@@ -194,16 +194,22 @@ def raise_pose(status: int, row: int, pose: np.ndarray, unit: str) -> None:
     raise PoseError(f"{what} pose ({values}) {unit} in row {row}")
 
 
+def _poses(model: DeltaModel, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """position (N, 3), column (N, 3, 3) and lever (N, 3) of the forward kernel."""
+    batch = rows(theta)
+    position, column, lever = np.empty_like(batch), np.empty((len(batch), 3, 3)), np.empty_like(batch)
+    status, row = _forward_batch(model, batch, position, column, lever)
+    raise_pose(status, row, batch[row], "rad")
+    return position, column, lever
+
+
 def forward(model: DeltaModel, theta: np.ndarray) -> np.ndarray:
     """Platform position (N, 3) m, base frame, of joint angles `theta` (N, 3) rad.
 
     Raises:
         PoseError: unreachable or singular, naming the angles.
     """
-    batch = rows(theta)
-    position, column, lever = np.empty_like(batch), np.empty((len(batch), 3, 3)), np.empty_like(batch)
-    status, row = _forward_batch(model, batch, position, column, lever)
-    raise_pose(status, row, batch[row], "rad")
+    position, _, _ = _poses(model, theta)
     return position.reshape(np.shape(theta))
 
 
@@ -226,10 +232,7 @@ def jacobian(model: DeltaModel, theta: np.ndarray) -> np.ndarray:
     Raises:
         PoseError: unreachable or singular, naming the angles.
     """
-    batch = rows(theta)
-    position, column, lever = np.empty_like(batch), np.empty((len(batch), 3, 3)), np.empty_like(batch)
-    status, row = _forward_batch(model, batch, position, column, lever)
-    raise_pose(status, row, batch[row], "rad")
+    _, column, lever = _poses(model, theta)
     result = np.swapaxes(column * lever[:, :, None], 1, 2)
     return result.reshape(*np.shape(theta), 3)
 

@@ -108,7 +108,7 @@ class BaseTilt(Effect):
 
 @dataclass
 class LinkLengthError(Effect):
-    """An active link was machined or mounted longer or shorter than drawn; its mass goes with it."""
+    """An active link was machined longer or shorter than drawn: its mass centre and inertia go with it."""
 
     length_m: list[float]
 
@@ -121,7 +121,14 @@ class LinkLengthError(Effect):
         return touched(self.length_m)
 
     def shape(self, design: Design) -> Design:
-        return design.change(active_link_length_m=_plus(design.truth.active_link_length_m, self.length_m))
+        truth = design.truth
+        length = _plus(truth.active_link_length_m, self.length_m)
+        ratio = np.divide(length, truth.active_link_length_m)
+        return design.change(
+            active_link_length_m=length,
+            active_link_centre_m=(ratio * truth.active_link_centre_m).tolist(),
+            active_link_inertia_kgm2=(ratio**2 * truth.active_link_inertia_kgm2).tolist(),
+        )
 
 
 @dataclass
