@@ -17,16 +17,27 @@ class Backend(StrEnum):
 
 
 def command(
-    out: Annotated[Path, typer.Option(help="New folder for cases, key, answers and blindtest.html")],
-    cases: Annotated[int, typer.Option(min=10, help="Number of cases")] = 100,
+    out: Annotated[
+        Path, typer.Option(help="Folder for cases, key, answers and blindtest.html; one that was interrupted goes on")
+    ],
+    cases: Annotated[int, typer.Option(min=1, help="Number of cases")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of robots, motions, effects and severities")] = 1,
     jobs: Annotated[int, typer.Option(min=1, help="Processes on this host")] = 2,
-    backend: Annotated[Backend, typer.Option(help="joblib backend for the diagnosis")] = Backend.LOKY,
-    scheduler: Annotated[str | None, typer.Option(help="Dask scheduler of a cluster, tcp://host:port")] = None,
+    backend: Annotated[
+        Backend, typer.Option(help="joblib backend for the diagnosis; dask: install deltatwin[dask]")
+    ] = Backend.LOKY,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Dask scheduler, tcp://host:port, whose workers see the same folders; default: this host"),
+    ] = None,
 ) -> None:
     """Simulate robots with hidden faults, diagnose them from their logs alone, then open the key and count.
 
+    Every answer is kept as it comes: after Ctrl-C the same command goes on where it stopped.
+
     Example: deltatwin blindtest --cases 100 --seed 1 --out blind
+
+    Example: deltatwin blindtest --cases 1000 --out blind --backend dask --scheduler tcp://10.0.0.5:8786
     """
     import json
 
@@ -34,30 +45,32 @@ def command(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
     from rich.table import Table
 
+    from drivers.trace import whole
     from schemas.errors import StorageError
     from service.diagnosis import blindtest
     from service.diagnosis.blindpage import BOUNDS, write_page
 
-    if (out / "commitment.txt").exists():
-        raise StorageError(f"{out}: holds a blind test already")
+    if (out / "results.json").exists():
+        raise StorageError(f"{out}: holds a finished blind test")
     out.mkdir(parents=True, exist_ok=True)
     console = Console()
     bars = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*bars, console=console) as progress:
-        task = progress.add_task("simulating", total=cases)
-        for _ in blindtest.made(out, cases, seed, jobs):
-            progress.advance(task)
-        digest = blindtest.seal(out)
-        progress.console.print(f"key sealed, sha256 {digest}", highlight=False)
-        folders = sorted((out / "cases").glob("case_*"))
-        task = progress.add_task("diagnosing", total=len(folders))
+        if not (out / "commitment.txt").exists():
+            task = progress.add_task("simulating", total=cases)
+            for _ in blindtest.made(out, cases, seed, jobs):
+                progress.advance(task)
+            blindtest.seal(out)
+        commitment = (out / "commitment.txt").read_text(encoding="utf-8").strip()
+        progress.console.print(f"key sealed: {commitment}", highlight=False)
+        task = progress.add_task("diagnosing", total=len(list((out / "cases").glob("case_*"))))
         with blindtest.backend(backend.value, jobs, scheduler):
-            rows = blindtest.answers(folders, lambda: progress.advance(task))
-    (out / "answers.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
+            rows = blindtest.answers(out, lambda: progress.advance(task))
     judged = blindtest.judged(rows, blindtest.unseal(out))
     figures = blindtest.summary(judged)
-    (out / "results.json").write_text(json.dumps({"summary": figures, "rows": judged}, indent=1), encoding="utf-8")
-    write_page(judged, figures, digest, out / "blindtest.html")
+    write_page(judged, figures, commitment, out / "blindtest.html")
+    with whole(out / "results.json") as partial:
+        partial.write_text(json.dumps({"summary": figures, "rows": judged}, indent=1), encoding="utf-8")
     table = Table("figure", "measured", "bound", title=f"{figures['cases']} cases, {figures['failed']} failed")
     for key, (label, bound) in BOUNDS.items():
         table.add_row(label, str(figures[key]), bound)

@@ -22,6 +22,7 @@ from typing import Any
 import joblib
 import numpy as np
 
+from drivers.trace import whole
 from schemas.errors import DataError
 from schemas.robot import load_robot
 
@@ -71,7 +72,8 @@ def make(out: Path, cases: int, seed: int, jobs: int) -> None:
             keys.append(key)
         print("made", flush=True)
     text = json.dumps({"nonce": secrets.token_hex(16), "cases": keys}, default=_plain)
-    (out / "sealed_key.json").write_text(text, encoding="utf-8")
+    with whole(out / "sealed_key.json") as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def _plain(value: Any) -> Any:
@@ -104,7 +106,8 @@ def maker() -> None:
 def seal(out: Path) -> str:
     """SHA-256 of the key file, also written to `out`/commitment.txt."""
     digest = hashlib.sha256((out / "sealed_key.json").read_bytes()).hexdigest()
-    (out / "commitment.txt").write_text(f"sha256 {digest}  sealed_key.json\n", encoding="utf-8")
+    with whole(out / "commitment.txt") as partial:
+        partial.write_text(f"sha256 {digest}  sealed_key.json\n", encoding="utf-8")
     return digest
 
 
@@ -184,23 +187,34 @@ def backend(name: str, jobs: int, scheduler: str | None) -> Iterator[None]:
     try:
         from dask.distributed import Client, LocalCluster
     except ImportError as error:
-        raise DataError("--backend dask needs the package dask[distributed]") from error
+        raise DataError("--backend dask needs dask[distributed]: install deltatwin[dask]") from error
     if scheduler:
         with Client(scheduler), joblib.parallel_config(backend="dask"):
             yield
         return
-    local = LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address="", host="127.0.0.1")
+    here = "127.0.0.1"  # the status page would listen on every interface
+    local = LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=f"{here}:0", host=here)
     with local as cluster, Client(cluster), joblib.parallel_config(backend="dask"):
         yield
 
 
-def answers(folders: list[Path], done: Callable[[], None]) -> list[dict[str, Any]]:
-    """Diagnose all cases on the backend in force. A case that fails is an answer with an `error`."""
-    result = []
-    for found in joblib.Parallel(return_as="generator_unordered")(joblib.delayed(_safe)(f) for f in folders):
-        result.append(found)
+def answers(out: Path, done: Callable[[], None]) -> list[dict[str, Any]]:
+    """Diagnose all cases of `out` on the backend in force. A case that fails is an answer with an `error`.
+
+    Each answer is kept in `out`/answers as it comes; a run that was interrupted goes on where it stopped.
+    """
+    kept = out / "answers"
+    kept.mkdir(exist_ok=True)
+    folders = sorted((out / "cases").glob("case_*"))
+    open_ = [folder for folder in folders if not (kept / f"{folder.name}.json").exists()]
+    for _ in range(len(folders) - len(open_)):
         done()
-    return sorted(result, key=lambda row: row["case"])
+    for found in joblib.Parallel(return_as="generator_unordered")(joblib.delayed(_safe)(f) for f in open_):
+        assert found is not None
+        with whole(kept / f"{found['case']}.json") as partial:
+            partial.write_text(json.dumps(found, indent=1), encoding="utf-8")
+        done()
+    return [json.loads((kept / f"{folder.name}.json").read_text(encoding="utf-8")) for folder in folders]
 
 
 def _safe(folder: Path) -> dict[str, Any]:

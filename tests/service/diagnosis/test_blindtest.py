@@ -1,0 +1,188 @@
+"""The blind test: its key stays sealed, its table counts right, its backends agree, an interrupted run goes on."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from schemas.errors import DataError, StorageError
+from schemas.robot import save_robot
+from service.cli.main import app
+from service.diagnosis import blindtest
+from tests.service.diagnosis.logs import ROBOT, record, swing
+
+TIMES = ("seconds", "cpu_seconds")
+KEYS = [
+    {"case": "case_000", "kind": "null", "effects": [], "joints": [], "severity": 1.0, "noise": 0.3, "lift": 1.0},
+    {
+        "case": "case_001", "kind": "catalogue", "effects": ["stribeck_friction"], "joints": [[0, 1, 2]],
+        "severity": 1.0, "noise": 0.3, "lift": 3.0,
+    },
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sealed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two small cases as the maker leaves them: one without a gap, one with Stribeck friction."""
+    out = tmp_path_factory.mktemp("blind")
+    for number, stuck in enumerate((0.0, 3.0)):
+        folder = out / "cases" / f"case_{number:03d}"
+        folder.mkdir(parents=True)
+        save_robot(ROBOT, folder / "robot.toml")
+        for seed, name in enumerate(("fit_a", "fit_b", "fit_c", "test_a")):
+            record(folder / f"{name}.csv", ROBOT, swing(seed), 3.5, 10 * number + seed, stuck)
+    (out / "sealed_key.json").write_text(json.dumps({"nonce": "0", "cases": KEYS}))
+    blindtest.seal(out)
+    return out
+
+
+@pytest.fixture
+def blind(sealed: Path, tmp_path: Path) -> Path:
+    """A copy to work on."""
+    shutil.copytree(sealed, tmp_path / "blind")
+    return tmp_path / "blind"
+
+
+def without_times(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{key: value for key, value in row.items() if key not in TIMES} for row in rows]
+
+
+OPENED: list[str] | None = None
+
+
+def _listen(event: str, arguments: tuple[Any, ...]) -> None:
+    if event == "open" and OPENED is not None:
+        OPENED.append(str(arguments[0]))
+
+
+def test_the_diagnosis_reads_no_more_than_its_case(blind: Path) -> None:
+    global OPENED
+    sys.addaudithook(_listen)
+    OPENED = []
+    with_key = blindtest.answer(blind / "cases" / "case_001")
+    opened, OPENED = OPENED, None
+    mine = [path for path in opened if path.startswith(str(blind))]
+    assert {Path(path).parent for path in mine} == {blind / "cases" / "case_001"}
+    assert len(set(mine)) == 5  # description, three logs to fit, one to test
+    (blind / "sealed_key.json").unlink()
+    shutil.move(blind / "cases" / "case_001", blind / "alone")
+    alone = blindtest.answer(blind / "alone")
+    assert without_times([alone | {"case": ""}]) == without_times([with_key | {"case": ""}])
+
+
+def test_a_key_that_was_changed_is_refused(blind: Path) -> None:
+    assert blindtest.unseal(blind) == KEYS
+    key = blind / "sealed_key.json"
+    key.write_text(key.read_text().replace("stribeck_friction", "backlash"))
+    with pytest.raises(DataError, match="changed since its hash was written down"):
+        blindtest.unseal(blind)
+
+
+def test_backends_agree_and_stay_on_this_host(blind: Path, tmp_path: Path) -> None:
+    psutil = pytest.importorskip("psutil", reason="needs dask[distributed], of the dev dependencies")
+    pytest.importorskip("distributed", reason="needs dask[distributed], of the dev dependencies")
+    shutil.copytree(blind, tmp_path / "dask")
+    with blindtest.backend("loky", 1, None):
+        by_loky = blindtest.answers(blind, lambda: None)
+    with blindtest.backend("dask", 1, None):
+        own = psutil.Process()
+        family = [own, *own.children(recursive=True)]
+        listening = [c.laddr.ip for p in family for c in p.net_connections("tcp") if c.status == psutil.CONN_LISTEN]
+        by_dask = blindtest.answers(tmp_path / "dask", lambda: None)
+    assert set(listening) == {"127.0.0.1"}
+    assert without_times(by_loky) == without_times(by_dask)
+    assert [[effect["name"] for effect in row["named"]] for row in by_loky] == [[], ["stribeck_friction"]]
+
+
+def row(case: int, named: list[tuple[str, list[int]]], verdict: str, claimed: float, shrink: float) -> dict[str, Any]:
+    return {
+        "case": f"case_{case:03d}", "verdict": verdict, "claimed": claimed, "shrink": shrink,
+        "named": [{"name": name, "joints": joints, "probability": 1.0} for name, joints in named],
+        "before_nm": 1.0, "after_nm": 0.085, "seconds": 10.0 + case, "cpu_seconds": 5.0,
+    }  # fmt: skip
+
+
+def key(case: int, kind: str, effects: list[str], joints: list[list[int]], lift: float) -> dict[str, Any]:
+    return {
+        "case": f"case_{case:03d}", "kind": kind, "effects": effects, "joints": joints, "severity": 1.0,
+        "noise": 0.3, "lift": lift,
+    }  # fmt: skip
+
+
+def test_the_table_counts_right() -> None:
+    every = [0, 1, 2]
+    keys = [
+        key(0, "null", [], [], 1.0),
+        key(1, "null", [], [], 1.0),
+        key(2, "catalogue", ["backlash"], [[2]], 3.0),
+        key(3, "catalogue", ["backlash"], [[1]], 3.0),
+        key(4, "catalogue", ["tool_mass"], [[]], 2.0),
+        key(5, "catalogue", ["joint_offset"], [[0]], 1.05),
+        key(6, "catalogue", ["torque_offset"], [[0]], 2.0),
+        key(7, "unknown", ["rail"], [[1]], 2.0),
+        key(8, "unknown", ["rail"], [[1]], 2.0),
+        key(9, "pair", ["stribeck_friction", "torque_scale"], [every, [1]], 4.0),
+        key(10, "pair", ["stribeck_friction", "torque_delay"], [every, []], 4.0),
+        key(11, "catalogue", ["backlash"], [[0]], 3.0),
+    ]
+    rows = [
+        row(0, [], "within_noise", 0.0, 0.0),
+        row(1, [("backlash", [1])], "explained", 0.1, 0.0),  # named what is not there
+        row(2, [("backlash", [3])], "explained", 0.5, 0.5),  # right
+        row(3, [("backlash", [1])], "explained", 0.5, 0.52),  # right, on the wrong joint
+        row(4, [("arm_mass", [1]), ("tool_mass", [])], "partly_explained", 0.5, 0.5),  # wrong first
+        row(5, [], "within_noise", 0.0, 0.0),  # too small to count
+        row(6, [("asymmetric_friction", [1])], "explained", 0.5, 0.5),  # no motion tells it from an offset
+        row(7, [], "unexplained", 0.0, 0.0),
+        row(8, [("cogging", [2])], "explained", 0.5, 0.1),  # outside the catalogue, and not said
+        row(9, [("torque_scale", [2]), ("stribeck_friction", [1, 2, 3])], "explained", 0.5, 0.5),
+        row(10, [("stribeck_friction", [1, 2, 3])], "partly_explained", 0.5, 0.5),
+        {"case": "case_011", "error": "DataError: broken"},
+    ]
+    judged = blindtest.judged(rows, keys)
+    figures = blindtest.summary(judged)
+    assert (figures["cases"], figures["failed"], figures["findable_single"]) == (12, 1, 4)
+    assert figures["right_first"] == pytest.approx(3 / 4, abs=1e-3)
+    assert figures["right_joint"] == pytest.approx(2 / 3, abs=1e-3)
+    assert figures["extra_per_case"] == pytest.approx(2 / 9, abs=1e-3)  # backlash in 1, arm_mass in 4
+    assert figures["null_clean"] == 0.5
+    assert figures["unknown_said"] == 0.5
+    assert figures["pair_both"] == 0.5
+    assert figures["claim_error_median"] == 0.0
+    # floor: noise through the analysis band, 0.3 N m sqrt(2 * 40 Hz * 1 ms)
+    assert figures["after_over_floor_median"] == pytest.approx(0.085 / (0.3 * 0.08**0.5), abs=1e-3)
+    assert figures["seconds_median"] == 15.0
+
+    truth, first, table = blindtest.confusion(judged)
+    count = {(t, f): int(table[i, j]) for i, t in enumerate(truth) for j, f in enumerate(first) if table[i, j]}
+    assert count == {
+        ("none", "none"): 1, ("none", "backlash"): 1, ("backlash", "backlash"): 2, ("tool_mass", "arm_mass"): 1,
+        ("torque_offset", "asymmetric_friction"): 1, ("rail", "unknown"): 1, ("rail", "cogging"): 1,
+    }  # fmt: skip
+
+
+def test_an_interrupted_run_goes_on_and_finishes_once(blind: Path) -> None:
+    done = blindtest.answer(blind / "cases" / "case_000")
+    (blind / "answers").mkdir()
+    kept = blind / "answers" / "case_000.json"
+    kept.write_text(json.dumps(done | {"seconds": 1234.5}))  # as the run before left it
+    (blind / "answers" / ".part-case_001.json").write_text("{")  # and what it was writing when it was stopped
+    arguments = ["blindtest", "--out", str(blind), "--cases", "2", "--jobs", "1"]
+    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert result.exit_code == 0
+    results = json.loads((blind / "results.json").read_text())
+    assert [answer["seconds"] == 1234.5 for answer in results["rows"]] == [True, False]
+    assert results["summary"]["right_first"] == results["summary"]["null_clean"] == 1.0
+    assert np.isclose(results["summary"]["extra_per_case"], 0.0)
+    page = (blind / "blindtest.html").read_text()
+    assert (blind / "commitment.txt").read_text().split()[1] in page
+    again = CliRunner().invoke(app, arguments)
+    assert isinstance(again.exception, StorageError)
+    assert "holds a finished blind test" in str(again.exception)
