@@ -29,6 +29,7 @@ FRAME_BYTES = 2048  # more than an Ethernet frame with tags
 RECEIVE_BYTES = 8 << 20  # of kernel buffer: 10 s of a busy bus
 IDLE_S = 0.2  # longest silence before the loop looks around
 QUIET_NS = 2 * NANOSECONDS  # without a sample before it is said
+OVERDUE_NS = 20_000_000  # a health message waits that long for the pause behind a sample
 CHANGE_NS = 20_000_000  # least time between two health messages when the bus breaks down and comes back
 
 _ETH_P_ALL = 0x0003
@@ -243,6 +244,8 @@ class Tap:
                     faulty = flags[0] & _FAULT != 0
                     if counts[COUNT.samples] == count:
                         break
+                elif time.monotonic_ns() < health.due_ns + OVERDUE_NS:
+                    continue  # its cycle's sample is still to come: all else waits until that is out
             now = time.monotonic_ns()
             if now >= health.due_ns or (faulty != self._told.faulty and now >= self._told.at_ns + CHANGE_NS):
                 self._told.faulty = faulty

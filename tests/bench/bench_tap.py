@@ -154,8 +154,11 @@ def main() -> None:
                 listening["master"].wait()
                 time.sleep(2)
                 listening["tap"].send_signal(signal.SIGINT)  # where it still waits for what it lost
-            for role in ("master", "bare", "tap", "subscriber"):
-                print(f"  {role}: {listening[role].communicate()[0].strip()}")
+            said = {role: json.loads(listening[role].communicate()[0]) for role in ("master", *ROLES)}
+            for role, figures in said.items():
+                print(f"  {role}: {json.dumps(figures)}")
+            parts = zip(said["tap"]["published"], said["bare"]["bare"], strict=True)
+            print("  tap over bare: " + ", ".join(f"{tap / bare:.2f}" for tap, bare in parts))
 
 
 if __name__ == "__main__":
