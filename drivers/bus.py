@@ -241,6 +241,13 @@ class Publisher:
         """Whether anybody subscribes at the moment."""
         return self._publisher.matching_status.matching  # pyright: ignore[reportAttributeAccessIssue]: stub says bool
 
+    def wait_until_heard(self, longest: float) -> bool:
+        """Wait for a subscriber and until whoever runs has had the time to link up, at most `longest` s; `heard`."""
+        begin = time.monotonic()
+        while (waited := time.monotonic() - begin) < longest and (waited < LINK_S or not self.heard):
+            time.sleep(0.01)
+        return self.heard
+
 
 class Bus:
     """The session of one role of one robot. Made by `open_bus`; closes with its `with` block."""

@@ -8,6 +8,8 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from service.cli.inspect import count
+
 ROWS_SHOWN = 12
 
 
@@ -59,17 +61,13 @@ def _say_cyclic(entry: dict[str, Any], say: Callable[[str], None]) -> None:
         jitter = [f"{entry[key] * 1e6:.2f}" for key in ("jitter_std_s", "jitter_p99_s", "jitter_max_s")]
         say(
             f"  cycle {entry['cycle_s'] * 1e6:.2f} µs, jitter {jitter[0]} µs std, {jitter[1]} p99, {jitter[2]} max; "
-            f"lost cycles {_count(entry['lost_cycles'])}"
+            f"lost cycles {count(entry['lost_cycles'])}"
         )
     if entry["working_counter"] is not None:
         say(
-            f"  working counter {entry['working_counter']}, {_count(entry['working_counter_faults'])} below, "
-            f"{_count(entry['unanswered'])} of them unanswered"
+            f"  working counter {entry['working_counter']}, {count(entry['working_counter_faults'])} below, "
+            f"{count(entry['unanswered'])} of them unanswered"
         )
-
-
-def _count(value: int) -> str:
-    return f"[yellow]{value}[/yellow]" if value else "0"
 
 
 def _show_robot(robot: dict[str, Any], say: Callable[[str], None]) -> None:
@@ -88,6 +86,6 @@ def _show_robot(robot: dict[str, Any], say: Callable[[str], None]) -> None:
         say(f"[dim]note:[/dim] {escape(finding)}")
 
 
-def _more(count: int, say: Callable[[str], None]) -> None:
-    if count > ROWS_SHOWN:
-        say(f"... {count - ROWS_SHOWN} more (--json)")
+def _more(found: int, say: Callable[[str], None]) -> None:
+    if found > ROWS_SHOWN:
+        say(f"... {found - ROWS_SHOWN} more (--json)")

@@ -93,7 +93,7 @@ def _show(figures: dict[str, Any], console: Console) -> None:
             "all channels" if len(bases) == 1 else "\n".join(names),
             f"{rate:.6g} Hz",
             *(f"{value * 1e6:.3f} µs" for value in jitter),
-            *(_count(value) for value in (gaps, repeats, back)),
+            *(count(value) for value in (gaps, repeats, back)),
         )
     console.print(stamps, highlight=False)
     values = _table(["channel", "unit"], ["min", "max", "smallest step", "longest hold", "missing"])
@@ -104,7 +104,7 @@ def _show(figures: dict[str, Any], console: Console) -> None:
             channel["unit"],
             *(_number(channel[key]) for key in ("min", "max", "resolution")),
             "-" if hold is None else f"{hold * 1e3:.4g} ms",
-            _count(channel["missing"]),
+            count(channel["missing"]),
         )
     console.print(values, highlight=False)
     if figures["missing"]:
@@ -130,5 +130,6 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.5g}"
 
 
-def _count(value: int) -> str:
+def count(value: int) -> str:
+    """A number of faults, marked where there are any."""
     return f"[yellow]{value}[/yellow]" if value else "0"

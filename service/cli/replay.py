@@ -32,9 +32,7 @@ def command(
 
     Example: deltatwin replay pick.csv --robot d3.toml --loop 0
     """
-    import time
-
-    from drivers.bus import LINK_S, open_bus
+    from drivers.bus import open_bus
     from drivers.health import Health
     from drivers.trace import find_columns, read_trace
     from replay.player import play, score
@@ -54,11 +52,7 @@ def command(
         realtime = go_realtime("replay")
         with open_bus(description.name, Role.PLAYER, zenoh_config) as bus:
             publisher = bus.publisher("sample")
-            opened = time.monotonic()
-            # whoever runs already tries again within RETRY_MS: only then has everybody had the chance to link up
-            while (waited := time.monotonic() - opened) < wait and (waited < LINK_S or not publisher.heard):
-                time.sleep(0.01)
-            if not publisher.heard:
+            if not publisher.wait_until_heard(wait):
                 typer.echo(
                     f"nobody subscribes to the samples of {description.name} yet; playing all the same", err=True
                 )

@@ -25,8 +25,6 @@ def command(
 
     Example: deltatwin tap eth1 --robot d3.toml
     """
-    import time
-
     from drivers.bus import open_bus
     from drivers.ethercat.tap import FileSource, InterfaceSource, Tap
     from drivers.health import Health
@@ -45,9 +43,7 @@ def command(
     try:
         with open_bus(description.name, Role.TAP, zenoh_config) as bus:
             publisher = bus.publisher("sample")
-            give_up = time.monotonic() + wait
-            while not publisher.heard and time.monotonic() < give_up:
-                time.sleep(0.01)
+            publisher.wait_until_heard(wait)
             tap.run(publisher.put, Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME), count)
     except KeyboardInterrupt:
         pass
