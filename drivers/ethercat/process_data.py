@@ -418,6 +418,20 @@ def _interval_flags(stamp, clock, counts, intervals):
 
 
 @njit(cache=True)
+def _follow(times, clock, counts, intervals):
+    for time in times:
+        _interval_flags(time, clock, counts, intervals)
+        counts[COUNT.samples] += 1
+
+
+def lost_cycles(times: np.ndarray) -> int:
+    """Cycles missing among (N,) int64 ns of one cyclic frame, without those that only were late."""
+    state = new_state()
+    _follow(times, state.clock, state.counts, state.intervals)
+    return int(state.counts[COUNT.lost])
+
+
+@njit(cache=True)
 def _drive_flags(places, inputs, counts):
     """Flags of the drives' states in the cycle in the making. places: `Layout.inputs`; inputs: (3, 5) values."""
     enabled, fault = True, False

@@ -11,7 +11,7 @@ import numpy as np
 from drivers.ethercat.capture import Capture, FrameFlag, Frames
 from drivers.ethercat.cia402 import DriveState, drive_state
 from drivers.ethercat.frames import AL_STATUS, FMMU, AlState, Command, Kind, decode
-from drivers.ethercat.process_data import GAP_PERIODS, mapped_objects
+from drivers.ethercat.process_data import GAP_PERIODS, lost_cycles, mapped_objects
 from drivers.ethercat.trace import CaptureReader
 from schemas.errors import TraceError
 from schemas.messages import stamp_ns
@@ -21,6 +21,9 @@ LOGICAL = (Command.LRD, Command.LWR, Command.LRW)
 _BROADCAST = (Command.BRD, Command.BWR, Command.BRW)
 _CONFIGURED = (Command.FPRD, Command.FPWR, Command.FPRW)
 CHANGES_SHOWN = 200
+_NO_CYCLE: dict[str, Any] = {
+    "cycle_s": None, "jitter_std_s": None, "jitter_p99_s": None, "jitter_max_s": None, "lost_cycles": None,
+}  # fmt: skip
 
 
 @dataclass
@@ -38,8 +41,11 @@ class Survey:
         self._kinds = np.zeros(len(Kind), np.int64)
         self._flags = np.zeros(4, np.int64)
         self._datagrams = 0
-        self._first: int | None = None
-        self._last = 0
+        self._first: int | None = None  # ns, of the first frame
+        self._before = self._earliest = self._latest = 0  # of the frame before, and of all
+        self._backwards: list[
+            tuple[int, int]
+        ] = []  # number of a frame whose time is below that before, and how far, ns
         self._slaves = 0
         self._stations: set[int] = set()
         self._plain = False
@@ -54,9 +60,7 @@ class Survey:
         self._kinds += np.bincount(kinds, minlength=len(Kind))
         self._flags += [np.count_nonzero(frames.flags & flag) for flag in FrameFlag]
         self._datagrams += len(datagrams)
-        if self._first is None:
-            self._first = int(frames.time[0])
-        self._last = int(frames.time[-1])
+        self._add_times(frames)
         if len(datagrams) == 0:
             return
         returned = self._returned(frames, datagrams)[datagrams["frame"]]
@@ -70,6 +74,15 @@ class Survey:
         self._add_cyclic(frames, datagrams, returned)
         self._add_states(frames, datagrams[answered])
         self._add_mapping(frames, datagrams[configured & (command == Command.FPWR)])
+
+    def _add_times(self, frames: Frames) -> None:
+        if self._first is None:
+            self._first = self._before = self._earliest = self._latest = int(frames.time[0])
+        self._earliest = min(self._earliest, int(frames.time.min()))
+        self._latest = max(self._latest, int(frames.time.max()))
+        steps = np.diff(frames.time, prepend=self._before)
+        self._backwards += [(frames.first + int(at), int(-steps[at])) for at in np.flatnonzero(steps < 0)]
+        self._before = int(frames.time[-1])
 
     def _returned(self, frames: Frames, datagrams: np.ndarray) -> np.ndarray:
         """(N,) bool a frame: on its way back."""
@@ -148,14 +161,23 @@ class Survey:
                 if flag.name
             },
             "link_types": sorted(capture.link_types),
-            "duration_s": (self._last - (self._first or 0)) * 1e-9,
+            "duration_s": (self._latest - self._earliest) * 1e-9,
             "slaves": self._slaves,
             "stations": sorted(self._stations),
             "cyclic": [_cyclic_figures(key, entry) for key, entry in sorted(self._cyclic.items())],
             "state_changes": self._changes,
             "mapping": [self._fmmus[key] for key in sorted(self._fmmus)],
-            "findings": list(capture.findings),
+            "findings": [*capture.findings, *self._time_findings()],
         }
+
+    def _time_findings(self) -> list[str]:
+        if not self._backwards:
+            return []
+        frame, step = self._backwards[0]
+        return [
+            f"time goes backwards at {len(self._backwards)} frames, first at frame {frame}, by {step * 1e-9:.6g} s: "
+            "pieces that were joined, or several clocks; steps across it are left out of cycle and jitter"
+        ]
 
 
 def _state_name(state: int) -> str:
@@ -184,17 +206,20 @@ def _cyclic_figures(key: tuple[int, int, int], entry: _Cyclic) -> dict[str, Any]
 
 def _cycle_figures(times: np.ndarray) -> dict[str, Any]:
     if len(times) < 3:
-        return {"cycle_s": None, "jitter_std_s": None, "jitter_p99_s": None, "jitter_max_s": None, "lost_cycles": None}
+        return _NO_CYCLE
     steps = np.diff(times)
-    period = float(np.median(steps))
+    steps = steps[steps >= 0]
+    period = float(np.median(steps)) if len(steps) else 0.0
     gaps = steps > GAP_PERIODS * period
+    if gaps.all():
+        return _NO_CYCLE
     off = np.abs(steps[~gaps] - period) * 1e-9
     return {
         "cycle_s": period * 1e-9,
         "jitter_std_s": float(np.std(steps[~gaps]) * 1e-9),
         "jitter_p99_s": float(np.percentile(off, 99)),
         "jitter_max_s": float(off.max()),
-        "lost_cycles": int((np.rint(steps[gaps] / period) - 1).sum()) if period > 0 else 0,
+        "lost_cycles": lost_cycles(times),
     }
 
 

@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.ethercat.cia402 import scales
+from drivers.ethercat.survey import survey_capture
 from drivers.ethercat.trace import read_capture
 from drivers.trace import read_trace
 from schemas.errors import TraceError
@@ -148,6 +149,21 @@ def test_inspect_needs_no_robot(shared: Path) -> None:
 
     assert result.exit_code == 0, result.output
     assert result.stdout.count(" EtherCAT, ") == len(captures) == 7
+
+
+def test_inspect_of_pieces_that_were_joined_says_so_and_measures_within_them(tmp_path: Path) -> None:
+    times = [k * 1_000_000 for k in range(5_000, 5_100)] + [k * 1_000_000 for k in range(100)]
+    times[20:23] = [t + 700_000 for t in times[20:23]]  # late and caught up with, not lost
+    del times[150:153]
+    path = pcap(tmp_path / "a.pcap", [(t, passes([Drive()] * 3)[1]) for t in times], nanoseconds=True)
+    figures = survey_capture(path)
+
+    assert figures["duration_s"] == pytest.approx(5.099)
+    assert figures["findings"][0].startswith("time goes backwards at 1 frames, first at frame 101, by 5.099 s")
+    cyclic = figures["cyclic"][0]
+    assert cyclic["cycle_s"] == pytest.approx(1e-3)
+    assert cyclic["jitter_max_s"] < 1e-3
+    assert cyclic["lost_cycles"] == 3
 
 
 def lldp() -> bytes:
