@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,6 +14,8 @@ from service.diagnosis.effects.signal import delayed
 from service.diagnosis.scene import Band, Base, Recording, Scene
 from service.model.friction import mean_direction
 
+# A recording a thread: filters, matrix products and compiled kernels let go of the interpreter.
+THREADS = ThreadPoolExecutor(os.cpu_count())
 TIMING_LIMIT = 0.25  # samples: a shift below this is sampling, beyond it an effect
 TRANSITION = (2e-4, 2e-2)  # rad/s, limits of the speed over which Coulomb friction turns; beyond is an effect
 ITERATIONS = 6
@@ -271,11 +275,13 @@ class Fit:
 
 def evaluate(problem: Problem, hypothesis: Hypothesis) -> Fit:
     """Residuals and tangents at the hypothesis's own parameters; its base is the operating point."""
-    residuals, tangents = [], []
-    for index, scene in enumerate(problem.scenes(hypothesis.base)):
+
+    def one(index: int, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         prediction, slope = tangent(scene, hypothesis, problem.band)
-        residuals.append(problem.select(index, problem.target[index] - prediction))
-        tangents.append(problem.select(index, slope))
+        return problem.select(index, problem.target[index] - prediction), problem.select(index, slope)
+
+    parts = list(THREADS.map(one, range(len(problem.recordings)), problem.scenes(hypothesis.base)))
+    residuals, tangents = [residual for residual, _ in parts], [slope for _, slope in parts]
     low, high = hypothesis.parameter_limits(problem.band.period)
     values = hypothesis.parameters()
     inside = (values > low) & (values < high)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.diagnosis.effects.base import Effect, on_joint
-from service.diagnosis.hypothesis import Fit, Hypothesis, Problem, Term, fit, reported, solve
+from service.diagnosis.hypothesis import THREADS, Fit, Hypothesis, Problem, Term, fit, reported, solve
 from service.diagnosis.scene import Scene
 
 BLOCK = 0.5  # s, of the block bootstrap: longer than the residual remembers
@@ -147,44 +147,46 @@ class Dictionary:
         self.index: dict[tuple[Effect, int, tuple[float, ...]], np.ndarray] = {}
         own = fitted.moving
         self.own = own[0].shape[1]
-        grams: list[np.ndarray] = []
         effects = [e for e in effects if problem.recordings[0].mechanism.kind in e.kinds]
-        for number, scene in enumerate(problem.scenes(fitted.hypothesis.base)):
-            columns = self._columns(problem, number, scene, fitted.hypothesis, effects)
+        scenes = problem.scenes(fitted.hypothesis.base)
+        at = self.own
+        for effect in effects:
+            for joint in range(scenes[0].joints) if effect.per_joint else (0,):
+                for shape in effect.grid(scenes[0]):
+                    self.index[effect, joint, shape] = at + np.arange(max(1, len(effect.amplitudes)))
+                    at = int(self.index[effect, joint, shape][-1]) + 1
+
+        def products(number: int, scene: Scene) -> list[tuple[int, np.ndarray]]:
+            columns = self._columns(problem, number, scene, fitted.hypothesis, at)
             matrix = np.concatenate([own[number], columns, fitted.residuals[number][:, None]], axis=1)
-            if not grams:
-                grams = [np.zeros((matrix.shape[1], matrix.shape[1])) for _ in range(split.folds)]
-            for fold in np.unique(split.fold[number]):
-                part = matrix[split.fold[number] == fold]
-                grams[fold] += part.T @ part
+            folds = [(int(fold), matrix[split.fold[number] == fold]) for fold in np.unique(split.fold[number])]
+            return [(fold, part.T @ part) for fold, part in folds]
+
+        grams = [np.zeros((at + 1, at + 1)) for _ in range(split.folds)]
+        for parts in THREADS.map(products, range(len(scenes)), scenes):
+            for fold, gram in parts:
+                grams[fold] += gram
         self.effects = effects
         self._reduce(grams)
 
-    def _columns(
-        self, problem: Problem, number: int, scene: Scene, hypothesis: Hypothesis, effects: list[Effect]
-    ) -> np.ndarray:
-        """(R, C), all candidates' regressors filtered in one go."""
-        n, at = scene.joints, self.own
+    def _columns(self, problem: Problem, number: int, scene: Scene, hypothesis: Hypothesis, end: int) -> np.ndarray:
+        """(R, C), all candidates' regressors filtered in one go. end: one past the last of `index`."""
+        n = scene.joints
         measured = any(term.effect.measured for term in hypothesis.terms)
         parts: list[np.ndarray] = []
         owners: list[np.ndarray] = []  # a column's joint, or -1 for the first of n columns that are one regressor
-        for effect in effects:
-            for joint in range(n) if effect.per_joint else (0,):
-                for shape in effect.grid(scene):
-                    values = effect.regressors(scene, joint, shape)
-                    size = values.shape[-1]
-                    self.index[effect, joint, shape] = np.arange(at, at + size)
-                    at += size
-                    if effect.own_joint and not measured:
-                        parts.append(values)
-                        owners.append(np.full(size, joint))
-                        continue
-                    values = on_joint(values, joint, n) if effect.own_joint else values
-                    parts.append(np.moveaxis(reported(scene, hypothesis, values), 1, 2).reshape(len(values), -1))
-                    owners.append(np.tile(np.r_[-1, np.full(n - 1, -2)], size))
+        for effect, joint, shape in self.index:
+            values = effect.regressors(scene, joint, shape)
+            if effect.own_joint and not measured:
+                parts.append(values)
+                owners.append(np.full(values.shape[-1], joint))
+                continue
+            values = on_joint(values, joint, n) if effect.own_joint else values
+            parts.append(np.moveaxis(reported(scene, hypothesis, values), 1, 2).reshape(len(values), -1))
+            owners.append(np.tile(np.r_[-1, np.full(n - 1, -2)], values.shape[-1]))
         owner = np.concatenate(owners)
         band = problem.band(np.concatenate(parts, axis=1))
-        columns = np.zeros((len(band), n, at - self.own))
+        columns = np.zeros((len(band), n, end - self.own))
         whole = np.flatnonzero(owner == -1)
         number_of = np.cumsum(owner != -2) - 1  # column -> regressor
         for joint in range(n):

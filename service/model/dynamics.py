@@ -55,7 +55,7 @@ def terms_kernel(model, theta, theta_dot, theta_ddot, position, work, terms):
     return REACHED
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _terms_batch(model, theta, theta_dot, theta_ddot, terms):
     position, work = np.empty(3), np.empty((8, 3, 3))
     for n in range(len(theta)):

@@ -134,7 +134,7 @@ class WarmupFriction(Effect):
         return (np.exp(-scene.time / shape[0]) * scene.segment.theta_dot[:, joint])[:, None]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _dahl(theta, distance, state):
     """Relative bristle deflection z in [-1, 1]: dz / dtheta = (1 - z sign v) / distance, exact along each step."""
     z = 0.0  # where the bristles stand at the start is not in the log

@@ -17,7 +17,7 @@ NATURAL_HZ = (4.0, 5.4, 7.3, 9.8, 13.0, 18.0, 24.0, 33.0, 45.0, 60.0)
 HALVES = (0.0003, 0.00045, 0.0007, 0.001, 0.0015, 0.0023, 0.0035, 0.005)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _two_masses(
     acceleration, demand, inertia, spring, drag, half, stiffness, damping, step, substeps, angle, speed, change
 ):
