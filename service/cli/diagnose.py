@@ -16,7 +16,12 @@ def command(
     baseline: Annotated[
         Path | None, typer.Option(help="Identified description whose gap is the one before; default: identify anew")
     ] = None,
-    effects: Annotated[Path | None, typer.Option(help="Python file with effects of your own")] = None,
+    effects: Annotated[
+        Path | None,
+        typer.Option(
+            help="Python file with effects of your own: dataclasses derived from service.diagnosis.effects.base.Effect"
+        ),
+    ] = None,
     test: Annotated[
         list[Path] | None, typer.Option(help="Log to try the correction on, used for nothing else; may be repeated")
     ] = None,
@@ -27,6 +32,8 @@ def command(
     again. --test tells events, stretches far above the rest, from what the correction leaves elsewhere.
 
     Example: deltatwin diagnose fit_*.csv --robot robot.toml --out diagnosis --test other_day.csv
+
+    Example: deltatwin diagnose fit_*.csv --robot corrected.toml --out again --effects rubber_stop.py
     """
     from rich.console import Console
 
@@ -37,7 +44,7 @@ def command(
     from service.diagnosis.document import corrected, document
     from service.diagnosis.effects import catalogue
     from service.diagnosis.report import write_report
-    from service.diagnosis.text import sentences
+    from service.diagnosis.text import paragraphs
 
     console = Console()
     known = catalogue(effects)
@@ -59,6 +66,7 @@ def command(
         else:
             save_robot(fixed, out / "corrected.toml", template=robot)
         write_report(findings, result, out / "report.html")
-    for line in sentences(result):
-        console.print(line, highlight=False, markup=False)
+    for group in paragraphs(result):
+        console.print("\n".join(group), highlight=False, markup=False)
+        console.print()
     console.print(f"wrote diagnosis.json, corrected.toml and report.html in {out}", highlight=False)

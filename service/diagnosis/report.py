@@ -12,16 +12,24 @@ from plotly.subplots import make_subplots
 from scipy.signal import welch
 
 from schemas.diagnosis import Diagnosis
+from service.diagnosis.description import in_units_of
 from service.diagnosis.diagnose import Findings
 from service.diagnosis.hypothesis import Hypothesis, predict
 from service.diagnosis.scene import Scene
 from service.diagnosis.statistics import joint_of
-from service.diagnosis.text import sentences
+from service.diagnosis.text import paragraphs
 from service.diagnosis.where import Rows
 
 COLOURS = {"before": "#b0b7c3", "after": "#1f6feb", "noise": "#d0d7de"}
 EFFECTS = ("#1f6feb", "#2da44e", "#8250df", "#bf8700")
 BINS = 24
+MOST_POINTS = 5000  # a line
+CONFIG = {"responsive": True, "displaylogo": False}
+# plots take the width of the page before it is printed, and that of the window again after
+PRINT = """
+const fit=w=>document.querySelectorAll('.js-plotly-plot').forEach(p=>Plotly.relayout(p,w?{width:w}:{autosize:true}));
+addEventListener('beforeprint',()=>fit(690));addEventListener('afterprint',()=>fit(0));
+"""
 STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1f2328;max-width:1080px;margin:2rem auto;padding:0 1rem}
 h1{font-size:1.5rem;margin-bottom:.2rem} h2{font-size:1.15rem;margin:2rem 0 .4rem;border-bottom:1px solid #d0d7de}
@@ -29,14 +37,16 @@ table{border-collapse:collapse;width:100%;font-size:.92em} td,th{padding:.25rem 
 text-align:left} td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}
 .verdict{font-size:1.1rem;padding:.7rem 1rem;
 border-left:5px solid #1f6feb;background:#f6f8fa} .muted{color:#59636e;font-size:.9em}
-@media print{body{max-width:none;margin:0;font-size:11px} h2{break-after:avoid} .plot,table{break-inside:avoid}
+@media print{body{max-width:none;margin:0;padding:0;font-size:12px} h2{break-after:avoid}
+.plot,table{break-inside:avoid}
 .modebar{display:none!important}}
+@page{size:A4;margin:14mm 12mm}
 """
 
 
 def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
     """Write the report of a diagnosis."""
-    lines = sentences(document)
+    verdict, *groups = paragraphs(document)
     plots = [
         ("Gap over time, before and after", _over_time(findings)),
         ("What the gap is made of", _budget(document)),
@@ -50,21 +60,21 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
         f"<h1>Gap diagnosis of {escape(document.robot)}</h1>",
         f"<p class=muted>{escape(', '.join(document.traces))} · below {document.gap.band_hz:g} Hz, while joints move "
         f"({100 * document.where['left_out_at_rest_and_ends']:.0f} % left out at rest and at the ends)</p>",
-        f"<p class=verdict><b>{document.verdict.replace('_', ' ')}</b><br>{escape(lines[0])}</p>",
-        *(f"<p>{escape(line)}</p>" for line in lines[1:]),
+        f"<p class=verdict><b>{document.verdict.replace('_', ' ')}</b><br>{escape(' '.join(verdict))}</p>",
+        *(f"<p>{'<br>'.join(escape(line) for line in group)}</p>" for group in groups),
         _gap_table(document),
         _effect_table(document),
     ]
     for title, figure in plots:
         if figure is not None:
             figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 40, "b": 45}, font_size=12)
-            html = figure.to_html(full_html=False, include_plotlyjs=False, config={"responsive": True})
+            html = figure.to_html(full_html=False, include_plotlyjs=False, config=CONFIG)
             body.append(f"<h2>{title}</h2><div class=plot>{html}</div>")
     body.append(_base_table(document))
     page = (
         "<!doctype html><html lang=en><head><meta charset=utf-8><meta name=viewport content='width=device-width'>"
         f"<title>Gap diagnosis of {escape(document.robot)}</title><style>{STYLE}</style>"
-        f"<script>{get_plotlyjs()}</script></head><body>{''.join(body)}</body></html>"
+        f"<script>{get_plotlyjs()}</script></head><body>{''.join(body)}<script>{PRINT}</script></body></html>"
     )
     partial = path.with_name(path.name + ".part")
     partial.write_text(page, encoding="utf-8")
@@ -77,7 +87,9 @@ def _row(cells: list[str], tag: str = "td") -> str:
 
 def _gap_table(document: Diagnosis) -> str:
     gap = document.gap
-    head = _row(["rms on runs left out, N m", "before", "after", "noise", "friction steps between samples"], "th")
+    head = _row(
+        [f"rms on runs left out, {gap.unit}", "before", "after", "noise", "friction steps between samples"], "th"
+    )
     columns = (gap.before_nm, gap.after_nm, gap.noise_floor_nm, gap.reversal_nm)
     rows = ""
     for joint in range(len(gap.before_nm)):
@@ -114,7 +126,7 @@ def _base_table(document: Diagnosis) -> str:
 
 
 def _over_time(findings: Findings) -> go.Figure:
-    problem, n = findings.problem, len(findings.problem.sigma)
+    problem, n, unit = findings.problem, len(findings.problem.sigma), in_units_of(findings.robot, "N m")
     figure = make_subplots(rows=n, cols=1, shared_xaxes=True, vertical_spacing=0.04)
     joints = joint_of(problem)
     for name, residuals in (("before", findings.before), ("after", findings.after)):
@@ -124,17 +136,35 @@ def _over_time(findings: Findings) -> go.Figure:
                 clock = recording.segment.time[:: problem.band.step][problem.rows[index][:, joint]]
                 gap = np.flatnonzero(np.diff(clock) > 3 * problem.band.period * problem.band.step) + 1
                 errors = residuals[index][joints[index] == joint] * problem.sigma[joint]
+                clock, errors, gap = _thinned(clock, errors, gap, -(-problem.count // n // MOST_POINTS))
                 time += [np.insert(clock, gap, np.nan), [np.nan]]
                 value += [np.insert(errors, gap, np.nan), [np.nan]]
-            trace = go.Scattergl(
+            trace = go.Scatter(
                 x=np.round(np.concatenate(time), 3), y=np.round(np.concatenate(value), 4), name=name,
                 line={"width": 1, "color": COLOURS[name]}, legendgroup=name, showlegend=joint == 0,
             )  # fmt: skip
             figure.add_trace(trace, row=joint + 1, col=1)
-            figure.update_yaxes(title_text=f"joint {joint + 1}, N m", row=joint + 1, col=1)
+            figure.update_yaxes(title_text=f"joint {joint + 1}, {unit}", row=joint + 1, col=1)
     figure.update_xaxes(title_text="time on the log's clock, s", row=n, col=1)
     figure.update_layout(height=190 * n + 60, legend={"orientation": "h", "y": 1.06})
     return figure
+
+
+def _thinned(
+    clock: np.ndarray, errors: np.ndarray, gap: np.ndarray, step: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The largest of every `step` errors between two breaks, so that peaks stay; breaks before the rows `gap`."""
+    kept = (
+        [
+            block[np.argmax(np.abs(errors[block]))]
+            for part in np.split(np.arange(len(clock)), gap)
+            for block in np.array_split(part, -(-len(part) // step))
+            if len(block)
+        ]
+        if len(clock)
+        else []
+    )
+    return clock[kept], errors[kept], np.searchsorted(kept, gap)
 
 
 def _budget(document: Diagnosis) -> go.Figure:
@@ -153,7 +183,8 @@ def _budget(document: Diagnosis) -> go.Figure:
             marker_color=fixed.get(part) or next(spare),
         )
     figure.update_layout(barmode="stack", height=110 + 55 * len(joints), legend={"orientation": "h", "y": 1.25})
-    figure.update_xaxes(title_text="mean square of the gap, (N m)²")
+    figure.update_xaxes(title_text=f"mean square of the gap, ({document.gap.unit})²")
+    figure.update_yaxes(autorange="reversed")
     return figure
 
 
@@ -163,7 +194,13 @@ def _regimes(document: Diagnosis) -> go.Figure | None:
         return None
     labels = [f"joint {joint}: {regime['regime']}" for joint, regime in entries][::-1]
     figure = go.Figure()
-    figure.add_bar(y=labels, x=[100 * r["share"] for _, r in entries][::-1], orientation="h", name="of the gap")
+    figure.add_bar(
+        y=labels,
+        x=[100 * r["share"] for _, r in entries][::-1],
+        orientation="h",
+        name="of the gap",
+        marker_color=COLOURS["after"],
+    )
     figure.add_bar(
         y=labels, x=[100 * r["of_time"] for _, r in entries][::-1], orientation="h", name="of the time",
         marker_color=COLOURS["noise"],
@@ -197,11 +234,17 @@ def _maps(findings: Findings) -> go.Figure:
                 continue
             x, y, z = _mean_map(rows.theta[mine], rows.speed[mine], residual[mine] * findings.problem.sigma[joint])
             figure.add_trace(go.Heatmap(x=x, y=y, z=z, coloraxis="coloraxis"), row=line + 1, col=joint + 1)
-    figure.update_xaxes(title_text="angle, rad", row=2)
-    figure.update_yaxes(title_text="speed, rad/s", col=1)
+    figure.update_xaxes(title_text=f"position, {in_units_of(findings.robot, 'rad')}", row=2)
+    figure.update_yaxes(title_text=f"speed, {in_units_of(findings.robot, 'rad/s')}", col=1)
     limit = float(np.quantile(np.abs(np.concatenate(findings.before)), 0.97) * findings.problem.sigma.max())
     figure.update_layout(
-        height=520, coloraxis={"colorscale": "RdBu", "cmin": -limit, "cmax": limit, "colorbar": {"title": "N m"}}
+        height=520,
+        coloraxis={
+            "colorscale": "RdBu",
+            "cmin": -limit,
+            "cmax": limit,
+            "colorbar": {"title": in_units_of(findings.robot, "N m")},
+        },
     )
     return figure
 
@@ -256,7 +299,7 @@ def _spectrum(findings: Findings) -> go.Figure:
         figure.add_hline(y=float(np.sqrt(level)), line_dash="dot", line_color="#59636e", row=1, col=joint + 1)  # pyright: ignore[reportArgumentType]
     figure.update_xaxes(type="log", title_text="Hz")
     figure.update_yaxes(type="log")
-    figure.update_yaxes(title_text="N m / √Hz", col=1)
+    figure.update_yaxes(title_text=f"{in_units_of(findings.robot, 'N m')} / √Hz", col=1)
     figure.update_layout(height=340, legend={"orientation": "h", "y": 1.2})
     return figure
 

@@ -13,42 +13,48 @@ VERDICTS = {
     "unexplained": "There is structure in the gap, and no effect in the catalogue explains it.",
 }  # fmt: skip
 MOST_TOLD = 6  # events
+LEAST_CONCENTRATED = 0.2  # of the gap in one regime
 
 
-def sentences(document: Diagnosis) -> list[str]:
+def paragraphs(document: Diagnosis) -> list[list[str]]:
     """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next."""
     open_ = [reason for reason in document.cannot_tell if "cannot be told apart" in reason.lower()]
     unasked = document.verdict == "unexplained" and not document.effects and bool(open_)
-    lines = open_ if unasked else [VERDICTS[document.verdict]]
-    gap = document.gap
-    unit = gap.unit
+    verdict = open_ if unasked else [VERDICTS[document.verdict]]
+    effects = [_effect(effect) for effect in document.effects]
+    if document.effects:
+        left_out = "runs" if len(document.traces) > 2 else "stretches"
+        gap = Shrunk.model_validate(document.gap.model_dump(include=set(Shrunk.model_fields)))
+        effects.append(
+            f"On {left_out} used neither to fit nor to choose, the gap goes {_goes(gap, document.gap.unit)}."
+        )
+    tests = [line for test in document.tests for line in _unseen(test, document.gap.unit)]
+    remaining = _remaining(document) if document.verdict in ("unexplained", "partly_explained") else []
+    settles = dict.fromkeys(e.settles for e in document.effects if e.confusable_with or e.probability < 0.9)
+    advice = [reason for reason in document.cannot_tell if reason not in verdict]
+    advice += [f"To be sure, record {settle}." for settle in settles]
+    groups = [verdict, _joints(document), effects, tests, remaining, advice + document.notes]
+    return [group for group in groups if group]
+
+
+def sentences(document: Diagnosis) -> list[str]:
+    """The paragraphs' lines."""
+    return [line for group in paragraphs(document) for line in group]
+
+
+def _joints(document: Diagnosis) -> list[str]:
+    gap, lines = document.gap, []
     for entry in document.where["joints"]:
         joint = entry["joint"]
         before, floor = gap.before_nm[joint - 1], gap.noise_floor_nm[joint - 1]
         if not entry["rows"] or not floor:
             lines.append(f"Joint {joint} hardly moves: nothing is said about it.")
             continue
-        line = f"Joint {joint}: {before:.3g} {unit} between model and robot, {before / floor:.1f} times the noise."
+        line = f"Joint {joint}: {before:.3g} {gap.unit} between model and robot, {before / floor:.1f} times the noise."
         if before > 1.15 * floor and entry["before"]:
             line += " " + _concentrated(entry["before"][0])
         lines.append(line)
-    for effect in document.effects:
-        lines.append(_effect(effect))
-    if document.effects:
-        low, high = (100 * value for value in gap.shrink_ci95)
-        left_out = "runs" if len(document.traces) > 2 else "stretches"
-        lines.append(
-            f"On {left_out} used neither to fit nor to choose, the gap shrinks from {_rms(gap.before_nm):.3g} to "
-            f"{_rms(gap.after_nm):.3g} {unit}, by {100 * gap.shrink:.0f} % [{low:.0f}, {high:.0f}]."
-        )
-    for test in document.tests:
-        lines += _unseen(test, unit)
-    if document.verdict in ("unexplained", "partly_explained"):
-        lines += _remaining(document)
-    lines += [reason for reason in document.cannot_tell if reason not in lines]
-    settles = dict.fromkeys(e.settles for e in document.effects if e.confusable_with or e.probability < 0.9)
-    lines += [f"To be sure, record {settle}." for settle in settles]
-    return lines + document.notes
+    return lines
 
 
 def _rms(values: list[float]) -> float:
@@ -56,6 +62,8 @@ def _rms(values: list[float]) -> float:
 
 
 def _concentrated(regime: dict) -> str:
+    if regime["share"] < LEAST_CONCENTRATED:
+        return "It is spread over all of the motion."
     return f"{100 * regime['share']:.0f} % of it: {regime['regime']} ({100 * regime['of_time']:.0f} % of the time)."
 
 
@@ -72,9 +80,13 @@ def _effect(effect: NamedEffect) -> str:
 
 
 def _value(estimate: Estimate) -> str:
+    """Value and half its interval to the same decimal, which is the first or second that the interval touches."""
     half = (estimate.ci95[1] - estimate.ci95[0]) / 2
     unit = f" {estimate.unit}" if estimate.unit else ""
-    return f"{estimate.value:.3g} ± {half:.1g}{unit}" if half > 0 else f"{estimate.value:.3g}{unit}"
+    if half <= 0:
+        return f"{estimate.value:.3g}{unit}"
+    decimals = max(0, 1 - math.floor(math.log10(half)) - (half / 10 ** math.floor(math.log10(half)) >= 2))
+    return f"{estimate.value:.{decimals}f} ± {half:.{decimals}f}{unit}"
 
 
 def _unseen(test: Unseen, unit: str) -> list[str]:

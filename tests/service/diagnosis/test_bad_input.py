@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -118,3 +119,37 @@ def test_a_baseline_of_another_robot_is_one_line(write: Write, tmp_path: Path) -
     assert result.exit_code == 1
     assert isinstance(result.exception, DeltatwinError)
     assert str(result.exception) == "baseline bench: its mass is not that of robot bench"
+
+
+def test_an_effect_of_ones_own_is_found(write: Write, diagnosed, tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(
+        "from dataclasses import dataclass\n"
+        "import numpy as np\n"
+        "from service.diagnosis.effects.base import Amplitude, Effect\n"
+        "@dataclass(frozen=True)\n"
+        "class EndStop(Effect):\n"
+        "    stiffness: Amplitude = Amplitude('N m/rad', 'of a rubber stop from 0.5 rad on')\n"
+        "    name = 'rubber_stop'\n"
+        "    settles = 'a slow sweep to the end'\n"
+        "    def regressors(self, scene, joint, shape):\n"
+        "        return np.maximum(scene.segment.theta[:, [joint]] - 0.5, 0.0)\n"
+    )
+    logs = []
+    for seed in range(2):
+        path = tmp_path / write(f"run_{seed}", swing(seed), seed=seed)
+        header, *rows = path.read_text().splitlines()
+        names = header.split(",")
+        table = np.array([line.split(",") for line in rows], float)
+        angle, torque = names.index("position_2_rad"), names.index("torque_2_nm")
+        table[:, torque] += 20.0 * np.maximum(table[:, angle] - 0.5, 0.0)
+        np.savetxt(path, table, fmt="%.17g", delimiter=",", header=header, comments="")
+        logs.append(str(path))
+    found, text = diagnosed(*logs, effects=own)
+    (effect,) = found["effects"]
+    assert (effect["name"], effect["joints"]) == ("rubber_stop", [2])
+    assert effect["parameters"]["stiffness"]["value"] == pytest.approx(20.0, rel=0.05)
+    assert effect["parameters"]["stiffness"]["unit"] == "N m/rad"
+    assert "rubber stop in joint 2" in text
+    without, _ = diagnosed(*logs)
+    assert "rubber_stop" not in [other["name"] for other in without["effects"]]
