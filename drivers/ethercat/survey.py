@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.ethercat.capture import Capture, FrameFlag, Frames
 from drivers.ethercat.cia402 import DriveState, drive_state
-from drivers.ethercat.frames import AL_STATUS, FMMU, AlState, Command, Kind, decode
+from drivers.ethercat.frames import AL_STATUS, FMMU, AlState, Command, DatagramFlag, Kind, decode
 from drivers.ethercat.process_data import GAP_PERIODS, lost_cycles, mapped_objects
 from drivers.ethercat.trace import CaptureReader
 from schemas.errors import TraceError
@@ -103,7 +103,8 @@ class Survey:
             for direction in (0, 1):
                 of = same & (back == bool(direction))
                 entry.times[direction].append(frames.time[rows["frame"][of]])
-            counters, counts = np.unique(rows["working_counter"][same & back], return_counts=True)
+            whole = rows["flags"] & DatagramFlag.CUT == 0  # of the others it was not captured
+            counters, counts = np.unique(rows["working_counter"][same & back & whole], return_counts=True)
             for counter, count in zip(counters.tolist(), counts.tolist(), strict=True):
                 entry.counters[counter] = entry.counters.get(counter, 0) + count
 

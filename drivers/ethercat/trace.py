@@ -92,6 +92,8 @@ class CaptureReader:
     def _why_nothing(self) -> str:
         capture, kinds = self.capture, self._kinds
         damage = "".join(f"; {text}" for text in capture.findings)
+        if snapped := int(self._flags[_bit(FrameFlag.SNAPPED)]):
+            damage += f"; {snapped} frames are snapped, so not whole: capture again without a snap length"
         if capture.frames == 0:
             return f"no frames{damage}"
         if self._flags[_bit(FrameFlag.FOREIGN)] == capture.frames:
@@ -152,9 +154,12 @@ def convert_capture(
         RobotError: the robot description does not say how to read its bus.
     """
     reader = CaptureReader(path, robot)
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise TraceError(f"{path}: {error.strerror}") from error
 
     def blocks() -> Iterator[np.ndarray]:
-        size = path.stat().st_size
         for samples, _ in reader.blocks():
             progress(reader.capture.bytes_read, size)
             yield samples

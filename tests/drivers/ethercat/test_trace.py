@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from drivers.ethercat.cia402 import scales
 from drivers.ethercat.survey import survey_capture
-from drivers.ethercat.trace import read_capture
+from drivers.ethercat.trace import convert_capture, read_capture
 from drivers.trace import read_trace
 from schemas.errors import TraceError
 from schemas.messages import SampleFlag
@@ -205,6 +205,24 @@ def test_a_truncated_capture_gives_what_it_holds_and_says_so(tmp_path: Path) -> 
 
     assert len(trace) == 99
     assert any("cut short" in finding.message for finding in trace.findings)
+
+
+def test_a_snapped_capture_says_so_and_its_working_counters_are_not_judged(tmp_path: Path) -> None:
+    packets = [(k * 1_000_000, passes([Drive()] * 3, index=k)[1]) for k in range(100)]
+    path = pcap(tmp_path / "a.pcap", packets, snap=60)
+    with pytest.raises(
+        TraceError, match=r"; 100 frames are snapped, so not whole: capture again without a snap length$"
+    ):
+        read_capture(path, robot())
+    figures = survey_capture(path)
+
+    assert (figures["snapped_frames"], figures["cut_frames"]) == (100, 100)
+    assert (figures["cyclic"][0]["working_counter"], figures["cyclic"][0]["unanswered"]) == (None, 0)
+
+
+def test_a_capture_that_is_not_there_is_named_and_not_the_target(tmp_path: Path) -> None:
+    with pytest.raises(TraceError, match=r"^.*nowhere\.pcap: No such file or directory$"):
+        convert_capture(tmp_path / "nowhere.pcap", robot(), tmp_path / "a.mcap", lambda done, size: None)
 
 
 def test_faults_of_the_bus_are_counted_and_flagged(tmp_path: Path) -> None:
