@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from service.diagnosis.blindtest import confusion
-from service.diagnosis.report import STYLE
+from service.diagnosis.report import CONFIG, PRINT, STYLE
 
 BOUNDS = {
     "right_first": ("right effect first (single, findable)", "≥ 0.90"),
@@ -30,7 +30,7 @@ LIFTS = ((0.0, 1.1), (1.1, 1.5), (1.5, 2.5), (2.5, 5.0), (5.0, float("inf")))
 def write_page(rows: list[dict[str, Any]], summary: dict[str, Any], commitment: str, path: Path) -> None:
     """Write the page."""
     table = "".join(
-        f"<tr><td>{escape(label)}</td><td class=n>{summary[key]}</td><td class=n>{bound}</td></tr>"
+        f"<tr><td>{escape(label)}</td><td class=n>{_shown(summary[key])}</td><td class=n>{bound}</td></tr>"
         for key, (label, bound) in BOUNDS.items()
     )
     figures = [("Confusion", _confusion(rows)), ("Detection against lift", _detection(rows)), ("Shrink", _claims(rows))]
@@ -40,14 +40,19 @@ def write_page(rows: list[dict[str, Any]], summary: dict[str, Any], commitment: 
         f"<table><tr><th>figure</th><th class=n>measured</th><th class=n>bound</th></tr>{table}</table>"
     )
     for title, figure in figures:
-        figure.update_layout(template="plotly_white", font_size=11)
-        body += f"<h2>{title}</h2><div class=plot>{figure.to_html(full_html=False, include_plotlyjs=False)}</div>"
+        figure.update_layout(template="plotly_white", font_size=11, margin={"t": 30, "r": 20})
+        html = figure.to_html(full_html=False, include_plotlyjs=False, config=CONFIG)
+        body += f"<h2>{title}</h2><div class=plot>{html}</div>"
     body += f"<h2>Cases</h2><table>{''.join(map(_case, rows))}</table>"
     page = (
         f"<!doctype html><html lang=en><head><meta charset=utf-8><title>Blind test</title><style>{STYLE}</style>"
-        f"<script>{get_plotlyjs()}</script></head><body>{body}</body></html>"
+        f"<script>{get_plotlyjs()}</script></head><body>{body}<script>{PRINT}</script></body></html>"
     )
     path.write_text(page, encoding="utf-8")
+
+
+def _shown(value: float | None) -> str:
+    return "no such case" if value is None else str(value)
 
 
 def _case(row: dict[str, Any]) -> str:
