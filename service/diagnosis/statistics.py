@@ -66,7 +66,8 @@ def nested(selection: Selection, split: Split, rows: int) -> list[np.ndarray]:
     """Residuals on data left out of fitting *and* of selection.
 
     For each fold the search is walked again among the hypotheses that were fitted, weighing them by folds that are
-    neither this one nor in training, and the fold is predicted by the one chosen without it.
+    neither this one nor in training, and the fold is predicted by the one chosen without it: where the walk ends, or
+    the model chosen on all data if the other folds prefer that.
     """
     result = [residual.copy() for residual in selection.none.residuals]
     for fold in range(split.folds):
@@ -84,6 +85,9 @@ def nested(selection: Selection, split: Split, rows: int) -> list[np.ndarray]:
             chosen = selection.after(best)
             if best is not taken:
                 break
+        whole, walked = (_inner(scored, split, fold) for scored in (selection.best, chosen))
+        if z_score(walked, whole) > TOLD_APART:  # another order of steps leads there too
+            chosen = selection.best
         for mine, theirs, f in zip(result, chosen.residuals, split.fold, strict=True):
             mine[f == fold] = theirs[f == fold]
     return result
