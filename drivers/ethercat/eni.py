@@ -53,8 +53,9 @@ class CyclicCommand:
 
 @dataclass(frozen=True)
 class Network:
-    """What an ENI says: slaves by station address, and the cyclic logical commands."""
+    """What the ENI at `path` says: slaves by station address, and the cyclic logical commands."""
 
+    path: Path
     slaves: dict[int, SlaveObjects]
     commands: tuple[CyclicCommand, ...]
 
@@ -81,7 +82,19 @@ def read_eni(path: Path) -> Network:
         command for cmd in root.iterfind("Config/Cyclic/Frame/Cmd") if (command := _command(path, cmd)) is not None
     )
     slaves = [_slave(path, slave, commands) for slave in root.iterfind("Config/Slave")]
-    return Network({slave.station: slave for slave in slaves}, commands)
+    return Network(path, {slave.station: slave for slave in slaves}, commands)
+
+
+def slave_objects(network: Network, station: int | None, key: str) -> SlaveObjects:
+    """What an ENI maps for one station; `key` names the declaration of the station in the error.
+
+    Raises:
+        RobotError: the file has no such slave.
+    """
+    if station not in network.slaves:
+        known = ", ".join(map(str, network.slaves)) or "none"
+        raise RobotError(f"{key}: {station} is no slave of {network.path} (stations in decimal: {known})")
+    return network.slaves[station]
 
 
 def _number(path: Path, element: Element, tag: str) -> int | None:

@@ -110,7 +110,7 @@ class Master:
         Raises:
             RobotError: the robot description does not say what the drives map or how they count.
         """
-        pdos = joint_pdos(robot.drive)
+        pdos = joint_pdos(robot)
         self.scale = _side_by_side(cia402.scales(robot.drive))
         self._axes = [_Axis(rx, tx) for rx, tx in pdos]
         self._interface, self._robot = interface, robot.name

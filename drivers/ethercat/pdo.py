@@ -6,8 +6,9 @@ import struct
 from collections.abc import Sequence
 
 from drivers.ethercat.cia402 import OBJECTS, parse_object
+from drivers.ethercat.eni import MappedObject, read_eni, slave_objects
 from schemas.errors import RobotError
-from schemas.robot import Drive
+from schemas.robot import Robot
 
 DIGITAL_OUTPUTS = 0x60FE
 GRIPPER = 1 << 16  # the first of 0x60FE's bits that CiA 402 leaves to the maker
@@ -62,21 +63,30 @@ class Pdo:
         return self._struct.unpack(data)
 
 
-def joint_pdos(drive: Drive) -> list[tuple[Pdo, Pdo]]:
-    """(outputs, inputs) of each joint's drive.
+def joint_pdos(robot: Robot) -> list[tuple[Pdo, Pdo]]:
+    """(outputs, inputs) of each joint's drive, as the robot description declares them or the ENI file it names.
 
     Raises:
         RobotError: the robot description maps no process data, or something unknown.
     """
+    drive = robot.drive
     if not drive.joint:
         raise RobotError("drive.joint: missing key: a master has to know what its drives map")
     pairs = []
     for number, joint in enumerate(drive.joint):
         key = f"drive.joint.{number}"
-        if not joint.outputs or not joint.inputs:
+        outputs, inputs = joint.outputs, joint.inputs
+        if drive.eni and not outputs and not inputs:
+            slave = slave_objects(read_eni(robot.folder / drive.eni), joint.station, f"{key}.station")
+            outputs, inputs = (list(map(_declaration, objects)) for objects in (slave.outputs, slave.inputs))
+        if not outputs or not inputs:
             raise RobotError(f"{key}.outputs, {key}.inputs: missing key: a master has to know what its drives map")
-        pairs.append((Pdo(joint.outputs, f"{key}.outputs"), Pdo(joint.inputs, f"{key}.inputs")))
+        pairs.append((Pdo(outputs, f"{key}.outputs"), Pdo(inputs, f"{key}.inputs")))
     return pairs
+
+
+def _declaration(mapped: MappedObject) -> str:
+    return f"0x{mapped.index:04X}:{mapped.bits}" if mapped.index else f":{mapped.bits}"
 
 
 def _entry(text: str, key: str) -> tuple[int, int]:

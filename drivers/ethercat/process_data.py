@@ -32,7 +32,7 @@ from numba import njit
 from drivers.ethercat import cia402
 from drivers.ethercat.capture import FrameFlag, Frames
 from drivers.ethercat.cia402 import DriveState, Mode, scales
-from drivers.ethercat.eni import MappedObject, Network, read_eni
+from drivers.ethercat.eni import MappedObject, Network, read_eni, slave_objects
 from drivers.ethercat.frames import DC_SYSTEM_TIME, Command, Kind, find_datagrams, u16, u32
 from schemas.errors import RobotError
 from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag
@@ -172,7 +172,7 @@ def make_layout(robot: Robot) -> Layout:
     inputs = np.full((3, len(INPUTS)), NOT_MAPPED, np.int64)
     outputs = np.full((3, len(OUTPUTS)), NOT_MAPPED, np.int64)
     for joint, drive in enumerate(robot.drive.joint):
-        mapped_inputs, mapped_outputs = _mapped(drive, joint, network, robot.drive.eni)
+        mapped_inputs, mapped_outputs = _mapped(drive, joint, network)
         for row, known, mapped in ((inputs[joint], INPUTS, mapped_inputs), (outputs[joint], OUTPUTS, mapped_outputs)):
             for mapped_object in mapped:
                 if mapped_object.index in known:
@@ -211,7 +211,7 @@ def mapped_objects(layout: Layout) -> list[dict[str, int | str]]:
 
 
 def _mapped(
-    drive: JointDrive, joint: int, network: Network | None, eni: str | None
+    drive: JointDrive, joint: int, network: Network | None
 ) -> tuple[tuple[MappedObject, ...], tuple[MappedObject, ...]]:
     if drive.inputs_address is not None:
         return (
@@ -222,12 +222,7 @@ def _mapped(
         raise RobotError(
             f"drive.joint.{joint}.inputs: missing key: say what the drive maps, or name an ENI file in drive.eni"
         )
-    if drive.station not in network.slaves:
-        known = ", ".join(map(str, network.slaves)) or "none"
-        raise RobotError(
-            f"drive.joint.{joint}.station: {drive.station} is no slave of {eni} (stations in decimal: {known})"
-        )
-    slave = network.slaves[drive.station]
+    slave = slave_objects(network, drive.station, f"drive.joint.{joint}.station")
     return slave.inputs, slave.outputs
 
 

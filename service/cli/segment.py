@@ -46,9 +46,8 @@ def command(
     terminate_as_interrupt()
     description = load_robot(robot)
     actual = load_truth(truth, description) if truth else PlantTruth.nominal(description)
-    drive = description.drive
     plant = Plant(description, actual, period=1 / rate, seed=seed)
-    segment = Segment(joint_pdos(drive), scales(drive), plant)
+    segment = Segment(joint_pdos(description), scales(description.drive), plant)
     segment.switches.product = product
     threading.Thread(target=_listen, args=(segment.switches,), daemon=True).start()
     go_realtime("segment")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.ethercat.pdo import joint_pdos
 from drivers.ethercat.process_data import make_layout
 from schemas.errors import RobotError
 from schemas.robot import Robot
@@ -58,6 +59,15 @@ def test_an_eni_gives_the_layout_that_the_declaration_gives(tmp_path: Path) -> N
     np.testing.assert_array_equal(found.outputs, declared.outputs)
     assert found.counters.tolist() == [[12, 4096, 9]]
     assert not found.shared
+
+
+def test_a_master_maps_by_the_eni_what_it_maps_by_the_declaration(tmp_path: Path) -> None:
+    def entries_of(description: Robot) -> list[tuple]:
+        return [(rx.entries, tx.entries) for rx, tx in joint_pdos(description)]
+
+    assert entries_of(with_eni(tmp_path, ENI)) == entries_of(robot())
+    with pytest.raises(RobotError, match=r"drive\.joint\.0\.station: 4097 is no slave of .*machine\.xml"):
+        joint_pdos(with_eni(tmp_path, "<EtherCATConfig><Config/></EtherCATConfig>"))
 
 
 def test_a_declared_mapping_wins_over_the_eni(tmp_path: Path) -> None:

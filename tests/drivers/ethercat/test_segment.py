@@ -34,7 +34,7 @@ class Bench:
     def __init__(self, folder: Path) -> None:
         robot = rig.robot(folder)
         self.scales = cia402.scales(robot.drive)
-        self.pdos = joint_pdos(robot.drive)
+        self.pdos = joint_pdos(robot)
         self.plant = Plant(robot, period=PERIOD)
         self.segment = Segment(self.pdos, self.scales, self.plant)
         self.outputs = [rx.blank() for rx, _ in self.pdos]
@@ -133,7 +133,7 @@ def test_every_frame_of_the_rigs_master_counts_as_it_did_on_the_rig(shared: Path
     inputs = ("0x6041", "0x6064", "0x606C", "0x6077", "0x6061")
     robot = rig.robot(tmp_path, outputs=("0x6040", "0x607A", "0x6071", "0x6060"), inputs=inputs)
     plant = Plant(robot, period=250e-6)
-    segment = Segment(joint_pdos(robot.drive), cia402.scales(robot.drive), plant)
+    segment = Segment(joint_pdos(robot), cia402.scales(robot.drive), plant)
     (frames,) = Capture(shared / "captures" / "own_three_drives_4khz.pcap").blocks()
     packets = [frames.data[at : at + size].tobytes() for at, size in zip(frames.offset, frames.length, strict=True)]
     compared = 0
