@@ -290,7 +290,8 @@ def confusion(rows: list[dict[str, Any]]) -> tuple[list[str], list[str], np.ndar
     label = [r["truth"][0] if r["truth"] else "none" for r in single]
     outside = {r["truth"][0] for r in single if r["kind"] == "unknown"}
     truth = sorted(set(label) - outside - {"none"}) + sorted(outside) + ["none"]
-    answer_ = sorted({r["first"] for r in single} | (set(truth) - outside))
+    named = {r["first"] for r in single} | (set(truth) - outside)
+    answer_ = sorted(named, key=lambda name: (name in ("unknown", "none"), name))
     table = np.zeros((len(truth), len(answer_)), int)
     for row, name in zip(single, label, strict=True):
         if name in truth:
