@@ -77,6 +77,7 @@ class HealthFlag(enum.IntFlag):
     STALE_INPUT = 4  # nothing came in for a second
     BUS_FAULT = 8  # working counter, lost cycles or drive state
     DUPLICATE_SOURCE = 16  # two senders on one key
+    WRONG_DECLARATION = 32  # drives contradict the robot description
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,20 @@ Three things a Delta robot's data can contradict:
 
 from __future__ import annotations
 
+import os
+import threading
+
 import numpy as np
 
 from drivers.ethercat.cia402 import VELOCITY_ACTUAL, Scale, scales
 from drivers.ethercat.process_data import INPUTS
-from schemas.messages import SampleFlag, stamp_ns
+from schemas.messages import SAMPLE, SampleFlag, stamp_ns
 from schemas.robot import Robot
 
 ENOUGH = 500  # consecutive sound samples before anything is judged
 AT_MOST = 200_000  # samples kept
+WINDOW = 5_000  # samples by which a live stream is judged
+TRAVEL = 0.2  # rad of every joint in it
 SMOOTHED_S = 0.03  # width of the local cubic that derives speed and acceleration
 MOVING_RADPS = 0.02  # below, quantisation decides
 SPEED_TOLERANCE = 0.05  # of the speed's scale
@@ -67,6 +72,45 @@ class Declaration:
             found += _judge_speed(name, scale, speed[:, joint], velocity[:, joint])
             found += _judge_torque(name, joint, position, speed, acceleration, samples["torque"][:, joint])
         return found
+
+
+class FirstMotion:
+    """Judges a live stream once, by its first window in which every joint travels, beside the bus, not in its way."""
+
+    def __init__(self, robot: Robot) -> None:
+        import scipy.signal  # noqa: F401 - loaded before the bus is looked at, not while it runs
+
+        self._robot = robot
+        self._samples = SAMPLE.empty(WINDOW)
+        self._raw = np.zeros((WINDOW, 3, len(INPUTS)), np.int64)
+        self._count = 0
+        self._judging: threading.Thread | None = None
+        self._found: list[str] = []
+
+    def add(self, sample: np.ndarray, raw: np.ndarray) -> None:
+        """(1,) record of SAMPLE and its (1, 3, 5) inputs in drive units."""
+        if self._count < WINDOW:
+            self._samples[self._count], self._raw[self._count] = sample[0], raw[0]
+            self._count += 1
+
+    def news(self, ended: bool = False) -> list[str]:
+        """What contradicts the declaration, told once; to be asked in a pause. ended: waits for the judgement."""
+        if self._count == WINDOW and self._judging is None:
+            if (np.ptp(self._samples["position"], axis=0) < TRAVEL).any():
+                self._count = 0
+            else:
+                self._judging = threading.Thread(target=self._judge, daemon=True)
+                self._judging.start()
+        if ended and self._judging is not None:
+            self._judging.join()
+        found, self._found = self._found, []
+        return found
+
+    def _judge(self) -> None:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # of this thread, whatever the bus's has
+        declaration = Declaration(self._robot)
+        declaration.add(self._samples, self._raw)
+        self._found = declaration.findings()
 
 
 def _longest_run(sound: np.ndarray) -> slice:

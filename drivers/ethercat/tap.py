@@ -19,6 +19,7 @@ import numpy as np
 
 from drivers.ethercat.capture import Capture
 from drivers.ethercat.cia402 import DriveState, drive_state
+from drivers.ethercat.declaration import FirstMotion
 from drivers.ethercat.process_data import COUNT, INPUTS, NOT_MAPPED, Assembler, assemble, columns_of, make_layout
 from drivers.health import Health
 from schemas.errors import BusError
@@ -211,6 +212,7 @@ class Tap:
         self._raw = np.zeros((1, 3, len(INPUTS)), np.int64)
         self._states = np.full(3, DriveState.UNKNOWN, np.uint16)
         self._told = _Told(self.assembler)
+        self._declaration = FirstMotion(robot)
         self._assemble()  # a frame of no bytes: the kernel is compiled before the bus is looked at
 
     def _assemble(self) -> int:
@@ -241,6 +243,7 @@ class Tap:
                 if self._assemble():
                     put(self._record.tobytes())
                     health.time_one(self._source.age(got[1]))
+                    self._declaration.add(self._record, self._raw)
                     faulty = flags[0] & _FAULT != 0
                     if counts[COUNT.samples] == count:
                         break
@@ -250,10 +253,13 @@ class Tap:
             if now >= health.due_ns or (faulty != self._told.faulty and now >= self._told.at_ns + CHANGE_NS):
                 self._told.faulty = faulty
                 self._tell(health)
-        self._tell(health)
+        self._tell(health, ended=True)
 
-    def _tell(self, health: Health) -> None:
+    def _tell(self, health: Health, ended: bool = False) -> None:
         """Publish the state of the bus, and tell the user what has changed."""
+        for line in self._declaration.news(ended):
+            health.flags |= HealthFlag.WRONG_DECLARATION
+            self._say(line)
         news, told = self.assembler.count, self._told
         fresh = {name: news(name) - told.counts[name] for name in told.counts}
         told.counts = {name: news(name) for name in told.counts}

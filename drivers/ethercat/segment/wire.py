@@ -33,6 +33,7 @@ INPUT_DELAY_CYCLES = 1
 FOLLOWING_ERROR = 0.5  # rad
 SILENCE = 0.02  # s without a frame after which the clock runs on by itself
 REST = 0.5  # s for the arms to come to rest in their brakes
+PAGE = 4096  # samples of the trace kept together
 PRODUCT, REVISION = 0x00DE17A, 1
 
 _READS = frozenset((Command.APRD, Command.APRW, Command.FPRD, Command.FPRW, Command.BRD, Command.BRW))
@@ -139,7 +140,7 @@ class Segment:
         self._operating = False
         self.due = False  # a cyclic frame has passed and the plant has not moved on since
         self._wired = 0
-        self._records = SAMPLE.empty(4096)
+        self._pages: list[np.ndarray] = []  # not one array that grows: copying it would hold the bus up
         self.cycles = 0
         self._position = plant.reading.copy()
         self._velocity = np.zeros(3)
@@ -160,7 +161,7 @@ class Segment:
         """The plant's own account, records of `SAMPLE`, one a cycle, stamped with the distributed clock as the cycle
         began: sensors not rounded to the drives' units; the position the drives were heading through at that instant;
         the torque that the bus added. Cycles that no frame brought carry BUS_FAULT."""
-        return self._records[: self.cycles]
+        return np.concatenate([SAMPLE.empty(0), *self._pages])[: self.cycles]
 
     def exchange(self, frame: bytearray, size: int) -> bool:
         """Pass a frame through the drives in place; False when none comes back.
@@ -280,9 +281,10 @@ class Segment:
             station.report(float(self._position[joint]), float(self._velocity[joint]), float(self._torque[joint]))
 
     def _record(self, flags: int) -> None:
-        if self.cycles == len(self._records):
-            self._records = np.concatenate((self._records, SAMPLE.empty(len(self._records))))
-        record = self._records[self.cycles]
+        page, row = divmod(self.cycles, PAGE)
+        if page == len(self._pages):
+            self._pages.append(SAMPLE.empty(PAGE))
+        record = self._pages[page][row]
         set_stamp(record, self._stations[0].controller.system_time)
         record["sequence"] = self.cycles
         record["position"] = self._position

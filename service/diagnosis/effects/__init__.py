@@ -46,11 +46,14 @@ def catalogue(extra: Path | None = None) -> tuple[Effect, ...]:
     of the Python file `extra`: every dataclass in it that derives from Effect.
 
     Raises:
-        RobotError: the file cannot be run, holds no effect, or a name is taken.
+        RobotError: the file or an entry point cannot be run, the file holds no effect, or a name is taken.
     """
     found = list(CATALOGUE)
     for point in entry_points(group=ENTRY_POINTS):
-        found.append(point.load()())
+        try:
+            found.append(point.load()())
+        except Exception as error:
+            raise RobotError(f"effect {point.name} = {point.value}: {type(error).__name__}: {error}") from error
     if extra is not None:
         found += _from_file(extra)
     names = [effect.name for effect in found]

@@ -11,12 +11,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from drivers.bus import open_bus
 from drivers.ethercat.cia402 import scales
 from drivers.ethercat.survey import survey_capture
+from drivers.ethercat.tap import FileSource, Tap
 from drivers.ethercat.trace import convert_capture, read_capture
+from drivers.health import Health
 from drivers.trace import read_trace
+from replay.clock import wait_until
 from schemas.errors import TraceError
-from schemas.messages import SampleFlag
+from schemas.messages import HealthFlag, Role, SampleFlag
 from schemas.robot import Robot, save_robot
 from schemas.trace import Trace
 from service.cli.main import app
@@ -106,6 +110,22 @@ def test_a_wrong_declaration_that_shows_in_the_data_is_reported(
 
     assert any(all(word in text for word in words) for text in found), found
     assert all(text.startswith(f"joint {joint + 1}:") for text in found)
+
+
+@pytest.mark.parametrize("torque_sign", [1, -1])
+def test_the_tap_reports_a_wrong_declaration_while_the_robot_runs(
+    capture: Path, bus_folder: Path, torque_sign: int
+) -> None:
+    description = changed(RIG, 2, torque_sign=torque_sign)
+    said: list[str] = []
+    tap = Tap(FileSource(capture, wait_until, speed=50.0), description, said.append)
+    with open_bus(description.name, Role.TAP) as bus:
+        health = Health(bus)
+        tap.run(lambda _: None, health)
+    contradicted = [line for line in said if "falls where the joint accelerates" in line]
+
+    assert [line[:7] for line in contradicted] == ([] if torque_sign == 1 else ["joint 3"])
+    assert bool(health.flags & HealthFlag.WRONG_DECLARATION) is (torque_sign == -1)
 
 
 def test_convert_streams_what_reading_whole_gives(capture: Path, tmp_path: Path) -> None:
