@@ -1,6 +1,6 @@
 """Decoding speed and memory of captures, beside dpkt's bare reading of the same file, in turns in one run.
 
-    python tests/bench/bench_capture.py CAPTURE ROBOT [--megabytes 1000] [--rounds 3]
+    python -m tests.bench.bench_capture CAPTURE ROBOT [--megabytes 1000] [--rounds 3]
 
 CAPTURE (pcap) is repeated with rising stamps until the file is that large; each reading runs in a process of its own.
 Example: tests/bench/bench_capture.py ../shared/captures/own_three_drives_4khz.pcap \\

@@ -1,6 +1,6 @@
 """What the estimator inside the cycle costs the cycle: the same loop with and without it, in turns on one wire.
 
-    sudo python tests/bench/bench_master.py [--minutes 10] [--rate 1000] [--turn 30]
+    sudo python -m tests.bench.bench_master [--minutes 10] [--rate 1000] [--turn 30]
 
 What the host does hits both alike, so the figure is the ratio of neighbouring turns. A missed cycle is put down to our
 own work where that took longer than a cycle in processor time; to the frame where that came back later than the cycle

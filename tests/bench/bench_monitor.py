@@ -1,6 +1,6 @@
 """What the monitor loses and costs: a replay, a process that answers every sample on three topics, and the monitor.
 
-    python tests/bench/bench_monitor.py [--seconds 20] [--rates 2000 4000]
+    python -m tests.bench.bench_monitor [--seconds 20] [--rates 2000 4000]
 
 At 2 kHz that is 8 000 messages a second, at 4 kHz 16 000.
 """
@@ -17,7 +17,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from bench_replay import COMMAND, ROBOT
 from mcap.reader import make_reader
 
 from drivers.bus import open_bus
@@ -25,6 +24,7 @@ from drivers.trace import write_trace
 from replay.realtime import go_realtime
 from schemas.messages import HEALTH, TOPICS, Role
 from schemas.trace import Trace
+from tests.bench.bench_replay import COMMAND, ROBOT
 
 ANSWERS = ("feedforward", "payload", "error")
 

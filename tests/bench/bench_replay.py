@@ -1,6 +1,6 @@
 """Replay lateness beside cyclictest's, in turns in one run, and what a subscriber lost.
 
-    python tests/bench/bench_replay.py [--seconds 20] [--rounds 3] [--rates 1000 4000]
+    python -m tests.bench.bench_replay [--seconds 20] [--rounds 3] [--rates 1000 4000]
 
 Both wake at the same rate under SCHED_FIFO 50 with locked memory. Needs root (or the privileges) and `cyclictest`.
 """

@@ -1,6 +1,6 @@
 """Latency of the tap beside a bare AF_PACKET read of the same frames, at the same time, on a veth pair.
 
-    sudo python tests/bench/bench_tap.py [--cycles 40000] [--rates 1000 4000]
+    sudo python -m tests.bench.bench_tap [--cycles 40000] [--rates 1000 4000]
 
 Four processes under SCHED_FIFO: a master that sends every cycle twice (out and back), a reader that only receives, the
 tap, and a subscriber of its samples. Latencies count from the kernel's stamp of the returned frame (CLOCK_REALTIME).

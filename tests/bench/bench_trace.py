@@ -1,4 +1,4 @@
-"""How fast traces load and save; MCAP beside the library alone. `uv run python tests/bench/bench_trace.py [N]`."""
+"""How fast traces load and save; MCAP beside the library alone. `uv run python -m tests.bench.bench_trace [N]`."""
 
 from __future__ import annotations
 
