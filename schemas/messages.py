@@ -38,6 +38,10 @@ class SampleFlag(enum.IntFlag):
     JUMP = 32  # the position moved further in one cycle than the joint can
     BUS_FAULT = 64  # working counter wrong or drive not in operation
     NO_COMMAND = 128  # no command came with the sample
+    COMMAND_OUT_OF_RANGE = 256  # a commanded position outside the joint range or not finite: not followed
+    COMMAND_JUMP = 512  # the command moved further in one cycle than the joint can: not differentiated
+    LIMITED = 1024  # of a feed-forward: the torque or its slope was held at its bound
+    FADING = 2048  # of a feed-forward: no usable motion, the last torque is on its way to zero
 
 
 class FeedforwardSource(enum.IntEnum):
@@ -78,6 +82,19 @@ class HealthFlag(enum.IntFlag):
     BUS_FAULT = 8  # working counter, lost cycles or drive state
     DUPLICATE_SOURCE = 16  # two senders on one key
     WRONG_DECLARATION = 32  # drives contradict the robot description
+    STALE_FEEDFORWARD = 64  # the drives get no fresh feed-forward: it fades to zero or is zero
+    STOPPED = 128  # the last word of this role; `reason` says why
+
+
+class StopReason(enum.IntEnum):
+    """Why a role ended, in its last health message."""
+
+    RUNNING = 0  # it has not
+    DONE = 1  # what it was to do is done
+    INTERRUPTED = 2  # by Ctrl-C or a polite kill
+    BUS_FAULT = 3  # drives, working counter or link
+    DISK_ERROR = 4
+    ERROR = 5  # anything else, as its stderr says
 
 
 @dataclass(frozen=True)

@@ -161,6 +161,19 @@ class Drive(_Section):
         return self
 
 
+class Limits(_Section):
+    """What the joints and the gripper can bear. Joint side, the same for all three joints.
+
+    No feed-forward leaves the estimator or reaches a drive beyond these, whatever comes in.
+    """
+
+    peak_torque_nm: Positive | None = None  # default: twice what the rigid body needs at 10 g with its payload
+    torque_slope_nmps: Positive | None = None  # default: from one peak to the other in 20 ms
+    torque_fade_s: Positive = 0.05  # in which a feed-forward without fresh input goes to zero
+    joint_speed_radps: Positive = 40.0  # a position or command that moved faster is a jump
+    max_payload_kg: Positive = 6.0
+
+
 class Parameter(_Section):
     """One identified number with its standard error in the same unit, and whether the data could tell it."""
 
@@ -227,6 +240,7 @@ class Robot(_Section):
     geometry: Geometry
     mass: Mass
     drive: Drive = Drive()
+    limits: Limits = Limits()
     columns: Columns | None = None
     identified: Identified | None = None
     effect: list[Effect] = []
