@@ -20,6 +20,7 @@ import stat
 import tempfile
 import threading
 import time
+from bisect import bisect_right
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -38,6 +39,7 @@ SOURCES = frozenset({Role.PLAYER, Role.ROBOT, Role.TAP})  # roles that publish `
 
 _SOCKET_PATH_BYTES = 107  # sun_path of Linux, without its closing zero
 _HISTORY = 4096  # sequence numbers below the newest of which it is known whether they came
+_RESTART_JUMP = 1 << 28  # numbers skipped at once; nine hours at 8 kHz are another count, not a loss
 _RESTART_RUN = 16  # consecutive rising numbers below the newest that can only be a source that started over
 
 
@@ -102,10 +104,11 @@ def _first_line(error: Exception) -> str:
 
 
 class SequenceCounter:
-    """Tells from the sequence numbers of one source what was lost, came twice or came late.
+    """Tells from the sequence numbers of one source what was lost, came twice or came late; any uint64 may come.
 
     lost: numbers skipped and not come since. repeated: numbers seen before. out_of_order: numbers below the newest that
-    had been skipped. restarts: times the source began again from a lower number.
+    had been skipped. restarts: times the source began again from another number, a lower or a far higher one. What a
+    message costs does not depend on how many numbers are missing: holes are kept as ranges.
     """
 
     def __init__(self) -> None:
@@ -114,7 +117,8 @@ class SequenceCounter:
         self.repeated = 0
         self.out_of_order = 0
         self.restarts = 0
-        self._missing: set[int] = set()
+        self._begins: list[int] = []  # of the holes among the newest numbers, rising
+        self._ends: list[int] = []  # the first number behind each hole
         self._run_last = -2
         self._run: list[bool] = []  # of the run below the newest: was each one a skipped number
 
@@ -123,12 +127,17 @@ class SequenceCounter:
         step = sequence - self.newest
         if step == 1 or self.newest < 0:
             self.newest = sequence
+        elif step > _RESTART_JUMP:
+            self.restarts += 1
+            self._begin_anew(sequence)
         elif step > 1:
             self.lost += step - 1
-            self._missing.update(range(max(self.newest + 1, sequence - _HISTORY), sequence))
+            self._begins.append(self.newest + 1)
+            self._ends.append(sequence)
             self.newest = sequence
-            if len(self._missing) > 2 * _HISTORY:
-                self._missing = {number for number in self._missing if number > sequence - _HISTORY}
+            if self._ends[0] <= sequence - _HISTORY:
+                old = bisect_right(self._ends, sequence - _HISTORY)
+                del self._begins[:old], self._ends[:old]
         else:
             self._behind(sequence)
 
@@ -141,21 +150,33 @@ class SequenceCounter:
         if first == self.newest + 1 and last == self.newest + count and bool(np.all(np.diff(sequences) == 1)):
             self.newest = last
             return
-        for sequence in sequences:
-            self.update(int(sequence))
+        for sequence in sequences.tolist():
+            self.update(sequence)
 
     def _behind(self, sequence: int) -> None:
-        late = sequence in self._missing
+        late = self._fill(sequence)
         if late:
-            self._missing.discard(sequence)
             self.lost -= 1
             self.out_of_order += 1
         else:
             self.repeated += 1
-        self._run = [*self._run, late] if sequence == self._run_last + 1 else [late]
+        if sequence != self._run_last + 1:
+            self._run.clear()
+        self._run.append(late)
         self._run_last = sequence
         if len(self._run) == _RESTART_RUN:
             self._restart(sequence)
+
+    def _fill(self, sequence: int) -> bool:
+        """Take `sequence` out of the holes; whether it was in one."""
+        hole = bisect_right(self._begins, sequence) - 1
+        if hole < 0 or sequence >= self._ends[hole]:
+            return False
+        begin, end = self._begins[hole], self._ends[hole]
+        sides = [(low, high) for low, high in ((begin, sequence), (sequence + 1, end)) if low < high]
+        self._begins[hole : hole + 1] = [low for low, _ in sides]
+        self._ends[hole : hole + 1] = [high for _, high in sides]
+        return True
 
     def _restart(self, sequence: int) -> None:
         late = sum(self._run)
@@ -163,9 +184,14 @@ class SequenceCounter:
         self.out_of_order -= late
         self.repeated -= len(self._run) - late
         self.restarts += 1
+        self._begin_anew(sequence)
+
+    def _begin_anew(self, sequence: int) -> None:
         self.newest = sequence
-        self._missing.clear()
-        self._run, self._run_last = [], -2
+        self._begins.clear()
+        self._ends.clear()
+        self._run.clear()
+        self._run_last = -2
 
 
 class Ring:
@@ -255,6 +281,7 @@ class Bus:
     def __init__(self, session: zenoh.Session, robot: str, role: Role, lock: int) -> None:
         self.robot = robot
         self.role = role
+        self.duplicate_source = False  # whether more than one role publishes samples
         self._session = session
         self._lock = lock
         self._alive: set[Role] = {role}
@@ -273,16 +300,12 @@ class Bus:
             self._alive.add(role)
         else:
             self._alive.discard(role)
+        self.duplicate_source = len(self._alive & SOURCES) > 1
 
     @property
     def alive(self) -> frozenset[Role]:
         """Roles of this robot that are running, this one among them."""
         return frozenset(self._alive.copy())
-
-    @property
-    def duplicate_source(self) -> bool:
-        """Whether more than one role publishes samples."""
-        return len(self.alive & SOURCES) > 1
 
     def publisher(self, topic: str) -> Publisher:
         """A publisher of one of `schemas.messages.TOPICS`."""

@@ -17,7 +17,7 @@ import numpy as np
 from drivers.health import Health
 from replay.clock import wait_until
 from schemas.errors import TraceError
-from schemas.messages import NANOSECONDS, SAMPLE, stamp_ns
+from schemas.messages import NANOSECONDS, SAMPLE, StopReason, stamp_ns
 from schemas.trace import Trace
 
 LEAD_NS = 20_000_000  # from the call to the first deadline
@@ -114,7 +114,7 @@ def score(
 def play(score: Score, put: Callable[[bytes], object], health: Health | None, show: Callable[[int], object]) -> Played:
     """Send until the score or Ctrl-C ends it.
 
-    put: publishes one message. health: told once a second. show: told how many have been sent, now and then.
+    put: publishes one message. health: told how it goes, and how it ended. show: told how many have been sent, now and then.
     A sample is late when it goes out after the next one was due.
     """
     total = len(score) * score.loops
@@ -131,13 +131,15 @@ def play(score: Score, put: Callable[[bytes], object], health: Health | None, sh
                 show(sent)
             if health is not None:
                 health.time_one(late)
-                if time.monotonic_ns() >= health.due_ns:
+                if health.due:
                     health.publish(published=sent, late=late_count)
     except KeyboardInterrupt:
-        pass
+        ended = StopReason.INTERRUPTED
+    else:
+        ended = StopReason.DONE
     show(sent)
     if health is not None:
-        health.publish(published=sent, late=late_count)
+        health.stop(ended, published=sent, late=late_count)
     order = np.roll(kept, -(sent % len(kept))) if sent > len(kept) else kept[:sent]
     return Played(sent, total or None, late_count, order)
 

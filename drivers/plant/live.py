@@ -19,7 +19,7 @@ from drivers.health import Health
 from drivers.plant.motion import Motion
 from drivers.plant.plant import Plant, Target
 from drivers.plant.simulate import Carrier
-from schemas.messages import NANOSECONDS, REFERENCE, SAMPLE, HealthFlag, set_stamp
+from schemas.messages import NANOSECONDS, REFERENCE, SAMPLE, HealthFlag, StopReason, set_stamp
 from schemas.trace import Trace
 
 STALE_CYCLES = 3
@@ -139,14 +139,16 @@ def run_live(
             )
             lateness.append(late)
             health.time_one(late)
-            if time.monotonic_ns() >= health.due_ns:
+            if health.due:
                 health.publish(published=cycle + 1, received=intake.received, rejected=intake.refused, late=late_count)
             progress(cycle)
             if stop(cycle):
                 break
     except KeyboardInterrupt:
-        pass
-    health.publish(published=len(rows), received=intake.received, rejected=intake.refused, late=late_count)
+        ended = StopReason.INTERRUPTED
+    else:
+        ended = StopReason.DONE
+    health.stop(ended, published=len(rows), received=intake.received, rejected=intake.refused, late=late_count)
     columns = [np.array(column) for column in zip(*rows, strict=True)] if rows else [np.empty((0, 3))] * 6
     position, torque, command, target, feedforward, payload = columns
     trace = Trace(

@@ -56,8 +56,8 @@ def command(
                 typer.echo(
                     f"nobody subscribes to the samples of {description.name} yet; playing all the same", err=True
                 )
-            health = Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
-            played = play(plan, publisher.put, health, show)
+            with Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME) as health:
+                played = play(plan, publisher.put, health, show)
     typer.echo(summary(played, plan.period_ns))
 
 

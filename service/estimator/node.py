@@ -16,6 +16,7 @@ from schemas.robot import Robot
 from service.estimator.estimator import PERIOD_SAMPLES, Estimator, period_of
 
 REPORT_PERIOD = 1e-3  # s, shortest between two payload or error messages; nobody steers by them, and they cost as much
+STALE_NS = 1_000_000_000  # without a sample the input is stale
 POLL = 0.2  # s, how often a silent bus is left to see whether to stop
 PERIOD_CHANGE = 0.1  # relative; a source with another sample rate needs other filters
 _INVALID = SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE | SampleFlag.JUMP
@@ -28,7 +29,7 @@ class Node:
         self._robot = robot
         self._samples, self._references = bus.subscribe("sample"), bus.subscribe("reference", capacity=1024)
         self._put = [bus.publisher(topic).put for topic in ("feedforward", "payload", "error")]
-        self._health, self._flags = Health(bus, flags), flags
+        self.health, self._flags = Health(bus, flags), flags
         self._counter = SequenceCounter()
         self._waiting = self._samples.message.empty(0)  # the first samples, until they tell the period
         self._recent = self._waiting  # the newest ones, which tell whether it is still that
@@ -49,8 +50,10 @@ class Node:
                 self._estimator = self._start()
             if self._estimator is not None:
                 self._answer(self._estimator, samples, arrival)
-        if time.monotonic_ns() >= self._health.due_ns:
-            self._report()
+        silent = time.monotonic_ns() - self._heard_ns > STALE_NS
+        self.health.flags = self._flags | (HealthFlag.STALE_INPUT if silent else HealthFlag(0))
+        if self.health.due:
+            self.report()
 
     def _start(self) -> Estimator | None:
         if len(self._waiting) < PERIOD_SAMPLES:
@@ -73,16 +76,15 @@ class Node:
             for n in range(len(records)):
                 put(records[n : n + 1].tobytes())
             if records is result.feedforward:
-                self._health.time_many(time.monotonic_ns() - arrival)
+                self.health.time_many(time.monotonic_ns() - arrival)
         self._published += sum(map(len, answers))
         self._invalid += int(np.count_nonzero(result.feedforward["flags"] & _INVALID))
 
-    def _report(self) -> None:
+    def report(self) -> None:
+        """Publish health."""
         if self._estimator is not None and len(self._recent) == PERIOD_SAMPLES:
             self._follow_rate(self._estimator.period)
-        silent = time.monotonic_ns() - self._heard_ns > 1_000_000_000
-        self._health.flags = self._flags | (HealthFlag.STALE_INPUT if silent else HealthFlag(0))
-        self._health.publish(
+        self.health.publish(
             received=self._received,
             published=self._published,
             lost=self._counter.lost + self._samples.lost,
@@ -105,5 +107,9 @@ class Node:
 def run(robot: Robot, bus: Bus, flags: HealthFlag, stopped: Callable[[], bool] = lambda: False) -> None:
     """Answer samples until `stopped` or Ctrl-C."""
     node = Node(robot, bus, flags)
-    while not stopped():
-        node.step()
+    with node.health:
+        try:
+            while not stopped():
+                node.step()
+        finally:
+            node.report()

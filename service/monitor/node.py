@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from drivers.bus import Bus
 from drivers.health import Health
-from schemas.messages import TOPICS, HealthFlag
+from schemas.messages import TOPICS, HealthFlag, StopReason
 from service.monitor.tally import Tally
 from service.monitor.writer import WriterThread
 
@@ -26,7 +26,7 @@ class Monitor:
         self.tally = Tally()
         self._writer = writer
         self._flags = flags
-        self._health = Health(bus, flags)
+        self.health = Health(bus, flags)
         # Feed-forward before sample: when the rings are emptied in this order its sample is always known.
         self._rings = {topic: bus.subscribe(topic, DEPTH) for topic in sorted(TOPICS, key=lambda t: t == "sample")}
         self._wall_ns = time.time_ns() - time.monotonic_ns()  # once: log time must not step with the host's clock
@@ -46,28 +46,28 @@ class Monitor:
         if "sample" in taken:
             self._sample_at = int(taken["sample"][1][-1])
         if "feedforward" in taken:
-            self._health.time_many(self.tally.latencies(*taken["feedforward"]))
+            self.health.time_many(self.tally.latencies(*taken["feedforward"]))
         if taken:
             self._writer.put(
                 ({topic: (records, arrival + self._wall_ns) for topic, (records, arrival) in taken.items()}, gaps)
             )
-        if time.monotonic_ns() >= self._health.due_ns:
-            self.publish()
-
-    def publish(self) -> None:
-        """Publish health."""
         stale = time.monotonic_ns() - self._sample_at > STALE_NS
-        self._health.flags = (
+        self.health.flags = (
             self._flags
             | (HealthFlag.DISK_ERROR if self._writer.failed or self._writer.dropped else 0)
             | (HealthFlag.STALE_INPUT if stale else 0)
         )
+        if self.health.due:
+            self.health.publish(**self.counts())
+
+    def counts(self) -> dict[str, int]:
+        """Of the health message."""
         counts = self.tally.count()
-        self._health.publish(
-            received=sum(self.tally.received.values()), published=self._writer.written,
-            lost=counts.lost + self.overflowed + self._writer.dropped, repeated=counts.repeated,
-            out_of_order=counts.out_of_order, rejected=self.rejected, invalid=self.tally.invalid,
-        )  # fmt: skip
+        return {
+            "received": sum(self.tally.received.values()), "published": self._writer.written,
+            "lost": counts.lost + self.overflowed + self._writer.dropped, "repeated": counts.repeated,
+            "out_of_order": counts.out_of_order, "rejected": self.rejected, "invalid": self.tally.invalid,
+        }  # fmt: skip
 
     @property
     def overflowed(self) -> int:
@@ -82,10 +82,11 @@ class Monitor:
 
 def run(monitor: Monitor, stopped: Callable[[], bool], show: Callable[[int], object]) -> None:
     """Step until `stopped`; `show` is told how many messages came."""
-    while not stopped():
-        time.sleep(CYCLE_S)
+    with monitor.health:
+        while not stopped():
+            time.sleep(CYCLE_S)
+            monitor.step()
+            show(sum(monitor.tally.received.values()))
         monitor.step()
-        show(sum(monitor.tally.received.values()))
-    monitor.step()
-    monitor.publish()
-    monitor.step()  # the last word goes on record too
+        monitor.health.stop(StopReason.INTERRUPTED, **monitor.counts())
+        monitor.step()  # the last word goes on record too

@@ -28,9 +28,8 @@ class Tally:
         self.received[topic] += len(records)
         before = self.count(topic).lost
         if topic == "health":
-            for role in np.unique(records["role"]):
-                if ("health", int(role)) in self._counters:
-                    self._counters["health", int(role)].update_many(records["sequence"][records["role"] == role])
+            for role in Role:
+                self._counters["health", int(role)].update_many(records["sequence"][records["role"] == role])
         else:
             self._counters[topic, 0].update_many(records["sequence"])
         if topic == "sample":

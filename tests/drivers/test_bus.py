@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -284,6 +285,33 @@ def counts(sequences: list[int]) -> tuple[int, int, int, int, int]:
 )
 def test_sequence_counter(sequences: list[int], expected: tuple[int, ...]) -> None:
     assert counts(sequences) == expected
+
+
+BIG = 2**64 - 1
+
+
+@pytest.mark.parametrize(
+    ("sequences", "expected"),
+    [
+        ([BIG, *range(1, 40), BIG], (BIG, 0, 0, 0, 2)),  # back by what cannot be a loss, and forth again
+        ([0, 2**63, 2**63 + 1], (2**63 + 1, 0, 0, 0, 1)),
+        ([0, 1, 2**28], (2**28, 2**28 - 2, 0, 0, 0)),
+        ([0, 2**27, 5, 2**27 + 1, 2**27 - 1], (2**27 + 1, 2**27 - 3, 0, 2, 0)),
+    ],
+)
+def test_sequence_counter_takes_any_number(sequences: list[int], expected: tuple[int, ...]) -> None:
+    assert counts(sequences) == expected
+
+
+def test_holes_cost_neither_time_nor_memory() -> None:
+    counter = SequenceCounter()
+    tracemalloc.start()
+    for step in range(200_000):
+        counter.update(step * 2**20)
+    held, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert counter.lost == 199_999 * (2**20 - 1)
+    assert held < 100_000
 
 
 def test_sequence_counter_agrees_with_sets_on_random_traffic() -> None:

@@ -14,7 +14,7 @@ from drivers.health import Health
 from replay.clock import SPIN_NS, wait_until
 from replay.player import Played, Score, play, score
 from schemas.errors import TraceError
-from schemas.messages import HEALTH, SAMPLE, HealthFlag, Role, stamp_ns
+from schemas.messages import HEALTH, SAMPLE, HealthFlag, Role, StopReason, stamp_ns
 from schemas.trace import Trace
 
 
@@ -141,7 +141,7 @@ def test_nothing_is_lost_on_the_bus(bus_folder: Path, rate: float, until: Callab
         until(lambda: bool(taken.append(ring.take()[0]) or sum(map(len, taken)) >= count))
         records = np.concatenate(taken)
         said: list[np.ndarray] = []
-        until(lambda: bool(said.append(told.take()[0]) or np.concatenate(said)["published"].max(initial=0) == count))
+        until(lambda: bool(said.append(told.take()[0]) or np.concatenate(said)["reason"].any()))
         health = np.concatenate(said)
     counter = SequenceCounter()
     counter.update_many(records["sequence"])
@@ -149,6 +149,8 @@ def test_nothing_is_lost_on_the_bus(bus_folder: Path, rate: float, until: Callab
     assert (counter.lost, counter.repeated, counter.out_of_order, ring.lost, ring.rejected) == (0, 0, 0, 0, 0)
     assert np.array_equal(records["position"][: count // 2], made.position)
     assert health.dtype == HEALTH.dtype
-    assert len(health) >= 3  # at the start, after a second, at the end
+    assert len(health) >= 4  # at the start, after each second, at the end
     assert np.all(health["role"] == Role.PLAYER)
-    assert np.all(health["flags"] == HealthFlag.NO_REALTIME)
+    assert np.all(health["flags"][:-1] == HealthFlag.NO_REALTIME)
+    assert health["flags"][-1] == HealthFlag.NO_REALTIME | HealthFlag.STOPPED
+    assert health["reason"].tolist() == [StopReason.RUNNING] * (len(health) - 1) + [StopReason.DONE]
