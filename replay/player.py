@@ -114,7 +114,7 @@ def score(
 def play(score: Score, put: Callable[[bytes], object], health: Health | None, show: Callable[[int], object]) -> Played:
     """Send until the score or Ctrl-C ends it.
 
-    put: publishes one message. health: told how it goes, and how it ended. show: told how many have been sent, now and then.
+    put: publishes one message. health: told how it goes, and why it ended. show: told how many were sent, now and then.
     A sample is late when it goes out after the next one was due.
     """
     total = len(score) * score.loops
