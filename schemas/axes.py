@@ -17,6 +17,7 @@ import tomlkit
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
 from schemas.errors import RobotError
+from schemas.files import write_text
 from schemas.robot import Effect, JointParameter, Positive, Robot, RobotName, load_robot, toml_item
 from schemas.toml import read_toml, validate
 
@@ -118,7 +119,7 @@ def save_axes(axes: Axes, path: Path) -> None:
     """Write a description of axes; a mapping file that it names is named as seen from `path`.
 
     Raises:
-        RobotError: the file cannot be written.
+        StorageError: the file cannot be written.
     """
     document: Any = tomlkit.document()
     values = axes.model_dump(exclude_none=True, exclude_defaults=True)
@@ -126,11 +127,4 @@ def save_axes(axes: Axes, path: Path) -> None:
         values["columns"] = os.path.relpath(str(axes.mapping), path.parent)
     for key, value in values.items():
         document[key] = toml_item(value)
-    partial = path.with_name(path.name + ".part")
-    try:
-        partial.write_text(tomlkit.dumps(document), encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise RobotError(f"{path}: {error.strerror}") from error
-    finally:
-        partial.unlink(missing_ok=True)
+    write_text(path, tomlkit.dumps(document))

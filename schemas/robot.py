@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 
 from schemas.columns import Columns
 from schemas.errors import RobotError
+from schemas.files import make_folder, write_text
 from schemas.keys import check_robot_name
 from schemas.toml import read_toml, validate
 
@@ -292,7 +293,7 @@ def save_robot(robot: Robot, path: str | Path, template: str | Path | None = Non
     """Write `robot` as TOML; with `template`, keep that file's comments, order and layout and change only what differs.
 
     Raises:
-        RobotError: the template is no robot, or the file cannot be written.
+        RobotError: the template is no robot. StorageError: the file cannot be written.
     """
     document, old = tomlkit.document(), {}
     if template is not None:
@@ -300,15 +301,8 @@ def save_robot(robot: Robot, path: str | Path, template: str | Path | None = Non
         document = tomlkit.parse(robot_file(template).read_text(encoding="utf-8"))
     _update(document, old, robot.model_dump(), robot.model_dump(exclude_none=True, exclude_defaults=True))
     path = Path(path)
-    partial = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(tomlkit.dumps(document), encoding="utf-8")
-        partial.replace(path)  # a reader never sees half a file
-    except OSError as error:
-        raise RobotError(f"{path}: {error.strerror}") from error
-    finally:
-        partial.unlink(missing_ok=True)
+    make_folder(path.parent)
+    write_text(path, tomlkit.dumps(document))
 
 
 def _update(document: Any, old: dict[str, Any], new: dict[str, Any], written: dict[str, Any]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.errors import TraceError
+from schemas.errors import TraceError, printable
 from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag, set_stamp
 
 
@@ -22,6 +22,9 @@ class Finding:
     flag: SampleFlag
     message: str
     rows: np.ndarray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "message", printable(self.message))
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ import numpy as np
 from drivers.ethercat.capture import Capture
 from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES
 from schemas.errors import BusError, StorageError, TraceError
+from schemas.files import make_folder, write_text
 from schemas.messages import PayloadEvent, SampleFlag, stamp_ns
 from schemas.robot import Robot, load_robot
 from service.monitor.readback import read_recording
@@ -61,7 +62,7 @@ def demonstrate(out: Path, rate: float, duration: float, product: float, say: Ca
     _enter_namespace()
     _make_folder(out)
     robot, identified = out / "robot.toml", out / "identified.toml"
-    robot.write_text(description())
+    write_text(robot, description())
     common = ["--rate", str(rate), "--duration", str(duration), "--speed", "0.5", "--seed", "3"]
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="deltatwin-"))
@@ -370,12 +371,9 @@ def _captured(path: Path) -> int:
 
 
 def _make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        if any(out.iterdir()):
-            raise StorageError(f"{out}: is not empty; give another folder with --out")
-    except OSError as error:
-        raise StorageError(f"{out}: {error.strerror}") from error
+    make_folder(out)
+    if any(out.iterdir()):
+        raise StorageError(f"{out}: is not empty; give another folder with --out")
 
 
 def _enter_namespace() -> None:

@@ -12,10 +12,10 @@ from drivers.ethercat.capture import Capture, FrameFlag, Frames
 from drivers.ethercat.declaration import Declaration
 from drivers.ethercat.frames import Command, Kind, decode
 from drivers.ethercat.process_data import Assembler, make_layout
-from drivers.trace import whole
 from drivers.trace.mcap_file import to_trace, write_samples
 from drivers.trace.quality import Rows, check
 from schemas.errors import TraceError
+from schemas.files import whole
 from schemas.messages import SampleFlag
 from schemas.robot import Robot
 from schemas.trace import Finding, Trace
@@ -150,7 +150,7 @@ def convert_capture(
     """Stream a capture into an MCAP file; (samples, findings). `progress` takes bytes read and the file's size.
 
     Raises:
-        TraceError: see `read_capture`; the target cannot be written.
+        TraceError: see `read_capture`. StorageError: the target cannot be written.
         RobotError: the robot description does not say how to read its bus.
     """
     reader = CaptureReader(path, robot)

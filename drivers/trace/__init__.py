@@ -18,13 +18,13 @@ with stamps of their own are brought to those of the first position column; that
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 from schemas.axes import Axes, Description, no_axes
 from schemas.columns import Columns, load_columns
 from schemas.errors import TraceError
+from schemas.files import whole
 from schemas.trace import Trace
 
 MAPPINGS = Path(__file__).parent / "mappings"
@@ -99,7 +99,7 @@ def write_trace(
     robot: name in the topic of an MCAP. show: called now and then with how many samples are written.
 
     Raises:
-        TraceError: the file cannot be written, or the format cannot hold the trace.
+        StorageError: the file cannot be written. TraceError: the format cannot hold the trace.
     """
     path = Path(path)
     with whole(path) as partial:
@@ -113,20 +113,3 @@ def write_trace(
             write_csv(trace, partial)
         else:
             raise TraceError(f"{path}: unknown kind of trace, its name should end in .csv, .csv.gz or .mcap")
-
-
-@contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """A file to write to that becomes `path` once it is complete.
-
-    Raises:
-        TraceError: it cannot be written.
-    """
-    partial = path.with_name(f".part-{path.name}")
-    try:
-        yield partial
-        partial.replace(path)
-    except OSError as error:
-        raise TraceError(f"{path}: {error.strerror}") from error
-    finally:
-        partial.unlink(missing_ok=True)

@@ -45,14 +45,14 @@ def command(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
     from rich.table import Table
 
-    from drivers.trace import whole
     from schemas.errors import StorageError
+    from schemas.files import make_folder, write_text
     from service.diagnosis import blindtest
     from service.diagnosis.blindpage import BOUNDS, write_page
 
     if (out / "results.json").exists():
         raise StorageError(f"{out}: holds a finished blind test")
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     console = Console()
     bars = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*bars, console=console) as progress:
@@ -69,8 +69,7 @@ def command(
     judged = blindtest.judged(rows, blindtest.unseal(out))
     figures = blindtest.summary(judged)
     write_page(judged, figures, commitment, out / "blindtest.html")
-    with whole(out / "results.json") as partial:
-        partial.write_text(json.dumps({"summary": figures, "rows": judged}, indent=1), encoding="utf-8")
+    write_text(out / "results.json", json.dumps({"summary": figures, "rows": judged}, indent=1))
     table = Table("figure", "measured", "bound", title=f"{figures['cases']} cases, {figures['failed']} failed")
     for key, (label, bound) in BOUNDS.items():
         table.add_row(label, str(figures[key]), bound)

@@ -41,6 +41,7 @@ def command(
     from drivers.plant.motion import Planner
     from replay.realtime import go_realtime
     from schemas.errors import RobotError
+    from schemas.files import make_folder, write_text
     from schemas.robot import load_robot
     from service.cli.signals import terminate_as_interrupt
     from service.cli.simulate import make_plant
@@ -54,7 +55,7 @@ def command(
     terminate_as_interrupt()
     description = load_robot(robot)
     period = 1.0 / rate
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     planner = Planner(description, period)
     console = Console(stderr=True)
     runs: list[Tracking] = []
@@ -114,7 +115,7 @@ def command(
         }
         for run in runs
     ]
-    (out / "closed_loop.json").write_text(json.dumps(figures, indent=1), encoding="utf-8")
+    write_text(out / "closed_loop.json", json.dumps(figures, indent=1))
     typer.echo(f"wrote {out / 'closed_loop.html'}, .pdf, .json and PNG pictures")
 
 

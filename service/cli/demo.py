@@ -39,7 +39,7 @@ def command(
 
     from drivers.bus import open_bus
     from replay.demo import LOG, ROBOT
-    from schemas.errors import StorageError
+    from schemas.files import make_folder
     from schemas.messages import Role
     from schemas.robot import load_robot
     from service.cli.signals import terminate_as_interrupt
@@ -50,11 +50,8 @@ def command(
     console = Console()
     robot = load_robot(ROBOT)
     recording, page = out / "demo.mcap", out / "demo.html"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        recording.unlink(missing_ok=True)  # of an earlier run
-    except OSError as error:
-        raise StorageError(f"{out}: {error.strerror}") from error
+    make_folder(out)
+    recording.unlink(missing_ok=True)  # of an earlier run
     roles: dict[str, subprocess.Popen] = {}
     with open_bus(robot.name, Role.OBSERVER) as bus:
         try:

@@ -38,6 +38,7 @@ def command(
     from rich.console import Console
 
     from schemas.axes import Axes, load_description, save_axes
+    from schemas.files import make_folder, write_text
     from schemas.robot import save_robot
     from service.cli.reading import reading
     from service.diagnosis.diagnose import diagnose
@@ -47,6 +48,7 @@ def command(
     from service.diagnosis.text import paragraphs
 
     console = Console()
+    make_folder(out)
     known = catalogue(effects)
     description = load_description(robot)
     reference = load_description(baseline) if baseline else None
@@ -56,10 +58,7 @@ def command(
         findings = diagnose(description, recorded, known, status.update, reference)
         status.update("writing the report")
         result = document(findings, tests)
-        out.mkdir(parents=True, exist_ok=True)
-        partial = out / "diagnosis.json.part"
-        partial.write_text(result.model_dump_json(indent=1, by_alias=True), encoding="utf-8")
-        partial.replace(out / "diagnosis.json")
+        write_text(out / "diagnosis.json", result.model_dump_json(indent=1, by_alias=True))
         fixed = corrected(findings)
         if isinstance(fixed, Axes):
             save_axes(fixed, out / "corrected.toml")

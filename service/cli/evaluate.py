@@ -77,21 +77,15 @@ def _csv_name(path: Path) -> str:
 def _write(result: Evaluation, path: Path, unit: str) -> None:
     import polars as pl
 
-    from schemas.errors import TraceError
+    from schemas.files import make_folder, whole
 
     fullest = list(result.torque.values())[-1]
     ending = unit.replace(" ", "").lower()
     columns = {"time_s": result.trace.time}
     columns |= {f"torque_model_{j + 1}_{ending}": values for j, values in enumerate(fullest.T)}
-    partial = path.with_name(f".part-{path.name}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
+    with whole(path) as partial:
         pl.DataFrame(columns).write_csv(partial)
-        partial.replace(path)  # a reader never sees half a file
-    except OSError as error:
-        raise TraceError(f"{path}: {error.strerror}") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _pooled(results: list[Evaluation], which: str = "errors") -> dict[str, Moments]:

@@ -36,11 +36,13 @@ def command(
     from drivers.plant.plant import Plant
     from drivers.plant.truth import TRUTHS, load_truth
     from drivers.trace import write_trace
+    from schemas.files import make_folder
     from schemas.robot import load_robot, save_robot
     from service.experiment.logs import excitations, record
     from service.experiment.paper import comparison, page, run
     from service.experiment.pictures import Figure, write_page, write_pictures
 
+    make_folder(out)
     robot = load_robot("d3-1200")
     path = TRUTHS / "d3-1200-paper.toml"
     truth = load_truth(path, robot)

@@ -36,6 +36,7 @@ def command(
     """
     from rich.console import Console
 
+    from schemas.files import make_folder
     from schemas.robot import load_robot, save_robot
     from service.cli.reading import reading
     from service.identification.identify import identify
@@ -43,6 +44,7 @@ def command(
     from service.model.parameters import pack
 
     console = Console()
+    make_folder(out.parent)
     description = load_robot(robot)
     model = pack(description)
     trajectories = [summarise(model, trace) for trace in reading(traces, description, columns, "reading")]

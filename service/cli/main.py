@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import os
 import pkgutil
 import sys
+from typing import NoReturn
 
 import typer
 
 import service.cli
-from schemas.errors import DeltatwinError
+from schemas.errors import DeltatwinError, printable
 
 app = typer.Typer(
     name="deltatwin",
@@ -28,12 +30,25 @@ for _found in pkgutil.iter_modules(service.cli.__path__):
 def main() -> None:
     """Run a subcommand; a known error is one line on stderr and exit code 1, wrong usage 2, Ctrl-C 130."""
     try:
-        app()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()  # here, where a full disk or a closed pipe behind it can still be told
     except DeltatwinError as error:
-        print(f"deltatwin: {error}", file=sys.stderr)
-        sys.exit(1)
+        _end(str(error))
+    except OSError as error:
+        if sys.stdout.fileno() == 1:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left in the buffer goes nowhere
+        _end(printable(f"{error.filename or 'output'}: {error.strerror or error}"))
+    except MemoryError:
+        _end("out of memory; a shorter log, or a machine with more")
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _end(said: str) -> NoReturn:
+    print(f"deltatwin: {said}", file=sys.stderr)
+    sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ def command(
     """Record samples, feed-forward, payload, errors and health to an MCAP file until Ctrl-C.
 
     Says once a second on the bus how many messages came, were lost or came twice, and how long a feed-forward took. If
-    the disk fails it says so and goes on watching.
+    the disk fails later it says so and goes on watching.
 
     Example: deltatwin monitor --robot d3.toml --output run.mcap
     """
@@ -30,6 +30,7 @@ def command(
     from drivers.bus import open_bus
     from replay.realtime import PRIORITY, go_realtime
     from schemas.errors import StorageError
+    from schemas.files import check_folder
     from schemas.messages import HealthFlag, Role
     from schemas.robot import load_robot
     from service.cli.progress import counting
@@ -41,6 +42,7 @@ def command(
     path = output or Path(f"{name}-{datetime.datetime.now(datetime.UTC):%Y%m%dT%H%M%SZ}.mcap")
     if path.exists():
         raise StorageError(f"{path}: exists already; give another name with --output")
+    check_folder(path.parent)  # before anything runs: a monitor that cannot record has nothing to do
     stopped = stop_requested()
     with counting(f"monitor {name}", 0) as show:
         realtime = go_realtime("monitor", PRIORITY - 10)  # below those whose work it watches

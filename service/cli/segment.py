@@ -40,10 +40,13 @@ def command(
     from drivers.trace import write_trace
     from drivers.trace.mcap_file import to_trace
     from replay.realtime import go_realtime
+    from schemas.files import check_folder
     from schemas.robot import load_robot
     from service.cli.signals import terminate_as_interrupt
 
     terminate_as_interrupt()
+    if trace:
+        check_folder(trace.parent)
     description = load_robot(robot)
     actual = load_truth(truth, description) if truth else PlantTruth.nominal(description)
     plant = Plant(description, actual, period=1 / rate, seed=seed)

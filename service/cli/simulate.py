@@ -71,12 +71,16 @@ def command(
 
     from drivers.plant.motion import Limits, Planner
     from schemas.errors import DataError
+    from schemas.files import check_folder
     from schemas.robot import load_robot
 
     if out is None and not live:
         raise typer.BadParameter("say where to write the trace (--out), or run --live", param_hint="--out")
     if payload and motion is not MotionKind.PICK:
         raise typer.BadParameter(f"only `pick` carries a payload, not `{motion.value}`", param_hint="--payload")
+    for path in (out, picks):
+        if path is not None:
+            check_folder(path.parent)
     description = load_robot(robot)
     plant, which = make_plant(description, truth, 1.0 / rate, seed)
     planner = Planner(description, plant.period)
@@ -144,13 +148,10 @@ def _offline(robot: Robot, plant: Plant, motion: Motion, out: Path) -> None:
 
 
 def _write_picks(motion: Motion, path: Path) -> None:
-    from schemas.errors import StorageError
+    from schemas.files import write_text
 
     lines = [f"{load.pick:.6f},{load.release:.6f},{load.mass:.6f}\n" for load in motion.payloads]
-    try:
-        path.write_text("from_s,until_s,mass_kg\n" + "".join(lines), encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"{path}: {error.strerror}") from error
+    write_text(path, "from_s,until_s,mass_kg\n" + "".join(lines))
 
 
 def _live(robot: Robot, plant: Plant, motion: Motion, loops: int, out: Path | None, zenoh_config: Path | None) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
+from schemas.files import write_text
 from service.diagnosis.blindtest import confusion
 from service.diagnosis.report import CONFIG, PRINT, STYLE
 
@@ -48,7 +49,7 @@ def write_page(rows: list[dict[str, Any]], summary: dict[str, Any], commitment: 
         f"<!doctype html><html lang=en><head><meta charset=utf-8><title>Blind test</title><style>{STYLE}</style>"
         f"<script>{get_plotlyjs()}</script></head><body>{body}<script>{PRINT}</script></body></html>"
     )
-    path.write_text(page, encoding="utf-8")
+    write_text(path, page)
 
 
 def _shown(value: float | None) -> str:

@@ -22,8 +22,8 @@ from typing import Any
 import joblib
 import numpy as np
 
-from drivers.trace import whole
 from schemas.errors import DataError
+from schemas.files import make_folder, write_text
 from schemas.robot import load_robot
 
 SHARES = {"null": 0.12, "pair": 0.12, "unknown": 0.18}  # of the cases; the rest has one catalogue effect
@@ -72,8 +72,7 @@ def make(out: Path, cases: int, seed: int, jobs: int) -> None:
             keys.append(key)
         print("made", flush=True)
     text = json.dumps({"nonce": secrets.token_hex(16), "cases": keys}, default=_plain)
-    with whole(out / "sealed_key.json") as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_text(out / "sealed_key.json", text)
 
 
 def _plain(value: Any) -> Any:
@@ -106,8 +105,7 @@ def maker() -> None:
 def seal(out: Path) -> str:
     """SHA-256 of the key file, also written to `out`/commitment.txt."""
     digest = hashlib.sha256((out / "sealed_key.json").read_bytes()).hexdigest()
-    with whole(out / "commitment.txt") as partial:
-        partial.write_text(f"sha256 {digest}  sealed_key.json\n", encoding="utf-8")
+    write_text(out / "commitment.txt", f"sha256 {digest}  sealed_key.json\n")
     return digest
 
 
@@ -204,15 +202,14 @@ def answers(out: Path, done: Callable[[], None]) -> list[dict[str, Any]]:
     Each answer is kept in `out`/answers as it comes; a run that was interrupted goes on where it stopped.
     """
     kept = out / "answers"
-    kept.mkdir(exist_ok=True)
+    make_folder(kept)
     folders = sorted((out / "cases").glob("case_*"))
     open_ = [folder for folder in folders if not (kept / f"{folder.name}.json").exists()]
     for _ in range(len(folders) - len(open_)):
         done()
     for found in joblib.Parallel(return_as="generator_unordered")(joblib.delayed(_safe)(f) for f in open_):
         assert found is not None
-        with whole(kept / f"{found['case']}.json") as partial:
-            partial.write_text(json.dumps(found, indent=1), encoding="utf-8")
+        write_text(kept / f"{found['case']}.json", json.dumps(found, indent=1))
         done()
     return [json.loads((kept / f"{folder.name}.json").read_text(encoding="utf-8")) for folder in folders]
 

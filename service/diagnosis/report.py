@@ -12,6 +12,7 @@ from plotly.subplots import make_subplots
 from scipy.signal import welch
 
 from schemas.diagnosis import Diagnosis
+from schemas.files import write_text
 from service.diagnosis.description import in_units_of
 from service.diagnosis.diagnose import Findings
 from service.diagnosis.hypothesis import Hypothesis, predict
@@ -76,9 +77,7 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
         f"<title>Gap diagnosis of {escape(document.robot)}</title><style>{STYLE}</style>"
         f"<script>{get_plotlyjs()}</script></head><body>{''.join(body)}<script>{PRINT}</script></body></html>"
     )
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(page, encoding="utf-8")
-    partial.replace(path)
+    write_text(path, page)
 
 
 def _row(cells: list[str], tag: str = "td") -> str:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from schemas.errors import StorageError
+from schemas.files import make_folder, whole, write_text
 
 # Okabe and Ito's palette: told apart in print and by colour-blind eyes.
 COLOURS = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -95,7 +95,8 @@ def write_page(page: Page, path: Path) -> None:
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(page.title)}</title>'
         f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>{''.join(body)}</body></html>"
     )
-    _store(path, text)
+    make_folder(path.parent)
+    write_text(path, text)
 
 
 def write_pictures(figures: Sequence[Figure], folder: Path, document: str) -> None:
@@ -106,23 +107,13 @@ def write_pictures(figures: Sequence[Figure], folder: Path, document: str) -> No
     """
     from matplotlib.backends.backend_pdf import PdfPages
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with PdfPages(folder / f"{document}.pdf") as pages:
-            for figure in figures:
-                drawn = _printed(figure)
-                drawn.savefig(folder / f"{figure.name}.png", dpi=150)
-                pages.savefig(drawn)
-    except OSError as error:
-        raise StorageError(f"{folder}: {error.strerror}") from error
-
-
-def _store(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"{path}: {error.strerror}") from error
+    make_folder(folder)
+    with whole(folder / f"{document}.pdf") as paper, PdfPages(paper) as pages:
+        for figure in figures:
+            drawn = _printed(figure)
+            with whole(folder / f"{figure.name}.png") as partial:
+                drawn.savefig(partial, dpi=150)
+            pages.savefig(drawn)
 
 
 def _table(table: Table) -> str:

@@ -12,6 +12,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from schemas.errors import StorageError
+from schemas.files import whole
 
 
 @dataclass(frozen=True)
@@ -34,18 +35,12 @@ def recover(source: Path, stream: IO[bytes], target: Path) -> Recovered:
     """
     if target.exists():
         raise StorageError(f"{target}: exists already; give another name")
-    partial = target.with_name(f".part-{target.name}")
-    try:
+    with whole(target) as partial:
         with partial.open("wb") as out:
             copy = _Copy(Writer(out))
             copy.all(source, stream)
         if not copy.counts:
             raise StorageError(f"{source}: not one whole message in it")
-        partial.replace(target)
-    except OSError as error:
-        raise StorageError(f"{error.filename or target}: {error.strerror}") from error
-    finally:
-        partial.unlink(missing_ok=True)
     return Recovered(dict(copy.counts), (copy.last_ns - copy.first_ns) * 1e-9, copy.bad_chunks, copy.whole)
 
 

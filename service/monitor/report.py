@@ -8,6 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from schemas.files import whole
 from schemas.messages import stamp_ns
 from service.monitor.readback import Recorded
 
@@ -66,5 +67,10 @@ def picture(recorded: dict[str, Recorded], title: str) -> go.Figure:
 
 
 def write_page(figure: go.Figure, path: Path) -> None:
-    """`figure` as one HTML file that needs nothing else."""
-    figure.write_html(path, include_plotlyjs=True)
+    """`figure` as one HTML file that needs nothing else.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    with whole(path) as partial:
+        figure.write_html(partial, include_plotlyjs=True)

@@ -23,11 +23,16 @@ class WriterThread:
     """Writes batches to `path` until `close`. When the disk refuses it says so once, and goes on without recording."""
 
     def __init__(self, path: Path, robot: str) -> None:
+        """Raises StorageError: the file exists, cannot be made, or the disk refuses from the start."""
         self.failed = False
         self.dropped = 0  # messages that could not wait any longer
-        self._robot = robot
-        self._path = path
-        self._recording: Recording | None = None
+        self._recording = Recording(path, robot)
+        try:
+            self._recording.flush()
+        except StorageError:
+            self._recording.abandon()
+            path.unlink(missing_ok=True)
+            raise
         self._queue: queue.Queue[Batch | None] = queue.Queue(QUEUED)
         self._thread = threading.Thread(target=self._run, name="writer")
         self._thread.start()
@@ -35,7 +40,7 @@ class WriterThread:
     @property
     def written(self) -> int:
         """Messages handed to the file."""
-        return self._recording.written if self._recording else 0
+        return self._recording.written
 
     def put(self, batch: Batch) -> None:
         """Queue a batch; never waits."""
@@ -51,19 +56,16 @@ class WriterThread:
 
     def _run(self) -> None:
         try:
-            self._recording = Recording(self._path, self._robot)
             self._record(self._recording)
         except StorageError as error:
             self.failed = True
             print(f"deltatwin: {error}", file=sys.stderr, flush=True)
-            if self._recording:
-                self._recording.abandon()
+            self._recording.abandon()
             while self._queue.get() is not None:  # the bus goes on
                 pass
 
     def _record(self, recording: Recording) -> None:
         flush_at = time.monotonic() + FLUSH_S
-        recording.flush()
         while True:
             try:
                 batch = self._queue.get(timeout=max(0.0, flush_at - time.monotonic()))

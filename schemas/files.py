@@ -1,0 +1,114 @@
+"""Files on disk: read within limits, written whole. Every reader and writer of a file goes through here.
+
+Limits are there for files that are not what they claim to be; each stands far above the largest honest one, and its
+error names file and limit.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+from schemas.errors import DeltatwinError, StorageError
+
+MIB = 1 << 20
+MAX_LOG_BYTES = 8 << 30  # of samples, unpacked: an hour at 8 kHz is 5 GB as our CSV, 5.7 GB as messages
+MAX_EXPANSION = 100  # times its size that a packed log may unpack to: measured ones give 3 to 20, bombs 1000
+FREE_EXPANSION_BYTES = 64 * MIB  # that any may unpack to: a small log of a robot at rest packs well
+
+
+def opened(path: Path, error: type[DeltatwinError]) -> IO[bytes]:
+    """`path` opened to be read.
+
+    Raises:
+        error: there is no such file, it cannot be read, or it is a device or pipe, which have no end.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode) and not path.is_dir():  # before it is opened: a pipe would wait
+            raise error(f"{path}: not a file")
+        return path.open("rb")
+    except (OSError, ValueError) as cause:  # ValueError: a zero byte in the name
+        raise error(f"{path}: {getattr(cause, 'strerror', cause)}") from cause
+
+
+def read_bytes(path: Path, limit: int, error: type[DeltatwinError]) -> bytes:
+    """The whole of a file.
+
+    Raises:
+        error: it cannot be read, or has more than `limit` bytes.
+    """
+    with opened(path, error) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        if size > limit:
+            raise error(f"{path}: {size} bytes, at most {limit} are read")
+        try:
+            return stream.read(limit)
+        except OSError as cause:
+            raise error(f"{path}: {cause.strerror}") from cause
+
+
+def most_unpacked(packed: int) -> int:
+    """Bytes that `packed` bytes of a compressed log may unpack to before they are taken for a bomb."""
+    return min(MAX_LOG_BYTES, max(FREE_EXPANSION_BYTES, MAX_EXPANSION * packed))
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A file to write to that becomes `path` once it is complete and on disk; before, and on any error, `path` is as
+    it was. A link stays one.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    target = Path(os.path.realpath(path))
+    partial = target.with_name(f".part-{target.name}")
+    try:
+        if target.exists() and not target.is_file():
+            raise StorageError(f"{path}: exists and is not a file")
+        yield partial
+        with partial.open("rb") as written:
+            os.fsync(written.fileno())
+        partial.replace(target)
+    except OSError as error:
+        raise StorageError(f"{path}: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):  # a read-only disk refuses this even where there is nothing
+            partial.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole text file.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    with whole(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder for what is written later, so that a long computation is not lost.
+
+    Raises:
+        StorageError: it cannot be made, or nothing can be written in it.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{path}: {error.strerror}") from error
+    check_folder(path)
+
+
+def check_folder(path: Path) -> None:
+    """
+    Raises:
+        StorageError: there is no such folder, or nothing can be written in it.
+    """
+    if not path.is_dir():
+        raise StorageError(f"{path}: no such folder")
+    if not os.access(path, os.W_OK | os.X_OK):
+        raise StorageError(f"{path}: cannot be written")
