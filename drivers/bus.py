@@ -17,6 +17,7 @@ import fcntl
 import json
 import os
 import stat
+import sys
 import tempfile
 import threading
 import time
@@ -28,6 +29,7 @@ from types import TracebackType
 import numpy as np
 import zenoh
 
+from drivers.security.check import check, find_files
 from schemas.errors import BusError
 from schemas.keys import liveliness_key, topic_key
 from schemas.messages import CDR_LITTLE_ENDIAN, TOPICS, Message, Role
@@ -92,7 +94,9 @@ def _own_config(folder: Path, robot: str, role: Role) -> zenoh.Config:
 def _user_config(path: Path) -> zenoh.Config:
     try:
         path.read_bytes()
-        return zenoh.Config.from_file(str(path))
+        config = zenoh.Config.from_file(str(path))
+        find_files(config, path.parent)
+        return config
     except OSError as error:
         raise BusError(f"{path}: {error.strerror}") from error
     except zenoh.ZError as error:
@@ -338,27 +342,43 @@ class Bus:
         self.close()
 
 
-def open_bus(robot: str, role: Role, zenoh_config: Path | None = None) -> Bus:
+def open_bus(robot: str, role: Role, zenoh_config: Path | None = None, insecure: bool = False) -> Bus:
     """Open the session of `role` of `robot`; `zenoh_config` replaces every connection setting.
 
     Raises:
-        BusError: another process holds the role, or the session cannot be opened.
+        BusError: another process holds the role, the session cannot be opened, or `zenoh_config` leaves the host
+            without saying who may speak (and not `insecure`).
         RobotError: the robot name cannot be part of a key.
     """
     token = liveliness_key(robot, role)
     folder = runtime_folder()
-    config = _own_config(folder, robot, role) if zenoh_config is None else _user_config(zenoh_config)
+    if zenoh_config is None:
+        config = _own_config(folder, robot, role)
+    else:
+        config = _user_config(zenoh_config)
+        for note in check(config, zenoh_config, robot, role, insecure):
+            print(note, file=sys.stderr)
     lock = _hold(folder / f"{robot}.{role.name.lower()}.pid", robot, role)
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
         os.close(lock)
         raise BusError(f"robot {robot!r}, {role.name.lower()}: Zenoh does not open: {_first_line(error)}") from error
-    if zenoh_config is not None and any(reply.ok for reply in session.liveliness().get(token, timeout=1.0)):
+    if zenoh_config is not None and _runs_elsewhere(session, token):
         session.close()
         os.close(lock)
         raise BusError(f"robot {robot!r}: another {role.name.lower()} is running elsewhere on its Zenoh network")
     return Bus(session, robot, role, lock)
+
+
+def _runs_elsewhere(session: zenoh.Session, token: str) -> bool:
+    """Whether somebody holds `token`; asks until links have had the time to come up."""
+    give_up = time.monotonic() + LINK_S
+    while not (found := any(reply.ok for reply in session.liveliness().get(token, timeout=1.0))):
+        if time.monotonic() > give_up:
+            break
+        time.sleep(0.02)
+    return found
 
 
 def _hold(path: Path, robot: str, role: Role) -> int:

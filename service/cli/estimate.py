@@ -7,10 +7,13 @@ from typing import Annotated
 
 import typer
 
+from service.cli.network import Insecure, ZenohConfig
+
 
 def command(
     robot: Annotated[Path, typer.Option(help="Robot description (TOML), best one that `identify` wrote.")],
-    zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration instead of local sockets.")] = None,
+    zenoh_config: ZenohConfig = None,
+    insecure: Insecure = False,
 ) -> None:
     """Answer every sample on the bus with feed-forward torque, payload mass and model errors, until Ctrl-C.
 
@@ -38,7 +41,7 @@ def command(
         typer.echo(f"{robot}: the online model does not carry {', '.join(left_out)}", err=True)
     Estimator(description, 1e-3).warm_up()  # before anybody can hear that the role is alive
     realtime = go_realtime("estimate")
-    with open_bus(description.name, Role.ESTIMATOR, zenoh_config) as bus:
+    with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure) as bus:
         typer.echo(f"estimating for {description.name}; Ctrl-C ends it", err=True)
         try:
             run(description, bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)

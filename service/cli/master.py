@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.network import Insecure, ZenohConfig
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -49,7 +51,8 @@ def command(
         float | None, typer.Option(min=0.0, help="Largest torque offset (N m, joint side). Default: rated torque.")
     ] = None,
     max_slope: Annotated[float, typer.Option(min=0.0, help="Its steepest change (N m/s).")] = 5000.0,
-    zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration instead of local sockets.")] = None,
+    zenoh_config: ZenohConfig = None,
+    insecure: Insecure = False,
 ) -> None:
     """Bring three CiA 402 drives into operation, run a pick-and-place and stop them again.
 
@@ -90,7 +93,7 @@ def command(
         realtime = go_realtime("master")
         health: Health | None = None
         if feedforward is Source.BUS:
-            bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config))
+            bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config, insecure))
             torque = OverBus(bus.subscribe("feedforward", 64), period)
             health = Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
         master = stack.enter_context(Master(interface, description, period, wait_until))

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.network import Insecure, ZenohConfig
+
 if TYPE_CHECKING:
     from service.monitor.node import Monitor
 
@@ -16,7 +18,8 @@ def command(
     output: Annotated[
         Path | None, typer.Option(help="File to write. Default: the robot's name and the time, in this folder.")
     ] = None,
-    zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration instead of local sockets.")] = None,
+    zenoh_config: ZenohConfig = None,
+    insecure: Insecure = False,
 ) -> None:
     """Record samples, feed-forward, payload, errors and health to an MCAP file until Ctrl-C.
 
@@ -46,7 +49,7 @@ def command(
     stopped = stop_requested()
     with counting(f"monitor {name}", 0) as show:
         realtime = go_realtime("monitor", PRIORITY - 10)  # below those whose work it watches
-        with open_bus(name, Role.MONITOR, zenoh_config) as bus:
+        with open_bus(name, Role.MONITOR, zenoh_config, insecure) as bus:
             writer = WriterThread(path, name)
             monitor = Monitor(bus, writer, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
             try:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.network import Insecure, ZenohConfig
+
 if TYPE_CHECKING:
     from replay.player import Played
 
@@ -23,7 +25,8 @@ def command(
     start: Annotated[float, typer.Option(min=0.0, help="First sample, after the trace's first (s).")] = 0.0,
     stop: Annotated[float | None, typer.Option(min=0.0, help="Last sample, after the trace's first (s).")] = None,
     wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for subscribers before the start (s).")] = 2.0,
-    zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration instead of local sockets.")] = None,
+    zenoh_config: ZenohConfig = None,
+    insecure: Insecure = False,
 ) -> None:
     """Play a recorded trace over Zenoh at the controller's rate.
 
@@ -50,7 +53,7 @@ def command(
     plan = score(recorded, rate=rate, speed=speed, loops=loop, start=start, stop=stop)
     with counting(f"replay {description.name}", len(plan) * loop) as show:
         realtime = go_realtime("replay")
-        with open_bus(description.name, Role.PLAYER, zenoh_config) as bus:
+        with open_bus(description.name, Role.PLAYER, zenoh_config, insecure) as bus:
             publisher = bus.publisher("sample")
             if not publisher.wait_until_heard(wait):
                 typer.echo(

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.network import Insecure, ZenohConfig
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -56,7 +58,8 @@ def command(
         bool, typer.Option("--live", help="Run in real time on Zenoh, taking feed-forward torque.")
     ] = False,
     loop: Annotated[int, typer.Option(min=0, help="Live: times to run the motion; 0: until Ctrl-C.")] = 0,
-    zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration instead of local sockets.")] = None,
+    zenoh_config: ZenohConfig = None,
+    insecure: Insecure = False,
 ) -> None:
     """Simulate a closed-chain Delta (MuJoCo) with drives, friction, noise and payloads.
 
@@ -90,7 +93,7 @@ def command(
         raise DataError(f"--max-torque {max_torque} N m: the drives give {plant.truth.peak_torque_nm:.6g} N m at most")
     planned = _plan(planner, motion, np.random.default_rng([seed, 1]), duration, tuple(payload or ()), speed)
     if live:
-        _live(description, plant, planner.closed(planned), loop, out, zenoh_config)
+        _live(description, plant, planner.closed(planned), loop, out, zenoh_config, insecure)
     else:
         assert out is not None
         _offline(description, plant, planned, out)
@@ -154,7 +157,15 @@ def _write_picks(motion: Motion, path: Path) -> None:
     write_text(path, "from_s,until_s,mass_kg\n" + "".join(lines))
 
 
-def _live(robot: Robot, plant: Plant, motion: Motion, loops: int, out: Path | None, zenoh_config: Path | None) -> None:
+def _live(
+    robot: Robot,
+    plant: Plant,
+    motion: Motion,
+    loops: int,
+    out: Path | None,
+    zenoh_config: Path | None,
+    insecure: bool,
+) -> None:
     import numpy as np
 
     from drivers.bus import open_bus
@@ -169,7 +180,7 @@ def _live(robot: Robot, plant: Plant, motion: Motion, loops: int, out: Path | No
     terminate_as_interrupt()
     with counting(f"live {robot.name}", len(motion) * loops) as show:
         realtime = go_realtime("simulate")
-        with open_bus(robot.name, Role.ROBOT, zenoh_config) as bus:
+        with open_bus(robot.name, Role.ROBOT, zenoh_config, insecure) as bus:
             run = run_live(plant, motion, bus, wait_until, loops=loops, realtime=realtime, progress=show)
     if not len(run.trace):
         return

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.network import Insecure, ZenohConfig
+
 
 def command(
     interface: Annotated[
@@ -16,7 +18,8 @@ def command(
     count: Annotated[int, typer.Option(min=0, help="Samples to publish; 0: until Ctrl-C.")] = 0,
     speed: Annotated[float, typer.Option(min=1e-3, help="Of a capture: times faster than recorded.")] = 1.0,
     wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for a subscriber before the start (s).")] = 1.0,
-    zenoh_config: Annotated[Path | None, typer.Option(help="Zenoh configuration instead of local sockets.")] = None,
+    zenoh_config: ZenohConfig = None,
+    insecure: Insecure = False,
 ) -> None:
     """Listen to an EtherCAT bus and publish a sample a cycle over Zenoh; never sends a frame.
 
@@ -41,7 +44,7 @@ def command(
     tap = Tap(source, description, lambda line: typer.echo(line, err=True))
     realtime = go_realtime("tap")
     try:
-        with open_bus(description.name, Role.TAP, zenoh_config) as bus:
+        with open_bus(description.name, Role.TAP, zenoh_config, insecure) as bus:
             publisher = bus.publisher("sample")
             publisher.wait_until_heard(wait)
             tap.run(publisher.put, Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME), count)

@@ -1,0 +1,71 @@
+"""`deltatwin keys`: who may speak on the bus across hosts."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from drivers.security.keys import Made
+
+
+class SampleSource(StrEnum):
+    """Roles of which one may write samples."""
+
+    TAP = "tap"
+    PLAYER = "player"
+    ROBOT = "robot"
+
+
+def command(
+    hosts: Annotated[
+        str,
+        typer.Option(help="Hosts the roles may run on: names or addresses, with commas; a first port after a colon."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to write; a CA that is in it is kept and signs the new keys.")],
+    robot: Annotated[
+        str | None, typer.Option(help="Name of the robot, or its description (.toml). Default: keys for every robot.")
+    ] = None,
+    source: Annotated[
+        SampleSource, typer.Option(help="The one role that may write samples: tap, player or simulated robot.")
+    ] = SampleSource.TAP,
+) -> None:
+    """Make keys, certificates and Zenoh configurations: roles on several hosts trust each other and nobody else.
+
+    Writes a folder a host with, for each role, a certificate and a configuration for --zenoh-config: TLS with
+    certificates on both sides, nothing searched for or announced, everything denied but what the role needs. Only the
+    estimator writes feedforward, payload and error; only the source writes samples. Copy a host's folder to that host,
+    keep ca.key where it is. Run it again to renew, to add hosts or to change the source, and copy all folders again.
+
+    Example: deltatwin keys --hosts cell-pc,192.168.4.20 --robot d3.toml --out keys
+    """
+    from drivers.security.keys import make_keys, parse_hosts
+    from schemas.keys import check_robot_name
+    from schemas.messages import Role
+    from schemas.robot import load_robot
+
+    try:
+        parsed = parse_hosts(hosts)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--hosts") from None
+    name = None
+    if robot is not None:
+        name = load_robot(robot).name if robot.endswith(".toml") else check_robot_name(robot)
+    typer.echo(summary(make_keys(out, parsed, name, Role[source.name]), out))
+
+
+def summary(made: Made, out: Path) -> str:
+    """What was written and how long it holds."""
+    folders = ", ".join(str(folder) for folder in made.folders)
+    roles = ", ".join(role.name.lower() for role in made.roles)
+    authority = "new CA" if made.ca_is_new else "CA kept"
+    again = f"; {made.replaced} certificates replaced: copy every folder again" if made.replaced else ""
+    return (
+        f"{folders}: certificates of {roles}, valid until {made.valid_until:%Y-%m-%d}{again}\n"
+        f"{out / 'ca.pem'}: {authority}, valid until {made.ca_valid_until:%Y-%m-%d}; {out / 'ca.key'} stays here\n"
+        f"next: copy each folder to its host, then e.g. deltatwin estimate … --zenoh-config "
+        f"{made.folders[0] / 'estimator.json5'}"
+    )

@@ -1,0 +1,16 @@
+"""The options of every command that goes on the bus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ZenohConfig = Annotated[
+    Path | None,
+    typer.Option(help="Zenoh configuration instead of local sockets; across hosts one that `deltatwin keys` made."),
+]
+Insecure = Annotated[
+    bool, typer.Option("--insecure", help="Take a --zenoh-config with which anybody on the network may speak.")
+]
