@@ -73,7 +73,7 @@ def command(
                 role.wait(20)
     _check(roles, out)
     recorded = read_recording(recording)
-    write_page(picture(recorded, f"{LOG.name} replayed {LOOPS} times: measured against predicted torque"), page)
+    write_page(picture(recorded), f"{LOG.name} replayed {LOOPS} times: measured against predicted torque", page)
     for table in _results(recorded):
         console.print(table)
     console.print((out / "replay.log").read_text().strip().splitlines()[-1])

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import plotly.graph_objects as go
-from plotly.offline import get_plotlyjs
 
-from schemas.files import write_text
+from service import pages
 from service.diagnosis.blindtest import confusion
-from service.diagnosis.report import CONFIG, PRINT, STYLE
 
 BOUNDS = {
     "right_first": ("right effect first (single, findable)", "≥ 0.90"),
@@ -30,41 +27,16 @@ LIFTS = ((0.0, 1.1), (1.1, 1.5), (1.5, 2.5), (2.5, 5.0), (5.0, float("inf")))
 
 def write_page(rows: list[dict[str, Any]], summary: dict[str, Any], commitment: str, path: Path) -> None:
     """Write the page."""
-    table = "".join(
-        f"<tr><td>{escape(label)}</td><td class=n>{_shown(summary[key])}</td><td class=n>{bound}</td></tr>"
-        for key, (label, bound) in BOUNDS.items()
-    )
-    figures = [("Confusion", _confusion(rows)), ("Detection against lift", _detection(rows)), ("Shrink", _claims(rows))]
-    body = (
-        f"<h1>Blind test of the diagnosis</h1><p class=muted>{summary['cases']} cases, {summary['failed']} failed · "
-        f"key sealed before the first log was read: {escape(commitment)}</p>"
-        f"<table><tr><th>figure</th><th class=n>measured</th><th class=n>bound</th></tr>{table}</table>"
-    )
-    for title, figure in figures:
+    figures = [(label, _shown(summary[key]), bound) for key, (label, bound) in BOUNDS.items()]
+    plots = {"Confusion": _confusion(rows), "Detection against lift": _detection(rows), "Shrink": _claims(rows)}
+    for figure in plots.values():
         figure.update_layout(template="plotly_white", font_size=11, margin={"t": 30, "r": 20})
-        html = figure.to_html(full_html=False, include_plotlyjs=False, config=CONFIG)
-        body += f"<h2>{title}</h2><div class=plot>{html}</div>"
-    body += f"<h2>Cases</h2><table>{''.join(map(_case, rows))}</table>"
-    page = (
-        f"<!doctype html><html lang=en><head><meta charset=utf-8><title>Blind test</title><style>{STYLE}</style>"
-        f"<script>{get_plotlyjs()}</script></head><body>{body}<script>{PRINT}</script></body></html>"
-    )
-    write_text(path, page)
+    fields = {"rows": rows, "summary": summary, "commitment": commitment, "figures": figures, "plots": plots}
+    pages.write_page("blindtest", path, **fields)
 
 
 def _shown(value: float | None) -> str:
     return "no such case" if value is None else str(value)
-
-
-def _case(row: dict[str, Any]) -> str:
-    if "error" in row:
-        return f"<tr><td>{row['case']}</td><td>{escape(row['error'])}</td></tr>"
-    named = ", ".join(effect["name"] for effect in row["named"]) or "—"
-    cells = [
-        row["case"], "+".join(row["truth"]) or "none", f"lift {row['lift']:.2f}", row["verdict"], named,
-        f"{row['before_nm']:.3f} → {row['after_nm']:.3f} N m", f"claimed {row['claimed']:.2f}, got {row['shrink']:.2f}",
-    ]  # fmt: skip
-    return "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
 
 
 def _confusion(rows: list[dict[str, Any]]) -> go.Figure:

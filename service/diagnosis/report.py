@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 from scipy.signal import welch
 
 from schemas.diagnosis import Diagnosis
-from schemas.files import write_text
 from service.diagnosis.description import in_units_of
 from service.diagnosis.diagnose import Findings
 from service.diagnosis.hypothesis import Hypothesis, predict
@@ -20,108 +17,30 @@ from service.diagnosis.scene import Scene
 from service.diagnosis.statistics import joint_of
 from service.diagnosis.text import paragraphs
 from service.diagnosis.where import Rows
+from service.pages import write_page
 
 COLOURS = {"before": "#b0b7c3", "after": "#1f6feb", "noise": "#d0d7de"}
 EFFECTS = ("#1f6feb", "#2da44e", "#8250df", "#bf8700")
 BINS = 24
 MOST_POINTS = 5000  # a line
-CONFIG = {"responsive": True, "displaylogo": False}
-# plots take the width of the page before it is printed, and that of the window again after
-PRINT = """
-const fit=w=>document.querySelectorAll('.js-plotly-plot').forEach(p=>Plotly.relayout(p,w?{width:w}:{autosize:true}));
-addEventListener('beforeprint',()=>fit(690));addEventListener('afterprint',()=>fit(0));
-"""
-STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;color:#1f2328;max-width:1080px;margin:2rem auto;padding:0 1rem}
-h1{font-size:1.5rem;margin-bottom:.2rem} h2{font-size:1.15rem;margin:2rem 0 .4rem;border-bottom:1px solid #d0d7de}
-table{border-collapse:collapse;width:100%;font-size:.92em} td,th{padding:.25rem .6rem;border-bottom:1px solid #eaeef2;
-text-align:left} td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}
-.verdict{font-size:1.1rem;padding:.7rem 1rem;
-border-left:5px solid #1f6feb;background:#f6f8fa} .muted{color:#59636e;font-size:.9em}
-@media print{body{max-width:none;margin:0;padding:0;font-size:12px} h2{break-after:avoid}
-.plot,table{break-inside:avoid}
-.modebar{display:none!important}}
-@page{size:A4;margin:14mm 12mm}
-"""
 
 
 def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
     """Write the report of a diagnosis."""
-    verdict, *groups = paragraphs(document)
-    plots = [
-        ("Gap over time, before and after", _over_time(findings)),
-        ("What the gap is made of", _budget(document)),
-        ("Where it sits", _regimes(document)),
-        ("Over angle and speed", _maps(findings)),
-        ("Over the workspace", _workspace(findings)),
-        ("Which effect", _ranking(document)),
-        ("Spectrum of what is left", _spectrum(findings)),
-    ]
-    body = [
-        f"<h1>Gap diagnosis of {escape(document.robot)}</h1>",
-        f"<p class=muted>{escape(', '.join(document.traces))} · below {document.gap.band_hz:g} Hz, while joints move "
-        f"({100 * document.where['left_out_at_rest_and_ends']:.0f} % left out at rest and at the ends)</p>",
-        f"<p class=verdict><b>{document.verdict.replace('_', ' ')}</b><br>{escape(' '.join(verdict))}</p>",
-        *(f"<p>{'<br>'.join(escape(line) for line in group)}</p>" for group in groups),
-        _gap_table(document),
-        _effect_table(document),
-    ]
-    for title, figure in plots:
+    verdict, *rest = paragraphs(document)
+    plots = {
+        "Gap over time, before and after": _over_time(findings),
+        "What the gap is made of": _budget(document),
+        "Where it sits": _regimes(document),
+        "Over angle and speed": _maps(findings),
+        "Over the workspace": _workspace(findings),
+        "Which effect": _ranking(document),
+        "Spectrum of what is left": _spectrum(findings),
+    }
+    for figure in plots.values():
         if figure is not None:
             figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 40, "b": 45}, font_size=12)
-            html = figure.to_html(full_html=False, include_plotlyjs=False, config=CONFIG)
-            body.append(f"<h2>{title}</h2><div class=plot>{html}</div>")
-    body.append(_base_table(document))
-    page = (
-        "<!doctype html><html lang=en><head><meta charset=utf-8><meta name=viewport content='width=device-width'>"
-        f"<title>Gap diagnosis of {escape(document.robot)}</title><style>{STYLE}</style>"
-        f"<script>{get_plotlyjs()}</script></head><body>{''.join(body)}<script>{PRINT}</script></body></html>"
-    )
-    write_text(path, page)
-
-
-def _row(cells: list[str], tag: str = "td") -> str:
-    return "<tr>" + "".join(f"<{tag}{' class=n' if i else ''}>{cell}</{tag}>" for i, cell in enumerate(cells)) + "</tr>"
-
-
-def _gap_table(document: Diagnosis) -> str:
-    gap = document.gap
-    head = _row(
-        [f"rms on runs left out, {gap.unit}", "before", "after", "noise", "friction steps between samples"], "th"
-    )
-    columns = (gap.before_nm, gap.after_nm, gap.noise_floor_nm, gap.reversal_nm)
-    rows = ""
-    for joint in range(len(gap.before_nm)):
-        rows += _row([f"joint {joint + 1}", *(f"{column[joint]:.4f}" for column in columns)])
-    low, high = gap.shrink_ci95
-    total = f"<p>Shrink {100 * gap.shrink:.1f} % [{100 * low:.1f}, {100 * high:.1f}] of the whole"
-    if gap.shrink_of_explainable is not None:
-        total += f"; {100 * gap.shrink_of_explainable:.0f} % of the energy that stood above the noise"
-    return f"<h2>How far it shrinks</h2><table>{head}{rows}</table>{total}.</p>"
-
-
-def _effect_table(document: Diagnosis) -> str:
-    if not document.effects:
-        return ""
-    head = _row(["effect", "joints", "parameter", "value", "95 % interval", "unit"], "th")
-    rows = ""
-    for effect in document.effects:
-        for key, estimate in effect.parameters.items():
-            low, high = estimate.ci95
-            place = ", ".join(map(str, effect.joints)) or "robot"
-            cells = [effect.name, place, key, f"{estimate.value:.4g}", f"{low:.4g} … {high:.4g}", estimate.unit]
-            rows += _row([escape(cell) for cell in cells])
-    online = "".join(f"<li>{escape(e.name)}: {escape(e.online)}</li>" for e in document.effects)
-    return f"<h2>Parameters</h2><table>{head}{rows}</table><p>Online model:</p><ul>{online}</ul>"
-
-
-def _base_table(document: Diagnosis) -> str:
-    head = _row(["base model, refitted together", "value", "95 % interval", "unit"], "th")
-    rows = "".join(
-        _row([escape(name), f"{e.value:.5g}", f"{e.ci95[0]:.5g} … {e.ci95[1]:.5g}", escape(e.unit)])
-        for name, e in document.base.items()
-    )
-    return f"<h2>Base model</h2><table>{head}{rows}</table>"
+    write_page("diagnosis", path, document=document, verdict=verdict, paragraphs=rest, plots=plots)
 
 
 def _over_time(findings: Findings) -> go.Figure:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,12 +9,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from schemas.files import make_folder, whole, write_text
+from schemas.files import make_folder, whole
+from service import pages
 
 # Okabe and Ito's palette: told apart in print and by colour-blind eyes.
 COLOURS = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 MOST_POINTS = 4000  # of a line in the HTML page
-PANEL_HEIGHT = 230  # px in the page
+PANEL_HEIGHT = 180  # px in the page
+GAP = 75  # px between two panels, for the upper one's scale and label and the lower one's title
 
 
 @dataclass(frozen=True)
@@ -86,17 +87,7 @@ def write_page(page: Page, path: Path) -> None:
     Raises:
         StorageError: it cannot be written.
     """
-    from plotly.offline import get_plotlyjs
-
-    body = [f"<h1>{html.escape(page.title)}</h1>", *(f"<p>{html.escape(text)}</p>" for text in page.lead)]
-    for part in page.parts:
-        body.append(_table(part) if isinstance(part, Table) else _interactive(part))
-    text = (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{html.escape(page.title)}</title>'
-        f"<style>{_STYLE}</style><script>{get_plotlyjs()}</script></head><body>{''.join(body)}</body></html>"
-    )
-    make_folder(path.parent)
-    write_text(path, text)
+    pages.write_page("findings", path, page=page, draw=_interactive)
 
 
 def write_pictures(figures: Sequence[Figure], folder: Path, document: str) -> None:
@@ -108,28 +99,22 @@ def write_pictures(figures: Sequence[Figure], folder: Path, document: str) -> No
     from matplotlib.backends.backend_pdf import PdfPages
 
     make_folder(folder)
-    with whole(folder / f"{document}.pdf") as paper, PdfPages(paper) as pages:
+    with whole(folder / f"{document}.pdf") as paper, PdfPages(paper) as sheets:
         for figure in figures:
             drawn = _printed(figure)
             with whole(folder / f"{figure.name}.png") as partial:
                 drawn.savefig(partial, dpi=150)
-            pages.savefig(drawn)
+            sheets.savefig(drawn)
 
 
-def _table(table: Table) -> str:
-    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in table.head)
-    rows = "".join(f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in table.rows)
-    note = f"<p class='note'>{html.escape(table.note)}</p>" if table.note else ""
-    return f"<h2>{html.escape(table.title)}</h2><table><tr>{head}</tr>{rows}</table>{note}"
-
-
-def _interactive(figure: Figure) -> str:
+def _interactive(figure: Figure) -> Any:
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots
 
     count = len(figure.panels)
     titles = [panel.title for panel in figure.panels]
-    drawn: Any = make_subplots(rows=count, cols=1, vertical_spacing=0.25 / max(count, 2), subplot_titles=titles)
+    height = PANEL_HEIGHT * count + GAP * (count - 1)
+    drawn: Any = make_subplots(rows=count, cols=1, vertical_spacing=GAP / height, subplot_titles=titles)
     told: set[str] = set()
     for row, panel in enumerate(figure.panels, start=1):
         for start, end in panel.shade:
@@ -158,14 +143,12 @@ def _interactive(figure: Figure) -> str:
         drawn.update_yaxes(title_text=panel.y_label, row=row, col=1)
     drawn.update_layout(
         template="plotly_white",
-        height=PANEL_HEIGHT * count + 140,
+        height=height + 110,
         margin={"l": 70, "r": 20, "t": 60, "b": 50},
-        legend={"orientation": "h", "y": 1.0 + 40 / (PANEL_HEIGHT * count), "yanchor": "bottom"},
+        legend={"orientation": "h", "y": 1.0 + 30 / height, "yanchor": "bottom"},
         barmode="group",
     )
-    plot = drawn.to_html(full_html=False, include_plotlyjs=False, config={"displaylogo": False, "responsive": True})
-    note = f"<p class='note'>{html.escape(figure.caption)}</p>"
-    return f"<section><h2>{html.escape(figure.title)}</h2>{plot}{note}</section>"
+    return drawn
 
 
 def _printed(figure: Figure) -> Any:
@@ -203,12 +186,3 @@ def _printed(figure: Figure) -> Any:
         columns = min(len(told), 4)
         canvas.legend(told.values(), told.keys(), loc="outside lower center", ncols=columns, fontsize=8)
     return canvas
-
-
-_STYLE = """
-body{font:16px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1a1a1a}
-h1{font-size:1.7em}h2{font-size:1.2em;margin-top:2em}table{border-collapse:collapse;font-size:.92em}
-th,td{padding:.25em .8em;border-bottom:1px solid #ddd;text-align:right}th:first-child,td:first-child{text-align:left}
-th{border-bottom:2px solid #555}.note{color:#555;font-size:.9em;max-width:75ch}
-@media print{section{break-inside:avoid}body{margin:0}}
-"""

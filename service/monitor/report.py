@@ -8,8 +8,8 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from schemas.files import whole
 from schemas.messages import stamp_ns
+from service import pages
 from service.monitor.readback import Recorded
 
 POINTS = 5000  # a line; more than a screen has, few enough to draw without WebGL, which remote desktops lack
@@ -24,7 +24,7 @@ def errors_by_model(error: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray
     }
 
 
-def picture(recorded: dict[str, Recorded], title: str) -> go.Figure:
+def picture(recorded: dict[str, Recorded]) -> go.Figure:
     """Three joints and the payload over bus time, s."""
     samples, error, payload = (recorded[topic].records for topic in ("sample", "error", "payload"))
     _, mine, its = np.intersect1d(samples["sequence"], error["sequence"], return_indices=True)
@@ -60,17 +60,14 @@ def picture(recorded: dict[str, Recorded], title: str) -> go.Figure:
         title_text="kg", range=[-0.5, max(0.5, 1.2 * float(payload["mass"].max(initial=0.0)))], row=4, col=1
     )
     figure.update_xaxes(title_text="bus time, s", row=4, col=1)
-    figure.update_layout(
-        title=title, template="plotly_white", height=1000, legend={"orientation": "h", "y": 1.06, "x": 0.4}
-    )
+    figure.update_layout(template="plotly_white", height=1000, legend={"orientation": "h", "y": 1.06, "x": 0.4})
     return figure
 
 
-def write_page(figure: go.Figure, path: Path) -> None:
+def write_page(figure: go.Figure, title: str, path: Path) -> None:
     """`figure` as one HTML file that needs nothing else.
 
     Raises:
         StorageError: it cannot be written.
     """
-    with whole(path) as partial:
-        figure.write_html(partial, include_plotlyjs=True)
+    pages.write_page("recording", path, title=title, figure=figure)
