@@ -1,0 +1,160 @@
+"""The whole catalogue: each effect against other code that makes it, its slopes by differences, and found again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.service.diagnosis.injected import BY_TWO_MASSES, INJECTED, reports
+from tests.service.diagnosis.subject import (
+    CATALOGUE,
+    EFFECTS,
+    Hypothesis,
+    Scene,
+    Split,
+    Term,
+    added,
+    on_joint,
+    reported,
+    selection,
+    statistics,
+    tangent,
+)
+from tests.service.diagnosis.world import BASE, COULOMB, course, problem, scene
+
+SECONDS = 3.0
+RUNS = (1, 2, 3)
+STARTS = (0.0, 9.0, 40.0)  # s since power-on
+NOISE = 0.2  # N m a sample
+RIVALS = tuple(effect for effect in CATALOGUE if not effect.rough)
+
+
+def test_the_whole_catalogue_is_put_to_the_test():
+    assert {*INJECTED, *BY_TWO_MASSES} == set(EFFECTS)
+
+
+@pytest.mark.parametrize("name", INJECTED)
+def test_its_torque_is_that_of_the_independent_effect(name):
+    injected, run = INJECTED[name], course(1, SECONDS)
+    here, term = scene(run), injected.term(name)
+    truth = reports(name, 1, SECONDS) - run.torque
+    found = reported(here, Hypothesis(BASE, (term,)), run.torque + (0 if term.effect.measured else added(here, term)))
+    found = found - run.torque
+    counts = (np.abs(run.motion[1]) > 0.1) & (np.arange(len(truth)) > 300)[:, None]  # no reversal, no start
+    truth, found = np.where(counts, truth, 0.0), np.where(counts, found, 0.0)
+    size = np.sqrt(np.mean(truth**2))
+    assert size > 0.05
+    assert np.sqrt(np.mean((found - truth) ** 2)) < injected.close * size
+    if term.effect.own_joint and term.joints:
+        spared = [joint for joint in range(3) if joint not in injected.joints]
+        assert not found[:, spared].any()
+
+
+@pytest.mark.parametrize("name", INJECTED)
+def test_it_is_found_again_with_its_parameters_inside_their_intervals(name):
+    injected = INJECTED[name]
+    courses = [course(seed, SECONDS) for seed in RUNS]
+    random = np.random.default_rng(7)
+    torques = [
+        reports(name, seed, SECONDS, start) + NOISE * random.standard_normal((len(run.time), 3))
+        for seed, run, start in zip(RUNS, courses, STARTS, strict=True)
+    ]
+    logs = problem(courses, torques, NOISE, STARTS)
+    split = Split.of(logs)
+    start = replace(BASE, rigid=BASE.rigid * 0.9, viscous=0 * COULOMB, coulomb=0 * COULOMB)
+    found = selection.search(logs, split, Hypothesis(start), RIVALS, lambda _: None)
+    assert found.best.names == (name,)
+    (term,) = found.best.hypothesis.terms
+    assert set(term.joints) == set(injected.joints)
+    assert found.best.fitted.cost / logs.count < 1.1
+    errors = statistics.standard_errors(found.best.fitted, split)[9:]
+    values = np.concatenate([term.amplitude.ravel(), term.shape])
+    truth = np.concatenate([np.array(injected.amplitude).ravel(), injected.shape])
+    assert (np.abs(values - truth) <= 3.0 * errors).all()
+
+
+def parameters(name: str) -> np.ndarray:
+    return np.concatenate([np.array(INJECTED[name].amplitude).ravel(), INJECTED[name].shape])
+
+
+@pytest.mark.parametrize("name", [name for name in EFFECTS if EFFECTS[name].amplitudes])
+def test_regressors_are_the_slope_of_its_torque(name):
+    effect, here = EFFECTS[name], scene(course(1, 0.4))
+    injected = INJECTED[name]
+    joint, shape = (injected.joints or (0,))[-1], injected.shape
+    linear = name not in ("link_length_error", "joint_offset")
+    amplitude = np.array(injected.amplitude[-1]) * linear  # a linearisation holds at zero
+    step = 1e-3 * np.abs(injected.amplitude[-1])
+    columns = effect.regressors(here, joint, shape)
+    columns = on_joint(columns, joint, 3) if effect.own_joint else columns
+    assert columns.shape == (len(here.time), 3, len(effect.amplitudes))
+    for k, h in enumerate(np.diag(step)):
+        if effect.measured:
+            above, below = (effect.report(here, joint, here.total, amplitude + s * h, shape) for s in (1, -1))
+        else:
+            above, below = (effect.torque(here, joint, amplitude + s * h, shape) for s in (1, -1))
+        slope = (above - below) / (2 * step[k])
+        assert np.abs(columns[..., k] - slope).max() < 1e-5 * np.abs(slope).max()
+        assert np.abs(slope).max() > 0.0
+
+
+@pytest.mark.parametrize("name", ["torque_delay", "torque_filter"])
+def test_a_measured_effects_column_is_what_it_changes_of_the_base(name):
+    effect, here, shape = EFFECTS[name], scene(course(1, 0.4)), INJECTED[name].shape
+    change = effect.report(here, 0, here.total, np.zeros(0), shape) - here.total
+    np.testing.assert_array_equal(effect.regressors(here, 0, shape)[..., 0], change)
+    assert np.abs(change).max() > 1.0
+
+
+PAIRS = [
+    (), *[(name,) for name in INJECTED],
+    ("stribeck_friction", "torque_scale"), ("torque_filter", "tool_mass"), ("torque_delay", "cogging"),
+    ("torque_scale", "torque_delay"), ("link_length_error", "warmup_friction"), ("joint_offset", "torque_filter"),
+    ("position_dependent_friction", "encoder_eccentricity"), ("base_tilt", "nonlinear_viscous_friction"),
+    ("torque_filter", "stribeck_friction"), ("presliding_friction", "asymmetric_friction"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("names", PAIRS, ids="+".join)
+def test_tangents_are_slopes_of_the_prediction(names):
+    logs = problem([course(1, 1.5)], [course(1, 1.5).torque])
+    recording, band = logs.recordings[0], logs.band
+    hypothesis = Hypothesis(BASE, tuple(INJECTED[name].term(name) for name in names))
+    here = Scene(recording, hypothesis.base)
+
+    def at(values: np.ndarray) -> np.ndarray:
+        """The prediction, effects seen from the same operating point."""
+        moved = hypothesis.with_parameters(values)
+        torque = Scene(recording, moved.base).total
+        torque = torque + sum(added(here, term) for term in moved.terms if not term.effect.measured)
+        shifted = EFFECTS["torque_delay"].report(here, 0, torque, np.zeros(0), (moved.base.timing,))
+        return band(reported(here, moved, shifted))
+
+    prediction, slopes = tangent(here, hypothesis, band)
+    values = hypothesis.parameters()
+    inside = slice(40, -40)  # the ends are held by a shift in time
+    assert slopes.shape[2] == len(values)
+    assert np.abs(prediction - at(values))[inside].max() < 1e-9 * np.abs(prediction).max()
+    # exact where the prediction is linear; else one-sided differences over 5 % of the transition, 1 % of a shape (which
+    # turns a ripple's phase by half a radian) and central ones over a sample of the timing
+    bound = np.full(len(values), 1e-6)
+    bound[9] = 0.04
+    if hypothesis.fits_timing:
+        bound[10] = 0.02
+    bound[10 + hypothesis.fits_timing :] = np.concatenate([approximate(term) for term in hypothesis.terms] or [[]])
+    for index, value in enumerate(values):
+        step = 1e-3 * max(abs(value), 1e-4)
+        change = np.eye(len(values))[index] * step
+        slope = ((at(values + change) - at(values - change)) / (2 * step))[inside]
+        error = np.sqrt(np.mean((slopes[inside, :, index] - slope) ** 2) / np.mean(slope**2))
+        assert error < bound[index], f"parameter {index}: {error:.2g}"
+
+
+def approximate(term: Term) -> list[float]:
+    """How far each slope of a term may be off, amplitudes before shapes."""
+    name = term.effect.name
+    amplitude = {"link_length_error": 1e-4, "joint_offset": 1e-4, "torque_scale": 0.06}.get(name, 1e-6)
+    shape = 0.13 if name in ("cogging", "encoder_eccentricity") else 0.03
+    return [amplitude] * term.amplitude.size + [shape] * len(term.shape)

@@ -1,0 +1,263 @@
+"""What the numbers are worth: intervals that cover, residuals that selection has not seen, twins that are named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from tests.service.diagnosis.injected import INJECTED, reports
+from tests.service.diagnosis.subject import (
+    EFFECTS,
+    Hypothesis,
+    Selection,
+    Split,
+    evaluate,
+    evidence,
+    selection,
+    statistics,
+)
+from tests.service.diagnosis.toy import scored, split_of
+from tests.service.diagnosis.world import BASE, course, problem
+
+DRAWS = 200
+
+
+def coloured(random: np.random.Generator, count: int, rows: int, keep: float) -> np.ndarray:
+    """(count, rows) of unit variance, each sample remembering `keep` of the one before."""
+    values = random.standard_normal((count, rows))
+    for k in range(1, rows):
+        values[:, k] = keep * values[:, k - 1] + np.sqrt(1 - keep**2) * values[:, k]
+    return values
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.8], ids=["white", "coloured"])
+def test_intervals_cover_the_truth(keep):
+    """On the real tangents of a robot with Stribeck friction, noise drawn anew each time."""
+    names = ("stribeck_friction",)
+    runs = [course(seed, 3.0) for seed in (1, 2, 3)]
+    logs = problem(runs, [reports(names[0], seed, 3.0) for seed in (1, 2, 3)])
+    split = Split.of(logs)
+    hypothesis = Hypothesis(BASE, (INJECTED[names[0]].term(names[0]),))
+    exact = evaluate(logs, hypothesis)
+    # transition and timing are held: they have no interval
+    free = exact.inside.copy()
+    free[9:11] = False
+    tangents = [tangent[:, free] for tangent in exact.tangents]
+    gram = np.asarray(sum(t.T @ t for t in tangents))
+    random = np.random.default_rng(5)
+    inside = []
+    for _ in range(DRAWS):
+        noise = [coloured(random, 1, len(t), keep)[0] for t in tangents]
+        moment = np.asarray(sum(t.T @ r for t, r in zip(tangents, noise, strict=True)))
+        off = np.linalg.solve(gram, moment)
+        residuals = [r - t @ off for t, r in zip(tangents, noise, strict=True)]
+        errors = statistics.standard_errors(replace(exact, residuals=residuals, inside=free), split)
+        assert errors.shape == (9 + 3 + 1,)
+        inside.append(np.abs(off) < 1.96 * errors)
+    assert 0.90 < np.mean(inside) < 0.985
+
+
+def test_a_parameter_at_its_limit_has_no_interval():
+    runs = [course(1, 3.0)]
+    logs = problem(runs, [runs[0].torque])
+    fitted = evaluate(logs, Hypothesis(BASE, (INJECTED["torque_filter"].term("torque_filter"),)))
+    inside = fitted.inside.copy()
+    inside[-1] = inside[1] = False
+    noise = [np.random.default_rng(1).standard_normal(len(r)) for r in fitted.residuals]
+    errors = statistics.standard_errors(replace(fitted, residuals=noise, inside=inside), Split.of(logs))
+    assert errors[-1] == errors[1] == 0.0
+    assert (np.delete(errors, [1, 9]) > 0).all()
+
+
+def test_the_shrinks_interval_covers_the_truth():
+    random = np.random.default_rng(2)
+    inside = []
+    for seed in range(DRAWS):
+        common = random.gamma(8.0, 1.0, 80)
+        before, after = common * random.gamma(20.0, 1.0, 80) / 20, 0.25 * common * random.gamma(20.0, 1.0, 80) / 20
+        found = statistics.shrink(before, after, seed)
+        assert found.value == pytest.approx(1 - np.sqrt(after.sum() / before.sum()))
+        inside.append(found.low < 0.5 < found.high)
+    assert 0.90 <= np.mean(inside) <= 0.985
+
+
+def rows(split: Split) -> int:
+    return sum(len(fold) for fold in split.fold)
+
+
+@dataclass(frozen=True)
+class Search:
+    """A made-up search of one round over `candidates` columns, the best taken. losses over those of no candidate."""
+
+    chosen: float
+    nested: float
+
+
+def walk(seed: int, candidates: int, true: float) -> Search:
+    """Noise, and `true` times the first candidate's column."""
+    random = np.random.default_rng(seed)
+    split = split_of(4, 60, 6)
+    base = [random.standard_normal((60, 2)) for _ in range(4)]
+    columns = [[random.standard_normal((60, 3)) for _ in range(4)] for _ in range(candidates)]
+    target = [random.standard_normal(60) + true * columns[0][k][:, 0] for k in range(4)]
+    none = scored(base, target, split)
+    tried = [
+        scored([np.hstack([b, c]) for b, c in zip(base, mine, strict=True)], target, split, f"effect_{number}")
+        for number, mine in enumerate(columns)
+    ]
+    best = min(tried, key=lambda item: item.loss)
+    found = Selection(none, best, [(tried, best)], {})
+    nested = statistics.nested(found, split, rows(split))
+    assert [len(r) for r in nested] == [60] * 4
+    return Search(best.loss / none.loss, float(sum(r @ r for r in nested)) / none.loss)
+
+
+def test_nested_residuals_are_out_of_selection():
+    """The best of many candidates on noise looks better than none; left out of its selection it does not."""
+    walks = [walk(seed, 60, 0.0) for seed in range(12)]
+    assert 1 - np.mean([w.chosen for w in walks]) > 0.02
+    nested = np.array([1 - w.nested for w in walks])
+    assert nested.mean() <= 2 * nested.std() / np.sqrt(len(nested))
+
+
+def test_nested_residuals_of_a_true_effect_are_those_of_the_choice():
+    for seed in range(5):
+        found = walk(seed, 20, 1.0)
+        assert found.chosen < 0.8
+        assert found.nested == pytest.approx(found.chosen, rel=1e-9)
+
+
+def test_a_fold_is_predicted_by_what_the_others_choose():
+    """Two effects, each at work in another half of the logs: the fold never has a say in its own prediction."""
+    random = np.random.default_rng(0)
+    split = split_of(4, 400, 8)
+    base = [random.standard_normal((400, 1)) for _ in range(4)]
+    one, two = ([random.standard_normal((400, 1)) for _ in range(4)] for _ in range(2))
+    target = [random.standard_normal(400) * 0.3 + 3.0 * one[k][:, 0] for k in range(3)]
+    target.append(random.standard_normal(400) * 0.3 + 3.0 * two[3][:, 0])
+    none = scored(base, target, split)
+    first = scored([np.hstack(pair) for pair in zip(base, one, strict=True)], target, split, "one")
+    second = scored([np.hstack(pair) for pair in zip(base, two, strict=True)], target, split, "two")
+    found = Selection(none, second, [([first, second], second)], {})
+    nested = statistics.nested(found, split, rows(split))
+    np.testing.assert_array_equal(nested[3], first.residuals[3])
+
+
+def test_the_probability_is_the_share_of_draws_won():
+    split = split_of(3, 300, 10)
+    random = np.random.default_rng(3)
+    base = [random.standard_normal((300, 1)) for _ in range(3)]
+    column = [random.standard_normal((300, 1)) for _ in range(3)]
+    other = [c + 0.02 * random.standard_normal((300, 1)) for c in column]
+    target = [random.standard_normal(300) + 0.5 * c[:, 0] for c in column]
+    none = scored(base, target, split)
+    true, twin = (
+        scored([np.hstack(pair) for pair in zip(base, c, strict=True)], target, split, name)
+        for c, name in ((column, "true"), (other, "twin"))
+    )
+    useless = scored([np.hstack([b, random.standard_normal((300, 1))]) for b in base], target, split, "useless")
+    found = Selection(none, true, [([true, twin, useless], true), ([useless], None)], {})
+    first, second = evidence.contests(found, split, rows(split))
+    assert first.none == 0.0
+    assert first.probability("useless") == 0.0
+    assert first.probability("never tried") == 0.0
+    assert 0.2 < first.probability("true") < 1.0
+    assert first.probability("true") + first.probability("twin") == pytest.approx(1.0)
+    assert second.none == 1.0
+    # by another road: each draw of the blocks is won by the least loss, two rows' worth a parameter
+    draw = np.random.default_rng(0).integers(0, split.blocks, (1000, split.blocks))
+    losses = np.stack([h.blocks[draw].sum(axis=1) for h in (true, twin)])
+    assert first.probability("true") == pytest.approx(np.mean(losses[0] < losses[1]), abs=2e-3)
+
+
+class TestConfusable:
+    """Twins by construction: one column under two names."""
+
+    split = split_of(3, 200, 8)
+
+    def tried(self, likeness: float) -> tuple:
+        random = np.random.default_rng(4)
+        base = [random.standard_normal((200, 1)) for _ in range(3)]
+        column = [random.standard_normal((200, 1)) for _ in range(3)]
+        other = [random.standard_normal((200, 1)) for _ in range(3)]
+        target = [random.standard_normal(200) + 1.5 * c[:, 0] for c in column]
+        near = [likeness * c + np.sqrt(1 - likeness**2) * o for c, o in zip(column, other, strict=True)]
+        none = scored(base, target, self.split)
+        made = [
+            scored([np.hstack(pair) for pair in zip(base, c, strict=True)], target, self.split, name)
+            for c, name in ((column, "true"), (near, "twin"), (other, "other"))
+        ]
+        return none, made
+
+    def test_a_twin_is_named(self):
+        none, made = self.tried(1.0)
+        assert evidence.confusable(Selection(none, made[0], [(made, made[0])], {}), "true") == ["twin"]
+
+    def test_what_is_only_like_it_is_not(self):
+        none, made = self.tried(0.8)
+        assert evidence.confusable(Selection(none, made[0], [(made, made[0])], {}), "true") == []
+
+    def test_nothing_is_confused_with_what_was_not_taken(self):
+        none, made = self.tried(1.0)
+        assert evidence.confusable(Selection(none, none, [(made, None)], {}), "true") == []
+
+    def test_the_round_in_which_it_was_taken_counts(self):
+        none, made = self.tried(1.0)
+        path = [([made[2]], made[2]), (made[:2], made[0])]
+        assert evidence.confusable(Selection(none, made[0], path, {}), "true") == ["twin"]
+
+
+def test_on_data_that_cannot_tell_them_the_twin_is_named():
+    """A torque offset is friction that differs by direction; a filter of the torque is told apart from both."""
+    name, runs = "torque_offset", [course(seed, 3.0) for seed in (1, 2, 3)]
+    random = np.random.default_rng(1)
+    torques = [reports(name, seed, 3.0) + 0.3 * random.standard_normal((3000, 3)) for seed in (1, 2, 3)]
+    logs = problem(runs, torques)
+    rivals = [EFFECTS[n] for n in ("torque_offset", "asymmetric_friction", "torque_filter", "arm_mass")]
+    found = selection.search(logs, Split.of(logs), Hypothesis(BASE), rivals, lambda _: None)
+    assert found.best.names == (name,)
+    assert evidence.confusable(found, name) == ["asymmetric_friction"]
+
+
+def test_reversals_cost_what_their_place_is_worth():
+    """Friction that changes sign between two samples, by the closed form of an impulse through the band."""
+    runs = [course(1, 3.0)]
+    logs = problem(runs, [runs[0].torque])
+    sign, moving = np.sign(runs[0].motion[1]), logs.recordings[0].segment.moving
+    turns = ((sign[1:] != sign[:-1]) & moving[1:]).sum(axis=0)
+    assert turns.sum() == 0  # rest is left out here, so count one that is not
+    moving[:] = True
+    turns = (sign[1:] != sign[:-1]).sum(axis=0)
+    assert (turns > 3).all()
+    found = statistics.reversal_noise(logs, np.array([3.0, 0.0, -2.0]))
+    area = (2 * np.array([3.0, 0.0, 2.0]) * 0.2) ** 2
+    np.testing.assert_allclose(found, np.sqrt(area * turns * logs.band.white_share / 3000))
+
+
+def test_squares_are_summed_by_joint_and_block():
+    runs = [course(1, 1.0), course(2, 1.0)]
+    logs = replace(problem(runs, [run.torque for run in runs]), sigma=np.array([0.1, 0.2, 0.4]))
+    split = Split.of(logs)
+    residuals = [np.random.default_rng(k).standard_normal(int(rows.sum())) for k, rows in enumerate(logs.rows)]
+    joint = statistics.joint_of(logs)
+    for k, rows_ in enumerate(logs.rows):
+        np.testing.assert_array_equal(joint[k], np.repeat([0, 1, 2], rows_.sum(axis=0)))
+    whole, joints = np.concatenate(residuals), np.concatenate(joint)
+    rms = [logs.sigma[j] * np.sqrt(np.mean(whole[joints == j] ** 2)) for j in range(3)]
+    np.testing.assert_allclose(statistics.rms_per_joint(logs, residuals), rms)
+    block = np.concatenate(split.block)
+    squares = [((whole * logs.sigma[joints])[block == b] ** 2).sum() for b in range(split.blocks)]
+    np.testing.assert_allclose(statistics.pooled_squares(logs, residuals, split), squares)
+
+
+def test_where_a_terms_parameters_stand():
+    terms = tuple(INJECTED[name].term(name) for name in ("stribeck_friction", "torque_scale", "cogging"))
+    hypothesis = Hypothesis(BASE, terms)
+    values = hypothesis.parameters()
+    for term in terms:
+        here = values[statistics.term_columns(hypothesis, term)]
+        np.testing.assert_array_equal(here, np.concatenate([term.amplitude.ravel(), term.shape]))
+    with pytest.raises(ValueError, match="not in the hypothesis"):
+        statistics.term_columns(Hypothesis(BASE), terms[0])

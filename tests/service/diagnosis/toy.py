@@ -1,0 +1,38 @@
+"""Linear least squares small enough to check by hand: hypotheses that are nothing but columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tests.service.diagnosis.subject import Fit, Scored, Split, selection
+from tests.service.diagnosis.world import stub
+
+
+def split_of(recordings: int, rows: int, blocks: int) -> Split:
+    """A fold a recording, each in `blocks` blocks."""
+    fold = [np.full(rows, number) for number in range(recordings)]
+    block = [number * blocks + np.arange(rows) * blocks // rows for number in range(recordings)]
+    return Split(fold, block, recordings, recordings * blocks)
+
+
+def scored(columns: Sequence[np.ndarray], target: Sequence[np.ndarray], split: Split, *names: str) -> Scored:
+    """The fit of `columns` (R, P) a recording to `target` (R,), with the effects it is called after."""
+    whole, wanted = np.concatenate(columns), np.concatenate(target)
+    best = np.linalg.lstsq(whole, wanted, rcond=None)[0]
+    residuals = [values - part @ best for part, values in zip(columns, target, strict=True)]
+    every = np.ones(whole.shape[1], bool)
+    terms = tuple(stub(effect=stub(name=name), joints=(0,)) for name in names)
+    fitted = Fit(stub(terms=terms), residuals, list(columns), every, every)  # pyright: ignore[reportArgumentType]
+    return selection.score(fitted, split)
+
+
+def left_out(columns: Sequence[np.ndarray], target: Sequence[np.ndarray], out: Sequence[int] = ()) -> list[np.ndarray]:
+    """Residuals of each recording under the fit to all others but it and `out`."""
+    result = []
+    for mine in range(len(columns)):
+        others = [k for k in range(len(columns)) if k != mine and k not in out]
+        whole, wanted = np.concatenate([columns[k] for k in others]), np.concatenate([target[k] for k in others])
+        result.append(target[mine] - columns[mine] @ np.linalg.lstsq(whole, wanted, rcond=None)[0])
+    return result
