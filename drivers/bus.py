@@ -1,4 +1,4 @@
-"""The Zenoh bus of one robot: sessions that find each other without a router, publishers, receiving rings.
+"""The Zenoh bus of one robot: sessions that find each other without a router, publishers, inboxes.
 
 Every role listens on a Unix socket of its own in a per-user folder and keeps trying to reach the roles numbered below
 it, so any start order and any restart works, and no pair is linked twice. Nothing is sent outside the host unless the
@@ -23,6 +23,7 @@ import threading
 import time
 from bisect import bisect_right
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -32,13 +33,17 @@ import zenoh
 from drivers.security.check import check, find_files
 from schemas.errors import BusError
 from schemas.keys import liveliness_key, topic_key
-from schemas.messages import CDR_LITTLE_ENDIAN, TOPICS, Message, Role
+from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, TOPICS, Message, Role
 
 PATIENCE_S = 0.02  # longest a publisher waits for a stuck subscriber; Zenoh's 1 ms loses samples on an idle host
+WAKE_S = 0.01  # to which a wait on a silent bus keeps its limit
 RETRY_MS = (50, 250)  # first and longest pause between two attempts to reach a role that is not there
 LINK_S = 0.5  # by then every role that runs has linked up with one that has just come
 SOURCES = frozenset({Role.PLAYER, Role.ROBOT, Role.TAP})  # roles that publish `sample`
 
+_NEVER = (1 << 63) - 1  # ns
+_AT_ONCE = 1 << 16  # messages taken in one call, so that a flood cannot keep it from returning
+_BELIEVED_NS = NANOSECONDS  # a sender's stamp further off than that is no time of sending on this host
 _SOCKET_PATH_BYTES = 107  # sun_path of Linux, without its closing zero
 _HISTORY = 4096  # sequence numbers below the newest of which it is known whether they came
 _RESTART_JUMP = 1 << 28  # numbers skipped at once; nine hours at 8 kHz are another count, not a loss
@@ -82,6 +87,7 @@ def _own_config(folder: Path, robot: str, role: Role) -> zenoh.Config:
             "exit_on_failure": False,
             "retry": {"period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1], "period_increase_factor": 2},
         },
+        "timestamping": {"enabled": {"peer": True}},  # one host, one clock
         "open": {"return_conditions": {"connect_scouted": False, "declares": True}},
         "transport": {
             "shared_memory": {"enabled": False},  # gains nothing at a hundred bytes
@@ -198,65 +204,100 @@ class SequenceCounter:
         self._run_last = -2
 
 
-class Ring:
-    """Where a subscription puts what comes in: preallocated records, filled by Zenoh's thread, emptied by one consumer.
+def arrival(_: zenoh.Sample) -> int:
+    """Clock of an inbox: when the message was taken, ns CLOCK_MONOTONIC."""
+    return time.monotonic_ns()
 
-    A message that finds the ring full is dropped and counted in `lost`; bytes that are not the message in `rejected`.
+
+def sending(sample: zenoh.Sample) -> int:
+    """Clock of an inbox: when the message was put on the bus, ns since 1970.
+
+    Zenoh stamps it where all roles are on one host. Without a stamp, or with one that is not of this host's last
+    second, it is the time at which the message was taken.
+    """
+    now, stamp = time.time_ns(), sample.timestamp
+    if stamp is None:
+        return now
+    sent = stamp.get_time_as_ntp64().as_nanos()
+    return sent if abs(now - sent) < _BELIEVED_NS else now
+
+
+class Inbox:
+    """Where a subscription's messages wait to be taken, by one thread: a Zenoh channel, filled without the interpreter.
+
+    A message that finds it full pushes the oldest out, which leaves a hole in the sequence; a reader that is too slow
+    never holds up the bus. Bytes that are not the message are counted in `rejected`.
     """
 
-    def __init__(self, message: Message, capacity: int) -> None:
+    def __init__(
+        self,
+        message: Message,
+        channel: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]],
+        nudge: Callable[[], None],
+        clock: Callable[[zenoh.Sample], int] = arrival,
+    ) -> None:
+        """nudge: puts an empty message into the channel. clock: what `take` says of each message."""
         self.message = message
-        self.lost = 0
         self.rejected = 0
-        self._capacity = capacity
         self._size = message.dtype.itemsize
-        self._records = message.empty(capacity)
-        self._bytes = self._records.view(np.uint8).data
-        self._arrival = np.zeros(capacity, np.int64)
-        self._head = 0  # messages put in, ever
-        self._tail = 0  # messages taken out, ever
-        self._filling = threading.Lock()  # senders on different links arrive on different threads
-        self._ready = threading.Lock()  # held while there is nothing to tell the consumer
-        self._ready.acquire()
+        self._recv, self._try_recv = channel.recv, channel.try_recv
+        self._clock = clock
+        self._payloads: list[bytes] = []
+        self._times: list[int] = []
+        self._nudge = nudge
+        self._nudged = self._seen = 0  # empty messages of ours: put in (by the waker), taken out
+        self._wake_ns = _NEVER
+        self._waker: threading.Thread | None = None
+        self._closed = False
 
-    def receive(self, sample: zenoh.Sample) -> None:
-        """Copy one Zenoh sample in; called by Zenoh, whose functions must not be called from here."""
-        arrival = time.monotonic_ns()
-        payload = sample.payload.to_bytes()
-        if len(payload) != self._size or payload[:4] != CDR_LITTLE_ENDIAN:
-            self.rejected += 1
-            return
-        with self._filling:
-            if self._head - self._tail >= self._capacity:
-                self.lost += 1
-                return
-            slot = self._head % self._capacity
-            self._bytes[slot * self._size : (slot + 1) * self._size] = payload
-            self._arrival[slot] = arrival
-            self._head += 1
-            if self._ready.locked():
-                self._ready.release()
-
-    def wait(self, timeout: float) -> bool:
-        """Sleep until there is something to take, at most `timeout` s; whether there is."""
-        self._ready.acquire(blocking=False)  # forget a call for what has been taken since
-        if self._head != self._tail:
-            return True
-        self._ready.acquire(timeout=timeout)
-        return self._head != self._tail
+    def wait(self, longest: float) -> bool:
+        """Sleep until there is something to take, at most `longest` s (and `WAKE_S`); whether there is."""
+        if not self._payloads:
+            if self._waker is None:
+                self._waker = threading.Thread(target=self._wake, name="waker", daemon=True)
+                self._waker.start()
+            self._wake_ns = time.monotonic_ns() + int(longest * 1e9)
+            sample = self._recv()
+            self._wake_ns = _NEVER
+            self._keep(sample)
+        return bool(self._payloads)
 
     def take(self) -> tuple[np.ndarray, np.ndarray]:
-        """All that came since the last call, oldest first: (N,) records and (N,) int64 arrivals, ns CLOCK_MONOTONIC."""
-        tail, head = self._tail, self._head
-        first, count = tail % self._capacity, head - tail
-        if first + count <= self._capacity:
-            records = self._records[first : first + count].copy()
-            arrival = self._arrival[first : first + count].copy()
+        """All that came since the last call, oldest first: (N,) records and (N,) int64 times of the inbox's clock."""
+        for _ in range(_AT_ONCE):
+            sample = self._try_recv()
+            if sample is None:
+                break
+            self._keep(sample)
+        records = np.frombuffer(bytearray().join(self._payloads), self.message.dtype)
+        times = np.array(self._times, np.int64)
+        self._payloads.clear()
+        self._times.clear()
+        return records, times
+
+    def close(self) -> None:
+        """End the waker."""
+        self._closed = True
+
+    def _keep(self, sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        if len(payload) == self._size and payload.startswith(CDR_LITTLE_ENDIAN):
+            self._payloads.append(payload)
+            self._times.append(self._clock(sample))
+        elif not payload and self._nudged > self._seen:
+            self._seen += 1
         else:
-            slots = np.arange(first, first + count) % self._capacity
-            records, arrival = self._records[slots], self._arrival[slots]
-        self._tail = head
-        return records, arrival
+            self.rejected += 1
+
+    def _wake(self) -> None:
+        """End a wait that lasts too long: `recv` knows no timeout."""
+        while not self._closed:
+            time.sleep(WAKE_S)
+            if time.monotonic_ns() >= self._wake_ns:
+                self._wake_ns = _NEVER
+                self._nudged += 1
+                with suppress(zenoh.ZError):  # the session is closing
+                    self._nudge()
 
 
 class Publisher:
@@ -288,6 +329,7 @@ class Bus:
         self.duplicate_source = False  # whether more than one role publishes samples
         self._session = session
         self._lock = lock
+        self._inboxes: list[Inbox] = []
         self._alive: set[Role] = {role}
         self._roles = {liveliness_key(robot, other): other for other in Role}
         liveliness = session.liveliness()
@@ -322,16 +364,30 @@ class Bus:
             )
         )
 
-    def subscribe(self, topic: str, capacity: int = 16384) -> Ring:
-        """A ring that fills with one of `schemas.messages.TOPICS`, `capacity` messages deep."""
-        ring = Ring(TOPICS[topic], capacity)
-        self._session.declare_subscriber(
-            topic_key(self.robot, topic), zenoh.handlers.Callback(ring.receive, indirect=False)
+    def subscribe(self, topic: str, capacity: int = 16384, clock: Callable[[zenoh.Sample], int] = arrival) -> Inbox:
+        """An inbox for one of `schemas.messages.TOPICS`, `capacity` messages deep."""
+        key, session = topic_key(self.robot, topic), self._session
+        inbox = Inbox(
+            TOPICS[topic],
+            self.channel(topic, zenoh.handlers.RingChannel(capacity)),
+            lambda: session.put(key, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL),
+            clock,
         )
-        return ring
+        self._inboxes.append(inbox)
+        return inbox
+
+    def channel(
+        self,
+        topic: str,
+        channel: zenoh.handlers.RingChannel[zenoh.Sample] | zenoh.handlers.FifoChannel[zenoh.Sample],
+    ) -> zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]:
+        """Zenoh's own subscriber, for what has to be compared with an inbox."""
+        return self._session.declare_subscriber(topic_key(self.robot, topic), channel)
 
     def close(self) -> None:
         """Close the session and give the role free."""
+        for inbox in self._inboxes:
+            inbox.close()
         self._session.close()
         os.close(self._lock)
 

@@ -1,19 +1,20 @@
-"""How long an answer takes: paced samples out, `feedforward` back, against a bare Zenoh echo in the same run."""
+"""How long an answer takes: paced samples out, `feedforward` back, against the best echo that Zenoh's Python gives."""
 
 from __future__ import annotations
 
-import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import zenoh
 
-from drivers.bus import Bus
-from replay.clock import wait_until
+from drivers.bus import Bus, Inbox
 from schemas.messages import FEEDFORWARD, NANOSECONDS, SAMPLE, set_stamp
 
 LEAD_NS = 20_000_000  # from the call to the first deadline
+_DEEP = 1 << 14
 STRAGGLE_S = 0.5  # how long the last answers are waited for
 
 
@@ -30,12 +31,14 @@ class RoundTrip:
 
 
 class Prober:
-    """Sends samples as a player does and hears the answers; sequence and stamp rise over all calls of `probe`."""
+    """Sends samples as a player does and hears the answers; sequence and stamp rise over all calls of `probe`.
+
+    Answers are awaited in a thread of their own, so that a late one does not hold up the samples behind it. The pacing
+    sleeps and does not spin: spinning would keep the interpreter from that thread.
+    """
 
     def __init__(self, bus: Bus, samples: np.ndarray, rate: float) -> None:
         """samples: (N,) SAMPLE records, sent round and round. rate: Hz."""
-        # Zenoh's thread stamps the answers under the interpreter lock, which the pacing loop would keep for 5 ms
-        sys.setswitchinterval(50e-6)
         self._publisher = bus.publisher("sample")
         self._answers = bus.subscribe("feedforward", 1 << 17)
         self._samples, self._period_ns = samples.copy(), round(NANOSECONDS / rate)
@@ -55,27 +58,48 @@ class Prober:
         payload, size = batch.tobytes(), SAMPLE.dtype.itemsize
         messages = [payload[n * size : (n + 1) * size] for n in range(count)]
         sent_at = np.zeros(count, np.int64)
+        listener = _Listener(self._answers)
         put, begin = self._publisher.put, time.monotonic_ns() + LEAD_NS
         for n, message in enumerate(messages):
-            wait_until(begin + n * self._period_ns)
+            ahead = begin + n * self._period_ns - time.monotonic_ns()
+            if ahead > 0:
+                time.sleep(ahead * 1e-9)
             sent_at[n] = time.monotonic_ns()
             put(message)
             if n % 1024 == 0:
                 show(self._next + n)
         time.sleep(STRAGGLE_S)
-        answers, arrival = self._answers.take()
+        answers, arrival = listener.stop()
         order = answers["sequence"].astype(np.int64) - self._next
         mine = (order >= 0) & (order < count)
         self._next += count
         return RoundTrip(count, arrival[mine] - sent_at[order[mine]])
 
 
-def echo(bus: Bus, stopped: Callable[[], bool] = lambda: False) -> None:
-    """The least that can answer: the head of every sample goes back as a `feedforward`, through the same ring."""
-    ring, put = bus.subscribe("sample"), bus.publisher("feedforward").put
+class _Listener(threading.Thread):
+    """Takes answers as they come until it is stopped."""
+
+    def __init__(self, inbox: Inbox) -> None:
+        super().__init__(name="listener")
+        self._inbox, self._taken, self._stopped = inbox, [inbox.take()], False
+        self.start()
+
+    def run(self) -> None:
+        while not self._stopped:
+            if self._inbox.wait(0.1):
+                self._taken.append(self._inbox.take())
+
+    def stop(self) -> tuple[np.ndarray, np.ndarray]:
+        """All (N,) answers and their (N,) arrivals, ns CLOCK_MONOTONIC."""
+        self._stopped = True
+        self.join()
+        answers, arrival = zip(*self._taken, strict=True)
+        return np.concatenate(answers), np.concatenate(arrival)
+
+
+def echo(bus: Bus) -> None:
+    """The least that can answer: a channel's `recv`, and the head of every sample goes back as a `feedforward`."""
+    recv, put = bus.channel("sample", zenoh.handlers.FifoChannel(_DEEP)).recv, bus.publisher("feedforward").put
     size = FEEDFORWARD.dtype.itemsize  # both messages begin with header, stamp and sequence
-    while not stopped():
-        if ring.wait(0.2):
-            records, _ = ring.take()
-            for n in range(len(records)):
-                put(records[n : n + 1].tobytes()[:size])
+    while True:
+        put(recv().payload.to_bytes()[:size])

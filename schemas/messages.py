@@ -78,7 +78,7 @@ class HealthFlag(enum.IntFlag):
 
     NO_REALTIME = 1  # SCHED_FIFO or memory locking was refused
     DISK_ERROR = 2  # the log cannot be written
-    STALE_INPUT = 4  # nothing came in for a second
+    STALE_INPUT = 4  # nothing comes in, for longer than some cycles
     BUS_FAULT = 8  # working counter, lost cycles or drive state
     DUPLICATE_SOURCE = 16  # two senders on one key
     WRONG_DECLARATION = 32  # drives contradict the robot description

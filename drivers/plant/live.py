@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bus import Bus, Ring
+from drivers.bus import Bus, Inbox
 from drivers.health import Health
 from drivers.plant.motion import Motion
 from drivers.plant.plant import Plant, Target
@@ -32,15 +32,15 @@ class FeedforwardIntake:
     limit: N m, joint side; more is cut off, what is not finite is refused.
     """
 
-    def __init__(self, ring: Ring, limit: float):
+    def __init__(self, inbox: Inbox, limit: float):
         self.received = self.refused = 0
-        self._ring, self._limit = ring, limit
+        self._inbox, self._limit = inbox, limit
         self._waiting: dict[int, np.ndarray] = {}
         self._last: tuple[int, np.ndarray] | None = None
 
     def at(self, cycle: int) -> np.ndarray | None:
         """Torque (3,) N m for `cycle`; None: none that is fresh enough."""
-        records, _ = self._ring.take()
+        records, _ = self._inbox.take()
         for record in records:
             target, torque = int(record["target_sequence"]), np.array(record["torque"])
             self.received += 1

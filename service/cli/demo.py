@@ -118,7 +118,7 @@ class _Live:
     """The last second of the bus as a table."""
 
     def __init__(self, bus: Bus) -> None:
-        self._rings = {topic: bus.subscribe(topic) for topic in ("sample", "feedforward", "payload", "error")}
+        self._inboxes = {topic: bus.subscribe(topic) for topic in ("sample", "feedforward", "payload", "error")}
         self._newest: dict[str, np.ndarray] = {}
         self._events: list[str] = []
 
@@ -128,8 +128,8 @@ class _Live:
 
         from schemas.messages import PayloadEvent, stamp_ns
 
-        for topic, ring in self._rings.items():
-            records, _ = ring.take()
+        for topic, inbox in self._inboxes.items():
+            records, _ = inbox.take()
             if len(records):
                 self._newest[topic] = records
         for record in self._newest.get("payload", []):
@@ -138,7 +138,7 @@ class _Live:
                 line = f"{float(stamp_ns(record)) * 1e-9:.2f} s {event}"
                 self._events = [*self._events, line][-4:] if line not in self._events else self._events
         table = Table("", "joint 1", "joint 2", "joint 3", title="replaying")
-        if set(self._newest) != set(self._rings):
+        if set(self._newest) != set(self._inboxes):
             return table
         newest = {topic: records[-1] for topic, records in self._newest.items()}
 

@@ -14,7 +14,7 @@ from service.cli.network import Insecure, ZenohConfig
 if TYPE_CHECKING:
     import numpy as np
 
-    from drivers.bus import Ring
+    from drivers.bus import Inbox
     from drivers.ethercat.course import Course
     from drivers.ethercat.master import Counts
     from drivers.health import Health
@@ -167,17 +167,17 @@ class InCycle:
 class OverBus:
     """tau_FF as it comes over Zenoh from an estimator elsewhere that hears a tap on the same wire."""
 
-    def __init__(self, ring: Ring, period: float) -> None:
+    def __init__(self, inbox: Inbox, period: float) -> None:
         import numpy as np
 
-        self._ring, self._period_ns = ring, period * 1e9
+        self._inbox, self._period_ns = inbox, period * 1e9
         self._torque, self._stamp = np.zeros(3), 0
         self._ages: list[float] = []
 
     def __call__(self, sample: np.ndarray, course: Course, number: int) -> tuple[np.ndarray, float]:
         from schemas.messages import stamp_ns
 
-        records, _ = self._ring.take()
+        records, _ = self._inbox.take()
         if len(records):
             self._torque, self._stamp = records["torque"][-1], int(stamp_ns(records[-1]))
         age = (int(stamp_ns(sample)[0]) - self._stamp) / self._period_ns if self._stamp else NEVER

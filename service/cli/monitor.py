@@ -71,5 +71,5 @@ def summary(monitor: Monitor) -> str:
             f"{topic:<12} {received:>10} {counts.lost:>8} {counts.repeated:>9} {counts.out_of_order:>13} "
             f"{counts.restarts:>9}"
         )
-    lines.append(f"rejected payloads {monitor.rejected}, ring overflows {monitor.overflowed}")
+    lines.append(f"rejected payloads {monitor.rejected}")
     return "\n".join(lines)

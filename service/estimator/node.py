@@ -16,8 +16,9 @@ from schemas.robot import Robot
 from service.estimator.estimator import PERIOD_SAMPLES, Estimator, period_of
 
 REPORT_PERIOD = 1e-3  # s, shortest between two payload or error messages; nobody steers by them, and they cost as much
-STALE_NS = 1_000_000_000  # without a sample the input is stale
-POLL = 0.2  # s, how often a silent bus is left to see whether to stop
+STALE_CYCLES = 20  # without a sample the input is stale ...
+STALE_NS = 20_000_000  # ... but not before the scheduler of a loaded host may have held it up
+POLL_S = 0.02  # how often a silent bus is left to see whether to stop
 PERIOD_CHANGE = 0.1  # relative; a source with another sample rate needs other filters
 _INVALID = SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE | SampleFlag.JUMP
 
@@ -28,32 +29,41 @@ class Node:
     def __init__(self, robot: Robot, bus: Bus, flags: HealthFlag) -> None:
         self._robot = robot
         self._samples, self._references = bus.subscribe("sample"), bus.subscribe("reference", capacity=1024)
-        self._put = [bus.publisher(topic).put for topic in ("feedforward", "payload", "error")]
+        self._put = {topic: bus.publisher(topic).put for topic in ("feedforward", "payload", "error")}
         self.health, self._flags = Health(bus, flags), flags
         self._counter = SequenceCounter()
         self._waiting = self._samples.message.empty(0)  # the first samples, until they tell the period
-        self._recent = self._waiting  # the newest ones, which tell whether it is still that
+        self._recent = self._waiting  # the first ones after a report, which tell whether it is still that
         self._estimator: Estimator | None = None
         self._received = self._published = self._invalid = 0
-        self._heard_ns = time.monotonic_ns()
+        self._heard_ns, self._silent = time.monotonic_ns(), False
 
     def step(self) -> None:
-        """Wait for samples, at most POLL s, and answer them all."""
-        if self._samples.wait(POLL):
+        """Wait for samples, at most POLL_S, and answer them all."""
+        if self._samples.wait(POLL_S):
             samples, arrival = self._samples.take()
             self._heard_ns = int(arrival[-1])
+            if self._estimator is None:
+                self._waiting = np.concatenate([self._waiting, samples])
+                self._estimator = self._start()
+                if self._estimator is not None:
+                    self._answer(self._estimator, self._waiting, arrival)
+            else:
+                self._answer(self._estimator, samples, arrival)
             self._received += len(samples)
             self._counter.update_many(samples["sequence"])
-            self._recent = np.concatenate([self._recent, samples[-PERIOD_SAMPLES:]])[-PERIOD_SAMPLES:]
-            if self._estimator is None:
-                samples = self._waiting = np.concatenate([self._waiting, samples])
-                self._estimator = self._start()
-            if self._estimator is not None:
-                self._answer(self._estimator, samples, arrival)
-        silent = time.monotonic_ns() - self._heard_ns > STALE_NS
-        self.health.flags = self._flags | (HealthFlag.STALE_INPUT if silent else HealthFlag(0))
+            if len(self._recent) < PERIOD_SAMPLES:
+                self._recent = np.concatenate([self._recent, samples[:PERIOD_SAMPLES]])
+        self._note_silence()
         if self.health.due:
             self.report()
+
+    def _note_silence(self) -> None:
+        cycles = 0 if self._estimator is None else self._estimator.period * STALE_CYCLES
+        silent = time.monotonic_ns() - self._heard_ns > max(STALE_NS, cycles * 1e9)
+        if silent != self._silent:
+            self._silent = silent
+            self.health.flags = self._flags | (HealthFlag.STALE_INPUT if silent else HealthFlag(0))
 
     def _start(self) -> Estimator | None:
         if len(self._waiting) < PERIOD_SAMPLES:
@@ -69,25 +79,29 @@ class Node:
         if len(references):
             estimator.plan(references[-1])
         result = estimator.run(samples)
+        self._say("feedforward", result.feedforward)  # first: somebody steers by it
+        self.health.time_many(time.monotonic_ns() - arrival)
         every = max(1, round(REPORT_PERIOD / estimator.period))
         told = (result.payload["sequence"] % every == 0) | (result.payload["event"] != 0)
-        answers = (result.feedforward, result.payload[told], result.error[told])
-        for put, records in zip(self._put, answers, strict=True):
-            for n in range(len(records)):
-                put(records[n : n + 1].tobytes())
-            if records is result.feedforward:
-                self.health.time_many(time.monotonic_ns() - arrival)
-        self._published += sum(map(len, answers))
+        self._say("payload", result.payload[told])
+        self._say("error", result.error[told])
         self._invalid += int(np.count_nonzero(result.feedforward["flags"] & _INVALID))
+
+    def _say(self, topic: str, records: np.ndarray) -> None:
+        put, data, size = self._put[topic], records.tobytes(), records.itemsize
+        for begin in range(0, len(data), size):
+            put(data[begin : begin + size])
+        self._published += len(records)
 
     def report(self) -> None:
         """Publish health."""
         if self._estimator is not None and len(self._recent) == PERIOD_SAMPLES:
             self._follow_rate(self._estimator.period)
+            self._recent = self._recent[:0]
         self.health.publish(
             received=self._received,
             published=self._published,
-            lost=self._counter.lost + self._samples.lost,
+            lost=self._counter.lost,
             repeated=self._counter.repeated,
             out_of_order=self._counter.out_of_order,
             rejected=self._samples.rejected + self._references.rejected,

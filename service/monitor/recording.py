@@ -14,7 +14,7 @@ from schemas.messages import TOPICS, stamp_ns
 
 
 class Recording:
-    """An MCAP file with a channel for every topic of `robot`. Log time is arrival, publish time is bus time.
+    """An MCAP file with a channel for every topic of `robot`. Log time is sending, publish time bus time.
 
     What `flush` has returned from survives the death of the process; a file without its end is repaired by `recover`.
     """
@@ -35,7 +35,7 @@ class Recording:
             self._channels[topic] = self._writer.register_channel(topic_key(robot, topic), "cdr", schema)
 
     def write(self, topic: str, records: np.ndarray, log_ns: np.ndarray) -> None:
-        """Append (N,) records that arrived at (N,) `log_ns`, ns since 1970.
+        """Append (N,) records that were sent at (N,) `log_ns`, ns since 1970.
 
         Raises:
             StorageError: the disk refuses.

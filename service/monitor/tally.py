@@ -9,11 +9,11 @@ from schemas.messages import TOPICS, Role, SampleFlag
 
 INVALID = SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE
 
-_REMEMBERED = 1 << 15  # samples whose arrival is known when their feed-forward comes; 8 s at 4 kHz
+_REMEMBERED = 1 << 15  # samples whose time is known when their feed-forward comes; 8 s at 4 kHz
 
 
 class Tally:
-    """Running counts over all topics of a robot; `add` takes what the rings give."""
+    """Running counts over all topics of a robot; `add` takes what the inboxes give."""
 
     def __init__(self) -> None:
         self.received = dict.fromkeys(TOPICS, 0)
@@ -21,9 +21,9 @@ class Tally:
         self._counters = {(topic, 0): SequenceCounter() for topic in TOPICS if topic != "health"}
         self._counters |= {("health", int(role)): SequenceCounter() for role in Role}  # each role counts its own
         self._sequence = np.full(_REMEMBERED, -1, np.int64)
-        self._arrival = np.zeros(_REMEMBERED, np.int64)
+        self._sent = np.zeros(_REMEMBERED, np.int64)
 
-    def add(self, topic: str, records: np.ndarray, arrival_ns: np.ndarray) -> int:
+    def add(self, topic: str, records: np.ndarray, sent_ns: np.ndarray) -> int:
         """Count (N,) records; how many sequence numbers were missed among them."""
         self.received[topic] += len(records)
         before = self.count(topic).lost
@@ -36,17 +36,17 @@ class Tally:
             self.invalid += int(np.count_nonzero(records["flags"] & INVALID))
             sequence = records["sequence"].astype(np.int64)
             self._sequence[sequence % _REMEMBERED] = sequence
-            self._arrival[sequence % _REMEMBERED] = arrival_ns
+            self._sent[sequence % _REMEMBERED] = sent_ns
         return max(0, self.count(topic).lost - before)
 
-    def latencies(self, feedforward: np.ndarray, arrival_ns: np.ndarray) -> np.ndarray:
-        """(M,) ns from the arrival of a sample to that of its feed-forward, for those of `feedforward` that have both.
+    def latencies(self, feedforward: np.ndarray, sent_ns: np.ndarray) -> np.ndarray:
+        """(M,) ns from the sending of a sample to that of its feed-forward, for those of `feedforward` that have both.
 
-        Both arrivals are taken here, on different links, so a few microseconds of difference are the monitor's own.
+        Where Zenoh stamps no sending times these are the times of taking, with the monitor's cycle between them.
         """
         sequence = feedforward["sequence"].astype(np.int64)
         known = self._sequence[sequence % _REMEMBERED] == sequence
-        return arrival_ns[known] - self._arrival[sequence[known] % _REMEMBERED]
+        return sent_ns[known] - self._sent[sequence[known] % _REMEMBERED]
 
     def count(self, topic: str | None = None) -> SequenceCounter:
         """The sequence counts of `topic`, or of all, added up."""

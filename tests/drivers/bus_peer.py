@@ -25,11 +25,11 @@ def count(robot: str, role: Role) -> None:
     signal.signal(signal.SIGTERM, stop)
     counter, received, said, said_at = SequenceCounter(), 0, 0, 0.0
     with open_bus(robot, role) as bus:
-        ring = bus.subscribe("sample")
+        inbox = bus.subscribe("sample")
         say(ready=True)
         while running:
-            if ring.wait(0.1):
-                records, _ = ring.take()
+            if inbox.wait(0.1):
+                records, _ = inbox.take()
                 counter.update_many(records["sequence"])
                 received += len(records)
             if received != said and time.monotonic() - said_at > 0.1:  # a pipe nobody reads yet must not fill up
@@ -37,7 +37,7 @@ def count(robot: str, role: Role) -> None:
                 say(received=received, newest=counter.newest, lost=counter.lost)
         say(
             end=True, received=received, newest=counter.newest, lost=counter.lost, repeated=counter.repeated,
-            out_of_order=counter.out_of_order, restarts=counter.restarts, overflow=ring.lost, rejected=ring.rejected,
+            out_of_order=counter.out_of_order, restarts=counter.restarts, rejected=inbox.rejected,
         )  # fmt: skip
 
 

@@ -32,14 +32,14 @@ def estimator(bus_folder, tmp_path, robot, until):
     assert process.wait(20) == 0
 
 
-def collect(rings, counts):
-    """Take until every ring has given its count; the oldest first."""
-    parts = [[] for _ in rings]
+def collect(inboxes, counts):
+    """Take until every inbox has given its count; the oldest first."""
+    parts = [[] for _ in inboxes]
     give_up = time.monotonic() + 30
     while any(sum(map(len, part)) < count for part, count in zip(parts, counts, strict=True)):
         assert time.monotonic() < give_up, f"got {[sum(map(len, p)) for p in parts]} of {counts}"
-        for ring, part in zip(rings, parts, strict=True):
-            part.append(ring.take()[0])
+        for inbox, part in zip(inboxes, parts, strict=True):
+            part.append(inbox.take()[0])
         time.sleep(0.01)
     return [np.concatenate(part) for part in parts]
 
@@ -50,14 +50,14 @@ def test_at_a_higher_rate_a_thousand_reports_a_second_and_every_event(estimator,
     told = (expected.payload["sequence"] % 4 == 0) | (expected.payload["event"] != 0)
     assert np.count_nonzero(expected.payload["event"]) == 2
     with open_bus(robot.name, Role.PLAYER) as bus, open_bus(robot.name, Role.OBSERVER) as observer:
-        rings = [observer.subscribe(topic) for topic in ("feedforward", "payload", "error")]
+        inboxes = [observer.subscribe(topic) for topic in ("feedforward", "payload", "error")]
         publisher = bus.publisher("sample")
         until(lambda: Role.ESTIMATOR in observer.alive and Role.ESTIMATOR in bus.alive and publisher.heard)
         time.sleep(LINK_S)
         for n in range(len(known.samples)):
             publisher.put(known.samples[n : n + 1].tobytes())
             time.sleep(2.5e-4)
-        answers = collect(rings, [len(known.samples), told.sum(), told.sum()])
+        answers = collect(inboxes, [len(known.samples), told.sum(), told.sum()])
     assert answers[0].tobytes() == expected.feedforward.tobytes()
     assert answers[1].tobytes() == expected.payload[told].tobytes()
     assert answers[2].tobytes() == expected.error[told].tobytes()
@@ -72,11 +72,11 @@ def test_the_bus_gives_the_bits_of_process_replay(estimator, robot, make, until,
     trace = trace_of(known)
     expected = process(robot, trace.samples())
     with open_bus(robot.name, Role.PLAYER) as bus, open_bus(robot.name, Role.OBSERVER) as observer:
-        rings = [observer.subscribe(topic) for topic in ("feedforward", "payload", "error")]
+        inboxes = [observer.subscribe(topic) for topic in ("feedforward", "payload", "error")]
         publisher = bus.publisher("sample")
         until(lambda: Role.ESTIMATOR in observer.alive and Role.ESTIMATOR in bus.alive and publisher.heard)
         time.sleep(LINK_S)
         play(score(trace), publisher.put, None, lambda _: None)
-        answers = collect(rings, [len(expected.feedforward), len(expected.payload), len(expected.error)])
+        answers = collect(inboxes, [len(expected.feedforward), len(expected.payload), len(expected.error)])
     for name, answer in zip(("feedforward", "payload", "error"), answers, strict=True):
         assert answer.tobytes() == getattr(expected, name).tobytes(), name

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.bus import Bus, Ring, open_bus
+from drivers.bus import Bus, Inbox, open_bus
 from drivers.ethercat.tap import FileSource, InterfaceSource, Tap
 from drivers.ethercat.trace import CaptureReader
 from drivers.health import Health
@@ -69,7 +69,7 @@ def start(space: Namespace, robot_file: Path, *arguments: str) -> subprocess.Pop
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def until_ready(health: Ring, tap: subprocess.Popen[str]) -> None:
+def until_ready(health: Inbox, tap: subprocess.Popen[str]) -> None:
     """Wait for the first health message: the tap listens."""
     give_up = time.monotonic() + 120
     while not health.wait(0.1):
@@ -77,12 +77,12 @@ def until_ready(health: Ring, tap: subprocess.Popen[str]) -> None:
         assert time.monotonic() < give_up
 
 
-def taken(ring: Ring, count: int) -> np.ndarray:
+def taken(inbox: Inbox, count: int) -> np.ndarray:
     got: list[np.ndarray] = []
     give_up = time.monotonic() + 30
     while sum(map(len, got)) < count and time.monotonic() < give_up:
-        ring.wait(0.5)
-        got.append(ring.take()[0])
+        inbox.wait(0.5)
+        got.append(inbox.take()[0])
     return np.concatenate(got)
 
 

@@ -37,13 +37,13 @@ def test_every_sample_arrives_and_the_lateness_is_reported(
     folder: Path, until: Callable[[Callable[[], bool]], None]
 ) -> None:
     with open_bus("bench", Role.MONITOR) as monitor:
-        ring = monitor.subscribe("sample")
+        inbox = monitor.subscribe("sample")
         out, error = (process := replay(folder, "--wait", "20", "--loop", "2", "--rate", "2000")).communicate(
             timeout=60
         )
         assert process.returncode == 0, error
         records: list[int] = []
-        until(lambda: bool(records.extend(ring.take()[0]["sequence"].tolist()) or len(records) >= 1000))
+        until(lambda: bool(records.extend(inbox.take()[0]["sequence"].tolist()) or len(records) >= 1000))
     assert records == list(range(1000))
     assert out.startswith("sent 1000 of 1000 samples, ")
     assert "lateness median" in out
@@ -61,12 +61,12 @@ def test_interrupt_ends_an_endless_replay_with_its_report(
     folder: Path, how: int, until: Callable[[Callable[[], bool]], None]
 ) -> None:
     with open_bus("bench", Role.MONITOR) as monitor:
-        ring = monitor.subscribe("sample")
+        inbox = monitor.subscribe("sample")
         process = replay(folder, "--loop", "0", "--wait", "20")
         taken = 0
         while taken < 700:
-            assert ring.wait(30.0)
-            taken += len(ring.take()[0])
+            assert inbox.wait(30.0)
+            taken += len(inbox.take()[0])
         process.send_signal(how)
         out, error = process.communicate(timeout=60)
     assert process.returncode == 0, error

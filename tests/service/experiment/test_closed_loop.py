@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from drivers.bus import Ring
+from drivers.bus import Inbox
 from drivers.plant.live import STALE_CYCLES, FeedforwardIntake, LiveRun
 from drivers.plant.motion import Motion, Planner
 from drivers.plant.plant import Plant
@@ -124,35 +126,38 @@ def test_lost_estimator_leaves_the_robot_safe_on_feedback(
 class TestIntake:
     """Which feed-forward torque is in force."""
 
-    def give(self, ring: Ring, target: int, torque: float) -> None:
-        record = FEEDFORWARD.empty(1)
-        record["target_sequence"], record["torque"] = target, torque
+    def intake(self) -> tuple[FeedforwardIntake, Callable[[int, float], None]]:
+        """An intake behind an inbox without a session, and what puts a message into that."""
+        waiting: list[bytes] = []
+        channel = SimpleNamespace(
+            recv=None,
+            try_recv=lambda: (
+                SimpleNamespace(payload=SimpleNamespace(to_bytes=partial(waiting.pop, 0))) if waiting else None
+            ),
+        )
 
-        class Bytes:
-            def to_bytes(self) -> bytes:
-                return record.tobytes()
+        def give(target: int, torque: float) -> None:
+            record = FEEDFORWARD.empty(1)
+            record["target_sequence"], record["torque"] = target, torque
+            waiting.append(record.tobytes())
 
-        class Put:
-            payload = Bytes()
-
-        ring.receive(Put())  # pyright: ignore[reportArgumentType]: what Zenoh's sample is to the ring
+        inbox = Inbox(FEEDFORWARD, channel, lambda: None)  # pyright: ignore[reportArgumentType]: what it needs of one
+        return FeedforwardIntake(inbox, 50.0), give
 
     def test_holds_three_cycles_then_lets_go(self) -> None:
-        ring = Ring(FEEDFORWARD, 16)
-        intake = FeedforwardIntake(ring, 50.0)
+        intake, give = self.intake()
         assert intake.at(0) is None
-        self.give(ring, 1, 7.0)
+        give(1, 7.0)
         found = [intake.at(cycle) for cycle in range(1, 7)]
         assert [None if torque is None else float(torque[0]) for torque in found] == [7.0, 7.0, 7.0, 7.0, None, None]
 
     def test_waits_for_its_cycle_limits_and_refuses(self) -> None:
-        ring = Ring(FEEDFORWARD, 16)
-        intake = FeedforwardIntake(ring, 50.0)
-        self.give(ring, 12, 9.0)
-        self.give(ring, 10, 80.0)
-        self.give(ring, 11, float("nan"))
-        self.give(ring, 3, 5.0)
-        self.give(ring, 10_000, 5.0)
+        intake, give = self.intake()
+        give(12, 9.0)
+        give(10, 80.0)
+        give(11, float("nan"))
+        give(3, 5.0)
+        give(10_000, 5.0)
         assert intake.at(9) is None
         torques = [intake.at(cycle) for cycle in (10, 11, 12)]
         assert [None if torque is None else float(torque[0]) for torque in torques] == [50.0, 50.0, 9.0]

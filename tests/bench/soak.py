@@ -1,0 +1,215 @@
+"""Player, estimator and monitor side by side for as long as you like: what they hold, lose, cost and how late they are.
+
+    python -m tests.bench.soak --minutes 60 --rate 1000
+
+A row a minute, and at the end (or at Ctrl-C) the table as markdown, with what the recording holds of what was sent.
+Lateness is the player's, latency the estimator's, from a sample's arrival to the sending of its answer; both are
+medians over the minute of what `health` says every second, p99 and max the largest of it. The demo log is played round
+and round, resampled to the rate; the recording takes about 0.2 GB a minute at 8 kHz.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+from scipy.interpolate import CubicSpline
+
+from drivers.bus import Bus, open_bus
+from drivers.trace import read_trace, write_trace
+from replay.demo import LOG, ROBOT
+from schemas.messages import Role
+from schemas.robot import load_robot, save_robot
+from schemas.trace import Trace
+
+COMMAND = Path(sys.executable).with_name("deltatwin")
+ROW_S = 60.0
+POLL_S = 0.1
+START_S = 300.0  # a role that compiles its kernels on a busy host takes a minute
+ROLES = {"player": Role.PLAYER, "estimator": Role.ESTIMATOR, "monitor": Role.MONITOR}
+HEADINGS = (
+    "min", *(f"{role} {what}" for role in ROLES for what in ("RSS MiB", "fds", "CPU %")),
+    "lost", "late", "lateness µs median / p99 / max", "latency µs median / p99 / max",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Usage:
+    """Of one process: resident memory in MiB, open descriptors, processor time in s."""
+
+    resident: float
+    descriptors: int
+    cpu: float
+
+
+def usage(process: int) -> Usage:
+    """What the kernel says of a process that runs."""
+    place = Path(f"/proc/{process}")
+    fields = (place / "stat").read_text().rsplit(")", 1)[1].split()
+    return Usage(
+        int((place / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20,
+        len(list((place / "fd").iterdir())),
+        (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"),
+    )
+
+
+def lay_out(folder: Path, rate: float) -> None:
+    """The demo robot under a name of its own, and its log at `rate`."""
+    robot = load_robot(ROBOT).model_copy(update={"name": "soak"})
+    save_robot(robot, folder / "robot.toml")
+    log = read_trace(LOG, robot)
+    assert log.position_command is not None
+    instants = np.arange(0.0, log.time[-1] - log.time[0], 1.0 / rate)
+    position, torque, command = (
+        CubicSpline(log.time - log.time[0], values)(instants)
+        for values in (log.position, log.torque, log.position_command)
+    )
+    write_trace(
+        Trace(Path("soak"), instants, position, torque, position_command=command), folder / "log.mcap", robot.name
+    )
+
+
+class Soak:
+    """The three processes and what their `health` has said since the last row."""
+
+    def __init__(self, folder: Path, bus: Bus) -> None:
+        self._folder, self._bus = folder, bus
+        self._health = bus.subscribe("health")
+        self._said: list[np.ndarray] = []
+        self._last: dict[str, np.void] = {}
+        self.processes: dict[str, subprocess.Popen] = {}
+        self._before: dict[str, Usage] = {}
+        self._at = time.monotonic()
+        self._counted = {"lost": 0, "late": 0}
+
+    def start(self, rate: float) -> None:
+        """Monitor and estimator, and when they are there the player."""
+        robot = ["--robot", self._folder / "robot.toml"]
+        self._launch("monitor", "monitor", *robot, "--output", self._folder / "run.mcap")
+        self._launch("estimator", "estimate", *robot)
+        wanted = {Role.MONITOR, Role.ESTIMATOR}
+        give_up = time.monotonic() + START_S
+        while not wanted <= self._bus.alive:
+            if time.monotonic() > give_up:
+                raise SystemExit(f"soak: {', '.join(r.name.lower() for r in wanted - self._bus.alive)} did not start")
+            time.sleep(0.1)
+        self._launch("player", "replay", self._folder / "log.mcap", *robot, "--loop", "0", "--rate", str(rate))
+        self._at = time.monotonic()
+        self._before = {name: usage(process.pid) for name, process in self.processes.items()}
+
+    def _launch(self, name: str, *arguments: object) -> None:
+        with (self._folder / f"{name}.txt").open("w") as out:
+            self.processes[name] = subprocess.Popen([COMMAND, *map(str, arguments)], stdout=out, stderr=out)
+
+    def listen(self) -> None:
+        """Take what was said; a role that has died ends the run."""
+        self._said.append(self._health.take()[0])
+        for name, process in self.processes.items():
+            if process.poll() is not None:
+                said = (self._folder / f"{name}.txt").read_text()
+                raise SystemExit(f"soak: {name} ended with {process.returncode}: {said[-2000:]}")
+
+    def row(self, minute: float) -> list[str]:
+        """What happened since the last row."""
+        now = time.monotonic()
+        span, self._at = now - self._at, now
+        cells = [f"{minute:g}"]
+        for name, process in self.processes.items():
+            used = usage(process.pid)
+            share = 100 * (used.cpu - self._before[name].cpu) / span
+            cells += [f"{used.resident:.1f}", str(used.descriptors), f"{share:.0f}"]
+            self._before[name] = used
+        said = np.concatenate(self._said)
+        self._said.clear()
+        by_role = {name: said[said["role"] == role] for name, role in ROLES.items()}
+        self._last |= {name: records[-1] for name, records in by_role.items() if len(records)}
+        counts = {
+            "lost": sum(int(self._last[name]["lost"]) for name in ("estimator", "monitor") if name in self._last),
+            "late": int(self._last["player"]["late"]) if "player" in self._last else 0,
+        }
+        cells += [str(counts[what] - self._counted[what]) for what in counts]
+        self._counted = counts
+        for name in ("player", "estimator"):
+            timed = by_role[name][by_role[name]["latency_max"] > 0]
+            if len(timed):
+                values = np.median(timed["latency_median"]), timed["latency_p99"].max(), timed["latency_max"].max()
+                cells.append(" / ".join(f"{value * 1e6:.1f}" for value in values))
+            else:
+                cells.append("")
+        return cells
+
+    def stop(self) -> str:
+        """End the roles one after the other; what was sent and what of it is in the file."""
+        for name in ("player", "estimator", "monitor"):
+            process = self.processes.get(name)
+            if process is not None and process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                process.wait(60)
+                time.sleep(0.5)
+        player = self._folder / "player.txt"
+        said = re.search(r"sent (\d+)", player.read_text()) if player.exists() else None
+        if said is None:
+            return "nothing was sent"
+        with (self._folder / "run.mcap").open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        held = {
+            summary.channels[channel].topic.rsplit("/", 1)[1]: count
+            for channel, count in summary.statistics.channel_message_counts.items()
+        }
+        size = (self._folder / "run.mcap").stat().st_size / 1e9
+        return f"sent {said[1]} samples; the recording ({size:.2f} GB) holds " + ", ".join(
+            f"{count} {topic}" for topic, count in sorted(held.items(), key=lambda item: -item[1])
+        )
+
+
+def line(cells: list[str] | tuple[str, ...]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--minutes", type=float, default=10.0)
+    arguments.add_argument("--rate", type=float, default=1000.0, help="samples a second")
+    given = arguments.parse_args()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    rows: list[list[str]] = []
+    with tempfile.TemporaryDirectory(prefix="dt-") as name:
+        os.environ["XDG_RUNTIME_DIR"] = name
+        folder = Path(name)
+        lay_out(folder, given.rate)
+        with open_bus("soak", Role.OBSERVER) as bus:
+            soak = Soak(folder, bus)
+            try:
+                soak.start(given.rate)
+                begin = time.monotonic()
+                print(line(HEADINGS), line(["---"] * len(HEADINGS)), sep="\n", flush=True)
+                while time.monotonic() - begin < 60 * given.minutes:
+                    next_row = min(ROW_S * (len(rows) + 1), 60 * given.minutes)
+                    while time.monotonic() - begin < next_row:
+                        time.sleep(POLL_S)
+                        soak.listen()
+                    rows.append(soak.row(round(next_row / 60, 2)))
+                    print(line(rows[-1]), flush=True)
+            except KeyboardInterrupt:
+                print(f"soak: interrupted after {len(rows)} rows", file=sys.stderr)
+            finally:
+                found = soak.stop()
+    print(f"\nsoak at {given.rate:g} Hz:\n", line(HEADINGS), line(["---"] * len(HEADINGS)), *map(line, rows), sep="\n")
+    print(f"\n{found}")
+
+
+if __name__ == "__main__":
+    main()
