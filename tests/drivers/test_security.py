@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from drivers.bus import Bus, Ring, open_bus
+from drivers.bus import Bus, Inbox, open_bus
 from drivers.security.check import check
 from drivers.security.keys import Host, make_keys, parse_hosts
 from drivers.security.rights import SOURCES, readers, writers
@@ -83,9 +83,9 @@ def numbered(topic: str, number: int) -> bytes:
     return record.tobytes()
 
 
-def heard(ring: Ring) -> list[int]:
+def heard(inbox: Inbox) -> list[int]:
     time.sleep(SETTLED_S)
-    return ring.take()[0]["sequence"].tolist()
+    return inbox.take()[0]["sequence"].tolist()
 
 
 def forge(session: zenoh.Session, topic: str, number: int = 99) -> None:
@@ -108,7 +108,7 @@ def test_intruder_neither_reads_nor_writes(
 ) -> None:
     a, b = keys
     with run_as(a, Role.PLAYER) as player, run_as(b, Role.ESTIMATOR) as estimator:
-        ring, publisher = estimator.subscribe("sample"), player.publisher("sample")
+        inbox, publisher = estimator.subscribe("sample"), player.publisher("sample")
         reference = estimator.subscribe("reference")
         until(lambda: publisher.heard)
         # In the player's place on the second host: it calls the estimator, and the estimator calls it.
@@ -138,7 +138,7 @@ def test_intruder_neither_reads_nor_writes(
             for topic in ("sample", "reference"):
                 forge(strange, topic)
             publisher.put(numbered("sample", 1))
-            assert heard(ring) == [1]
+            assert heard(inbox) == [1]
             assert heard(reference) == []
             assert caught == []
 
@@ -148,12 +148,12 @@ def test_the_same_intruder_with_the_players_own_certificate_is_let_in(
 ) -> None:
     """What the test above holds against: with the right certificate the same code is heard."""
     with run_as(keys[0], Role.ESTIMATOR) as estimator:
-        ring = estimator.subscribe("sample")
+        inbox = estimator.subscribe("sample")
         with intruder(configuration(keys[1], Role.PLAYER)) as player:
             until(lambda: Role.ESTIMATOR in estimator.alive and len(estimator._session.info.peers_zid()) == 1)
             forge(player, "sample", 7)
-            until(lambda: ring.wait(0.1))
-            assert ring.take()[0]["sequence"].tolist() == [7]
+            until(lambda: inbox.wait(0.1))
+            assert inbox.take()[0]["sequence"].tolist() == [7]
 
 
 @pytest.mark.parametrize("calls", ["monitor calls", "is called by the monitor"])
@@ -169,7 +169,7 @@ def test_a_role_writes_only_what_is_its_own(
         run_as(keys[0], Role.ESTIMATOR if listener is Role.MASTER else Role.PLAYER) as rightful,
     ):
         topic = "feedforward" if listener is Role.MASTER else "sample"
-        ring, seen = victim.subscribe(topic), observer.subscribe(topic)
+        inbox, seen = victim.subscribe(topic), observer.subscribe(topic)
         health = observer.subscribe("health")
         publisher = rightful.publisher(topic)
         until(lambda: publisher.heard and len(observer.alive) == 3)
@@ -181,7 +181,7 @@ def test_a_role_writes_only_what_is_its_own(
                 forge(session, forged)
             forge(session, "health", 5)
             publisher.put(numbered(topic, 1))
-            assert heard(ring) == [1]
+            assert heard(inbox) == [1]
             assert heard(seen) == [1]
             assert heard(health) == [5]  # its own right, so the link stands
             assert watched == []  # `deltatwin/**` is more than it may ask for
@@ -209,7 +209,7 @@ def test_two_sources_cannot_both_write_samples(
     assert not made.ca_is_new
     assert not list(made.folders[0].glob("player.*"))
     with run_as(keys[0], Role.ESTIMATOR) as estimator, run_as(keys[1], Role.TAP) as tap:
-        ring = estimator.subscribe("sample")
+        inbox = estimator.subscribe("sample")
         publisher = tap.publisher("sample")
         until(lambda: publisher.heard)
         old = make_keys(tmp_path / "keys", hosts, "bench", Role.PLAYER).folders[0]  # keys of before, still valid
@@ -218,7 +218,7 @@ def test_two_sources_cannot_both_write_samples(
             time.sleep(SETTLED_S)
             forge(player, "sample")
             publisher.put(numbered("sample", 4))
-            assert heard(ring) == [4]
+            assert heard(inbox) == [4]
 
 
 def test_second_process_of_a_role_on_another_host_is_refused(
@@ -241,7 +241,7 @@ def test_estimator_answers_over_tls(bus_folder: Path, keys: list[Path], bench_ro
     assert any("estimating for bench" in line for line in estimate.stderr), "compiling takes its time on a busy host"
     try:
         with run_as(keys[0], Role.PLAYER) as player, run_as(keys[0], Role.MONITOR) as monitor:
-            ring, publisher = monitor.subscribe("feedforward"), player.publisher("sample")
+            inbox, publisher = monitor.subscribe("feedforward"), player.publisher("sample")
             until(lambda: Role.ESTIMATOR in monitor.alive and publisher.heard)
             record = SAMPLE.empty(1)
             for number in range(300):
@@ -249,7 +249,7 @@ def test_estimator_answers_over_tls(bus_folder: Path, keys: list[Path], bench_ro
                 publisher.put(record.tobytes())
                 time.sleep(0.001)
             answered: list[int] = []
-            until(lambda: (answered.extend(ring.take()[0]["sequence"].tolist()) or True) and len(answered) == 300)
+            until(lambda: (answered.extend(inbox.take()[0]["sequence"].tolist()) or True) and len(answered) == 300)
             assert sorted(answered) == list(range(300))
     finally:
         estimate.terminate()
@@ -413,10 +413,10 @@ def test_foreign_ca_key_is_named(tmp_path: Path, hosts: list[Host]) -> None:
 def test_keys_for_every_robot(bus_folder: Path, tmp_path: Path, hosts: list[Host], until: Callable) -> None:
     a, b = make_keys(tmp_path / "keys", hosts, None, Role.PLAYER).folders
     with run_as(a, Role.PLAYER) as player, run_as(b, Role.ESTIMATOR) as estimator:
-        ring, publisher = estimator.subscribe("sample"), player.publisher("sample")
+        inbox, publisher = estimator.subscribe("sample"), player.publisher("sample")
         until(lambda: publisher.heard)
         publisher.put(numbered("sample", 1))
-        assert heard(ring) == [1]
+        assert heard(inbox) == [1]
         assert Role.PLAYER in estimator.alive
 
 
