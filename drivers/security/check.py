@@ -15,9 +15,12 @@ from cryptography.x509.oid import NameOID
 
 from drivers.security.rights import common_name
 from schemas.errors import BusError, DeltatwinError
+from schemas.files import read_bytes
 from schemas.messages import Role
 
 SOON = datetime.timedelta(days=30)  # a certificate that expires within says so at every start
+
+MAX_PEM_BYTES = 1 << 16
 
 _TLS = "transport/link/tls"
 _FILES = (
@@ -34,9 +37,7 @@ def load_certificate(path: Path, error: type[DeltatwinError] = BusError) -> x509
         error: the file cannot be read or holds none.
     """
     try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
-    except OSError as cause:
-        raise error(f"{path}: {cause.strerror}") from cause
+        return x509.load_pem_x509_certificate(read_bytes(path, MAX_PEM_BYTES, error))
     except ValueError as cause:
         raise error(f"{path}: not a certificate in PEM") from cause
 

@@ -21,9 +21,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from drivers.bus import PATIENCE_S, RETRY_MS
-from drivers.security.check import load_certificate
+from drivers.security.check import MAX_PEM_BYTES, load_certificate
 from drivers.security.rights import COMMON_NAME, SOURCES, access_control, common_name
 from schemas.errors import StorageError
+from schemas.files import read_bytes, whole
 from schemas.messages import Role
 
 CA_VALID = datetime.timedelta(days=3650)
@@ -209,7 +210,7 @@ def _authority(
     if any(path.exists() for path in paths):
         certificate = load_certificate(paths[0], StorageError)
         try:
-            key = serialization.load_pem_private_key(paths[1].read_bytes(), None)
+            key = serialization.load_pem_private_key(read_bytes(paths[1], MAX_PEM_BYTES, StorageError), None)
         except (ValueError, TypeError) as error:
             raise StorageError(f"{paths[1]}: not a private key without passphrase") from error
         if not isinstance(key, ec.EllipticCurvePrivateKey) or certificate.public_key() != key.public_key():
@@ -301,9 +302,8 @@ def _folder(path: Path) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file of mode 0600 in one go: at no moment is there half of one, or one that others may read."""
-    partial = path.with_name(path.name + ".part")
-    partial.unlink(missing_ok=True)
-    with open(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-        file.write(content)
-    partial.replace(path)
+    """Write a whole file of mode 0600; at no moment may others read it."""
+    with whole(path) as partial:
+        partial.unlink(missing_ok=True)
+        with open(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(content)
