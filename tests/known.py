@@ -13,7 +13,7 @@ from schemas.messages import SAMPLE, set_stamp, stamp_ns
 from schemas.robot import Geometry, Identified, JointParameter, Mass, Parameter, Robot
 from schemas.trace import Trace
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
-from service.model.parameters import pack
+from service.model.nominal import pack
 
 PERIOD = 1e-3
 

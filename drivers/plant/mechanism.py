@@ -23,7 +23,7 @@ import numpy as np
 from drivers.plant.truth import ROD_SPACING, PlantTruth
 from schemas.errors import PoseError
 from service.model import kinematics
-from service.model.parameters import DeltaModel
+from service.model.nominal import DeltaModel
 
 # What MuJoCo warns of (a mechanism torn apart) is an error of ours; by default it writes a log into the current folder.
 mujoco.set_mju_user_warning(lambda message: None)

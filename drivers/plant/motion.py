@@ -17,7 +17,7 @@ from drivers.plant.truth import PlantTruth
 from schemas.errors import DataError, PoseError
 from schemas.robot import Robot
 from service.model import kinematics
-from service.model.parameters import DeltaModel, pack
+from service.model.nominal import DeltaModel, pack
 
 REST_BEFORE, REST_AFTER = 0.10, 0.16  # s at the ends of a pick-and-place run
 GRIP = 0.06  # s that the platform stands while a payload is gripped or let go

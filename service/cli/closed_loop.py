@@ -50,7 +50,7 @@ def command(
     from service.experiment.pictures import Figure, write_page, write_pictures
     from service.identification.identify import identify
     from service.identification.regression import summarise
-    from service.model.parameters import pack
+    from service.model.nominal import pack
 
     terminate_as_interrupt()
     description = load_robot(robot)

@@ -19,7 +19,7 @@ def command(
     effects: Annotated[
         Path | None,
         typer.Option(
-            help="Python file with effects of your own: dataclasses derived from service.diagnosis.effects.base.Effect"
+            help="Python file with effects of your own: dataclasses derived from service.model.effects.base.Effect"
         ),
     ] = None,
     test: Annotated[
@@ -43,9 +43,9 @@ def command(
     from service.cli.reading import reading
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.document import corrected, document
-    from service.diagnosis.effects import catalogue
     from service.diagnosis.report import write_report
     from service.diagnosis.text import paragraphs
+    from service.model.effects import catalogue
 
     console = Console()
     make_folder(out)

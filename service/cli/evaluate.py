@@ -105,7 +105,7 @@ def _json(results: list[Evaluation], unit: str) -> str:
     from dataclasses import asdict
     from json import dumps
 
-    from service.identification.signals import ANALYSIS_HZ
+    from service.model.signals import ANALYSIS_HZ
 
     def figures(errors: dict[str, Moments]) -> dict[str, dict[str, list[float | None]]]:
         return {
@@ -145,7 +145,7 @@ def _finite(values) -> list[float | None]:
 def _table(results: list[Evaluation], unit: str) -> Table:
     from rich.table import Table
 
-    from service.identification.signals import ANALYSIS_HZ
+    from service.model.signals import ANALYSIS_HZ
 
     table = Table(
         "model",

@@ -41,7 +41,7 @@ def command(
     from service.cli.reading import reading
     from service.identification.identify import identify
     from service.identification.regression import summarise
-    from service.model.parameters import pack
+    from service.model.nominal import pack
 
     console = Console()
     make_folder(out.parent)
@@ -74,7 +74,7 @@ def _parameters(estimates: Sequence[Estimate]) -> Table:
 def _residuals(fit: Fit, trajectories: Sequence[Trajectory]) -> Table:
     from rich.table import Table
 
-    from service.identification.signals import ANALYSIS_HZ
+    from service.model.signals import ANALYSIS_HZ
 
     title = f"rms while moving, below {ANALYSIS_HZ:g} Hz, N m, joints 1 / 2 / 3"
     caption = f"noise of the torque in this band: {_three(fit.noise_floor)}"

@@ -130,10 +130,10 @@ def answer(folder: Path) -> dict[str, Any]:
     from drivers.trace import read_trace
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.document import corrected, document
-    from service.diagnosis.effects import CATALOGUE
     from service.identification.identify import identify
     from service.identification.regression import summarise
-    from service.model.parameters import pack
+    from service.model.effects import CATALOGUE
+    from service.model.nominal import pack
 
     robot = load_robot(folder / "robot.toml")
     start, spent = time.monotonic(), time.process_time()

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.diagnosis.effects.base import Effect
 from service.diagnosis.hypothesis import Problem, fit
-from service.diagnosis.mechanism import Delta
 from service.diagnosis.selection import Selection
+from service.model.effects.base import Effect
+from service.model.mechanism import Delta
 
 LEAST_TIME = 3.0  # s of motion of a joint
 LEAST_SHARE = 0.02  # of the time that a joint moves in its rarer direction

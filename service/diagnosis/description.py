@@ -10,12 +10,12 @@ from schemas.axes import Axes, AxesIdentified, Description
 from schemas.errors import DataError
 from schemas.robot import Effect as EffectEntry
 from schemas.robot import EffectParameter, Identified, JointParameter, Parameter, Robot
-from service.diagnosis.effects import by_name, catalogue
-from service.diagnosis.effects.base import Effect
 from service.diagnosis.hypothesis import Hypothesis, Term, predict
-from service.diagnosis.mechanism import mechanism_of
-from service.diagnosis.scene import Base, Recording, Scene
-from service.identification.signals import Segment
+from service.model.effects import by_name, catalogue
+from service.model.effects.base import Effect
+from service.model.mechanism import mechanism_of
+from service.model.scene import Base, Recording, Scene
+from service.model.signals import Segment
 
 
 def names(term: Term) -> list[tuple[str, str]]:

@@ -13,14 +13,13 @@ from schemas.trace import Trace
 from service.diagnosis import statistics
 from service.diagnosis.cautions import doubts_of, limits_of
 from service.diagnosis.description import hypothesis_of
-from service.diagnosis.effects.base import Effect
 from service.diagnosis.hypothesis import Hypothesis, Problem, Term, evaluate, fit, predict
-from service.diagnosis.mechanism import mechanism_of
 from service.diagnosis.noise import white_noise
-from service.diagnosis.scene import Band, Base, Recording
 from service.diagnosis.selection import Scored, Selection, Split, score, search
-from service.identification.regression import thin
-from service.identification.signals import segments
+from service.model.effects.base import Effect
+from service.model.mechanism import mechanism_of
+from service.model.scene import Base, Recording
+from service.model.signals import Band, segments, thin
 
 # What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
 # smoothing of the motion costs another two.

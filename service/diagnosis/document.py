@@ -12,12 +12,12 @@ from schemas.trace import Trace
 from service.diagnosis import statistics
 from service.diagnosis.description import described, described_axes, digits, in_units_of, names, values
 from service.diagnosis.diagnose import Findings
-from service.diagnosis.effects.base import Effect
 from service.diagnosis.evidence import Contest, confusable, contests
 from service.diagnosis.selection import block_loss
 from service.diagnosis.unseen import unseen
 from service.diagnosis.where import where, without
 from service.estimator.effects import carried
+from service.model.effects.base import Effect
 
 Z95 = 1.96
 ONLINE = {

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from service.diagnosis.effects.base import Effect, on_joint
-from service.diagnosis.effects.signal import delayed
-from service.diagnosis.scene import Band, Base, Recording, Scene
+from service.model.effects.base import Effect, on_joint
 from service.model.friction import mean_direction
+from service.model.scene import Base, Recording, Scene
+from service.model.signals import Band, delayed
 
 # A recording a thread: filters, matrix products and compiled kernels let go of the interpreter.
 THREADS = ThreadPoolExecutor(os.cpu_count())

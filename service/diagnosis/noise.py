@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.diagnosis.scene import Recording
-from service.identification.signals import NOISE_HZ
+from service.model.scene import Recording
+from service.model.signals import NOISE_HZ
 
 WINDOW = 128  # samples
 CLIP = 3.0  # standard deviations of a window's variance

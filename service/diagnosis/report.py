@@ -13,11 +13,11 @@ from schemas.diagnosis import Diagnosis
 from service.diagnosis.description import in_units_of
 from service.diagnosis.diagnose import Findings
 from service.diagnosis.hypothesis import Hypothesis, predict
-from service.diagnosis.scene import Scene
 from service.diagnosis.statistics import joint_of
 from service.diagnosis.text import paragraphs
 from service.diagnosis.where import Rows
 from service.pages import write_page
+from service.model.scene import Scene
 
 COLOURS = {"before": "#b0b7c3", "after": "#1f6feb", "noise": "#d0d7de"}
 EFFECTS = ("#1f6feb", "#2da44e", "#8250df", "#bf8700")

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.diagnosis.effects.base import Effect, on_joint
 from service.diagnosis.hypothesis import THREADS, Fit, Hypothesis, Problem, Term, fit, reported, solve
-from service.diagnosis.scene import Scene
+from service.model.effects.base import Effect, on_joint
+from service.model.scene import Scene
 
 BLOCK = 0.5  # s, of the block bootstrap: longer than the residual remembers
 FOLDS = 4  # where fewer than three traces are given

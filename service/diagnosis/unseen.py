@@ -11,10 +11,9 @@ from service.diagnosis.description import digits
 from service.diagnosis.diagnose import Findings
 from service.diagnosis.events import bursts, events_of, outside, rhythm
 from service.diagnosis.hypothesis import Hypothesis, Problem, evaluate
-from service.diagnosis.scene import Band, Recording
 from service.diagnosis.selection import Split
-from service.identification.regression import thin
-from service.identification.signals import segments
+from service.model.scene import Recording
+from service.model.signals import Band, segments, thin
 
 
 def unseen(findings: Findings, trace: Trace) -> Unseen:

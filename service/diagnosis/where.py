@@ -10,13 +10,13 @@ import numpy as np
 
 from service.diagnosis.description import in_units_of
 from service.diagnosis.diagnose import Findings
-from service.diagnosis.effects.base import Effect
 from service.diagnosis.events import bursts, events_of, rhythm
 from service.diagnosis.hypothesis import Hypothesis, Problem
-from service.diagnosis.mechanism import Delta
-from service.diagnosis.scene import Scene
 from service.diagnosis.selection import held_out
 from service.diagnosis.statistics import joint_of, term_columns
+from service.model.effects.base import Effect
+from service.model.mechanism import Delta
+from service.model.scene import Scene
 
 REVERSAL_SPEED = 0.1  # rad/s: nearer than this to zero is a reversal
 ANGLE_BINS = 10

@@ -1,6 +1,6 @@
 """The named effects of a robot description inside the online step: those whose torque follows from the present sample.
 
-The physics of each is told where it is diagnosed (`service/diagnosis/effects`); here is its causal form. What needs the
+The physics of each is told where it is diagnosed (`service/model/effects`); here is its causal form. What needs the
 past of the motor (backlash, elasticity, presliding) or belongs to the measurement alone (delay, filter of the reported
 torque) is not carried: `carried` says which are.
 """

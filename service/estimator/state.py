@@ -11,7 +11,7 @@ from schemas.messages import FeedforwardSource
 from schemas.robot import Robot
 from service.estimator import effects, kalman, payload
 from service.model.dynamics import REST_SPEED, TERMS
-from service.model.parameters import DeltaModel, pack
+from service.model.nominal import DeltaModel, pack
 
 # Per sample, when `identify` has not measured it.
 DEFAULT_TORQUE_NOISE = 0.5  # N m

@@ -25,7 +25,7 @@ from schemas.errors import BusError
 from schemas.messages import HealthFlag, Role
 from schemas.robot import Identified, JointParameter, Parameter, Robot
 from service.model import kinematics
-from service.model.parameters import pack
+from service.model.nominal import pack
 
 ESTIMATOR_START = 60.0  # s that a cold estimator may take to compile
 SETTLING = 0.5  # s at the start of a run that do not count: the integrators hand the weight over to the feed-forward

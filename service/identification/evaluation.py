@@ -15,7 +15,7 @@ from service.diagnosis.events import Event, Run, events, outside
 from service.estimator.estimator import Estimator, period_of
 from service.identification.predict import FULL, Motion, error_in_band, motion, predict_along
 from service.model.dynamics import PAYLOAD, torque_terms
-from service.model.parameters import pack
+from service.model.nominal import pack
 
 WITH_PAYLOAD = "full, m_p estimated"
 

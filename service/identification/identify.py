@@ -10,7 +10,7 @@ from schemas.robot import Identified, JointParameter, Parameter, Robot
 from service.identification import checks, paper, pooled
 from service.identification.pooled import COULOMB, FOREARM_MASS, RHO_1, RHO_2, VISCOUS, Estimate, Fit
 from service.identification.regression import Trajectory
-from service.model.parameters import pack
+from service.model.nominal import pack
 
 Method = Literal["pooled", "paper"]
 

@@ -31,7 +31,7 @@ from service.identification.regression import (
     VISCOUS_COLUMN,
     Trajectory,
 )
-from service.identification.signals import ANALYSIS_HZ
+from service.model.signals import ANALYSIS_HZ
 
 PARAMETERS = ("rho_1", "rho_2", "forearm", "f_v_1", "f_v_2", "f_v_3", "f_c_1", "f_c_2", "f_c_3")
 RHO_1, RHO_2, FOREARM_MASS = range(3)

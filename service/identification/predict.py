@@ -13,8 +13,8 @@ from schemas.trace import Trace
 from service.diagnosis.description import torque_along
 from service.identification.pooled import COULOMB, FOREARM_MASS, RHO_1, RHO_2, VISCOUS
 from service.identification.regression import regressors
-from service.identification.signals import lowpass, segments
-from service.model.parameters import pack
+from service.model.nominal import pack
+from service.model.signals import lowpass, segments
 
 MODELS = ("M_KH", "M_Id", "M_Id+F", "full")  # each a superset of the one before; full adds forearm and effects
 FULL = MODELS[-1]

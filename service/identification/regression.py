@@ -11,15 +11,14 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import decimate
 
 from schemas.errors import PoseError, TraceError
 from schemas.trace import Trace
-from service.identification.signals import EDGE, Segment, lowpass, noise_density, segments
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PLATFORM, torque_terms
 from service.model.friction import mean_direction
 from service.model.kinematics import jacobian
-from service.model.parameters import DeltaModel
+from service.model.nominal import DeltaModel
+from service.model.signals import EDGE, Segment, lowpass, noise_density, segments, thin
 
 # Columns of a joint's sums: what the parameters multiply, the platform's known torque, the weight of a kilogram on the
 # platform, the torques of joints 1 to 3, and one.
@@ -33,7 +32,6 @@ ONE_COLUMN = 10
 TRANSITIONS = (0.0, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 16e-3)
 
 BLOCK = 0.5  # s, many times the correlation time of the low-passed noise (12 ms) and about one stroke of a pick
-RATE = 1000.0  # Hz, regressors are built at no less than this: plenty for what the motion smoother passes
 
 
 @dataclass(frozen=True)
@@ -67,24 +65,6 @@ class Trajectory:
         gram[..., COULOMB_COLUMN, :] = gram[..., :, COULOMB_COLUMN] = products[..., :COLUMNS]
         gram[..., COULOMB_COLUMN, COULOMB_COLUMN] = products[..., COLUMNS]
         return replace(self, gram=gram, transition=transition)
-
-
-def thin(segment: Segment) -> Segment:
-    """Every k-th sample of `segment`, the torque low-passed for it, at no less than `RATE`."""
-    step = int(1.0 / (RATE * segment.period) + 1e-6)
-    if step < 2:
-        return segment
-    return replace(
-        segment,
-        rows=segment.rows[::step],
-        time=segment.time[::step],
-        period=segment.period * step,
-        theta=segment.theta[::step],
-        theta_dot=segment.theta_dot[::step],
-        theta_ddot=segment.theta_ddot[::step],
-        torque=decimate(segment.torque, step, ftype="fir", axis=0, zero_phase=True),
-        moving=segment.moving[::step],
-    )
 
 
 def regressors(

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from service.model.kinematics import REACHED, lever_kernel, motion_kernel, pose_kernel, raise_pose, rows
-from service.model.parameters import DeltaModel
+from service.model.nominal import DeltaModel
 
 TERMS = ("inertia", "gravity", "platform", "forearm", "payload")
 INERTIA, GRAVITY, PLATFORM, FOREARM, PAYLOAD = range(5)

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from schemas.errors import PoseError
-from service.model.parameters import DeltaModel
+from service.model.nominal import DeltaModel
 
 REACHED, UNREACHABLE, SINGULAR = 0, 1, 2
 

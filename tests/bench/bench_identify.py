@@ -17,9 +17,10 @@ from filterpy.kalman import KalmanFilter
 from drivers.trace import read_trace, write_trace
 from schemas.robot import Geometry, Mass, Robot
 from schemas.trace import Trace
-from service.identification import paper, pooled, signals
+from service.identification import paper, pooled
 from service.identification.regression import Trajectory, summarise
-from service.model.parameters import pack
+from service.model import signals
+from service.model.nominal import pack
 from tests.service.identification.conftest import Truth, multisine, synthesise
 
 ROBOT = Robot(

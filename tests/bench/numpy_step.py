@@ -14,7 +14,7 @@ from service.estimator import payload as p
 from service.estimator.kalman import design
 from service.estimator.step import REVERSAL_SPEED, SETTLE_TIME
 from service.model.dynamics import REST_SPEED
-from service.model.parameters import pack
+from service.model.nominal import pack
 
 
 class NumpyEstimator:

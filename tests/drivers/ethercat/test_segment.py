@@ -20,7 +20,7 @@ from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES, Segment
 from drivers.plant.plant import Plant
 from schemas.messages import SampleFlag, stamp_ns
 from service.model import kinematics
-from service.model.parameters import pack
+from service.model.nominal import pack
 from tests.drivers.ethercat import rig
 from tests.drivers.ethercat.wire import datagram, frame
 

@@ -161,7 +161,7 @@ def test_masses_tilt_springs_hang_as_they_should(robot: Robot, truth: PlantTruth
         held(mechanics.ArmMass([0.0, 0.5, 0.0])), [0.0, -0.5 * g * length / 2 * np.cos(0.3), 0.0], atol=1e-6
     )
     from service.model.kinematics import jacobian
-    from service.model.parameters import pack
+    from service.model.nominal import pack
 
     lift = jacobian(pack(robot), pose).T @ np.array([0.0, 0.0, 1.0])
     np.testing.assert_allclose(held(mechanics.ToolMass(0.4)), 0.4 * g * lift, atol=1e-6)

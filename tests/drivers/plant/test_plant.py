@@ -17,7 +17,7 @@ from drivers.plant.truth import PlantTruth, load_truth, shipped_truth
 from schemas.errors import DataError, RobotError
 from schemas.robot import Robot, load_robot, robot_file
 from service.model import kinematics
-from service.model.parameters import pack
+from service.model.nominal import pack
 
 
 def standing(cycles: int) -> Motion:

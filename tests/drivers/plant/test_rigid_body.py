@@ -18,7 +18,7 @@ from drivers.plant.truth import PlantTruth
 from schemas.robot import Robot, load_robot
 from service.model import kinematics
 from service.model.dynamics import FOREARM, torque_terms
-from service.model.parameters import pack
+from service.model.nominal import pack
 
 
 def rms(values: np.ndarray) -> float:

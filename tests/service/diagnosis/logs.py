@@ -11,7 +11,7 @@ from drivers.trace import write_trace
 from schemas.robot import Geometry, Mass, Robot
 from schemas.trace import Trace
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PLATFORM, torque_terms
-from service.model.parameters import pack
+from service.model.nominal import pack
 
 ROBOT = Robot(
     name="bench",

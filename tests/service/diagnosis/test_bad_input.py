@@ -124,9 +124,10 @@ def test_a_baseline_of_another_robot_is_one_line(write: Write, tmp_path: Path) -
 def test_an_effect_of_ones_own_is_found(write: Write, diagnosed, tmp_path: Path) -> None:
     own = tmp_path / "own.py"
     own.write_text(
+        "from __future__ import annotations\n"
         "from dataclasses import dataclass\n"
         "import numpy as np\n"
-        "from service.diagnosis.effects.base import Amplitude, Effect\n"
+        "from service.model.effects.base import Amplitude, Effect\n"
         "@dataclass(frozen=True)\n"
         "class EndStop(Effect):\n"
         "    stiffness: Amplitude = Amplitude('N m/rad', 'of a rubber stop from 0.5 rad on')\n"

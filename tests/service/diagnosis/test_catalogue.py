@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import RobotError
-from service.diagnosis.effects import CATALOGUE, catalogue
+from service.model.effects import CATALOGUE, catalogue
 
 MODULE = """
 from dataclasses import dataclass
 import numpy as np
-from service.diagnosis.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Effect
 
 @dataclass(frozen=True)
 class RubberStop(Effect):

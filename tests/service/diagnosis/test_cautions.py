@@ -15,8 +15,8 @@ from schemas.robot import load_robot
 from service.diagnosis.cautions import limits_of
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.document import document
-from service.diagnosis.effects import CATALOGUE, by_name, catalogue
 from service.diagnosis.text import sentences
+from service.model.effects import CATALOGUE, by_name, catalogue
 
 EFFECTS = by_name(CATALOGUE)
 
@@ -99,8 +99,9 @@ def test_nothing_moves(logs):
 def test_effects_of_ones_own(tmp_path):
     own = tmp_path / "own.py"
     own.write_text(
+        "from __future__ import annotations\n"
         "from dataclasses import dataclass\n"
-        "from service.diagnosis.effects.base import Amplitude, Effect\n"
+        "from service.model.effects.base import Amplitude, Effect\n"
         "@dataclass(frozen=True)\n"
         "class Bump(Effect):\n"
         "    height: Amplitude = Amplitude('N m', 'height')\n"

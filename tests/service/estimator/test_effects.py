@@ -5,10 +5,10 @@ import pytest
 
 from schemas.errors import RobotError
 from schemas.robot import Effect, EffectParameter, JointParameter
-from service.diagnosis.effects import CATALOGUE
 from service.estimator.effects import carried, pack_effects
 from service.estimator.estimator import Estimator
 from service.identification.predict import FULL, predict
+from service.model.effects import CATALOGUE
 from tests.known import PERIOD, trace_of
 
 FOUND = {

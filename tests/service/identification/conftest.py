@@ -12,7 +12,7 @@ import pytest
 from schemas.robot import Geometry, Mass, Robot
 from schemas.trace import Trace
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
-from service.model.parameters import DeltaModel, pack
+from service.model.nominal import DeltaModel, pack
 
 PERIOD = 1e-3
 

@@ -17,7 +17,7 @@ from schemas.robot import Drive, Robot, load_robot
 from schemas.trace import Trace
 from service.identification.identify import Identification, identify
 from service.identification.regression import summarise
-from service.model.parameters import pack
+from service.model.nominal import pack
 from tests.service.identification.conftest import Truth, multisine
 
 Record = Callable[..., Trace]

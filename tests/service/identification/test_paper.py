@@ -11,9 +11,9 @@ from schemas.trace import Trace
 from service.identification import paper
 from service.identification.identify import identify
 from service.identification.regression import summarise
-from service.identification.signals import lowpass, smooth
 from service.model.dynamics import torque_terms
-from service.model.parameters import pack
+from service.model.nominal import pack
+from service.model.signals import lowpass, smooth
 from tests.service.identification.conftest import Truth
 
 Record = Callable[..., Trace]

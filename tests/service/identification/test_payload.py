@@ -16,7 +16,7 @@ from service.identification.identify import identify
 from service.identification.payload import Pick, course, picks, read_truth, score
 from service.identification.predict import FULL
 from service.identification.regression import summarise
-from service.model.parameters import pack
+from service.model.nominal import pack
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from schemas.robot import Robot
 from schemas.trace import Trace
 from service.identification import pooled
 from service.identification.regression import Trajectory, summarise
-from service.model.parameters import pack
+from service.model.nominal import pack
 from tests.service.identification.conftest import Truth, multisine
 
 Record = Callable[..., Trace]

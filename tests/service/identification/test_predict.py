@@ -16,7 +16,7 @@ from schemas.trace import Trace
 from service.identification.identify import identify
 from service.identification.predict import MODELS, error_in_band, motion, predict
 from service.identification.regression import summarise
-from service.model.parameters import pack
+from service.model.nominal import pack
 
 Record = Callable[..., Trace]
 

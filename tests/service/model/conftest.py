@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.robot import Geometry, Mass, Robot
-from service.model.parameters import DeltaModel, pack
+from service.model.nominal import DeltaModel, pack
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from schemas.axes import Axes, Description
 from schemas.robot import Robot
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
 from service.model.kinematics import jacobian, motion
-from service.model.parameters import DeltaModel, pack
+from service.model.nominal import DeltaModel, pack
 
 
 class Rigid(NamedTuple):

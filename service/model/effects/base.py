@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from service.diagnosis.scene import Scene
+from service.model.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,11 @@ class Effect(ABC):
     def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
         """What is reported of a true joint torque (..., n); only where `measured`."""
         raise NotImplementedError
+
+
+def geometric(low: float, high: float, count: int) -> tuple[float, ...]:
+    """A grid of equal ratios."""
+    return tuple(float(value) for value in np.geomspace(low, high, count))
 
 
 def on_joint(values: np.ndarray, joint: int, joints: int) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from schemas.errors import TraceError
 from schemas.messages import SampleFlag
 from schemas.trace import Trace
-from service.identification import signals
+from service.model import signals
 
 PERIOD = 1e-3
 

@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import butter, freqz_sos
 
-from service.diagnosis.mechanism import Arms, Delta, Mechanism, Rigid
-from service.identification.signals import ANALYSIS_HZ, ANALYSIS_ORDER, Segment, lowpass
 from service.model.friction import mean_direction
+from service.model.mechanism import Arms, Delta, Mechanism, Rigid
+from service.model.signals import Segment
 
 ANGLE_STEP, SPEED_STEP = 1e-5, 1e-3  # rad, rad/s, of the finite differences of the rigid torque
-
-CHUNK = 32  # columns filtered at a time: what fits in the cache
 
 Moved = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
@@ -169,6 +166,19 @@ class Scene:
         force = np.broadcast_to(force, (len(self.time), 3))
         return np.einsum("nai,na->ni", self.arms.jacobian, force)
 
+    def altered(self, length_error: np.ndarray, joint_offset: np.ndarray) -> np.ndarray:
+        """(N, 3) N m: change of the rigid torque with active links longer by (3,) m and zeros moved by (3,) rad."""
+        motion, plain = self.segment, self.recording.rigid
+        altered = self.delta.altered(length_error, joint_offset)
+        rigid = altered.rigid(motion.theta, motion.theta_dot, motion.theta_ddot)
+        # rho_1 and rho_2 also stand for rotor and gear: a longer link changes its own share of inertia and not theirs
+        ratio = altered.model.active_length / self.delta.model.active_length
+        change = rigid.known - plain.known + (rigid.columns - plain.columns) @ self.base.rigid
+        for column, power in ((0, 2), (1, 1)):
+            longer = (1.0 - self.base.rigid[column]) * (1.0 - ratio**-power)
+            change += longer * rigid.columns[..., column]
+        return change
+
     def perturbed(self, joint: int, angle: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """(N, n) N m: first-order change of the base torque when `joint` moves differently.
 
@@ -179,34 +189,3 @@ class Scene:
             + self.damping[:, :, joint] * speed[:, None]
             + self.inertia[:, :, joint] * acceleration[:, None]
         )
-
-
-@dataclass(frozen=True)
-class Band:
-    """The analysis band: a zero-phase low-pass, then every `step`-th sample."""
-
-    cutoff_hz: float
-    period: float
-    step: int
-
-    @classmethod
-    def of(cls, period: float, cutoff_hz: float = ANALYSIS_HZ) -> Band:
-        """Keeps five samples a period of the cut-off: at their Nyquist frequency the filter has fallen by 60 dB."""
-        cutoff = min(cutoff_hz, 0.2 / period)
-        return cls(cutoff, period, max(1, int(1.0 / (5.0 * cutoff * period))))
-
-    def __call__(self, values: np.ndarray) -> np.ndarray:
-        """(N, ...) to (M, ...)."""
-        flat = values.reshape(len(values), -1)
-        parts = [
-            lowpass(flat[:, at : at + CHUNK], self.period, self.cutoff_hz)[:: self.step]
-            for at in range(0, flat.shape[1], CHUNK)
-        ]
-        return np.concatenate(parts, axis=1).reshape(-1, *values.shape[1:])
-
-    @cached_property
-    def white_share(self) -> float:
-        """Share of a white signal's power that passes."""
-        sections = butter(ANALYSIS_ORDER, 2.0 * self.cutoff_hz * self.period, output="sos")
-        _, response = freqz_sos(sections, worN=8192)
-        return float(np.mean(np.abs(response) ** 4))

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
 
-from service.diagnosis.effects.base import Effect, Shape
-from service.diagnosis.scene import Scene
+from service.model.scene import Scene
 
 SUBSTEPS_PER_SECOND = 8_000.0
 LOST = 0.5  # rad of relative motion at which a two-mass simulation has come apart
 SLIGHT = 0.01  # rad of relative motion up to which its square is below a thousandth of the torque
-NATURAL_HZ = (4.0, 5.4, 7.3, 9.8, 13.0, 18.0, 24.0, 33.0, 45.0, 60.0)
-HALVES = (0.0003, 0.00045, 0.0007, 0.001, 0.0015, 0.0023, 0.0035, 0.005)
 
 
 @njit(cache=True, nogil=True)
@@ -94,62 +89,3 @@ def two_masses(
     torque = scene.mechanism.rigid(*moved).torque(scene.base.rigid) - scene.load
     torque[:, joint] -= motor * change
     return torque
-
-
-@dataclass(frozen=True)
-class JointElasticity(Effect):
-    """Compliance between motor and link.
-
-    Physics: the link lags by torque / stiffness; what the motor measures is not where the link is.
-    Implementation: the link is integrated behind the recorded motor motion (spring and damper), and the rigid torque
-    corrected by its relative motion; base friction stays on the motor side. First order only for the search.
-    Limitations: linear spring; stiffness far above the analysis band is a slight shift in time.
-    """
-
-    natural_hz: Shape = Shape("Hz", "natural frequency of the link against a held motor", NATURAL_HZ, 2.0, 250.0)
-    damping_ratio: Shape = Shape("", "damping ratio of the link", (0.07,), 0.01, 2.0)
-    motor_share: Shape = Shape("", "share of the joint's inertia on the motor side", (0.13, 0.35), 0.02, 0.9)
-    name = "joint_elasticity"
-    own_joint = False
-    rough = True
-    settles = "fast moves with jumps in acceleration"
-
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
-        """(N, n, 1)."""
-        return two_masses(scene, joint, 0.0, shape[0], shape[1], shape[2])[..., None]
-
-    def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:
-        """A lightly damped link answers sharply to its natural frequency."""
-        return [(factor * shape[0], *shape[1:]) for factor in (0.9, 1.0, 1.1)]
-
-
-@dataclass(frozen=True)
-class Backlash(Effect):
-    """Lost motion between motor and link.
-
-    Physics: the flanks part when the transmitted torque changes sign; the motor runs alone until they meet again, with
-    an impact.
-    Implementation: two masses with a dead zone of +-half and a stiff, damped contact, integrated behind the recorded
-    motor motion; the rigid torque is corrected by the link's relative motion.
-    Limitations: only seen where the transmitted torque changes sign; single impacts are matched in their momentum, not
-    in their chatter.
-    """
-
-    half: Shape = Shape("rad", "half the lost motion, joint side", HALVES, 1e-4, 0.02)
-    contact_hz: Shape = Shape(
-        "Hz", "natural frequency of the link on the closed flank", (120.0,), 20.0, 400.0, fixed=True
-    )
-    contact_damping: Shape = Shape("", "damping ratio of the closed flank", (2.0,), 0.05, 4.0, fixed=True)
-    motor_share: Shape = Shape("", "share of the joint's inertia on the motor side", (0.1, 0.2, 0.35, 0.55), 0.02, 0.9)
-    name = "backlash"
-    own_joint = False
-    rough = True
-    settles = "moves whose braking torque exceeds gravity, so that the transmitted torque changes sign"
-
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
-        """(N, n, 1)."""
-        return two_masses(scene, joint, *shape)[..., None]
-
-    def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:
-        """Impacts move in time with the gap: neighbours on the grid's scale."""
-        return [(factor * shape[0], *shape[1:]) for factor in (0.87, 1.0, 1.15)]

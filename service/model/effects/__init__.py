@@ -1,0 +1,101 @@
+"""The effect catalogue: one file and one line an effect, and the user's own."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from functools import lru_cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+
+from schemas.errors import RobotError
+from service.model.effects.base import Effect
+
+NAMES = (
+    "stribeck_friction",
+    "asymmetric_friction",
+    "load_dependent_friction",
+    "nonlinear_viscous_friction",
+    "position_dependent_friction",
+    "warmup_friction",
+    "presliding_friction",
+    "passive_joint_friction",
+    "rotor_inertia",
+    "arm_mass",
+    "tool_mass",
+    "base_tilt",
+    "joint_spring",
+    "hose_spring",
+    "air_drag",
+    "link_length_error",
+    "joint_offset",
+    "joint_elasticity",
+    "backlash",
+    "torque_scale",
+    "torque_offset",
+    "torque_delay",
+    "torque_filter",
+    "cogging",
+    "encoder_eccentricity",
+)
+ENTRY_POINTS = "deltatwin.effects"
+
+
+def catalogue(extra: Path | None = None) -> tuple[Effect, ...]:
+    """The effects above, those of installed packages (entry point group `deltatwin.effects`, an Effect each), and those
+    of the Python file `extra`: every dataclass in it that derives from Effect.
+
+    Raises:
+        RobotError: the file or an entry point cannot be run, the file holds no effect, or a name is taken.
+    """
+    found = list(CATALOGUE)
+    for point in entry_points(group=ENTRY_POINTS):
+        try:
+            found.append(point.load()())
+        except Exception as error:
+            raise RobotError(f"effect {point.name} = {point.value}: {type(error).__name__}: {error}") from error
+    if extra is not None:
+        if not extra.is_file():
+            raise RobotError(f"{extra}: not a Python file")
+        found += _from_file(extra.resolve(), extra.stat().st_mtime_ns)
+    names = [effect.name for effect in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise RobotError(f"{extra or ENTRY_POINTS}: effect {name!r} is defined twice")
+    return tuple(found)
+
+
+def by_name(effects: tuple[Effect, ...]) -> dict[str, Effect]:
+    """name -> effect."""
+    return {effect.name: effect for effect in effects}
+
+
+@lru_cache(maxsize=8)
+def _from_file(path: Path, changed: int) -> list[Effect]:
+    """Effects of a file that was last changed at `changed` ns; run once, so that they stay equal to themselves."""
+    name = f"deltatwin_effects_{path.stem}_{changed}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise RobotError(f"{path}: not a Python file")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise RobotError(f"{path}: {type(error).__name__}: {error}") from error
+    found = _effects(module)
+    if not found:
+        raise RobotError(f"{path}: no class derived from service.model.effects.base.Effect")
+    return found
+
+
+def _effects(module: ModuleType) -> list[Effect]:
+    kinds = [kind for kind in vars(module).values() if isinstance(kind, type) and issubclass(kind, Effect)]
+    return [kind() for kind in kinds if kind.__module__ == module.__name__]
+
+
+CATALOGUE = tuple(
+    effect for name in NAMES for effect in _effects(importlib.import_module(f"service.model.effects.{name}"))
+)

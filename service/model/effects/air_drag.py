@@ -1,0 +1,30 @@
+"""Force on the platform against v |v|.
+
+Physics: drag of a large tool or a suction cup's sheet: F = c v |v|.
+Implementation: one regressor.
+Limitations: grows with speed squared; slow motion says nothing about it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class AirDrag(Effect):
+    c: Amplitude = Amplitude("N s^2/m^2", "drag force at 1 m/s")
+    name = "air_drag"
+    per_joint = False
+    own_joint = False
+    kinds = frozenset({"delta"})
+    settles = "long straight moves at full speed"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 3, 1)."""
+        velocity = scene.arms.velocity
+        return scene.at_platform(velocity * np.linalg.norm(velocity, axis=1, keepdims=True))[..., None]

@@ -1,0 +1,31 @@
+"""Mass of one active link: inertia and gravity together.
+
+Physics: a uniform link of mass dm adds dm l1^2/3 theta_ddot - dm g l1/2 cos theta.
+Implementation: one regressor a joint.
+Limitations: the same on all joints is in rho_1 and rho_2 of the base model and leaves no gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class ArmMass(Effect):
+    delta_m: Amplitude = Amplitude("kg", "mass of this active link above the others'")
+    name = "arm_mass"
+    kinds = frozenset({"delta"})
+    settles = "fast moves and slow sweeps over a wide range of this joint's angle"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 1)."""
+        model, motion = scene.delta.model, scene.segment
+        length = model.active_length[joint]
+        angle = motion.theta[:, joint] + model.joint_offset[joint]
+        inertia = length**2 / 3 * motion.theta_ddot[:, joint]
+        return (inertia - model.gravity * length / 2 * np.cos(angle))[:, None]

@@ -1,0 +1,28 @@
+"""Coulomb and viscous levels differ between the two directions.
+
+Physics: one flank of a gear, one side of a screw rubs more; T = delta_c + delta_v |v| beside the symmetric part.
+Implementation: two regressors a joint; the friction forward is f + delta, backward f - delta.
+Limitations: delta_c alone is a constant torque offset, and no motion tells the two apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class AsymmetricFriction(Effect):
+    delta_c: Amplitude = Amplitude("N m", "half the difference of the Coulomb levels, forward minus backward")
+    delta_v: Amplitude = Amplitude("N m s/rad", "half the difference of the viscous levels, forward minus backward")
+    name = "asymmetric_friction"
+    settles = "the same path at three speeds in both directions"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 2)."""
+        speed = np.abs(scene.segment.theta_dot[:, joint])
+        return np.stack([np.ones_like(speed), speed], axis=1)

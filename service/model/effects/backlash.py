@@ -1,0 +1,43 @@
+"""Lost motion between motor and link.
+
+Physics: the flanks part when the transmitted torque changes sign; the motor runs alone until they meet again, with
+an impact.
+Implementation: two masses with a dead zone of +-half and a stiff, damped contact, integrated behind the recorded
+motor motion; the rigid torque is corrected by the link's relative motion.
+Limitations: only seen where the transmitted torque changes sign; single impacts are matched in their momentum, not
+in their chatter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Effect, Shape
+from service.model.scene import Scene
+from service.model.two_masses import two_masses
+
+HALVES = (0.0003, 0.00045, 0.0007, 0.001, 0.0015, 0.0023, 0.0035, 0.005)
+
+
+@dataclass(frozen=True)
+class Backlash(Effect):
+    half: Shape = Shape("rad", "half the lost motion, joint side", HALVES, 1e-4, 0.02)
+    contact_hz: Shape = Shape(
+        "Hz", "natural frequency of the link on the closed flank", (120.0,), 20.0, 400.0, fixed=True
+    )
+    contact_damping: Shape = Shape("", "damping ratio of the closed flank", (2.0,), 0.05, 4.0, fixed=True)
+    motor_share: Shape = Shape("", "share of the joint's inertia on the motor side", (0.1, 0.2, 0.35, 0.55), 0.02, 0.9)
+    name = "backlash"
+    own_joint = False
+    rough = True
+    settles = "moves whose braking torque exceeds gravity, so that the transmitted torque changes sign"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, n, 1)."""
+        return two_masses(scene, joint, *shape)[..., None]
+
+    def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:
+        """Impacts move in time with the gap: neighbours on the grid's scale."""
+        return [(factor * shape[0], *shape[1:]) for factor in (0.87, 1.0, 1.15)]

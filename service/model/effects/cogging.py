@@ -1,0 +1,31 @@
+"""Torque ripple periodic in the motor angle.
+
+Physics: magnets and slots, or the teeth of a gear: T = a cos(n N theta) + b sin(n N theta), N the gear ratio.
+Implementation: order n per motor turn, amplitude and phase as the two coefficients.
+Limitations: above half the sample rate it is folded; fast motion moves it above the analysis band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.scene import Scene
+
+COGGING_ORDERS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 22, 24, 30, 36)
+
+
+@dataclass(frozen=True)
+class Cogging(Effect):
+    cosine: Amplitude = Amplitude("N m", "cosine part of the amplitude, joint side")
+    sine: Amplitude = Amplitude("N m", "sine part of the amplitude, joint side")
+    order: Shape = Shape("", "periods a motor turn", COGGING_ORDERS, 0.5, 60.0)
+    name = "cogging"
+    settles = "a slow constant-speed sweep of this joint over several motor turns"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 2)."""
+        angle = shape[0] * scene.mechanism.gear_ratio[joint] * scene.segment.theta[:, joint]
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -1,0 +1,40 @@
+"""Position error periodic in the motor angle.
+
+Physics: an encoder disc off its axis: the true angle is the measured one plus a cos(n N theta) + b sin(n N theta).
+Implementation: the error and its two derivatives along the recorded motion, through the slopes of the rigid torque.
+Limitations: first order in the error; at speed its second derivative dominates, at rest nothing shows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class EncoderEccentricity(Effect):
+    cosine: Amplitude = Amplitude("rad", "cosine part, true minus measured angle, joint side")
+    sine: Amplitude = Amplitude("rad", "sine part, true minus measured angle, joint side")
+    order: Shape = Shape("", "periods a motor turn", (1, 2, 3, 4), 0.5, 20.0)
+    name = "encoder_eccentricity"
+    own_joint = False
+    settles = "a constant-speed sweep of this joint at medium speed"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, n, 2)."""
+        motion = scene.segment
+        ratio = shape[0] * scene.mechanism.gear_ratio[joint]
+        angle = ratio * motion.theta[:, joint]
+        speed, acceleration = ratio * motion.theta_dot[:, joint], ratio * motion.theta_ddot[:, joint]
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return np.stack(
+            [
+                scene.perturbed(joint, cosine, -sine * speed, -cosine * speed**2 - sine * acceleration),
+                scene.perturbed(joint, sine, cosine * speed, -sine * speed**2 + cosine * acceleration),
+            ],
+            axis=-1,
+        )

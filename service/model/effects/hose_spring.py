@@ -1,0 +1,34 @@
+"""A spring from a fixed point to the platform.
+
+Physics: a hose or dress pack pulls the platform with k (p - p_0).
+Implementation: linear in k and in the force at the origin, -k p_0.
+Limitations: a hose with slack, weight or damping is not a spring.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class HoseSpring(Effect):
+    k: Amplitude = Amplitude("N/m", "stiffness")
+    force_x: Amplitude = Amplitude("N", "-k x_0")
+    force_y: Amplitude = Amplitude("N", "-k y_0")
+    force_z: Amplitude = Amplitude("N", "-k z_0")
+    name = "hose_spring"
+    per_joint = False
+    own_joint = False
+    kinds = frozenset({"delta"})
+    settles = "slow sweeps to the edges of the workspace"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 3, 4)."""
+        columns = [scene.at_platform(scene.arms.position)]
+        columns += [scene.at_platform(axis) for axis in np.eye(3)]
+        return np.stack(columns, axis=-1)

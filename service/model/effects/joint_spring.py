@@ -1,0 +1,28 @@
+"""A spring on a joint.
+
+Physics: T = k (theta - theta_0): a balancer, a stiff cable.
+Implementation: k and the constant -k theta_0 as two regressors a joint.
+Limitations: over a small range of angles it is a constant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class JointSpring(Effect):
+    k: Amplitude = Amplitude("N m/rad", "stiffness")
+    preload: Amplitude = Amplitude("N m", "torque at angle zero, -k theta_0")
+    name = "joint_spring"
+    settles = "a slow sweep over the whole angle of this joint alone"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 2)."""
+        theta = scene.segment.theta[:, joint]
+        return np.stack([theta, np.ones_like(theta)], axis=1)

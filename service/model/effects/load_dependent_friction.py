@@ -1,0 +1,26 @@
+"""Gear friction that grows with the torque through it.
+
+Physics: tooth friction is proportional to the tooth force; T = mu |load| sign v.
+Implementation: load is the rigid-body torque of the base model at the operating point.
+Limitations: at a nearly constant load (gravity only) it is Coulomb friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class LoadDependentFriction(Effect):
+    mu: Amplitude = Amplitude("", "friction torque per torque through the gear")
+    name = "load_dependent_friction"
+    settles = "fast and slow runs of one path, or the same path with a payload"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 1)."""
+        return (np.abs(scene.load[:, joint]) * scene.direction[:, joint])[:, None]

@@ -1,0 +1,28 @@
+"""Viscous friction that is not linear in speed.
+
+Physics: shear thinning, churning and turbulence; T = f |v|^p sign v beside the linear part.
+Implementation: p shared by the joints and refined; p = 1 is the base model and left out.
+Limitations: a small range of speeds leaves p open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class NonlinearViscousFriction(Effect):
+    f: Amplitude = Amplitude("N m (s/rad)^p", "coefficient")
+    p: Shape = Shape("", "exponent of speed", (0.35, 0.6, 1.5, 2.0, 3.0), 0.2, 4.0)
+    name = "nonlinear_viscous_friction"
+    own_shapes = True
+    settles = "runs of one path at 10, 30, 60 and 100 % speed"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 1)."""
+        return (scene.direction[:, joint] * np.abs(scene.segment.theta_dot[:, joint]) ** shape[0])[:, None]

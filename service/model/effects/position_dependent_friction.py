@@ -1,0 +1,29 @@
+"""The Coulomb level varies with the joint angle.
+
+Physics: a bent shaft or a worn tooth: T = (a cos n theta + b sin n theta) sign v.
+Implementation: order n per joint angle, amplitude and phase as the two coefficients a and b.
+Limitations: one sine; a narrow rough spot is not one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class PositionDependentFriction(Effect):
+    cosine: Amplitude = Amplitude("N m", "cosine part of the amplitude")
+    sine: Amplitude = Amplitude("N m", "sine part of the amplitude")
+    order: Shape = Shape("", "periods a turn of the joint", (1, 2, 3, 4, 5, 6, 8, 10, 12), 0.5, 40.0)
+    name = "position_dependent_friction"
+    settles = "a slow sweep over the whole angle in both directions"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 2)."""
+        angle, sign = shape[0] * scene.segment.theta[:, joint], scene.direction[:, joint]
+        return np.stack([np.cos(angle) * sign, np.sin(angle) * sign], axis=1)

@@ -1,0 +1,44 @@
+"""Friction builds up over a small displacement: hysteresis at reversal.
+
+Physics: bristles bend before they slip; Dahl: dF/dtheta = sigma_0 (1 - F sign v / f_c), sigma_0 = f_c / distance.
+Implementation: the Dahl state is integrated along the recorded motion; its difference from sign v is the
+regressor, so an amplitude equal to f_c replaces all Coulomb friction. distance shared by the joints.
+Limitations: within the resolution of the encoder it is a jump; no velocity-dependent damping of the bristles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from service.model.effects.base import Amplitude, Effect, Shape, geometric
+from service.model.scene import Scene
+
+
+@njit(cache=True, nogil=True)
+def _dahl(theta, distance, state):
+    """Relative bristle deflection z in [-1, 1]: dz / dtheta = (1 - z sign v) / distance, exact along each step."""
+    z = 0.0  # where the bristles stand at the start is not in the log
+    for k in range(len(theta)):
+        step = theta[k] - theta[k - 1] if k > 0 else 0.0
+        sign = 1.0 if step > 0.0 else -1.0
+        z = sign + (z - sign) * np.exp(-abs(step) / distance)
+        state[k] = z
+
+
+@dataclass(frozen=True)
+class PreslidingFriction(Effect):
+    f: Amplitude = Amplitude("N m", "part of the Coulomb friction that builds up over the distance")
+    distance: Shape = Shape("rad", "displacement of the build-up", geometric(3e-4, 0.1, 8), 2e-4, 0.3)
+    name = "presliding_friction"
+    own_shapes = True
+    settles = "small reversals (0.001 to 0.05 rad) about several angles"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 1)."""
+        motion = scene.segment
+        state = np.empty(len(scene.time))
+        _dahl(motion.theta[:, joint], shape[0], state)
+        return (state - scene.direction[:, joint])[:, None]

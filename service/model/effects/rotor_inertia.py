@@ -1,0 +1,26 @@
+"""Reflected rotor or gear inertia of one drive.
+
+Physics: T = delta_i theta_ddot, no gravity.
+Implementation: one regressor a joint.
+Limitations: the same on all joints is rho_1 of the base model and leaves no gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class RotorInertia(Effect):
+    delta_i: Amplitude = Amplitude("kg m^2", "inertia of this joint above the others', joint side")
+    name = "rotor_inertia"
+    settles = "fast moves of this joint beside slow ones over the same angles"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 1)."""
+        return scene.segment.theta_ddot[:, [joint]]

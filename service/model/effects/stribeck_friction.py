@@ -1,0 +1,29 @@
+"""Extra breakaway friction that dies out with speed.
+
+Physics: at low speed the lubricant film does not carry; T = f_s exp(-(v / v_s)^2) sign v (Stribeck; Armstrong).
+Implementation: one regressor a joint, v_s shared by the joints and refined with all other parameters.
+Limitations: with no motion slower than v_s it is Coulomb friction; with none faster, a lower viscous friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect, Shape, geometric
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class StribeckFriction(Effect):
+    f_s: Amplitude = Amplitude("N m", "breakaway friction above the Coulomb level")
+    v_s: Shape = Shape("rad/s", "speed at which it has fallen to 37 %", geometric(0.01, 1.0, 9), 0.005, 2.0)
+    name = "stribeck_friction"
+    own_shapes = True
+    settles = "a slow sweep with reversals, 0.005 to 1 rad/s"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 1)."""
+        speed = scene.segment.theta_dot[:, joint]
+        return (scene.direction[:, joint] * np.exp(-((speed / shape[0]) ** 2)))[:, None]

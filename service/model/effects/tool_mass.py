@@ -1,0 +1,30 @@
+"""Mass at the platform.
+
+Physics: T = dm J' (p_ddot + g).
+Implementation: the payload term of the model.
+Limitations: with one tool all the time part of it hides in rho_1 and rho_2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class ToolMass(Effect):
+    delta_m: Amplitude = Amplitude("kg", "mass at the platform beyond the description")
+    name = "tool_mass"
+    per_joint = False
+    own_joint = False
+    kinds = frozenset({"delta"})
+    settles = "the same path with and without a known mass"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 3, 1)."""
+        motion = scene.segment
+        return scene.delta.payload(motion.theta, motion.theta_dot, motion.theta_ddot)[..., None]

@@ -1,0 +1,37 @@
+"""Torque and position are not sampled at the same instant.
+
+Physics: the two travel different ways through drive and bus.
+Implementation: the whole prediction is shifted, fractions of a sample too. A quarter of a sample
+or less is the timing within one sample, which the base model has.
+Limitations: torque sampled *before* position is the same effect with the opposite sign.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Effect, Shape
+from service.model.scene import Scene
+from service.model.signals import delayed
+
+
+@dataclass(frozen=True)
+class TorqueDelay(Effect):
+    delay: Shape = Shape(
+        "s", "by which torque is later than position", (-0.003, -0.0015, 0.0008, 0.0015, 0.003, 0.006), -0.02, 0.02
+    )
+    name = "torque_delay"
+    per_joint = False
+    own_joint = False
+    measured = True
+    settles = "fast moves with sharp reversals"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, n, 1)."""
+        return (delayed(scene.total, shape[0], scene.period) - scene.total)[..., None]
+
+    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
+        """Shifts all joints."""
+        return delayed(torque, shape[0], scene.period)

@@ -1,0 +1,36 @@
+"""The reported torque is low-passed.
+
+Physics: a first-order filter in the drive, y' = 2 pi f (u - y).
+Implementation: the exact filter for a piecewise constant torque, on the whole prediction.
+Limitations: above a few hundred Hz it is a delay of 1 / (2 pi f).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from service.model.effects.base import Effect, Shape
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class TorqueFilter(Effect):
+    cutoff: Shape = Shape("Hz", "cut-off frequency", (8.0, 15.0, 25.0, 40.0, 70.0, 120.0), 3.0, 300.0)
+    name = "torque_filter"
+    per_joint = False
+    own_joint = False
+    measured = True
+    settles = "fast moves with sharp reversals"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, n, 1)."""
+        return (self.report(scene, joint, scene.total, np.zeros(0), shape) - scene.total)[..., None]
+
+    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
+        """Filters all joints."""
+        keep = np.exp(-2 * np.pi * shape[0] * scene.period)
+        start = keep * torque[:1]
+        return lfilter([1.0 - keep], [1.0, -keep], torque, axis=0, zi=start)[0]

@@ -1,0 +1,33 @@
+"""Torque constant or gear ratio off.
+
+Physics: what is reported is 1 + epsilon times the true torque of a joint.
+Implementation: scales the whole prediction of the joint.
+Limitations: on all joints alike only the known masses tell it from mass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class TorqueScale(Effect):
+    epsilon: Amplitude = Amplitude("", "reported over true torque, minus one")
+    name = "torque_scale"
+    measured = True
+    settles = "fast moves with a known mass at the platform"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 1)."""
+        return scene.total[:, [joint]]
+
+    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
+        """Scales one joint."""
+        torque = torque.copy()
+        torque[:, joint] *= 1.0 + amplitude[0]
+        return torque

@@ -1,0 +1,27 @@
+"""Viscous friction falls as the gear warms.
+
+Physics: oil thins with temperature; T = f exp(-t / tau) v beside the level of the warm gear.
+Implementation: t is the clock of the log, taken as time since power-on; tau shared by the joints.
+Limitations: logs that all start warm, or on clocks of their own, do not show it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class WarmupFriction(Effect):
+    f: Amplitude = Amplitude("N m s/rad", "viscous friction of the cold gear above the warm one")
+    tau: Shape = Shape("s", "time constant of the warm-up", (3.0, 8.0, 20.0, 50.0, 150.0, 600.0), 1.0, 3600.0)
+    name = "warmup_friction"
+    settles = "one path, cold and after half an hour of running, on one clock"
+
+    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+        """(N, 1)."""
+        return (np.exp(-scene.time / shape[0]) * scene.segment.theta_dot[:, joint])[:, None]
