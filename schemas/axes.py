@@ -54,6 +54,12 @@ class Axes(_Section):
     identified: AxesIdentified | None = None
     effect: list[Effect] = []
     _folder: Path = PrivateAttr(Path())
+    _effects_file: Path | None = PrivateAttr(None)
+
+    @property
+    def effects_file(self) -> Path | None:
+        """Python file with effects of the user's own that `effect` may name."""
+        return self._effects_file
 
     @property
     def mapping(self) -> str | None:
@@ -75,13 +81,14 @@ class Axes(_Section):
 Description = Robot | Axes
 
 
-def load_description(path: str | Path) -> Description:
-    """Read a description of a Delta robot or of axes, as its `kind` says.
+def load_description(path: str | Path, effects: Path | None = None) -> Description:
+    """Read a description of a Delta robot or of axes, as its `kind` says. effects: Python file with effects of the
+    user's own.
 
     Raises:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
-    return load_axes(path) if is_axes(path) else load_robot(path)
+    return load_axes(path, effects) if is_axes(path) else load_robot(path, effects)
 
 
 def no_axes(robot: Description | None, what: str) -> Robot | None:
@@ -104,14 +111,14 @@ def is_axes(path: str | Path) -> bool:
     return Path(path).suffix == ".toml" and read_toml(Path(path), RobotError).get("kind") == "axes"
 
 
-def load_axes(path: str | Path) -> Axes:
+def load_axes(path: str | Path, effects: Path | None = None) -> Axes:
     """Read a description of axes.
 
     Raises:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
     axes = validate(Axes, read_toml(Path(path), RobotError), Path(path), RobotError)
-    axes._folder = Path(path).parent
+    axes._folder, axes._effects_file = Path(path).parent, effects
     return axes
 
 

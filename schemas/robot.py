@@ -246,6 +246,12 @@ class Robot(_Section):
     identified: Identified | None = None
     effect: list[Effect] = []
     _folder: Path = PrivateAttr(Path())
+    _effects_file: Path | None = PrivateAttr(None)
+
+    @property
+    def effects_file(self) -> Path | None:
+        """Python file with effects of the user's own that `effect` may name."""
+        return self._effects_file
 
     @property
     def folder(self) -> Path:
@@ -277,15 +283,16 @@ def robot_file(name: str | Path) -> Path:
     raise RobotError(f"{path}: no such robot description; by name there are: {known}")
 
 
-def load_robot(path: str | Path) -> Robot:
-    """Read a robot description: a file, or the name of one that comes with deltatwin ("d3-1200").
+def load_robot(path: str | Path, effects: Path | None = None) -> Robot:
+    """Read a robot description: a file, or the name of one that comes with deltatwin ("d3-1200"). effects: Python file
+    with effects of the user's own.
 
     Raises:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
     path = robot_file(path)
     robot = validate(Robot, read_toml(path, RobotError), path, RobotError)
-    robot._folder = path.parent
+    robot._folder, robot._effects_file = path.parent, effects
     return robot
 
 

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.reading import OwnEffects, reading
+
 
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Logs to diagnose: .csv, .csv.gz or .mcap", metavar="TRACE...")],
@@ -16,12 +18,7 @@ def command(
     baseline: Annotated[
         Path | None, typer.Option(help="Identified description whose gap is the one before; default: identify anew")
     ] = None,
-    effects: Annotated[
-        Path | None,
-        typer.Option(
-            help="Python file with effects of your own: dataclasses derived from service.model.effects.base.Effect"
-        ),
-    ] = None,
+    effects: OwnEffects = None,
     test: Annotated[
         list[Path] | None, typer.Option(help="Log to try the correction on, used for nothing else; may be repeated")
     ] = None,
@@ -40,7 +37,6 @@ def command(
     from schemas.axes import Axes, load_description, save_axes
     from schemas.files import make_folder, write_text
     from schemas.robot import save_robot
-    from service.cli.reading import reading
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.document import corrected, document
     from service.diagnosis.report import write_report
@@ -50,8 +46,8 @@ def command(
     console = Console()
     make_folder(out)
     known = catalogue(effects)
-    description = load_description(robot)
-    reference = load_description(baseline) if baseline else None
+    description = load_description(robot, effects)
+    reference = load_description(baseline, effects) if baseline else None
     recorded = list(reading(traces, description, columns, "reading"))
     tests = list(reading(test or [], description, columns, "reading"))
     with console.status("starting") as status:

@@ -8,12 +8,14 @@ from typing import Annotated
 import typer
 
 from service.cli.network import Insecure, ZenohConfig
+from service.cli.reading import OwnEffects
 
 
 def command(
     robot: Annotated[Path, typer.Option(help="Robot description (TOML), best one that `identify` wrote.")],
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
+    effects: OwnEffects = None,
 ) -> None:
     """Answer every sample on the bus with feed-forward torque, payload mass and model errors, until Ctrl-C.
 
@@ -29,14 +31,15 @@ def command(
     from service.estimator.effects import carried
     from service.estimator.estimator import Estimator
     from service.estimator.node import run
+    from service.model.description import terms_of
 
     terminate_as_interrupt()
-    description = load_robot(robot)
+    description = load_robot(robot, effects)
     if description.identified is None:
         typer.echo(
             f"{robot}: no [identified] parameters: friction is zero and rho 1; run `deltatwin identify`", err=True
         )
-    left_out = [effect.name for effect in description.effect if not carried(effect.name)]
+    left_out = [term.effect.name for term in terms_of(description) if not carried(term.effect)]
     if left_out:
         typer.echo(f"{robot}: the online model does not carry {', '.join(left_out)}", err=True)
     Estimator(description, 1e-3).warm_up()  # before anybody can hear that the role is alive

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.reading import OwnEffects, reading
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -20,6 +22,7 @@ MOST_EVENTS = 4  # told
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE...")],
     robot: Annotated[Path, typer.Option(help="Robot description (TOML), plain, identified or corrected; or of axes")],
+    effects: OwnEffects = None,
     columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table")] = False,
     predictions: Annotated[
@@ -37,10 +40,9 @@ def command(
 
     from schemas.axes import Axes, load_description
     from schemas.errors import TraceError
-    from service.cli.reading import reading
     from service.identification.evaluation import evaluate
 
-    description = load_description(robot)
+    description = load_description(robot, effects)
     unit = "N" if isinstance(description, Axes) and description.linear else "N m"
     targets = [predictions / _csv_name(path) for path in traces] if predictions else []
     for number, target in enumerate(targets):
@@ -90,7 +92,7 @@ def _write(result: Evaluation, path: Path, unit: str) -> None:
 
 def _pooled(results: list[Evaluation], which: str = "errors") -> dict[str, Moments]:
     from service.identification.evaluation import pooled
-    from service.identification.predict import FULL
+    from service.model.prediction import FULL
 
     figures: list[dict[str, Moments]] = [getattr(result, which) for result in results]
     names = dict.fromkeys(name for errors in figures for name in errors)
@@ -164,7 +166,7 @@ def _table(results: list[Evaluation], unit: str) -> Table:
 
 
 def _events(result: Evaluation, unit: str) -> list[str]:
-    from service.diagnosis.events import rhythm
+    from service.identification.events import rhythm
 
     if not result.events:
         return []

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.reading import OwnEffects, reading
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE...")],
     robot: Annotated[Path, typer.Option(help="Robot description (TOML) that `identify` wrote")],
+    effects: OwnEffects = None,
     columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
     truth: Annotated[
         list[Path] | None, typer.Option(help="What was really picked: CSV with from_s,until_s,mass_kg; one a trace")
@@ -31,12 +34,11 @@ def command(
 
     from schemas.errors import DataError
     from schemas.robot import load_robot
-    from service.cli.reading import reading
     from service.identification.payload import course, picks, read_truth, score
 
     if truth and len(truth) != len(traces):
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one a trace, in their order")
-    description = load_robot(robot)
+    description = load_robot(robot, effects)
     console = Console()
     scores: list[Score] = []
     for number, trace in enumerate(reading(traces, description, columns, "weighing")):

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 if TYPE_CHECKING:
     from schemas.axes import Description
     from schemas.trace import Trace
+
+OwnEffects = Annotated[Path | None, typer.Option("--effects", help="Python file with effects of your own")]
 
 
 def reading(

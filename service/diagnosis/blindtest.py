@@ -29,7 +29,6 @@ from schemas.robot import load_robot
 SHARES = {"null": 0.12, "pair": 0.12, "unknown": 0.18}  # of the cases; the rest has one catalogue effect
 SEVERITY = (0.5, 2.0)
 FINDABLE = 1.1  # lift from which an effect counts as findable
-SAME = ({"asymmetric_friction", "torque_offset"},)  # no motion tells them apart
 STRUCTURAL = {"forearm_inertia"}
 
 
@@ -150,6 +149,8 @@ def answer(folder: Path) -> dict[str, Any]:
         "verdict": result.verdict,
         "named": [{"name": e.name, "joints": e.joints, "probability": e.probability} for e in result.effects],
         "claimed": result.gap.shrink,
+        "band_hz": result.gap.band_hz,
+        "period_s": findings.problem.band.period,
         "shrink": 1.0 - after / before,
         "before_nm": before,
         "after_nm": after,
@@ -160,7 +161,7 @@ def answer(folder: Path) -> dict[str, Any]:
 
 def measured_gap(robot: Any, traces: list[Any]) -> float:
     """rms of measured minus predicted torque over the moving rows of `traces`, N m, in the analysis band."""
-    from service.identification.predict import error_in_band, motion, predict_along
+    from service.model.prediction import error_in_band, motion, predict_along
 
     square, count = 0.0, 0
     for trace in traces:
@@ -222,7 +223,10 @@ def _safe(folder: Path) -> dict[str, Any]:
 
 
 def _same(name: str) -> set[str]:
-    return set().union({name}, *(group for group in SAME if name in group))
+    from service.model.effects import CATALOGUE, by_name
+
+    known = by_name(CATALOGUE).get(name)
+    return {name} | (known.same if known else frozenset())
 
 
 def judged(rows: list[dict[str, Any]], keys: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -232,7 +236,7 @@ def judged(rows: list[dict[str, Any]], keys: list[dict[str, Any]]) -> list[dict[
     for row in rows:
         key = truth[row["case"]]
         effects = [name for name in key["effects"] if name not in STRUCTURAL]
-        floor = key["noise"] * (2 * 40.0 * 1e-3) ** 0.5
+        floor = key["noise"] * (2 * row["band_hz"] * row["period_s"]) ** 0.5 if "error" not in row else None
         judged_row = row | {
             "kind": key["kind"], "truth": effects, "lift": key["lift"], "severity": key["severity"], "floor_nm": floor,
         }  # fmt: skip

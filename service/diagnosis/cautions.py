@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.diagnosis.hypothesis import Problem, fit
 from service.diagnosis.selection import Selection
+from service.identification.fit import Problem, fit
 from service.model.effects.base import Effect
-from service.model.mechanism import Delta
 
 LEAST_TIME = 3.0  # s of motion of a joint
 LEAST_SHARE = 0.02  # of the time that a joint moves in its rarer direction
@@ -17,23 +16,7 @@ WRONG_MODEL = 0.10  # rms left, of the torque's own rms: a description that leav
 FOREIGN = 0.7  # of what is left that runs shed when each is fitted alone: they are not of one robot
 FOREIGN_LEFT = 2.0  # times the noise that has to be left for that question to arise
 CARRIES_OVER = 0.6  # of the gap above the noise that effects remove on runs left out: then they are no accident
-WHOLE_GEOMETRY = 0.05  # of a link's length, or rad: on several arms at once the description is wrong, not an arm
-# Amplitudes beyond what any robot that runs has, several times the strongest of the blind test: an effect that large
-# stands in for a wrong description. Share of the length for a link; else the unit of the amplitude.
-BEYOND = {
-    "link_length_error": 0.2,
-    "joint_offset": 0.3,
-    "encoder_eccentricity": 0.05,
-    "base_tilt": 0.35,
-    "torque_scale": 0.5,
-}
 CHECK = "Check the description (lengths, gear ratio, order and sign of joints)."
-DIRECTIONAL = frozenset(
-    {
-        "asymmetric_friction", "torque_offset", "stribeck_friction", "load_dependent_friction", "presliding_friction",
-        "position_dependent_friction", "nonlinear_viscous_friction", "joint_spring", "backlash",
-    }
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -49,7 +32,7 @@ class Offer:
         """Whether `effect` may be looked for on `joint`."""
         if not effect.per_joint:
             return not self.still
-        return joint not in self.still and not (joint in self.one_way and effect.name in DIRECTIONAL)
+        return joint not in self.still and not (joint in self.one_way and effect.directional)
 
 
 def limits_of(problem: Problem) -> Offer:
@@ -92,16 +75,13 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[str]
     """Reasons not to believe any name: the description does not fit at all, or the runs are not of one robot."""
     best = selection.best
     for term in best.hypothesis.terms:
-        size = np.abs(term.amplitude).max(initial=0.0)
-        mechanism = problem.recordings[0].mechanism
-        if term.effect.name == "link_length_error" and isinstance(mechanism, Delta):
-            size /= mechanism.model.active_length[0]
-        if size > BEYOND.get(term.effect.name, np.inf):
+        size = term.effect.size(problem.recordings[0].mechanism, term.amplitude)
+        if size > term.effect.beyond:
             return [
                 f"It would take {term.effect.name.replace('_', ' ')} beyond any robot's: cannot be told apart on this "
                 f"data. {CHECK}"
             ]
-        if term.effect.name in ("link_length_error", "joint_offset") and len(term.joints) > 1 and size > WHOLE_GEOMETRY:
+        if len(term.joints) > 1 and size > term.effect.beyond_together:
             return [
                 "Several arms at once would have to be far from the described geometry: cannot be told apart on this "
                 f"data. {CHECK}"

@@ -12,14 +12,16 @@ from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis import statistics
 from service.diagnosis.cautions import doubts_of, limits_of
-from service.diagnosis.description import hypothesis_of
-from service.diagnosis.hypothesis import Hypothesis, Problem, Term, evaluate, fit, predict
-from service.diagnosis.noise import white_noise
 from service.diagnosis.selection import Scored, Selection, Split, score, search
+from service.identification.fit import Problem, evaluate, fit
+from service.identification.noise import white_noise
+from service.model.description import hypothesis_of
 from service.model.effects.base import Effect
+from service.model.hypothesis import Hypothesis, Term
 from service.model.mechanism import mechanism_of
 from service.model.scene import Base, Recording
 from service.model.signals import Band, segments, thin
+from service.model.torque import predict
 
 # What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
 # smoothing of the motion costs another two.

@@ -6,18 +6,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from schemas.axes import Axes, Description
+from schemas.axes import Description
 from schemas.diagnosis import Diagnosis, Estimate, Gap, NamedEffect, Ranked
 from schemas.trace import Trace
 from service.diagnosis import statistics
-from service.diagnosis.description import described, described_axes, digits, in_units_of, names, values
 from service.diagnosis.diagnose import Findings
 from service.diagnosis.evidence import Contest, confusable, contests
 from service.diagnosis.selection import block_loss
 from service.diagnosis.unseen import unseen
 from service.diagnosis.where import where, without
 from service.estimator.effects import carried
+from service.model.description import described, digits, in_units_of
 from service.model.effects.base import Effect
+from service.model.parameters import Parameters, base_parameters
 
 Z95 = 1.96
 ONLINE = {
@@ -28,8 +29,6 @@ ONLINE = {
 
 def corrected(findings: Findings) -> Description:
     """The description with base model and effects refitted together."""
-    if isinstance(findings.robot, Axes):
-        return described_axes(findings.robot, findings.best.hypothesis, findings.errors)
     return described(findings.robot, findings.best.hypothesis, findings.errors, findings.noise)
 
 
@@ -46,9 +45,8 @@ def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
     floor_energy = float(np.sum(count * (problem.sigma**2 + findings.reversal**2)))
     explainable = float(before_blocks.sum()) - floor_energy
     removed = float(before_blocks.sum() - after_blocks.sum())
-    base = findings.best.hypothesis.base
-    names_ = base_names(findings)
-    numbers = np.concatenate([base.rigid, base.viscous, base.coulomb])
+    base = base_parameters(problem.recordings[0].mechanism)
+    plain, best = (Parameters(scored.hypothesis).values for scored in (findings.plain, findings.best))
     return Diagnosis(
         schema="deltatwin.diagnosis/1",
         robot=findings.robot.name,
@@ -59,13 +57,10 @@ def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
         ranking=_ranking(findings, rounds),
         probability_none=_none(findings, rounds),
         probability_unknown=_unknown(findings),
-        plain={
-            name: digits(value)
-            for (name, _), value in zip(names_, findings.plain.hypothesis.parameters(), strict=False)
-        },
+        plain={known.name: digits(plain[index]) for index, known in enumerate(base)},
         base={
-            name: _estimate(value, error, in_units_of(findings.robot, unit))
-            for (name, unit), value, error in zip(names_, numbers, findings.errors, strict=False)
+            known.name: _estimate(best[index], findings.errors[index], in_units_of(findings.robot, known.unit))
+            for index, known in enumerate(base)
         },
         where=where(findings),
         gap=Gap(
@@ -84,37 +79,24 @@ def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
     )
 
 
-def base_names(findings: Findings) -> list[tuple[str, str]]:
-    """(name, unit) of the base model's parameters."""
-    mechanism = findings.problem.recordings[0].mechanism
-    joints = range(1, mechanism.joints + 1)
-    return [
-        *mechanism.coefficients.items(),
-        *((f"f_v_{joint}", "N m s/rad") for joint in joints),
-        *((f"f_c_{joint}", "N m") for joint in joints),
-    ]
-
-
 def _estimate(value: float, error: float, unit: str) -> Estimate:
     return Estimate(value=digits(value), unit=unit, ci95=(digits(value - Z95 * error), digits(value + Z95 * error)))
 
 
 def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
     hypothesis = findings.best.hypothesis
-    at = len(hypothesis.base.rigid) + 2 * len(hypothesis.base.viscous)
+    every = Parameters(hypothesis)
     parameters: dict[Effect, dict[str, Estimate]] = {}
     joints: dict[Effect, list[int]] = {}
     for number, term in enumerate(hypothesis.terms):
-        count = len(names(term))
-        errors = findings.errors[at : at + count]
-        at += count
+        mine = every.terms[number]
         if number < len(findings.given):
             continue
         shared = sum(other.effect is term.effect for other in hypothesis.terms) > 1
         suffix = f"_{term.joints[0] + 1}" if shared and term.joints else ""
-        for (key, unit), value, error in zip(names(term), values(term), errors, strict=True):
-            known = in_units_of(findings.robot, unit)
-            parameters.setdefault(term.effect, {})[key + suffix] = _estimate(value, error, known)
+        for known, value, error in zip(every.of_terms[number], every.values[mine], findings.errors[mine], strict=True):
+            estimate = _estimate(value, error, in_units_of(findings.robot, known.unit))
+            parameters.setdefault(term.effect, {})[known.name + suffix] = estimate
         joints.setdefault(term.effect, []).extend(joint + 1 for joint in term.joints)
     gap = max(findings.selection.none.loss - findings.problem.count, 1e-9)
     result = []
@@ -130,7 +112,7 @@ def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
                 gap_share=round(float(np.clip(lost / gap, 0.0, 1.0)), 4),
                 confusable_with=confusable(findings.selection, effect.name),
                 settles=effect.settles,
-                online=ONLINE[carried(effect.name)],
+                online=ONLINE[carried(effect)],
             )
         )
     return sorted(result, key=lambda effect: -effect.gap_share)

@@ -10,14 +10,14 @@ from plotly.subplots import make_subplots
 from scipy.signal import welch
 
 from schemas.diagnosis import Diagnosis
-from service.diagnosis.description import in_units_of
 from service.diagnosis.diagnose import Findings
-from service.diagnosis.hypothesis import Hypothesis, predict
-from service.diagnosis.statistics import joint_of
 from service.diagnosis.text import paragraphs
 from service.diagnosis.where import Rows
-from service.pages import write_page
+from service.model.description import in_units_of
+from service.model.hypothesis import Hypothesis
 from service.model.scene import Scene
+from service.model.torque import predict
+from service.pages import write_page
 
 COLOURS = {"before": "#b0b7c3", "after": "#1f6feb", "noise": "#d0d7de"}
 EFFECTS = ("#1f6feb", "#2da44e", "#8250df", "#bf8700")
@@ -46,7 +46,7 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
 def _over_time(findings: Findings) -> go.Figure:
     problem, n, unit = findings.problem, len(findings.problem.sigma), in_units_of(findings.robot, "N m")
     figure = make_subplots(rows=n, cols=1, shared_xaxes=True, vertical_spacing=0.04)
-    joints = joint_of(problem)
+    joints = problem.joints_of_rows
     for name, residuals in (("before", findings.before), ("after", findings.after)):
         for joint in range(n):
             time, value = [], []

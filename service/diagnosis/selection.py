@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.diagnosis.hypothesis import THREADS, Fit, Hypothesis, Problem, Term, fit, reported, solve
+from service.identification.fit import THREADS, Fit, Problem, fit, solve
 from service.model.effects.base import Effect, on_joint
+from service.model.hypothesis import Hypothesis, Term
 from service.model.scene import Scene
+from service.model.torque import reported
 
 BLOCK = 0.5  # s, of the block bootstrap: longer than the residual remembers
 FOLDS = 4  # where fewer than three traces are given
@@ -106,8 +108,7 @@ class Candidate:
 
     def term(self) -> Term:
         """At amplitude zero."""
-        places, k = max(1, len(self.joints)), len(self.effect.amplitudes)
-        return Term(self.effect, self.joints, np.zeros((places, k)), self.shape)
+        return Term.blank(self.effect, self.joints, self.shape)
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.hypothesis import Fit, Hypothesis, Problem, Term, _free, solve
 from service.diagnosis.selection import TOLD_APART, Scored, Selection, Split, block_loss, worth, z_score
+from service.identification.fit import Fit, Problem, solve
+from service.model.parameters import Parameters
 
 # A reversal's place between two samples is known to about this share of the sample time.
 REVERSAL_PLACE = 0.2
@@ -16,7 +17,7 @@ DRAWS = 2000
 
 
 def standard_errors(fitted: Fit, split: Split) -> np.ndarray:
-    """(P',) of base and effects' parameters, shapes on a grid as zero; transition and timing are left out.
+    """(P,) in the order of `Parameters`, zero for what the fit does not move.
 
     Blocks of the residual count as independent, samples in a block do not: the residual may be coloured.
     """
@@ -29,23 +30,7 @@ def standard_errors(fitted: Fit, split: Split) -> np.ndarray:
     covariance = inverse @ (score.T @ score) @ inverse
     error = np.zeros(len(fitted.inside))
     error[fitted.inside] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    hypothesis = fitted.hypothesis
-    at = len(hypothesis.base.rigid) + 2 * len(hypothesis.base.viscous)
-    parts = [error[:at]]
-    at += 1 + int(hypothesis.fits_timing)
-    for term in hypothesis.terms:
-        free = _free(term)
-        size = term.amplitude.size
-        shape = np.zeros(len(free))
-        shape[free] = error[at + size : at + size + int(free.sum())]
-        parts += [error[at : at + size], shape]
-        at += size + int(free.sum())
-    return np.concatenate(parts)
-
-
-def joint_of(problem: Problem) -> list[np.ndarray]:
-    """(R,) joint of each row, a recording."""
-    return [np.repeat(np.arange(rows.shape[1]), rows.sum(axis=0)) for rows in problem.rows]
+    return Parameters(fitted.hypothesis).spread(error)
 
 
 def reversal_noise(problem: Problem, coulomb: np.ndarray) -> np.ndarray:
@@ -115,7 +100,7 @@ def _inner(scored: Scored, split: Split, out: int) -> np.ndarray:
 def rms_per_joint(problem: Problem, residuals: Sequence[np.ndarray]) -> np.ndarray:
     """(n,) N m."""
     square, count = np.zeros(len(problem.sigma)), np.zeros(len(problem.sigma))
-    for residual, joint in zip(residuals, joint_of(problem), strict=True):
+    for residual, joint in zip(residuals, problem.joints_of_rows, strict=True):
         square += np.bincount(joint, residual**2, len(square))
         count += np.bincount(joint, minlength=len(count))
     return np.sqrt(square / np.maximum(count, 1)) * problem.sigma
@@ -123,7 +108,7 @@ def rms_per_joint(problem: Problem, residuals: Sequence[np.ndarray]) -> np.ndarr
 
 def pooled_squares(problem: Problem, residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:
     """(blocks,) (N m)^2, all joints."""
-    scaled = [r * problem.sigma[j] for r, j in zip(residuals, joint_of(problem), strict=True)]
+    scaled = [r * problem.sigma[j] for r, j in zip(residuals, problem.joints_of_rows, strict=True)]
     return block_loss(scaled, split)
 
 
@@ -143,14 +128,3 @@ def shrink(before: np.ndarray, after: np.ndarray, seed: int = 0) -> Shrink:
     low, high = np.quantile(1.0 - ratio, [0.025, 0.975])
     value = 1.0 - float(np.sqrt(after.sum() / max(float(before.sum()), 1e-300)))
     return Shrink(value, float(low), float(high))
-
-
-def term_columns(hypothesis: Hypothesis, term: Term) -> np.ndarray:
-    """Indices of a term's amplitudes and shapes in `hypothesis.parameters()`."""
-    at = len(hypothesis.parameters()) - sum(t.amplitude.size + int(_free(t).sum()) for t in hypothesis.terms)
-    for other in hypothesis.terms:
-        size = other.amplitude.size + int(_free(other).sum())
-        if other is term:
-            return np.arange(at, at + size)
-        at += size
-    raise ValueError("term is not in the hypothesis")

@@ -7,11 +7,12 @@ from dataclasses import replace
 from schemas.diagnosis import Shrunk, Unseen
 from schemas.trace import Trace
 from service.diagnosis import statistics
-from service.diagnosis.description import digits
 from service.diagnosis.diagnose import Findings
-from service.diagnosis.events import bursts, events_of, outside, rhythm
-from service.diagnosis.hypothesis import Hypothesis, Problem, evaluate
 from service.diagnosis.selection import Split
+from service.identification.events import bursts, events_of, outside, rhythm
+from service.identification.fit import Problem, evaluate
+from service.model.description import digits
+from service.model.hypothesis import Hypothesis
 from service.model.scene import Recording
 from service.model.signals import Band, segments, thin
 

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from service.diagnosis.description import in_units_of
 from service.diagnosis.diagnose import Findings
-from service.diagnosis.events import bursts, events_of, rhythm
-from service.diagnosis.hypothesis import Hypothesis, Problem
 from service.diagnosis.selection import held_out
-from service.diagnosis.statistics import joint_of, term_columns
+from service.identification.events import bursts, events_of, rhythm
+from service.identification.fit import Problem
+from service.model.description import in_units_of
 from service.model.effects.base import Effect
+from service.model.hypothesis import Hypothesis
 from service.model.mechanism import Delta
+from service.model.parameters import Parameters
 from service.model.scene import Scene
 
 REVERSAL_SPEED = 0.1  # rad/s: nearer than this to zero is a reversal
@@ -53,7 +54,7 @@ class Rows:
                 platforms.append(_select(problem, index, place))
         theta, speed, acceleration, load, clock = (np.concatenate(part) for part in parts)
         platform = np.concatenate(platforms) if platforms else None
-        return cls(np.concatenate(joint_of(problem)), theta, speed, acceleration, load, clock, platform)
+        return cls(np.concatenate(problem.joints_of_rows), theta, speed, acceleration, load, clock, platform)
 
 
 def _select(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
@@ -67,7 +68,7 @@ def budget(findings: Findings, joint: int) -> dict[str, float]:
     and position not being of one instant, within a sample.
     """
     problem = findings.problem
-    mine = [joints == joint for joints in joint_of(problem)]
+    mine = [joints == joint for joints in problem.joints_of_rows]
     count = sum(int(m.sum()) for m in mine)
     if not count:
         return {}
@@ -95,11 +96,12 @@ def without(findings: Findings, effect: Effect) -> list[np.ndarray]:
     """Held-out residuals (R,) a recording with one effect taken out and everything else refitted, to first order."""
     fitted = findings.best.fitted
     change, free = np.zeros(len(fitted.free)), fitted.free.copy()
-    for term in fitted.hypothesis.terms:
+    parameters = Parameters(fitted.hypothesis)
+    for number, term in enumerate(fitted.hypothesis.terms):
         if term.effect is effect:
             if not term.amplitude.size:  # shapes alone have no slope to zero: the model without any effect
                 return findings.selection.none.residuals
-            columns = term_columns(fitted.hypothesis, term)
+            columns = parameters.columns(number)
             change[columns[: term.amplitude.size]] = -term.amplitude.ravel()
             free[columns] = False
     residuals = [r - t @ change for r, t in zip(fitted.residuals, fitted.tangents, strict=True)]
@@ -156,7 +158,7 @@ def spectrum(findings: Findings, residuals: list[np.ndarray], joint: int) -> lis
     problem = findings.problem
     rate = 1.0 / (problem.band.period * problem.band.step)
     energy, floor = np.zeros(len(FREQUENCIES) - 1), np.zeros(len(FREQUENCIES) - 1)
-    for residual, joints in zip(residuals, joint_of(problem), strict=True):
+    for residual, joints in zip(residuals, problem.joints_of_rows, strict=True):
         values = residual[joints == joint]
         if len(values) < 32:
             continue

@@ -10,6 +10,7 @@ import numpy as np
 from schemas.messages import FeedforwardSource
 from schemas.robot import Robot
 from service.estimator import effects, kalman, payload
+from service.model.description import terms_of
 from service.model.dynamics import REST_SPEED, TERMS
 from service.model.nominal import DeltaModel, pack
 
@@ -114,7 +115,8 @@ STATE = np.dtype(
 def settings(robot: Robot, period: float) -> np.ndarray:
     """Everything the kernel needs to know of `robot` at one sample every `period` s, as one SETTINGS record."""
     record = np.zeros(1, SETTINGS)
-    robot, ratio = effects.corrected(robot)
+    terms = terms_of(robot)
+    robot, ratio, scale = effects.corrected(robot)
     model, identified = pack(robot), robot.identified
     for name in DeltaModel._fields:
         record["model"][name] = getattr(model, name)
@@ -139,8 +141,8 @@ def settings(robot: Robot, period: float) -> np.ndarray:
             noise = np.array(identified.torque_noise_nm.value)
         if identified.model_error_nm is not None:
             left_over = np.array(identified.model_error_nm.value)
-    record["effect"] = effects.pack_effects(robot.effect)
-    record["scale"] = effects.scales(robot)
+    record["effect"] = effects.pack_effects(terms)
+    record["scale"] = scale
     record["gear_ratio"] = robot.drive.gear_ratio
     record["variance"] = payload.sample_variance(noise, left_over)
     record["forgetting"] = np.exp(-period / payload.MEMORY_TIME)

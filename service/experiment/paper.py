@@ -20,10 +20,10 @@ from service.identification import paper, payload
 from service.identification.evaluation import WITH_PAYLOAD, Evaluation, evaluate
 from service.identification.identify import Identification, identify
 from service.identification.payload import Course, Pick, Score, course
-from service.identification.predict import error_in_band, motion
 from service.identification.regression import Trajectory, summarise
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
+from service.model.prediction import error_in_band, motion
 
 # Mean and standard deviation of tau - tau_hat over upsilon_F on the real robot, N m, joints 1 to 3, as published.
 PUBLISHED = {

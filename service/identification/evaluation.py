@@ -11,11 +11,11 @@ from schemas.axes import Axes, Description
 from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.trace import Trace
-from service.diagnosis.events import Event, Run, events, outside
 from service.estimator.estimator import Estimator, period_of
-from service.identification.predict import FULL, Motion, error_in_band, motion, predict_along
+from service.identification.events import Event, Run, events, outside
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
+from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
 
 WITH_PAYLOAD = "full, m_p estimated"
 

@@ -14,9 +14,9 @@ from schemas.robot import Robot
 from schemas.trace import Trace
 from service.estimator.estimator import Estimator, period_of
 from service.estimator.recursion import FORGETTING, fixed_forgetting
-from service.identification.predict import motion, predict_along
 from service.model import kinematics
 from service.model.nominal import pack
+from service.model.prediction import motion, predict_along
 
 # What "found" means: within the larger of the two of the truth, and staying there to the release.
 BOUND_SHARE, BOUND_KG = 0.05, 0.05

@@ -29,15 +29,22 @@ class Rigid(NamedTuple):
         return self.known + self.columns @ coefficients
 
 
+class Coefficient(NamedTuple):
+    """A coefficient's unit and the least that it can be."""
+
+    unit: str
+    low: float = 0.0
+
+
 class Mechanism(Protocol):
-    """n joints with k identified coefficients. coefficients: name -> unit."""
+    """n joints with k identified coefficients, by name."""
 
     @property
     def kind(self) -> str: ...
     @property
     def joints(self) -> int: ...
     @property
-    def coefficients(self) -> dict[str, str]: ...
+    def coefficients(self) -> dict[str, Coefficient]: ...
     @property
     def gear_ratio(self) -> np.ndarray: ...
 
@@ -66,7 +73,11 @@ class Delta:
     gear_ratio: np.ndarray
     kind = "delta"
     joints = 3
-    coefficients = {"rho_1": "", "rho_2": "", "forearm_inertia_kg": "kg"}  # noqa: RUF012 - a constant of the class
+    coefficients = {  # noqa: RUF012 - a constant of the class
+        "rho_1": Coefficient(""),
+        "rho_2": Coefficient(""),
+        "forearm_inertia_kg": Coefficient("kg"),
+    }
 
     @classmethod
     def of(cls, robot: Robot) -> Delta:
@@ -136,10 +147,11 @@ class DecoupledAxes:
         return len(self.gear_ratio)
 
     @property
-    def coefficients(self) -> dict[str, str]:
+    def coefficients(self) -> dict[str, Coefficient]:
         """Inertias, then constant loads."""
         joints = range(1, self.joints + 1)
-        return {f"inertia_{j}": "kg m^2" for j in joints} | {f"offset_{j}": "N m" for j in joints}
+        inertias = {f"inertia_{j}": Coefficient("kg m^2") for j in joints}
+        return inertias | {f"offset_{j}": Coefficient("N m", low=-np.inf) for j in joints}
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, n) motions."""

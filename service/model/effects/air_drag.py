@@ -7,18 +7,28 @@ Limitations: grows with speed squared; slow motion says nothing about it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Effect, at_platform
 from service.model.scene import Scene
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    v = now.velocity
+    speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    return effect.amplitude[0, 0] * speed * at_platform(now, i, v[0], v[1], v[2])
 
 
 @dataclass(frozen=True)
 class AirDrag(Effect):
-    c: Amplitude = Amplitude("N s^2/m^2", "drag force at 1 m/s")
+    c: Amplitude = Amplitude("N s^2/m^2", "drag force at 1 m/s", low=0.0)
     name = "air_drag"
+    online = staticmethod(_online)
     per_joint = False
     own_joint = False
     kinds = frozenset({"delta"})

@@ -7,18 +7,28 @@ Limitations: the same on all joints is in rho_1 and rho_2 of the base model and 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect
 from service.model.scene import Scene
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    length = now.model.active_length[i]
+    weight = now.model.gravity * length / 2.0 * math.cos(now.theta[i] + now.model.joint_offset[i])
+    return effect.amplitude[i, 0] * (length * length / 3.0 * now.theta_ddot[i] - weight)
 
 
 @dataclass(frozen=True)
 class ArmMass(Effect):
     delta_m: Amplitude = Amplitude("kg", "mass of this active link above the others'")
     name = "arm_mass"
+    online = staticmethod(_online)
     kinds = frozenset({"delta"})
     settles = "fast moves and slow sweeps over a wide range of this joint's angle"
 

@@ -10,9 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect
 from service.model.scene import Scene
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    return effect.amplitude[i, 0] + effect.amplitude[i, 1] * abs(now.theta_dot[i])
 
 
 @dataclass(frozen=True)
@@ -20,6 +26,9 @@ class AsymmetricFriction(Effect):
     delta_c: Amplitude = Amplitude("N m", "half the difference of the Coulomb levels, forward minus backward")
     delta_v: Amplitude = Amplitude("N m s/rad", "half the difference of the viscous levels, forward minus backward")
     name = "asymmetric_friction"
+    same = frozenset({"torque_offset"})
+    directional = True
+    online = staticmethod(_online)
     settles = "the same path at three speeds in both directions"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:

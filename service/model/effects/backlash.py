@@ -30,6 +30,7 @@ class Backlash(Effect):
     contact_damping: Shape = Shape("", "damping ratio of the closed flank", (2.0,), 0.05, 4.0, fixed=True)
     motor_share: Shape = Shape("", "share of the joint's inertia on the motor side", (0.1, 0.2, 0.35, 0.55), 0.02, 0.9)
     name = "backlash"
+    directional = True
     own_joint = False
     rough = True
     settles = "moves whose braking torque exceeds gravity, so that the transmitted torque changes sign"

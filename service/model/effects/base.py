@@ -6,21 +6,69 @@ joints has its own amplitudes a joint and shares its shapes; any other has one s
 
 from __future__ import annotations
 
+import itertools
+import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields
-from typing import ClassVar
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numba import njit
 
+from service.model.mechanism import Mechanism
 from service.model.scene import Scene
+
+
+class Moment(NamedTuple):
+    """What an online form reads of the present sample: arrays (3,), but column and elbow (3, 3), row i of arm i.
+
+    model: record of DeltaModel. way: direction of motion in [-1, 1]. load: N m, rigid torque through the gears.
+    seconds: of the bus clock. position, velocity, acceleration: of the platform, m, m/s, m/s^2. J[axis, i] is
+    column[i, axis] lever[i]; elbow: dJ'_i/dtheta_i, m.
+    """
+
+    model: Any
+    gear_ratio: float
+    rho_2: float
+    theta: np.ndarray
+    theta_dot: np.ndarray
+    theta_ddot: np.ndarray
+    way: np.ndarray
+    load: np.ndarray
+    seconds: float
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    column: np.ndarray
+    elbow: np.ndarray
+    lever: np.ndarray
+
+
+@njit(cache=True)
+def at_platform(now, i, x, y, z):
+    """Torque of joint i, N m, that holds a force x, y, z, N, acting from the platform on its surroundings."""
+    return now.lever[i] * (now.column[i, 0] * x + now.column[i, 1] * y + now.column[i, 2] * z)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What effects change in the online model itself, (3,) each: length of the active links m, zeros of the joints rad,
+    reported over true torque."""
+
+    length: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    scale: np.ndarray = field(default_factory=lambda: np.ones(3))
 
 
 @dataclass(frozen=True)
 class Amplitude:
-    """A quantity that the torque is proportional to. unit: SI. meaning: for the report."""
+    """A quantity that the torque is proportional to. unit: SI. meaning: for the report. low, high: what it can be."""
 
     unit: str
     meaning: str
+    low: float = -math.inf
+    high: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -42,7 +90,12 @@ class Effect(ABC):
     name: as in the catalogue. per_joint: sits on single joints. own_joint: adds torque to no other joint than its own.
     measured: alters the reported torque instead of adding to it. rough: its torque is no smooth function of its shapes,
     so they are kept when a part of the data is left out. own_shapes: each joint may have shapes of its own. kinds:
-    mechanisms it makes sense for. settles: the motion that tells it from what it resembles.
+    mechanisms it makes sense for. settles: the motion that tells it from what it resembles. directional: a joint that
+    moves one way only does not show it. same: effects that no motion tells it from. takes_timing: it has the place of
+    the timing within a sample. beyond: `size` that no robot which runs has, several times the strongest of the blind
+    test: an effect that large stands in for a wrong description; beyond_together: the same on several joints at once.
+    online: compiled (effect record, Moment, joint) -> N m from the present sample, where there is such a form; of the
+    effects that come along only.
     """
 
     name: ClassVar[str]
@@ -53,6 +106,12 @@ class Effect(ABC):
     own_shapes: ClassVar[bool] = False
     kinds: ClassVar[frozenset[str]] = frozenset({"delta", "axes"})
     settles: ClassVar[str]
+    directional: ClassVar[bool] = False
+    same: ClassVar[frozenset[str]] = frozenset()
+    takes_timing: ClassVar[bool] = False
+    beyond: ClassVar[float] = math.inf
+    beyond_together: ClassVar[float] = math.inf
+    online: ClassVar[Callable[..., float] | None] = None
 
     @property
     def amplitudes(self) -> dict[str, Amplitude]:
@@ -72,10 +131,16 @@ class Effect(ABC):
         an effect has no amplitude: its whole torque, k = 1.
         """
 
+    def size(self, mechanism: Mechanism, amplitude: np.ndarray) -> float:
+        """How large amplitudes (J, k) are, in the terms of `beyond`."""
+        return float(np.abs(amplitude).max(initial=0.0))
+
+    def correct(self, correction: Correction, joint: int, amplitude: np.ndarray) -> None:  # noqa: B027 - most do not
+        """Put the effect, with amplitudes (k,) on `joint`, into the online model's settings; only where it changes them
+        instead of adding a torque."""
+
     def grid(self, scene: Scene) -> list[tuple[float, ...]]:
         """Shapes to try first."""
-        import itertools
-
         return list(itertools.product(*(shape.grid for shape in self.shapes.values())))
 
     def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:

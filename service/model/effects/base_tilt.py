@@ -10,9 +10,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Effect, at_platform
 from service.model.scene import Scene
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    # gravity leans by two small angles: its reaction is g (-y, x, 1)
+    gx, gy = -effect.amplitude[0, 1] * now.model.gravity, effect.amplitude[0, 0] * now.model.gravity
+    link = now.rho_2 * now.model.gravity_torque[i] / (now.model.gravity * now.model.active_length[i])
+    platform = now.model.moving_mass * at_platform(now, i, gx, gy, 0.0)
+    return platform + link * (now.elbow[i, 0] * gx + now.elbow[i, 1] * gy)
 
 
 @dataclass(frozen=True)
@@ -20,6 +30,8 @@ class BaseTilt(Effect):
     about_x: Amplitude = Amplitude("rad", "tilt about the base's x axis")
     about_y: Amplitude = Amplitude("rad", "tilt about the base's y axis")
     name = "base_tilt"
+    beyond = 0.35
+    online = staticmethod(_online)
     per_joint = False
     own_joint = False
     kinds = frozenset({"delta"})

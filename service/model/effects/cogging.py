@@ -7,14 +7,22 @@ Limitations: above half the sample rate it is folded; fast motion moves it above
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect, Shape
 from service.model.scene import Scene
 
 COGGING_ORDERS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 22, 24, 30, 36)
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    angle = effect.shape[0] * now.gear_ratio * now.theta[i]
+    return effect.amplitude[i, 0] * math.cos(angle) + effect.amplitude[i, 1] * math.sin(angle)
 
 
 @dataclass(frozen=True)
@@ -23,6 +31,7 @@ class Cogging(Effect):
     sine: Amplitude = Amplitude("N m", "sine part of the amplitude, joint side")
     order: Shape = Shape("", "periods a motor turn", COGGING_ORDERS, 0.5, 60.0)
     name = "cogging"
+    online = staticmethod(_online)
     settles = "a slow constant-speed sweep of this joint over several motor turns"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:

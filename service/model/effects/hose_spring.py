@@ -10,18 +10,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Effect, at_platform
 from service.model.scene import Scene
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    a, p = effect.amplitude[0], now.position
+    return at_platform(now, i, a[0] * p[0] + a[1], a[0] * p[1] + a[2], a[0] * p[2] + a[3])
 
 
 @dataclass(frozen=True)
 class HoseSpring(Effect):
-    k: Amplitude = Amplitude("N/m", "stiffness")
+    k: Amplitude = Amplitude("N/m", "stiffness", low=0.0)
     force_x: Amplitude = Amplitude("N", "-k x_0")
     force_y: Amplitude = Amplitude("N", "-k y_0")
     force_z: Amplitude = Amplitude("N", "-k z_0")
     name = "hose_spring"
+    online = staticmethod(_online)
     per_joint = False
     own_joint = False
     kinds = frozenset({"delta"})

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Correction, Effect
 from service.model.scene import Scene
 
 STEP = 1e-4  # m or rad, of the central difference
@@ -21,6 +21,8 @@ STEP = 1e-4  # m or rad, of the central difference
 class JointOffset(Effect):
     error: Amplitude = Amplitude("rad", "true minus measured angle")
     name = "joint_offset"
+    beyond_together = 0.05
+    beyond = 0.3
     own_joint = False
     kinds = frozenset({"delta"})
     settles = "slow sweeps over the whole workspace and fast moves"
@@ -30,6 +32,10 @@ class JointOffset(Effect):
         none, step = np.zeros(3), STEP * np.eye(3)[joint]
         change = scene.altered(none, step) - scene.altered(none, -step)
         return (change / (2 * STEP))[..., None]
+
+    def correct(self, correction: Correction, joint: int, amplitude: np.ndarray) -> None:
+        """Another zero."""
+        correction.offset[joint] += amplitude[0]
 
     def torque(self, scene: Scene, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 3), exact."""

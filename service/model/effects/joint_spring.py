@@ -10,16 +10,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect
 from service.model.scene import Scene
 
 
+@njit(cache=True)
+def _online(effect, now, i):
+    return effect.amplitude[i, 0] * now.theta[i] + effect.amplitude[i, 1]
+
+
 @dataclass(frozen=True)
 class JointSpring(Effect):
-    k: Amplitude = Amplitude("N m/rad", "stiffness")
+    k: Amplitude = Amplitude("N m/rad", "stiffness", low=0.0)
     preload: Amplitude = Amplitude("N m", "torque at angle zero, -k theta_0")
     name = "joint_spring"
+    directional = True
+    online = staticmethod(_online)
     settles = "a slow sweep over the whole angle of this joint alone"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Correction, Effect
+from service.model.mechanism import Delta, Mechanism
 from service.model.scene import Scene
 
 STEP = 1e-4  # m or rad, of the central difference
@@ -21,6 +22,8 @@ STEP = 1e-4  # m or rad, of the central difference
 class LinkLengthError(Effect):
     error: Amplitude = Amplitude("m", "true minus described length")
     name = "link_length_error"
+    beyond_together = 0.05
+    beyond = 0.2
     own_joint = False
     kinds = frozenset({"delta"})
     settles = "fast moves to all sides of the workspace"
@@ -30,6 +33,15 @@ class LinkLengthError(Effect):
         none, step = np.zeros(3), STEP * np.eye(3)[joint]
         change = scene.altered(step, none) - scene.altered(-step, none)
         return (change / (2 * STEP))[..., None]
+
+    def size(self, mechanism: Mechanism, amplitude: np.ndarray) -> float:
+        """Share of the link's length."""
+        assert isinstance(mechanism, Delta)
+        return float(np.abs(amplitude).max(initial=0.0) / mechanism.model.active_length[0])
+
+    def correct(self, correction: Correction, joint: int, amplitude: np.ndarray) -> None:
+        """A longer link."""
+        correction.length[joint] += amplitude[0]
 
     def torque(self, scene: Scene, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 3), exact."""

@@ -10,15 +10,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect
 from service.model.scene import Scene
 
 
+@njit(cache=True)
+def _online(effect, now, i):
+    return effect.amplitude[i, 0] * abs(now.load[i]) * now.way[i]
+
+
 @dataclass(frozen=True)
 class LoadDependentFriction(Effect):
-    mu: Amplitude = Amplitude("", "friction torque per torque through the gear")
+    mu: Amplitude = Amplitude("", "friction torque per torque through the gear", low=0.0)
     name = "load_dependent_friction"
+    directional = True
+    online = staticmethod(_online)
     settles = "fast and slow runs of one path, or the same path with a payload"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:

@@ -10,9 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect, Shape
 from service.model.scene import Scene
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    return effect.amplitude[i, 0] * now.way[i] * abs(now.theta_dot[i]) ** effect.shape[0]
 
 
 @dataclass(frozen=True)
@@ -20,6 +26,8 @@ class NonlinearViscousFriction(Effect):
     f: Amplitude = Amplitude("N m (s/rad)^p", "coefficient")
     p: Shape = Shape("", "exponent of speed", (0.35, 0.6, 1.5, 2.0, 3.0), 0.2, 4.0)
     name = "nonlinear_viscous_friction"
+    directional = True
+    online = staticmethod(_online)
     own_shapes = True
     settles = "runs of one path at 10, 30, 60 and 100 % speed"
 

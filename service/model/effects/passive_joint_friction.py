@@ -19,10 +19,10 @@ from service.model.scene import Scene
 
 @dataclass(frozen=True)
 class PassiveJointFriction(Effect):
-    dry_elbow: Amplitude = Amplitude("N m", "dry friction of one forearm's ball joints at the elbow")
-    dry_platform: Amplitude = Amplitude("N m", "dry friction of one forearm's ball joints at the platform")
-    viscous_elbow: Amplitude = Amplitude("N m s/rad", "viscous friction of one forearm's ball joints at the elbow")
-    viscous_platform: Amplitude = Amplitude("N m s/rad", "viscous friction at the platform")
+    dry_elbow: Amplitude = Amplitude("N m", "dry friction of one forearm's ball joints at the elbow", low=0.0)
+    dry_platform: Amplitude = Amplitude("N m", "dry friction of one forearm's ball joints at the platform", low=0.0)
+    viscous_elbow: Amplitude = Amplitude("N m s/rad", "viscous friction at the elbow", low=0.0)
+    viscous_platform: Amplitude = Amplitude("N m s/rad", "viscous friction at the platform", low=0.0)
     name = "passive_joint_friction"
     per_joint = False
     own_joint = False

@@ -7,12 +7,20 @@ Limitations: one sine; a narrow rough spot is not one.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect, Shape
 from service.model.scene import Scene
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    angle = effect.shape[0] * now.theta[i]
+    return (effect.amplitude[i, 0] * math.cos(angle) + effect.amplitude[i, 1] * math.sin(angle)) * now.way[i]
 
 
 @dataclass(frozen=True)
@@ -21,6 +29,8 @@ class PositionDependentFriction(Effect):
     sine: Amplitude = Amplitude("N m", "sine part of the amplitude")
     order: Shape = Shape("", "periods a turn of the joint", (1, 2, 3, 4, 5, 6, 8, 10, 12), 0.5, 40.0)
     name = "position_dependent_friction"
+    directional = True
+    online = staticmethod(_online)
     settles = "a slow sweep over the whole angle in both directions"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:

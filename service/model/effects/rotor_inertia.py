@@ -10,15 +10,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect
 from service.model.scene import Scene
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    return effect.amplitude[i, 0] * now.theta_ddot[i]
 
 
 @dataclass(frozen=True)
 class RotorInertia(Effect):
     delta_i: Amplitude = Amplitude("kg m^2", "inertia of this joint above the others', joint side")
     name = "rotor_inertia"
+    online = staticmethod(_online)
     settles = "fast moves of this joint beside slow ones over the same angles"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:

@@ -7,19 +7,28 @@ Limitations: with no motion slower than v_s it is Coulomb friction; with none fa
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect, Shape, geometric
 from service.model.scene import Scene
 
 
+@njit(cache=True)
+def _online(effect, now, i):
+    return effect.amplitude[i, 0] * now.way[i] * math.exp(-((now.theta_dot[i] / effect.shape[0]) ** 2))
+
+
 @dataclass(frozen=True)
 class StribeckFriction(Effect):
-    f_s: Amplitude = Amplitude("N m", "breakaway friction above the Coulomb level")
+    f_s: Amplitude = Amplitude("N m", "breakaway friction above the Coulomb level", low=0.0)
     v_s: Shape = Shape("rad/s", "speed at which it has fallen to 37 %", geometric(0.01, 1.0, 9), 0.005, 2.0)
     name = "stribeck_friction"
+    directional = True
+    online = staticmethod(_online)
     own_shapes = True
     settles = "a slow sweep with reversals, 0.005 to 1 rad/s"
 

@@ -10,15 +10,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Effect, at_platform
 from service.model.scene import Scene
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    a = now.acceleration
+    return effect.amplitude[0, 0] * at_platform(now, i, a[0], a[1], a[2] + now.model.gravity)
 
 
 @dataclass(frozen=True)
 class ToolMass(Effect):
     delta_m: Amplitude = Amplitude("kg", "mass at the platform beyond the description")
     name = "tool_mass"
+    online = staticmethod(_online)
     per_joint = False
     own_joint = False
     kinds = frozenset({"delta"})

@@ -23,6 +23,7 @@ class TorqueDelay(Effect):
         "s", "by which torque is later than position", (-0.003, -0.0015, 0.0008, 0.0015, 0.003, 0.006), -0.02, 0.02
     )
     name = "torque_delay"
+    takes_timing = True
     per_joint = False
     own_joint = False
     measured = True

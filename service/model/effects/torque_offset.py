@@ -10,15 +10,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect
 from service.model.scene import Scene
+
+
+@njit(cache=True)
+def _online(effect, now, i):
+    return effect.amplitude[i, 0]
 
 
 @dataclass(frozen=True)
 class TorqueOffset(Effect):
     offset: Amplitude = Amplitude("N m", "reported minus true torque")
     name = "torque_offset"
+    same = frozenset({"asymmetric_friction"})
+    directional = True
+    online = staticmethod(_online)
     settles = "nothing while the joint moves: compare with the brake closed and the drive on"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:

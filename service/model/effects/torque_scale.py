@@ -11,20 +11,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Correction, Effect
 from service.model.scene import Scene
 
 
 @dataclass(frozen=True)
 class TorqueScale(Effect):
-    epsilon: Amplitude = Amplitude("", "reported over true torque, minus one")
+    epsilon: Amplitude = Amplitude("", "reported over true torque, minus one", low=-1.0)
     name = "torque_scale"
+    beyond = 0.5
     measured = True
     settles = "fast moves with a known mass at the platform"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
         return scene.total[:, [joint]]
+
+    def correct(self, correction: Correction, joint: int, amplitude: np.ndarray) -> None:
+        """Scales what is reported."""
+        correction.scale[joint] += amplitude[0]
 
     def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
         """Scales one joint."""

@@ -7,19 +7,27 @@ Limitations: logs that all start warm, or on clocks of their own, do not show it
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from service.model.effects.base import Amplitude, Effect, Shape
 from service.model.scene import Scene
 
 
+@njit(cache=True)
+def _online(effect, now, i):
+    return effect.amplitude[i, 0] * math.exp(-now.seconds / effect.shape[0]) * now.theta_dot[i]
+
+
 @dataclass(frozen=True)
 class WarmupFriction(Effect):
-    f: Amplitude = Amplitude("N m s/rad", "viscous friction of the cold gear above the warm one")
+    f: Amplitude = Amplitude("N m s/rad", "viscous friction of the cold gear above the warm one", low=0.0)
     tau: Shape = Shape("s", "time constant of the warm-up", (3.0, 8.0, 20.0, 50.0, 150.0, 600.0), 1.0, 3600.0)
     name = "warmup_friction"
+    online = staticmethod(_online)
     settles = "one path, cold and after half an hour of running, on one clock"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:

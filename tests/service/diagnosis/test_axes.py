@@ -15,7 +15,7 @@ from drivers.trace import read_trace
 from schemas.axes import load_axes
 from schemas.errors import DataError, RobotError, TraceError
 from service.cli.main import app
-from service.identification.predict import motion
+from service.model.prediction import motion
 from service.model.signals import lowpass
 
 # Janot, Gautier, Brunot 2019: M kg, F_v N s/m, F_c N, offset N; with friction by direction F_v+ and F_v-; relative

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from drivers.trace import read_trace
 from schemas.robot import load_robot
 from service.cli.main import app
-from service.identification.predict import error_in_band, motion, predict_along
+from service.model.prediction import error_in_band, motion, predict_along
 
 
 @pytest.mark.parametrize(

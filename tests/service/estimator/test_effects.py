@@ -7,8 +7,9 @@ from schemas.errors import RobotError
 from schemas.robot import Effect, EffectParameter, JointParameter
 from service.estimator.effects import carried, pack_effects
 from service.estimator.estimator import Estimator
-from service.identification.predict import FULL, predict
+from service.model.description import terms_of
 from service.model.effects import CATALOGUE
+from service.model.prediction import FULL, predict
 from tests.known import PERIOD, trace_of
 
 FOUND = {
@@ -68,30 +69,23 @@ def test_the_online_torque_is_the_offline_one(robot, make, name):
 
 
 def test_every_catalogue_effect_is_carried_or_known_not_to_be():
-    names = {entry.name for entry in CATALOGUE}
-    assert {name for name in names if carried(name)} == set(FOUND)
-    assert names - set(FOUND) == NOT_CARRIED
+    assert {entry.name for entry in CATALOGUE if carried(entry)} == set(FOUND)
+    assert {entry.name for entry in CATALOGUE} - set(FOUND) == NOT_CARRIED
 
 
-def test_several_joints_have_amplitudes_of_their_own():
+def test_several_joints_have_amplitudes_of_their_own(robot):
     parameters = {"f_s_1": 1.0, "f_s_3": 3.0, "v_s": 0.2}
     entry = Effect(
         name="stribeck_friction", joints=[1, 3], parameters={k: EffectParameter(value=v) for k, v in parameters.items()}
     )
-    record = pack_effects([entry])[0]
+    record = pack_effects(terms_of(robot.model_copy(update={"effect": [entry]})))[0]
     assert record["joint"].tolist() == [1, 0, 1]
     assert record["amplitude"][:, 0].tolist() == [1.0, 0.0, 3.0]
     assert record["shape"][0] == 0.2
 
 
-def test_a_missing_parameter_is_named():
+def test_a_missing_parameter_is_named(robot):
+    parameters = {"cosine": EffectParameter(value=1.0), "order": EffectParameter(value=2.0)}
+    broken = robot.model_copy(update={"effect": [Effect(name="cogging", joints=[2], parameters=parameters)]})
     with pytest.raises(RobotError, match="effect cogging: parameter 'sine' is missing"):
-        pack_effects(
-            [
-                Effect(
-                    name="cogging",
-                    joints=[2],
-                    parameters={"cosine": EffectParameter(value=1.0), "order": EffectParameter(value=2.0)},
-                )
-            ]
-        )
+        Estimator(broken, PERIOD)

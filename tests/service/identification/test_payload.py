@@ -14,9 +14,9 @@ from service.estimator.recursion import fixed_forgetting
 from service.identification.evaluation import WITH_PAYLOAD, evaluate
 from service.identification.identify import identify
 from service.identification.payload import Pick, course, picks, read_truth, score
-from service.identification.predict import FULL
 from service.identification.regression import summarise
 from service.model.nominal import pack
+from service.model.prediction import FULL
 
 
 @pytest.fixture(scope="module")

@@ -14,9 +14,9 @@ from schemas.messages import SampleFlag
 from schemas.robot import Robot, load_robot, save_robot
 from schemas.trace import Trace
 from service.identification.identify import identify
-from service.identification.predict import MODELS, error_in_band, motion, predict
 from service.identification.regression import summarise
 from service.model.nominal import pack
+from service.model.prediction import MODELS, error_in_band, motion, predict
 
 Record = Callable[..., Trace]
 

@@ -8,16 +8,15 @@ import numpy as np
 
 from schemas.axes import Axes, Description
 from schemas.errors import DataError, PoseError, TraceError
-from schemas.robot import Identified, JointParameter
 from schemas.trace import Trace
-from service.diagnosis.description import torque_along
-from service.identification.pooled import COULOMB, FOREARM_MASS, RHO_1, RHO_2, VISCOUS
-from service.identification.regression import regressors
-from service.model.nominal import pack
+from service.model.description import hypothesis_of, torque_along
+from service.model.friction import mean_direction
+from service.model.mechanism import mechanism_of
 from service.model.signals import lowpass, segments
 
 MODELS = ("M_KH", "M_Id", "M_Id+F", "full")  # each a superset of the one before; full adds forearm and effects
 FULL = MODELS[-1]
+TEXTBOOK = np.array([1.0, 1.0, 0.0])  # rho_1, rho_2 and forearm of M_KH
 
 
 @dataclass(frozen=True)
@@ -61,58 +60,33 @@ def predict(robot: Description, trace: Trace) -> dict[str, np.ndarray]:
 
     Raises:
         TraceError: no part of the trace is long enough, or its positions are no pose of the robot, naming the file.
-        DataError: the robot carries an effect that is not known, or describes axes without figures.
+        RobotError: the robot carries an effect that is not known. DataError: it describes axes without figures.
     """
     return predict_along(robot, trace, motion(trace))
 
 
 def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, np.ndarray]:
     """`predict` for a motion that is smoothed already."""
-    if isinstance(robot, Axes):
-        return _axes_along(robot, trace, along)
+    if isinstance(robot, Axes) and robot.identified is None:
+        raise DataError(f"robot {robot.name}: no [identified] parameters: run `deltatwin diagnose` on its logs first")
     try:
-        turning = robot.identified.friction_transition_radps if robot.identified else 0.0
-        columns = regressors(pack(robot), along.theta, along.theta_dot, along.theta_ddot, turning)
+        rigid = mechanism_of(robot).rigid(along.theta, along.theta_dot, along.theta_ddot)
     except PoseError as error:
         raise TraceError(f"{trace.path}: {error}") from error
-    inertia, gravity, forearm, viscous, coulomb, platform = np.moveaxis(columns, -1, 0)
-    result = {"M_KH": inertia + gravity + platform}
+    result = {}
+    if not isinstance(robot, Axes):
+        result["M_KH"] = rigid.torque(TEXTBOOK)
     if robot.identified is not None:
-        values = coefficients(robot.identified)
-        result["M_Id"] = values[RHO_1] * inertia + values[RHO_2] * gravity + platform
-        result["M_Id+F"] = result["M_Id"] + values[VISCOUS] * viscous + values[COULOMB] * coulomb
-        result["full"] = result["M_Id+F"] + values[FOREARM_MASS] * forearm
-        if robot.effect or robot.identified.torque_timing_s:
-            result["full"] = torque_along(robot, trace.time, along.theta, along.theta_dot, along.theta_ddot)
+        hypothesis = hypothesis_of(robot)
+        base = hypothesis.base
+        coefficients = base.rigid if isinstance(robot, Axes) else base.rigid * TEXTBOOK
+        result["M_Id"] = rigid.torque(coefficients)
+        friction = base.viscous * along.theta_dot + base.coulomb * mean_direction(along.theta_dot, base.transition)
+        result["M_Id+F"] = result["M_Id"] + friction
+        result[FULL] = rigid.torque(base.rigid) + friction
+        if hypothesis.terms or base.timing:
+            result[FULL] = torque_along(robot, trace.time, along.theta, along.theta_dot, along.theta_ddot)
     return result
-
-
-def _axes_along(axes: Axes, trace: Trace, along: Motion) -> dict[str, np.ndarray]:
-    """Inertia and offset alone stand for M_Id; without figures nothing is known of an axis but that it moves."""
-    if axes.identified is None:
-        raise DataError(f"robot {axes.name}: no [identified] parameters: run `deltatwin diagnose` on its logs first")
-    signals = (trace.time, along.theta, along.theta_dot, along.theta_ddot)
-    zero = JointParameter(value=[0.0] * len(axes.axis))
-    rigid = axes.identified.model_copy(update={"viscous_friction": zero, "coulomb_friction": zero})
-    plain = axes.model_copy(update={"effect": []})
-    return {
-        "M_Id": torque_along(plain.model_copy(update={"identified": rigid}), *signals),
-        "M_Id+F": torque_along(plain, *signals),
-        FULL: torque_along(axes, *signals),
-    }
-
-
-def coefficients(identified: Identified) -> np.ndarray:
-    """(9,) in the order of `pooled.PARAMETERS`."""
-    return np.array(
-        [
-            identified.rho_1.value,
-            identified.rho_2.value,
-            identified.forearm_inertia_kg.value,
-            *identified.viscous_friction_nms.value,
-            *identified.coulomb_friction_nm.value,
-        ]
-    )
 
 
 def error_in_band(trace: Trace, along: Motion, torque: np.ndarray) -> np.ndarray:

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from schemas.diagnosis import Burst
-from service.diagnosis.hypothesis import Problem
-from service.diagnosis.statistics import joint_of
+from service.identification.fit import Problem
 
 SLOW = 0.12  # s of the running mean that is taken out
 WIDTH = 0.06  # s over which the level is taken
@@ -112,7 +111,7 @@ def events_of(problem: Problem, residuals: Sequence[np.ndarray]) -> list[Event]:
     """Events in `residuals`, (R,) a recording, in units of the noise."""
     runs = []
     for recording, rows, residual, joints in zip(
-        problem.recordings, problem.rows, residuals, joint_of(problem), strict=True
+        problem.recordings, problem.rows, residuals, problem.joints_of_rows, strict=True
     ):
         time = recording.segment.time[:: problem.band.step]
         for joint, sigma in enumerate(problem.sigma):

@@ -1,0 +1,151 @@
+"""The fit of a hypothesis to recordings: Gauss-Newton over all of its parameters together, in the analysis band."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from service.model.hypothesis import Hypothesis
+from service.model.parameters import Parameters
+from service.model.scene import Base, Recording, Scene
+from service.model.signals import Band
+from service.model.torque import tangent
+
+# A recording a thread: filters, matrix products and compiled kernels let go of the interpreter.
+THREADS = ThreadPoolExecutor(os.cpu_count())
+ITERATIONS = 6
+SETTLED = 1e-4  # relative fall of the squared residual that ends the fit
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Recordings, their torque in the analysis band, and the rows that count.
+
+    target: (M, n) a recording. rows: (M, n) bool. sigma: (n,) N m, rms of the noise in the band, the unit of residuals.
+    """
+
+    recordings: Sequence[Recording]
+    band: Band
+    sigma: np.ndarray
+    target: list[np.ndarray] = field(default_factory=list)
+    rows: list[np.ndarray] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], band: Band, sigma: np.ndarray) -> Problem:
+        """Filters and thins out the torque."""
+        problem = cls(recordings, band, sigma)
+        for recording in recordings:
+            problem.target.append(band(recording.segment.torque))
+            problem.rows.append(recording.segment.moving[:: band.step])
+        return problem
+
+    def scenes(self, base: Base) -> list[Scene]:
+        """The recordings seen from `base`."""
+        return [Scene(recording, base) for recording in self.recordings]
+
+    @property
+    def count(self) -> int:
+        """Rows in all recordings and joints."""
+        return int(sum(rows.sum() for rows in self.rows))
+
+    @property
+    def joints_of_rows(self) -> list[np.ndarray]:
+        """(R,) joint of each row, a recording."""
+        return [np.repeat(np.arange(rows.shape[1]), rows.sum(axis=0)) for rows in self.rows]
+
+    def select(self, index: int, values: np.ndarray) -> np.ndarray:
+        """Rows that count of (M, n, ...) of recording `index`, in units of the noise, joint after joint."""
+        scaled = values / self.sigma.reshape(1, -1, *([1] * (values.ndim - 2)))
+        return np.concatenate([scaled[self.rows[index][:, j], j] for j in range(values.shape[1])])
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A hypothesis at its optimum: residuals (R,) and tangents (R, F) a recording, in units of the noise.
+
+    inside: (F,) bool, False for parameters that stand at a limit. free: also False for those too rough to be moved by a
+    slope.
+    """
+
+    hypothesis: Hypothesis
+    residuals: list[np.ndarray]
+    tangents: list[np.ndarray]
+    inside: np.ndarray
+    free: np.ndarray
+
+    @property
+    def moving(self) -> list[np.ndarray]:
+        """Tangents of the free parameters."""
+        return [tangent[:, self.free] for tangent in self.tangents]
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared residuals."""
+        return float(sum(r @ r for r in self.residuals))
+
+
+def evaluate(problem: Problem, hypothesis: Hypothesis) -> Fit:
+    """Residuals and tangents at the hypothesis's own parameters; its base is the operating point."""
+
+    def one(index: int, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+        prediction, slope = tangent(scene, hypothesis, problem.band)
+        return problem.select(index, problem.target[index] - prediction), problem.select(index, slope)
+
+    parts = list(THREADS.map(one, range(len(problem.recordings)), problem.scenes(hypothesis.base)))
+    residuals, tangents = [residual for residual, _ in parts], [slope for _, slope in parts]
+    parameters = Parameters(hypothesis)
+    low, high = parameters.limits(problem.band.period)
+    values = parameters.values[parameters.free]
+    inside = (values > low) & (values < high)
+    return Fit(hypothesis, residuals, tangents, inside, inside & ~parameters.rough)
+
+
+def solve(gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
+    """Least squares from normal equations (P, P) and (P,) or (P, m); directions without information stay at zero."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    values, vectors = np.linalg.eigh(gram * scale[:, None] * scale)
+    keep = values > 1e-10 * values[-1]
+    root = vectors[:, keep] / np.sqrt(values[keep]) * scale[:, None]
+    return root @ (root.T @ moment)
+
+
+def fit(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS) -> Fit:
+    """Gauss-Newton over all parameters together, from the hypothesis's own, inside their limits.
+
+    A parameter that would leave its limits is held there and the rest solved again; steps that do not help are halved.
+    """
+    best = evaluate(problem, hypothesis)
+    for _ in range(iterations):
+        gram = np.asarray(sum(t.T @ t for t in best.tangents))
+        moment = np.asarray(sum(t.T @ r for t, r in zip(best.tangents, best.residuals, strict=True)))
+        parameters = Parameters(best.hypothesis)
+        start = parameters.values[parameters.free]
+        low, high = parameters.limits(problem.band.period)
+        step = _within(gram, moment, low - start, high - start)
+        for share in (1.0, 0.5, 0.2, 0.05):
+            candidate = evaluate(problem, parameters.at(start + share * step))
+            if candidate.cost < best.cost:
+                break
+        else:
+            return best
+        done = candidate.cost > best.cost * (1.0 - SETTLED)
+        best = candidate
+        if done:
+            break
+    return best
+
+
+def _within(gram: np.ndarray, moment: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    step = solve(gram, moment)
+    held = np.zeros(len(step), bool)
+    while True:
+        out = ~held & ((step < low) | (step > high))
+        if not out.any():
+            return step
+        held |= out
+        step[held] = np.clip(step, low, high)[held]
+        step[~held] = solve(gram[np.ix_(~held, ~held)], moment[~held] - gram[np.ix_(~held, held)] @ step[held])

@@ -1,0 +1,178 @@
+"""Hypotheses to and from the robot description, so that what was found runs wherever the description does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from schemas.axes import Axes, AxesIdentified, Description
+from schemas.errors import RobotError
+from schemas.robot import Effect as EffectEntry
+from schemas.robot import EffectParameter, Identified, JointParameter, Parameter
+from service.model.effects import by_name, catalogue
+from service.model.effects.base import Effect
+from service.model.hypothesis import Hypothesis, Term
+from service.model.mechanism import mechanism_of
+from service.model.parameters import Parameters, parameters_of
+from service.model.scene import Base, Recording, Scene
+from service.model.signals import Segment
+from service.model.torque import predict
+
+
+def entry(term: Term, errors: np.ndarray, robot: Description) -> EffectEntry:
+    """The `[[effect]]` table of a term."""
+    values = np.append(term.amplitude.ravel(), term.shape)
+    parameters = {
+        known.name: EffectParameter(value=digits(value), unit=in_units_of(robot, known.unit), std_error=digits(error))
+        for known, value, error in zip(parameters_of(term), values, errors, strict=True)
+    }
+    return EffectEntry(name=term.effect.name, joints=[joint + 1 for joint in term.joints], parameters=parameters)
+
+
+def in_units_of(robot: Description, unit: str) -> str:
+    """A unit of angle and torque as that of the description's axes."""
+    if isinstance(robot, Axes) and robot.linear:
+        return unit.replace("kg m^2", "kg").replace("N m", "N").replace("rad", "m")
+    return unit
+
+
+def digits(value: float) -> float:
+    """Seven significant digits: what a reader can use, and more than the data hold."""
+    return float(f"{value:.7g}")
+
+
+def terms_of(robot: Description) -> tuple[Term, ...]:
+    """The effects of a description.
+
+    Raises:
+        RobotError: an effect that is not known, a joint that is none, a missing or an extra parameter, naming it; or
+            the description's own effects cannot be run.
+    """
+    effects = by_name(catalogue(robot.effects_file)) if robot.effect else {}
+    return tuple(_term(entry, effects, robot) for entry in robot.effect)
+
+
+def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -> Term:
+    effect, at = effects.get(entry_.name), f"robot {robot.name}: effect {entry_.name}"
+    if effect is None:
+        hint = f"nor in {robot.effects_file}" if robot.effects_file else "give the file that has it with --effects"
+        raise RobotError(f"{at}: not in the catalogue; {hint}")
+    count = len(robot.axis) if isinstance(robot, Axes) else 3
+    if any(joint > count for joint in entry_.joints):
+        raise RobotError(f"{at}: joints {entry_.joints}, there are 1 to {count}")
+    joints = tuple(joint - 1 for joint in entry_.joints) if effect.per_joint else ()
+    blank = Term.blank(effect, joints, (0.0,) * len(effect.shapes))
+    keys = [parameter.name for parameter in parameters_of(blank)]
+    for key in keys:
+        if key not in entry_.parameters:
+            raise RobotError(f"{at}: parameter {key!r} is missing")
+    for key in entry_.parameters:
+        if key not in keys:
+            raise RobotError(f"{at}: unknown parameter {key!r}")
+    numbers = np.array([entry_.parameters[key].value for key in keys])
+    amplitude = numbers[: blank.amplitude.size].reshape(blank.amplitude.shape)
+    return replace(blank, amplitude=amplitude, shape=tuple(float(v) for v in numbers[blank.amplitude.size :]))
+
+
+def base_of(identified: Identified | None) -> Base:
+    """The base model that a Delta's description carries."""
+    identified = identified or Identified()
+    rigid = [identified.rho_1.value, identified.rho_2.value, identified.forearm_inertia_kg.value]
+    return Base(
+        np.array(rigid),
+        np.array(identified.viscous_friction_nms.value),
+        np.array(identified.coulomb_friction_nm.value),
+        identified.friction_transition_radps,
+        identified.torque_timing_s,
+    )
+
+
+def base_of_axes(axes: Axes) -> Base:
+    """The base model that a description of axes carries; without one nothing is known but that they move."""
+    zero = [0.0] * len(axes.axis)
+    if axes.identified is None:
+        return Base(np.array(zero + zero), np.array(zero), np.array(zero))
+    known = axes.identified
+    return Base(
+        np.array(known.inertia.value + known.offset.value),
+        np.array(known.viscous_friction.value),
+        np.array(known.coulomb_friction.value),
+        known.friction_transition,
+        known.torque_timing_s,
+    )
+
+
+def hypothesis_of(robot: Description) -> Hypothesis:
+    """Base model and effects of a description.
+
+    Raises:
+        RobotError: an effect that is not known, or not described in full.
+    """
+    base = base_of_axes(robot) if isinstance(robot, Axes) else base_of(robot.identified)
+    return Hypothesis(base, terms_of(robot))
+
+
+def described(robot: Description, hypothesis: Hypothesis, errors: np.ndarray, noise: np.ndarray) -> Description:
+    """The description with a hypothesis and its standard errors (P,) written in. noise: (n,) N m a sample."""
+    parameters = Parameters(hypothesis)
+    entries = [entry(term, errors[mine], robot) for term, mine in zip(hypothesis.terms, parameters.terms, strict=True)]
+
+    def joints(part: slice) -> JointParameter:
+        return JointParameter(value=_digits(parameters.values[part]), std_error=_digits(errors[part]))
+
+    timing, transition = digits(hypothesis.base.timing), digits(hypothesis.base.transition)
+    identified: AxesIdentified | Identified
+    if isinstance(robot, Axes):
+        inertia, offset = (slice(at, at + len(robot.axis)) for at in (0, len(robot.axis)))
+        identified = AxesIdentified(
+            inertia=joints(inertia),
+            offset=joints(offset),
+            viscous_friction=joints(parameters.viscous),
+            coulomb_friction=joints(parameters.coulomb),
+            friction_transition=transition,
+            torque_timing_s=timing,
+        )
+    else:
+        rho_1, rho_2, forearm = (
+            Parameter(value=value, std_error=error)
+            for value, error in zip(
+                _digits(parameters.values[parameters.rigid]), _digits(errors[parameters.rigid]), strict=True
+            )
+        )
+        identified = Identified(
+            rho_1=rho_1,
+            rho_2=rho_2,
+            forearm_inertia_kg=forearm,
+            viscous_friction_nms=joints(parameters.viscous),
+            coulomb_friction_nm=joints(parameters.coulomb),
+            torque_noise_nm=JointParameter(value=_digits(noise)),
+            friction_transition_radps=transition,
+            torque_timing_s=timing,
+        )
+    return robot.model_copy(update={"identified": identified, "effect": entries})
+
+
+def _digits(values: np.ndarray) -> list[float]:
+    return [digits(value) for value in values]
+
+
+def torque_along(
+    robot: Description, time: np.ndarray, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray
+) -> np.ndarray:
+    """Reported torque (N, n) N m that a description expects along a smoothed motion, effects included.
+
+    time: (N,) s. theta, theta_dot, theta_ddot: (N, n) rad, rad/s, rad/s^2; m and N of linear axes.
+
+    Raises:
+        RobotError: an effect that is not known, or not described in full.
+        PoseError: a pose out of reach.
+    """
+    hypothesis = hypothesis_of(robot)
+    period = float(np.median(np.diff(time)))
+    still = np.zeros(theta.shape)
+    segment = Segment(
+        np.arange(len(time)), time, period, theta, theta_dot, theta_ddot, still, np.ones(theta.shape, bool)
+    )
+    recording = Recording(segment, mechanism_of(robot), 0, robot.name)
+    return predict(Scene(recording, hypothesis.base), hypothesis)

@@ -1,0 +1,44 @@
+"""A hypothesis: the base model and some effects with their parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Effect
+from service.model.scene import Base
+
+
+@dataclass(frozen=True)
+class Term:
+    """One effect at work. joints from 0, empty unless the effect sits on joints. amplitude: (max(J, 1), k)."""
+
+    effect: Effect
+    joints: tuple[int, ...]
+    amplitude: np.ndarray
+    shape: tuple[float, ...]
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """Joints to evaluate the effect on; 0 stands for the whole robot."""
+        return self.joints or (0,)
+
+    @classmethod
+    def blank(cls, effect: Effect, joints: tuple[int, ...], shape: tuple[float, ...]) -> Term:
+        """At amplitude zero."""
+        return cls(effect, joints, np.zeros((max(1, len(joints)), len(effect.amplitudes))), shape)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Base model and effects. timed: False holds torque and position to one instant, as in what `identify` writes."""
+
+    base: Base
+    terms: tuple[Term, ...] = ()
+    timed: bool = True
+
+    @property
+    def fits_timing(self) -> bool:
+        """A delay effect takes the place of the timing within a sample."""
+        return self.timed and not any(term.effect.takes_timing for term in self.terms)

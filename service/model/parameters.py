@@ -1,0 +1,148 @@
+"""The parameters of a hypothesis in one order, and all that is known of each: everything that turns a hypothesis into
+numbers and back, or puts a name, a limit or an error to a number, asks here.
+
+Order: rigid coefficients of the mechanism, viscous and Coulomb friction joint by joint, transition, timing; then,
+effect by effect, amplitudes joint by joint and shapes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from service.model.hypothesis import Hypothesis, Term
+from service.model.mechanism import Mechanism
+
+TIMING_LIMIT = 0.25  # samples: a shift below this is sampling, beyond it an effect
+TRANSITION = (2e-4, 2e-2)  # rad/s, limits of the speed over which Coulomb friction turns; beyond is an effect
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter. name: as in the documents; of an effect it ends in the joint where the effect has several.
+
+    low, high: what it can be. held: the fit keeps it between these. free: the fit moves it. rough: the torque is no
+    smooth function of it. timing's limits are samples, not seconds.
+    """
+
+    name: str
+    unit: str
+    low: float = -np.inf
+    high: float = np.inf
+    held: bool = False
+    free: bool = True
+    rough: bool = False
+
+
+class Parameters:
+    """Parameters of `hypothesis`, P of them, F of which a fit moves."""
+
+    def __init__(self, hypothesis: Hypothesis) -> None:
+        self.hypothesis = hypothesis
+        base = hypothesis.base
+        k, n = len(base.rigid), len(base.viscous)
+        self.rigid, self.viscous, self.coulomb = slice(0, k), slice(k, k + n), slice(k + n, k + 2 * n)
+        self.transition, self.timing = k + 2 * n, k + 2 * n + 1
+        at = k + 2 * n + 2
+        self.terms: list[slice] = []
+        for term in hypothesis.terms:
+            count = term.amplitude.size + len(term.shape)
+            self.terms.append(slice(at, at + count))
+            at += count
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """(P,)."""
+        base = self.hypothesis.base
+        parts = [base.rigid, base.viscous, base.coulomb, [base.transition, base.timing]]
+        for term in self.hypothesis.terms:
+            parts += [term.amplitude.ravel(), term.shape]
+        return np.concatenate([np.asarray(part, float) for part in parts])
+
+    def at(self, free: np.ndarray) -> Hypothesis:
+        """The hypothesis with its free parameters at (F,) other values."""
+        values = self.values.copy()
+        values[self.free] = free
+        base = replace(
+            self.hypothesis.base,
+            rigid=values[self.rigid],
+            viscous=values[self.viscous],
+            coulomb=values[self.coulomb],
+            transition=float(values[self.transition]),
+            timing=float(values[self.timing]) if self.hypothesis.fits_timing else 0.0,
+        )
+        terms = []
+        for term, mine in zip(self.hypothesis.terms, self.terms, strict=True):
+            amplitude, shape = np.split(values[mine], [term.amplitude.size])
+            terms.append(
+                replace(term, amplitude=amplitude.reshape(term.amplitude.shape), shape=tuple(map(float, shape)))
+            )
+        return replace(self.hypothesis, base=base, terms=tuple(terms))
+
+    @cached_property
+    def of_terms(self) -> list[list[Parameter]]:
+        """The parameters of each effect."""
+        return [parameters_of(term) for term in self.hypothesis.terms]
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """(P,) bool: what a fit moves."""
+        free = np.ones(len(self.values), bool)
+        free[self.timing] = self.hypothesis.fits_timing
+        for mine, parameters in zip(self.terms, self.of_terms, strict=True):
+            free[mine] = [parameter.free for parameter in parameters]
+        return free
+
+    @cached_property
+    def rough(self) -> np.ndarray:
+        """(F,) bool: free parameters of which the torque is no smooth function."""
+        rough = np.zeros(len(self.values), bool)
+        for mine, parameters in zip(self.terms, self.of_terms, strict=True):
+            rough[mine] = [parameter.rough for parameter in parameters]
+        return rough[self.free]
+
+    def limits(self, period: float) -> tuple[np.ndarray, np.ndarray]:
+        """(F,) lowest and highest values that a fit may give the free parameters. period: s between samples."""
+        low, high = np.full(len(self.values), -np.inf), np.full(len(self.values), np.inf)
+        low[self.transition], high[self.transition] = TRANSITION
+        low[self.timing], high[self.timing] = -TIMING_LIMIT * period, TIMING_LIMIT * period
+        for mine, parameters in zip(self.terms, self.of_terms, strict=True):
+            low[mine] = [parameter.low if parameter.held else -np.inf for parameter in parameters]
+            high[mine] = [parameter.high if parameter.held else np.inf for parameter in parameters]
+        return low[self.free], high[self.free]
+
+    def columns(self, number: int) -> np.ndarray:
+        """Indices of effect `number`'s free parameters among the F."""
+        mine = np.zeros(len(self.values), bool)
+        mine[self.terms[number]] = True
+        return np.flatnonzero(mine[self.free])
+
+    def spread(self, free: np.ndarray) -> np.ndarray:
+        """(P,) of (F,) figures of the free parameters, zero for the others."""
+        result = np.zeros(len(self.values))
+        result[self.free] = free
+        return result
+
+
+def parameters_of(term: Term) -> list[Parameter]:
+    """An effect's parameters, amplitudes joint by joint, then shapes."""
+    effect, result = term.effect, []
+    for joint in term.joints or (None,):
+        suffix = f"_{joint + 1}" if joint is not None and len(term.joints) > 1 else ""
+        result += [Parameter(name + suffix, a.unit, a.low, a.high) for name, a in effect.amplitudes.items()]
+    return result + [
+        Parameter(name, s.unit, s.low, s.high, held=True, free=not s.fixed, rough=effect.rough)
+        for name, s in effect.shapes.items()
+    ]
+
+
+def base_parameters(mechanism: Mechanism) -> list[Parameter]:
+    """The base model's parameters by name, as far as documents show them: coefficients and friction."""
+    joints = range(1, mechanism.joints + 1)
+    return [
+        *(Parameter(name, c.unit, low=c.low) for name, c in mechanism.coefficients.items()),
+        *(Parameter(f"f_v_{joint}", "N m s/rad", low=0.0) for joint in joints),
+        *(Parameter(f"f_c_{joint}", "N m", low=0.0) for joint in joints),
+    ]

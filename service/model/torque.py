@@ -1,0 +1,108 @@
+"""The forward prediction: the torque that a hypothesis expects along a recorded motion, and its slopes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from service.model.effects.base import Effect, on_joint
+from service.model.friction import mean_direction
+from service.model.hypothesis import Hypothesis, Term
+from service.model.scene import Scene
+from service.model.signals import Band, delayed
+
+
+def unreported(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
+    """Torque (N, n) N m at the joints."""
+    return scene.total + sum(added(scene, term) for term in hypothesis.terms if not term.effect.measured)
+
+
+def added(scene: Scene, term: Term) -> np.ndarray:
+    """Torque (N, n) N m that an effect adds at the joints."""
+    torque = np.zeros((len(scene.time), scene.joints))
+    for place, amplitude in zip(term.places, term.amplitude, strict=True):
+        torque += term.effect.torque(scene, place, amplitude, term.shape)
+    return torque
+
+
+def reported(scene: Scene, hypothesis: Hypothesis, torque: np.ndarray) -> np.ndarray:
+    """What measured effects make of a joint torque (N, n, ...); linear in it."""
+    for term in hypothesis.terms:
+        if term.effect.measured:
+            for place, amplitude in zip(term.places, term.amplitude, strict=True):
+                torque = term.effect.report(scene, place, torque, amplitude, term.shape)
+    return torque
+
+
+def predict(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
+    """Reported torque (N, n) N m that the hypothesis expects."""
+    torque = reported(scene, hypothesis, unreported(scene, hypothesis))
+    return delayed(torque, hypothesis.base.timing, scene.period)
+
+
+def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarray, np.ndarray]:
+    """Prediction (M, n) and its derivative (M, n, F) by every free parameter of `Parameters`, in the band."""
+    n = scene.joints
+    own = [np.zeros(()) if term.effect.measured else added(scene, term) for term in hypothesis.terms]
+    torque = scene.total + sum(own)
+    at_joint: list[np.ndarray] = [scene.recording.rigid.columns]
+    motion = scene.segment
+    at_joint.append(_per_joint(motion.theta_dot))
+    at_joint.append(_per_joint(scene.direction))
+    wider = mean_direction(motion.theta_dot, 1.05 * hypothesis.base.transition) - scene.direction
+    at_joint.append((hypothesis.base.coulomb * wider / (0.05 * hypothesis.base.transition))[..., None])
+    if hypothesis.fits_timing:
+        at_joint.append(-np.gradient(torque, scene.period, axis=0)[..., None])
+    raw: dict[int, np.ndarray] = {}
+    count = sum(part.shape[-1] for part in at_joint)
+    for number, term in enumerate(hypothesis.terms):
+        if term.effect.amplitudes:
+            for place, amplitude in zip(term.places, term.amplitude, strict=True):
+                if term.effect.measured:
+                    columns = on_joint(torque[:, [place]], place, n)
+                elif term.effect.own_joint:
+                    columns = on_joint(term.effect.regressors(scene, place, term.shape), place, n)
+                else:
+                    columns = _by_amplitude(scene, term, place, amplitude)
+                at_joint.append(columns)
+                count += columns.shape[-1]
+        for index in np.flatnonzero([not shape.fixed for shape in term.effect.shapes.values()]):
+            moved, size = _moved(hypothesis, term, int(index))
+            if term.effect.measured:
+                change = reported(scene, moved, torque) - reported(scene, hypothesis, torque)
+                raw[count] = change / size
+                at_joint.append(np.zeros((len(torque), n, 1)))
+            else:
+                at_joint.append(((added(scene, moved.terms[number]) - own[number]) / size)[..., None])
+            count += 1
+    columns = reported(scene, hypothesis, np.concatenate([torque[..., None], *at_joint], axis=-1))
+    columns[..., 0] = delayed(columns[..., 0], hypothesis.base.timing, scene.period)  # slopes can do without
+    for index, values in raw.items():
+        columns[..., index + 1] = values
+    columns = band(columns)
+    return columns[..., 0], columns[..., 1:]
+
+
+def _per_joint(values: np.ndarray) -> np.ndarray:
+    return values[..., None] * np.eye(values.shape[1])
+
+
+def _by_amplitude(scene: Scene, term: Term, place: int, amplitude: np.ndarray) -> np.ndarray:
+    if type(term.effect).torque is Effect.torque:
+        return term.effect.regressors(scene, place, term.shape)
+    step = 1e-4
+    above = term.effect.torque(scene, place, amplitude + step, term.shape)
+    below = term.effect.torque(scene, place, amplitude - step, term.shape)
+    return ((above - below) / (2 * step))[..., None]
+
+
+def _moved(hypothesis: Hypothesis, term: Term, index: int) -> tuple[Hypothesis, float]:
+    limits = list(term.effect.shapes.values())[index]
+    shape = np.array(term.shape)
+    size = 1e-2 * max(abs(shape[index]), 1e-3 * (limits.high - limits.low))
+    if shape[index] + size > limits.high:
+        size = -size
+    shape[index] += size
+    moved = replace(term, shape=tuple(float(value) for value in shape))
+    return replace(hypothesis, terms=tuple(moved if t is term else t for t in hypothesis.terms)), float(size)
