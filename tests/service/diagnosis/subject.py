@@ -1,31 +1,18 @@
 """What these tests are about, imported in one place: where it lives is said here and nowhere else."""
 
-from service.diagnosis import cautions, diagnose, document, events, evidence, noise, selection, statistics, where
-from service.diagnosis.description import described, torque_along
-from service.diagnosis.description import term as term_of
-from service.diagnosis.effects import CATALOGUE, by_name
-from service.diagnosis.effects.base import Amplitude, Effect, Shape, on_joint
-from service.diagnosis.effects.signal import delayed
-from service.diagnosis.hypothesis import (
-    Fit,
-    Hypothesis,
-    Problem,
-    Term,
-    added,
-    evaluate,
-    fit,
-    limits,
-    predict,
-    reported,
-    solve,
-    tangent,
-    unreported,
-)
-from service.diagnosis.mechanism import DecoupledAxes, Delta
-from service.diagnosis.scene import Band, Base, Recording, Scene
+from service.diagnosis import cautions, diagnose, document, evidence, selection, statistics, where
 from service.diagnosis.selection import Candidate, Dictionary, Scored, Selection, Split
-from service.identification.regression import thin
-from service.identification.signals import Segment, lowpass, segments
+from service.identification import events, noise
+from service.identification.fit import Fit, Problem, evaluate, fit, solve
+from service.model.description import described, terms_of, torque_along
+from service.model.effects import CATALOGUE, by_name
+from service.model.effects.base import Amplitude, Effect, Shape, on_joint
+from service.model.hypothesis import Hypothesis, Term
+from service.model.mechanism import DecoupledAxes, Delta
+from service.model.parameters import Parameters
+from service.model.scene import Base, Recording, Scene
+from service.model.signals import Band, Segment, delayed, lowpass, segments, thin
+from service.model.torque import added, predict, reported, tangent, unreported
 
 EFFECTS = by_name(CATALOGUE)
 
@@ -42,6 +29,7 @@ __all__ = [
     "Effect",
     "Fit",
     "Hypothesis",
+    "Parameters",
     "Problem",
     "Recording",
     "Scene",
@@ -61,7 +49,6 @@ __all__ = [
     "events",
     "evidence",
     "fit",
-    "limits",
     "lowpass",
     "noise",
     "on_joint",
@@ -72,7 +59,7 @@ __all__ = [
     "solve",
     "statistics",
     "tangent",
-    "term_of",
+    "terms_of",
     "thin",
     "torque_along",
     "unreported",

@@ -171,7 +171,7 @@ def test_it_is_found_again_with_its_parameters_inside_their_intervals(name, make
     found = selection.search(logs, split, Hypothesis(SINGLE), rivals, lambda _: None)
     assert found.best.names[0] == name
     term = found.best.hypothesis.terms[0]
-    errors = statistics.standard_errors(found.best.fitted, split)[4:]
+    errors = statistics.standard_errors(found.best.fitted, split)[6:]
     # 125 us a step of the catalogue's integration bias damping and share of the motor by 3 %, which no interval covers
     assert (np.abs(np.array(term.shape) - shape) <= 3.0 * errors + 0.03 * np.array(shape)).all()
 
