@@ -19,7 +19,12 @@ passive link, u_i = x0 cos alpha_i + y0 sin alpha_i.
 | G_i = +(m1/2 + m2) g l1 cos theta_i                             | G_i = -(m1/2 + m2) g l1 cos theta_i                            |
 | [f_c f_v]' beside Phi = [theta_dot, sign theta_dot]             | [f_v f_c]'                                                     |
 | M_p(k+1) = M_p(k) - K (y - X' M_p)                              | plus                                                           |
+| K from X(k+1), innovation from y(k), X(k)                       | all from k+1 (as printed the mass comes out short)             |
 | M_p a 3 x 3 unknown                                             | one scalar m_p, three rows a sample                            |
+
+The rows of a_1, a_3, k, V and G have one cause: as printed they are exact in a frame with z from the base towards the
+platform, r = platform radius - base radius and weight towards the base, and the paper mixes the two frames. n_i, the l1 of
+k_ii, the order of friction and the rows of the recursion are misprints proper.
 
 m2 is half of one forearm's mass (both rods). J = dp/dtheta = -inv(A)' K, so -K inv(A) F = J' F.
 

@@ -53,6 +53,35 @@ def test_a_3(model, pose):
     assert not close(np.linalg.norm(np.vstack([right[:2], printed[2]]), axis=0), model.passive_length)
 
 
+def test_a_k_V_and_G_as_printed_are_exact_in_another_frame(model, robot, pose):
+    """One cause for five rows: z from the base towards the platform, r = r_b - r_a, weight towards the base."""
+    theta, angle, p, u = pose
+    x, y, z, r = p[0], p[1], -p[2], -model.radius
+    l1, cosine, sine = model.active_length, model.azimuth_cos, model.azimuth_sin
+    flip = np.array([1.0, 1.0, -1.0])
+    printed = np.stack(
+        [x + r * cosine - l1 * np.cos(angle) * cosine, y + r * sine - l1 * np.cos(angle) * sine, z - l1 * np.sin(angle)]
+    )
+    assert close(printed, flip[:, None] * forearms(model, pose, printed=False))
+    k = l1 * ((u + r) * np.sin(angle) - z * np.cos(angle))  # the l1 is a misprint of its own
+    assert close(-np.linalg.inv(printed).T @ np.diag(k), flip[:, None] * kinematics.jacobian(model, theta))
+
+    m1, m2 = robot.mass.active_link, robot.mass.passive_link / 2
+
+    def energy(q):
+        """V_1 + V_2 as printed, and the platform's."""
+        q = q + model.joint_offset
+        height = -kinematics.forward(model, q - model.joint_offset)[2]
+        links = (m1 / 2 + m2) * (l1 * np.sin(q)).sum()
+        return model.gravity * (links + (3 * m2 + robot.mass.platform) * height)
+
+    step = 1e-6 * np.eye(3)
+    slope = np.array([(energy(theta + e) - energy(theta - e)) / 2e-6 for e in step])
+    gravity = (m1 / 2 + m2) * model.gravity * l1 * np.cos(angle)  # G as printed
+    static = torque_terms(model, theta, np.zeros(3), np.zeros(3))
+    assert np.allclose(slope, gravity - static[PLATFORM], atol=1e-7)  # and the platform's weight the other way too
+
+
 def test_k(model, pose):
     theta, angle, p, u = pose
     a = forearms(model, pose, printed=False)
@@ -111,6 +140,27 @@ def test_payload_is_one_scalar_in_three_rows(model, poses):
     y = -a @ np.linalg.inv(k) @ (2.5 * terms[PAYLOAD])
     x = kinematics.motion(model, theta, theta_dot, theta_ddot).acceleration + [0, 0, model.gravity]
     assert np.allclose(y / x, 2.5)
+
+
+def test_innovation_takes_y_and_x_of_the_gains_own_sample():
+    """A known mass, no noise, acceleration that changes from sample to sample, nothing forgotten."""
+    from service.estimator.recursion import fixed_forgetting
+
+    x = np.random.default_rng(5).normal(0, 30, (4000, 3)) + [0, 0, 9.81]
+    y = 3.8 * x
+    assert fixed_forgetting(y, x, 1.0)[-1] == pytest.approx(3.8, abs=1e-6)
+
+    def printed(ahead):
+        """Gain from X(k+1); innovation from k + `ahead`."""
+        mass, covariance = 0.0, 1e3
+        for k in range(len(x) - 1):
+            gain = np.linalg.solve(np.eye(3) + covariance * np.outer(x[k + 1], x[k + 1]), covariance * x[k + 1])
+            mass += gain @ (y[k + ahead] - x[k + ahead] * mass)
+            covariance *= 1 - gain @ x[k + 1]
+        return mass
+
+    assert printed(ahead=1) == pytest.approx(3.8, abs=1e-5)
+    assert printed(ahead=0) < 0.8 * 3.8, "as printed it does not get there"
 
 
 def test_nominal_coefficients(model, robot, poses):
