@@ -168,7 +168,7 @@ class Limits(_Section):
     No feed-forward leaves the estimator or reaches a drive beyond these, whatever comes in.
     """
 
-    peak_torque_nm: Positive | None = None  # default: twice what the rigid body needs at 10 g with its payload
+    peak_torque_nm: Positive | None = None  # default: what the robot needs at 10 g with its greatest payload
     torque_slope_nmps: Positive | None = None  # default: from one peak to the other in 20 ms
     torque_fade_s: Positive = 0.05  # in which a feed-forward without fresh input goes to zero
     joint_speed_radps: Positive = 40.0  # a position or command that moved faster is a jump

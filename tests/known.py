@@ -55,7 +55,6 @@ def make(robot: Robot) -> Callable[..., Known]:
         *,
         payload: Callable[[np.ndarray], np.ndarray] = np.zeros_like,
         noise: float = 0.0,
-        inertia_shows: bool = True,
         seed: int = 1,
         period: float = PERIOD,
     ) -> Known:
@@ -67,7 +66,6 @@ def make(robot: Robot) -> Callable[..., Known]:
         model, found = pack(robot), robot.identified
         assert found is not None
         terms = torque_terms(model, theta, theta_dot, theta_ddot)
-        load = terms if inertia_shows else torque_terms(model, theta, 0 * theta, 0 * theta)
         torque = (
             found.rho_1.value * terms[:, INERTIA]
             + found.rho_2.value * terms[:, GRAVITY]
@@ -75,7 +73,7 @@ def make(robot: Robot) -> Callable[..., Known]:
             + found.forearm_inertia_kg.value * terms[:, FOREARM]
             + found.viscous_friction_nms.value * theta_dot
             + found.coulomb_friction_nm.value * np.clip(theta_dot / 0.01, -1, 1)
-            + payload(time)[:, None] * load[:, PAYLOAD]
+            + payload(time)[:, None] * terms[:, PAYLOAD]
         )
         random = np.random.default_rng(seed)
         samples = SAMPLE.empty(len(time))

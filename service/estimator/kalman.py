@@ -1,8 +1,12 @@
-"""Joint motion from joint position: a steady-state Kalman filter a joint, with a fixed-lag smoother on the same gains.
+"""Joint motion from joint position: a Kalman filter for the three joints, with a fixed-lag smoother behind it.
 
-State: position, velocity, acceleration and jerk. The jerk is a first-order Markov process, which is what "expected
-jerk" means physically: of a given rms, changing over a given time. filterpy designs the filter (van Loan
-discretisation, Riccati recursion to the steady state); the kernel here only runs it.
+State of a joint: position, velocity, acceleration and jerk. The jerk is a first-order Markov process, which is what
+"expected jerk" means physically: of a given rms, changing over a given time.
+
+The covariance runs along with the state, so the gain always belongs to the gap that a sample closes. With every gap
+bounded (a longer one restarts the filter) the model is uniformly observable and controllable, and the filter is stable
+for any pattern of losses (Jazwinski, Stochastic Processes and Filtering Theory, 1970, theorem 7.4). The three joints
+share model, noise and gaps, so they share one covariance. filterpy discretises the model (van Loan).
 """
 
 from __future__ import annotations
@@ -11,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from filterpy.common import van_loan_discretization
-from filterpy.kalman import KalmanFilter
 from numba import njit
 
 ORDER = 4  # position, velocity, acceleration, jerk
@@ -20,85 +23,202 @@ ORDER = 4  # position, velocity, acceleration, jerk
 EXPECTED_JERK = 3000.0  # rad/s^3
 # Motion profiles change their jerk within some hundredths of a second.
 JERK_TIME = 0.02  # s
+# What may be expected of a joint that is heard for the first time; it may be in the middle of a move.
+FIRST_SPEED, FIRST_ACCELERATION = 5.0, 300.0  # rad/s, rad/s^2
 
 # A fixed lag behind the newest sample at which a smoothed acceleration is worth more than a fresh one: the payload
 # branch can wait for it, the feed-forward torque cannot.
 SMOOTHING_LAG = 0.006  # s
 MAX_LAG = 64  # samples; 8 kHz x 6 ms = 48
 
+FILTER = np.dtype(
+    [
+        ("transition", "f8", (ORDER, ORDER)),  # of one cycle; upper triangular
+        ("noise", "f8", (ORDER, ORDER)),  # what the jerk adds to the covariance in one cycle
+        ("first", "f8", (ORDER, ORDER)),  # covariance at the start of a stream
+        ("resolution", "f8"),  # rad, standard deviation of a position
+        ("lag", "i8"),  # samples
+    ],
+    align=True,
+)
+
+# What is known of three joints at the newest cycle, and what the newest sample did to it.
+TRACK = np.dtype(
+    [
+        ("state", "f8", (3, ORDER)),
+        ("covariance", "f8", (ORDER, ORDER)),
+        ("gain", "f8", ORDER),
+        ("scaled", "f8", 3),  # innovation over its variance, 1/rad
+        ("seen", "f8", 3),  # rad, the last position that was used
+        ("used", "i8"),  # positions since the start
+        ("idle", "i8"),  # cycles since the last one
+        ("scratch", "f8", (ORDER, ORDER)),
+    ],
+    align=True,
+)
+
+# One cycle in the lag line: what the smoother needs to know of it.
+SLOT = np.dtype(
+    [
+        ("state", "f8", (3, ORDER)),
+        ("covariance", "f8", (ORDER, ORDER)),
+        ("gain", "f8", ORDER),
+        ("scaled", "f8", 3),
+        ("gap", "i8"),  # cycles since the slot before
+    ],
+    align=True,
+)
+
 
 class MotionFilter(NamedTuple):
-    """Steady-state gains at one sample rate.
-
-    transition: (4, 4). gain: (4,) on the innovation. smoothing: (MAX_LAG, 4), row n is what the innovation n + 1
-    samples later adds to a filtered state. lag: samples. variance: (4,) steady-state variance of the filtered state.
-    """
+    """The filter at one sample rate: the fields of FILTER."""
 
     transition: np.ndarray
-    gain: np.ndarray
-    smoothing: np.ndarray
+    noise: np.ndarray
+    first: np.ndarray
+    resolution: float
     lag: int
-    variance: np.ndarray
 
 
-def filter_model(period: float, resolution: float) -> KalmanFilter:
-    """The filterpy filter of one joint, with steady-state covariance.
+def design(period: float, resolution: float) -> MotionFilter:
+    """The filter for samples every `period` s of an encoder with `resolution` rad at the joint.
 
-    period: s. resolution: rad, one encoder count at the joint, taken as the standard deviation of a position sample
-    (quantisation is 0.29 of it; the rest is the encoder's own noise).
+    The resolution is taken as the standard deviation of a position sample: quantisation is 0.29 of it, the rest is the
+    encoder's own noise.
     """
     drift = np.zeros((ORDER, ORDER))
     drift[0, 1] = drift[1, 2] = drift[2, 3] = 1.0
     drift[3, 3] = -1.0 / JERK_TIME
     drive = np.zeros((ORDER, 1))
     drive[3, 0] = EXPECTED_JERK * np.sqrt(2.0 / JERK_TIME)
-    transition, noise = van_loan_discretization(drift, drive, period)
-    kalman = KalmanFilter(dim_x=ORDER, dim_z=1)
-    kalman.F = np.asarray(transition, np.float64)
-    kalman.Q = np.asarray(noise, np.float64)
-    kalman.H = np.eye(1, ORDER)
-    kalman.R = np.array([[resolution**2]])
-    kalman.P = np.diag(np.array([resolution, 1.0, 10.0, EXPECTED_JERK]) ** 2)
-    for _ in range(10_000):
-        before = kalman.P
-        kalman.predict()
-        kalman.update(kalman.H @ kalman.x)
-        if np.abs(kalman.P - before).max() <= 1e-14 * np.abs(kalman.P).max() and np.allclose(
-            np.diag(kalman.P), np.diag(before), rtol=1e-13
-        ):
-            break
-    return kalman
-
-
-def design(period: float, resolution: float) -> MotionFilter:
-    """Gains for samples every `period` s of an encoder with `resolution` rad at the joint."""
-    kalman = filter_model(period, resolution)
-    kalman.predict()
-    gain = (kalman.P_prior @ kalman.H.T / (kalman.H @ kalman.P_prior @ kalman.H.T + kalman.R)).ravel()
-    spread = float((kalman.H @ kalman.P_prior @ kalman.H.T + kalman.R).item())
-    closed = kalman.F @ (np.eye(ORDER) - np.outer(gain, kalman.H))  # error of one prediction to the next
-    lag = max(1, min(MAX_LAG, round(SMOOTHING_LAG / period)))
-    smoothing = np.zeros((MAX_LAG, ORDER))
-    # cov(filtered state, innovation n + 1 later) / var(innovation)
-    carried = kalman.P_post @ kalman.F.T
-    for n in range(lag):
-        smoothing[n] = (carried @ kalman.H.T).ravel() / spread
-        carried = carried @ closed.T
-    return MotionFilter(kalman.F.copy(), gain, smoothing, lag, np.diag(kalman.P_post).copy())
+    transition, noise = (np.asarray(matrix, np.float64) for matrix in van_loan_discretization(drift, drive, period))
+    return MotionFilter(
+        transition=np.triu(transition),  # below the diagonal there is rounding alone
+        noise=0.5 * (noise + noise.T),
+        first=np.diag(np.array([resolution, FIRST_SPEED, FIRST_ACCELERATION, EXPECTED_JERK]) ** 2),
+        resolution=resolution,
+        lag=max(1, min(MAX_LAG, round(SMOOTHING_LAG / period))),
+    )
 
 
 @njit(cache=True)
-def predict_kernel(transition, state, predicted):
-    """predicted = transition @ state, both (4,)."""
+def restart_kernel(motion, track, position):
+    """Begin at `position` (3,), rad: at rest there, as far as is known."""
+    for i in range(3):
+        track.seen[i] = track.state[i, 0] = position[i]
+        for order in range(1, ORDER):
+            track.state[i, order] = 0.0
+        track.scaled[i] = 0.0
     for row in range(ORDER):
-        total = 0.0
+        track.gain[row] = 0.0
         for column in range(ORDER):
-            total += transition[row, column] * state[column]
-        predicted[row] = total
+            track.covariance[row, column] = motion.first[row, column]
+    track.used = 1
+    track.idle = 0
 
 
 @njit(cache=True)
-def update_kernel(gain, predicted, innovation, state):
-    """state = predicted + gain * innovation."""
+def predict_kernel(motion, track, cycles):
+    """Move on by `cycles`: x = F x, P = F P F' + Q, each time."""
+    transition, covariance, carried = motion.transition, track.covariance, track.scratch
+    for _ in range(cycles):
+        for i in range(3):
+            for row in range(ORDER):  # upwards, in place: a row needs only those below it
+                total = 0.0
+                for column in range(row, ORDER):
+                    total += transition[row, column] * track.state[i, column]
+                track.state[i, row] = total
+        for row in range(ORDER):
+            for column in range(ORDER):
+                total = 0.0
+                for k in range(row, ORDER):
+                    total += transition[row, k] * covariance[k, column]
+                carried[row, column] = total
+        for row in range(ORDER):
+            for column in range(row, ORDER):
+                total = motion.noise[row, column]
+                for k in range(column, ORDER):
+                    total += carried[row, k] * transition[column, k]
+                covariance[row, column] = total
+                covariance[column, row] = total
+
+
+@njit(cache=True)
+def update_kernel(motion, track, position):
+    """Take `position` (3,), rad, at the predicted cycle: K = P H' / S, x = x + K e, P = P - K S K'."""
+    covariance, gain = track.covariance, track.gain
+    noise = motion.resolution * motion.resolution
+    spread = covariance[0, 0] + noise
     for row in range(ORDER):
-        state[row] = predicted[row] + gain[row] * innovation
+        gain[row] = covariance[row, 0] / spread
+    for i in range(3):
+        innovation = position[i] - track.state[i, 0]
+        track.scaled[i] = innovation / spread
+        track.seen[i] = position[i]
+        for row in range(ORDER):
+            track.state[i, row] += gain[row] * innovation
+    for row in range(1, ORDER):
+        for column in range(row, ORDER):
+            covariance[row, column] -= gain[row] * gain[column] * spread
+            covariance[column, row] = covariance[row, column]
+    for row in range(ORDER):  # P - K S K' in the row of H, without the difference of near equals
+        covariance[0, row] = covariance[row, 0] = gain[row] * noise
+    track.used += 1
+    track.idle = 0
+
+
+@njit(cache=True)
+def coast_kernel(track, cycles):
+    """No position came with the predicted cycle."""
+    for i in range(3):
+        track.scaled[i] = 0.0
+    for row in range(ORDER):
+        track.gain[row] = 0.0
+    track.idle += cycles
+
+
+@njit(cache=True)
+def keep_kernel(track, gap, slot):
+    """Put the newest cycle into the lag line."""
+    for row in range(ORDER):
+        slot.gain[row] = track.gain[row]
+        for column in range(ORDER):
+            slot.covariance[row, column] = track.covariance[row, column]
+    for i in range(3):
+        slot.scaled[i] = track.scaled[i]
+        for order in range(ORDER):
+            slot.state[i, order] = track.state[i, order]
+    slot.gap = gap
+
+
+@njit(cache=True)
+def smooth_kernel(transition, slots, newest, lag, adjoint, smoothed):
+    """The state `lag` samples ago as all samples since tell it: x + P a, with the adjoint state (Bryson, Frazier)
+
+        a = F' ((I - K H)' a + H' e / S)     backwards over the samples since, F to the power of each one's gap.
+
+    slots: records of SLOT, a ring. adjoint: (4,) scratch. Filled: smoothed (3, 3): position, velocity, acceleration.
+    """
+    for i in range(3):
+        for row in range(ORDER):
+            adjoint[row] = 0.0
+        index = newest
+        for _ in range(lag):
+            slot = slots[index]
+            pull = slot.scaled[i]
+            for row in range(ORDER):
+                pull -= slot.gain[row] * adjoint[row]
+            adjoint[0] += pull
+            for _ in range(slot.gap):
+                for column in range(ORDER - 1, -1, -1):
+                    total = 0.0
+                    for row in range(column + 1):
+                        total += transition[row, column] * adjoint[row]
+                    adjoint[column] = total
+            index = index - 1 if index > 0 else len(slots) - 1
+        slot = slots[index]
+        for order in range(3):
+            total = slot.state[i, order]
+            for k in range(ORDER):
+                total += slot.covariance[order, k] * adjoint[k]
+            smoothed[order, i] = total

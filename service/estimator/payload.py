@@ -3,10 +3,6 @@
 The three torque residuals of a sample are r_i = m_p phi_i + noise, phi = J'(p_ddot + g) in N m/kg: the paper's three
 Cartesian rows y = m_p X, brought to the joints, where the noise lives, so that each joint weighs by its own noise.
 
-Two hypotheses of how the load hangs on the platform run side by side: RIGID (weight and inertia, the paper's) and
-WEIGHT (its weight alone shows in the torque, as with a load that is carried but not accelerated). Each has its own
-estimate; the one that has predicted the torque better is believed, RIGID until the data speak against it.
-
 Change detection is a two-sample test: for every onset within the last window, is the mass since then another than
 before? On a change the estimate starts anew from the samples since the onset, so it is at once as good as those samples
 allow. Nothing is trusted before it is excited.
@@ -20,8 +16,6 @@ import numpy as np
 from numba import njit
 
 from schemas.messages import PayloadEvent
-
-RIGID, WEIGHT = 0, 1
 
 BIN_TIME = 0.002  # s, resolution of an onset
 WINDOW = 150  # bins, how far back an onset is looked for
@@ -45,20 +39,16 @@ MODEL_SHARE = 0.01
 CORRELATION_TIME, MODEL_ERROR_TIME = 0.003, 0.015  # s
 # Trusted when one standard deviation is below share * mass + floor.
 TRUST_SHARE, TRUST_FLOOR = 0.1, 0.025  # -, kg
-# Evidence (log-likelihood ratio) at which the believed hypothesis changes, and its bound.
-EVIDENCE_SWITCH, EVIDENCE_BOUND = 8.0, 40.0
 
 STATE = np.dtype(
     [
-        ("information", "f8", 2),  # kg^-2 per hypothesis
-        ("moment", "f8", 2),  # kg^-1
-        ("bin_information", "f8", (2, WINDOW)),
-        ("bin_moment", "f8", (2, WINDOW)),
+        ("information", "f8"),  # kg^-2
+        ("moment", "f8"),  # kg^-1
+        ("bin_information", "f8", WINDOW),
+        ("bin_moment", "f8", WINDOW),
         ("head", "i8"),  # bin that is being filled
         ("in_bin", "i8"),  # samples in it
-        ("filled", "i8", 2),  # bins since the last change, at most WINDOW
-        ("evidence", "f8"),  # > 0 speaks for WEIGHT
-        ("believed", "i8"),
+        ("filled", "i8"),  # bins since the last change, at most WINDOW
         ("load", "f8"),  # kg, mass at the last event, then whenever it is trusted
         ("last_event", "i8"),
         ("quiet", "i8"),  # samples since then
@@ -85,49 +75,30 @@ def start(state: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def payload_kernel(state, forgetting, bin_size, worth, phi, residual, variance):
-    """Take one sample. Returns (mass kg, std_dev kg, trusted, event) of the believed hypothesis.
+def payload_kernel(state, forgetting, bin_size, worth, phi, residual, weight):
+    """Take one sample. Returns (mass kg, std_dev kg, trusted, event).
 
-    phi: (2, 3) N m/kg per hypothesis. residual: (3,) N m, measured minus predicted without payload. variance: (3,)
-    (N m)^2, infinite where a joint has nothing to say. bin_size: samples a bin. worth: share of a sample that is new
-    information.
+    phi: (3,) N m/kg. residual: (3,) N m, measured minus predicted without payload. weight: (3,) (N m)^-2, 0
+    where a joint has nothing to say. bin_size: samples a bin. worth: share of a sample that is new information.
     """
     prior = PRIOR_STD**-2
-    surprise_0 = surprise_1 = 0.0
-    for h in range(2):
-        information = moment = square = 0.0
-        mass = state.moment[h] / state.information[h]
-        for i in range(3):
-            weight = worth / variance[i]
-            information += phi[h, i] * phi[h, i] * weight
-            moment += phi[h, i] * residual[i] * weight
-            square += (residual[i] - mass * phi[h, i]) ** 2 * weight
-        if h == RIGID:
-            surprise_0 = square
-        else:
-            surprise_1 = square
-        state.information[h] = prior + (state.information[h] - prior) * forgetting + information
-        state.moment[h] = state.moment[h] * forgetting + moment
-        state.bin_information[h, state.head] += information
-        state.bin_moment[h, state.head] += moment
+    information = moment = 0.0
+    for i in range(3):
+        information += worth * weight[i] * phi[i] * phi[i]
+        moment += worth * weight[i] * phi[i] * residual[i]
+    state.information = prior + (state.information - prior) * forgetting + information
+    state.moment = state.moment * forgetting + moment
+    state.bin_information[state.head] += information
+    state.bin_moment[state.head] += moment
     state.in_bin += 1
     if state.in_bin >= bin_size:
         state.in_bin = 0
-        for h in range(2):
-            _find_change(state, h)
+        _find_change(state)
         state.head = (state.head + 1) % WINDOW
-        for h in range(2):
-            state.filled[h] = min(WINDOW, state.filled[h] + 1)
-            state.bin_information[h, state.head] = state.bin_moment[h, state.head] = 0.0
-    # one sample may not decide: while an estimate jumps after an event, its surprise says little
-    gain = 0.5 * max(-2.0, min(2.0, surprise_0 - surprise_1))
-    state.evidence = max(-EVIDENCE_BOUND, min(EVIDENCE_BOUND, state.evidence + gain))
-    if state.evidence > EVIDENCE_SWITCH:
-        state.believed = WEIGHT
-    elif state.evidence < -EVIDENCE_SWITCH:
-        state.believed = RIGID
-    mass = state.moment[state.believed] / state.information[state.believed]
-    std_dev = 1.0 / math.sqrt(state.information[state.believed])
+        state.filled = min(WINDOW, state.filled + 1)
+        state.bin_information[state.head] = state.bin_moment[state.head] = 0.0
+    mass = state.moment / state.information
+    std_dev = 1.0 / math.sqrt(state.information)
     trusted = std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR
     state.quiet += 1
     event = PayloadEvent.NONE.value
@@ -155,8 +126,8 @@ def _event(state, mass, trusted, refractory):
 
 
 @njit(cache=True)
-def _find_change(state, h):
-    """If the mass of hypothesis `h` is another since some bin than before, start its estimate anew from that bin.
+def _find_change(state):
+    """If the mass is another since some bin than before, start its estimate anew from that bin.
 
     With I, b the information and moment since the onset (1) and before (0), the step b1/I1 - b0/I0 has the variance
     1/I1 + 1/I0.
@@ -164,11 +135,11 @@ def _find_change(state, h):
     since_information = since_moment = 0.0
     best, best_count = CHANGE_THRESHOLD, 0
     best_information = best_moment = 0.0
-    total_information, total_moment = state.information[h], state.moment[h]
+    total_information, total_moment = state.information, state.moment
     index = state.head
-    for n in range(state.filled[h]):
-        since_information += state.bin_information[h, index]
-        since_moment += state.bin_moment[h, index]
+    for n in range(state.filled):
+        since_information += state.bin_information[index]
+        since_moment += state.bin_moment[index]
         index = index - 1 if index > 0 else WINDOW - 1
         before_information = total_information - since_information
         if n + 1 < SHORTEST or since_information <= 0.0 or before_information <= 0.0:
@@ -182,6 +153,6 @@ def _find_change(state, h):
             best, best_count = scaled * scaled / (product * (since_information + before_information)), n + 1
             best_information, best_moment = since_information, since_moment
     if best_count > 0:
-        state.information[h] = best_information
-        state.moment[h] = best_moment
-        state.filled[h] = best_count
+        state.information = best_information
+        state.moment = best_moment
+        state.filled = best_count

@@ -10,6 +10,7 @@ import numpy as np
 from schemas.messages import FeedforwardSource
 from schemas.robot import Robot
 from service.estimator import effects, kalman, payload
+from service.estimator.bounds import bounds_of
 from service.model.description import terms_of
 from service.model.dynamics import REST_SPEED, TERMS
 from service.model.nominal import DeltaModel, pack
@@ -21,22 +22,18 @@ _MODEL = np.dtype([(name, "f8", (3,)) if name in (
     "azimuth_cos", "azimuth_sin", "joint_offset", "active_length", "inertia", "gravity_torque"
 ) else (name, "f8") for name in DeltaModel._fields], align=True)  # fmt: skip
 
-_FILTER = np.dtype(
-    [
-        ("transition", "f8", (kalman.ORDER, kalman.ORDER)),
-        ("gain", "f8", kalman.ORDER),
-        ("smoothing", "f8", (kalman.MAX_LAG, kalman.ORDER)),
-        ("lag", "i8"),
-    ],
-    align=True,
-)
-
 SETTINGS = np.dtype(
     [
         ("model", _MODEL),
-        ("filter", _FILTER),
+        ("motion", kalman.FILTER),
         ("period", "f8"),  # s
+        ("stride", "i8"),  # sequence numbers from sample to sample, more than one of a decimated stream
         ("range", "f8", 2),  # rad
+        ("speed", "f8"),  # rad/s, no joint is faster
+        ("peak", "f8"),  # N m
+        ("slope", "f8"),  # N m/s
+        ("fade", "f8"),  # s
+        ("max_payload", "f8"),  # kg
         ("rho", "f8", (2, 3)),
         ("forearm", "f8"),  # kg
         ("viscous", "f8", 3),  # N m s/rad
@@ -53,11 +50,9 @@ SETTINGS = np.dtype(
     align=True,
 )
 
-# One cycle in the lag line: what the filter knew at it and what was measured.
+# One cycle in the lag line, beside what the smoother keeps of it.
 _PAST = np.dtype(
     [
-        ("filtered", "f8", (3, kalman.ORDER)),
-        ("innovation", "f8", 3),
         ("torque", "f8", 3),
         ("stamp_sec", "i4"),
         ("stamp_nanosec", "u4"),
@@ -73,15 +68,14 @@ STATE = np.dtype(
         ("sequence", "u8"),
         ("stamp_sec", "i8"),
         ("stamp_nanosec", "i8"),
-        ("settled", "i8"),  # usable samples since the start of the stream
-        ("idle", "i8"),  # cycles since the last usable one
         ("stray", "i8"),  # samples in a row that continue each other but not the stream
         ("stray_sequence", "u8"),
         ("stray_position", "f8", 3),
-        ("measured", "f8", (3, kalman.ORDER)),
-        ("commanded", "f8", (3, kalman.ORDER)),
-        ("command_settled", "i8"),  # samples in a row with a command
-        ("innovation", "f8", 3),
+        ("measured", kalman.TRACK),
+        ("commanded", kalman.TRACK),
+        ("command_stray", "i8"),  # the same of commands
+        ("command_stray_position", "f8", 3),
+        ("slots", kalman.SLOT, kalman.MAX_LAG + 1),
         ("past", _PAST, kalman.MAX_LAG + 1),
         ("head", "i8"),
         ("filled", "i8"),
@@ -89,30 +83,35 @@ STATE = np.dtype(
         ("mass", "f8"),  # kg
         ("std_dev", "f8"),  # kg
         ("mass_trusted", "i8"),
-        ("believed", "i8"),
         ("torque", "f8", 3),  # N m, last feed-forward
+        ("way_before", "f8", 3),  # direction of motion that it was for
         ("source", "i8"),
+        ("held", "i8"),  # answers in a row that only repeated it
+        ("faded", "f8"),  # s since the last usable motion
+        ("fade_from", "f8", 3),  # N m
         ("reference_sequence", "u8"),
         ("reference", "f8", (3, 3)),  # position, velocity, acceleration
         ("reference_valid", "i8"),
+        ("reference_faults", "i8"),  # flags of a refused one, for the next answer
         # scratch of one step
+        ("trajectory", "f8", (3, 3)),  # position, velocity, acceleration that the terms are for
+        ("adjoint", "f8", kalman.ORDER),
         ("work", "f8", (8, 3, 3)),
         ("terms", "f8", (len(TERMS), 3)),
-        ("motion", "f8", (3, 3)),
         ("position", "f8", 3),
-        ("predicted", "f8", (3, kalman.ORDER)),
-        ("phi", "f8", (2, 3)),
         ("way", "f8", 3),
         ("load", "f8", 3),
         ("full", "f8", 3),
+        ("wanted", "f8", 3),
+        ("phi", "f8", 3),
         ("residual", "f8", 3),
-        ("noise", "f8", 3),
+        ("weight", "f8", 3),  # (N m)^-2
     ],
     align=True,
 )
 
 
-def settings(robot: Robot, period: float) -> np.ndarray:
+def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     """Everything the kernel needs to know of `robot` at one sample every `period` s, as one SETTINGS record."""
     record = np.zeros(1, SETTINGS)
     terms = terms_of(robot)
@@ -120,11 +119,15 @@ def settings(robot: Robot, period: float) -> np.ndarray:
     model, identified = pack(robot), robot.identified
     for name in DeltaModel._fields:
         record["model"][name] = getattr(model, name)
-    gains = kalman.design(period, robot.drive.position_resolution_rad)
-    for name in ("transition", "gain", "smoothing", "lag"):
-        record["filter"][name] = getattr(gains, name)
+    motion = kalman.design(period, robot.drive.position_resolution_rad)
+    for name in motion._fields:
+        record["motion"][name] = getattr(motion, name)
     record["period"] = period
+    record["stride"] = stride
     record["range"] = robot.geometry.joint_range_rad
+    bounds = bounds_of(robot)
+    record["speed"], record["max_payload"] = robot.limits.joint_speed_radps, robot.limits.max_payload_kg
+    record["peak"], record["slope"], record["fade"] = bounds.peak_nm, bounds.slope_nmps, robot.limits.torque_fade_s
     record["rho"] = 1.0
     noise, left_over = np.full(3, DEFAULT_TORQUE_NOISE), np.zeros(3)
     if identified is not None:

@@ -107,10 +107,7 @@ def _carried(robot: Robot, trace: Trace, along: Motion) -> np.ndarray | None:
     lag = len(samples) - len(payload)
     mass = np.zeros(len(samples))
     mass[lag:] = np.where(payload["trusted"] != 0, np.maximum(payload["mass"], 0.0), 0.0)
-    weight_only = np.zeros(len(samples), bool)
-    weight_only[lag:] = payload["weight_only"] != 0
-    moving = (1.0 - weight_only)[:, None]
-    terms = torque_terms(pack(robot), along.theta, moving * along.theta_dot, moving * along.theta_ddot)
+    terms = torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)
     return mass[:, None] * terms[:, PAYLOAD]
 
 

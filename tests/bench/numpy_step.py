@@ -11,10 +11,33 @@ import numpy as np
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, SAMPLE
 from schemas.robot import Robot
 from service.estimator import payload as p
-from service.estimator.kalman import design
-from service.estimator.step import REVERSAL_SPEED, SETTLE_TIME
+from service.estimator.kalman import MotionFilter, design
+from service.estimator.step import REVERSAL_SPEED
+from service.estimator.stream import SETTLE_TIME
 from service.model.dynamics import REST_SPEED
 from service.model.nominal import pack
+
+
+class Track:
+    """A Kalman filter for three joints at a steady rate, as it stands in every book."""
+
+    def __init__(self, filter_: MotionFilter, position: np.ndarray) -> None:
+        self.filter, self.state, self.covariance = filter_, np.zeros((3, 4)), filter_.first
+        self.state[:, 0] = position
+        self.gain, self.innovation, self.spread = np.zeros(4), np.zeros(3), 1.0
+
+    def follow(self, position: np.ndarray) -> None:
+        transition = self.filter.transition
+        prior = transition @ self.covariance @ transition.T + self.filter.noise
+        predicted = self.state @ transition.T
+        self.spread = prior[0, 0] + self.filter.resolution**2
+        self.gain, self.innovation = prior[:, 0] / self.spread, position - predicted[:, 0]
+        self.state = predicted + np.outer(self.innovation, self.gain)
+        rest = np.eye(4) - np.outer(self.gain, np.eye(4)[0])
+        self.covariance = rest @ prior @ rest.T + np.outer(self.gain, self.gain) * self.filter.resolution**2
+
+    def kept(self) -> tuple:
+        return self.state, self.covariance, self.gain, self.innovation, self.spread
 
 
 class NumpyEstimator:
@@ -22,9 +45,7 @@ class NumpyEstimator:
 
     def __init__(self, robot: Robot, period: float) -> None:
         self.model, self.period = pack(robot), period
-        gains = design(period, robot.drive.position_resolution_rad)
-        self.transition, self.gain, self.lag = gains.transition, gains.gain, gains.lag
-        self.smoothing = gains.smoothing[: gains.lag]
+        self.filter = design(period, robot.drive.position_resolution_rad)
         found = robot.identified
         assert found is not None
         self.rho_1, self.rho_2, self.forearm = found.rho_1.value, found.rho_2.value, found.forearm_inertia_kg.value
@@ -37,13 +58,13 @@ class NumpyEstimator:
         self.forgetting, self.worth = np.exp(-period / p.MEMORY_TIME), min(1.0, period / p.CORRELATION_TIME)
         self.bin_size = max(1, round(p.BIN_TIME / period))
         self.azimuth = np.stack([self.model.azimuth_cos, self.model.azimuth_sin, np.zeros(3)], axis=1)
-        self.measured = self.commanded = None
+        self.measured: Track | None = None
         self.count = 0
         self.past: list = []
-        self.information, self.moment = np.full(2, p.PRIOR_STD**-2), np.zeros(2)
-        self.bin_information, self.bin_moment = np.zeros((2, p.WINDOW)), np.zeros((2, p.WINDOW))
-        self.head, self.in_bin, self.filled = 0, 0, np.ones(2, int)
-        self.evidence, self.believed, self.load, self.trusted = 0.0, 0, 0.0, False
+        self.information, self.moment = p.PRIOR_STD**-2, 0.0
+        self.bin_information, self.bin_moment = np.zeros(p.WINDOW), np.zeros(p.WINDOW)
+        self.head, self.in_bin, self.filled = 0, 0, 1
+        self.load, self.trusted = 0.0, False
         self.mass, self.std_dev = 0.0, p.PRIOR_STD
         self.last_event, self.quiet = 0, 0
 
@@ -51,65 +72,57 @@ class NumpyEstimator:
         sample = np.frombuffer(message, SAMPLE.dtype)[0]
         position, command = sample["position"], sample["position_command"]
         if self.measured is None:
-            self.measured = np.zeros((3, 4))
-            self.measured[:, 0] = position
-            self.commanded = self.measured.copy()
-            self.commanded[:, 0] = command
-            predicted = self.measured @ self.transition.T
-            innovation = position - predicted[:, 0]
-            self.measured = predicted + np.outer(innovation, self.gain)
+            self.measured, self.commanded = Track(self.filter, position), Track(self.filter, command)
         else:
-            predicted = self.measured @ self.transition.T
-            innovation = position - predicted[:, 0]
-            self.measured = predicted + np.outer(innovation, self.gain)
-            ahead = self.commanded @ self.transition.T
-            self.commanded = ahead + np.outer(command - ahead[:, 0], self.gain)
+            self.measured.follow(position)
+            self.commanded.follow(command)
         self.count += 1
-        settled = self.count * self.period > SETTLE_TIME
-        if settled:
-            self.past.append((self.measured, innovation, sample))
+        if self.count * self.period > SETTLE_TIME:
+            self.past.append((self.measured.kept(), sample))
         answer = FEEDFORWARD.empty(1)
         for field in ("stamp_sec", "stamp_nanosec", "sequence"):
             answer[field] = sample[field]
         answer["target_sequence"] = sample["sequence"]
         if self.count > SETTLE_TIME / self.period:
             mass = max(0.0, self.mass if self.trusted else min(self.mass, self.load))
-            inertia, gravity, platform, forearm, friction, loads = self.terms(*self.commanded[:, :3].T)
+            inertia, gravity, platform, forearm, friction, load = self.terms(*self.commanded.state[:, :3].T)
             answer["source"] = 1
             answer["torque"] = (
                 self.rho_1 * inertia + self.rho_2 * gravity + platform + self.forearm * forearm + friction
-                + mass * loads[self.believed]
+                + mass * load
             )  # fmt: skip
         else:
             answer["source"] = 3
-        if len(self.past) <= self.lag:
+        if len(self.past) <= self.filter.lag:
             return answer.tobytes(), b"", b""
         return answer.tobytes(), *self.lagged()
 
     def lagged(self) -> tuple[bytes, bytes]:
-        filtered, _, sample = self.past.pop(0)
-        innovations = np.stack([innovation for _, innovation, _ in self.past])  # (lag, 3)
-        state = filtered + innovations.T @ self.smoothing
-        inertia, gravity, platform, forearm, friction, loads = self.terms(*state[:, :3].T)
+        (state, covariance, *_), sample = self.past.pop(0)
+        adjoint = np.zeros((4, 3))
+        for (_, _, gain, innovation, spread), _ in reversed(self.past):
+            adjoint[0] += innovation / spread - gain @ adjoint
+            adjoint = self.filter.transition.T @ adjoint
+        state = state + (covariance @ adjoint).T
+        inertia, gravity, platform, forearm, friction, load = self.terms(*state[:, :3].T)
         grey = self.rho_1 * inertia + self.rho_2 * gravity + platform
         full = grey + self.forearm * forearm + friction
         torque = sample["torque"]
         doubt = p.MODEL_SHARE * (np.abs(inertia) + np.abs(gravity) + np.abs(platform) + np.abs(friction))
         noise = np.where(np.abs(state[:, 1]) > REVERSAL_SPEED, self.variance + doubt**2, np.inf)
-        event = self.weigh(loads, torque - full, noise)
+        event = self.weigh(load, torque - full, noise)
         mass = max(0.0, self.mass if self.trusted else min(self.mass, self.load))
         payload, error = PAYLOAD.empty(1), MODEL_ERROR.empty(1)
         for field in ("stamp_sec", "stamp_nanosec", "sequence"):
             payload[field] = error[field] = sample[field]
         error["kh"], error["id"] = torque - inertia - gravity - platform, torque - grey
-        error["id_friction"], error["full"] = torque - grey - friction, torque - full - mass * loads[self.believed]
+        error["id_friction"], error["full"] = torque - grey - friction, torque - full - mass * load
         payload["mass"], payload["std_dev"], payload["trusted"] = self.mass, self.std_dev, self.trusted
-        payload["excitation"] = self.information[self.believed] - p.PRIOR_STD**-2
-        payload["weight_only"], payload["event"] = self.believed == p.WEIGHT, event
+        payload["excitation"], payload["event"] = self.information - p.PRIOR_STD**-2, event
         return payload.tobytes(), error.tobytes()
 
     def terms(self, theta, theta_dot, theta_ddot):
-        """inertia, gravity, platform, forearm, friction (3,) each, and the load per kg (2, 3): rigid, weight only."""
+        """inertia, gravity, platform, forearm, friction and load per kg (3,) each."""
         model = self.model
         angle = theta + model.joint_offset
         sine, cosine, l1 = np.sin(angle), np.cos(angle), model.active_length
@@ -131,40 +144,32 @@ class NumpyEstimator:
         right = lever * theta_ddot + np.einsum("ia,ia->i", forearm, bend) * theta_dot**2 - (swing**2).sum(axis=1)
         acceleration = np.linalg.solve(forearm, right)
         rod = acceleration - slope * theta_ddot[:, None] - bend * (theta_dot**2)[:, None]
-        loads = np.stack([jacobian.T @ (acceleration + model.gravity * down), jacobian[2] * model.gravity])
+        load = jacobian.T @ (acceleration + model.gravity * down)
         return (
             model.inertia * theta_ddot,
             -model.gravity_torque * cosine,
-            model.moving_mass * loads[0],
+            model.moving_mass * load,
             -(jacobian.T @ rod.sum(axis=0) - np.einsum("ia,ia->i", slope, rod)) / 6,
             self.viscous * theta_dot + self.coulomb * np.clip(theta_dot / REST_SPEED, -1, 1),
-            loads,
+            load,
         )
 
-    def weigh(self, loads, residual, noise) -> int:
+    def weigh(self, load, residual, noise) -> int:
         weight = self.worth / noise
-        before = self.moment / self.information
-        surprise = ((residual - before[:, None] * loads) ** 2 * weight).sum(axis=1)
-        information, moment = (loads**2 * weight).sum(axis=1), (loads * residual * weight).sum(axis=1)
+        information, moment = (load**2 * weight).sum(), (load * residual * weight).sum()
         prior = p.PRIOR_STD**-2
         self.information = prior + (self.information - prior) * self.forgetting + information
         self.moment = self.moment * self.forgetting + moment
-        self.bin_information[:, self.head] += information
-        self.bin_moment[:, self.head] += moment
+        self.bin_information[self.head] += information
+        self.bin_moment[self.head] += moment
         self.in_bin += 1
         if self.in_bin >= self.bin_size:
             self.in_bin = 0
-            for h in range(2):
-                self.change(h)
+            self.change()
             self.head = (self.head + 1) % p.WINDOW
-            self.filled = np.minimum(p.WINDOW, self.filled + 1)
-            self.bin_information[:, self.head] = self.bin_moment[:, self.head] = 0.0
-        gain = 0.5 * np.clip(surprise[0] - surprise[1], -2, 2)
-        self.evidence = float(np.clip(self.evidence + gain, -p.EVIDENCE_BOUND, p.EVIDENCE_BOUND))
-        if abs(self.evidence) > p.EVIDENCE_SWITCH:
-            self.believed = p.WEIGHT if self.evidence > 0 else p.RIGID
-        h = self.believed
-        self.mass, self.std_dev = self.moment[h] / self.information[h], self.information[h] ** -0.5
+            self.filled = min(p.WINDOW, self.filled + 1)
+            self.bin_information[self.head] = self.bin_moment[self.head] = 0.0
+        self.mass, self.std_dev = self.moment / self.information, self.information**-0.5
         self.trusted = self.std_dev < p.TRUST_SHARE * abs(self.mass) + p.TRUST_FLOOR
         self.quiet += 1
         if not (self.trusted or abs(self.mass - self.load) > p.CLEAR_STEP * self.std_dev):
@@ -179,17 +184,17 @@ class NumpyEstimator:
         self.last_event, self.quiet = event, 0
         return event
 
-    def change(self, h: int) -> None:
-        order = (self.head - np.arange(self.filled[h])) % p.WINDOW
-        information, moment = np.cumsum(self.bin_information[h, order]), np.cumsum(self.bin_moment[h, order])
-        rest = self.information[h] - information
+    def change(self) -> None:
+        order = (self.head - np.arange(self.filled)) % p.WINDOW
+        information, moment = np.cumsum(self.bin_information[order]), np.cumsum(self.bin_moment[order])
+        rest = self.information - information
         usable = (np.arange(1, len(order) + 1) >= p.SHORTEST) & (information > 0) & (rest > 0)
         if not usable.any():
             return
         with np.errstate(divide="ignore", invalid="ignore"):
-            step = moment / information - (self.moment[h] - moment) / rest
+            step = moment / information - (self.moment - moment) / rest
             statistic = step**2 / (1 / information + 1 / rest)
         found = usable & (np.abs(step) > p.SMALLEST_CHANGE) & (statistic > p.CHANGE_THRESHOLD)
         if found.any():
             n = int(np.argmax(np.where(found, statistic, 0)))
-            self.information[h], self.moment[h], self.filled[h] = information[n], moment[n], n + 1
+            self.information, self.moment, self.filled = information[n], moment[n], n + 1

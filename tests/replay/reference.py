@@ -18,7 +18,7 @@ STORED = Path(__file__).with_name("reference.npz")
 EVERY = 10  # samples; enough to see what moves, small enough to keep
 FIELDS = {
     "feedforward": ("sequence", "torque", "source", "flags"),
-    "payload": ("sequence", "mass", "std_dev", "trusted", "weight_only"),
+    "payload": ("sequence", "mass", "std_dev", "trusted"),
     "error": ("sequence", "kh", "id", "id_friction", "full"),
 }
 

@@ -12,7 +12,7 @@ from tests.bench.numpy_step import NumpyEstimator
 
 def test_the_compiled_step_is_the_numpy_step():
     robot = load_robot(ROBOT)
-    samples = read_trace(LOG, robot).samples()[:4000]
+    samples = read_trace(LOG, robot).samples()[:2500]  # two picks and their releases
     reference = NumpyEstimator(robot, 1e-3)
     answers = [reference.step(samples[n : n + 1].tobytes()) for n in range(len(samples))]
     result = process(robot, samples)

@@ -1,70 +1,151 @@
-"""The filter and the fixed-lag smoother against filterpy's own."""
+"""The filter and the fixed-lag smoother against filterpy's own, and their stability whatever is lost."""
 
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
 
-from service.estimator.kalman import ORDER, design, filter_model, predict_kernel, update_kernel
+from service.estimator.kalman import (
+    FILTER,
+    ORDER,
+    SLOT,
+    TRACK,
+    coast_kernel,
+    design,
+    keep_kernel,
+    predict_kernel,
+    restart_kernel,
+    smooth_kernel,
+    update_kernel,
+)  # fmt: skip
+from service.estimator.stream import RESTART_TIME
 
 RESOLUTION = 2.4e-7
+PERIODS = [4e-3, 2e-3, 1e-3, 2.5e-4, 1.25e-4]
 
 
-@pytest.mark.parametrize("period", [1e-3, 2.5e-4, 1.25e-4])
-def test_steady_state_filter_and_smoother_are_filterpys(period):
+def settings(period):
+    record = np.zeros(1, FILTER)
+    for name, value in design(period, RESOLUTION)._asdict().items():
+        record[name] = value
+    return record[0]
+
+
+def reference(motion):
+    """The same model in filterpy."""
+    kalman = KalmanFilter(dim_x=ORDER, dim_z=1)
+    kalman.F, kalman.Q, kalman.P = motion["transition"].copy(), motion["noise"].copy(), motion["first"].copy()
+    kalman.H, kalman.R = np.eye(1, ORDER), np.array([[RESOLUTION**2]])
+    return kalman
+
+
+def run(motion, measured, gaps):
+    """Filter (N, 3) positions, the gap before each in cycles; N slots of what the smoother keeps."""
+    track, slots = np.zeros(1, TRACK)[0], np.zeros(len(measured), SLOT)
+    restart_kernel(motion, track, measured[0])
+    keep_kernel(track, 1, slots[0])
+    for n in range(1, len(measured)):
+        predict_kernel(motion, track, gaps[n])
+        if np.isnan(measured[n]).any():
+            coast_kernel(track, gaps[n])
+        else:
+            update_kernel(motion, track, measured[n])
+        keep_kernel(track, gaps[n], slots[n])
+    return slots
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3], ids=["all there", "30 % lost"])
+@pytest.mark.parametrize("period", [1e-3, 1.25e-4])
+def test_filter_and_smoother_are_filterpys(period, loss):
+    """Lost cycles as gaps, broken samples as cycles without a position; filterpy sees both as a missing measurement."""
     random = np.random.default_rng(0)
-    time = np.arange(600) * period
-    measured = 0.3 * np.sin(2 * np.pi * 3 * time) + RESOLUTION * random.standard_normal(len(time))
+    count = 600
+    time = np.arange(count) * period
+    wave = 0.3 * np.sin(2 * np.pi * 3 * time[:, None] + np.arange(3))
+    positions = wave + RESOLUTION * random.standard_normal((count, 3))
+    lost = random.random(count) < loss
+    lost[:2] = lost[-1] = False
+    broken = random.random(count) < loss / 3
+    broken[0] = False
 
-    reference = filter_model(period, RESOLUTION)
-    reference.x = np.array([[measured[0]], [0.0], [0.0], [0.0]])
-    means, covariances, _, _ = reference.batch_filter(measured)
+    motion = settings(period)
+    kept = np.flatnonzero(~lost)
+    measured = np.where(broken[:, None], np.nan, positions)[kept]
+    slots = run(motion, measured, np.diff(kept, prepend=-1))
 
-    gains = design(period, RESOLUTION)
-    state, predicted = np.zeros(ORDER), np.zeros(ORDER)
-    state[0] = measured[0]
-    filtered, innovations = np.empty((len(time), ORDER)), np.empty(len(time))
-    for n, value in enumerate(measured):
-        predict_kernel(gains.transition, state, predicted)
-        innovations[n] = value - predicted[0]
-        update_kernel(gains.gain, predicted, innovations[n], state)
-        filtered[n] = state
-    scale = np.abs(filtered).max(axis=0)
-    assert (np.abs(filtered - means[:, :, 0]).max(axis=0) < 1e-9 * scale).all()
+    for joint in range(3):
+        kalman = reference(motion)
+        kalman.x = np.array([[positions[0, joint]], [0.0], [0.0], [0.0]])
+        means, covariances = [kalman.x], [kalman.P]
+        for n in range(1, count):
+            kalman.predict()
+            kalman.update(None if lost[n] or broken[n] else positions[n, joint])
+            means.append(kalman.x)
+            covariances.append(kalman.P)
+        means, covariances = np.array(means), np.array(covariances)
+        scale = np.abs(means[:, :, 0]).max(axis=0)
+        assert (np.abs(slots["state"][:, joint] - means[kept, :, 0]).max(axis=0) < 1e-6 * scale).all()
 
-    # the fixed-lag estimate at n is the Rauch-Tung-Striebel estimate at n of a record that ends a lag later
-    lag = gains.lag
-    for n in (200, 333, 500):
-        end = n + lag + 1
-        smoothed, *_ = reference.rts_smoother(means[:end], covariances[:end])
-        ours = filtered[n] + gains.smoothing[:lag].T @ innovations[n + 1 : end]
-        assert (np.abs(ours - smoothed[n, :, 0]) < 1e-7 * scale).all()
+        # the fixed-lag estimate at n is the Rauch-Tung-Striebel estimate at n of a record that ends a lag later
+        lag, smoothed = int(motion["lag"]), np.empty((3, 3))
+        for row in (200, 333, len(kept) - 1 - lag):
+            n, end = kept[row], kept[row + lag] + 1
+            expected, *_ = kalman.rts_smoother(means[:end], covariances[:end], Fs=[kalman.F] * end, Qs=[kalman.Q] * end)
+            smooth_kernel(motion["transition"], slots, row + lag, lag, np.empty(ORDER), smoothed)
+            assert (np.abs(smoothed[:, joint] - expected[n, :3, 0]) < 1e-5 * scale[:3]).all()
 
 
-def test_smoothing_halves_the_error_of_the_acceleration(make, robot):
+def closed_loops(period, gaps):
+    """Error from sample to sample, (I - K H) F^n, along a sequence of gaps, and the covariance after each."""
+    motion, track = settings(period), np.zeros(1, TRACK)[0]
+    restart_kernel(motion, track, np.zeros(3))
+    for gap in gaps:
+        predict_kernel(motion, track, gap)
+        update_kernel(motion, track, np.zeros(3))
+        carried = np.linalg.matrix_power(motion["transition"], gap)
+        yield (np.eye(ORDER) - np.outer(track["gain"], np.eye(ORDER)[0])) @ carried, track["covariance"].copy()
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_every_gap_up_to_the_restart_is_stable(period):
+    """Spectral radius of the steady state of every gap, below one by more than rounding."""
+    for gap in range(1, int(RESTART_TIME / period) + 2):
+        *_, (closed, _) = closed_loops(period, [gap] * (50 + 350 // gap))
+        assert np.abs(np.linalg.eigvals(closed)).max() < 0.999, gap
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_any_sequence_of_gaps_forgets_its_errors(period):
+    """Products of closed loops over random gaps: bounded all the way and gone in the end; covariance stays one."""
+    random = np.random.default_rng(1)
+    longest = int(RESTART_TIME / period) + 1
+    unit = np.sqrt(np.diag(settings(period)["first"]))
+    for share in (0.01, 0.2, 0.5, 0.9):
+        gaps = np.minimum(random.geometric(1 - share, 1500), longest)
+        gaps[::50] = random.integers(1, longest + 1, len(gaps[::50]))
+        product, largest = np.eye(ORDER), 0.0
+        for closed, covariance in closed_loops(period, gaps):
+            product = closed @ product
+            largest = max(largest, np.abs(product / unit[:, None] * unit).max())
+            deviation = np.sqrt(np.diag(covariance))
+            assert np.linalg.eigvalsh(covariance / deviation[:, None] / deviation).min() > -1e-9
+        assert largest < 1e6
+        assert np.abs(product / unit[:, None] * unit).max() < 1e-6
+
+
+def test_the_gain_of_one_cycle_diverges_over_a_gap():
+    """What this filter must not do, and the test of it that fails: the gain of no gap applied after one."""
+    *_, (closed, _) = closed_loops(1e-3, [1] * 400)
+    transition = settings(1e-3)["transition"]
+    assert np.abs(np.linalg.eigvals(closed @ transition)).max() > 3.0
+
+
+def test_smoothing_halves_the_error_of_the_acceleration(make):
     """What the lag buys, on motion that is not the filter's own model."""
     known = make(2.0)
-    gains = design(1e-3, robot.drive.position_resolution_rad)
-    state, predicted = np.zeros(ORDER), np.zeros(ORDER)
-    state[0] = known.samples["position"][0, 2]
-    filtered, innovations = np.empty((len(known.theta), ORDER)), np.empty(len(known.theta))
-    for n, value in enumerate(known.samples["position"][:, 2]):
-        predict_kernel(gains.transition, state, predicted)
-        innovations[n] = value - predicted[0]
-        update_kernel(gains.gain, predicted, innovations[n], state)
-        filtered[n] = state
-    smoothed = np.array(
-        [
-            filtered[n] + gains.smoothing[: gains.lag].T @ innovations[n + 1 : n + 1 + gains.lag]
-            for n in range(200, 1900)
-        ]
-    )
+    motion = settings(1e-3)
+    slots = run(motion, known.samples["position"], np.ones(2000, int))
+    lag, smoothed = int(motion["lag"]), np.empty((1700, 3, 3))
+    for n in range(1700):
+        smooth_kernel(motion["transition"], slots, 200 + n + lag, lag, np.empty(ORDER), smoothed[n])
     true = known.theta_ddot[200:1900, 2]
-    assert np.std(smoothed[:, 2] - true) < 0.5 * np.std(filtered[200:1900, 2] - true)
-
-
-def test_gains_are_the_steady_state(robot):
-    """One more Riccati step changes nothing."""
-    kalman = filter_model(1e-3, RESOLUTION)
-    before = kalman.P.copy()
-    kalman.predict()
-    kalman.update(kalman.H @ kalman.x)
-    np.testing.assert_allclose(kalman.P, before, rtol=1e-9, atol=1e-12 * np.abs(before).max())
+    assert np.std(smoothed[:, 2, 2] - true) < 0.5 * np.std(slots["state"][200:1900, 2, 2] - true)

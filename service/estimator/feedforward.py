@@ -1,0 +1,216 @@
+"""The feed-forward torque: for the motion that is wanted or there is, within its bounds, faded where there is none."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from schemas.messages import FeedforwardSource, SampleFlag
+from service.estimator.effects import effects_kernel
+from service.estimator.stream import COMMAND_ACCELERATION, SETTLE_TIME, coast_cycles
+from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, terms_kernel
+from service.model.friction import direction, friction_kernel
+from service.model.kinematics import REACHED
+
+REFERENCE_AHEAD = 8  # cycles, planned motion further ahead is not for the next cycles
+REFERENCE_DISTANCE = 0.3  # rad, beyond what a joint moves until then: a plan for another place than the robot's
+
+_LIMITED, _FADING = SampleFlag.LIMITED.value, SampleFlag.FADING.value
+_COMMAND_RANGE, _COMMAND_JUMP = SampleFlag.COMMAND_OUT_OF_RANGE.value, SampleFlag.COMMAND_JUMP.value
+_ESTIMATE, _COMMAND = FeedforwardSource.ESTIMATE.value, FeedforwardSource.COMMAND.value
+_REFERENCE, _NONE = FeedforwardSource.REFERENCE.value, FeedforwardSource.NONE.value
+
+
+@njit(cache=True)
+def feedforward_kernel(settings, state, sample, passed, out):
+    """Fill torque, source and target of `out` for `sample`, `passed` cycles after the last answer. Returns flags."""
+    source, flags = _choose(settings, state, sample, out)
+    ready = source != _NONE and _for_motion(settings, state, sample)
+    seconds = passed * settings.period
+    if ready:
+        flags |= _within_bounds(settings, state, seconds, out)
+    else:
+        source = _NONE
+        flags |= _fade(settings, state, seconds, out)
+    for i in range(3):
+        state.torque[i] = out.torque[i]
+    out.source = state.source = source
+    return flags
+
+
+@njit(cache=True)
+def hold_kernel(settings, state, sample, out):
+    """The answer to a repeated or late sample: that of before, for a stray one must not make the torque drop; once
+    nothing else comes it fades."""
+    out.target_sequence = sample.sequence
+    state.held += 1
+    flags = 0
+    if state.held > coast_cycles(settings):
+        state.source = _NONE
+        flags = _fade(settings, state, settings.period, out)
+    else:
+        for i in range(3):
+            out.torque[i] = state.torque[i]
+    for i in range(3):
+        state.torque[i] = out.torque[i]
+    out.source = state.source
+    return flags
+
+
+@njit(cache=True)
+def _choose(settings, state, sample, out):
+    """Put the motion to answer for into state.trajectory. Returns (source, flags)."""
+    coast, settled = coast_cycles(settings), SETTLE_TIME / settings.period
+    motion = state.trajectory
+    out.target_sequence = sample.sequence
+    ahead = np.int64(state.reference_sequence - sample.sequence)
+    flags = state.reference_faults
+    state.reference_faults = 0
+    if state.reference_valid != 0 and state.started != 0 and 0 < ahead <= REFERENCE_AHEAD * settings.stride:
+        if _is_near(settings, state, ahead):
+            out.target_sequence = state.reference_sequence
+            for order in range(3):
+                for i in range(3):
+                    motion[order, i] = state.reference[order, i]
+            return _REFERENCE, flags
+        flags |= _COMMAND_JUMP
+    if state.commanded.used > settled and state.commanded.idle <= coast:
+        _take(state.commanded, motion)
+        return _COMMAND, flags
+    if state.measured.used > settled and state.measured.idle <= coast:
+        _take(state.measured, motion)
+        return _ESTIMATE, flags
+    return _NONE, flags
+
+
+@njit(cache=True)
+def _take(track, motion):
+    for order in range(3):
+        for i in range(3):
+            motion[order, i] = track.state[i, order]
+
+
+@njit(cache=True)
+def _is_near(settings, state, ahead):
+    """Whether the joints could be where the plan wants them by then."""
+    reach = REFERENCE_DISTANCE + settings.speed * settings.period * (ahead + state.measured.idle)
+    near = True
+    for i in range(3):
+        near &= abs(state.reference[0, i] - state.measured.seen[i]) <= reach
+    return near
+
+
+@njit(cache=True)
+def plan_kernel(settings, state, reference):
+    """Take a planned motion if it is one; else the next answer is flagged with what is wrong with it."""
+    flags = 0
+    for i in range(3):
+        position, velocity, acceleration = reference.position[i], reference.velocity[i], reference.acceleration[i]
+        # written so that NaN fails
+        if not (settings.range[0] <= position <= settings.range[1]):
+            flags |= _COMMAND_RANGE
+        if not (abs(velocity) <= settings.speed and abs(acceleration) <= COMMAND_ACCELERATION):
+            flags |= _COMMAND_JUMP
+    if flags == 0:
+        state.reference_valid = 1
+        state.reference_sequence = reference.sequence
+        for i in range(3):
+            state.reference[0, i] = reference.position[i]
+            state.reference[1, i] = reference.velocity[i]
+            state.reference[2, i] = reference.acceleration[i]
+    state.reference_faults = flags
+
+
+@njit(cache=True)
+def _for_motion(settings, state, sample):
+    """state.wanted (3,) N m: the torque for state.trajectory with the payload; False where there is no pose for it."""
+    motion = state.trajectory
+    status = terms_kernel(settings.model, motion[0], motion[1], motion[2], state.position, state.work, state.terms)
+    if status != REACHED:
+        return False
+    torque_kernel(settings, state, sample.stamp_sec + sample.stamp_nanosec * 1e-9)
+    mass = usable_mass(settings, state)
+    finite = True
+    for i in range(3):
+        state.wanted[i] = state.full[i] + mass * load_kernel(settings, state, i)
+        finite &= math.isfinite(state.wanted[i])
+    return finite
+
+
+@njit(cache=True)
+def torque_kernel(settings, state, seconds):
+    """state.full (3,): reported torque, N m, of the fullest model without payload, for state.trajectory."""
+    terms, motion = state.terms, state.trajectory
+    for i in range(3):
+        state.load[i] = grey_kernel(settings, terms, i) + settings.forearm * terms[FOREARM, i]
+        state.way[i] = direction(motion[1, i], settings.transition)
+        state.full[i] = state.load[i] + dry_and_viscous(settings, state, i)
+    effects_kernel(
+        settings.effect, settings.model, settings.gear_ratio, settings.rho[1, 0], motion[0], motion[1], motion[2],
+        state.way, state.load, max(0.0, seconds), state.position, state.work, state.full,
+    )  # fmt: skip
+    for i in range(3):
+        state.full[i] *= settings.scale[i]
+
+
+@njit(cache=True)
+def dry_and_viscous(settings, state, i):
+    """Coulomb and viscous friction of joint i, N m."""
+    return friction_kernel(settings.viscous[i], settings.coulomb[i], state.trajectory[1, i], settings.transition)
+
+
+@njit(cache=True)
+def grey_kernel(settings, terms, i):
+    """M_Id of joint i, N m."""
+    return settings.rho[0, i] * terms[INERTIA, i] + settings.rho[1, i] * terms[GRAVITY, i] + terms[PLATFORM, i]
+
+
+@njit(cache=True)
+def load_kernel(settings, state, i):
+    """Reported torque on joint i per kg of payload, N m/kg, for the pose last given to the terms kernel."""
+    return settings.scale[i] * state.terms[PAYLOAD, i]
+
+
+@njit(cache=True)
+def usable_mass(settings, state):
+    """The payload to reckon with, kg: the trusted one; an estimate not yet trusted may only make it lighter."""
+    mass = state.mass if state.mass_trusted != 0 else min(state.mass, state.payload.load)
+    return min(max(0.0, mass), settings.max_payload)
+
+
+@njit(cache=True)
+def _within_bounds(settings, state, seconds, out):
+    """out.torque: what is wanted, at most the peak, and from answer to answer at most the slope, but for a reversal of
+    Coulomb friction, which is a step by nature."""
+    flags = 0
+    for i in range(3):
+        reversal = settings.scale[i] * settings.coulomb[i] * abs(state.way[i] - state.way_before[i])
+        step = max(settings.slope * seconds, reversal)
+        low, high = max(-settings.peak, state.torque[i] - step), min(settings.peak, state.torque[i] + step)
+        torque = min(max(state.wanted[i], low), high)
+        if torque != state.wanted[i]:
+            flags = _LIMITED
+        out.torque[i] = torque
+        state.way_before[i] = state.way[i]
+    state.faded = 0.0
+    state.held = 0
+    return flags
+
+
+@njit(cache=True)
+def _fade(settings, state, seconds, out):
+    """out.torque: in a straight line from the last usable one to zero within the declared time."""
+    if state.faded == 0.0:
+        for i in range(3):
+            state.fade_from[i] = state.torque[i]
+    state.faded += seconds
+    left = max(0.0, 1.0 - state.faded / settings.fade)
+    flags = 0
+    for i in range(3):
+        out.torque[i] = left * state.fade_from[i]
+        if out.torque[i] != 0.0:
+            flags = _FADING
+        state.way_before[i] = 0.0
+    return flags

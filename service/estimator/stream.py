@@ -1,0 +1,177 @@
+"""A sample in its stream: how many cycles it closes, what is wrong with it, and where a stream begins anew.
+
+Sequence numbers are serial numbers modulo 2^64 (as RFC 1982 reckons them): one follows another if the difference, taken
+modulo 2^64, is below 2^63.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from schemas.messages import SampleFlag
+from service.estimator.kalman import restart_kernel
+
+COAST_TIME = 0.02  # s without a usable sample for which the motion may be extrapolated
+RESTART_TIME = 0.05  # s without one after which the filters start anew
+STRAY_RUN = 3  # samples in a row that agree with each other but not with the stream: the stream itself is new
+STRAY_STEP = 8  # cycles between two of them at most
+FAR = 1_000_000_000  # cycles, any more are as many
+SETTLE_TIME = 0.02  # s after a start until velocity and acceleration are worth using
+# No command asks this of a joint: a platform at 10 g needs 300 to 500 rad/s^2.
+COMMAND_ACCELERATION = 5000.0  # rad/s^2
+COMMAND_COUNTS = 8.0  # position resolutions that a command may be off for its rounding
+# A torque sensor that reads beyond this many peak torques is broken.
+TORQUE_SENSE = 10.0
+
+NAN, RANGE, GAP = SampleFlag.NOT_A_NUMBER.value, SampleFlag.OUT_OF_RANGE.value, SampleFlag.GAP_BEFORE.value
+REPEATED, BACKWARDS = SampleFlag.REPEATED.value, SampleFlag.TIME_BACKWARDS.value
+JUMP, NO_COMMAND = SampleFlag.JUMP.value, SampleFlag.NO_COMMAND.value
+COMMAND_RANGE, COMMAND_JUMP = SampleFlag.COMMAND_OUT_OF_RANGE.value, SampleFlag.COMMAND_JUMP.value
+NOT_NEW = REPEATED | BACKWARDS
+UNUSABLE = NAN | RANGE | NOT_NEW | JUMP | SampleFlag.BUS_FAULT.value
+NOT_FOLLOWED = NO_COMMAND | COMMAND_RANGE | COMMAND_JUMP
+
+
+@njit(cache=True)
+def restart(settings, state, sample):
+    """Begin a stream at `sample`: at rest where it is, nothing settled."""
+    state.started = 1
+    state.stray = 0
+    state.command_stray = 0
+    state.filled = 0
+    state.commanded.used = 0
+    state.stamp_sec = sample.stamp_sec
+    state.stamp_nanosec = sample.stamp_nanosec
+    restart_kernel(settings.motion, state.measured, sample.position)
+
+
+@njit(cache=True)
+def coast_cycles(settings):
+    """Cycles that the filters coast over; at least one sample is let pass at any rate."""
+    return max(np.int64(1), np.int64(COAST_TIME / settings.period))
+
+
+@njit(cache=True)
+def restart_cycles(settings):
+    """Longest gap that the filters close."""
+    return max(np.int64(1), np.int64(RESTART_TIME / settings.period)) + 1
+
+
+@njit(cache=True)
+def cycles_since(settings, state, sample):
+    """Cycles since the newest sample, below 1 for a repeated or late one.
+
+    By sequence; by time where a source leaves no hole in its sequence, if the motion bears it out: stamps jitter too.
+    """
+    if state.started == 0:
+        return np.int64(1)
+    counted = np.int64(sample.sequence - state.sequence)  # modulo 2^64
+    if counted <= 0:
+        return counted
+    counted = max(np.int64(1), (min(counted, FAR) + settings.stride // 2) // settings.stride)
+    seconds = np.int64(sample.stamp_sec) - state.stamp_sec
+    elapsed = seconds + (np.int64(sample.stamp_nanosec) - state.stamp_nanosec) * 1e-9
+    timed = np.int64(round(min(elapsed / settings.period, float(FAR))))
+    if timed <= counted:
+        return counted
+    if timed > restart_cycles(settings):
+        return timed
+    by_count = by_time = 0.0
+    for i in range(3):
+        by_count += abs(sample.position[i] - _ahead(state.measured, i, counted * settings.period))
+        by_time += abs(sample.position[i] - _ahead(state.measured, i, timed * settings.period))
+    return timed if by_time < by_count else counted
+
+
+@njit(cache=True)
+def _ahead(track, i, seconds):
+    """Position of joint i, rad, `seconds` after the newest cycle, at the speed and acceleration of now."""
+    return track.state[i, 0] + seconds * (track.state[i, 1] + 0.5 * seconds * track.state[i, 2])
+
+
+@njit(cache=True)
+def faults(settings, state, sample, gap):
+    """What is wrong with `sample` and its command, given the stream so far. gap: cycles since the newest sample."""
+    flags = np.int64(sample.flags)
+    for i in range(3):
+        if not (math.isfinite(sample.position[i]) and math.isfinite(sample.torque[i])):
+            flags |= NAN
+        elif (
+            sample.position[i] < settings.range[0]
+            or sample.position[i] > settings.range[1]
+            or abs(sample.torque[i]) > TORQUE_SENSE * settings.peak
+        ):
+            flags |= RANGE
+        if math.isnan(sample.position_command[i]):
+            flags |= NO_COMMAND
+        elif sample.position_command[i] < settings.range[0] or sample.position_command[i] > settings.range[1]:
+            flags |= COMMAND_RANGE
+    if state.started == 0:
+        return flags
+    if gap == 0:
+        flags |= REPEATED
+    elif gap < 0:
+        flags |= BACKWARDS
+    else:
+        if gap > 1:
+            flags |= GAP
+        if flags & (NAN | RANGE) == 0 and _is_torn(settings, state.measured, sample.position, gap):
+            flags |= JUMP
+        if flags & (NO_COMMAND | COMMAND_RANGE) == 0 and _is_no_motion(settings, state, sample.position_command, gap):
+            flags |= COMMAND_JUMP
+    return flags
+
+
+@njit(cache=True)
+def _is_torn(settings, track, position, gap):
+    """Whether no joint could have come to `position` in `gap` cycles from where the track was last seen."""
+    reach = settings.speed * settings.period * (track.idle + gap)
+    torn = False
+    for i in range(3):
+        torn |= abs(position[i] - track.seen[i]) > reach
+    return torn
+
+
+@njit(cache=True)
+def _is_no_motion(settings, state, command, gap):
+    """Whether no joint could follow from the commands so far to `command`, by its speed or its acceleration."""
+    track, cycles = state.commanded, state.commanded.idle + gap
+    if track.used == 0 or cycles > restart_cycles(settings):
+        return False
+    if _is_torn(settings, track, command, gap):
+        return True
+    seconds = cycles * settings.period
+    reach = 0.5 * COMMAND_ACCELERATION * seconds * seconds + COMMAND_COUNTS * settings.motion.resolution
+    far = False
+    if track.used > STRAY_RUN:
+        for i in range(3):
+            far |= abs(command[i] - _ahead(track, i, gap * settings.period)) > reach
+    return far
+
+
+@njit(cache=True)
+def is_new_stream(settings, state, sample):
+    """Whether the strays of late, `sample` being one, continue each other: then the source started over elsewhere."""
+    step = np.int64(sample.sequence - state.stray_sequence) // settings.stride
+    follows = state.stray > 0 and 0 < step <= STRAY_STEP
+    for i in range(3):
+        follows &= abs(sample.position[i] - state.stray_position[i]) <= settings.speed * settings.period * step
+        state.stray_position[i] = sample.position[i]
+    state.stray = state.stray + 1 if follows else 1
+    state.stray_sequence = sample.sequence
+    return state.stray >= STRAY_RUN
+
+
+@njit(cache=True)
+def is_new_command(settings, state, sample, gap):
+    """The same for commands that jumped: they may go on from where they jumped to."""
+    follows = state.command_stray > 0
+    for i in range(3):
+        step = abs(sample.position_command[i] - state.command_stray_position[i])
+        follows &= step <= settings.speed * settings.period * gap
+        state.command_stray_position[i] = sample.position_command[i]
+    state.command_stray = state.command_stray + 1 if follows else 1
+    return state.command_stray >= STRAY_RUN

@@ -1,0 +1,34 @@
+"""Millions of hostile samples through the estimator step: torque bounded, state finite, recovered in 50 ms.
+
+uv run python -m tests.bench.bench_hostile_step [--samples 10000000] [--seed 1]
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from drivers.trace import read_trace
+from replay.demo import LOG, ROBOT
+from schemas.robot import load_robot
+from tests.service.estimator.test_bounds import strike
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--samples", type=int, default=10_000_000)
+    arguments.add_argument("--seed", type=int, default=1)
+    given = arguments.parse_args()
+    robot = load_robot(ROBOT)
+    good = read_trace(LOG, robot).samples()[1200:1600]  # an empty move
+    random, count, begin = np.random.default_rng(given.seed), 0, time.monotonic()
+    while count < given.samples:
+        count += strike(robot, good, random, rounds=100)
+        print(f"\r{count} samples, {time.monotonic() - begin:.0f} s", end="", flush=True)
+    print(": nothing out of its bounds")
+
+
+if __name__ == "__main__":
+    main()
