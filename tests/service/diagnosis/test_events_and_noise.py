@@ -1,0 +1,138 @@
+"""Events and the noise floor against signals in which they were put."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.service.diagnosis.subject import events, noise, statistics
+from tests.service.diagnosis.world import PERIOD, course, problem
+
+STEP = 5e-3  # s, rows of the analysis band
+
+
+def quiet(name: str, joint: int, seed: int, seconds: float = 10.0) -> events.Run:
+    time = np.arange(round(seconds / STEP)) * STEP
+    slow = 2.0 * np.sin(2.0 * time)  # a model's own error: large and slow
+    return events.Run(name, joint, time, slow + 0.1 * np.random.default_rng(seed).standard_normal(len(time)))
+
+
+def knocked(run: events.Run, *moments: float, size: float = 2.0, width: float = 0.02) -> events.Run:
+    error = run.error.copy()
+    for moment in moments:
+        near = np.abs(run.time - moment) <= width
+        error[near] += size * np.where(np.arange(near.sum()) % 2, 1, -1)
+    return replace(run, error=error)
+
+
+FLOOR = np.array([0.2, 0.2])
+
+
+def test_a_knock_is_an_event_and_a_slow_error_is_none():
+    runs = [quiet("a", 0, 1), knocked(quiet("b", 1, 2), 3.0, 7.5)]
+    found = events.events(runs, FLOOR)
+    assert [(event.run, event.joint) for event in found] == [("b", 1)] * 2
+    for event, moment in zip(found, (3.0, 7.5), strict=True):
+        assert moment - 0.06 <= event.start < moment < event.end <= moment + 0.06
+        assert 1.0 < event.level < 2.5
+    assert events.events([quiet("a", 0, 1)], FLOOR) == []
+
+
+def test_nothing_below_the_floor_is_an_event():
+    runs = [knocked(quiet("b", 0, 2), 3.0)]
+    assert len(events.events(runs, FLOOR)) == 1
+    assert events.events(runs, np.array([3.0, 3.0])) == []
+
+
+def test_near_stretches_are_one_and_the_end_of_a_stretch_of_rows_ends_it():
+    assert len(events.events([knocked(quiet("b", 0, 2), 3.0, 3.1)], FLOOR)) == 1
+    assert len(events.events([knocked(quiet("b", 0, 2), 3.0, 3.4)], FLOOR)) == 2
+    run = quiet("b", 0, 2)
+    gone = (run.time < 3.0) | (run.time > 3.3)
+    # a step over a pause in the rows is two stretches with another mean, no event
+    error = np.where(run.time > 3.2, 5.0, 0.0) + 0.1 * np.random.default_rng(0).standard_normal(len(run.time))
+    assert events.events([events.Run("b", 0, run.time[gone], error[gone])], FLOOR) == []
+    assert len(events.events([events.Run("b", 0, run.time, error)], FLOOR)) == 1
+
+
+def test_events_are_told_in_the_order_of_time_and_a_run_of_one_row_is_passed_over():
+    runs = [knocked(quiet("a", 1, 1), 5.0), knocked(quiet("a", 0, 2), 2.0), events.Run("c", 0, np.zeros(1), np.ones(1))]
+    assert [event.joint for event in events.events(runs, FLOOR)] == [0, 1]
+    assert events.events([events.Run("c", 0, np.zeros(1), np.ones(1))], FLOOR) == []
+
+
+def test_what_an_event_touches_is_left_out_with_a_margin():
+    event = events.Event("a", 0, 2.0, 2.5, 1.0)
+    time = np.array([1.96, 1.98, 2.2, 2.52, 2.54])
+    assert events.outside("a", time, [event]).tolist() == [True, False, False, False, True]
+    assert events.outside("b", time, [event]).all()
+
+
+def beats(moments) -> list[events.Event]:
+    return [events.Event("a", 0, float(m) - 0.01, float(m) + 0.01, 1.0) for m in moments]
+
+
+def test_a_rhythm_is_its_period():
+    random = np.random.default_rng(0)
+    even = 1.0 + 0.8 * np.arange(12)
+    assert events.rhythm(beats(even)) == pytest.approx(0.8, rel=0.01)
+    assert events.rhythm(beats(even + 0.02 * random.standard_normal(12))) == pytest.approx(0.8, rel=0.02)
+    missing = np.delete(even, [3, 7])
+    assert events.rhythm(beats(missing)) == pytest.approx(0.8, rel=0.02)
+    assert events.rhythm(beats(np.sort(random.uniform(0, 10, 12)))) is None
+    assert events.rhythm(beats(even[:5])) is None
+
+
+def test_events_of_residuals_are_in_units_of_torque_and_noise():
+    runs = [course(1, 3.0), course(2, 3.0)]
+    logs = replace(problem(runs, [run.torque for run in runs]), sigma=np.array([0.1, 0.2, 0.4]))
+    residuals = [np.random.default_rng(k).standard_normal(int(r.sum())) * 0.3 for k, r in enumerate(logs.rows)]
+    joint = statistics.joint_of(logs)[1]
+    mine = np.flatnonzero(joint == 2)
+    residuals[1][mine[200:206]] += 20 * np.array([1, -1, 1, -1, 1, -1])
+    (event,) = events.events_of(logs, residuals)
+    time = logs.recordings[1].segment.time[:: logs.band.step][logs.rows[1][:, 2]]
+    assert (event.run, event.joint) == ("run_1", 2)
+    assert event.start - 0.05 < time[200] < time[205] < event.end + 0.05
+    (burst,) = events.bursts(logs, [event])
+    assert (burst.run, burst.joint) == ("run_1", 3)
+    assert burst.over_noise == pytest.approx(event.level / 0.4, abs=0.01)
+    assert (burst.from_s, burst.to_s) == pytest.approx((event.start, event.end), abs=1e-3)
+    assert 5.0 < burst.over_noise < 20.0
+
+
+@pytest.mark.parametrize("sigma", [[0.05, 0.3, 2.0]])
+def test_the_noise_floor_is_what_was_added(sigma):
+    random = np.random.default_rng(3)
+    runs = [course(seed, 4.0) for seed in (1, 2)]
+    torques = [run.torque + np.array(sigma) * random.standard_normal(run.torque.shape) for run in runs]
+    logs = problem(runs, torques)
+    # friction's jumps reach above 250 Hz, so the quiet torque itself is a little louder; the residual is not
+    left = [torque - run.torque for torque, run in zip(torques, runs, strict=True)]
+    np.testing.assert_allclose(noise.white_noise(logs.recordings, left), sigma, rtol=0.05)
+    np.testing.assert_allclose(noise.white_noise(logs.recordings)[1:], sigma[1:], rtol=0.05)
+
+
+def test_chatter_in_some_of_the_time_is_not_the_floor():
+    random = np.random.default_rng(4)
+    logs = problem([course(1, 4.0)], [course(1, 4.0).torque])
+    values = 0.3 * random.standard_normal((4000, 3))
+    values[1000:2600] += 2.0 * random.standard_normal((1600, 3))
+    np.testing.assert_allclose(noise.white_noise(logs.recordings, [values]), 0.3, rtol=0.1)
+
+
+def test_what_is_slow_is_no_noise():
+    random = np.random.default_rng(5)
+    logs = problem([course(1, 4.0)], [course(1, 4.0).torque])
+    time = np.arange(4000)[:, None] * PERIOD
+    values = 0.3 * random.standard_normal((4000, 3)) + 5.0 + 50 * np.sin(2 * np.pi * 20 * time)
+    np.testing.assert_allclose(noise.white_noise(logs.recordings, [values]), 0.3, rtol=0.05)
+
+
+def test_a_part_too_short_for_a_window_has_no_say():
+    random = np.random.default_rng(6)
+    logs = problem([course(1, 4.0), course(2, 0.3)], [course(1, 4.0).torque, course(2, 0.3).torque])
+    values = [0.3 * random.standard_normal((4000, 3)), 9.0 * random.standard_normal((100, 3))]
+    np.testing.assert_allclose(noise.white_noise(logs.recordings, values), 0.3, rtol=0.05)
