@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomlkit
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
+from schemas.columns import MAX_JOINTS
 from schemas.errors import RobotError
 from schemas.files import write_text
-from schemas.robot import Effect, JointParameter, Positive, Robot, RobotName, load_robot, toml_item
+from schemas.robot import Effect, JointParameter, Positive, Robot, RobotName, check_joints, load_robot, toml_item
 from schemas.toml import read_toml, validate
 
 
@@ -49,7 +50,7 @@ class Axes(_Section):
 
     name: RobotName
     kind: Literal["axes"]
-    axis: Annotated[list[Axis], Field(min_length=1)]
+    axis: Annotated[list[Axis], Field(min_length=1, max_length=MAX_JOINTS)]
     columns: str | None = None
     identified: AxesIdentified | None = None
     effect: list[Effect] = []
@@ -60,6 +61,11 @@ class Axes(_Section):
     def effects_file(self) -> Path | None:
         """Python file with effects of the user's own that `effect` may name."""
         return self._effects_file
+
+    @model_validator(mode="after")
+    def _for_each_axis(self) -> Axes:
+        check_joints(self.identified, self.effect, len(self.axis))
+        return self
 
     @property
     def mapping(self) -> str | None:

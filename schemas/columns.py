@@ -18,12 +18,16 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from schemas.errors import TraceError
 from schemas.toml import read_toml, validate
 
 Positive = Annotated[float, Field(gt=0)]
+
+MAX_LINE = 10_000  # of the header; what exports put above it are some dozens
+MAX_JOINTS = 64
+_LISTED = Field(max_length=MAX_JOINTS)
 
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
 
@@ -100,19 +104,28 @@ def _tables(value: Any) -> Any:
     return [_table(v) for v in value] if isinstance(value, list) else [_table(value)]
 
 
-_Position = Annotated[list[PositionColumn], BeforeValidator(_tables)]
-_Torque = Annotated[list[TorqueColumn], BeforeValidator(_tables)]
+_Position = Annotated[list[PositionColumn], _LISTED, BeforeValidator(_tables)]
+_Torque = Annotated[list[TorqueColumn], _LISTED, BeforeValidator(_tables)]
+
+
+def _text_encoding(name: str) -> str:
+    """Raises ValueError: Python knows no such encoding of text."""
+    try:
+        b"".decode(name)
+    except (LookupError, UnicodeError) as error:
+        raise ValueError(str(error)) from error
+    return name
 
 
 class Columns(_Entry):
     """A table's layout and the meaning of its columns. Defaults: our own CSV. Lines count from 1, as editors do."""
 
-    separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    separator: Annotated[str, Field(pattern=r"^[\t !#$%&*,/:;<=>?@^_|~]$")] = ","
     decimal: Literal[".", ","] = "."
-    encoding: str = "utf-8"
-    header_line: Annotated[int, Field(ge=1)] = 1
-    data_line: int | None = None  # first line of numbers; absent: the one behind the header
-    joints: Annotated[int, Field(ge=1)] = 3  # how many `{joint}` stands for
+    encoding: Annotated[str, AfterValidator(_text_encoding)] = "utf-8"
+    header_line: Annotated[int, Field(ge=1, le=MAX_LINE)] = 1
+    data_line: Annotated[int, Field(ge=2, le=MAX_LINE)] | None = None  # of numbers; absent: the one behind the header
+    joints: Annotated[int, Field(ge=1, le=MAX_JOINTS)] = 3  # how many `{joint}` stands for
     time: Annotated[TimeColumn, BeforeValidator(_table)] = TimeColumn()
     position: _Position = [PositionColumn(name="position_{joint}_rad")]
     torque: _Torque = [TorqueColumn(name="torque_{joint}_nm")]

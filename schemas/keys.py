@@ -7,7 +7,7 @@ import re
 from schemas.errors import RobotError
 from schemas.messages import TOPICS, Role
 
-_CHUNK = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+_CHUNK = re.compile(r"^[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def check_robot_name(robot: str) -> str:
@@ -16,7 +16,7 @@ def check_robot_name(robot: str) -> str:
     Raises:
         RobotError: the name is empty or holds a character that keys or file names reserve.
     """
-    if not _CHUNK.match(robot):
+    if not _CHUNK.fullmatch(robot):
         raise RobotError(
             f"robot name {robot!r}: use letters, digits, '.', '_' and '-', starting with a letter or digit"
         )

@@ -191,6 +191,21 @@ class JointParameter(_Section):
     verdict: list[Literal["identifiable", "weak", "not identifiable"]] = []
 
 
+def check_joints(identified: BaseModel | None, effects: list[Effect], count: int) -> None:
+    """
+    Raises:
+        ValueError: a number a joint is not there for each of `count` joints, or an effect is on another joint.
+    """
+    for name, value in identified or ():
+        if isinstance(value, JointParameter):
+            for key, numbers in value:
+                if len(numbers) != count and (key == "value" or numbers):
+                    raise ValueError(f"identified.{name}.{key}: {len(numbers)} values for {count} joints")
+    for effect in effects:
+        if max(effect.joints, default=1) > count:
+            raise ValueError(f"effect {effect.name}: joint {max(effect.joints)} of {count}")
+
+
 class Identified(_Section):
     """What `identify` found. Absent terms are zero (friction, forearm) or one (rho)."""
 
@@ -252,6 +267,11 @@ class Robot(_Section):
     def effects_file(self) -> Path | None:
         """Python file with effects of the user's own that `effect` may name."""
         return self._effects_file
+
+    @model_validator(mode="after")
+    def _for_each_joint(self) -> Robot:
+        check_joints(self.identified, self.effect, 3)
+        return self
 
     @property
     def folder(self) -> Path:

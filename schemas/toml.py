@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
@@ -9,22 +10,51 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from schemas.errors import DeltatwinError
+from schemas.files import read_bytes
+
+MAX_BYTES = 256 << 10  # the longest description in use, all effects in it, has 20 kB
+MAX_DEPTH = 12  # tables and lists in each other; descriptions have four
+_QUOTED = re.compile(
+    r'"""(?:\\.|[^\\])*?"""|"(?:\\.|[^"\\\n])*+"|' r"'''.*?'''|'[^'\n]*+'|#[^\n]*+", re.DOTALL
+)  # strings and comments
+_LONG_KEY = re.compile(rf"(?<![\w+:-])(?:[\w+:-]++[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
 
 def read_toml(path: Path, error: type[DeltatwinError]) -> dict[str, Any]:
     """The tables of a TOML file.
 
     Raises:
-        error: the file cannot be read, is not text or not TOML.
+        error: the file cannot be read, is longer than `MAX_BYTES`, not text, not TOML, or nested beyond `MAX_DEPTH`.
     """
+    raw = read_bytes(path, MAX_BYTES, error)
+    too_deep = f"{path}: tables or lists more than {MAX_DEPTH} deep in each other"
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as cause:
-        raise error(f"{path}: {cause.strerror}") from cause
+        text = raw.decode("utf-8")
+        if _LONG_KEY.search(_QUOTED.sub("s", text)):  # tomllib takes time by the square of its length
+            raise error(too_deep)
+        values = tomllib.loads(text)
     except UnicodeDecodeError as cause:
         raise error(f"{path}: not a text file (byte {cause.start} is not UTF-8)") from cause
-    except tomllib.TOMLDecodeError as cause:
+    except ValueError as cause:  # TOMLDecodeError, and integers of more digits than Python reads
         raise error(f"{path}: not TOML: {cause}") from cause
+    except RecursionError:
+        raise error(too_deep) from None
+    if _depth(values) > MAX_DEPTH:
+        raise error(too_deep)
+    return values
+
+
+def _depth(values: Any) -> int:
+    depth, level = 0, [values]
+    while level:
+        depth += 1
+        level = [
+            inner
+            for outer in level
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+            if isinstance(inner, (dict, list))
+        ]
+    return depth
 
 
 _Model = TypeVar("_Model", bound=BaseModel)

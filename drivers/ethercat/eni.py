@@ -11,10 +11,16 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
 
 from defusedxml import DefusedXmlException
-from defusedxml.ElementTree import parse
+from defusedxml.ElementTree import fromstring
 
 from drivers.ethercat.frames import Command
 from schemas.errors import RobotError
+from schemas.files import MIB, read_bytes
+
+MAX_BYTES = 16 * MIB  # as many as a line of 500 slaves with all their start-up commands has
+MAX_COMMANDS = 256  # cyclic, logical: 380 kB of process data
+MAX_ENTRIES = 1 << 16  # PDO entries of all slaves
+MAX_NUMBER = 1 << 32
 
 _READS = (Command.LRD, Command.LRW)
 _WRITES = (Command.LWR, Command.LRW)
@@ -67,9 +73,7 @@ def read_eni(path: Path) -> Network:
         RobotError: the file cannot be read, is no ENI, or says something that cannot be.
     """
     try:
-        root = parse(path, forbid_dtd=True).getroot()
-    except OSError as error:
-        raise RobotError(f"{path}: {error.strerror}") from error
+        root = fromstring(read_bytes(path, MAX_BYTES, RobotError), forbid_dtd=True)
     except DefusedXmlException as error:
         raise RobotError(
             f"{path}: ENI refused, it declares a document type or entities ({type(error).__name__})"
@@ -81,6 +85,10 @@ def read_eni(path: Path) -> Network:
     commands = tuple(
         command for cmd in root.iterfind("Config/Cyclic/Frame/Cmd") if (command := _command(path, cmd)) is not None
     )
+    entries = sum(1 for _ in root.iterfind("Config/Slave/ProcessData/*/Entry"))
+    for what, found, limit in (("cyclic commands", len(commands), MAX_COMMANDS), ("PDO entries", entries, MAX_ENTRIES)):
+        if found > limit:
+            raise RobotError(f"{path}: {found} {what}, at most {limit} are read")
     slaves = [_slave(path, slave, commands) for slave in root.iterfind("Config/Slave")]
     return Network(path, {slave.station: slave for slave in slaves}, commands)
 
@@ -108,8 +116,8 @@ def _whole(path: Path, where: str, text: str) -> int:
         value = int(text) if text.isdecimal() else int(text.lower().replace("#x", "0x"), 0)
     except ValueError:
         value = -1
-    if value < 0:
-        raise RobotError(f"{path}: {where}: {text!r} is not a whole number")
+    if not 0 <= value < MAX_NUMBER:
+        raise RobotError(f"{path}: {where}: {text!r} is not a whole number below 2^32")
     return value
 
 
@@ -150,7 +158,7 @@ def _objects(
     if start is None:
         return ()
     pdos = [p for p in slave.iterfind(f"ProcessData/{pdo}") if p.get("Sm") is not None]  # without Sm: not assigned
-    sm = f"Sm{pdos[0].get('Sm')}" if pdos else "Sm"
+    sm = f"Sm{_whole(path, f'<{pdo} Sm>', str(pdos[0].get('Sm')))}" if pdos else "Sm"
     assigned = [_whole(path, f"<{sm}><Pdo>", (e.text or "").strip()) for e in slave.iterfind(f"ProcessData/{sm}/Pdo")]
     if assigned:  # the sync manager's list gives the order
         pdos.sort(key=lambda p: assigned.index(i) if (i := _number(path, p, "Index")) in assigned else len(assigned))

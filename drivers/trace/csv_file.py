@@ -17,9 +17,13 @@ from drivers.trace.quality import EXACT_SECONDS, Rows, check
 from schemas.axes import Axes, Description
 from schemas.columns import CHANNELS, TIME_UNITS, Columns, PositionColumn, TorqueColumn
 from schemas.errors import TraceError
+from schemas.files import MAX_LOG_BYTES, MIB, most_unpacked, read_bytes
 from schemas.messages import NANOSECONDS, SampleFlag
 from schemas.trace import Finding, Trace
 
+MAX_LINE_BYTES = 1 << 20  # of a header; one of a thousand signals with their paths has 100 kB
+MAX_COLUMNS = 4096
+LATEST_S = 2.0**31 - 1  # year 2038: no stamp of a message is later
 MISSING = ["", " ", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]  # cells that say there is no value
 _OWN = re.compile(r"^position_\d+_(rad|m)$")
 OWN_UNITS = {True: ("rad", "nm"), False: ("m", "n")}  # endings of our own column names: angular, linear
@@ -82,14 +86,9 @@ def write_csv(trace: Trace, path: Path) -> None:
 
 
 def _load(path: Path) -> bytes:
-    try:
-        raw = path.read_bytes()
-        if raw[:2] == b"\x1f\x8b":
-            raw = gzip.decompress(raw)
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise TraceError(f"{path}: broken gzip file: {error}") from error
-    except OSError as error:
-        raise TraceError(f"{path}: {error.strerror}") from error
+    raw = read_bytes(path, MAX_LOG_BYTES, TraceError)
+    if raw[:2] == b"\x1f\x8b":
+        raw = _unzipped(raw, path)
     if not raw[:4096].strip() and not raw.strip():
         raise TraceError(f"{path}: empty file")
     zero = raw.find(b"\0", 0, 1 << 16)
@@ -98,8 +97,22 @@ def _load(path: Path) -> bytes:
     return raw.removeprefix(b"\xef\xbb\xbf")
 
 
+def _unzipped(packed: bytes, path: Path) -> bytes:
+    limit, parts, total = most_unpacked(len(packed)), [], 0
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(packed)) as stream:
+            while part := stream.read(16 * MIB):
+                parts.append(part)
+                total += len(part)
+                if total > limit:
+                    raise TraceError(f"{path}: {len(packed)} bytes unpack to more than {limit}, at most that is read")
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise TraceError(f"{path}: broken gzip file: {error}") from error
+    return b"".join(parts)
+
+
 def _mapping(raw: bytes, fallback: Columns | None) -> Columns:
-    names = _fields(_first_line(raw).decode("utf-8", "replace"), ",")
+    names = _fields(_first_line(raw)[:MAX_LINE_BYTES].decode("utf-8", "replace"), ",")
     own = [match[1] for name in names if (match := _OWN.match(name))]
     if not own:
         return fallback or Columns()
@@ -124,13 +137,20 @@ def _split(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], bytes]:
     lines = raw.split(b"\n", columns.first_line - 1)
     if len(lines) < columns.first_line or not lines[-1].strip():
         raise TraceError(f"{path}: no data rows: the file ends before line {columns.first_line}")
+    head, body = lines[columns.header_line - 1], lines[-1]
+    if len(head) > MAX_LINE_BYTES:
+        raise TraceError(f"{path}: line {columns.header_line} has {len(head)} bytes, at most {MAX_LINE_BYTES} are read")
     try:
-        header, body = lines[columns.header_line - 1].decode(columns.encoding), lines[-1]
+        header = head.decode(columns.encoding)
         if columns.encoding != "utf-8":
             body = body.decode(columns.encoding).encode()
-    except (UnicodeDecodeError, LookupError) as error:
+    except UnicodeError as error:
         raise TraceError(f"{path}: not {columns.encoding} text: {error}") from error
-    return _fields(header, columns.separator), body
+    names = _fields(header, columns.separator)
+    most = max(len(names), _first_line(body).count(columns.separator.encode()) + 1)
+    if most > MAX_COLUMNS:
+        raise TraceError(f"{path}: {most} columns, at most {MAX_COLUMNS} are read")
+    return names, body
 
 
 def _channels(names: list[str], columns: Columns, path: Path) -> list[_Channel]:
@@ -216,6 +236,8 @@ def _from_epoch(
     """Stamps since 1970 or so, counted from the first instead: as float64 seconds they would lose nanoseconds."""
     per_second = TIME_UNITS[columns.time.unit]
     indices = sorted({channel.time_index for channel in channels})
+    possible = pl.col(list(map(str, indices))).abs() <= LATEST_S * per_second
+    table = table.with_columns(pl.when(possible).then(pl.col(list(map(str, indices)))))
     largest = max(abs(stamp) if isinstance(stamp := table[str(i)].max(), float) else 0.0 for i in indices)
     if largest <= EXACT_SECONDS * per_second:
         return table, 0
@@ -223,6 +245,7 @@ def _from_epoch(
     exact = text.select(
         pl.all().str.strip_chars().str.replace(columns.decimal, ".", literal=True).cast(_STAMP, strict=False)
     )
+    exact = exact.with_columns(pl.when(pl.all().abs() <= LATEST_S * per_second).then(pl.all()))
     base = exact[str(channels[0].time_index)].drop_nulls()
     if len(base) == 0 or any(exact[str(i)].null_count() != table[str(i)].null_count() for i in indices):
         return table, 0  # not plain decimals (an exponent, say): the float64 stands
@@ -234,8 +257,8 @@ def _from_epoch(
 def _explain(body: bytes, names: list[str], used: list[int], columns: Columns, error: str) -> str:
     """The first cell or line that cannot be read."""
     expected = len(names)
-    for line, text in enumerate(body.decode("utf-8", "replace").split("\n"), columns.first_line):
-        fields = _fields(text, columns.separator)
+    for line, text in enumerate(io.BytesIO(body), columns.first_line):
+        fields = _fields(text.decode("utf-8", "replace"), columns.separator)
         if len(fields) > expected and "".join(fields[expected:]):
             return f"line {line} has {len(fields)} fields, the header has {expected}"
         for index in used:
@@ -309,7 +332,7 @@ def _stamped(stamps: np.ndarray, table: pl.DataFrame, base: int, columns: Column
     if len(bad) == 0:
         return rows, []
     lines = Rows("line", columns.first_line + np.arange(len(stamps)))
-    message = f"{len(bad)} rows without a time stamp were left out: {lines.name(bad)}"
+    message = f"{len(bad)} rows without a possible time stamp were left out: {lines.name(bad)}"
     return rows, [Finding(SampleFlag(0), message, np.zeros(0, np.intp))]
 
 

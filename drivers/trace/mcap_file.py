@@ -1,19 +1,21 @@
-"""MCAP traces: `deltatwin/<robot>/sample` messages, read and written with the mcap library, CDR bytes as they are."""
+"""MCAP traces: `deltatwin/<robot>/sample` messages, CDR bytes as they are; written with the mcap library."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import IO
 
 import numpy as np
-from mcap.reader import McapReader, make_reader
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
+from drivers.trace.mcap_messages import Wanted, read_messages, read_summary
 from drivers.trace.quality import EXACT_SECONDS, Rows, check
 from schemas.axes import Description
-from schemas.errors import DeltatwinError, TraceError
+from schemas.errors import MessageError, TraceError
+from schemas.files import opened
 from schemas.keys import topic_key
 from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, stamp_ns
 from schemas.trace import Trace
@@ -29,38 +31,38 @@ def read_mcap(path: Path, robot: Description | None = None) -> Trace:
         TraceError: not a whole MCAP file, no samples, samples of several robots and not of `robot`, foreign messages.
     """
     try:
-        with path.open("rb") as stream:
-            samples = read_samples(make_reader(stream, validate_crcs=True), path, robot)
+        with opened(path, TraceError) as stream:
+            samples = read_samples(stream, path, robot)
     except OSError as error:
         raise TraceError(f"{path}: {error.strerror}") from error
-    except DeltatwinError:
-        raise
-    except Exception as error:  # the library lets struct, zlib, zstd and its own errors through
-        raise TraceError(
-            f"{path}: not a whole MCAP file ({type(error).__name__}: {error}); "
-            f"a log whose writer was killed: deltatwin recover {path}"
-        ) from error
     return check(to_trace(samples, path), Rows("message", np.arange(1, len(samples) + 1)), robot)
 
 
-def read_samples(reader: McapReader, path: Path, robot: Description | None = None) -> np.ndarray:
-    """(N,) records of `schemas.messages.SAMPLE` as they stand in the file, read-only.
+def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None) -> np.ndarray:
+    """(N,) records of `schemas.messages.SAMPLE` as they stand in the file `path`, opened as `stream`.
 
     Raises:
         TraceError: see `read_mcap`.
     """
-    summary = reader.get_summary()
-    if summary is None:
-        raise TraceError(f"{path}: the MCAP summary is missing (its writer was killed?): deltatwin recover {path}")
-    topic = _sample_topic(summary.channels, summary.schemas, path, robot)
-    data = [message.data for _, _, message in reader.iter_messages([topic], log_time_order=False)]
-    size = SAMPLE.dtype.itemsize
-    if {*map(len, data)} - {size}:
-        wrong = next(i for i, d in enumerate(data) if len(d) != size)
-        raise TraceError(f"{path}: message {wrong + 1} on {topic} has {len(data[wrong])} bytes, expected {size}")
-    if not data:
+    try:
+        summary = read_summary(stream, path)
+        if summary is None:
+            raise TraceError(f"{path}: the MCAP summary is missing (its writer was killed?): deltatwin recover {path}")
+        topic = _sample_topic(summary.channels, summary.schemas, path, robot)
+        ids = [channel.id for channel in summary.channels.values() if channel.topic == topic]
+        ((data, _),) = read_messages(stream, path, [Wanted(topic, ids, SAMPLE.dtype.itemsize)])
+    except (TraceError, OSError):
+        raise
+    except MessageError as error:
+        raise TraceError(str(error)) from error
+    except Exception as error:  # the library lets struct and its own errors through
+        said = str(error).removeprefix(f"{path}: ") or type(error).__name__
+        raise TraceError(
+            f"{path}: not a whole MCAP file ({said}); a log whose writer was killed: deltatwin recover {path}"
+        ) from error
+    if len(data) == 0:
         raise TraceError(f"{path}: no messages on {topic}")
-    samples = np.frombuffer(b"".join(data), SAMPLE.dtype)
+    samples = data.reshape(-1).view(SAMPLE.dtype)
     foreign = np.flatnonzero((samples["cdr_header"] != np.frombuffer(CDR_LITTLE_ENDIAN, np.uint8)).any(axis=1))
     if len(foreign):
         header = bytes(samples["cdr_header"][foreign[0]]).hex()

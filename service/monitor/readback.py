@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.reader import make_reader
 
-from schemas.errors import StorageError
+from drivers.trace.mcap_messages import Wanted, read_messages, read_summary
+from schemas.errors import MessageError, StorageError
+from schemas.files import opened
 from schemas.messages import TOPICS
 
 
@@ -26,19 +27,22 @@ def read_recording(path: Path) -> dict[str, Recorded]:
     Raises:
         StorageError: not a whole MCAP file.
     """
-    data: dict[str, list[bytes]] = {topic: [] for topic in TOPICS}
-    arrival: dict[str, list[int]] = {topic: [] for topic in TOPICS}
     try:
-        with path.open("rb") as stream:
-            for _, channel, message in make_reader(stream).iter_messages(log_time_order=False):
-                topic = channel.topic.rsplit("/", 1)[-1]
-                data[topic].append(message.data)
-                arrival[topic].append(message.log_time)
+        with opened(path, StorageError) as stream:
+            summary = read_summary(stream, path)
+            if summary is None:
+                raise StorageError(f"{path}: its end is missing")
+            topics = [(c.id, c.topic.rsplit("/", 1)[-1]) for c in summary.channels.values()]
+            wanted = [
+                Wanted(topic, [number for number, name in topics if name == topic], message.dtype.itemsize)
+                for topic, message in TOPICS.items()
+            ]
+            found = read_messages(stream, path, wanted)
     except OSError as error:
         raise StorageError(f"{path}: {error.strerror}") from error
-    except McapError as error:
+    except (McapError, MessageError, StorageError) as error:
         raise StorageError(f"{path}: not a whole recording ({error}); deltatwin recover {path} OUT.mcap") from error
     return {
-        topic: Recorded(np.frombuffer(b"".join(data[topic]), message.dtype), np.array(arrival[topic], np.int64))
-        for topic, message in TOPICS.items()
+        topic: Recorded(data.reshape(-1).view(message.dtype), log_time)
+        for (topic, message), (data, log_time) in zip(TOPICS.items(), found, strict=True)
     }

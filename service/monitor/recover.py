@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
@@ -11,8 +11,9 @@ from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, 
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
+from drivers.trace.mcap_messages import unpack
 from schemas.errors import StorageError
-from schemas.files import whole
+from schemas.files import most_unpacked, whole
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,7 @@ class _Copy:
         self.bad_chunks = 0
         self.whole = False
         self._ended = False
+        self._room = 0  # bytes that may still be unpacked
         self._writer = writer
         self._schemas: dict[int, int] = {0: 0}
         self._channels: dict[int, tuple[int, str]] = {}
@@ -60,6 +62,7 @@ class _Copy:
     def all(self, source: Path, stream: IO[bytes]) -> None:
         self._writer.start(profile="ros2", library="deltatwin recover")
         limit = source.stat().st_size  # a length that was garbled must not be allocated
+        self._room = most_unpacked(limit)
         broken = ""
         records = StreamReader(stream, emit_chunks=True, record_size_limit=limit).records
         while not broken:
@@ -81,8 +84,10 @@ class _Copy:
     def _record(self, record: McapRecord) -> None:
         if isinstance(record, Chunk):
             try:
-                inside = breakup_chunk(record, validate_crc=True)
-            except Exception:  # zstd, struct, its own: this chunk is lost, the next may be good
+                data = unpack(record, self._room)
+                self._room -= len(data)
+                inside = breakup_chunk(replace(record, compression="", data=data))
+            except Exception:  # struct, the library's own, ours: this chunk is lost, the next may be good
                 self.bad_chunks += 1
                 return
             for one in inside:

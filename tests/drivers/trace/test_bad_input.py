@@ -189,7 +189,7 @@ def test_rows_without_a_stamp_and_blank_lines_are_left_out_and_told(own_csv: Pat
 
     trace = read_trace(spoil(own_csv, change))
     assert len(trace) == 198
-    assert "2 rows without a time stamp were left out: lines 50, 100" in messages(trace)
+    assert "2 rows without a possible time stamp were left out: lines 50, 100" in messages(trace)
     assert "2 gaps, 2 cycles of 1 ms missing: before lines 51, 101" in messages(trace)
 
 
