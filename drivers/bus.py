@@ -153,13 +153,6 @@ class SequenceCounter:
 
     def update_many(self, sequences: np.ndarray) -> None:
         """Count messages in the order they came, (N,) integers."""
-        count = len(sequences)
-        if count == 0:
-            return
-        first, last = int(sequences[0]), int(sequences[-1])
-        if first == self.newest + 1 and last == self.newest + count and bool(np.all(np.diff(sequences) == 1)):
-            self.newest = last
-            return
         for sequence in sequences.tolist():
             self.update(sequence)
 
@@ -242,6 +235,9 @@ class Inbox:
         self._size = message.dtype.itemsize
         self._recv, self._try_recv = channel.recv, channel.try_recv
         self._clock = clock
+        self._one = message.empty(1)
+        self._one_bytes = self._one.view(np.uint8).data
+        self._nothing = message.empty(0), np.empty(0, np.int64)
         self._payloads: list[bytes] = []
         self._times: list[int] = []
         self._nudge = nudge
@@ -251,7 +247,11 @@ class Inbox:
         self._closed = False
 
     def wait(self, longest: float) -> bool:
-        """Sleep until there is something to take, at most `longest` s (and `WAKE_S`); whether there is."""
+        """Sleep until there is something to take, at most `longest` s (and `WAKE_S`); whether there is.
+
+        It looks for more before it sleeps and not after, so that a message is in the caller's hands as soon as may be.
+        """
+        self._drain()
         if not self._payloads:
             if self._waker is None:
                 self._waker = threading.Thread(target=self._wake, name="waker", daemon=True)
@@ -264,20 +264,40 @@ class Inbox:
 
     def take(self) -> tuple[np.ndarray, np.ndarray]:
         """All that came since the last call, oldest first: (N,) records and (N,) int64 times of the inbox's clock."""
-        for _ in range(_AT_ONCE):
-            sample = self._try_recv()
-            if sample is None:
-                break
-            self._keep(sample)
+        self._drain()
+        if not self._payloads:
+            return self._nothing
+        return self._records(), np.array(self._given(), np.int64)
+
+    def found(self) -> tuple[np.ndarray, list[int]]:
+        """The same, of what `wait` found: for who lives on one message at a time. The records hold until the next call.
+
+        A new array for every message costs 10 µs where caches are cold, which is where a cycle leaves them.
+        """
+        if len(self._payloads) != 1:
+            return self._records(), self._given()
+        self._one_bytes[:] = self._payloads.pop()
+        return self._one, self._given()
+
+    def _records(self) -> np.ndarray:
         records = np.frombuffer(bytearray().join(self._payloads), self.message.dtype)
-        times = np.array(self._times, np.int64)
         self._payloads.clear()
-        self._times.clear()
-        return records, times
+        return records
+
+    def _given(self) -> list[int]:
+        times, self._times = self._times, []
+        return times
 
     def close(self) -> None:
         """End the waker."""
         self._closed = True
+
+    def _drain(self) -> None:
+        for _ in range(_AT_ONCE):
+            sample = self._try_recv()
+            if sample is None:
+                return
+            self._keep(sample)
 
     def _keep(self, sample: zenoh.Sample) -> None:
         payload = sample.payload.to_bytes()

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import multiprocessing.process
+import os
+import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
 import zenoh
 
-from drivers.bus import Bus, Inbox
-from schemas.messages import FEEDFORWARD, NANOSECONDS, SAMPLE, set_stamp
+from drivers.bus import Bus, Inbox, open_bus
+from replay.realtime import go_realtime
+from schemas.errors import BusError
+from schemas.messages import FEEDFORWARD, NANOSECONDS, SAMPLE, Role, set_stamp
 
 LEAD_NS = 20_000_000  # from the call to the first deadline
+START_S = 300.0  # an estimator that compiles its kernels on a busy host takes a minute
+WARM_UP = 200
+BLOCKS = 4
 _DEEP = 1 << 14
 STRAGGLE_S = 0.5  # how long the last answers are waited for
 
@@ -67,7 +77,7 @@ class Prober:
             sent_at[n] = time.monotonic_ns()
             put(message)
             if n % 1024 == 0:
-                show(self._next + n)
+                show(n)
         time.sleep(STRAGGLE_S)
         answers, arrival = listener.stop()
         order = answers["sequence"].astype(np.int64) - self._next
@@ -97,8 +107,68 @@ class _Listener(threading.Thread):
         return np.concatenate(answers), np.concatenate(arrival)
 
 
-def echo(bus: Bus) -> None:
-    """The least that can answer: a channel's `recv`, and the head of every sample goes back as a `feedforward`."""
+def take_turns(
+    answerers: Mapping[str, Callable[[str], object]],
+    samples: np.ndarray,
+    rate: float,
+    count: int,
+    show: Callable[[int], object],
+) -> dict[str, list[RoundTrip]]:
+    """Round trips to each of `answerers`, `BLOCKS` times in turns, so that all see the same machine.
+
+    Each is called in a process of its own with the name of the robot whose samples it has to answer; it is ended with
+    SIGTERM. Their runtime folder is theirs alone, beside the roles of a running robot. count: samples to each. show: is
+    told how many have been sent.
+
+    Raises:
+        BusError: one of them ended or does not begin to listen.
+    """
+    context = multiprocessing.get_context("spawn")
+    names = {what: f"latency-{number}" for number, what in enumerate(answerers)}
+    trips: dict[str, list[RoundTrip]] = {what: [] for what in answerers}
+    with tempfile.TemporaryDirectory(prefix="dt-") as folder, ExitStack() as stack:
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        processes = {}
+        for what, answer in answerers.items():
+            processes[what] = context.Process(target=answer, args=(names[what],))
+            processes[what].start()
+            stack.callback(_end, processes[what])
+        go_realtime("latency")
+        probers = {
+            what: Prober(stack.enter_context(open_bus(name, Role.PLAYER)), samples, rate)
+            for what, name in names.items()
+        }
+        give_up = time.monotonic() + START_S
+        for what, prober in probers.items():
+            while not prober.heard:
+                if not processes[what].is_alive() or time.monotonic() > give_up:
+                    raise BusError(f"{what}: ended, or listens to nothing after {START_S:g} s")
+                time.sleep(0.05)
+            prober.probe(WARM_UP, lambda _: None)  # the first samples design the filters
+        done, block = 0, count // BLOCKS
+        for _ in range(BLOCKS):
+            for what, prober in probers.items():
+                trips[what].append(prober.probe(block, lambda n, base=done: show(base + n)))
+                done += block
+    return trips
+
+
+def _end(process: multiprocessing.process.BaseProcess) -> None:
+    process.terminate()
+    process.join(10)
+
+
+def echo(robot: str) -> None:
+    """The least that can answer: a channel's `recv`, and the head of every sample goes back as a `feedforward`.
+
+    Until KeyboardInterrupt, as the estimator of `robot` and with its privileges.
+    """
+    go_realtime("echo")
+    with open_bus(robot, Role.ESTIMATOR) as bus:
+        _echo(bus)
+
+
+def _echo(bus: Bus) -> None:
     recv, put = bus.channel("sample", zenoh.handlers.FifoChannel(_DEEP)).recv, bus.publisher("feedforward").put
     size = FEEDFORWARD.dtype.itemsize  # both messages begin with header, stamp and sequence
     while True:

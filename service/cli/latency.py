@@ -11,35 +11,27 @@ if TYPE_CHECKING:
     import numpy as np
     from rich.table import Table
 
-WARM_UP = 200
-BLOCKS = 4  # echo and estimator take turns, so that both see the same machine
+    from replay.latency import RoundTrip
 
 
 def command(
     rate: Annotated[float, typer.Option(min=1.0, help="Samples a second (Hz).")] = 4000.0,
     count: Annotated[int, typer.Option(min=1000, help="Samples to each of estimator and echo.")] = 40_000,
 ) -> None:
-    """Measure one estimator step and the round trip sample to feed-forward over Zenoh, beside a bare Zenoh echo.
+    """Measure one estimator step and the round trip sample to feed-forward over Zenoh, beside the best echo that
+    Zenoh's Python gives.
 
     Runs the real estimator process on the demo log. Ratios to the echo say what the estimator costs; the absolute times
     say what this machine and its load allow.
 
     Example: deltatwin latency --rate 1000 --count 10000
     """
-    import multiprocessing
-    import os
-    import tempfile
-    import time
-
     from rich.console import Console
 
-    from drivers.bus import open_bus
     from drivers.trace import read_trace
     from replay.demo import LOG, ROBOT
-    from replay.latency import Prober
-    from replay.realtime import go_realtime
-    from schemas.messages import Role
-    from schemas.robot import load_robot, save_robot
+    from replay.latency import take_turns
+    from schemas.robot import load_robot
     from service.cli.progress import counting
     from service.cli.signals import terminate_as_interrupt
 
@@ -47,61 +39,38 @@ def command(
     robot = load_robot(ROBOT)
     samples = read_trace(LOG, robot).samples()
     step = _steps(robot, samples)
-    spawn = multiprocessing.get_context("spawn")
-    trips: dict[str, list] = {"echo": [], "estimator": []}
-    with tempfile.TemporaryDirectory(prefix="dt-") as folder:
-        os.environ["XDG_RUNTIME_DIR"] = folder  # beside, not among, the roles of a running robot
-        names = {name: f"latency-{name}" for name in trips}
-        description = Path(folder) / "robot.toml"
-        save_robot(robot.model_copy(update={"name": names["estimator"]}), description)
-        processes = [
-            spawn.Process(target=_echo, args=(names["echo"],)),
-            spawn.Process(target=_estimate, args=(description,)),
-        ]
-        with counting("round trips", 2 * count) as show:
-            for process in processes:
-                process.start()
-            go_realtime("latency")
-            try:
-                with open_bus(names["echo"], Role.PLAYER) as one, open_bus(names["estimator"], Role.PLAYER) as other:
-                    probers = {"echo": Prober(one, samples, rate), "estimator": Prober(other, samples, rate)}
-                    while not all(prober.heard for prober in probers.values()):
-                        time.sleep(0.05)
-                    for prober in probers.values():
-                        prober.probe(WARM_UP, lambda _: None)  # the first samples design the filters
-                    done = 0
-                    for _ in range(BLOCKS):
-                        for name, prober in probers.items():
-                            trips[name].append(prober.probe(count // BLOCKS, lambda n, base=done: show(base)))
-                            done += count // BLOCKS
-                            show(done)
-            finally:
-                for process in processes:
-                    process.terminate()
-                    process.join(10)
-    Console().print(_table(step, trips, rate))
+    with counting("round trips", 2 * count) as show:
+        trips = take_turns({"echo": echo, "estimator": estimator}, samples, rate, count, show)
+    table = latency_table(rate)
+    add_row(table, "estimator step, bytes in to bytes out", step, "")
+    add_ratio(table, add_trips(table, trips), "estimator", "echo")
+    Console().print(table)
 
 
-def _echo(name: str) -> None:
-    from drivers.bus import open_bus
+def echo(robot: str) -> None:
+    """Answer as the estimator of `robot` with the least that can answer, until SIGTERM."""
+    from contextlib import suppress
+
     from replay.latency import echo
-    from replay.realtime import go_realtime
-    from schemas.messages import Role
     from service.cli.signals import terminate_as_interrupt
 
     terminate_as_interrupt()
-    go_realtime("echo")
-    with open_bus(name, Role.ESTIMATOR) as bus:
-        try:
-            echo(bus)
-        except KeyboardInterrupt:
-            return
+    with suppress(KeyboardInterrupt):
+        echo(robot)
 
 
-def _estimate(description: Path) -> None:
+def estimator(robot: str) -> None:
+    """`deltatwin estimate` with the demo robot under the name `robot`, until SIGTERM."""
+    import tempfile
+
+    from replay.demo import ROBOT
+    from schemas.robot import load_robot, save_robot
     from service.cli.estimate import command as estimate
 
-    estimate(robot=description)
+    with tempfile.TemporaryDirectory() as folder:
+        description = Path(folder) / "robot.toml"
+        save_robot(load_robot(ROBOT).model_copy(update={"name": robot}), description)
+        estimate(robot=description)
 
 
 def _steps(robot, samples: np.ndarray) -> np.ndarray:
@@ -127,24 +96,38 @@ def _steps(robot, samples: np.ndarray) -> np.ndarray:
     return taken
 
 
-def _table(step: np.ndarray, trips: dict[str, list], rate: float) -> Table:
-    import numpy as np
+def latency_table(rate: float) -> Table:
+    """A table that `add_row` fills."""
     from rich.table import Table
 
     table = Table(title=f"latency at {rate:g} Hz, µs")
     for heading in ("what", "median", "p99", "p99.9", "max", "count", "lost"):
         table.add_column(heading, justify="left" if heading == "what" else "right")
-
-    def row(name: str, nanoseconds: np.ndarray, lost: str) -> np.ndarray:
-        values = np.quantile(nanoseconds, [0.5, 0.99, 0.999, 1.0]) * 1e-3
-        table.add_row(name, *(f"{value:.1f}" for value in values), str(len(nanoseconds)), lost)
-        return values
-
-    row("estimator step, bytes in to bytes out", step, "")
-    found = {
-        name: row(f"round trip, {name}", np.concatenate([t.latency for t in parts]), str(sum(t.lost for t in parts)))
-        for name, parts in trips.items()
-    }
-    ratio = found["estimator"] / found["echo"]
-    table.add_row("estimator / echo", *(f"{value:.2f}" for value in ratio), "", "", style="bold")
     return table
+
+
+def add_row(table: Table, name: str, nanoseconds: np.ndarray, lost: str) -> np.ndarray:
+    """One row of (N,) ns; its (4,) quantiles in µs."""
+    import numpy as np
+
+    values = np.quantile(nanoseconds, [0.5, 0.99, 0.999, 1.0]) * 1e-3
+    table.add_row(name, *(f"{value:.1f}" for value in values), str(len(nanoseconds)), lost)
+    return values
+
+
+def add_trips(table: Table, trips: dict[str, list[RoundTrip]]) -> dict[str, np.ndarray]:
+    """A row for each that answered; their quantiles."""
+    import numpy as np
+
+    return {
+        what: add_row(
+            table, f"round trip, {what}", np.concatenate([t.latency for t in parts]), str(sum(t.lost for t in parts))
+        )
+        for what, parts in trips.items()
+    }
+
+
+def add_ratio(table: Table, found: dict[str, np.ndarray], what: str, over: str) -> None:
+    """The quantiles of one over those of another."""
+    ratio = found[what] / found[over]
+    table.add_row(f"{what} / {over}", *(f"{value:.2f}" for value in ratio), "", "", style="bold")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -20,7 +20,7 @@ STALE_CYCLES = 20  # without a sample the input is stale ...
 STALE_NS = 20_000_000  # ... but not before the scheduler of a loaded host may have held it up
 POLL_S = 0.02  # how often a silent bus is left to see whether to stop
 PERIOD_CHANGE = 0.1  # relative; a source with another sample rate needs other filters
-_INVALID = SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE | SampleFlag.JUMP
+_INVALID = int(SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE | SampleFlag.JUMP)
 
 
 class Node:
@@ -41,8 +41,8 @@ class Node:
     def step(self) -> None:
         """Wait for samples, at most POLL_S, and answer them all."""
         if self._samples.wait(POLL_S):
-            samples, arrival = self._samples.take()
-            self._heard_ns = int(arrival[-1])
+            samples, arrival = self._samples.found()
+            self._heard_ns = arrival[-1]
             if self._estimator is None:
                 self._waiting = np.concatenate([self._waiting, samples])
                 self._estimator = self._start()
@@ -74,24 +74,30 @@ class Node:
             self._waiting = self._waiting[-PERIOD_SAMPLES + 1 :]
             return None
 
-    def _answer(self, estimator: Estimator, samples: np.ndarray, arrival: np.ndarray) -> None:
+    def _answer(self, estimator: Estimator, samples: np.ndarray, arrival: list[int]) -> None:
         references, _ = self._references.take()
         if len(references):
             estimator.plan(references[-1])
         result = estimator.run(samples)
-        self._say("feedforward", result.feedforward)  # first: somebody steers by it
-        self.health.time_many(time.monotonic_ns() - arrival)
+        self._say("feedforward", result.feedforward, range(len(samples)))  # first: somebody steers by it
+        now = time.monotonic_ns()
+        # Lists from here on: of a sample or two they cost a tenth of what arrays do.
+        for came in arrival:
+            self.health.time_one(now - came)
         every = max(1, round(REPORT_PERIOD / estimator.period))
-        told = (result.payload["sequence"] % every == 0) | (result.payload["event"] != 0)
-        self._say("payload", result.payload[told])
-        self._say("error", result.error[told])
-        self._invalid += int(np.count_nonzero(result.feedforward["flags"] & _INVALID))
+        numbers, events = result.payload["sequence"].tolist(), result.payload["event"].tolist()
+        told = [row for row, number in enumerate(numbers) if number % every == 0 or events[row]]
+        self._say("payload", result.payload, told)
+        self._say("error", result.error, told)
+        self._invalid += sum(flags & _INVALID != 0 for flags in result.feedforward["flags"].tolist())
 
-    def _say(self, topic: str, records: np.ndarray) -> None:
+    def _say(self, topic: str, records: np.ndarray, rows: Sequence[int]) -> None:
+        if not rows:
+            return
         put, data, size = self._put[topic], records.tobytes(), records.itemsize
-        for begin in range(0, len(data), size):
-            put(data[begin : begin + size])
-        self._published += len(records)
+        for row in rows:
+            put(data[row * size : (row + 1) * size])
+        self._published += len(rows)
 
     def report(self) -> None:
         """Publish health."""
