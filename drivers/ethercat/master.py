@@ -18,11 +18,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 import pysoem
 
 from drivers.ethercat import cia402
+from drivers.ethercat.bus_clock import BusClock
 from drivers.ethercat.cia402 import Control, DriveState, Mode, Scale, drive_state
 from drivers.ethercat.course import Course
 from drivers.ethercat.pdo import DIGITAL_OUTPUTS, GRIPPER, Pdo, joint_pdos
@@ -30,8 +32,10 @@ from schemas.errors import BusError
 from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag, set_stamp
 from schemas.robot import Robot
 
-STALE_CYCLES = 3  # older feed-forward than this is not used
 FAULTY_TIME = 0.08  # s of working-counter faults in a row that end the run: sooner than the drives' watchdogs, 0.1 s
+LEFT_CYCLES = 3  # in a row with a drive out of operation that end the run: one status word may be corrupted
+STOP_TIME = 0.5  # s at most for the drives' quick stop before they are switched off
+STILL_CYCLES = 10  # without motion in which a quick stop is over
 ENABLE_TIME = 2.0  # s for all drives to get into operation
 RECEIVE_SHARE = 0.8  # of a cycle to wait for the frame to come back
 
@@ -47,11 +51,14 @@ _SIOCGIFFLAGS, _IFF_UP = 0x8913, 1
 
 @dataclass
 class Counts:
-    """What happened to the cycles: all; with a wrong working counter; skipped because this host was too late."""
+    """What happened to the cycles: all; their frame did not come back; it came with a wrong working counter; skipped
+    because this host was too late; with a bus clock that cannot be right."""
 
     cycles: int = 0
+    lost: int = 0
     faulty: int = 0
     missed: int = 0
+    clock: int = 0
 
 
 class _Axis:
@@ -70,32 +77,44 @@ class _Axis:
         if place >= 0:
             self.outputs[place] = value
 
+    def get(self, index: int) -> int:
+        """The value last put, 0 for an object that is not mapped."""
+        (place,) = self.rx.places(index)
+        return self.outputs[place] if place >= 0 else 0
 
-Feedforward = Callable[[np.ndarray, Course, int], tuple[np.ndarray, float]]
-"""(1,) record of SAMPLE, the course, the number of its coming cycle; gives tau_FF (3,) N m and its age in cycles."""
+
+Feedforward = Callable[[np.ndarray, Course, int], np.ndarray | None]
+"""(1,) record of SAMPLE, the course, the number of its coming cycle; gives tau_FF (3,) N m, None where it has none."""
 
 
 class TorqueOffset:
-    """tau_FF to 0x60B2 of three drives: rounded to the drive's unit, limited in size and in slope, zero when stale."""
+    """tau_FF to 0x60B2 of three drives: rounded to the drive's unit, limited in size and slope, faded to zero where
+    there is none.
 
-    def __init__(self, scale: Scale, limit: float | None, slope: float, period: float) -> None:
-        """`scale`: of three drives, each field (3,). `limit`: N m, None: what each drive calls 1000 per mille.
-        `slope`: N m/s."""
-        full = 1000 * np.abs(scale.torque_nm_per_mille)
+    Attributes: torque: (3,) N m, what the drives have. stale: whether there was none to give them.
+    """
+
+    def __init__(self, scale: Scale, limit: float, slope: float, fade: float, period: float) -> None:
+        """`scale`: of three drives, each field (3,). `limit`: N m, or what a drive calls 1000 per mille, if that is
+        less. `slope`: N m/s. `fade`: s from any torque to none. `period`: s."""
         self._scale = scale
-        self._limit = full if limit is None else np.minimum(full, limit)
+        self._limit = np.minimum(1000 * np.abs(scale.torque_nm_per_mille), limit)
         self._step = slope * period
+        self._fade_cycles = max(1, round(fade / period))
+        self._fall = np.zeros(3)
         self.torque = np.zeros(3)
+        self.stale = True
 
-    def step(self, torque: np.ndarray, age: float) -> np.ndarray:
-        """(3,) int16 to write for (3,) N m that is `age` cycles old. Not finite counts as stale.
-
-        Going stale takes the torque away at once: what is not known to be right must not push. Coming back is limited
-        in slope.
-        """
-        if age > STALE_CYCLES or not np.isfinite(torque).all():
-            self.torque = np.zeros(3)
+    def step(self, torque: np.ndarray | None) -> np.ndarray:
+        """(3,) int16 to write for (3,) N m. None, and what is not finite, fades: what is not known to be right must
+        not push, and a step would push too."""
+        if torque is None or not np.isfinite(torque).all():
+            if not self.stale:
+                self._fall = np.abs(self.torque) / self._fade_cycles
+            self.stale = True
+            self.torque = self.torque - np.clip(self.torque, -self._fall, self._fall)
         else:
+            self.stale = False
             wanted = np.clip(torque, -self._limit, self._limit)
             self.torque = self.torque + np.clip(wanted - self.torque, -self._step, self._step)
         return self._scale.per_mille(self.torque)
@@ -114,15 +133,16 @@ class Master:
         self.scale = _side_by_side(cia402.scales(robot.drive))
         self._axes = [_Axis(rx, tx) for rx, tx in pdos]
         self._interface, self._robot = interface, robot.name
+        self._limits, self._range = robot.limits, robot.geometry.joint_range_rad
         self._period_ns = round(period * NANOSECONDS)
         self._timeout = max(200e-6, period * RECEIVE_SHARE)
         self._faulty_limit = max(1, round(FAULTY_TIME / period))
         self._wire = -1  # descriptor of SOEM's socket
         self._wait_until = wait_until
         self._deadline = 0
-        self._stamp, self._has_clock = 0, False
+        self._clock, self._has_clock = BusClock(self._period_ns), False
         self.sent_ns = 0  # CLOCK_MONOTONIC of the last cycle's frame
-        self._faulty_run = 0
+        self._faulty_run = self._left_run = 0
         self._sample = SAMPLE.empty(1)
         self._commanded = np.full(3, np.nan), np.full(3, np.nan)
         self._soem = pysoem.Master()
@@ -147,14 +167,32 @@ class Master:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if self._soem.state == pysoem.OP_STATE and not self._faulty_run:
-            for control in (Control.QUICK_STOP, Control.DISABLE_VOLTAGE):
-                for axis in self._axes:
-                    axis.put(cia402.CONTROLWORD, control)
-                    axis.put(cia402.TORQUE_OFFSET, 0)
-                self._exchange()
+            self._stop()
         self._soem.state = pysoem.INIT_STATE
         self._soem.write_state()
         self._soem.close()
+
+    def _stop(self) -> None:
+        """Quick stop, the torque offset fading meanwhile, then power off."""
+        fade = max(1, round(self._limits.torque_fade_s * NANOSECONDS / self._period_ns))
+        offsets, still, before = [axis.get(cia402.TORQUE_OFFSET) for axis in self._axes], 0, None
+        for number in range(max(fade, round(STOP_TIME * NANOSECONDS / self._period_ns))):
+            for axis, offset in zip(self._axes, offsets, strict=True):
+                axis.put(cia402.CONTROLWORD, Control.QUICK_STOP)
+                axis.put(cia402.TORQUE_OFFSET, round(offset * max(0.0, 1 - (number + 1) / fade)))
+            self._wait_until(self._deadline)
+            self._deadline = max(self._deadline, time.monotonic_ns() - self._period_ns) + self._period_ns
+            if self._exchange() != self._soem.expected_wkc:
+                break
+            now = [axis.tx.unpack(slave.input)[axis.places[1]] for axis, slave in self._pairs()]
+            still = still + 1 if now == before else 0
+            before = now
+            if number >= fade and still >= STILL_CYCLES:
+                break
+        for axis in self._axes:
+            axis.put(cia402.CONTROLWORD, Control.DISABLE_VOLTAGE)
+            axis.put(cia402.TORQUE_OFFSET, 0)
+        self._exchange()
 
     def cycle(self) -> np.ndarray:
         """Wait for the next deadline and exchange one frame; (1,) record of SAMPLE, good until the next call.
@@ -173,24 +211,26 @@ class Master:
         counter = self._exchange()
         self.counts.cycles += 1
         sample, good = self._sample, counter == self._soem.expected_wkc
-        stamp = self._stamp + (1 + behind) * self._period_ns
-        if good and self._has_clock:
-            stamp = self._soem.dc_time
-        steps = max(1, round((stamp - self._stamp) / self._period_ns)) if self._stamp else 1
-        self._stamp = stamp
-        set_stamp(sample, stamp)
+        clock, before = self._clock, self._clock.stamp
+        steps = clock.step(1 + behind, self._soem.dc_time if good and self._has_clock else None)
+        self.counts.clock = clock.odd_ever
+        flags = SampleFlag.GAP_BEFORE if steps > 1 else SampleFlag(0)
+        if clock.stamp < before:
+            flags |= SampleFlag.TIME_BACKWARDS
+        set_stamp(sample, clock.stamp)
         sample["sequence"] += np.uint64(steps)
         sample["position_command"], sample["torque_command"] = self._commanded
         if good:
             self._faulty_run = 0
-            sample["flags"] = SampleFlag.GAP_BEFORE if steps > 1 else 0
             self._read(sample[0])
         else:
-            self.counts.faulty += 1
+            self.counts.lost += counter < 0
+            self.counts.faulty += counter >= 0
             self._faulty_run += 1
-            sample["flags"] = SampleFlag.BUS_FAULT
-            if self._faulty_run >= self._faulty_limit:
-                raise BusError(self._explain_counter(counter))
+            flags |= SampleFlag.BUS_FAULT
+        sample["flags"] = flags
+        if self._faulty_run >= self._faulty_limit:
+            raise BusError(self._explain_counter(counter))
         return sample
 
     def operate(self) -> np.ndarray:
@@ -222,26 +262,57 @@ class Master:
         return self._sample["position"][0].copy()
 
     def check_operation(self) -> None:
-        """Raise unless every drive was in operation in the last good cycle.
+        """Raise when a drive was not in operation in the last `LEFT_CYCLES` cycles that this was asked for.
 
         Raises:
             BusError: naming the drive that was not.
         """
-        if any(state is not DriveState.OPERATION_ENABLED for state in self._states):
+        left = any(state is not DriveState.OPERATION_ENABLED for state in self._states)
+        self._left_run = self._left_run + 1 if left else 0
+        if self._left_run >= LEFT_CYCLES:
             raise BusError(self._explain_drives())
+
+    @property
+    def in_trouble(self) -> bool:
+        """Whether the last frame was lost or faulty, its clock could not be right, or a drive was out of operation."""
+        return bool(self._faulty_run or self._left_run or self._clock.odd)
 
     def command(self, position: np.ndarray, offset: np.ndarray, grip: bool = False) -> None:
         """Make ready for the next frame.
 
         position: (3,) rad to be at when the cycle that the frame starts is over. offset: (3,) int16 for 0x60B2.
         grip: whether the gripper is to hold, the `GRIPPER` bit of 0x60FE where that is mapped.
+
+        Raises:
+            BusError: a target outside the joint range, or further from the last one than a joint moves in a cycle.
         """
+        self._check_target(position)
         counts = self.scale.counts(position)
         for axis, target, torque in zip(self._axes, counts.tolist(), offset.tolist(), strict=True):
             axis.put(cia402.TARGET_POSITION, target)
             axis.put(cia402.TORQUE_OFFSET, torque)
             axis.put(DIGITAL_OUTPUTS, GRIPPER if grip else 0)
         self._commanded = self.scale.position(counts), self.scale.torque(offset)
+
+    def _check_target(self, position: np.ndarray) -> None:
+        """The last line of defence: nothing behind this looks at a target again."""
+        low, high = self._range
+        most = self._limits.joint_speed_radps * self._period_ns / NANOSECONDS
+        for joint, (target, last) in enumerate(zip(position.tolist(), self._commanded[0].tolist(), strict=True), 1):
+            if not low <= target <= high:
+                raise BusError(
+                    f"{self._interface}: joint {joint}: target {target:.4g} rad is not in "
+                    f"geometry.joint_range_rad [{low:g}, {high:g}]; not sent"
+                )
+            if (far := abs(target - last)) > most:
+                raise BusError(
+                    f"{self._interface}: joint {joint}: target {target:.4g} rad is {far:.3g} rad from the last one, "
+                    f"limits.joint_speed_radps allows {most:.3g} rad a cycle; not sent"
+                )
+
+    def _pairs(self) -> Iterator[tuple[_Axis, Any]]:
+        """Each axis and SOEM's slave."""
+        return zip(self._axes, self._soem.slaves, strict=True)
 
     def _configure(self) -> None:
         found = self._soem.config_init()
@@ -264,7 +335,7 @@ class Master:
             raise BusError(self._explain_states("SAFEOP"))
 
     def _exchange(self) -> int:
-        for axis, slave in zip(self._axes, self._soem.slaves, strict=True):
+        for axis, slave in self._pairs():
             slave.output = axis.rx.pack(axis.outputs)
         self._soem.send_processdata()
         return self._receive()
@@ -281,7 +352,7 @@ class Master:
 
     def _read(self, sample: np.void) -> None:
         counts, torques = [], []
-        for number, (axis, slave) in enumerate(zip(self._axes, self._soem.slaves, strict=True)):
+        for number, (axis, slave) in enumerate(self._pairs()):
             values = axis.tx.unpack(slave.input)
             status, position, torque = axis.places
             self._states[number] = _STATES[values[status] & 0x7F]
@@ -292,7 +363,7 @@ class Master:
 
     def _adopt_positions(self) -> None:
         targets = []
-        for axis, slave in zip(self._axes, self._soem.slaves, strict=True):
+        for axis, slave in self._pairs():
             targets.append(axis.tx.unpack(slave.input)[axis.places[1]])
             axis.put(cia402.TARGET_POSITION, targets[-1])
         self._commanded = self.scale.position(np.array(targets)), np.zeros(3)
@@ -347,8 +418,7 @@ def follow(master: Master, course: Course, feedforward: Feedforward, offset: Tor
     for number, (position, grip) in enumerate(zip(course.position, course.grip.tolist(), strict=True)):
         sample = master.cycle()
         master.check_operation()
-        torque, age = feedforward(sample, course, number)
-        master.command(position, offset.step(torque, age), grip)
+        master.command(position, offset.step(feedforward(sample, course, number)), grip)
         yield sample
 
 

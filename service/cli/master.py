@@ -12,16 +12,16 @@ import typer
 from service.cli.network import Insecure, ZenohConfig
 
 if TYPE_CHECKING:
+    from types import TracebackType
+
     import numpy as np
 
-    from drivers.bus import Inbox
-    from drivers.ethercat.course import Course
-    from drivers.ethercat.master import Counts
+    from drivers.ethercat.master import Counts, Master, TorqueOffset
     from drivers.health import Health
-    from service.estimator.estimator import Estimator
+    from schemas.messages import HealthFlag
+    from service.feedforward import InCycle, OverBus
 
-
-NEVER = float("inf")  # cycles: the age of what has not come
+FAULT_TIME = 1.0  # s that BUS_FAULT stands after the last fault, so that a fault of one cycle is seen
 
 
 class Source(enum.StrEnum):
@@ -48,16 +48,17 @@ def command(
     carry: Annotated[bool, typer.Option(help="Grip a product on every way there (digital output 0x60FE).")] = True,
     seed: Annotated[int, typer.Option(help="Seed of the pick-and-place.")] = 0,
     max_torque: Annotated[
-        float | None, typer.Option(min=0.0, help="Largest torque offset (N m, joint side). Default: rated torque.")
+        float | None, typer.Option(min=0.0, help="Largest torque offset (N m, joint side), below the rated torque.")
     ] = None,
-    max_slope: Annotated[float, typer.Option(min=0.0, help="Its steepest change (N m/s).")] = 5000.0,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
 ) -> None:
     """Bring three CiA 402 drives into operation, run a pick-and-place and stop them again.
 
-    Cyclic synchronous position mode; tau_FF goes out as torque offset 0x60B2 in the drive's unit, limited in size and
-    slope, and is zero when the estimator is more than three cycles behind. Ctrl-C stops the drives.
+    Cyclic synchronous position mode; tau_FF goes out as torque offset 0x60B2 in the drive's unit, within the peak and
+    slope of the description's `limits`, and fades to zero within their torque_fade_s where nothing fresh comes. Over
+    the bus the planned motion goes out as `reference`, and only answers to it count. `health` is published in every
+    mode. Ctrl-C stops the drives.
 
     Example: deltatwin master eth1 --robot d3.toml --duration 60
     """
@@ -71,17 +72,21 @@ def command(
 
     import numpy as np
 
-    from drivers.bus import open_bus
+    from drivers.bus import Bus, open_bus
     from drivers.ethercat.course import course
     from drivers.health import Health
     from drivers.plant.motion import Planner
     from replay.clock import wait_until
     from replay.realtime import go_realtime
-    from schemas.messages import HealthFlag, Role
+    from schemas.errors import BusError
+    from schemas.messages import HealthFlag, Role, StopReason
     from service.cli.progress import counting
+    from service.estimator.bounds import bounds_of
     from service.estimator.estimator import Estimator
+    from service.feedforward import InCycle, OverBus, nothing
 
     period = 1 / rate
+    peak, slope = bounds_of(description)
     motion = Planner(description, period).pick_and_place(
         np.random.default_rng(seed), duration, masses=(1.0,) if carry else (), speed=speed
     )
@@ -90,123 +95,102 @@ def command(
         torque: InCycle | OverBus | None = None
         if feedforward is Source.CYCLE:
             torque = InCycle(Estimator(description, period))
-        realtime = go_realtime("master")
+        standing = HealthFlag(0) if go_realtime("master") else HealthFlag.NO_REALTIME
+        bus: Bus | None = None
         health: Health | None = None
-        if feedforward is Source.BUS:
-            bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config, insecure))
-            torque = OverBus(bus.subscribe("feedforward", 64), period)
-            health = Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
-        master = stack.enter_context(Master(interface, description, period, wait_until))
-        plan = course(master.operate(), motion)
-        offset = TorqueOffset(master.scale, max_torque, max_slope, period)
-        typer.echo(f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True)
-        sent = np.zeros(len(plan), np.int64)
-        done = 0
         try:
-            for done, _ in enumerate(follow(master, plan, torque or nothing, offset), start=1):
-                sent[done - 1] = master.sent_ns
-                if done % 256 == 0:
-                    show(done)
-                if health and master.sent_ns >= health.due_ns:
-                    tell(health, master.counts)
-        except KeyboardInterrupt:
-            pass
+            bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config, insecure))
+            health = stack.enter_context(Health(bus, standing))
+        except BusError as error:
+            if feedforward is Source.BUS or zenoh_config is not None:
+                raise
+            typer.echo(f"master: {error}; runs on, its health is not heard", err=True)
+        if feedforward is Source.BUS and bus:
+            torque = OverBus(bus, peak, period)
+        done, interrupted = 0, False
+        with Master(interface, description, period, wait_until) as master:
+            plan = course(master.operate(), motion)
+            limit = peak if max_torque is None else min(peak, max_torque)
+            offset = TorqueOffset(master.scale, limit, slope, description.limits.torque_fade_s, period)
+            typer.echo(
+                f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True
+            )
+            sent = np.zeros(len(plan), np.int64)
+            with Telling(health, standing, master, offset, torque) as tell:
+                try:
+                    for done, _ in enumerate(follow(master, plan, torque or nothing, offset), start=1):
+                        sent[done - 1] = master.sent_ns
+                        if done % 256 == 0:
+                            show(done)
+                        tell()
+                except KeyboardInterrupt:
+                    interrupted = True
+        if health and interrupted:
+            health.stop(StopReason.INTERRUPTED)
         show(done)
     typer.echo(summary(done, len(plan), master.counts, sent[:done]))
     if torque:
         typer.echo(torque.summary())
 
 
-def tell(health: Health, counts: Counts) -> None:
-    """Publish what became of the cycles so far; BUS_FAULT stays once a working counter was wrong."""
-    from schemas.messages import HealthFlag
+class Telling:
+    """What the master has to say of itself, when it has to."""
 
-    if counts.faulty:
-        health.flags |= HealthFlag.BUS_FAULT
-    health.publish(received=counts.cycles, invalid=counts.faulty, late=counts.missed)
+    def __init__(
+        self,
+        health: Health | None,
+        standing: HealthFlag,
+        master: Master,
+        offset: TorqueOffset,
+        torque: InCycle | OverBus | None,
+    ) -> None:
+        self._health, self._standing = health, standing
+        self._master, self._offset, self._torque = master, offset, torque
+        self._faulty_ns = -(1 << 62)  # when the last fault was
 
+    def __call__(self) -> None:
+        """After each cycle."""
+        from schemas.messages import NANOSECONDS, HealthFlag
 
-def nothing(sample: np.ndarray, course: Course, number: int) -> tuple[np.ndarray, float]:
-    """No feed-forward."""
-    import numpy as np
+        health, master = self._health, self._master
+        if health is None:
+            return
+        flags = self._standing
+        if master.in_trouble:
+            self._faulty_ns = master.sent_ns
+        if master.sent_ns - self._faulty_ns < FAULT_TIME * NANOSECONDS:
+            flags |= HealthFlag.BUS_FAULT
+        if self._offset.stale:
+            flags |= HealthFlag.STALE_FEEDFORWARD
+        if flags != health.flags:
+            health.flags = flags
+        if health.due:
+            health.publish(**self._counts())
 
-    return np.zeros(3), 0.0
+    def __enter__(self) -> Telling:
+        return self
 
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if self._health:
+            self()
+            self._health.publish(**self._counts())  # the last word repeats these counts
 
-class InCycle:
-    """tau_FF from an estimator that steps between two frames, for the planned motion of the coming cycle."""
-
-    def __init__(self, estimator: Estimator) -> None:
-        from schemas.messages import REFERENCE
-
-        self._estimator = estimator
-        self._reference = REFERENCE.empty(1)[0]
-        self._payload: np.void | None = None
-        estimator.warm_up()
-
-    def __call__(self, sample: np.ndarray, course: Course, number: int) -> tuple[np.ndarray, float]:
-        reference = self._reference
-        reference["sequence"] = sample["sequence"][0] + 1
-        reference["position"] = course.position[number]
-        reference["velocity"] = course.velocity[number]
-        reference["acceleration"] = course.acceleration[number]
-        self._estimator.plan(reference)
-        result = self._estimator.run(sample)
-        if len(result.payload) and result.payload["trusted"][-1]:
-            self._payload = result.payload[-1]
-        return result.feedforward["torque"][0], 0.0
-
-    def summary(self) -> str:
-        """The last payload that was trusted."""
-        if self._payload is None:
-            return "payload: none trusted"
-        mass, std_dev = self._payload["mass"], self._payload["std_dev"]
-        return f"payload last trusted: {mass:.3f} kg (standard deviation {std_dev:.3f} kg)"
-
-
-class OverBus:
-    """tau_FF as it comes over Zenoh from an estimator elsewhere that hears a tap on the same wire."""
-
-    def __init__(self, inbox: Inbox, period: float) -> None:
-        import numpy as np
-
-        self._inbox, self._period_ns = inbox, period * 1e9
-        self._torque, self._stamp = np.zeros(3), 0
-        self._ages: list[float] = []
-
-    def __call__(self, sample: np.ndarray, course: Course, number: int) -> tuple[np.ndarray, float]:
-        from schemas.messages import stamp_ns
-
-        records, _ = self._inbox.take()
-        if len(records):
-            self._torque, self._stamp = records["torque"][-1], int(stamp_ns(records[-1]))
-        age = (int(stamp_ns(sample)[0]) - self._stamp) / self._period_ns if self._stamp else NEVER
-        self._ages.append(age)
-        return self._torque, age
-
-    def summary(self) -> str:
-        """How old the torque was when it was used."""
-        import numpy as np
-
-        from drivers.ethercat.master import STALE_CYCLES
-
-        ages = np.sort(self._ages)
-        stale = int((ages > STALE_CYCLES).sum())
-        used = ages[ages < NEVER]
-        if not len(used):
-            return "tau_FF: none came over Zenoh; is `deltatwin estimate` running, and a tap that feeds it?"
-        median, p99, p999 = (used[int(len(used) * share)] for share in (0.5, 0.99, 0.999))
-        return (
-            f"age of tau_FF: median {median:.0f}, p99 {p99:.0f}, p99.9 {p999:.0f}, max {used[-1]:.0f} cycles; "
-            f"stale, so zero, in {stale} of {len(ages)} cycles"
-        )
+    def _counts(self) -> dict[str, int]:
+        counts = self._master.counts
+        said = {"received": counts.cycles, "lost": counts.lost, "invalid": counts.faulty, "late": counts.missed}
+        return said | (self._torque.counts() if self._torque else {})
 
 
 def summary(done: int, planned: int, counts: Counts, sent: np.ndarray) -> str:
     """What the cycles were like."""
     import numpy as np
 
-    text = f"{done} of {planned} cycles; {counts.faulty} with a wrong working counter, {counts.missed} missed"
+    text = (
+        f"{done} of {planned} cycles; {counts.lost} lost, {counts.faulty} with a wrong working counter, "
+        f"{counts.missed} missed"
+    )
+    if counts.clock:
+        text += f", {counts.clock} with a clock that cannot be right"
     if done < 2:
         return text
     times = np.sort(np.diff(sent)) * 1e-3

@@ -12,6 +12,7 @@ takes away while it runs looks like own work: the turns without the estimator, w
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import resource
 import sys
@@ -26,8 +27,8 @@ from drivers.ethercat.master import Master, TorqueOffset, follow
 from drivers.plant.motion import Planner
 from replay.clock import wait_until
 from replay.realtime import go_realtime
-from service.cli.master import InCycle, nothing
 from service.estimator.estimator import Estimator
+from service.feedforward import InCycle, nothing
 from tests.drivers.ethercat import rig
 
 TURNS = ("without", "with")
@@ -50,7 +51,7 @@ def main(minutes: float, rate: float, turn: float) -> None:
             schedstat = os.open("/proc/thread-self/schedstat", os.O_RDONLY)
             with Master(rig.NEAR, robot, 1 / rate, wait_until) as master:
                 here = master.operate()
-                offset = TorqueOffset(master.scale, None, 5000.0, 1 / rate)
+                offset = TorqueOffset(master.scale, math.inf, 5000.0, robot.limits.torque_fade_s, 1 / rate)
                 for number in range(2 * max(1, round(minutes * 30 / turn))):
                     kind = TURNS[number % 2]
                     plan = course(here, motion)

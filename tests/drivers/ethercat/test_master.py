@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import math
 import re
 import signal
 import subprocess
@@ -13,8 +15,8 @@ import numpy as np
 import pytest
 
 from drivers.ethercat.cia402 import Scale
-from drivers.ethercat.course import course
-from drivers.ethercat.master import FAULTY_TIME, STALE_CYCLES, Master, TorqueOffset, follow
+from drivers.ethercat.course import Course, course
+from drivers.ethercat.master import FAULTY_TIME, Master, TorqueOffset, follow
 from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES
 from drivers.plant.motion import Motion, Planner
 from drivers.trace import read_trace
@@ -26,6 +28,12 @@ from tests.drivers.ethercat import rig
 
 PERIOD = 2e-3  # what a busy machine of two cores keeps up with
 FAULTY_CYCLES = round(FAULTY_TIME / PERIOD)
+FADE = 0.05  # s
+
+
+@pytest.fixture(autouse=True)
+def own_runtime_folder(bus_folder: Path) -> None:
+    """For the health that a master publishes."""
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +75,8 @@ def segment(long_running: rig.SegmentProcess) -> rig.SegmentProcess:
     return long_running
 
 
-def nothing(*_: object) -> tuple[np.ndarray, float]:
-    return np.zeros(3), 0.0
+def nothing(*_: object) -> np.ndarray:
+    return np.zeros(3)
 
 
 @functools.cache
@@ -77,12 +85,14 @@ def plan(folder: Path) -> Motion:
     return planner.pick_and_place(np.random.default_rng(1), 1.5, (1.5,), speed=0.3)
 
 
-def run(robot: Robot, at_start: Callable[[], None] = lambda: None) -> np.ndarray:
+def run(
+    robot: Robot, at_start: Callable[[], None] = lambda: None, change: Callable[[Course], Course] = lambda whole: whole
+) -> np.ndarray:
     """Records of SAMPLE of every cycle of a short pick-and-place."""
     taken, motion = [], plan(robot.folder)
     with Master(rig.NEAR, robot, PERIOD, wait_until) as master:
-        whole = course(master.operate(), motion)
-        offset = TorqueOffset(master.scale, None, 5000.0, PERIOD)
+        whole = change(course(master.operate(), motion))
+        offset = TorqueOffset(master.scale, math.inf, 5000.0, FADE, PERIOD)
         at_start()
         for sample in follow(master, whole, nothing, offset):
             taken.append(sample.copy())
@@ -110,6 +120,35 @@ def test_samples_are_the_plants_own_trace(space: rig.Namespace, robot: Robot, fi
         ):
             difference = values[:, joint] - true[rows - INPUT_DELAY_CYCLES, joint]
             assert np.abs(difference).max() < half * 1.01
+
+
+@pytest.mark.parametrize(
+    ("joint", "target", "says"),
+    [
+        (2, -0.3, r"joint 2: target .* rad is .* rad from the last one, limits.joint_speed_radps allows 0.08 rad a "),
+        (1, 2.3, r"joint 1: target 2.3 rad is not in geometry.joint_range_rad \[-1.6, 2.2\]; not sent$"),
+        (3, math.nan, r"joint 3: target nan rad is not in geometry"),
+    ],
+)
+def test_a_target_that_jumps_or_cannot_be_is_not_sent(
+    space: rig.Namespace, robot: Robot, files: Path, joint: int, target: float, says: str
+) -> None:
+    segment = start(space, files)
+
+    def jumping(whole: Course) -> Course:
+        position = whole.position.copy()
+        position[50, joint - 1] = target
+        return dataclasses.replace(whole, position=position)
+
+    try:
+        with pytest.raises(BusError, match=says):
+            space.call(lambda: run(robot, change=jumping))
+    finally:
+        segment.stop()
+    own = read_trace(files / "own.mcap")
+    assert own.position_command is not None
+    assert np.abs(np.diff(own.position_command[:, joint - 1])).max() < 0.08
+    assert np.isfinite(own.position_command).all()
 
 
 def test_a_second_master_finds_the_drives_as_the_first_left_them(
@@ -190,7 +229,7 @@ def arguments(files: Path, interface: str) -> tuple[str, ...]:
 
 def master_command(space: rig.Namespace, files: Path, interface: str, *before: str) -> subprocess.CompletedProcess[str]:
     command = space.prefix(*before, *arguments(files, interface))
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
 
 
 def test_an_interface_that_is_not_there_or_not_up_is_one_line(space: rig.Namespace, files: Path) -> None:
@@ -218,28 +257,36 @@ SCALE = Scale(
 
 
 def test_the_torque_offset_is_in_the_drives_unit_and_sign() -> None:
-    offset = TorqueOffset(SCALE, None, 1e9, 1e-3)
-    assert offset.step(np.array([2.0, 2.0, -3.0]), 1.0).tolist() == [100, -100, -100]
+    offset = TorqueOffset(SCALE, math.inf, 1e9, FADE, 1e-3)
+    assert offset.step(np.array([2.0, 2.0, -3.0])).tolist() == [100, -100, -100]
 
 
 def test_the_torque_offset_is_limited_in_size() -> None:
-    rated = TorqueOffset(SCALE, None, 1e9, 1e-3)
-    assert rated.step(np.array([500.0, 500.0, -500.0]), 1.0).tolist() == [1000, -1000, -1000]
-    asked = TorqueOffset(SCALE, 3.0, 1e9, 1e-3)
-    assert asked.step(np.array([500.0, 1.0, -500.0]), 1.0).tolist() == [150, -50, -100]
+    rated = TorqueOffset(SCALE, math.inf, 1e9, FADE, 1e-3)
+    assert rated.step(np.array([500.0, 500.0, -500.0])).tolist() == [1000, -1000, -1000]
+    asked = TorqueOffset(SCALE, 3.0, 1e9, FADE, 1e-3)
+    assert asked.step(np.array([500.0, 1.0, -500.0])).tolist() == [150, -50, -100]
 
 
 def test_the_torque_offset_is_limited_in_slope() -> None:
-    offset = TorqueOffset(SCALE, None, 1000.0, 1e-3)
-    steps = [offset.step(np.array([5.0, -5.0, 0.0]), 1.0).tolist()[0] for _ in range(7)]
+    offset = TorqueOffset(SCALE, math.inf, 1000.0, FADE, 1e-3)
+    steps = [offset.step(np.array([5.0, -5.0, 0.0])).tolist()[0] for _ in range(7)]
     assert steps == [50, 100, 150, 200, 250, 250, 250]
 
 
-@pytest.mark.parametrize("stale", [(np.ones(3), STALE_CYCLES + 1.0), (np.array([1.0, np.nan, 1.0]), 0.0)])
-def test_a_stale_or_senseless_torque_is_taken_away_at_once(stale: tuple[np.ndarray, float]) -> None:
-    offset = TorqueOffset(SCALE, None, 1000.0, 1e-3)
+@pytest.mark.parametrize("missing", [None, np.array([1.0, np.nan, 1.0]), np.array([np.inf, 0.0, 0.0])])
+def test_a_missing_or_senseless_torque_fades_to_zero_in_the_declared_time(missing: np.ndarray | None) -> None:
+    offset = TorqueOffset(SCALE, math.inf, 1000.0, FADE, 1e-3)
+    assert offset.stale
     for _ in range(10):
-        offset.step(np.full(3, 5.0), STALE_CYCLES)
-    assert offset.torque.tolist() == [5.0, 5.0, 5.0]
-    assert offset.step(*stale).tolist() == [0, 0, 0]
-    assert offset.step(np.full(3, 5.0), 1.0).tolist() == [50, -50, 33]
+        offset.step(np.array([5.0, -2.0, 0.0]))
+    assert not offset.stale
+    faded = []
+    for _ in range(round(FADE / 1e-3)):
+        offset.step(missing)
+        faded.append(offset.torque)
+        assert offset.stale
+    expected = np.linspace(1.0, 0.0, 51)[1:, None] * np.array([5.0, -2.0, 0.0])
+    np.testing.assert_allclose(faded, expected, atol=1e-12)
+    assert offset.step(missing).tolist() == [0, 0, 0]
+    assert offset.step(np.full(3, 5.0)).tolist() == [50, -50, 33]  # coming back is limited in slope

@@ -1,0 +1,176 @@
+"""Where the master's feed-forward torque comes from: an estimator in its own cycle, or one that answers over Zenoh.
+
+Each gives (3,) N m for the motion that the next frame commands, or None where it has nothing fresh; `TorqueOffset`
+then takes what the drives had to zero.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.bus import Bus
+from drivers.ethercat.course import Course
+from schemas.messages import NANOSECONDS, REFERENCE, FeedforwardSource, SampleFlag, set_stamp, stamp_ns
+from service.estimator.estimator import Estimator
+
+LEAD = 4  # cycles that a motion is published ahead of its command: tap, estimator and Zenoh have that long at any rate
+DRIFT = 2  # cycles that the numbering of the samples may be off before it is adjusted; the estimator takes 1 to 8 ahead
+FRESH_CYCLES = LEAD + 3  # from question to use; an answer that is late by up to 3 cycles holds until a newer one
+_NUMBERS = 1 << 64
+
+
+def nothing(sample: np.ndarray, course: Course, number: int) -> np.ndarray | None:
+    """No feed-forward, and none wanted."""
+    return np.zeros(3)
+
+
+class InCycle:
+    """tau_FF from an estimator that steps between two frames, for the planned motion of the coming cycle."""
+
+    def __init__(self, estimator: Estimator) -> None:
+        self._estimator = estimator
+        self._reference = REFERENCE.empty(1)[0]
+        self._payload: np.void | None = None
+        estimator.warm_up()
+
+    def __call__(self, sample: np.ndarray, course: Course, number: int) -> np.ndarray | None:
+        reference = self._reference
+        reference["sequence"] = sample["sequence"][0] + 1
+        _plan(reference, course, number)
+        self._estimator.plan(reference)
+        result = self._estimator.run(sample)
+        if len(result.payload) and result.payload["trusted"][-1]:
+            self._payload = result.payload[-1]
+        answer = result.feedforward[0]
+        return answer["torque"] if _for_the_plan(answer) else None
+
+    def counts(self) -> dict[str, int]:
+        """For the health message."""
+        return {}
+
+    def summary(self) -> str:
+        """The last payload that was trusted."""
+        if self._payload is None:
+            return "payload: none trusted"
+        mass, std_dev = self._payload["mass"], self._payload["std_dev"]
+        return f"payload last trusted: {mass:.3f} kg (standard deviation {std_dev:.3f} kg)"
+
+
+@dataclass
+class _Question:
+    """A motion that was published: for which cycle, when (CLOCK_MONOTONIC, ns), and the answer, (3,) N m."""
+
+    cycle: int
+    asked_ns: int
+    torque: np.ndarray | None = None
+
+
+class OverBus:
+    """tau_FF from an estimator elsewhere that hears a tap on the same wire: question and answer.
+
+    `reference` goes out `LEAD` cycles ahead of its command, each with a number of its own; the estimator's answer
+    carries that number back as `target_sequence`. So what counts as fresh is measured by this host's clock alone, from
+    question to use, and needs no clock of anybody else's: an answer to no question, to one of another run, to one
+    that was asked too long ago, or a second one to the same, is refused. The numbers are those of the tap's samples,
+    which are learned from the newest answer, whatever it is worth otherwise.
+
+    Attributes: published: questions. received: messages. refused: of these, by reason: `invalid`, not finite or beyond
+    the peak; `repeated`, to a question that was answered; `rejected`, to none of the last ones.
+    """
+
+    def __init__(self, bus: Bus, peak: float, period: float) -> None:
+        """peak: N m that no answer may exceed. period: s."""
+        self._answers, self._put = bus.subscribe("feedforward", 64), bus.publisher("reference").put
+        self._peak, self._period_ns = peak, round(period * NANOSECONDS)
+        self._reference = REFERENCE.empty(1)
+        self._asked: dict[int, _Question] = {}  # by target_sequence
+        self._offset: int | None = None  # from our cycles to the numbers of the tap's samples
+        self.published = self.received = 0
+        self.refused = {"invalid": 0, "repeated": 0, "rejected": 0}
+        self._used = self._unanswered = 0
+
+    def __call__(self, sample: np.ndarray, course: Course, number: int) -> np.ndarray | None:
+        records, _ = self._answers.take()
+        for record in records:
+            self._hear(record)
+        if len(records):
+            self._learn(int(records["sequence"][-1]), number)
+        now = time.monotonic_ns()
+        torque = self._freshest(number, now)
+        if self._offset is not None:
+            self._ask(sample, course, number, now)
+        if torque is not None:
+            self._used += 1
+        elif self._used:
+            self._unanswered += 1
+        return torque
+
+    def _hear(self, answer: np.void) -> None:
+        self.received += 1
+        torque = np.array(answer["torque"])
+        question = self._asked.get(int(answer["target_sequence"]))
+        if not (np.abs(torque) <= self._peak).all():  # NaN is not
+            self.refused["invalid"] += 1
+        elif question is None or not _for_the_plan(answer):
+            self.refused["rejected"] += 1
+        elif question.torque is not None:
+            self.refused["repeated"] += 1
+        else:
+            question.torque = torque
+
+    def _learn(self, sequence: int, number: int) -> None:
+        offset = sequence + 1 - number  # the newest answer is to the sample of the cycle before
+        if self._offset is None or abs(offset - self._offset) > DRIFT:
+            self._offset = offset
+
+    def _freshest(self, number: int, now: int) -> np.ndarray | None:
+        """The answer for the cycle `number`, else for the nearest one; questions of too long ago are forgotten."""
+        oldest = now - FRESH_CYCLES * self._period_ns
+        self._asked = {target: question for target, question in self._asked.items() if question.asked_ns >= oldest}
+        answered = [question for question in self._asked.values() if question.torque is not None]
+        return min(answered, key=lambda question: abs(question.cycle - number)).torque if answered else None
+
+    def _ask(self, sample: np.ndarray, course: Course, number: int, now: int) -> None:
+        assert self._offset is not None
+        cycle, reference = number + LEAD, self._reference
+        target = (self._offset + cycle + 1) % _NUMBERS  # the command goes out with the frame after that cycle's
+        set_stamp(reference[0], int(stamp_ns(sample)[0]) + (LEAD + 1) * self._period_ns)
+        reference["sequence"] = target
+        _plan(reference[0], course, min(cycle, len(course) - 1))  # the last one stands still
+        self._asked[target] = _Question(cycle, now)
+        self._put(reference.tobytes())
+        self.published += 1
+
+    def counts(self) -> dict[str, int]:
+        """For the health message: questions, and answers that were not used."""
+        return {
+            "published": self.published,
+            "repeated": self.refused["repeated"],
+            "rejected": self.refused["rejected"] + self.refused["invalid"],
+        }
+
+    def summary(self) -> str:
+        """How much of what came was used."""
+        if not self.received:
+            return "tau_FF: none came over Zenoh; is `deltatwin estimate` running, and a tap that feeds it?"
+        refused = self.refused
+        return (
+            f"tau_FF over Zenoh: fresh in {self._used} cycles, none in {self._unanswered} after the first; of "
+            f"{self.received} answers {refused['invalid']} not finite or beyond {self._peak:g} N m, "
+            f"{refused['repeated']} repeated, {refused['rejected']} to no question of the last {FRESH_CYCLES} cycles"
+        )
+
+
+def _plan(reference: np.void, course: Course, number: int) -> None:
+    """Write the motion that cycle `number` of the course ends with."""
+    reference["position"] = course.position[number]
+    reference["velocity"] = course.velocity[number]
+    reference["acceleration"] = course.acceleration[number]
+
+
+def _for_the_plan(answer: np.void) -> bool:
+    """Whether a FEEDFORWARD record answers the planned motion; an estimator that fades out has nothing to say."""
+    return bool(answer["source"] == FeedforwardSource.REFERENCE and not answer["flags"] & SampleFlag.FADING)
