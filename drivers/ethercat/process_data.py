@@ -49,6 +49,7 @@ _STATUS, _POSITION, _VELOCITY, _TORQUE, _MODE_DISPLAY = range(len(INPUTS))
 _CONTROL, _TARGET_POSITION, _TARGET_TORQUE, _TORQUE_OFFSET, _MODE = range(len(OUTPUTS))
 NOT_MAPPED = -1
 
+STOPPED_CYCLES, STOPPED_NS = 20, 20_000_000  # without a frame for the longer of the two: they have stopped
 GAP_PERIODS = 1.5  # a step of the stamps above this many cycles has lost cycles
 _INTERVALS = 64  # cycles whose median step is the cycle time
 _PERIOD_AFTER = 16  # cycles before the cycle time is known
@@ -111,6 +112,8 @@ class Count(NamedTuple):
     damaged: int = 10  # frames left out: marked by the analyzer, snapped, or not as long as they say
     backwards: int = 11
     repeated: int = 12
+    pauses: int = 13  # gaps in which the master sent nothing
+    missing: int = 14  # cycles since the last sample that were sent and did not come back
 
 
 COUNT = Count()
@@ -120,7 +123,7 @@ class State(NamedTuple):
     """What the kernel remembers from frame to frame."""
 
     counts: np.ndarray  # (len(Count),) int64
-    clock: np.ndarray  # (13,) int64, by the names below
+    clock: np.ndarray  # (16,) int64, by the names below
     intervals: np.ndarray  # (_INTERVALS,) int64, ns
     raw_inputs: np.ndarray  # (3, 5) int64 of the cycle in the making
     have_inputs: np.ndarray  # (3, 5) bool
@@ -135,8 +138,8 @@ class State(NamedTuple):
 
 (
     _LAST, _PERIOD, _DC_MODE, _DC_LAST, _DC_OFFSET, _DC_NOW, _PLAIN_SEEN, _FAULT, _HIGHEST, _OWED, _SLIP, _SINCE,
-    _STEPS,
-) = range(13)  # fmt: skip
+    _STEPS, _SENT, _SENT_INDEX, _SENT_NS,
+) = range(16)  # fmt: skip
 _UNDECIDED, _CAPTURE_CLOCK, _DISTRIBUTED_CLOCK = range(3)
 _COUNTER_LOW, _COUNTER_ZERO = 1, 2
 _NEVER = -(1 << 62)
@@ -147,7 +150,7 @@ def new_state() -> State:
     objects = (3, len(INPUTS))
     return State(
         counts=np.zeros(len(Count()), np.int64),
-        clock=np.zeros(13, np.int64),
+        clock=np.zeros(16, np.int64),
         intervals=np.zeros(_INTERVALS, np.int64),
         raw_inputs=np.zeros(objects, np.int64),
         have_inputs=np.zeros(objects, np.bool_),
@@ -388,6 +391,11 @@ def _interval_flags(stamp, clock, counts, intervals):
         flags = SampleFlag.GAP_BEFORE.value
         lost = max((step + period // 2) // period - 1, 1)
         counts[COUNT.gaps] += 1
+        if counts[COUNT.sent] > 0 and step >= max(STOPPED_CYCLES * period, STOPPED_NS):  # what was sent tells
+            unanswered = min(max(clock[_SENT] - 1, 0), lost)
+            counts[COUNT.pauses] += lost - unanswered >= STOPPED_CYCLES
+            counts[COUNT.lost] += unanswered
+            return flags
         counts[COUNT.lost] += lost
         if not catching_up:
             clock[_OWED], clock[_SLIP] = 0, 0
@@ -500,6 +508,18 @@ def _emit(time, layout, state, samples, raw, row):
     clock[_FAULT] = 0
     state.have_inputs[:] = False
     have_outputs[:] = False
+    clock[_SENT] = counts[COUNT.missing] = 0
+
+
+@njit(cache=True)
+def _note_sent(index, time, state):
+    """A cycle is on its way out. What was out before it and brings no sample is missing; a frame seen twice is one."""
+    clock, counts = state.clock, state.counts
+    if clock[_SENT] > 0 and index == clock[_SENT_INDEX] and _on_its_way(clock[_SENT_NS], time, clock):
+        return
+    counts[COUNT.missing] = clock[_SENT]
+    clock[_SENT] += 1
+    clock[_SENT_INDEX], clock[_SENT_NS] = index, time
 
 
 @njit(cache=True)
@@ -543,6 +563,9 @@ def _read_frame(data, first, end, returned, time, layout, state):
         writes = command == Command.LWR.value or command == Command.LRW.value
         if (reads or writes) and not returned:
             state.sent_at[index] = time
+            place = layout.inputs[0, _POSITION]
+            if reads and place >= address and place < address + length:
+                _note_sent(index, time, state)
         if writes and not returned:
             _take(data, body, address, length, layout.outputs, layout.output_bytes,
                   state.sent_outputs[index], state.outputs_at[index], time)  # fmt: skip

@@ -20,7 +20,17 @@ import numpy as np
 from drivers.ethercat.capture import Capture
 from drivers.ethercat.cia402 import DriveState, drive_state
 from drivers.ethercat.declaration import FirstMotion
-from drivers.ethercat.process_data import COUNT, INPUTS, NOT_MAPPED, Assembler, assemble, columns_of, make_layout
+from drivers.ethercat.process_data import (
+    COUNT,
+    INPUTS,
+    NOT_MAPPED,
+    STOPPED_CYCLES,
+    STOPPED_NS,
+    Assembler,
+    assemble,
+    columns_of,
+    make_layout,
+)  # fmt: skip
 from drivers.health import Health
 from schemas.errors import BusError
 from schemas.messages import NANOSECONDS, SAMPLE, HealthFlag, SampleFlag
@@ -28,10 +38,12 @@ from schemas.robot import Robot
 
 FRAME_BYTES = 2048  # more than an Ethernet frame with tags
 RECEIVE_BYTES = 8 << 20  # of kernel buffer: 10 s of a busy bus
-IDLE_S = 0.2  # longest silence before the loop looks around
-QUIET_NS = 2 * NANOSECONDS  # without a sample before it is said
+IDLE_NS = 5_000_000  # longest silence before the loop looks around
+SILENT_NS = 2 * NANOSECONDS  # before a bus that has brought no sample yet is called quiet
+MISSING_CYCLES = 3  # on their way at once; more are a fault of the bus
 OVERDUE_NS = 20_000_000  # a health message waits that long for the pause behind a sample
-CHANGE_NS = 20_000_000  # least time between two health messages when the bus breaks down and comes back
+FAULT_NS = NANOSECONDS  # that BUS_FAULT stands after what is over in a cycle
+SAY_NS = NANOSECONDS // 5  # least time between two lines of what went wrong
 
 _ETH_P_ALL = 0x0003
 _SOL_PACKET, _PACKET_ADD_MEMBERSHIP, _PACKET_STATISTICS, _PACKET_MR_PROMISC = 263, 1, 6, 1
@@ -71,7 +83,7 @@ class InterfaceSource:
             promiscuous = struct.pack("IHH8s", index, _PACKET_MR_PROMISC, 0, b"")
             self._socket.setsockopt(_SOL_PACKET, _PACKET_ADD_MEMBERSHIP, promiscuous)
             self._socket.bind((interface, _ETH_P_ALL))
-            self._socket.settimeout(IDLE_S)
+            self._wait()
             self._check_up()
         except OSError as error:
             self._socket.close()
@@ -82,6 +94,11 @@ class InterfaceSource:
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BYTES)  # over the system's limit
         except PermissionError:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+
+    def _wait(self) -> None:
+        """Let the kernel wait, not Python, which would ask it twice a frame."""
+        self._socket.setblocking(True)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", 0, IDLE_NS // 1000))
 
     def _check_up(self) -> None:
         request = struct.pack("16sH14x", self.name.encode(), 0)
@@ -99,7 +116,7 @@ class InterfaceSource:
             while True:
                 self._socket.recv(FRAME_BYTES)
         except BlockingIOError:
-            self._socket.settimeout(IDLE_S)
+            self._wait()
         except OSError as error:
             raise BusError(f"{self.name}: {error.strerror}") from error
         self.dropped()
@@ -112,7 +129,7 @@ class InterfaceSource:
         """
         try:
             size, ancillary, _, address = self._socket.recvmsg_into([buffer], _ANCILLARY)
-        except TimeoutError:
+        except BlockingIOError:
             return None
         except OSError as error:
             raise BusError(f"{self.name}: {error.strerror}") from error
@@ -211,6 +228,7 @@ class Tap:
         self._columns = columns_of(self._record)
         self._raw = np.zeros((1, 3, len(INPUTS)), np.int64)
         self._states = np.full(3, DriveState.UNKNOWN, np.uint16)
+        self._standing = HealthFlag(0)  # of the process: real time, declaration
         self._told = _Told(self.assembler)
         self._declaration = FirstMotion(robot)
         self._assemble()  # a frame of no bytes: the kernel is compiled before the bus is looked at
@@ -231,59 +249,74 @@ class Tap:
             TraceError: the file is no capture.
         """
         view, counts, flags = self._buffer.data, self.assembler.state.counts, self._columns.flags
+        self._standing = health.flags
         self._source.start()
         self._told.sample_ns = time.monotonic_ns()
         health.time_one(0)
         self._tell(health)  # what is called for the first time is slow
-        faulty = False
         while not self._source.ended:
             got = self._source.receive(view)
+            now = time.monotonic_ns()
             if got is not None:
                 self._frame[1, 0], self._frame[2, 0], self._port[0, 0] = got
                 if self._assemble():
                     put(self._record.tobytes())
                     health.time_one(self._source.age(got[1]))
                     self._declaration.add(self._record, self._raw)
-                    faulty = flags[0] & _FAULT != 0
+                    self._told.sample_ns, self._told.faulty = now, flags[0] & _FAULT != 0
                     if counts[COUNT.samples] == count:
                         break
-                elif time.monotonic_ns() < health.due_ns + OVERDUE_NS:
+                elif now < health.due_ns + OVERDUE_NS and counts[COUNT.missing] <= MISSING_CYCLES:
                     continue  # its cycle's sample is still to come: all else waits until that is out
-            now = time.monotonic_ns()
-            if now >= health.due_ns or (faulty != self._told.faulty and now >= self._told.at_ns + CHANGE_NS):
-                self._told.faulty = faulty
+            self._judge(health, now)
+            if health.due:
                 self._tell(health)
+            elif now >= self._told.said_ns + SAY_NS:
+                self._say_changes()
         self._tell(health, ended=True)
+
+    def _judge(self, health: Health, now: int) -> None:
+        """What stands now; a change is published at once."""
+        told, counts = self._told, self.assembler.state.counts
+        missing = counts[COUNT.missing] > MISSING_CYCLES
+        troubles = int(counts.take(_TROUBLE_COUNTS).sum())
+        if troubles > told.troubles:
+            told.trouble_ns = now
+        told.troubles = troubles
+        period = self.assembler.period_ns
+        limit = max(STOPPED_CYCLES * period, STOPPED_NS) if period else SILENT_NS
+        told.quiet = now - told.sample_ns > limit
+        standing = int(self._standing)
+        if told.faulty or missing or now < told.trouble_ns + FAULT_NS:
+            standing |= _BUS_FAULT
+        if told.quiet:
+            standing |= _STALE_INPUT
+        if standing != health.flags:
+            health.flags = HealthFlag(standing)
 
     def _tell(self, health: Health, ended: bool = False) -> None:
         """Publish the state of the bus, and tell the user what has changed."""
         for line in self._declaration.news(ended):
+            self._standing |= HealthFlag.WRONG_DECLARATION
             health.flags |= HealthFlag.WRONG_DECLARATION
             self._say(line)
-        news, told = self.assembler.count, self._told
-        fresh = {name: news(name) - told.counts[name] for name in told.counts}
-        told.counts = {name: news(name) for name in told.counts}
-        told.at_ns = time.monotonic_ns()
-        if fresh["samples"]:
-            told.sample_ns, told.sent = told.at_ns, news("sent")
-        quiet = told.at_ns - told.sample_ns > QUIET_NS
-        health.flags &= ~(HealthFlag.BUS_FAULT | HealthFlag.STALE_INPUT)
-        if told.faulty or any(fresh[name] > 0 for name in _TROUBLES):
-            health.flags |= HealthFlag.BUS_FAULT
-        if quiet:
-            health.flags |= HealthFlag.STALE_INPUT
+        news = self.assembler.count
         health.publish(
             received=news("sent") + news("returned"),
             published=news("samples"),
-            lost=news("lost"),
+            lost=news("lost") + news("missing"),
             repeated=news("repeated"),
             out_of_order=news("backwards"),
             rejected=news("damaged"),
             invalid=news("unanswered"),
         )
-        self._say_changes(fresh, quiet)
+        self._say_changes()
 
-    def _say_changes(self, fresh: dict[str, int], quiet: bool) -> None:
+    def _say_changes(self) -> None:
+        news, told = self.assembler.count, self._told
+        fresh = {name: news(name) - told.counts[name] for name in told.counts}
+        told.counts = {name: news(name) for name in told.counts}
+        told.said_ns = time.monotonic_ns()
         troubles = [f"{fresh[name]} {text}" for name, text in _TROUBLES.items() if fresh[name] > 0]
         if troubles:
             self._say(f"{self._source.name}: {', '.join(troubles)}")
@@ -296,30 +329,35 @@ class Tap:
             for joint in np.flatnonzero(mapped & (states != self._states)):
                 self._say(f"joint {joint + 1}: {DriveState(int(states[joint])).name.lower().replace('_', ' ')}")
             self._states = states
-        if quiet and not self._told.quiet:
-            if self.assembler.count("sent") > self._told.sent:
-                why = "frames with process data, but none comes back"
+        if told.quiet and not told.quiet_said:
+            if news("missing") > MISSING_CYCLES:
+                why = "frames with process data go out, but none comes back"
             else:
-                why = "the frames have stopped" if self.assembler.count("samples") else "no process data of this robot"
-            self._say(f"{self._source.name}: no sample for {QUIET_NS / NANOSECONDS:g} s: {why}")
-        self._told.quiet = quiet
+                why = "the frames have stopped" if news("samples") else "no process data of this robot"
+            self._say(f"{self._source.name}: no sample for {(told.said_ns - told.sample_ns) / 1e6:.0f} ms: {why}")
+        told.quiet_said = told.quiet
 
 
 _FAULT = SampleFlag.BUS_FAULT.value
+_BUS_FAULT, _STALE_INPUT = int(HealthFlag.BUS_FAULT), int(HealthFlag.STALE_INPUT)
 _TROUBLES = {
     "counter_faults": "cycles with a working counter too low",
     "lost": "cycles lost",
+    "pauses": "pause of the master",
     "incomplete": "cycles incomplete",
     "damaged": "frames damaged",
     "drive_faults": "cycles with a drive in fault",
 }
 
 
+_TROUBLE_COUNTS = np.array([getattr(COUNT, name) for name in _TROUBLES if name != "pauses"])
+
+
 class _Told:
-    """What the user and the bus know already."""
+    """What is known of the bus now, and what of it the user knows already."""
 
     def __init__(self, assembler: Assembler) -> None:
         self.counts = {name: assembler.count(name) for name in ("samples", *_TROUBLES)}
-        self.at_ns = self.sample_ns = time.monotonic_ns()
-        self.sent = 0  # frames on their way out when the last sample came
-        self.faulty = self.quiet = False
+        self.said_ns = self.sample_ns = time.monotonic_ns()
+        self.faulty = self.quiet = self.quiet_said = False
+        self.troubles, self.trouble_ns = 0, -FAULT_NS  # how many, and when the last one was

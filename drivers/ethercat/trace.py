@@ -67,6 +67,7 @@ class CaptureReader:
             (count("drive_faults"), "cycles with a drive in fault"),
             (count("not_enabled") - count("drive_faults"), "cycles with a drive not in operation"),
             (count("lost"), "cycles lost"),
+            (count("pauses"), "pauses in which the master sent nothing"),
             (count("incomplete"), "cycles of which a part is missing, left out"),
             (int(self._flags[_bit(FrameFlag.DAMAGED)]), "frames left out that the analyzer marked as damaged"),
             (int(self._flags[_bit(FrameFlag.SNAPPED)]), "frames snapped by the capture"),

@@ -47,7 +47,8 @@ def command(
         with open_bus(description.name, Role.TAP, zenoh_config, insecure) as bus:
             publisher = bus.publisher("sample")
             publisher.wait_until_heard(wait)
-            tap.run(publisher.put, Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME), count)
+            with Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME) as health:
+                tap.run(publisher.put, health, count)
     except KeyboardInterrupt:
         pass
     finally:

@@ -417,3 +417,28 @@ def test_every_twincat_cycle_that_is_seen_twice_is_one_sample(shared: Path) -> N
 def test_a_mapping_that_cannot_be_is_one_error_naming_the_key(changes: dict, message: str) -> None:
     with pytest.raises(RobotError, match=message):
         make_layout(robot(**changes))
+
+
+def test_what_was_sent_and_did_not_come_back_is_missing_while_it_is(tmp_path: Path) -> None:
+    packets = stream(100)
+    cut = [packet for number, packet in enumerate(packets) if number < 120 or not number % 2]
+    _, assembler = assembled(pcap(tmp_path / "a.pcap", cut, nanoseconds=True), robot())
+    assert (assembler.count("lost"), assembler.count("missing")) == (0, 39)  # the last one may be on its way
+
+    mended = [packet for number, packet in enumerate(packets) if not 120 <= number < 190 or not number % 2]
+    samples, assembler = assembled(pcap(tmp_path / "b.pcap", mended, nanoseconds=True), robot())
+    assert (assembler.count("lost"), assembler.count("missing"), assembler.count("pauses")) == (35, 0, 0)
+    assert np.flatnonzero(samples["flags"]).tolist() == [60]
+
+
+def test_a_master_that_sends_nothing_loses_nothing(tmp_path: Path) -> None:
+    packets = stream(100)
+    del packets[120:170]
+    samples, assembler = assembled(pcap(tmp_path / "a.pcap", packets, nanoseconds=True), robot())
+
+    assert (assembler.count("gaps"), assembler.count("pauses"), assembler.count("lost")) == (1, 1, 0)
+    assert samples["flags"][60] == SampleFlag.GAP_BEFORE
+
+    returned = packets[1::2]  # one who hears the way back alone cannot tell that from a loss
+    _, assembler = assembled(pcap(tmp_path / "b.pcap", returned, nanoseconds=True), robot())
+    assert (assembler.count("pauses"), assembler.count("lost")) == (0, 25)
