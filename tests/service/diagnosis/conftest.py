@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.service.diagnosis.reference import run
-from tests.service.diagnosis.subject import diagnose
+from tests.service.subject import diagnose
 
 
 @pytest.fixture(scope="session")

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from schemas.trace import Trace
-from tests.service.diagnosis.injected import reports
-from tests.service.diagnosis.subject import CATALOGUE, diagnose, document
-from tests.service.diagnosis.world import ROBOT, course
+from tests.service.injected import reports
+from tests.service.subject import CATALOGUE, diagnose, document
+from tests.service.world import ROBOT, course
 
 STORED = Path(__file__).with_name("reference.json")
 SECONDS, NOISE, COUNT = 4.0, 0.3, 2 * np.pi / (25 * 2**17)  # s, N m a sample, rad

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from tests.service.diagnosis.injected import INJECTED
 from tests.service.diagnosis.reference import NOISE, STORED, difference, kept
-from tests.service.diagnosis.subject import document
+from tests.service.injected import INJECTED
+from tests.service.subject import document
 
 
 def test_the_stored_diagnosis_comes_out_again(findings):

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.service.diagnosis.injected import INJECTED, reports
-from tests.service.diagnosis.subject import (
+from tests.service.diagnosis.toy import left_out, scored, split_of
+from tests.service.injected import INJECTED, reports
+from tests.service.subject import (
     EFFECTS,
     Candidate,
     Dictionary,
@@ -22,8 +23,7 @@ from tests.service.diagnosis.subject import (
     selection,
     statistics,
 )
-from tests.service.diagnosis.toy import left_out, scored, split_of
-from tests.service.diagnosis.world import BASE, course, problem
+from tests.service.world import BASE, course, problem
 
 RANDOM = np.random.default_rng
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.service.diagnosis.subject import Hypothesis, evaluate, fit, selection, statistics, where
+from tests.service.subject import Hypothesis, evaluate, fit, selection, where
 
 
 def test_the_budget_adds_up_to_the_gap_of_the_base_model(findings):
     for joint in range(3):
         parts = where.budget(findings, joint)
-        mine = [j == joint for j in statistics.joint_of(findings.problem)]
+        mine = [j == joint for j in findings.problem.joints_of_rows]
         before = np.concatenate([r[m] for r, m in zip(findings.before, mine, strict=True)])
         sigma = findings.problem.sigma[joint]
         assert sum(parts.values()) == pytest.approx(sigma**2 * np.mean(before**2), rel=1e-9)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tests.service.diagnosis.subject import Fit, Scored, Split, selection
-from tests.service.diagnosis.world import stub
+from tests.service.subject import Fit, Scored, Split, selection
+from tests.service.world import stub
 
 
 def split_of(recordings: int, rows: int, blocks: int) -> Split:

@@ -1,35 +1,25 @@
-"""The whole catalogue: each effect against other code that makes it, its slopes by differences, and found again."""
+"""The whole catalogue: each effect against other code that makes it, its slopes against differences."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.service.diagnosis.injected import BY_TWO_MASSES, INJECTED, reports
-from tests.service.diagnosis.subject import (
-    CATALOGUE,
+from tests.service.injected import BY_TWO_MASSES, INJECTED, reports
+from tests.service.subject import (
     EFFECTS,
     Hypothesis,
     Parameters,
     Scene,
-    Split,
     Term,
     added,
     on_joint,
     reported,
-    selection,
-    statistics,
     tangent,
 )
-from tests.service.diagnosis.world import BASE, COULOMB, course, problem, scene
+from tests.service.world import BASE, course, problem, scene
 
 SECONDS = 3.0
-RUNS = (1, 2, 3)
-STARTS = (0.0, 9.0, 40.0)  # s since power-on
-NOISE = 0.2  # N m a sample
-RIVALS = tuple(effect for effect in CATALOGUE if not effect.rough)
 
 
 def test_the_whole_catalogue_is_put_to_the_test():
@@ -51,33 +41,6 @@ def test_its_torque_is_that_of_the_independent_effect(name):
     if term.effect.own_joint and term.joints:
         spared = [joint for joint in range(3) if joint not in injected.joints]
         assert not found[:, spared].any()
-
-
-@pytest.mark.parametrize("name", INJECTED)
-def test_it_is_found_again_with_its_parameters_inside_their_intervals(name):
-    injected = INJECTED[name]
-    courses = [course(seed, SECONDS) for seed in RUNS]
-    random = np.random.default_rng(7)
-    torques = [
-        reports(name, seed, SECONDS, start) + NOISE * random.standard_normal((len(run.time), 3))
-        for seed, run, start in zip(RUNS, courses, STARTS, strict=True)
-    ]
-    logs = problem(courses, torques, NOISE, STARTS)
-    split = Split.of(logs)
-    start = replace(BASE, rigid=BASE.rigid * 0.9, viscous=0 * COULOMB, coulomb=0 * COULOMB)
-    found = selection.search(logs, split, Hypothesis(start), RIVALS, lambda _: None)
-    assert found.best.names == (name,)
-    (term,) = found.best.hypothesis.terms
-    assert set(term.joints) == set(injected.joints)
-    assert found.best.fitted.cost / logs.count < 1.1
-    errors = statistics.standard_errors(found.best.fitted, split)[11:]
-    values = np.concatenate([term.amplitude.ravel(), term.shape])
-    truth = np.concatenate([np.array(injected.amplitude).ravel(), injected.shape])
-    assert (np.abs(values - truth) <= 3.0 * errors).all()
-
-
-def parameters(name: str) -> np.ndarray:
-    return np.concatenate([np.array(INJECTED[name].amplitude).ravel(), INJECTED[name].shape])
 
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if EFFECTS[name].amplitudes])

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.plant.mechanism import Design, build, dependence, required_torque
 from drivers.plant.truth import PlantTruth
 from schemas.robot import Drive, Geometry, Mass, Robot
-from tests.service.diagnosis.subject import Band, Base, Delta, Problem, Recording, Scene, Segment
+from tests.service.subject import Band, Base, Delta, Problem, Recording, Scene, Segment
 
 ROBOT = Robot(
     name="known",

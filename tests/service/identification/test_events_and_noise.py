@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.service.diagnosis.subject import events, noise, statistics
-from tests.service.diagnosis.world import PERIOD, course, problem
+from tests.service.subject import events, noise
+from tests.service.world import PERIOD, course, problem
 
 STEP = 5e-3  # s, rows of the analysis band
 
@@ -89,7 +89,7 @@ def test_events_of_residuals_are_in_units_of_torque_and_noise():
     runs = [course(1, 3.0), course(2, 3.0)]
     logs = replace(problem(runs, [run.torque for run in runs]), sigma=np.array([0.1, 0.2, 0.4]))
     residuals = [np.random.default_rng(k).standard_normal(int(r.sum())) * 0.3 for k, r in enumerate(logs.rows)]
-    joint = statistics.joint_of(logs)[1]
+    joint = logs.joints_of_rows[1]
     mine = np.flatnonzero(joint == 2)
     residuals[1][mine[200:206]] += 20 * np.array([1, -1, 1, -1, 1, -1])
     (event,) = events.events_of(logs, residuals)

@@ -17,8 +17,8 @@ from drivers.plant import effects as plant
 from drivers.plant.effects import friction, mechanics, sensing
 from drivers.plant.mechanism import Design, build, close, dependence
 from drivers.plant.plant import Friction
-from tests.service.diagnosis.subject import EFFECTS, Term
-from tests.service.diagnosis.world import (
+from tests.service.subject import EFFECTS, Term
+from tests.service.world import (
     COULOMB,
     PERIOD,
     ROBOT,

@@ -1,0 +1,107 @@
+"""The solver against SciPy's, and fits from a start that is far off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from service.identification.fit import _within
+from tests.service.injected import INJECTED, reports
+from tests.service.subject import EFFECTS, Hypothesis, Parameters, evaluate, fit, predict, solve
+from tests.service.world import BASE, COULOMB, VISCOUS, course, problem
+
+
+def test_normal_equations_are_least_squares_whatever_the_units():
+    random = np.random.default_rng(0)
+    columns = random.standard_normal((60, 5)) * [1e-6, 1.0, 1e4, 3.0, 1.0]
+    target = random.standard_normal((60, 2))
+    expected = np.linalg.lstsq(columns, target, rcond=None)[0]
+    np.testing.assert_allclose(solve(columns.T @ columns, columns.T @ target), expected, rtol=1e-8)
+    np.testing.assert_allclose(solve(columns.T @ columns, columns.T @ target[:, 0]), expected[:, 0], rtol=1e-8)
+
+
+def test_directions_without_information_stay_at_zero():
+    random = np.random.default_rng(1)
+    columns = random.standard_normal((60, 3))
+    columns = np.column_stack([columns, columns[:, 0], np.zeros(60)])
+    target = random.standard_normal(60)
+    found = solve(columns.T @ columns, columns.T @ target)
+    np.testing.assert_allclose(found, np.linalg.lstsq(columns, target, rcond=None)[0], atol=1e-9)
+    assert found[4] == 0.0
+    assert found[0] == pytest.approx(found[3])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_step_stays_within_its_limits(seed):
+    """What leaves them is held there, which is the constrained optimum where columns are hardly correlated."""
+    random = np.random.default_rng(seed)
+    columns = 20 * np.linalg.qr(random.standard_normal((400, 4)))[0] + 0.02 * random.standard_normal((400, 4))
+    target = columns @ [2.0, -1.0, 0.5, 0.1] + 0.1 * random.standard_normal(400)
+    low, high = np.array([-1.0, -0.5, -np.inf, -1.0]), np.array([1.0, np.inf, np.inf, 0.05])
+    found = _within(columns.T @ columns, columns.T @ target, low, high)
+    np.testing.assert_allclose(found, lsq_linear(columns, target, (low, high)).x, atol=1e-6)
+    assert (found >= low).all()
+    assert (found <= high).all()
+
+
+def test_a_fit_from_afar_ends_at_the_truth():
+    runs = [course(seed, 2.0) for seed in (1, 2)]
+    logs = problem(runs, [run.torque for run in runs])
+    far = replace(BASE, rigid=np.zeros(3), viscous=np.zeros(3), coulomb=np.zeros(3), transition=0.01)
+    found = fit(logs, Hypothesis(far))
+    base = found.hypothesis.base
+    np.testing.assert_allclose(base.rigid, BASE.rigid, rtol=1e-3)
+    np.testing.assert_allclose(base.viscous, VISCOUS, rtol=0.01)
+    np.testing.assert_allclose(base.coulomb, COULOMB, rtol=0.01)
+    assert base.transition == pytest.approx(BASE.transition, rel=0.05)
+    assert abs(base.timing) < 1e-5
+    assert found.cost / logs.count < 1e-3
+    assert fit(logs, Hypothesis(far), iterations=0).cost == evaluate(logs, Hypothesis(far)).cost
+
+
+def test_residuals_are_target_less_prediction_in_units_of_the_noise():
+    runs = [course(1, 2.0)]
+    random = np.random.default_rng(0)
+    noise = random.standard_normal((2000, 3))
+    logs = replace(problem(runs, [runs[0].torque + noise]), sigma=np.array([0.1, 0.2, 0.5]))
+    term = INJECTED["air_drag"].term("air_drag")
+    hypothesis = Hypothesis(BASE, (term,))
+    (scene,) = logs.scenes(BASE)
+    difference = logs.band(runs[0].torque + noise - predict(scene, hypothesis)) / [0.1, 0.2, 0.5]
+    expected = np.concatenate([difference[logs.rows[0][:, j], j] for j in range(3)])
+    found = evaluate(logs, hypothesis)
+    np.testing.assert_allclose(found.residuals[0], expected, rtol=1e-8)
+    assert found.cost == pytest.approx(float(expected @ expected))
+    assert logs.count == len(expected) == int(logs.rows[0].sum())
+    np.testing.assert_array_equal(logs.joints_of_rows[0], np.repeat([0, 1, 2], logs.rows[0].sum(axis=0)))
+
+
+def test_what_stands_at_a_limit_or_is_rough_does_not_move():
+    runs = [course(1, 1.0)]
+    logs = problem(runs, [runs[0].torque])
+    stiff = EFFECTS["torque_filter"].shapes["cutoff"].high
+    term = replace(INJECTED["torque_filter"].term("torque_filter"), shape=(stiff,))
+    found = evaluate(logs, Hypothesis(BASE, (term,)))
+    assert found.inside.tolist() == [True] * 11 + [False]
+    assert found.free.tolist() == found.inside.tolist()
+    assert found.moving[0].shape[1] == 11
+    parameters = Parameters(Hypothesis(BASE, (term,)))
+    low, high = parameters.limits(1e-3)
+    assert (low[9], high[9]) == (2e-4, 2e-2)
+    assert (low[10], high[10]) == (-2.5e-4, 2.5e-4)
+    assert (low[11], high[11]) == (3.0, 300.0)
+    assert np.isinf(low[:9]).all()
+
+
+def test_a_filter_is_fitted_up_to_its_limit_and_no_further():
+    run = course(1, 2.0)
+    logs = problem([run], [run.torque])  # no filter at all: the best one is the fastest there is
+    term = replace(INJECTED["torque_filter"].term("torque_filter"), shape=(120.0,))
+    found = fit(logs, Hypothesis(replace(BASE, timing=0.0), (term,)))
+    assert found.hypothesis.terms[0].shape[0] <= 300.0
+    low = problem([run], [reports("torque_filter", 1, 2.0)])
+    shape = fit(low, Hypothesis(BASE, (term,))).hypothesis.terms[0].shape[0]
+    assert shape == pytest.approx(35.0, rel=1e-2)

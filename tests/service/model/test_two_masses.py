@@ -1,0 +1,96 @@
+"""Elasticity and backlash against other code: the ideal spring's closed form, a simulation with small steps, and the
+MuJoCo plant with a rotor and a link of their own in closed loop.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from drivers.plant.effects import transmission
+from drivers.plant.motion import Limits, Planner
+from drivers.plant.plant import Plant
+from drivers.plant.simulate import simulate
+from tests.service.axis import loose_axis, spring_axis
+from tests.service.subject import (
+    EFFECTS,
+    Band,
+    Base,
+    Delta,
+    Hypothesis,
+    Recording,
+    Scene,
+    Term,
+    added,
+    predict,
+    segments,
+    thin,
+)
+from tests.service.world import BASE, PERIOD, ROBOT, TRUTH
+
+
+def relative(found: np.ndarray, truth: np.ndarray, band: Band) -> float:
+    """rms difference in the analysis band, of the truth's, once the start is forgotten."""
+    found, truth = (band(values)[80:-20] for values in (found, truth))
+    return float(np.sqrt(np.mean((found - truth) ** 2) / np.mean(truth**2)))
+
+
+@pytest.mark.parametrize(("hz", "ratio", "share"), [(12.0, 0.2, 0.3), (22.0, 0.1, 0.15), (35.0, 0.4, 0.5)])
+def test_a_spring_is_the_closed_form(hz, ratio, share):
+    axis = spring_axis(2.0, hz, ratio, share)
+    term = Term(EFFECTS["joint_elasticity"], (0,), np.zeros((1, 0)), (hz, ratio, share))
+    found = added(axis.scene(), term)[:, 0]
+    assert relative(found, axis.extra, Band.of(PERIOD)) < 0.05
+
+
+@pytest.mark.parametrize(("half", "share"), [(0.0015, 0.2), (0.004, 0.45)])
+def test_lost_motion_is_what_small_steps_give(half, share):
+    axis = loose_axis(2.0, half, 120.0, 2.0, share)
+    term = Term(EFFECTS["backlash"], (0,), np.zeros((1, 0)), (half, 120.0, 2.0, share))
+    found = added(axis.scene(), term)[:, 0]
+    assert relative(found, axis.extra, Band.of(PERIOD)) < 0.15
+    still = Term(EFFECTS["backlash"], (0,), np.zeros((1, 0)), (1e-4, 120.0, 2.0, share))
+    assert relative(added(axis.scene(), still)[:, 0], axis.extra, Band.of(PERIOD)) > 0.5
+
+
+def test_too_much_to_follow_is_no_torque_at_all():
+    axis = spring_axis(0.5, 12.0, 0.2, 0.3)
+    term = Term(EFFECTS["joint_elasticity"], (0,), np.zeros((1, 0)), (0.2, 0.01, 0.02))
+    assert not added(axis.scene(), term).any()
+
+
+@pytest.mark.parametrize(
+    ("name", "effect", "joint", "left_over"),
+    [
+        ("joint_elasticity", transmission.JointElasticity([0.0, 2000.0, 0.0], 0.1), 1, 0.05),
+        ("backlash", transmission.Backlash([0.002, 0.0, 0.0]), 0, 0.35),  # impacts, but not their chatter
+    ],
+)
+def test_on_the_robot_it_is_what_the_plant_does(name, effect, joint, left_over):
+    """Rotor and link as two bodies in closed loop; the other joints feel what the link does."""
+    viscous = 2.0
+    truth = TRUTH.model_copy(update={"viscous_friction_nms": [viscous] * 3, "peak_torque_nm": 250.0})
+    planner = Planner(ROBOT, PERIOD, Limits(speed=10.0, acceleration=240.0, torque=85.0))
+    plant = Plant(ROBOT, truth, (effect,), PERIOD)
+    trace = simulate(plant, planner.multisine(np.random.default_rng(4), 2.5, 1.0))
+    (part,) = segments(trace)
+    base = Base(BASE.rigid, np.full(3, viscous), np.zeros(3), 0.002)
+    here = Scene(Recording(thin(part), Delta.of(ROBOT), 0, "plant"), base)
+    band = Band.of(PERIOD)
+    whole = float(np.mean(here.inertia[:, joint, joint]))
+    share = TRUTH.rotor_inertia_kgm2[joint] / whole
+    link = (1 - share) * whole
+    if name == "joint_elasticity":
+        spring = effect.stiffness_nmprad[joint]
+        damper = 2 * effect.damping_ratio * math.sqrt(spring * TRUTH.rotor_inertia_kgm2[joint])
+        shape = (math.sqrt(spring / link) / (2 * math.pi), damper / (2 * math.sqrt(spring * link)), share)
+    else:
+        shape = (0.002, 120.0, 2.0, share)
+    term = Term(EFFECTS[name], (joint,), np.zeros((1, 0)), shape)
+    inside = slice(60, -60)
+    left = [band(here.segment.torque - predict(here, Hypothesis(base, terms)))[inside] for terms in ((), (term,))]
+    rms = [np.sqrt(np.mean(values**2, axis=0)) for values in left]
+    assert rms[0][joint] > 1.0
+    assert (rms[1] < left_over * rms[0]).all()
