@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from drivers.plant.motion import Motion
+    from drivers.motion import Trajectory
 
 APPROACH_SPEED = 0.8  # rad/s, fastest joint
 SHORTEST_APPROACH = 0.5  # s
@@ -31,7 +31,7 @@ class Course:
         return len(self.position)
 
 
-def course(start: np.ndarray, motion: Motion) -> Course:
+def course(start: np.ndarray, motion: Trajectory) -> Course:
     """From rest at joint angles `start` (3,) rad through `motion`, with a pause before and after it."""
     period = motion.period
     approach = _approach(start, motion.position[0], period)

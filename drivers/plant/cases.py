@@ -19,9 +19,9 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
+from drivers.motion import Limits, Planner, Trajectory
 from drivers.plant.effects import CATALOGUE, EFFECTS, Effect
 from drivers.plant.mechanism import Design, Mechanism, build, required_torque
-from drivers.plant.motion import Limits, Motion, Planner
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
 from drivers.plant.truth import PlantTruth
@@ -43,7 +43,7 @@ class Case:
 
     robot: Robot
     truth: PlantTruth
-    motions: tuple[tuple[str, Motion], ...]
+    motions: tuple[tuple[str, Trajectory], ...]
 
 
 def random_case(seed: int) -> Case:
@@ -86,10 +86,10 @@ def random_case(seed: int) -> Case:
     )
     planner = Planner(robot, PERIOD, Limits(speed=10.0, acceleration=240.0, torque=85.0))
 
-    def pick() -> Motion:
+    def pick() -> Trajectory:
         return planner.pick_and_place(rng, rng.uniform(4.4, 5.4), speed=rng.uniform(0.7, 1.0))
 
-    def multisine() -> Motion:
+    def multisine() -> Trajectory:
         return planner.multisine(rng, 8.0, rng.uniform(0.6, 1.0))
 
     motions = (

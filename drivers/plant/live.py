@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers.bus import Bus, Inbox
 from drivers.health import Health
-from drivers.plant.motion import Motion
+from drivers.motion import Trajectory
 from drivers.plant.plant import Plant, Target
 from drivers.plant.simulate import Carrier
 from schemas.messages import NANOSECONDS, REFERENCE, SAMPLE, HealthFlag, StopReason, set_stamp
@@ -78,7 +78,7 @@ class LiveRun:
 
 def run_live(
     plant: Plant,
-    motion: Motion,
+    motion: Trajectory,
     bus: Bus,
     pace: Callable[[int], int],
     *,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.plant.motion import Motion
+from drivers.motion import Trajectory
 from drivers.plant.plant import Plant, Target
 from schemas.trace import Trace
 
@@ -15,7 +15,7 @@ from schemas.trace import Trace
 class Carrier:
     """Says what is on the platform in every cycle of a motion."""
 
-    def __init__(self, motion: Motion):
+    def __init__(self, motion: Trajectory):
         self.mass = np.zeros(len(motion))
         for payload in motion.payloads:
             self.mass[round(payload.pick / motion.period) : round(payload.release / motion.period)] = payload.mass
@@ -27,7 +27,7 @@ class Carrier:
 
 def simulate(
     plant: Plant,
-    motion: Motion,
+    motion: Trajectory,
     name: str = "simulated",
     feedforward: np.ndarray | None = None,
     progress: Callable[[int], None] = lambda cycle: None,

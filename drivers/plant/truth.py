@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from drivers.motion import peak_torque
 from schemas.errors import RobotError
 from schemas.robot import Robot
 from schemas.toml import read_toml, validate
@@ -69,9 +70,6 @@ class PlantTruth(BaseModel):
         """A plant that is exactly as described: uniform links, no friction, no noise."""
         geometry, mass = robot.geometry, robot.mass
         length = [geometry.active_link_length + error for error in geometry.active_link_length_error]
-        reach = max(length)
-        # drives for pick-and-place throw links and platform about at some 400 rad/s^2
-        felt = (mass.active_link / 3 + mass.passive_link / 2) * reach**2 + mass.platform * reach**2
         return cls(
             gravity_mps2=[0.0, 0.0, -robot.gravity_mps2],
             active_link_length_m=length,
@@ -86,7 +84,7 @@ class PlantTruth(BaseModel):
             forearm_kg=[mass.passive_link] * 3,
             platform_kg=mass.platform,
             gear_ratio=robot.drive.gear_ratio,
-            peak_torque_nm=felt * 400.0,
+            peak_torque_nm=peak_torque(robot),
         )
 
 

@@ -38,7 +38,7 @@ def command(
     from rich.progress import Progress
     from rich.table import Table
 
-    from drivers.plant.motion import Planner
+    from drivers.motion import Planner
     from replay.realtime import go_realtime
     from schemas.errors import RobotError
     from schemas.files import make_folder, write_text

@@ -31,8 +31,8 @@ def command(
     from rich.progress import Progress
     from rich.table import Table
 
+    from drivers.motion import Planner
     from drivers.plant.effects import make_effects
-    from drivers.plant.motion import Planner
     from drivers.plant.plant import Plant
     from drivers.plant.truth import TRUTHS, load_truth
     from drivers.trace import write_trace

@@ -75,7 +75,7 @@ def command(
     from drivers.bus import Bus, open_bus
     from drivers.ethercat.course import course
     from drivers.health import Health
-    from drivers.plant.motion import Planner
+    from drivers.motion import Planner
     from replay.clock import wait_until
     from replay.realtime import go_realtime
     from schemas.errors import BusError

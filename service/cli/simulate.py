@@ -13,13 +13,13 @@ from service.cli.network import Insecure, ZenohConfig
 if TYPE_CHECKING:
     import numpy as np
 
-    from drivers.plant.motion import Motion, Planner
+    from drivers.motion import Planner, Trajectory
     from drivers.plant.plant import Plant
     from schemas.robot import Robot
 
 
 class MotionKind(StrEnum):
-    """Motions that `drivers.plant.motion.Planner` plans."""
+    """Motions that `drivers.motion.Planner` plans."""
 
     PICK = "pick"
     MULTISINE = "multisine"
@@ -72,7 +72,7 @@ def command(
     """
     import numpy as np
 
-    from drivers.plant.motion import Limits, Planner
+    from drivers.motion import Limits, Planner
     from schemas.errors import DataError
     from schemas.files import check_folder
     from schemas.robot import load_robot
@@ -123,7 +123,7 @@ def _plan(
     duration: float,
     masses: tuple[float, ...],
     speed: float,
-) -> Motion:
+) -> Trajectory:
     if kind is MotionKind.PICK:
         return planner.pick_and_place(rng, duration, masses, speed)
     if kind is MotionKind.MULTISINE:
@@ -133,7 +133,7 @@ def _plan(
     return planner.slow(rng, duration)
 
 
-def _offline(robot: Robot, plant: Plant, motion: Motion, out: Path) -> None:
+def _offline(robot: Robot, plant: Plant, motion: Trajectory, out: Path) -> None:
     from rich.console import Console
     from rich.progress import Progress
 
@@ -150,7 +150,7 @@ def _offline(robot: Robot, plant: Plant, motion: Motion, out: Path) -> None:
         typer.echo(f"  {load.mass:.3f} kg from {load.pick:.3f} s to {load.release:.3f} s")
 
 
-def _write_picks(motion: Motion, path: Path) -> None:
+def _write_picks(motion: Trajectory, path: Path) -> None:
     from schemas.files import write_text
 
     lines = [f"{load.pick:.6f},{load.release:.6f},{load.mass:.6f}\n" for load in motion.payloads]
@@ -160,7 +160,7 @@ def _write_picks(motion: Motion, path: Path) -> None:
 def _live(
     robot: Robot,
     plant: Plant,
-    motion: Motion,
+    motion: Trajectory,
     loops: int,
     out: Path | None,
     zenoh_config: Path | None,

@@ -17,8 +17,8 @@ from multiprocessing.context import SpawnProcess
 import numpy as np
 
 from drivers.bus import Bus, open_bus
+from drivers.motion import Trajectory
 from drivers.plant.live import LiveRun, run_live
-from drivers.plant.motion import Motion
 from drivers.plant.plant import Plant
 from replay.clock import wait_until
 from schemas.errors import BusError
@@ -83,7 +83,7 @@ def variants(robot: Robot) -> dict[str, Robot | None]:
 def follow(
     robot: Robot,
     make_plant: Callable[[], Plant],
-    motion: Motion,
+    motion: Trajectory,
     feed: Robot | None,
     *,
     pace: Callable[[int], int] = wait_until,

@@ -6,13 +6,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drivers.plant.motion import Motion, Planner
+from drivers.motion import Planner, Trajectory
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
 from schemas.trace import Trace
 
 
-def identification_motions(planner: Planner, rng: np.random.Generator, count: int, duration: float) -> Iterator[Motion]:
+def identification_motions(
+    planner: Planner, rng: np.random.Generator, count: int, duration: float
+) -> Iterator[Trajectory]:
     """`count` motions of `duration` s in turn: multisine, pick-and-place, multisine, slow sweep, ..."""
     kinds = (
         lambda: planner.multisine(rng, duration),
@@ -24,7 +26,7 @@ def identification_motions(planner: Planner, rng: np.random.Generator, count: in
         yield kinds[number % len(kinds)]()
 
 
-def excitations(planner: Planner, rng: np.random.Generator, count: int, duration: float) -> Iterator[Motion]:
+def excitations(planner: Planner, rng: np.random.Generator, count: int, duration: float) -> Iterator[Trajectory]:
     """`count` motions of `duration` s that excite inertia, weight and friction alike, as an identification wants."""
     for number in range(count):
         share = rng.uniform(0.7, 1.0)
@@ -36,7 +38,7 @@ def excitations(planner: Planner, rng: np.random.Generator, count: int, duration
 
 
 def record(
-    plant: Plant, motions: Iterator[Motion], name: str, progress: Callable[[float], object] = lambda seconds: None
+    plant: Plant, motions: Iterator[Trajectory], name: str, progress: Callable[[float], object] = lambda seconds: None
 ) -> list[Trace]:
     """Traces `name`_1, `name`_2, ... of `plant` taken through `motions`. progress: told how many seconds are done."""
     traces, done = [], 0.0

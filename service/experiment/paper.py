@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.plant.motion import Payload
+from drivers.motion import Payload
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.experiment.pictures import Figure, Heat, Line, Page, Panel, Table

@@ -24,7 +24,7 @@ import numpy as np
 
 from drivers.ethercat.course import course
 from drivers.ethercat.master import Master, TorqueOffset, follow
-from drivers.plant.motion import Planner
+from drivers.motion import Planner
 from replay.clock import wait_until
 from replay.realtime import go_realtime
 from service.estimator.estimator import Estimator

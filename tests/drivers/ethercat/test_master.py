@@ -18,7 +18,7 @@ from drivers.ethercat.cia402 import Scale
 from drivers.ethercat.course import Course, course
 from drivers.ethercat.master import FAULTY_TIME, Master, TorqueOffset, follow
 from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES
-from drivers.plant.motion import Motion, Planner
+from drivers.motion import Planner, Trajectory
 from drivers.trace import read_trace
 from replay.clock import wait_until
 from schemas.errors import BusError
@@ -80,7 +80,7 @@ def nothing(*_: object) -> np.ndarray:
 
 
 @functools.cache
-def plan(folder: Path) -> Motion:
+def plan(folder: Path) -> Trajectory:
     planner = Planner(load_robot(folder / "robot.toml"), PERIOD)
     return planner.pick_and_place(np.random.default_rng(1), 1.5, (1.5,), speed=0.3)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.plant.motion import Planner
+from drivers.motion import Planner
 from drivers.plant.plant import Plant
 from drivers.plant.truth import PlantTruth
 from schemas.robot import Geometry, Mass, Robot

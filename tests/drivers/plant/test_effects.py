@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.motion import Planner, Trajectory
 from drivers.plant.effects import (
     CATALOGUE,
     EFFECTS,
@@ -21,7 +22,6 @@ from drivers.plant.effects import (
     transmission,
 )
 from drivers.plant.mechanism import holding_torque
-from drivers.plant.motion import Motion, Planner
 from drivers.plant.plant import Plant, Target
 from drivers.plant.simulate import simulate
 from drivers.plant.truth import PlantTruth
@@ -32,7 +32,7 @@ RUBBING = {"coulomb_friction_nm": [3.0] * 3, "viscous_friction_nms": [1.0] * 3, 
 
 
 @pytest.fixture(scope="module")
-def run(planner: Planner) -> Motion:
+def run(planner: Planner) -> Trajectory:
     return planner.multisine(np.random.default_rng(21), 1.6)
 
 
@@ -42,11 +42,11 @@ def truth(robot: Robot) -> PlantTruth:
 
 
 @pytest.fixture(scope="module")
-def plain(robot: Robot, truth: PlantTruth, run: Motion) -> Trace:
+def plain(robot: Robot, truth: PlantTruth, run: Trajectory) -> Trace:
     return simulate(Plant(robot, truth), run)
 
 
-def watched(plant: Plant, run: Motion, look: Callable[[Plant], Any]) -> np.ndarray:
+def watched(plant: Plant, run: Trajectory, look: Callable[[Plant], Any]) -> np.ndarray:
     """`look` at the plant after every cycle of `run`, (N, ...)."""
     plant.reset(run.position[0])
     seen = []
@@ -59,7 +59,7 @@ def watched(plant: Plant, run: Motion, look: Callable[[Plant], Any]) -> np.ndarr
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_every_effect_shows_and_the_drives_cope(
-    name: str, robot: Robot, truth: PlantTruth, run: Motion, plain: Trace
+    name: str, robot: Robot, truth: PlantTruth, run: Trajectory, plain: Trace
 ) -> None:
     effect = EFFECTS[name].draw(np.random.default_rng(5), truth, 1.0)
     trace = simulate(Plant(robot, truth, (effect,), seed=2), run)
@@ -84,7 +84,7 @@ def test_catalogue_is_complete_and_apart_from_what_is_outside() -> None:
     assert not set(CATALOGUE) & set(OUTSIDE)
 
 
-def test_backlash_lets_the_link_lag_by_its_gap_and_no_more(robot: Robot, truth: PlantTruth, run: Motion) -> None:
+def test_backlash_lets_the_link_lag_by_its_gap_and_no_more(robot: Robot, truth: PlantTruth, run: Trajectory) -> None:
     gap = 0.002
     plant = Plant(robot, truth, (transmission.Backlash([0.0, gap, 0.0]),))
     twist = watched(plant, run, lambda p: p.motor - p.theta)
@@ -95,7 +95,7 @@ def test_backlash_lets_the_link_lag_by_its_gap_and_no_more(robot: Robot, truth: 
     assert (np.abs(twist[:, 1]) > 0.9 * gap).mean() > 0.5  # and it rests on a flank most of the time
 
 
-def test_elasticity_twists_by_the_torque_over_the_stiffness(robot: Robot, truth: PlantTruth, run: Motion) -> None:
+def test_elasticity_twists_by_the_torque_over_the_stiffness(robot: Robot, truth: PlantTruth, run: Trajectory) -> None:
     stiffness = 3000.0
     plant = Plant(robot, truth, (transmission.JointElasticity([stiffness, 0.0, 0.0], 0.05),))
     seen = watched(plant, run, lambda p: np.array([p.motor[0] - p.theta[0], p.load[0]]))
@@ -106,7 +106,9 @@ def test_elasticity_twists_by_the_torque_over_the_stiffness(robot: Robot, truth:
     assert np.abs(soft.position - rigid.position).max() < 2e-4  # without compliance two masses are one
 
 
-def test_delay_and_filter_act_on_the_report_alone(robot: Robot, truth: PlantTruth, run: Motion, plain: Trace) -> None:
+def test_delay_and_filter_act_on_the_report_alone(
+    robot: Robot, truth: PlantTruth, run: Trajectory, plain: Trace
+) -> None:
     delayed = simulate(Plant(robot, truth, (sensing.TorqueDelay(0.0025),)), run)
     np.testing.assert_array_equal(delayed.position, plain.position)
     assert plain.torque_command is not None
@@ -127,7 +129,7 @@ def test_delay_and_filter_act_on_the_report_alone(robot: Robot, truth: PlantTrut
 
 
 def test_scale_offset_and_ripple_change_what_acts_not_what_is_said(
-    robot: Robot, truth: PlantTruth, run: Motion
+    robot: Robot, truth: PlantTruth, run: Trajectory
 ) -> None:
     for effect, acting in (
         (sensing.TorqueScale([0.1, 0.0, 0.0]), lambda command, motor: command / np.array([1.1, 1.0, 1.0])),
@@ -179,7 +181,7 @@ def test_masses_tilt_springs_hang_as_they_should(robot: Robot, truth: PlantTruth
     np.testing.assert_allclose(hose.platform_force(plant), 20.0 * (np.array([0.3, 0.0, -0.4]) - plant.platform))
 
 
-def test_drag_goes_with_the_square_of_the_speed(robot: Robot, truth: PlantTruth, run: Motion) -> None:
+def test_drag_goes_with_the_square_of_the_speed(robot: Robot, truth: PlantTruth, run: Trajectory) -> None:
     drag = mechanics.AirDrag(0.8)
     plant = Plant(robot, truth, (drag,))
     force = watched(plant, run, drag.platform_force)
@@ -227,7 +229,7 @@ def test_presliding_builds_up_over_its_displacement(robot: Robot, truth: PlantTr
     assert -3.0 < plant.friction.torque[0] < 0.0  # still pushing the old way just after the reversal
 
 
-def test_ball_joints_take_energy_and_nothing_else(robot: Robot, run: Motion) -> None:
+def test_ball_joints_take_energy_and_nothing_else(robot: Robot, run: Trajectory) -> None:
     nominal = PlantTruth.nominal(robot)
     plain = simulate(Plant(robot, nominal), run)
     effect = friction.PassiveJointFriction(0.2, 0.02)
@@ -259,7 +261,7 @@ def test_frame_swings_at_its_own_frequency(robot: Robot, truth: PlantTruth) -> N
     assert np.abs(swing[-200:]).max() > 1e-4
 
 
-def test_outside_events_come_and_go(robot: Robot, truth: PlantTruth, run: Motion) -> None:
+def test_outside_events_come_and_go(robot: Robot, truth: PlantTruth, run: Trajectory) -> None:
     stick = outside.StickEvents([4.0, 0.0, 0.0], 20.0, 0.02)
     plant = Plant(robot, truth, (stick,), seed=3)
     level = watched(plant, run, lambda p: p.friction.forward[0])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
+from drivers.motion import Limits, Planner, Trajectory
 from drivers.plant.effects import make_effects
 from drivers.plant.mechanism import required_torque
-from drivers.plant.motion import Limits, Motion, Planner
 from drivers.plant.plant import Plant, Target
 from drivers.plant.simulate import simulate
 from drivers.plant.truth import PlantTruth, load_truth, shipped_truth
@@ -20,9 +20,9 @@ from service.model import kinematics
 from service.model.nominal import pack
 
 
-def standing(cycles: int) -> Motion:
+def standing(cycles: int) -> Trajectory:
     nothing = np.zeros((cycles + 1, 3))
-    return Motion(1e-3, nothing + 0.2, nothing, nothing)
+    return Trajectory(1e-3, nothing + 0.2, nothing, nothing)
 
 
 def test_same_seed_same_bits_other_seed_other_noise(robot: Robot, planner: Planner) -> None:
@@ -110,7 +110,7 @@ def test_feedforward_of_the_known_torque_takes_the_tracking_error_away(robot: Ro
     assert error(helped) < error(alone.position) / 10
 
 
-def _with_feedforward(plant: Plant, run: Motion, torque: np.ndarray) -> np.ndarray:
+def _with_feedforward(plant: Plant, run: Trajectory, torque: np.ndarray) -> np.ndarray:
     plant.take_over(None, torque[0])
     position = np.empty((len(run), 3))
     for k in range(len(run)):

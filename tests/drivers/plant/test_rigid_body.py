@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
+from drivers.motion import Planner, Trajectory
 from drivers.plant.mechanism import required_torque
-from drivers.plant.motion import Motion, Planner
 from drivers.plant.plant import Plant, Target
 from drivers.plant.simulate import simulate
 from drivers.plant.truth import PlantTruth
@@ -143,7 +143,7 @@ def test_free_fall_keeps_energy_and_friction_takes_it(robot: Robot) -> None:
 
 
 def test_required_torque_is_what_the_plant_needs(planner: Planner, ideal: Plant) -> None:
-    run: Motion = planner.pick_and_place(np.random.default_rng(5), 2.0)
+    run: Trajectory = planner.pick_and_place(np.random.default_rng(5), 2.0)
     trace = simulate(ideal, run)
     theta, theta_dot, theta_ddot = differentiated(trace.position, trace.period)
     inner = slice(10, -10)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from drivers.bus import Inbox
+from drivers.motion import Planner, Trajectory
 from drivers.plant.live import STALE_CYCLES, FeedforwardIntake, LiveRun
-from drivers.plant.motion import Motion, Planner
 from drivers.plant.plant import Plant
 from drivers.plant.truth import PlantTruth
 from schemas.messages import FEEDFORWARD
@@ -61,12 +61,12 @@ def make_plant(robot: Robot) -> Callable[[], Plant]:
 
 
 @pytest.fixture(scope="module")
-def motion(robot: Robot) -> Motion:
+def motion(robot: Robot) -> Trajectory:
     return Planner(robot, 1e-3).pick_and_place(np.random.default_rng(1), 2.6, (3.8,))
 
 
 @pytest.fixture(scope="module")
-def alone(robot: Robot, make_plant: Callable[[], Plant], motion: Motion) -> LiveRun:
+def alone(robot: Robot, make_plant: Callable[[], Plant], motion: Trajectory) -> LiveRun:
     return follow(robot, make_plant, motion, None, pace=unhurried)
 
 
@@ -85,7 +85,7 @@ def test_variants_are_stages_of_what_was_identified(robot: Robot) -> None:
 
 
 def test_payload_aware_feedforward_tracks_four_times_better(
-    robot: Robot, make_plant: Callable[[], Plant], motion: Motion, alone: LiveRun
+    robot: Robot, make_plant: Callable[[], Plant], motion: Trajectory, alone: LiveRun
 ) -> None:
     reference = tracking(robot, FEEDBACK, alone)
     assert reference.helped == 0
@@ -99,7 +99,7 @@ def test_payload_aware_feedforward_tracks_four_times_better(
 
 
 def test_lost_estimator_leaves_the_robot_safe_on_feedback(
-    robot: Robot, make_plant: Callable[[], Plant], motion: Motion, alone: LiveRun
+    robot: Robot, make_plant: Callable[[], Plant], motion: Trajectory, alone: LiveRun
 ) -> None:
     at = len(motion) // 2
     run = follow(robot, make_plant, motion, robot, pace=unhurried, lose_estimator_at=at)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from drivers.motion import Planner
 from drivers.plant.effects import make_effects
-from drivers.plant.motion import Planner
 from drivers.plant.plant import Plant
 from drivers.plant.truth import TRUTHS, load_truth
 from schemas.robot import load_robot

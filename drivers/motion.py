@@ -1,6 +1,6 @@
-"""Motions as a controller plans them: joint position, velocity and acceleration for every cycle, within limits.
+"""Trajectories as a controller plans them: joint position, velocity and acceleration for every cycle, within limits.
 
-A planner knows the description, not the truth, so all of this is nominal.
+A planner knows the description, so all of this is nominal: torque is the rigid body's as drawn, uniform rods included.
 """
 
 from __future__ import annotations
@@ -12,11 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.plant.mechanism import Design, Mechanism, build, required_torque
-from drivers.plant.truth import PlantTruth
 from schemas.errors import DataError, PoseError
 from schemas.robot import Robot
 from service.model import kinematics
+from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PLATFORM, torque_terms
 from service.model.nominal import DeltaModel, pack
 
 REST_BEFORE, REST_AFTER = 0.10, 0.16  # s at the ends of a pick-and-place run
@@ -24,6 +23,7 @@ GRIP = 0.06  # s that the platform stands while a payload is gripped or let go
 HOME = 0.15  # rad, all joints: where slow and multisine runs start and end
 STEEPEST = math.radians(40)  # of a forearm out of the plane of its arm: what ball joints allow
 WIDEST = (-0.85, 1.4)  # rad, joint angles that the work space may ask for
+DRIVE_ACCELERATION = 400.0  # rad/s^2 at which drives for pick-and-place throw links and platform about
 TORQUE_GRID = 5e-3  # s between the instants at which the torque limit is checked
 
 
@@ -36,7 +36,7 @@ class Payload(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Motion:
+class Trajectory:
     """N + 1 instants `period` s apart: joint motion (N + 1, 3) rad, rad/s, rad/s^2, and what is carried when."""
 
     period: float
@@ -76,19 +76,17 @@ class Planner:
     """Plans motions of one robot at one cycle time."""
 
     def __init__(self, robot: Robot, period: float, limits: Limits | None = None):
-        truth = PlantTruth.nominal(robot)
         self.period = period
         # the rest is for friction, a payload and the feedback
-        self.limits = limits or Limits(torque=0.6 * truth.peak_torque_nm)
+        self.limits = limits or Limits(torque=0.6 * peak_torque(robot))
         self.geometry: DeltaModel = pack(robot)
-        self.mechanism: Mechanism = build(Design(truth), 1e-3)
-        self.offset = self.geometry.joint_offset
+        self.forearm_kg = robot.mass.passive_link
         self.range = robot.geometry.joint_range_rad
         self.workspace = find_workspace(self.geometry)
 
     def pick_and_place(
         self, rng: np.random.Generator, duration: float, masses: tuple[float, ...] = (), speed: float = 1.0
-    ) -> Motion:
+    ) -> Trajectory:
         """Products from one conveyor to another and back empty-handed, until `duration` s are full.
 
         masses: kg to draw from, one a product; without any, all moves are empty. speed: share of the acceleration limit
@@ -130,7 +128,7 @@ class Planner:
         self._hold(parts, here, max(REST_AFTER, duration - clock) + self.period)
         return self._joint(_chain(parts), tuple(payloads))
 
-    def multisine(self, rng: np.random.Generator, duration: float, speed: float = 1.0) -> Motion:
+    def multisine(self, rng: np.random.Generator, duration: float, speed: float = 1.0) -> Trajectory:
         """Harmonics up to 2.5 Hz on every joint, random phases, as large as joint, speed, torque and workspace allow.
 
         speed: share of the limits that is used.
@@ -151,7 +149,7 @@ class Planner:
         )
         return self._largest(_even(_windowed(wave, window), rng), speed)
 
-    def slow(self, rng: np.random.Generator, duration: float) -> Motion:
+    def slow(self, rng: np.random.Generator, duration: float) -> Trajectory:
         """A slow sweep of every joint with reversals, below 1.3 rad/s, to show friction and gravity."""
         time = self._clock(duration)
         omega = 2 * math.pi * rng.uniform(0.5, 3.2, (3, 3)) / max(duration, 4.0)
@@ -168,7 +166,7 @@ class Planner:
         limits = Limits(speed=1.3, acceleration=self.limits.acceleration, torque=self.limits.torque)
         return self._largest(_even(_windowed(wave, window), rng), 1.0, limits)
 
-    def bound(self, rng: np.random.Generator, duration: float, speed: float = 1.0) -> Motion:
+    def bound(self, rng: np.random.Generator, duration: float, speed: float = 1.0) -> Trajectory:
         """Round the rim of the workspace, up and down its wall, both ways round: what stresses geometry and gears."""
         space, time = self.workspace, self._clock(duration)
         window = _window(time, duration, min(0.8, duration / 4))
@@ -203,7 +201,7 @@ class Planner:
 
         return self._joint(at(_fullest(excess, 0.05, 3.0, "bound")), ())
 
-    def closed(self, motion: Motion) -> Motion:
+    def closed(self, motion: Trajectory) -> Trajectory:
         """`motion` with a smooth way back to its start, so that it can run round and round."""
         away = motion.position[0] - motion.position[-1]
         # a smooth step of length T peaks at 2.2/T in speed and 7.5/T^2 in acceleration; a third of the limits will do
@@ -211,7 +209,7 @@ class Planner:
         length = max(0.1, 6.6 * distance / self.limits.speed, math.sqrt(22.5 * distance / self.limits.acceleration))
         step = _smooth_step(self._clock(length)[1:], 0.0, length)
         back = step[..., None] * away
-        return Motion(
+        return Trajectory(
             self.period,
             np.concatenate([motion.position, motion.position[-1] + back[0]]),
             np.concatenate([motion.velocity, back[1]]),
@@ -219,13 +217,13 @@ class Planner:
             motion.payloads,
         )
 
-    def excess(self, motion: Motion, share: float = 1.0, limits: Limits | None = None) -> float:
+    def excess(self, motion: Trajectory, share: float = 1.0, limits: Limits | None = None) -> float:
         """Largest of joint speed, acceleration and torque over `share` of their limits; above 1 it is too much."""
         limits = limits or self.limits
         every = max(1, round(TORQUE_GRID / self.period))
-        theta = motion.position[::every] + self.offset
-        torque = required_torque(self.mechanism, theta, motion.velocity[::every], motion.acceleration[::every])
-        holding = required_torque(self.mechanism, theta, 0 * theta, 0 * theta)
+        theta = motion.position[::every]
+        torque = self.torque(theta, motion.velocity[::every], motion.acceleration[::every])
+        holding = self.torque(theta, 0 * theta, 0 * theta)
         # holding the weight is not motion, so the share scales only what is beyond it
         spare = np.maximum(limits.torque - np.abs(holding), 1e-9) * share
         return max(
@@ -233,6 +231,11 @@ class Planner:
             float(np.abs(motion.acceleration).max() / (limits.acceleration * share)),
             float((np.abs(torque - holding) / spare).max()),
         )
+
+    def torque(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
+        """N m (N, 3) that the nominal robot takes, empty and without friction, for (N, 3) rad, rad/s, rad/s^2."""
+        terms = torque_terms(self.geometry, theta, theta_dot, theta_ddot)
+        return terms[:, (INERTIA, GRAVITY, PLATFORM)].sum(axis=1) + self.forearm_kg * terms[:, FOREARM]
 
     def _clock(self, duration: float) -> np.ndarray:
         return np.arange(max(2, round(duration / self.period)) + 1) * self.period
@@ -267,14 +270,14 @@ class Planner:
         wave = across[..., None] * flat + up[..., None] * rise - down[..., None] * fall
         return kinematics.Motion(*_offset(wave, start))
 
-    def _joint(self, platform: kinematics.Motion, payloads: tuple[Payload, ...]) -> Motion:
-        return Motion(self.period, *kinematics.inverse_motion(self.geometry, platform), payloads)
+    def _joint(self, platform: kinematics.Motion, payloads: tuple[Payload, ...]) -> Trajectory:
+        return Trajectory(self.period, *kinematics.inverse_motion(self.geometry, platform), payloads)
 
-    def _largest(self, wave: np.ndarray, share: float, limits: Limits | None = None) -> Motion:
+    def _largest(self, wave: np.ndarray, share: float, limits: Limits | None = None) -> Trajectory:
         """Joint motion `HOME + scale wave` with the largest scale that stays in limits and workspace."""
 
-        def at(scale: float) -> Motion:
-            return Motion(self.period, *_offset(scale * wave, np.full(3, HOME)))
+        def at(scale: float) -> Trajectory:
+            return Trajectory(self.period, *_offset(scale * wave, np.full(3, HOME)))
 
         def excess(scale: float) -> float:
             motion = at(scale)
@@ -292,6 +295,14 @@ class Planner:
 
         top = float(np.abs(wave[0]).max())
         return at(_fullest(excess, 1e-3 / top, 1.5 / top, "multisine"))
+
+
+def peak_torque(robot: Robot) -> float:
+    """N m, joint side, that the drives of a robot of this size are good for."""
+    geometry, mass = robot.geometry, robot.mass
+    reach = geometry.active_link_length + max(geometry.active_link_length_error)
+    felt = (mass.active_link / 3 + mass.passive_link / 2 + mass.platform) * reach**2
+    return felt * DRIVE_ACCELERATION
 
 
 def find_workspace(geometry: DeltaModel) -> Workspace:
