@@ -6,16 +6,13 @@ import contextlib
 import ctypes
 import os
 import shutil
-import signal
 import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
@@ -26,10 +23,10 @@ from schemas.files import make_folder, write_text
 from schemas.messages import PayloadEvent, SampleFlag, stamp_ns
 from schemas.robot import Robot, load_robot
 from service.monitor.readback import read_recording
+from service.supervisor import Process, Supervisor
 
 MODEL = "d3-1200"
 MASTER_END, SEGMENT_END = "bus0", "seg0"
-READY_TIME = 180.0  # s for a process to say that it is ready: the first start of all compiles
 SETTLED = 1.5  # s at the start of a run that belong to the approach
 CATCH_UP = 20.0  # s for the capture to take what has passed on the wire
 CAPTURE_MIB = 64  # of kernel buffer for the capture: minutes of this bus, however busy the host
@@ -39,7 +36,6 @@ OUTPUTS = ("0x6040", "0x607A", "0x6071", "0x6060", "0x60B2", "0x60FE")  # 15 byt
 INPUTS = ("0x6041", "0x6064", "0x606C", "0x6077", "0x6061")  # 13 bytes
 
 _CLONE_NEWNET = 0x40000000
-_PROGRAM = (sys.executable, "-c", "from service.cli.main import main; main()")
 
 
 @dataclass(frozen=True)
@@ -66,7 +62,7 @@ def demonstrate(out: Path, rate: float, duration: float, product: float, say: Ca
     common = ["--rate", str(rate), "--duration", str(duration), "--speed", "0.5", "--seed", "3"]
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="deltatwin-"))
-        crew = stack.enter_context(_crew(out, folder))
+        crew = stack.enter_context(Supervisor(out, folder))
         say("segment, tap and capture start")
         truth = str(resources.files("drivers.plant") / "truths" / f"{MODEL}.toml")
         segment = crew.start(
@@ -76,8 +72,9 @@ def demonstrate(out: Path, rate: float, duration: float, product: float, say: Ca
         tap = crew.start(
             Path(folder, "deltatwin", f"{MODEL}.tap.sock"), "tap", MASTER_END, "--robot", str(robot), "--wait", "60"
         )
-        capture = crew.capture(out / "wire.pcapng")
-        monitor = crew.monitor(robot, out / "first.mcap")
+        dumpcap = ("dumpcap", "-q", "-B", str(CAPTURE_MIB), "-i", MASTER_END, "-w", str(out / "wire.pcapng"))
+        capture = crew.launch("capture", dumpcap, "File: ")
+        monitor = _monitor(crew, robot, out / "first.mcap")
         for process in (segment, tap, capture, monitor):
             process.wait_ready()
         before = _frames_on_wire()
@@ -88,12 +85,12 @@ def demonstrate(out: Path, rate: float, duration: float, product: float, say: Ca
         say("the robot is identified from what the tap heard")
         crew.run("identify", str(out / "first.mcap"), "--robot", str(robot), "--out", str(identified))
         estimator = crew.start("estimating for", "estimate", "--robot", str(identified))
-        monitor = crew.monitor(robot, out / "second.mcap")
+        monitor = _monitor(crew, robot, out / "second.mcap")
         segment.tell(f"product {product}")
         for process in (estimator, monitor):
             process.wait_ready()
         say(f"second run, {duration:g} s: the same motion with {product:g} kg, tau_FF over Zenoh")
-        crew.run("master", MASTER_END, "--robot", str(identified), "--feedforward", "bus", *common, log="master-2")
+        crew.run("master", MASTER_END, "--robot", str(identified), "--feedforward", "bus", *common, name="master-2")
         missing = _let_catch_up(out / "wire.pcapng", before)
         for process in (tap, capture, estimator, monitor, segment):
             process.stop()
@@ -229,116 +226,8 @@ def _tracking(own: np.ndarray, runs: tuple[slice, slice]) -> Check:
     )
 
 
-class _Process:
-    """One process of the demonstration, what it says going to a file."""
-
-    def __init__(
-        self, name: str, command: list[str], log: Path, environment: dict[str, str], ready: str | Path
-    ) -> None:
-        """`ready`: what it says, or the file it makes, when it is ready."""
-        self.name, self._log, self._ready = name, log, ready
-        self._file: IO[str] = log.open("w")
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=self._file, stderr=subprocess.STDOUT, env=environment, text=True
-        )
-
-    def wait_ready(self) -> None:
-        """Raise unless it says that it is ready.
-
-        Raises:
-            BusError: it ended, or said nothing for `READY_TIME`.
-        """
-        give_up = time.monotonic() + READY_TIME
-        while not self._is_ready():
-            if self._process.poll() is not None or time.monotonic() > give_up:
-                raise BusError(f"{self.name} did not start: {self.last_words()}")
-            time.sleep(0.05)
-
-    def _is_ready(self) -> bool:
-        if isinstance(self._ready, Path):
-            return self._ready.exists()
-        return self._ready in self._log.read_text()
-
-    def tell(self, line: str) -> None:
-        """Write to its standard input."""
-        assert self._process.stdin is not None
-        self._process.stdin.write(line + "\n")
-        self._process.stdin.flush()
-
-    def wait(self, timeout: float) -> None:
-        """Wait for it to end by itself.
-
-        Raises:
-            BusError: it failed or does not end.
-        """
-        try:
-            code = self._process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            raise BusError(f"{self.name} does not end: {self.last_words()}") from None
-        if code != 0:
-            raise BusError(f"{self.name} failed: {self.last_words()}")
-
-    def stop(self) -> None:
-        """End it as Ctrl-C does, and by force if that does not help."""
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
-            try:
-                self._process.wait(20)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
-        self._file.close()
-
-    def last_words(self) -> str:
-        """The last line it said."""
-        lines = self._log.read_text().strip().splitlines()
-        return lines[-1].removeprefix("deltatwin: ") if lines else "it said nothing"
-
-
-class _Crew:
-    """Starts processes and ends those that are left."""
-
-    def __init__(self, out: Path, runtime_folder: str) -> None:
-        self._out = out
-        self._environment = os.environ | {"XDG_RUNTIME_DIR": runtime_folder}
-        self._started: list[_Process] = []
-
-    def start(self, ready: str | Path, *arguments: str, log: str = "") -> _Process:
-        """One command of this program, in the background; `ready` is what tells that it is."""
-        return self._launch(log or arguments[0], [*_PROGRAM, *arguments], ready)
-
-    def capture(self, path: Path) -> _Process:
-        """Everything on the master's end of the wire to `path`."""
-        return self._launch(
-            "capture", ["dumpcap", "-q", "-B", str(CAPTURE_MIB), "-i", MASTER_END, "-w", str(path)], "File: "
-        )
-
-    def monitor(self, robot: Path, path: Path) -> _Process:
-        """`deltatwin monitor` of `robot`, to `path`."""
-        return self.start(path, "monitor", "--robot", str(robot), "--output", str(path), log=f"monitor-{path.stem}")
-
-    def run(self, *arguments: str, log: str = "") -> None:
-        """One command of this program, to its end."""
-        self._launch(log or arguments[0], [*_PROGRAM, *arguments], "").wait(600)
-
-    def stop(self) -> None:
-        """End whatever runs."""
-        for process in self._started:
-            process.stop()
-
-    def _launch(self, name: str, command: list[str], ready: str | Path) -> _Process:
-        process = _Process(name, command, self._out / f"{name}.log", self._environment, ready)
-        self._started.append(process)
-        return process
-
-
-@contextlib.contextmanager
-def _crew(out: Path, runtime_folder: str) -> Iterator[_Crew]:
-    crew = _Crew(out, runtime_folder)
-    try:
-        yield crew
-    finally:
-        crew.stop()
+def _monitor(crew: Supervisor, robot: Path, path: Path) -> Process:
+    return crew.start(path, "monitor", "--robot", robot, "--output", path, name=f"monitor-{path.stem}")
 
 
 def _frames_on_wire() -> int:

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    import subprocess
-
     import numpy as np
     from rich.table import Table
 
@@ -17,7 +15,6 @@ if TYPE_CHECKING:
     from service.monitor.readback import Recorded
 
 LOOPS = 2  # of ten seconds
-READY_S = 180.0  # a first run compiles for a while
 
 
 def command(
@@ -45,6 +42,7 @@ def command(
     from service.cli.signals import terminate_as_interrupt
     from service.monitor.readback import read_recording
     from service.monitor.report import picture, write_page
+    from service.supervisor import Supervisor
 
     terminate_as_interrupt()
     console = Console()
@@ -52,66 +50,29 @@ def command(
     recording, page = out / "demo.mcap", out / "demo.html"
     make_folder(out)
     recording.unlink(missing_ok=True)  # of an earlier run
-    roles: dict[str, subprocess.Popen] = {}
-    with open_bus(robot.name, Role.OBSERVER) as bus:
-        try:
-            roles["monitor"] = _start(out, "monitor", "--robot", ROBOT, "--output", recording)
-            roles["estimate"] = _start(out, "estimate", "--robot", ROBOT)
-            with console.status("starting monitor and estimator (a first run compiles, about half a minute)"):
-                _wait(bus, {Role.MONITOR, Role.ESTIMATOR}, roles, out)
-            live = _Live(bus)
-            roles["replay"] = _start(out, "replay", LOG, "--robot", ROBOT, "--loop", str(LOOPS), "--wait", "20")
-            with Live(console=console, refresh_per_second=8, transient=True) as display:
-                while roles["replay"].poll() is None:
-                    time.sleep(0.1)
-                    display.update(live.table())
-            time.sleep(0.5)  # the last answers
-        finally:
-            for role in roles.values():
-                role.terminate()
-            for role in roles.values():
-                role.wait(20)
-    _check(roles, out)
+    with open_bus(robot.name, Role.OBSERVER) as bus, Supervisor(out) as crew:
+        with console.status("starting monitor and estimator (a first run compiles, about half a minute)"):
+            roles = [
+                crew.start(lambda: Role.MONITOR in bus.alive, "monitor", "--robot", ROBOT, "--output", recording),
+                crew.start(lambda: Role.ESTIMATOR in bus.alive, "estimate", "--robot", ROBOT),
+            ]
+            for role in roles:
+                role.wait_ready()
+        live = _Live(bus)
+        player = crew.start("", "replay", LOG, "--robot", ROBOT, "--loop", LOOPS, "--wait", 20)
+        with Live(console=console, refresh_per_second=8, transient=True) as display:
+            while player.running:
+                crew.check()
+                time.sleep(0.1)
+                display.update(live.table())
+        time.sleep(0.5)  # the last answers
+    crew.check()
     recorded = read_recording(recording)
     write_page(picture(recorded), f"{LOG.name} replayed {LOOPS} times: measured against predicted torque", page)
     for table in _results(recorded):
         console.print(table)
-    console.print((out / "replay.log").read_text().strip().splitlines()[-1])
+    console.print(player.last_words())
     console.print(f"recording: {recording}\npicture:   {page}")
-
-
-def _start(out: Path, *arguments: object) -> subprocess.Popen:
-    import subprocess
-    import sys
-
-    with (out / f"{arguments[0]}.log").open("w") as log:
-        return subprocess.Popen(
-            [sys.executable, "-m", "service.cli.main", *map(str, arguments)], stdout=log, stderr=log
-        )
-
-
-def _wait(bus: Bus, wanted: set, roles: dict[str, subprocess.Popen], out: Path) -> None:
-    import time
-
-    from schemas.errors import BusError
-
-    give_up = time.monotonic() + READY_S
-    while not wanted <= bus.alive:
-        _check({name: role for name, role in roles.items() if role.poll() is not None}, out)
-        if time.monotonic() > give_up:
-            missing = ", ".join(sorted(role.name.lower() for role in wanted - bus.alive))
-            raise BusError(f"{missing} did not come up within {READY_S:g} s; see the logs in {out}")
-        time.sleep(0.1)
-
-
-def _check(roles: dict[str, subprocess.Popen], out: Path) -> None:
-    """Raise what a role that failed said last."""
-    from schemas.errors import BusError
-
-    for name, role in roles.items():
-        if role.returncode not in (0, None):
-            said = (out / f"{name}.log").read_text().strip().splitlines() or ["nothing"]
-            raise BusError(f"{name} ended with code {role.returncode}: {said[-1].removeprefix('deltatwin: ')}")
 
 
 class _Live:

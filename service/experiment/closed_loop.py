@@ -5,14 +5,11 @@ One run a variant, the same motion and the same noise in each; what differs is w
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-import time
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing.context import SpawnProcess
+from pathlib import Path
 
 import numpy as np
 
@@ -21,13 +18,12 @@ from drivers.motion import Trajectory
 from drivers.plant.live import LiveRun, run_live
 from drivers.plant.plant import Plant
 from replay.clock import wait_until
-from schemas.errors import BusError
-from schemas.messages import HealthFlag, Role
-from schemas.robot import Identified, JointParameter, Parameter, Robot
+from schemas.messages import Role
+from schemas.robot import Identified, JointParameter, Parameter, Robot, save_robot
 from service.model import kinematics
 from service.model.nominal import pack
+from service.supervisor import Process, Supervisor
 
-ESTIMATOR_START = 60.0  # s that a cold estimator may take to compile
 SETTLING = 0.5  # s at the start of a run that do not count: the integrators hand the weight over to the feed-forward
 FEEDBACK = "feedback alone"
 BLIND = JointParameter(value=[1e6, 1e6, 1e6])  # N m of noise, in which no payload can be seen
@@ -102,8 +98,8 @@ def follow(
     with open_bus(robot.name, Role.ROBOT) as bus, _estimator(robot, feed, bus) as process:
 
         def on_cycle(cycle: int) -> None:
-            if cycle == lose_estimator_at and process is not None and process.pid is not None:
-                os.kill(process.pid, signal.SIGKILL)
+            if cycle == lose_estimator_at and process is not None:
+                process.kill()
             progress(cycle)
 
         return run_live(make_plant(), motion, bus, pace, realtime=realtime, progress=on_cycle)
@@ -132,39 +128,13 @@ def tracking(robot: Robot, name: str, run: LiveRun) -> Tracking:
 
 
 @contextmanager
-def _estimator(robot: Robot, feed: Robot | None, bus: Bus) -> Iterator[SpawnProcess | None]:
+def _estimator(robot: Robot, feed: Robot | None, bus: Bus) -> Iterator[Process | None]:
     if feed is None:
         yield None
         return
-    # a fork would take the session's threads and locks along
-    process = multiprocessing.get_context("spawn").Process(
-        target=_estimate, args=(feed.model_copy(update={"name": robot.name}),), daemon=True
-    )
-    process.start()
-    try:
-        give_up = time.monotonic() + ESTIMATOR_START
-        while Role.ESTIMATOR not in bus.alive:
-            if not process.is_alive():
-                raise BusError(f"robot {robot.name!r}: the estimator ended before it was there")
-            if time.monotonic() > give_up:
-                raise BusError(f"robot {robot.name!r}: no estimator after {ESTIMATOR_START:g} s")
-            time.sleep(0.02)
+    with tempfile.TemporaryDirectory(prefix="deltatwin-") as folder, Supervisor(Path(folder)) as crew:
+        description = Path(folder) / "robot.toml"
+        save_robot(feed.model_copy(update={"name": robot.name}), description)
+        process = crew.start(lambda: Role.ESTIMATOR in bus.alive, "estimate", "--robot", description)
+        process.wait_ready()
         yield process
-    finally:
-        process.terminate()
-        process.join(5.0)
-        if process.is_alive():
-            process.kill()
-            process.join()
-
-
-def _estimate(robot: Robot) -> None:
-    from replay.realtime import go_realtime
-    from service.estimator.estimator import Estimator
-    from service.estimator.node import run
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    Estimator(robot, 1e-3).warm_up()
-    realtime = go_realtime("estimate")
-    with open_bus(robot.name, Role.ESTIMATOR) as bus:
-        run(robot, bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
