@@ -3,7 +3,7 @@
     python -m tests.bench.bench_capture CAPTURE ROBOT [--megabytes 1000] [--rounds 3]
 
 CAPTURE (pcap) is repeated with rising stamps until the file is that large; each reading runs in a process of its own.
-Example: tests/bench/bench_capture.py ../shared/captures/own_three_drives_4khz.pcap \\
+Example: uv run python -m tests.bench.bench_capture ../shared/captures/own_three_drives_4khz.pcap \\
     tests/drivers/ethercat/robots/own_three_drives.toml
 """
 

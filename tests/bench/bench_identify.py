@@ -5,6 +5,7 @@ Ratios are measured turn by turn on the same machine state; the absolute times h
 
 from __future__ import annotations
 
+import argparse
 import tempfile
 import time
 from collections.abc import Callable
@@ -133,5 +134,6 @@ def four_logs() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     for part in (smoother, linearity, methods, four_logs, whole):
         part()

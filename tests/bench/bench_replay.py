@@ -23,6 +23,7 @@ import numpy as np
 from drivers.trace import write_trace
 from replay.realtime import PRIORITY
 from schemas.trace import Trace
+from tests.bench.need import need
 
 PEER = Path(__file__).parents[1] / "drivers" / "bus_peer.py"
 COMMAND = Path(sys.executable).with_name("deltatwin")
@@ -96,6 +97,7 @@ def main() -> None:
     arguments.add_argument("--rounds", type=int, default=3)
     arguments.add_argument("--rates", type=float, nargs="+", default=[1000.0, 4000.0])
     given = arguments.parse_args()
+    need("cyclictest", root=True)
     with tempfile.TemporaryDirectory(prefix="dt-") as name:
         folder = Path(name)
         os.environ["XDG_RUNTIME_DIR"] = name

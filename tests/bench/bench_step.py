@@ -5,6 +5,7 @@ uv run python -m tests.bench.bench_step
 
 from __future__ import annotations
 
+import argparse
 import gc
 import time
 
@@ -65,4 +66,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     main()

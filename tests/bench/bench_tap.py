@@ -29,6 +29,7 @@ from drivers.health import Health
 from replay.clock import wait_until
 from replay.realtime import go_realtime
 from schemas.messages import Role, stamp_ns
+from tests.bench.need import need
 from tests.drivers.ethercat.rig import FAR, NEAR, namespace
 from tests.drivers.ethercat.wire import cycle, passes, robot
 
@@ -132,6 +133,7 @@ def main() -> None:
     if arguments.role:
         ROLES[arguments.role](arguments.cycles)
         return
+    need("ip", root=True)
     with tempfile.TemporaryDirectory(prefix="dt-") as folder, namespace("bench") as space:
         os.environ["XDG_RUNTIME_DIR"] = folder
         environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}

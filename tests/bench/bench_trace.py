@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import argparse
 import tempfile
 import time
 from collections.abc import Callable
@@ -60,4 +60,6 @@ def main(count: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 240_000)
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("samples", type=int, nargs="?", default=240_000)
+    main(arguments.parse_args().samples)

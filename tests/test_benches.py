@@ -1,0 +1,41 @@
+"""Every bench starts as the README says, from any folder's environment, and one with nothing to measure by says so."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import REPOSITORY
+
+BENCHES = sorted(path.stem for path in (REPOSITORY / "tests" / "bench").glob("bench_*.py"))
+
+
+def start(*arguments: str, path: str | None = None) -> subprocess.CompletedProcess[str]:
+    environment = None if path is None else {"PATH": path}
+    return subprocess.run(
+        [sys.executable, "-m", *arguments],
+        cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=240, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("bench", BENCHES)
+def test_starts(bench: str) -> None:
+    done = start(f"tests.bench.{bench}", "--help")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("usage: ")
+
+
+def test_a_small_run_goes_to_its_end() -> None:
+    done = start("tests.bench.bench_trace", "2000")
+    assert done.returncode == 0, done.stderr
+    assert "x library" in done.stdout
+
+
+def test_what_is_missing_is_said_in_a_line(tmp_path: Path) -> None:
+    done = start("tests.bench.bench_replay", path=str(tmp_path))
+    assert done.returncode == 0
+    assert done.stderr.startswith("skipped: needs cyclictest (package rt-tests)")
+    assert done.stderr.count("\n") == 1
