@@ -9,8 +9,8 @@ import math
 import numpy as np
 import pytest
 
+from drivers.motion import Limits, Planner
 from drivers.plant.effects import transmission
-from drivers.plant.motion import Limits, Planner
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
 from tests.service.axis import loose_axis, spring_axis
