@@ -46,7 +46,7 @@ def read_bytes(path: Path, limit: int, error: type[DeltatwinError]) -> bytes:
         if size > limit:
             raise error(f"{path}: {size} bytes, at most {limit} are read")
         try:
-            return stream.read(limit)
+            return stream.read(size)  # not `limit`: memory is taken for what is asked
         except OSError as cause:
             raise error(f"{path}: {cause.strerror}") from cause
 

@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 from drivers.trace.mcap_messages import Wanted, read_messages, read_summary
 from drivers.trace.quality import EXACT_SECONDS, Rows, check
 from schemas.axes import Description
-from schemas.errors import MessageError, TraceError
+from schemas.errors import MessageError, StorageError, TraceError
 from schemas.files import opened
 from schemas.keys import topic_key
 from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, stamp_ns
@@ -51,15 +51,10 @@ def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None
         topic = _sample_topic(summary.channels, summary.schemas, path, robot)
         ids = [channel.id for channel in summary.channels.values() if channel.topic == topic]
         ((data, _),) = read_messages(stream, path, [Wanted(topic, ids, SAMPLE.dtype.itemsize)])
-    except (TraceError, OSError):
-        raise
     except MessageError as error:
         raise TraceError(str(error)) from error
-    except Exception as error:  # the library lets struct and its own errors through
-        said = str(error).removeprefix(f"{path}: ") or type(error).__name__
-        raise TraceError(
-            f"{path}: not a whole MCAP file ({said}); a log whose writer was killed: deltatwin recover {path}"
-        ) from error
+    except StorageError as error:
+        raise TraceError(f"{error} (not a whole MCAP file); a killed writer's log: deltatwin recover {path}") from error
     if len(data) == 0:
         raise TraceError(f"{path}: no messages on {topic}")
     samples = data.reshape(-1).view(SAMPLE.dtype)

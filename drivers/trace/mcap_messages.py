@@ -22,6 +22,7 @@ import lz4.frame
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 from mcap.stream_reader import StreamReader
@@ -34,6 +35,7 @@ from schemas.files import MIB, most_unpacked
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 64 * MIB  # of one chunk, unpacked; writers in use make chunks of 1 to 8 MiB
 MAX_SUMMARY_BYTES = 64 * MIB  # an hour of six topics in chunks of 1 MiB has 2 MB
+LIBRARY_ERRORS = (McapError, ValueError, struct.error)  # ValueError: names that are no text, checksums
 AHEAD = 3  # chunks being unpacked
 _FOOTER_BYTES = 9 + 20 + len(MAGIC)
 _RECORD = struct.Struct("<BQ")
@@ -76,11 +78,14 @@ def read_summary(stream: IO[bytes], path: Path) -> Summary | None:
     stream.seek(start)
     reader = StreamReader(io.BytesIO(stream.read()), skip_magic=True, record_size_limit=size - start)
     summary = Summary()
-    for record in reader.records:
-        if isinstance(record, Channel):
-            summary.channels[record.id] = record
-        elif isinstance(record, Schema):
-            summary.schemas[record.id] = record
+    try:
+        for record in reader.records:
+            if isinstance(record, Channel):
+                summary.channels[record.id] = record
+            elif isinstance(record, Schema):
+                summary.schemas[record.id] = record
+    except LIBRARY_ERRORS as error:
+        raise StorageError(f"{path}: a damaged summary: {error}") from error
     return summary
 
 
@@ -173,7 +178,10 @@ def _blocks(stream: IO[bytes], path: Path) -> Iterator[tuple[Chunk | bytes, int]
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             return
         if opcode == Opcode.CHUNK:
-            chunk = Chunk.read(ReadDataStream(io.BytesIO(stream.read(length))))
+            try:
+                chunk = Chunk.read(ReadDataStream(io.BytesIO(stream.read(length))))
+            except LIBRARY_ERRORS as error:
+                raise StorageError(f"{path}: a damaged chunk at byte {at}: {error}") from error
             yield chunk, room
             room -= chunk.uncompressed_size
         elif opcode == Opcode.MESSAGE:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import csv
+import io
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from schemas.errors import TraceError
+from schemas.files import MIB, read_bytes
 from schemas.messages import PayloadEvent, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Trace
@@ -20,6 +23,8 @@ from service.model.prediction import motion, predict_along
 
 # What "found" means: within the larger of the two of the truth, and staying there to the release.
 BOUND_SHARE, BOUND_KG = 0.05, 0.05
+
+MAX_TRUTH_BYTES = 16 * MIB  # some hundred thousand picks
 
 
 @dataclass(frozen=True)
@@ -139,14 +144,17 @@ def read_truth(path: Path) -> list[Pick]:
         TraceError: naming file, line and value.
     """
     try:
-        with path.open(newline="") as stream:
-            rows = list(csv.DictReader(stream))
-    except OSError as error:
-        raise TraceError(f"{path}: {error.strerror}") from error
+        text = read_bytes(path, MAX_TRUTH_BYTES, TraceError).decode("utf-8")
+        rows = list(csv.DictReader(io.StringIO(text, newline="")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise TraceError(f"{path}: not a table of text: {error}") from error
     result = []
     for line, row in enumerate(rows, start=2):
         try:
-            result.append(Pick(float(row["from_s"]), float(row["until_s"]), float(row["mass_kg"])))
+            pick = Pick(float(row["from_s"]), float(row["until_s"]), float(row["mass_kg"]))
         except (KeyError, TypeError, ValueError) as error:
             raise TraceError(f"{path}:{line}: wanted from_s, until_s, mass_kg as numbers, got {row}") from error
+        if not all(map(math.isfinite, (pick.begin, pick.end, pick.mass))):
+            raise TraceError(f"{path}:{line}: wanted from_s, until_s, mass_kg as numbers, got {row}")
+        result.append(pick)
     return result

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from mcap.exceptions import McapError
 
 from drivers.trace.mcap_messages import Wanted, read_messages, read_summary
 from schemas.errors import MessageError, StorageError
@@ -40,7 +39,7 @@ def read_recording(path: Path) -> dict[str, Recorded]:
             found = read_messages(stream, path, wanted)
     except OSError as error:
         raise StorageError(f"{path}: {error.strerror}") from error
-    except (McapError, MessageError, StorageError) as error:
+    except (MessageError, StorageError) as error:
         raise StorageError(f"{path}: not a whole recording ({error}); deltatwin recover {path} OUT.mcap") from error
     return {
         topic: Recorded(data.reshape(-1).view(message.dtype), log_time)
