@@ -1,0 +1,102 @@
+"""Reasons not to believe any name, each on a search made up for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.service.injected import INJECTED
+from tests.service.subject import EFFECTS, Hypothesis, Selection, Split, Term, cautions, evaluate, fit, selection
+from tests.service.world import BASE, course, problem, stub
+
+SEEDS = (1, 2)
+LIMIT = 1.1
+
+
+def found(*terms: Term, left: float = 1.0, gap: float = 9.0, **logs) -> list[str]:
+    """Doubts about `terms` that leave `left` of a gap, both mean squares in units of the noise."""
+    runs = [course(seed, 1.0) for seed in SEEDS]
+    made = logs.get("logs") or problem(runs, [run.torque for run in runs])
+    rows = made.count
+    best = stub(hypothesis=Hypothesis(BASE, terms), loss=left * rows)
+    none = stub(hypothesis=Hypothesis(BASE), loss=gap * rows)
+    return cautions.doubts_of(made, Selection(none, best, [], {}), LIMIT)
+
+
+def term(name: str, joints: tuple[int, ...], *amplitude: float) -> Term:
+    return Term(EFFECTS[name], joints, np.array(amplitude).reshape(max(1, len(joints)), -1), ())
+
+
+@pytest.mark.parametrize(
+    ("name", "ours", "beyond"),
+    [("torque_scale", 0.49, -0.51), ("joint_offset", -0.29, 0.31), ("link_length_error", 0.071, -0.073)],
+)
+def test_an_effect_beyond_any_robots_is_doubted(name, ours, beyond):
+    """A link's error is a share of its 0.36 m."""
+    assert found(term(name, (1,), ours)) == []
+    (doubt,) = found(term(name, (1,), beyond))
+    assert name.replace("_", " ") in doubt
+    assert "Check the description" in doubt
+
+
+def test_several_arms_at_once_are_the_description():
+    assert found(term("joint_offset", (0, 1), 0.04, 0.04)) == []
+    assert found(term("joint_offset", (1,), 0.06)) == []
+    assert "Several arms at once" in found(term("joint_offset", (0, 1), 0.01, -0.06))[0]
+    assert found(term("link_length_error", (0, 1), 0.0, 0.017)) == []
+    assert "Several arms at once" in found(term("link_length_error", (0, 1), 0.0, 0.019))[0]
+
+
+def test_what_carries_over_is_no_accident():
+    small = INJECTED["cogging"].term("cogging")
+    assert found(small, left=4.0, gap=9.0) == []  # 62 % of the gap above the noise gone
+
+
+def loud(scale: float):
+    """Runs whose torque is not the robot's at all: another mass, seen as so much noise."""
+    runs = [course(seed, 1.0) for seed in SEEDS]
+    random = np.random.default_rng(0)
+    wrong = [run.torque + scale * np.cumsum(random.standard_normal(run.torque.shape), axis=0) / 10 for run in runs]
+    made = problem(runs, wrong)
+    none = selection.score(fit(made, Hypothesis(BASE)), Split.of(made))
+    return made, none
+
+
+def test_what_is_left_of_a_wrong_description_is_told_as_a_share_of_the_torque():
+    made, none = loud(20.0)
+    doubt = cautions.doubts_of(made, Selection(none, none, [], {}), LIMIT)
+    assert len(doubt) == 1
+    # one joint's mean torque is no motion: what is left is held against the rest
+    torque = np.concatenate([t[r] - t[r].mean() for t, r in zip(made.target, made.rows, strict=True)])
+    share = np.sqrt(none.loss / made.count * np.mean(made.sigma**2) / np.mean(torque**2))
+    assert f"{100 * share:.0f} % of the torque" in doubt[0] or "Each run fits alone" in doubt[0]
+    assert share > 0.10
+
+
+def test_runs_of_two_robots_fit_alone_but_not_together():
+    runs = [course(seed, 2.0) for seed in SEEDS]
+    other = [runs[0].torque, 1.3 * runs[1].torque]
+    random = np.random.default_rng(0)
+    made = problem(runs, [torque + 0.3 * random.standard_normal(torque.shape) for torque in other])
+    together = fit(made, Hypothesis(BASE))
+    best = selection.score(together, Split.of(made))
+    (doubt,) = cautions.doubts_of(made, Selection(best, best, [], {}), LIMIT)
+    assert "Each run fits alone, but not all together" in doubt
+    alone = cautions._alone(made, Selection(best, best, [], {}))
+    each = [
+        replace(made, recordings=[r], target=[t], rows=[m])
+        for r, t, m in zip(made.recordings, made.target, made.rows, strict=True)
+    ]
+    expected = sum(fit(part, Hypothesis(BASE)).cost for part in each) / made.count
+    assert alone == pytest.approx(expected, rel=0.05)
+    assert evaluate(made, Hypothesis(BASE)).cost > together.cost
+
+
+def test_noise_is_no_reason_to_doubt():
+    runs = [course(seed, 1.0) for seed in SEEDS]
+    random = np.random.default_rng(0)
+    made = problem(runs, [run.torque + 0.3 * random.standard_normal(run.torque.shape) for run in runs])
+    best = selection.score(fit(made, Hypothesis(BASE)), Split.of(made))
+    assert cautions.doubts_of(made, Selection(best, best, [], {}), LIMIT) == []

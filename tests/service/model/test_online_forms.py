@@ -1,0 +1,53 @@
+"""The form of an effect inside the online step against the one offline, on one exact motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.model.effects.base import Moment
+from tests.service.injected import INJECTED
+from tests.service.subject import EFFECTS, added
+from tests.service.world import BASE, PERIOD, course, scene, stub
+
+ONLINE = [name for name, effect in EFFECTS.items() if effect.online is not None]
+EVERY = 23  # samples
+
+
+def test_what_needs_the_past_or_the_measurement_alone_has_no_online_form():
+    assert set(EFFECTS) - set(ONLINE) == {
+        "presliding_friction", "passive_joint_friction", "joint_elasticity", "backlash", "encoder_eccentricity",
+        "torque_delay", "torque_filter",
+        "torque_scale", "link_length_error", "joint_offset",  # in the settings of the online model
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ONLINE)
+def test_the_online_torque_is_the_offline_one(name):
+    here = scene(course(1, 1.0))
+    injected, effect = INJECTED[name], EFFECTS[name]
+    arms, motion, model = here.arms, here.segment, here.delta.model
+    offline = added(here, injected.term(name))
+    amplitude = np.zeros((3, 4))
+    for place, joint in enumerate(injected.joints or (0,)):
+        amplitude[joint, : len(injected.amplitude[place])] = injected.amplitude[place]
+    record = stub(amplitude=amplitude, shape=np.array([*injected.shape, 0.0, 0.0]))
+    # the platform's acceleration by differences of its velocity, which is closed form
+    acceleration = np.gradient(arms.velocity, PERIOD, axis=0, edge_order=2)
+    lever = np.einsum("nia,nia->ni", arms.forearm, arms.slope)
+    form = effect.online.py_func  # pyright: ignore[reportFunctionMemberAccess, reportOptionalMemberAccess]
+    checked = 0
+    for k in range(EVERY, len(motion.time) - EVERY, EVERY):
+        columns = (arms.jacobian[k] / lever[k]).T  # J[axis, i] = column[i, axis] lever[i]
+        now = Moment(
+            model, float(here.mechanism.gear_ratio[0]), float(BASE.rigid[1]), motion.theta[k], motion.theta_dot[k],
+            motion.theta_ddot[k], here.direction[k], here.load[k], float(motion.time[k]), arms.position[k],
+            arms.velocity[k], acceleration[k], np.ascontiguousarray(columns), np.ascontiguousarray(arms.slope[k]),
+            np.ascontiguousarray(lever[k]),
+        )  # fmt: skip
+        found = np.array([form(record, now, i) for i in range(3)])
+        if effect.per_joint:
+            found = [found[i] if i in injected.joints else 0.0 for i in range(3)]
+        np.testing.assert_allclose(found, offline[k], rtol=1e-4, atol=1e-4 * np.abs(offline).max())
+        checked += bool(np.abs(offline[k]).max() > 0.0)
+    assert checked > 20
