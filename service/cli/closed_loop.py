@@ -47,7 +47,7 @@ def command(
     from service.cli.simulate import make_plant
     from service.experiment.closed_loop import follow, tracking, variants
     from service.experiment.logs import identification_motions, record
-    from service.experiment.pictures import Figure, write_page, write_pictures
+    from service.experiment.pictures import write_page, write_pictures
     from service.identification.identify import identify
     from service.identification.regression import summarise
     from service.model.nominal import pack
@@ -102,7 +102,7 @@ def command(
     which = make_plant(description, truth, period, seed)[1]
     page = _page(description.name, which, masses, runs, rows)
     write_page(page, out / "closed_loop.html")
-    write_pictures([part for part in page.parts if isinstance(part, Figure)], out, "closed_loop")
+    write_pictures(page.drawings, out, "closed_loop")
     figures = [
         {
             "name": run.name,

@@ -2,32 +2,38 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from schemas.files import make_folder, whole
 from service import pages
 
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
 # Okabe and Ito's palette: told apart in print and by colour-blind eyes.
 COLOURS = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 MOST_POINTS = 4000  # of a line in the HTML page
 PANEL_HEIGHT = 180  # px in the page
+CELL_INCHES = 0.75  # height of a row of a diagram
 GAP = 75  # px between two panels, for the upper one's scale and label and the lower one's title
 
 
 @dataclass(frozen=True)
 class Line:
-    """One curve: x, y (N,). colour: index into `COLOURS`."""
+    """One curve: x, y (N,). colour: index into `COLOURS`. spread: (N,) above and below the end of each bar."""
 
     name: str
     x: np.ndarray
     y: np.ndarray
     colour: int = 0
     style: Literal["line", "thin", "dashed", "points", "bars"] = "line"
+    spread: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,44 @@ class Figure:
 
 
 @dataclass(frozen=True)
+class Box:
+    """A block of a diagram, its middle in column and row of a grid, rows downwards. plain: text without a frame."""
+
+    text: str
+    column: float
+    row: float
+    plain: bool = False
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """From one box to another, by their numbers; `text` beside it."""
+
+    start: int
+    end: int
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """Blocks and what flows between them."""
+
+    name: str
+    title: str
+    caption: str
+    boxes: tuple[Box, ...]
+    arrows: tuple[Arrow, ...]
+
+
+@dataclass(frozen=True)
+class Section:
+    """From here on the page is about something else."""
+
+    title: str
+    text: str
+
+
+@dataclass(frozen=True)
 class Table:
     """A table of the page: cells as they are to be read."""
 
@@ -78,7 +122,12 @@ class Page:
 
     title: str
     lead: tuple[str, ...]  # paragraphs
-    parts: tuple[Table | Figure, ...] = field(default=())
+    parts: tuple[Table | Figure | Diagram | Section, ...] = field(default=())
+
+    @property
+    def drawings(self) -> list[Figure | Diagram]:
+        """What of it is drawn."""
+        return [part for part in self.parts if isinstance(part, Figure | Diagram)]
 
 
 def write_page(page: Page, path: Path) -> None:
@@ -87,10 +136,10 @@ def write_page(page: Page, path: Path) -> None:
     Raises:
         StorageError: it cannot be written.
     """
-    pages.write_page("findings", path, page=page, draw=_interactive)
+    pages.write_page("findings", path, page=page, draw=_interactive, sketch=_svg)
 
 
-def write_pictures(figures: Sequence[Figure], folder: Path, document: str) -> None:
+def write_pictures(figures: Sequence[Figure | Diagram], folder: Path, document: str) -> None:
     """Every figure as PNG, and all of them as the pages of one PDF named `document`.
 
     Raises:
@@ -101,7 +150,7 @@ def write_pictures(figures: Sequence[Figure], folder: Path, document: str) -> No
     make_folder(folder)
     with whole(folder / f"{document}.pdf") as paper, PdfPages(paper) as sheets:
         for figure in figures:
-            drawn = _printed(figure)
+            drawn = _sketched(figure) if isinstance(figure, Diagram) else _printed(figure)
             with whole(folder / f"{figure.name}.png") as partial:
                 drawn.savefig(partial, dpi=150)
             sheets.savefig(drawn)
@@ -131,6 +180,8 @@ def _interactive(figure: Figure) -> Any:
             told.add(line.name)
             colour = COLOURS[line.colour]
             if line.style == "bars":
+                if line.spread is not None:
+                    common["error_y"] = {"type": "data", "array": line.spread}
                 drawn.add_trace(go.Bar(marker_color=colour, **common), row, 1)
             elif line.style == "points":
                 drawn.add_trace(go.Scatter(mode="markers", marker={"color": colour, "size": 8}, **common), row, 1)
@@ -170,7 +221,7 @@ def _printed(figure: Figure) -> Any:
             if line.style == "bars":
                 width = 0.8 / len(bars)
                 place = np.arange(len(line.x)) + (bars.index(line) - (len(bars) - 1) / 2) * width
-                mark = axis.bar(place, line.y, width, color=colour)
+                mark = axis.bar(place, line.y, width, color=colour, yerr=line.spread, capsize=3, ecolor="#555555")
                 axis.set_xticks(np.arange(len(line.x)), line.x)
             elif line.style == "points":
                 (mark,) = axis.plot(line.x, line.y, "o", color=colour, markersize=4)
@@ -185,4 +236,47 @@ def _printed(figure: Figure) -> Any:
     if told:
         columns = min(len(told), 4)
         canvas.legend(told.values(), told.keys(), loc="outside lower center", ncols=columns, fontsize=8)
+    return canvas
+
+
+def _svg(diagram: Diagram) -> Markup:
+    """The diagram as an element of a page, its text as text."""
+    import matplotlib
+    from markupsafe import Markup
+
+    stream = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": diagram.name}):
+        _sketched(diagram).savefig(stream, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    return Markup(stream.getvalue().partition("<svg")[1] + stream.getvalue().partition("<svg")[2])
+
+
+def _sketched(diagram: Diagram) -> Any:
+    from matplotlib.figure import Figure as Canvas
+
+    columns = max(box.column for box in diagram.boxes) + 1
+    rows = max(box.row for box in diagram.boxes) + 1
+    canvas = Canvas(figsize=(8.3, 0.5 + CELL_INCHES * rows), layout="constrained")
+    axis = canvas.subplots()
+    axis.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
+    axis.axis("off")
+    canvas.suptitle(diagram.title, fontsize=11)
+    drawn = []
+    for box in diagram.boxes:
+        frame = None if box.plain else {"boxstyle": "round,pad=0.5", "facecolor": "#f6f8fa", "edgecolor": "#555555"}
+        text = axis.text(box.column, box.row, box.text, ha="center", va="center", fontsize=8, bbox=frame, clip_on=False)
+        drawn.append(text)
+    for arrow in diagram.arrows:
+        start, end = diagram.boxes[arrow.start], diagram.boxes[arrow.end]
+        axis.annotate(
+            "", (end.column, end.row), (start.column, start.row),
+            arrowprops={"arrowstyle": "-|>", "color": "#333333", "linewidth": 1.0,
+                        "patchA": drawn[arrow.start].get_bbox_patch(), "patchB": drawn[arrow.end].get_bbox_patch(),
+                        "shrinkA": 12 if start.plain else 2, "shrinkB": 12 if end.plain else 2},
+            annotation_clip=False,
+        )  # fmt: skip
+        if arrow.text:
+            middle = (start.column + end.column) / 2, (start.row + end.row) / 2
+            upright = start.column == end.column
+            place: Any = {"ha": "left", "va": "center"} if upright else {"ha": "center", "va": "bottom"}
+            axis.text(*middle, f"  {arrow.text}" if upright else arrow.text, fontsize=7, color="#333333", **place)
     return canvas

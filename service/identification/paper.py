@@ -2,6 +2,9 @@
 trajectory on what is left; the mean over trajectories of each. Two point masses for each forearm.
 
 The RMS error is a quadratic form in (rho_1, rho_2), so the grid follows from six sums over the samples.
+
+The paper takes its sums over all samples and the torque as it was measured (`literal`); `refit` takes them as the
+pooled fit does, over samples in motion and with both sides low-passed.
 """
 
 from __future__ import annotations
@@ -11,6 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from schemas.errors import PoseError, TraceError
+from schemas.trace import Trace
 from service.identification import pooled
 from service.identification.pooled import COULOMB, FOREARM_MASS, PARAMETERS, RHO_1, RHO_2, VISCOUS, target
 from service.identification.regression import (
@@ -18,9 +23,15 @@ from service.identification.regression import (
     COULOMB_COLUMN,
     GRAVITY_COLUMN,
     INERTIA_COLUMN,
+    ONE_COLUMN,
+    TORQUE_COLUMN,
     VISCOUS_COLUMN,
+    WEIGHT_COLUMN,
     Trajectory,
+    regressors,
 )
+from service.model.nominal import DeltaModel
+from service.model.signals import segments
 
 GRID = 200  # points a side
 RHO_RANGE = (0.0, 5.0)
@@ -56,7 +67,34 @@ def means(trajectories: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
 
     A single trajectory has no spread: its errors are NaN. A joint that rests throughout a trajectory has no say in it.
     """
-    each = np.array([_trajectory(trajectory) for trajectory in trajectories])
+    return _average([_single(trajectory.gram.sum(axis=0)) for trajectory in trajectories])
+
+
+def literal(model: DeltaModel, traces: Sequence[Trace]) -> tuple[np.ndarray, np.ndarray]:
+    """As `means`, from every sample of `traces`, at rest or not, and the torque as it was measured.
+
+    Raises:
+        TraceError: nothing usable in a trace, or positions that are no pose of the robot, naming the file.
+    """
+    return _average([_single(_raw_gram(model, trace)) for trace in traces])
+
+
+def _raw_gram(model: DeltaModel, trace: Trace) -> np.ndarray:
+    """(3, COLUMNS, COLUMNS) sums over all samples; only columns that the paper's method reads are filled."""
+    gram = np.zeros((3, COLUMNS, COLUMNS))
+    for part in segments(trace):
+        columns = np.zeros((len(part.time), 3, COLUMNS))
+        try:
+            columns[:, :, :WEIGHT_COLUMN] = regressors(model, part.theta, part.theta_dot, part.theta_ddot)
+        except PoseError as error:
+            raise TraceError(f"{trace.path}: {error}") from error
+        columns[:, :, TORQUE_COLUMN:ONE_COLUMN] = part.torque[:, None, :]
+        gram += np.einsum("nja,njb->jab", columns, columns) * part.period
+    return gram
+
+
+def _average(of_each: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    each = np.array(of_each)
     known = np.isfinite(each)
     count = known.sum(axis=0)
     values = np.where(known, each, 0.0).sum(axis=0) / np.maximum(count, 1)
@@ -64,8 +102,8 @@ def means(trajectories: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
     return values, np.where(count > 1, np.sqrt(spread / np.maximum(count, 1)), np.nan)
 
 
-def _trajectory(trajectory: Trajectory) -> np.ndarray:
-    gram = trajectory.gram.sum(axis=0)
+def _single(gram: np.ndarray) -> np.ndarray:
+    """(9,) parameters from the sums of one trajectory, (3, COLUMNS, COLUMNS)."""
     result = np.full(len(PARAMETERS), np.nan)
     result[RHO_1], result[RHO_2] = grid(six_sums(gram))
     result[FOREARM_MASS] = 0.0

@@ -19,7 +19,7 @@ from service.estimator.estimator import Estimator, period_of
 from service.estimator.recursion import FORGETTING, fixed_forgetting
 from service.model import kinematics
 from service.model.nominal import pack
-from service.model.prediction import motion, predict_along
+from service.model.prediction import Motion, motion, predict_along
 
 # What "found" means: within the larger of the two of the truth, and staying there to the release.
 BOUND_SHARE, BOUND_KG = 0.05, 0.05
@@ -81,20 +81,37 @@ def course(robot: Robot, trace: Trace) -> Course:
 
     along = motion(trace)
     torque = predict_along(robot, trace, along)["M_Id+F"]
+    return Course(
+        time=stamp_ns(samples) * 1e-9,
+        mass=known(result["mass"]),
+        std_dev=known(result["std_dev"]),
+        event=known(result["event"]),
+        recursion=recursion(robot, trace, along, torque),
+    )
+
+
+def recursion(
+    robot: Robot,
+    trace: Trace,
+    along: Motion,
+    torque: np.ndarray,
+    forgetting: float = FORGETTING,
+    rest_votes: bool = True,
+) -> np.ndarray:
+    """The paper's recursion: payload mass (N,), kg, after each row of `trace`.
+
+    along: its smoothed motion. torque: (N, 3) N m, what the model says without payload. forgetting: factor a
+    millisecond. rest_votes: rows in which a joint rests count too, as in the paper.
+    """
     model = pack(robot)
     platform = kinematics.motion(model, along.theta, along.theta_dot, along.theta_ddot)
     x = platform.acceleration + [0.0, 0.0, robot.gravity_mps2]
     jacobian = kinematics.jacobian(model, along.theta)
     y = np.linalg.solve(np.swapaxes(jacobian, 1, 2), (trace.torque - torque)[..., None])[..., 0]
     y[~along.measured] = np.nan
-    per_sample = FORGETTING ** (trace.period / 1e-3)
-    return Course(
-        time=stamp_ns(samples) * 1e-9,
-        mass=known(result["mass"]),
-        std_dev=known(result["std_dev"]),
-        event=known(result["event"]),
-        recursion=fixed_forgetting(y, x, per_sample),
-    )
+    if not rest_votes:
+        y[~along.moving.all(axis=1)] = np.nan
+    return fixed_forgetting(y, x, forgetting ** (trace.period / 1e-3))
 
 
 def picks(found: Course) -> list[Pick]:
@@ -114,27 +131,32 @@ def picks(found: Course) -> list[Pick]:
 def score(found: Course, truth: Pick) -> Score:
     """Hold what was found against one true pick."""
     held = (found.time >= truth.begin) & (found.time < truth.end)
-    mass, recursion = found.mass[held], found.recursion[held]
 
     def delay(event: PayloadEvent, since: float, until: float) -> float:
         rows = np.flatnonzero((found.event == event) & (found.time >= since) & (found.time < until))
         return float(found.time[rows[0]] - since) if len(rows) else np.nan
 
-    def settled(values: np.ndarray) -> float:
-        off = np.flatnonzero(np.abs(values - truth.mass) > max(BOUND_SHARE * truth.mass, BOUND_KG))
-        if len(off) == 0:
-            return 0.0
-        return float(found.time[held][off[-1] + 1] - truth.begin) if off[-1] + 1 < len(values) else np.nan
-
     return Score(
         truth=truth,
         seen=delay(PayloadEvent.PICK, truth.begin, truth.end),
         released=delay(PayloadEvent.RELEASE, truth.end, truth.end + (truth.end - truth.begin)),
-        settled=settled(mass),
-        mass=float(mass[-1]),
-        settled_recursion=settled(recursion),
-        mass_recursion=float(recursion[-1]),
+        settled=settled(found.time, found.mass, truth),
+        mass=float(found.mass[held][-1]),
+        settled_recursion=settled(found.time, found.recursion, truth),
+        mass_recursion=float(found.recursion[held][-1]),
     )
+
+
+def settled(time: np.ndarray, mass: np.ndarray, truth: Pick) -> float:
+    """s after the pick from which on `mass` (N,), kg, stays within the bound to the release; NaN: it never does.
+
+    time: (N,) s, as `truth` counts.
+    """
+    held = (time >= truth.begin) & (time < truth.end)
+    off = np.flatnonzero(np.abs(mass[held] - truth.mass) > max(BOUND_SHARE * truth.mass, BOUND_KG))
+    if len(off) == 0:
+        return 0.0
+    return float(time[held][off[-1] + 1] - truth.begin) if off[-1] + 1 < held.sum() else np.nan
 
 
 def read_truth(path: Path) -> list[Pick]:

@@ -35,6 +35,26 @@ def test_grid_is_the_minimum_over_the_samples(robot: Robot, record: Record) -> N
     assert least <= min(around) * (1 + 1e-9)
 
 
+def test_literal_takes_every_sample_and_the_raw_torque(robot: Robot, record: Record) -> None:
+    """Against least squares written out over the samples, rests and all."""
+    trace = record(4, Truth(noise=0.5))
+    values, errors = paper.literal(pack(robot), [trace])
+    theta, theta_dot, theta_ddot = smooth(trace.position, 1e-3)
+    terms = torque_terms(pack(robot), theta, theta_dot, theta_ddot)
+    left = trace.torque - terms[:, 2]
+    columns = np.stack([terms[:, 0].ravel(), terms[:, 1].ravel()], axis=1)
+    rho = np.linalg.lstsq(columns, left.ravel(), rcond=None)[0]
+    assert np.allclose(values[:2], rho, atol=3e-4)  # the grid's step is 2.5e-4
+    left = left - values[0] * terms[:, 0] - values[1] * terms[:, 1]
+    for joint in range(3):
+        phi = np.stack([theta_dot[:, joint], np.sign(theta_dot[:, joint])], axis=1)
+        friction = np.linalg.lstsq(phi, left[:, joint], rcond=None)[0]
+        assert np.allclose(values[[3 + joint, 6 + joint]], friction, atol=1e-8)
+    assert np.isnan(errors).all()  # one trajectory has no spread
+    filtered = paper.means([summarise(pack(robot), trace)])[0]
+    assert not np.allclose(filtered[:2], values[:2], atol=1e-3)
+
+
 def test_means_without_forearm_and_friction_are_the_truth(robot: Robot, record: Record) -> None:
     truth = Truth(forearm=0.0, viscous=np.zeros(3), coulomb=np.zeros(3), noise=0.1)
     trajectories = [summarise(pack(robot), record(seed, truth)) for seed in range(4)]
