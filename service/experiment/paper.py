@@ -275,7 +275,10 @@ def _figure_7(found: Findings) -> Figure:
         )
         for joint in range(3)
     )
-    caption = "Grey: the payload is on. m̂_p by the paper's recursion, as known at each sample. Simulated."
+    caption = (
+        "Grey: the payload is on. m̂_p by the paper's recursion, as known at each sample. At rest sign θ̇ is noise, and "
+        "the friction term of the literal model chatters between its bounds. Simulated."
+    )
     return Figure("figure_7", f"Figure 7: torque over υ_P with {FRICTION}", caption, panels)
 
 

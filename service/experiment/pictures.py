@@ -150,7 +150,7 @@ def write_pictures(figures: Sequence[Figure | Diagram], folder: Path, document: 
     make_folder(folder)
     with whole(folder / f"{document}.pdf") as paper, PdfPages(paper) as sheets:
         for figure in figures:
-            drawn = _sketched(figure) if isinstance(figure, Diagram) else _printed(figure)
+            drawn = _sketched(figure, figure.title) if isinstance(figure, Diagram) else _printed(figure)
             with whole(folder / f"{figure.name}.png") as partial:
                 drawn.savefig(partial, dpi=150)
             sheets.savefig(drawn)
@@ -166,8 +166,6 @@ def _interactive(figure: Figure) -> Any:
     drawn: Any = make_subplots(rows=count, cols=1, vertical_spacing=GAP / height, subplot_titles=titles)
     told: set[str] = set()
     for row, panel in enumerate(figure.panels, start=1):
-        for start, end in panel.shade:
-            drawn.add_vrect(x0=start, x1=end, fillcolor="#999999", opacity=0.18, line_width=0, row=row, col=1)
         if panel.heat is not None:
             heat = panel.heat
             place = 1 - (row - 0.5) / count
@@ -190,6 +188,10 @@ def _interactive(figure: Figure) -> Any:
                 dash = "dash" if line.style == "dashed" else dash
                 look = {"color": colour, "width": width, "dash": dash}
                 drawn.add_trace(go.Scatter(mode="lines", line=look, **common), row, 1)
+        for start, end in panel.shade:  # after the lines: Plotly shades no empty axes
+            drawn.add_vrect(
+                x0=start, x1=end, fillcolor="#999999", opacity=0.18, line_width=0, layer="below", row=row, col=1
+            )
         drawn.update_xaxes(title_text=panel.x_label, row=row, col=1)
         drawn.update_yaxes(title_text=panel.y_label, row=row, col=1)
     drawn.update_layout(
@@ -246,11 +248,13 @@ def _svg(diagram: Diagram) -> Markup:
 
     stream = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": diagram.name}):
-        _sketched(diagram).savefig(stream, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+        _sketched(diagram, title="").savefig(
+            stream, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        )
     return Markup(stream.getvalue().partition("<svg")[1] + stream.getvalue().partition("<svg")[2])
 
 
-def _sketched(diagram: Diagram) -> Any:
+def _sketched(diagram: Diagram, title: str) -> Any:
     from matplotlib.figure import Figure as Canvas
 
     columns = max(box.column for box in diagram.boxes) + 1
@@ -259,7 +263,7 @@ def _sketched(diagram: Diagram) -> Any:
     axis = canvas.subplots()
     axis.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5))
     axis.axis("off")
-    canvas.suptitle(diagram.title, fontsize=11)
+    canvas.suptitle(title, fontsize=11)
     drawn = []
     for box in diagram.boxes:
         frame = None if box.plain else {"boxstyle": "round,pad=0.5", "facecolor": "#f6f8fa", "edgecolor": "#555555"}

@@ -29,9 +29,9 @@ def found() -> Findings:
     plant = Plant(robot, truth, make_effects(truth.effect, "truth"), seed=2)
     planner = Planner(robot, 1e-3)
     rng = np.random.default_rng(2)
-    picking = planner.pick_and_place(rng, 5.0, (3.8,), speed=0.4)
-    logs = record(plant, excitations(planner, rng, 4, 4.0), "identification")
-    (stress,) = record(plant, iter([planner.bound(rng, 6.0)]), "upsilon_F")
+    picking = planner.pick_and_place(rng, 4.0, (3.8,), speed=0.4)
+    logs = record(plant, excitations(planner, rng, 4, 3.0), "identification")
+    (stress,) = record(plant, iter([planner.bound(rng, 3.0)]), "upsilon_F")
     (picks,) = record(plant, iter([picking]), "upsilon_P")
     return run(robot, logs, stress, picks, picking.payloads)
 
@@ -121,6 +121,7 @@ def test_report_holds_tables_and_figures_in_the_papers_order(found: Findings, tm
     assert "Every measurement here is simulated" in text
     assert "Chosen to resemble the published figures" in text
     assert text.count("Plotly.newPlot") >= 10
+    assert text.count('"fillcolor":"#999999"') == len(found.scores) * (3 + 2 + 2), "figures 7 and 8 and ours are shaded"
     outside = re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL)
     assert not re.search(r'(src|href)="(?!#)', outside)
     for part in report.parts:
