@@ -1,9 +1,14 @@
-"""Pacing to absolute deadlines: no error adds up, and a wake-up that comes late is caught up with, not passed on."""
+"""Pacing to absolute deadlines: no error adds up, and a wake-up that comes late is caught up with, not passed on.
+
+After a hold-up (the process was stopped, the host stood still) the loop catches up, but at `CATCH_UP` times its rate at
+most: thousands of samples at once would cost everybody who listens what he has not taken yet.
+"""
 
 from __future__ import annotations
 
 import time
 
+CATCH_UP = 2
 SPIN_NS = 100_000  # the last stretch before a deadline is spent awake: longer than a timer wakes late
 
 
@@ -19,3 +24,18 @@ def wait_until(deadline_ns: int) -> int:
     while now < deadline_ns:
         now = time.monotonic_ns()
     return now - deadline_ns
+
+
+class Pacer:
+    """`wait_until` for rising deadlines, with a bound on how fast late ones follow each other."""
+
+    def __init__(self) -> None:
+        self._deadline_ns = self._at_ns = 0
+
+    def __call__(self, deadline_ns: int) -> int:
+        """Return at `deadline_ns` or, when it has passed, as soon as may be; how late, ns."""
+        soonest = self._at_ns + (deadline_ns - self._deadline_ns) // CATCH_UP if self._at_ns else 0
+        self._at_ns = max(soonest, deadline_ns)
+        self._at_ns += wait_until(self._at_ns)
+        self._deadline_ns = deadline_ns
+        return self._at_ns - deadline_ns

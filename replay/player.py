@@ -1,8 +1,9 @@
 """Player: a trace onto the bus at the times it was recorded.
 
 What holds: no sample is left out, sent twice or sent before its predecessor; the first goes out at its time, not in a
-burst. A sample that is held up (by the scheduler, by a stuck subscriber) goes out as soon as it can, and so do those
-behind it, until the loop is back on time: deadlines are absolute and late ones are counted.
+burst. A sample that is held up (by the scheduler, by a stuck subscriber) goes out as soon as it can, and those behind
+it at twice their rate at most until the loop is back on time: deadlines are absolute and late ones are counted. After
+five seconds of standing still it takes another five to be on time again.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.health import Health
-from replay.clock import wait_until
+from replay.clock import Pacer
 from schemas.errors import TraceError
 from schemas.messages import NANOSECONDS, SAMPLE, StopReason, stamp_ns
 from schemas.trace import Trace
@@ -152,7 +153,7 @@ def _send(score: Score, put: Callable[[bytes], object]) -> Iterator[int]:
     payload, size, count = score.payload, SAMPLE.dtype.itemsize, len(score)
     stamp, due, sequence = score.stamp.data, score.due.data, score.sequence.data  # quicker to index than arrays
     pack = _STAMP_AND_SEQUENCE.pack_into
-    start, loop = time.monotonic_ns() + LEAD_NS, 0
+    start, loop, pace = time.monotonic_ns() + LEAD_NS, 0, Pacer()
     while score.loops == 0 or loop < score.loops:
         stamp_shift, sequence_shift = loop * score.stamp_span, loop * score.sequence_span
         begin = start + loop * score.due_span
@@ -165,7 +166,7 @@ def _send(score: Score, put: Callable[[bytes], object]) -> Iterator[int]:
                 sequence[i] + sequence_shift,
             )
             message = bytes(payload[offset : offset + size])
-            late = wait_until(begin + due[i])
+            late = pace(begin + due[i])
             put(message)
             yield late
         loop += 1

@@ -24,6 +24,13 @@ from schemas.trace import Trace
 
 STALE_CYCLES = 3
 LEAD_NS = 20_000_000  # from the call to the first deadline
+REMEMBERED = 300_000  # cycles kept of a run that goes on: the newest five minutes at 1 kHz, 41 MB
+_CYCLE = np.dtype(
+    [(name, "3f8") for name in ("position", "torque", "torque_command", "position_command", "feedforward")]
+    + [("payload", "f8"), ("late", "i8")]
+)
+
+_NO_TORQUE = (np.nan, np.nan, np.nan)
 
 
 class FeedforwardIntake:
@@ -63,15 +70,16 @@ class FeedforwardIntake:
 
 @dataclass(frozen=True)
 class LiveRun:
-    """What happened: the trace, and the feed-forward torque and payload in force.
+    """What happened in the newest N cycles: the trace, and the feed-forward torque and payload in force.
 
-    feedforward (N, 3) N m, NaN where the drives were on feedback alone; payload (N,) kg.
-    late: cycles that began after the next was due; lateness (N,) ns.
+    feedforward (N, 3) N m, NaN where the drives were on feedback alone; payload (N,) kg. cycles: of the whole run.
+    late: how many of them began after the next was due; lateness (N,) ns.
     """
 
     trace: Trace
     feedforward: np.ndarray
     payload: np.ndarray
+    cycles: int
     late: int
     lateness: np.ndarray
 
@@ -90,77 +98,80 @@ def run_live(
     """Run `motion` `loops` times (0: until Ctrl-C; it has to end where it starts) at the period of `plant`.
 
     pace: waits for a deadline, ns of CLOCK_MONOTONIC, and says how late it is (`replay.clock.wait_until`). stop: asked
-    every cycle whether to end. Ctrl-C ends the run, what was recorded comes back.
+    every cycle whether to end. Ctrl-C ends the run; the newest `REMEMBERED` cycles come back.
     """
     sample_out, reference_out = bus.publisher("sample"), bus.publisher("reference")
     intake = FeedforwardIntake(bus.subscribe("feedforward"), plant.truth.peak_torque_nm)
-    health = Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
+    standing = HealthFlag(0) if realtime else HealthFlag.NO_REALTIME
+    health = Health(bus, standing | HealthFlag.STALE_FEEDFORWARD)
     period_ns = round(plant.period * NANOSECONDS)
     count = len(motion)
     carrier = Carrier(motion)
     sample, reference = SAMPLE.empty(1), REFERENCE.empty(1)
-    rows: list[tuple[np.ndarray, ...]] = []
-    lateness: list[int] = []
-    late_count = 0
+    rows = np.zeros(min(loops * count, REMEMBERED) if loops else REMEMBERED, _CYCLE)
+    done = late_count = 0
     plant.set_payload(0.0)
     plant.reset(motion.position[0])
     plant.warm_up()
     epoch = time.time_ns()
     start = time.monotonic_ns() + LEAD_NS
     fed: np.ndarray | None = None
-    try:
-        for cycle in _cycles(loops, count):
-            k = cycle % count
-            late = pace(start + cycle * period_ns)
-            late_count += late > period_ns
-            fed_before, fed = fed, intake.at(cycle)
-            if (fed is None) != (fed_before is None):
-                plant.take_over(fed_before, fed)
-            carrier.apply(plant, k)
-            measured = plant.latch(
-                Target(motion.position[k], motion.velocity[k]),
-                Target(motion.position[k + 1], motion.velocity[k + 1]),
-                fed,
-            )
-            stamp = epoch + cycle * period_ns
-            set_stamp(reference, stamp + period_ns)
-            reference["sequence"] = cycle + 1
-            reference["position"], reference["velocity"] = motion.position[k + 1], motion.velocity[k + 1]
-            reference["acceleration"] = motion.acceleration[k + 1]
-            reference_out.put(reference.tobytes())
-            set_stamp(sample, stamp)
-            sample["sequence"] = cycle
-            sample["position"], sample["torque"], sample["torque_command"] = measured
-            sample["position_command"] = motion.position[k]
-            sample_out.put(sample.tobytes())
-            plant.run()
-            rows.append(
-                (*measured, motion.position[k], np.full(3, np.nan) if fed is None else fed, np.array(plant.payload))
-            )
-            lateness.append(late)
-            health.time_one(late)
-            if health.due:
-                health.publish(published=cycle + 1, received=intake.received, rejected=intake.refused, late=late_count)
-            progress(cycle)
-            if stop(cycle):
-                break
-    except KeyboardInterrupt:
-        ended = StopReason.INTERRUPTED
-    else:
-        ended = StopReason.DONE
-    health.stop(ended, published=len(rows), received=intake.received, rejected=intake.refused, late=late_count)
-    columns = [np.array(column) for column in zip(*rows, strict=True)] if rows else [np.empty((0, 3))] * 6
-    position, torque, command, target, feedforward, payload = columns
+    with health:
+        try:
+            for cycle in _cycles(loops, count):
+                k = cycle % count
+                late = pace(start + cycle * period_ns)
+                late_count += late > period_ns
+                fed_before, fed = fed, intake.at(cycle)
+                if (fed is None) != (fed_before is None):
+                    plant.take_over(fed_before, fed)
+                    health.flags = standing if fed is not None else standing | HealthFlag.STALE_FEEDFORWARD
+                carrier.apply(plant, k)
+                measured = plant.latch(
+                    Target(motion.position[k], motion.velocity[k]),
+                    Target(motion.position[k + 1], motion.velocity[k + 1]),
+                    fed,
+                )
+                stamp = epoch + cycle * period_ns
+                set_stamp(reference, stamp + period_ns)
+                reference["sequence"] = cycle + 1
+                reference["position"], reference["velocity"] = motion.position[k + 1], motion.velocity[k + 1]
+                reference["acceleration"] = motion.acceleration[k + 1]
+                reference_out.put(reference.tobytes())
+                set_stamp(sample, stamp)
+                sample["sequence"] = cycle
+                sample["position"], sample["torque"], sample["torque_command"] = measured
+                sample["position_command"] = motion.position[k]
+                sample_out.put(sample.tobytes())
+                plant.run()
+                rows[cycle % len(rows)] = (
+                    *measured, motion.position[k], _NO_TORQUE if fed is None else fed, plant.payload, late
+                )  # fmt: skip
+                done = cycle + 1
+                health.time_one(late)
+                if health.due:
+                    health.publish(
+                        published=cycle + 1, received=intake.received, rejected=intake.refused, late=late_count
+                    )
+                progress(cycle)
+                if stop(cycle):
+                    break
+        except KeyboardInterrupt:
+            ended = StopReason.INTERRUPTED
+        else:
+            ended = StopReason.DONE
+        health.stop(ended, published=done, received=intake.received, rejected=intake.refused, late=late_count)
+    rows = rows[:done] if done <= len(rows) else np.roll(rows, -(done % len(rows)))
     trace = Trace(
         path=Path("live"),
-        time=np.arange(len(rows)) * plant.period,
-        position=position,
-        torque=torque,
-        position_command=target,
-        torque_command=command,
+        time=np.arange(done - len(rows), done) * plant.period,
+        position=rows["position"],
+        torque=rows["torque"],
+        position_command=rows["position_command"],
+        torque_command=rows["torque_command"],
         flags=np.zeros(len(rows), np.uint32),
     )
-    return LiveRun(trace, feedforward, payload, late_count, np.array(lateness))
+    return LiveRun(trace, rows["feedforward"], rows["payload"], done, late_count, rows["late"])
 
 
 def _cycles(loops: int, count: int) -> Iterator[int]:

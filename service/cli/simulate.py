@@ -171,7 +171,7 @@ def _live(
     from drivers.bus import open_bus
     from drivers.plant.live import run_live
     from drivers.trace import write_trace
-    from replay.clock import wait_until
+    from replay.clock import Pacer
     from replay.realtime import go_realtime
     from schemas.messages import Role
     from service.cli.progress import counting
@@ -181,14 +181,16 @@ def _live(
     with counting(f"live {robot.name}", len(motion) * loops) as show:
         realtime = go_realtime("simulate")
         with open_bus(robot.name, Role.ROBOT, zenoh_config, insecure) as bus:
-            run = run_live(plant, motion, bus, wait_until, loops=loops, realtime=realtime, progress=show)
+            run = run_live(plant, motion, bus, Pacer(), loops=loops, realtime=realtime, progress=show)
     if not len(run.trace):
         return
-    error = np.sqrt(np.mean((run.trace.position - motion.position[np.arange(len(run.trace)) % len(motion)]) ** 2))
+    assert run.trace.position_command is not None
+    error = np.sqrt(np.mean((run.trace.position - run.trace.position_command) ** 2))
     helped = np.isfinite(run.feedforward).all(axis=1).mean()
     lateness = np.sort(run.lateness) * 1e-3
+    kept = "" if run.cycles == len(run.trace) else f" (of the newest {len(run.trace)}:)"
     typer.echo(
-        f"live {robot.name}: {len(run.trace)} cycles, feed-forward in {helped:.1%}, "
+        f"live {robot.name}: {run.cycles} cycles{kept}, feed-forward in {helped:.1%}, "
         f"tracking error {error * 1e3:.3f} mrad rms; {run.late} cycles late, "
         f"lateness median {lateness[len(lateness) // 2]:.1f}, "
         f"p99.9 {lateness[int(len(lateness) * 0.999)]:.1f}, max {lateness[-1]:.1f} µs"

@@ -16,6 +16,7 @@ from service.estimator.step import run_kernel
 # Samples from which the period is read. Stamps of a bus jitter; the median of this many does not.
 PERIOD_SAMPLES = 16
 SHORTEST_PERIOD = 2e-5  # s, below it there is no drive's cycle
+LONGEST_PERIOD = 0.1  # s, above it there is no motion to follow
 # This share of the steps in sequence must be a multiple of a stride; of random losses far less are.
 STRIDE_SHARE = 0.8
 
@@ -83,7 +84,7 @@ def rate_of(samples: np.ndarray) -> Rate:
     """Sample period, to the microsecond, and stride from the stamps and sequence numbers of the first samples.
 
     Raises:
-        DataError: the stamps do not rise, or faster than any drive.
+        DataError: the stamps do not rise, or faster than any drive, or slower than any controller.
     """
     first = samples[:PERIOD_SAMPLES]
     steps = np.diff(first["sequence"]).astype(np.int64)  # modulo 2^64
@@ -97,6 +98,8 @@ def rate_of(samples: np.ndarray) -> Rate:
         raise DataError(f"no sample period: the stamps of the first {len(first)} samples do not rise")
     if period < SHORTEST_PERIOD:
         raise DataError(f"sample period {period * 1e6:g} us: no drive is faster than {SHORTEST_PERIOD * 1e6:g} us")
+    if period > LONGEST_PERIOD:
+        raise DataError(f"sample period {period:g} s: no controller is slower than {LONGEST_PERIOD:g} s")
     return Rate(period, stride)
 
 

@@ -13,13 +13,14 @@ from drivers.health import Health
 from schemas.errors import DataError
 from schemas.messages import HealthFlag, SampleFlag
 from schemas.robot import Robot
-from service.estimator.estimator import PERIOD_SAMPLES, Estimator, period_of
+from service.estimator.estimator import PERIOD_SAMPLES, Estimator, Rate, rate_of
 
 REPORT_PERIOD = 1e-3  # s, shortest between two payload or error messages; nobody steers by them, and they cost as much
 STALE_CYCLES = 20  # without a sample the input is stale ...
 STALE_NS = 20_000_000  # ... but not before the scheduler of a loaded host may have held it up
 POLL_S = 0.02  # how often a silent bus is left to see whether to stop
 PERIOD_CHANGE = 0.1  # relative; a source with another sample rate needs other filters
+PERIOD_AGREES = 0.01  # relative, of two readings in a row: what garbage among the samples does not do
 _INVALID = int(SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE | SampleFlag.JUMP)
 
 
@@ -34,6 +35,7 @@ class Node:
         self._counter = SequenceCounter()
         self._waiting = self._samples.message.empty(0)  # the first samples, until they tell the period
         self._recent = self._waiting  # the first ones after a report, which tell whether it is still that
+        self._suspected: Rate | None = None  # what one reading of another rate gave
         self._estimator: Estimator | None = None
         self._received = self._published = self._invalid = 0
         self._heard_ns, self._silent = time.monotonic_ns(), False
@@ -54,6 +56,8 @@ class Node:
             self._counter.update_many(samples["sequence"])
             if len(self._recent) < PERIOD_SAMPLES:
                 self._recent = np.concatenate([self._recent, samples[:PERIOD_SAMPLES]])
+                if self._estimator is not None and len(self._recent) >= PERIOD_SAMPLES:
+                    self._follow_rate(self._estimator)
         self._note_silence()
         if self.health.due:
             self.report()
@@ -69,7 +73,7 @@ class Node:
         if len(self._waiting) < PERIOD_SAMPLES:
             return None
         try:
-            return Estimator(self._robot, period_of(self._waiting))
+            return Estimator(self._robot, *rate_of(self._waiting))
         except DataError:  # the stamps stand still: health shows samples coming in and nothing going out
             self._waiting = self._waiting[-PERIOD_SAMPLES + 1 :]
             return None
@@ -101,9 +105,7 @@ class Node:
 
     def report(self) -> None:
         """Publish health."""
-        if self._estimator is not None and len(self._recent) == PERIOD_SAMPLES:
-            self._follow_rate(self._estimator.period)
-            self._recent = self._recent[:0]
+        self._recent = self._recent[:0]  # read the rate anew
         self.health.publish(
             received=self._received,
             published=self._published,
@@ -114,14 +116,27 @@ class Node:
             invalid=self._invalid,
         )
 
-    def _follow_rate(self, period: float) -> None:
+    def _follow_rate(self, estimator: Estimator) -> None:
+        """Start anew when two readings in a row agree on another rate than that of `estimator`."""
+        before, self._suspected = self._suspected, None
         try:
-            found = period_of(self._recent)
+            found = rate_of(self._recent)
         except DataError:
             return
-        if abs(found / period - 1) > PERIOD_CHANGE:
-            print(f"estimate: sample period changed from {period:g} s to {found:g} s; starting anew", file=sys.stderr)
-            self._estimator = Estimator(self._robot, found)
+        if found.stride == estimator.stride and _close(found.period, estimator.period, PERIOD_CHANGE):
+            return
+        if before is None or found.stride != before.stride or not _close(found.period, before.period, PERIOD_AGREES):
+            self._suspected, self._recent = found, self._recent[:0]
+            return
+        print(
+            f"estimate: sample period changed from {estimator.period:g} s to {found.period:g} s; starting anew",
+            file=sys.stderr,
+        )
+        self._estimator = Estimator(self._robot, *found)
+
+
+def _close(one: float, other: float, relative: float) -> bool:
+    return abs(one / other - 1) <= relative
 
 
 def run(robot: Robot, bus: Bus, flags: HealthFlag, stopped: Callable[[], bool] = lambda: False) -> None:

@@ -17,7 +17,7 @@ from drivers.bus import Bus, open_bus
 from drivers.motion import Trajectory
 from drivers.plant.live import LiveRun, run_live
 from drivers.plant.plant import Plant
-from replay.clock import wait_until
+from replay.clock import Pacer
 from schemas.messages import Role
 from schemas.robot import Identified, JointParameter, Parameter, Robot, save_robot
 from service.model import kinematics
@@ -82,7 +82,7 @@ def follow(
     motion: Trajectory,
     feed: Robot | None,
     *,
-    pace: Callable[[int], int] = wait_until,
+    pace: Callable[[int], int] | None = None,
     realtime: bool = False,
     progress: Callable[[int], object] = lambda cycle: None,
     lose_estimator_at: int | None = None,
@@ -102,7 +102,7 @@ def follow(
                 process.kill()
             progress(cycle)
 
-        return run_live(make_plant(), motion, bus, pace, realtime=realtime, progress=on_cycle)
+        return run_live(make_plant(), motion, bus, pace or Pacer(), realtime=realtime, progress=on_cycle)
 
 
 def tracking(robot: Robot, name: str, run: LiveRun) -> Tracking:

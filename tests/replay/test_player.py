@@ -11,7 +11,7 @@ import pytest
 
 from drivers.bus import SequenceCounter, open_bus
 from drivers.health import Health
-from replay.clock import SPIN_NS, wait_until
+from replay.clock import SPIN_NS, Pacer, wait_until
 from replay.player import Played, Score, play, score
 from schemas.errors import TraceError
 from schemas.messages import HEALTH, SAMPLE, HealthFlag, Role, StopReason, stamp_ns
@@ -93,11 +93,13 @@ def test_first_samples_keep_their_distance() -> None:
     assert np.all(np.array(instants) - instants[0] >= np.arange(20) * 5_000_000 - 4_000_000)
 
 
-def test_held_up_samples_are_counted_and_follow_in_order() -> None:
+def test_held_up_samples_are_counted_and_follow_in_order_at_twice_the_rate_at_most() -> None:
     payloads: list[bytes] = []
+    instants: list[int] = []
 
     def put(payload: bytes) -> None:
         payloads.append(payload)
+        instants.append(time.monotonic_ns())
         if len(payloads) == 10:
             time.sleep(0.05)
 
@@ -105,6 +107,8 @@ def test_held_up_samples_are_counted_and_follow_in_order() -> None:
     records = np.frombuffer(b"".join(payloads), SAMPLE.dtype)
     assert records["sequence"].tolist() == list(range(200))
     assert played.late >= 40
+    catching_up = np.diff(instants[10:60])
+    assert np.quantile(catching_up, 0.1) >= 400_000  # half a period; a flood would be a hundred times as fast
     assert played.lateness.max() >= 45_000_000
 
 
@@ -118,6 +122,18 @@ def test_interrupt_ends_it_with_what_was_sent() -> None:
 
     played = play(score(trace(50, 4000.0), loops=0), put, None, lambda _: None)
     assert (played.sent, played.planned) == (69, None)
+
+
+def test_pacer_is_on_time_again_after_a_hold_up() -> None:
+    pace, begin = Pacer(), time.monotonic_ns() + 1_000_000
+    deadlines = [begin + n * 1_000_000 for n in range(200)]
+    for deadline in deadlines[:20]:
+        assert pace(deadline) >= 0
+    time.sleep(0.05)
+    late = [pace(deadline) for deadline in deadlines[20:]]
+    assert late[0] > 45_000_000
+    assert min(late[100:]) < 1_000_000
+    assert time.monotonic_ns() >= deadlines[-1]
 
 
 def test_wait_until_never_returns_early() -> None:
