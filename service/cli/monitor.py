@@ -64,8 +64,13 @@ def command(
 
 def summary(monitor: Monitor) -> str:
     """Counts by topic as text."""
+    from service.monitor.tally import THINNED
+
     lines = [f"{'topic':<12} {'received':>10} {'lost':>8} {'repeated':>9} {'out of order':>13} {'restarts':>9}"]
     for topic, received in monitor.tally.received.items():
+        if topic in THINNED:
+            lines.append(f"{topic:<12} {received:>10} {'cannot be told':>18}")
+            continue
         counts = monitor.tally.count(topic)
         lines.append(
             f"{topic:<12} {received:>10} {counts.lost:>8} {counts.repeated:>9} {counts.out_of_order:>13} "

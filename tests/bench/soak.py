@@ -206,6 +206,7 @@ def main() -> None:
             except KeyboardInterrupt:
                 print(f"soak: interrupted after {len(rows)} rows", file=sys.stderr)
             finally:
+                signal.signal(signal.SIGINT, signal.SIG_IGN)  # the roles end and the table is printed all the same
                 found = soak.stop()
     print(f"\nsoak at {given.rate:g} Hz:\n", line(HEADINGS), line(["---"] * len(HEADINGS)), *map(line, rows), sep="\n")
     print(f"\n{found}")

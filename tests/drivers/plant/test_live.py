@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from drivers.bus import open_bus
+from drivers.motion import Planner
 from drivers.plant import live
-from drivers.plant.motion import Planner
 from drivers.plant.plant import Plant
 from schemas.messages import HealthFlag, Role, StopReason
 

@@ -265,3 +265,13 @@ def test_health_of_different_roles_is_not_a_hole_in_one_sequence() -> None:
     said["sequence"] = [0, 40, 1, 41, 3, 42]
     assert tally.add("health", said, np.zeros(6, np.int64)) == 1
     assert (tally.count("health").lost, tally.count("health").repeated) == (1, 0)
+
+
+def test_payload_and_error_of_every_eighth_sample_are_no_loss() -> None:
+    tally = Tally()
+    for topic in ("payload", "error"):
+        said = TOPICS[topic].empty(100)
+        said["sequence"] = np.arange(0, 800, 8)
+        assert tally.add(topic, said, np.zeros(100, np.int64)) == 0
+    assert tally.count().lost == 0
+    assert tally.received["error"] == 100
