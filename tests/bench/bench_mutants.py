@@ -1,25 +1,36 @@
 """How many small wrong changes the tests notice: uv run python -m tests.bench.bench_mutants --room diagnosis --count 60
 
-Each mutant goes into a temporary copy of the tree, and the tests of its room run on it, those that call the changed
-function first, the fastest of them first. Killed: a test fails, does not end in time, or the code cannot be imported.
-What survives is listed; `equivalent.txt` beside this file lists the changes that no test can see, with the reason.
+The tests of a room run once as they are; what each test calls is written down. Then every mutant is put to the tests
+that call the changed function, the fastest first. A change in the body of a Python function is made in a fork of this
+process; any other (a kernel, a constant of a module) in a temporary copy of the tree by a process of its own. Killed: a
+test fails or does not end in time, or the code cannot be imported. Survivors are listed; `equivalent.txt` beside this
+file lists the changes that no test can see, with the reason.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import contextlib
+import functools
+import gc
+import io
 import os
 import random
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+import types
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import pytest
+
+from tests.bench import survey as watch
 from tests.bench.mutate import Mutant, mutants
 
 ROOT = Path(__file__).parents[2]
@@ -46,32 +57,78 @@ def copy(to: Path) -> None:
             shutil.copy(source, to / name)
 
 
-def pytest(tree: Path, arguments: Sequence[str], limit: float, **environment: str) -> tuple[int, str]:
-    """Exit code (-1 out of time) and output of pytest in `tree`."""
+def apart(tree: Path, arguments: Sequence[str], limit: float) -> int:
+    """Exit code (-1 out of time) of pytest in a copy of the tree."""
     known = {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": str(tree / ".kernels")}
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", f"--rootdir={tree}", *arguments]
     try:
-        done = subprocess.run(
-            command, cwd=tree, timeout=limit, capture_output=True, text=True, env={**os.environ, **known, **environment}
-        )
+        done = subprocess.run(command, cwd=tree, timeout=limit, capture_output=True, env={**os.environ, **known})
     except subprocess.TimeoutExpired:
-        return -1, ""
-    return done.returncode, done.stdout + done.stderr
+        return -1
+    return done.returncode
 
 
-def survey(tree: Path, room: str) -> dict[str, dict]:
+def here(mutant: Mutant, arguments: Sequence[str], limit: float) -> int:
+    """Exit code (-1 out of time) of pytest in a fork of this process with one function changed."""
+    child = os.fork()
+    if not child:
+        signal.alarm(int(limit))
+        with open(os.devnull, "w") as nothing:
+            os.dup2(nothing.fileno(), 1)
+            os.dup2(nothing.fileno(), 2)
+        try:
+            change(mutant)
+            code = int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", *arguments]))
+            code = 0 if code == pytest.ExitCode.NO_TESTS_COLLECTED else code
+        except BaseException:
+            code = 1
+        os._exit(code)
+    _, status = os.waitpid(child, 0)
+    return -1 if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)
+
+
+def change(mutant: Mutant) -> None:
+    """Give the live function the mutant's code, and forget what was kept of its results."""
+    path = str(ROOT / mutant.file)
+    tree = compile(mutant.of((ROOT / mutant.file).read_text()), path, "exec")
+    (code,) = (c for c in _codes(tree) if c.co_qualname == mutant.outer)
+    changed = 0
+    for kept in gc.get_objects():
+        if isinstance(kept, types.FunctionType) and kept.__code__.co_filename == path:
+            if kept.__code__.co_qualname == mutant.outer:
+                kept.__code__ = code
+                changed += 1
+        elif isinstance(kept, functools._lru_cache_wrapper) and kept.__module__.startswith("service"):
+            kept.cache_clear()
+    assert changed, "the function is not in use"
+    pool = ThreadPoolExecutor(2)  # threads do not live through a fork
+    for module in list(sys.modules.values()):
+        if isinstance(getattr(module, "THREADS", None), ThreadPoolExecutor):
+            module.THREADS = pool  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
+    yield code
+    for part in code.co_consts:
+        if isinstance(part, types.CodeType):
+            yield from _codes(part)
+
+
+def survey(room: str) -> dict[str, dict]:
     """Test -> seconds and the functions (file:line) of `service` it calls, on the code as it is.
 
     Raises:
         SystemExit: the tests fail as they are.
     """
-    out = tree / "survey.json"
     started = time.monotonic()
-    code, text = pytest(tree, [f"tests/service/{room}", "-p", "tests.bench.survey"], 3600.0, DELTATWIN_SURVEY=str(out))
+    with contextlib.redirect_stdout(io.StringIO()) as text:
+        code = pytest.main(
+            ["-x", "-q", "-p", "no:cacheprovider", "--timeout=3000", f"tests/service/{room}"], plugins=[watch]
+        )
     if code:
-        sys.exit(f"the tests of {room} fail as they are:\n{text[-3000:]}")
+        sys.exit(f"the tests of {room} fail as they are:\n{text.getvalue()[-3000:]}")
     print(f"{room}: its tests take {time.monotonic() - started:.0f} s", flush=True)
-    return json.loads(out.read_text())
+    return watch.tests
 
 
 def order(mutant: Mutant, tests: dict[str, dict]) -> list[str]:
@@ -113,35 +170,34 @@ def room_of(room: str, count: int, seed: int) -> tuple[int, int]:
     known = {line.split(" # ")[0].strip() for line in EQUIVALENT.read_text().splitlines() if " # " in line}
     every = sites(room)
     chosen = random.Random(f"{room} {seed}").sample(every, min(count, len(every)))
+    tests = survey(room)
+    print(f"{room}: {len(every)} mutants, {len(chosen)} tried", flush=True)
     killed = tried = 0
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         tree = Path(folder)
         copy(tree)
-        tests = survey(tree, room)
-        shutil.copytree(tree / ".kernels", tree / ".kept")
-        print(f"{room}: {len(every)} mutants, {len(chosen)} tried", flush=True)
         for number, mutant in enumerate(chosen, 1):
+            place = f"{mutant.file}:{mutant.line} {mutant.what}"
             if mutant.key in known:
-                print(f"{number:4d} equivalent {mutant.file}:{mutant.line} {mutant.what}", flush=True)
+                print(f"{number:4d} equivalent {place}", flush=True)
                 continue
             names = order(mutant, tests)
             limit = max(LEAST_TIME, TIMES * sum(tests[name]["seconds"] for name in names))
-            changed = tree / mutant.file
-            original = changed.read_text()
-            changed.write_text(mutant.of(original))
             started = time.monotonic()
-            if mutant.compiled:
+            if mutant.outer and not mutant.compiled:
+                code = here(mutant, names, limit)
+            else:
+                changed = tree / mutant.file
+                original = changed.read_text()
+                changed.write_text(mutant.of(original))
                 forget(tree, mutant.file)
-            code, _ = pytest(tree, names, limit)
-            changed.write_text(original)
-            if mutant.compiled:
+                code = apart(tree, names, limit)
+                changed.write_text(original)
                 forget(tree, mutant.file)
-                shutil.copytree(tree / ".kept", tree / ".kernels", dirs_exist_ok=True)
             tried += 1
             killed += code != 0
             word = {0: "SURVIVED", -1: "late"}.get(code, "killed")
-            took = f"{time.monotonic() - started:5.0f} s"
-            print(f"{number:4d} {word:10s} {took}  {mutant.file}:{mutant.line} {mutant.what}", flush=True)
+            print(f"{number:4d} {word:10s} {time.monotonic() - started:5.0f} s  {place}", flush=True)
     return killed, tried
 
 

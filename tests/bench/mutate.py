@@ -41,11 +41,15 @@ Path = tuple[tuple[str, int | None], ...]
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change. line: of the original. function: the innermost `def` it is in, its first line; 0 for the module."""
+    """One change. line: of the original. function: the innermost `def` it is in, its first line; 0 for the module.
+
+    outer: qualified name of the outermost `def` whose body it is in, "" for none. compiled: by Numba.
+    """
 
     file: str
     line: int
     function: int
+    outer: str
     compiled: bool
     what: str
     path: Path
@@ -66,35 +70,44 @@ class Mutant:
 def mutants(file: str, source: str) -> Iterator[Mutant]:
     """Every mutant of a file, in the order of its lines."""
     lines = source.splitlines()
-    for path, node, function, compiled in _places(ast.parse(source)):
+    for path, node, function, outer, compiled in _places(ast.parse(source)):
         line = getattr(node, "lineno", 0)
         for what, change in _changes(node):
-            yield Mutant(file, line, function, compiled, f"{what} in `{lines[line - 1].strip()}`", path, change)
+            yield Mutant(file, line, function, outer, compiled, f"{what} in `{lines[line - 1].strip()}`", path, change)
 
 
-def _places(tree: ast.Module) -> Iterator[tuple[Path, ast.AST, int, bool]]:
-    """(where, node, first line of its function, compiled), without annotations, decorators, docstrings and messages."""
+Place = tuple[Path, ast.AST, int, str, bool]
 
-    def walk(node: ast.AST, path: Path, function: int, compiled: bool) -> Iterator[tuple[Path, ast.AST, int, bool]]:
+
+def _places(tree: ast.Module) -> Iterator[Place]:
+    """(where, node, first line of its function, outermost one, compiled) of what acts: no annotation, no message."""
+
+    def walk(node: ast.AST, path: Path, function: int, outer: str, compiled: bool) -> Iterator[Place]:
+        scope = ""
         if isinstance(node, ast.FunctionDef):
-            first = min([node.lineno, *(d.lineno for d in node.decorator_list)])
-            inner = any("njit" in ast.unparse(d) for d in node.decorator_list)
-            function, compiled = first, compiled or inner
+            function = min([node.lineno, *(d.lineno for d in node.decorator_list)])
+            compiled = compiled or any("njit" in ast.unparse(d) for d in node.decorator_list)
+            scope = outer if _body(outer) else f"{outer}{node.name}"
         elif hasattr(node, "lineno"):
-            yield path, node, function, compiled
+            yield path, node, function, outer if _body(outer) else "", compiled
+        if isinstance(node, ast.ClassDef):
+            scope = f"{outer}{node.name}."
         if isinstance(node, ast.Raise | ast.JoinedStr | ast.Import | ast.ImportFrom):
             return
         for name, value in ast.iter_fields(node):
             if name in ABOUT and not isinstance(node, ast.Call):
                 continue
-            if isinstance(value, ast.AST):
-                yield from walk(value, (*path, (name, None)), function, compiled)
-            elif isinstance(value, list):
-                for index, item in enumerate(value):
-                    if isinstance(item, ast.AST):
-                        yield from walk(item, (*path, (name, index)), function, compiled)
+            inside = scope if scope and name == "body" else outer
+            for index, item in enumerate(value) if isinstance(value, list) else [(None, value)]:
+                if isinstance(item, ast.AST):
+                    yield from walk(item, (*path, (name, index)), function, inside, compiled)
 
-    yield from walk(tree, (), 0, False)
+    yield from walk(tree, (), 0, "", False)
+
+
+def _body(outer: str) -> bool:
+    """Whether a name is that of a function, not of the module or a class."""
+    return bool(outer) and not outer.endswith(".")
 
 
 def _changes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:

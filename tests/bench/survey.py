@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 
 import pytest
 
 HERE = str(Path.cwd())
+ROOMS = f"{HERE}/service/"
+_known: dict[CodeType, str] = {}
 _now: set[str] = set()
 _fixtures: dict[str, set[str]] = {}
-_tests: dict[str, dict[str, Any]] = {}
+tests: dict[str, dict[str, Any]] = {}
 
 
 def _call(frame: FrameType, event: str, _: object) -> None:
-    if event == "call" and frame.f_code.co_filename.startswith(HERE):
-        _now.add(f"{os.path.relpath(frame.f_code.co_filename, HERE)}:{frame.f_code.co_firstlineno}")
+    if frame.f_code not in _known:
+        name = frame.f_code.co_filename
+        _known[frame.f_code] = (
+            f"{os.path.relpath(name, HERE)}:{frame.f_code.co_firstlineno}" if name.startswith(ROOMS) else ""
+        )
+    _now.add(_known[frame.f_code])
 
 
 @pytest.hookimpl(wrapper=True)
@@ -40,16 +45,12 @@ def pytest_fixture_setup(fixturedef: Any, request: Any) -> Iterator[None]:
 def pytest_runtest_protocol(item: Any) -> Iterator[None]:
     _now.clear()
     started = time.perf_counter()
-    sys.setprofile(_call)
-    threading.setprofile(_call)
+    sys.settrace(_call)
+    threading.settrace(_call)
     try:
         return (yield)
     finally:
-        sys.setprofile(None)
+        sys.settrace(None)
         calls = set(_now).union(*(_fixtures.get(name, set()) for name in item.fixturenames))
-        kept = sorted(call for call in calls if call.startswith("service"))
-        _tests[item.nodeid] = {"seconds": time.perf_counter() - started, "calls": kept}
-
-
-def pytest_sessionfinish() -> None:
-    Path(os.environ["DELTATWIN_SURVEY"]).write_text(json.dumps(_tests))
+        kept = sorted(calls - {""})
+        tests[item.nodeid] = {"seconds": time.perf_counter() - started, "calls": kept}
