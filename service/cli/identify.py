@@ -12,10 +12,8 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from service.identification.pooled import Estimate, Fit
+    from service.identification.pooled import Estimate, Plain
     from service.identification.regression import Trajectory
-
-UNITS = {"rho": "", "forearm": "kg", "f_v": "N m s/rad", "f_c": "N m"}
 
 
 def command(
@@ -64,14 +62,12 @@ def _parameters(estimates: Sequence[Estimate]) -> Table:
     for column in table.columns[1:3]:
         column.justify = "right"
     for estimate in estimates:
-        unit = next(unit for name, unit in UNITS.items() if estimate.name.startswith(name))
-        table.add_row(
-            estimate.name, f"{estimate.value:.4f}", f"{estimate.std_error:.4f}", unit, estimate.verdict, estimate.reason
-        )
+        value, error = f"{estimate.value:.4f}", f"{estimate.std_error:.4f}"
+        table.add_row(estimate.name, value, error, estimate.unit, estimate.verdict, estimate.reason)
     return table
 
 
-def _residuals(fit: Fit, trajectories: Sequence[Trajectory]) -> Table:
+def _residuals(fit: Plain, trajectories: Sequence[Trajectory]) -> Table:
     from rich.table import Table
 
     from service.model.signals import ANALYSIS_HZ

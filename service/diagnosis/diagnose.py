@@ -12,21 +12,20 @@ from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis import statistics
 from service.diagnosis.cautions import doubts_of, limits_of
-from service.diagnosis.selection import Scored, Selection, Split, score, search
+from service.diagnosis.selection import Scored, Selection, score, search
+from service.identification import pooled
 from service.identification.fit import Problem, evaluate, fit
-from service.identification.noise import white_noise
+from service.identification.folds import Split
 from service.model.description import hypothesis_of
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
 from service.model.mechanism import mechanism_of
-from service.model.scene import Base, Recording
-from service.model.signals import Band, segments, thin
-from service.model.torque import predict
+from service.model.scene import Recording
+from service.model.signals import segments, thin
 
 # What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
 # smoothing of the motion costs another two.
 WITHIN_NOISE = 1.06
-START_TRANSITION = 0.002  # rad/s
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def diagnose(
 
     Raises:
         RobotError: the baseline is of another robot.
-        TraceError: a trace without a usable part, naming the file. DataError: no joint moves.
+        TraceError: a trace without a usable part, naming the file. DataError: no joint moves, or logs of several rates.
         PoseError: positions that are no pose of the robot.
     """
     progress("smoothing the motion")
@@ -89,13 +88,10 @@ def diagnose(
     ]
     if not any(recording.segment.moving.any() for recording in recordings):
         raise DataError(f"{traces[0].path}: no joint moves")
-    band = Band.of(recordings[0].segment.period)
     progress("fitting the base model")
-    problem, noise = _problem(recordings, band)
+    problem, noise = pooled.problem_of(recordings)
     split = Split.of(problem)
-    k, n = len(mechanism.coefficients), mechanism.joints
-    start = Base(np.zeros(k), np.zeros(n), np.zeros(n), START_TRANSITION)
-    plain = score(fit(problem, Hypothesis(start, timed=False)), split)
+    plain = score(pooled.fit(problem, noise, pooled.nominal_of(robot)).fitted, split)
     given = _given(robot, baseline)
     timed = Hypothesis(plain.hypothesis.base, given)
     if given:
@@ -132,19 +128,6 @@ def _given(robot: Description, baseline: Description | None) -> tuple[Term, ...]
             raise RobotError(f"baseline {baseline.name}: its {key} is not that of robot {robot.name}")
     taken = {term.effect.name for term in known}
     return known + tuple(term for term in hypothesis_of(baseline).terms if term.effect.name not in taken)
-
-
-def _problem(recordings: list[Recording], band: Band) -> tuple[Problem, np.ndarray]:
-    """The problem in units of the noise, which is read from the residual of a first fit."""
-    noise = white_noise(recordings)
-    share = band.white_share**0.5
-    problem = Problem.of(recordings, band, np.maximum(noise, 1e-9) * share)
-    k, n = len(recordings[0].mechanism.coefficients), recordings[0].mechanism.joints
-    start = Base(np.zeros(k), np.zeros(n), np.zeros(n), START_TRANSITION)
-    first = fit(problem, Hypothesis(start, timed=False), iterations=2).hypothesis
-    left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first.base)]
-    noise = np.minimum(noise, white_noise(recordings, left))
-    return replace(problem, sigma=np.maximum(noise, 1e-9) * share), noise
 
 
 def _verdict(

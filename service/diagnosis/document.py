@@ -12,10 +12,10 @@ from schemas.trace import Trace
 from service.diagnosis import statistics
 from service.diagnosis.diagnose import Findings
 from service.diagnosis.evidence import Contest, confusable, contests
-from service.diagnosis.selection import block_loss
 from service.diagnosis.unseen import unseen
 from service.diagnosis.where import where, without
 from service.estimator.effects import carried
+from service.identification.folds import block_loss
 from service.model.description import described, digits, in_units_of
 from service.model.effects.base import Effect
 from service.model.parameters import Parameters, base_parameters

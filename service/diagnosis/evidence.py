@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.selection import LEAST_GAIN, SIMPLER_SHARE, TOLD_APART, Scored, Selection, Split, z_score
+from service.diagnosis.selection import LEAST_GAIN, SIMPLER_SHARE, TOLD_APART, Scored, Selection, z_score
+from service.identification.folds import Split
 
 DRAWS = 1000
 SAME_SHARE = 0.95  # of an effect's gain: a rival that reaches it does the same on this data

@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.identification.fit import THREADS, Fit, Problem, fit, solve
+from service.identification.folds import Split, block_loss, held_out
 from service.model.effects.base import Effect, on_joint
 from service.model.hypothesis import Hypothesis, Term
 from service.model.scene import Scene
 from service.model.torque import reported
 
-BLOCK = 0.5  # s, of the block bootstrap: longer than the residual remembers
-FOLDS = 4  # where fewer than three traces are given
 SHORTLIST = 5  # candidates fitted exactly a step
 MOST_EFFECTS = 4
 # What an effect has to be worth on data left out, as a fall of the mean square in units of the noise:
@@ -34,68 +33,6 @@ ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its shape
 SPREAD_GAIN = 40.0  # squared residual, in units of the noise, that shapes of their own must be worth
 ROUGH_JOINT_SHARE = 0.3  # the same where the grid only comes near
 JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
-
-
-@dataclass(frozen=True)
-class Split:
-    """Who is left out together. fold, block: a (R,) array a recording; blocks are numbered through."""
-
-    fold: list[np.ndarray]
-    block: list[np.ndarray]
-    folds: int
-    blocks: int
-
-    @classmethod
-    def of(cls, problem: Problem) -> Split:
-        """A trace a fold; with fewer than three traces, contiguous stretches."""
-        recordings = problem.recordings
-        traces = sorted({recording.trace for recording in recordings})
-        total = sum(len(target) for target in problem.target)
-        folds, blocks, done, first = [], [], 0, 0
-        for index, (recording, target) in enumerate(zip(recordings, problem.target, strict=True)):
-            count = len(target)
-            if len(traces) >= 3:
-                fold = np.full(count, traces.index(recording.trace))
-            else:
-                fold = (done + np.arange(count)) * FOLDS // total
-            length = max(1, round(BLOCK / (problem.band.period * problem.band.step)))
-            block = first + np.arange(count) // length
-            first, done = int(block[-1]) + 1, done + count
-            folds.append(_rows(problem, index, fold))
-            blocks.append(_rows(problem, index, block))
-        return cls(folds, blocks, len(traces) if len(traces) >= 3 else FOLDS, first)
-
-
-def _rows(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
-    return np.concatenate([values[rows] for rows in problem.rows[index].T])
-
-
-def held_out(fitted: Fit, split: Split) -> list[np.ndarray]:
-    """Residuals (R,) a recording, each fold predicted by parameters from the other folds (linear in the refit)."""
-    grams, moments = [], []
-    for number in range(split.folds):
-        parts = [
-            (t[f == number], r[f == number])
-            for t, r, f in zip(fitted.moving, fitted.residuals, split.fold, strict=True)
-        ]
-        grams.append(np.asarray(sum(t.T @ t for t, _ in parts)))
-        moments.append(np.asarray(sum(t.T @ r for t, r in parts)))
-    gram, moment = sum(grams), sum(moments)
-    result = [residual.copy() for residual in fitted.residuals]
-    for number in range(split.folds):
-        step = solve(gram - grams[number], moment - moments[number])
-        for residual, slope, fold in zip(result, fitted.moving, split.fold, strict=True):
-            out = fold == number
-            residual[out] -= slope[out] @ step
-    return result
-
-
-def block_loss(residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:
-    """(blocks,) sums of squares."""
-    loss = np.zeros(split.blocks)
-    for residual, block in zip(residuals, split.block, strict=True):
-        loss += np.bincount(block, residual**2, split.blocks)
-    return loss
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.selection import TOLD_APART, Scored, Selection, Split, block_loss, worth, z_score
+from service.diagnosis.selection import TOLD_APART, Scored, Selection, worth, z_score
 from service.identification.fit import Fit, Problem, solve
+from service.identification.folds import Split, block_loss
 from service.model.parameters import Parameters
 
 # A reversal's place between two samples is known to about this share of the sample time.

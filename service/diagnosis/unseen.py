@@ -8,9 +8,9 @@ from schemas.diagnosis import Shrunk, Unseen
 from schemas.trace import Trace
 from service.diagnosis import statistics
 from service.diagnosis.diagnose import Findings
-from service.diagnosis.selection import Split
 from service.identification.events import bursts, events_of, outside, rhythm
 from service.identification.fit import Problem, evaluate
+from service.identification.folds import Split
 from service.model.description import digits
 from service.model.hypothesis import Hypothesis
 from service.model.scene import Recording

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from service.diagnosis.diagnose import Findings
-from service.diagnosis.selection import held_out
 from service.identification.events import bursts, events_of, rhythm
 from service.identification.fit import Problem
+from service.identification.folds import held_out
 from service.model.description import in_units_of
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis

@@ -13,13 +13,17 @@ from itertools import permutations, product
 import numpy as np
 
 from schemas.errors import DataError
-from service.identification import pooled
+from service.identification.pooled import Plain
 from service.identification.regression import (
     COLUMNS,
+    PARAMETERS,
     PLATFORM_COLUMN,
     TORQUE_COLUMN,
     WEIGHT_COLUMN,
     Trajectory,
+    information,
+    selection,
+    target,
 )
 
 # Share of the torque's rms that a fit leaves: a real Delta's friction, elasticity and payload mass errors stay below.
@@ -90,11 +94,11 @@ def _list(joints: Sequence[int]) -> str:
 
 def _left(gram: np.ndarray, order: Sequence[int], signs: Sequence[float], scale: float) -> float:
     """Share of the torque's rms that a fit leaves if joint j's torque is scale * signs[j] * torque[order[j]]."""
-    left = np.zeros((len(pooled.PARAMETERS), len(pooled.PARAMETERS)))
-    right = np.zeros(len(pooled.PARAMETERS))
+    left = np.zeros((PARAMETERS, PARAMETERS))
+    right = np.zeros(PARAMETERS)
     square = torque = 0.0
     for joint in range(3):
-        chosen = pooled.selection(joint)
+        chosen = selection(joint)
         wanted = np.zeros(COLUMNS)
         wanted[TORQUE_COLUMN + order[joint]], wanted[PLATFORM_COLUMN] = signs[joint] * scale, -1.0
         left += chosen.T @ gram[joint] @ chosen
@@ -106,7 +110,7 @@ def _left(gram: np.ndarray, order: Sequence[int], signs: Sequence[float], scale:
     return float(np.sqrt(max(square - right @ values, 0.0) / max(torque, 1e-12)))
 
 
-def check_fit(trajectories: Sequence[Trajectory], fit: pooled.Fit, moving_mass: float) -> list[str]:
+def check_fit(trajectories: Sequence[Trajectory], fit: Plain, moving_mass: float) -> list[str]:
     """Warnings about logs that stand out against the fit to the others. moving_mass: kg, what the platform terms carry.
 
     Raises:
@@ -118,8 +122,7 @@ def check_fit(trajectories: Sequence[Trajectory], fit: pooled.Fit, moving_mass: 
     if len(trajectories) > 2:
         held = _share(fit.held_out, fit.torque)
         worst = int(np.argmax(held))
-        rest = [trajectory for t, trajectory in enumerate(trajectories) if t != worst]
-        others = np.array([pooled.rms_residual(trajectory, fit.without[worst]) for trajectory in rest])
+        others = np.delete(fit.left(fit.without[worst]), worst, axis=0)
         typical = float(np.median(_share(others, np.delete(fit.torque, worst, axis=0))))
         if held[worst] > max(FOREIGN * typical, 2 * SUSPECT):
             name, joint = trajectories[worst].name, int(np.argmax(fit.held_out[worst] / fit.torque[worst]))
@@ -146,7 +149,7 @@ def _share(residual: np.ndarray, torque: np.ndarray) -> np.ndarray:
     return np.sqrt((residual**2).sum(axis=1) / np.maximum((torque**2).sum(axis=1), 1e-12))
 
 
-def _loads(trajectories: Sequence[Trajectory], fit: pooled.Fit, moving_mass: float) -> dict[str, str]:
+def _loads(trajectories: Sequence[Trajectory], fit: Plain, moving_mass: float) -> dict[str, str]:
     """Logs whose torque asks for more or less on the platform than the others', by name."""
     masses = [_masses(t, values, fit.noise, moving_mass) for t, values in zip(trajectories, fit.without, strict=True)]
     middle = float(np.median([np.median(mass) for mass, _ in masses]))
@@ -168,7 +171,7 @@ def _masses(
     """Mass on the platform, kg, that each block of a log asks for by its weight, what it asks for by its inertia being
     free; and how sure each is, kg^-2."""
     weight = 1.0 / np.maximum(noise, 1e-3 * noise.max() + 1e-9) ** 2
-    remains = np.stack([pooled.target(joint) - pooled.selection(joint) @ values for joint in range(3)])
+    remains = np.stack([target(joint) - selection(joint) @ values for joint in range(3)])
     chosen = np.zeros((COLUMNS, 2))
     chosen[WEIGHT_COLUMN] = 1.0, -1.0
     chosen[PLATFORM_COLUMN, 1] = 1.0 / moving_mass  # the platform's torque per kg less its weight: its acceleration
@@ -186,7 +189,7 @@ def _sameness(trajectories: Sequence[Trajectory]) -> list[str]:
         return [
             f"{trajectories[0].name}: a single trajectory cannot be held out, nothing shows how far the fit carries"
         ]
-    left, _ = pooled.normal_equations(np.stack([t.gram.sum(axis=0) for t in trajectories]), np.ones(3))
+    left = information(np.stack([t.gram.sum(axis=0) for t in trajectories]))
     scale = np.sqrt(np.einsum("pp->p", left.sum(axis=0)))
     scaled = (left / np.where(scale > 0, scale, 1.0)[:, None] / np.where(scale > 0, scale, 1.0)).reshape(len(left), -1)
     unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
+from schemas.errors import DataError
 from schemas.robot import Identified, JointParameter, Parameter, Robot
 from service.identification import checks, paper, pooled
-from service.identification.pooled import COULOMB, FOREARM_MASS, RHO_1, RHO_2, VISCOUS, Estimate, Fit
-from service.identification.regression import Trajectory
+from service.identification.pooled import Estimate, Plain
+from service.identification.regression import (
+    COULOMB,
+    FOREARM_MASS,
+    PARAMETERS,
+    RHO_1,
+    RHO_2,
+    VISCOUS,
+    Trajectory,
+)
+from service.model.description import digits
 from service.model.nominal import pack
 
 Method = Literal["pooled", "paper"]
+MINIMUM_BLOCKS = 2 * PARAMETERS
 
 
 @dataclass(frozen=True)
@@ -20,7 +33,7 @@ class Identification:
     """robot: the description with what was found. fit: numbers and verdicts. warnings: what a user has to know."""
 
     robot: Robot
-    fit: Fit
+    fit: Plain
     warnings: tuple[str, ...]
 
 
@@ -31,12 +44,14 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = 
         DataError: the data cannot give an answer, naming the log and the joint.
     """
     checks.check(trajectories, robot.drive.gear_ratio)
-    transition = pooled.transition(trajectories) if method == "pooled" else 0.0
-    trajectories = [trajectory.at(transition) for trajectory in trajectories]
-    fit = pooled.fit(trajectories, robot.mass.passive_link)
+    _enough(trajectories)
+    recordings = [replace(part, trace=number) for number, log in enumerate(trajectories) for part in log.recordings]
+    problem, noise = pooled.problem_of(recordings)
+    fit = pooled.fit(problem, noise, pooled.nominal_of(robot))
+    transition = fit.fitted.hypothesis.base.transition
     warnings = checks.check_fit(trajectories, fit, pack(robot).moving_mass)
     if method == "paper":
-        fit = paper.refit(trajectories, fit)
+        fit, transition = paper.refit(trajectories, fit), 0.0
     estimates = fit.estimates
     identified = Identified(
         method=method,
@@ -45,7 +60,7 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = 
         viscous_friction_nms=_joints(estimates[VISCOUS]),
         coulomb_friction_nm=_joints(estimates[COULOMB]),
         forearm_inertia_kg=_parameter(estimates[FOREARM_MASS]),
-        friction_transition_radps=transition,
+        friction_transition_radps=digits(transition),
         torque_noise_nm=JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
         model_error_nm=JointParameter(value=[float(f"{error:.4g}") for error in fit.model_error]),
     )
@@ -53,21 +68,26 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = 
     return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))
 
 
+def _enough(trajectories: Sequence[Trajectory]) -> None:
+    seconds = np.concatenate([trajectory.seconds for trajectory in trajectories])
+    if (seconds.sum(axis=1) > 0).sum() < MINIMUM_BLOCKS:
+        raise DataError(
+            f"{', '.join(t.name for t in trajectories)}: too little motion, {seconds.max(axis=1).sum():.1f} s; "
+            f"nine parameters and their errors need {MINIMUM_BLOCKS / 2:.0f} s or more"
+        )
+
+
 def _parameter(estimate: Estimate) -> Parameter:
     return Parameter.model_validate(
-        {"value": _digits(estimate.value), "std_error": _digits(estimate.std_error), "verdict": estimate.verdict}
+        {"value": digits(estimate.value), "std_error": digits(estimate.std_error), "verdict": estimate.verdict}
     )
 
 
 def _joints(estimates: Sequence[Estimate]) -> JointParameter:
     return JointParameter.model_validate(
         {
-            "value": [_digits(estimate.value) for estimate in estimates],
-            "std_error": [_digits(estimate.std_error) for estimate in estimates],
+            "value": [digits(estimate.value) for estimate in estimates],
+            "std_error": [digits(estimate.std_error) for estimate in estimates],
             "verdict": [estimate.verdict for estimate in estimates],
         }
     )
-
-
-def _digits(value: float) -> float:
-    return float(f"{value:.6g}")

@@ -16,21 +16,30 @@ import numpy as np
 
 from schemas.errors import PoseError, TraceError
 from schemas.trace import Trace
-from service.identification import pooled
-from service.identification.pooled import COULOMB, FOREARM_MASS, PARAMETERS, RHO_1, RHO_2, VISCOUS, target
+from service.identification.pooled import WEAK, Plain
 from service.identification.regression import (
     COLUMNS,
+    COULOMB,
     COULOMB_COLUMN,
+    FOREARM_MASS,
     GRAVITY_COLUMN,
     INERTIA_COLUMN,
     ONE_COLUMN,
+    PARAMETERS,
+    RHO_1,
+    RHO_2,
     TORQUE_COLUMN,
+    VISCOUS,
     VISCOUS_COLUMN,
     WEIGHT_COLUMN,
     Trajectory,
     regressors,
+    rms_residual,
+    target,
 )
+from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel
+from service.model.scene import Recording
 from service.model.signals import segments
 
 GRID = 200  # points a side
@@ -38,32 +47,33 @@ RHO_RANGE = (0.0, 5.0)
 REFINEMENTS = 1  # finer grids, each over the neighbours of the best point before: 2.5e-4 in the end
 
 
-def refit(trajectories: Sequence[Trajectory], fit: pooled.Fit) -> pooled.Fit:
+def refit(trajectories: Sequence[Trajectory], fit: Plain) -> Plain:
     """`fit` with the paper's values in place of the pooled ones. Verdicts are the pooled fit's, and weak at best where
     the trajectories disagree; standard errors come from their spread."""
     values, errors = means(trajectories)
     estimates = []
-    for estimate, value, error in zip(fit.estimates, values, errors, strict=True):
+    for number, (estimate, value, error) in enumerate(zip(fit.estimates, values, errors, strict=True)):
         verdict, reason = estimate.verdict, estimate.reason
-        if estimate.name == "forearm":
+        if number == FOREARM_MASS:
             verdict, reason = "not identifiable", "two point masses in the paper's model"
-        elif verdict == "identifiable" and not error <= pooled.WEAK * abs(value):
+        elif verdict == "identifiable" and not error <= WEAK * abs(value):
             verdict = "weak"
             reason = "one trajectory: no spread to judge by" if np.isnan(error) else "the trajectories disagree"
-        estimates.append(pooled.Estimate(estimate.name, float(value), float(np.nan_to_num(error)), verdict, reason))
+        std_error = float(np.nan_to_num(error))
+        estimates.append(replace(estimate, value=float(value), std_error=std_error, verdict=verdict, reason=reason))
     others = [[t for t in trajectories if t is not trajectory] for trajectory in trajectories]
     return replace(
         fit,
         estimates=tuple(estimates),
-        residual=np.array([pooled.rms_residual(t, values) for t in trajectories]),
+        residual=np.array([rms_residual(t, values) for t in trajectories]),
         held_out=fit.held_out
         if len(trajectories) < 2
-        else np.array([pooled.rms_residual(t, means(o)[0]) for t, o in zip(trajectories, others, strict=True)]),
+        else np.array([rms_residual(t, means(o)[0]) for t, o in zip(trajectories, others, strict=True)]),
     )
 
 
 def means(trajectories: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
-    """(9,) parameters in the order of `pooled.PARAMETERS` and their standard errors from the spread over trajectories.
+    """(9,) parameters in the order of `base_parameters` and their standard errors from the spread over trajectories.
 
     A single trajectory has no spread: its errors are NaN. A joint that rests throughout a trajectory has no say in it.
     """
@@ -85,7 +95,7 @@ def _raw_gram(model: DeltaModel, trace: Trace) -> np.ndarray:
     for part in segments(trace):
         columns = np.zeros((len(part.time), 3, COLUMNS))
         try:
-            columns[:, :, :WEIGHT_COLUMN] = regressors(model, part.theta, part.theta_dot, part.theta_ddot)
+            columns[:, :, :WEIGHT_COLUMN] = regressors(Recording(part, Delta(model, np.ones(3)), 0, trace.path.name))
         except PoseError as error:
             raise TraceError(f"{trace.path}: {error}") from error
         columns[:, :, TORQUE_COLUMN:ONE_COLUMN] = part.torque[:, None, :]
@@ -104,7 +114,7 @@ def _average(of_each: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 def _single(gram: np.ndarray) -> np.ndarray:
     """(9,) parameters from the sums of one trajectory, (3, COLUMNS, COLUMNS)."""
-    result = np.full(len(PARAMETERS), np.nan)
+    result = np.full(PARAMETERS, np.nan)
     result[RHO_1], result[RHO_2] = grid(six_sums(gram))
     result[FOREARM_MASS] = 0.0
     for joint in range(3):

@@ -1,10 +1,10 @@
-"""Pooled weighted least squares over all trajectories, with everything that says how far to trust it.
+"""The plain model fitted to all logs together, with everything that says how far to trust it: what `identify` writes
+and `diagnose` starts from.
 
-    tau_j - platform_j = rho_1 inertia_j + rho_2 gravity_j + m_f forearm_j + f_v,j theta_dot_j + f_c,j dir theta_dot_j
+The fit is that of any hypothesis; friction turns over a speed that is fitted too, since in slow motion a jump would be
+read as a gap. At that speed the model is linear, so leaving out a block or a log is a small linear solve.
 
-dir is the sign, turning over a speed that is fitted too: in slow motion a jump would be read as a gap.
-
-The forearm's rod coupling is fitted, not taken from the described mass: what it multiplies is a mass only for a uniform
+A Delta's forearm coupling is fitted, not taken from the described mass: what it multiplies is a mass only for a uniform
 rod, and ball joints at the ends make it less. Where the data cannot tell it, the described forearm mass stands.
 
 Each joint weighs by the white noise of its torque. Standard errors come from leaving out blocks of `BLOCK` seconds in
@@ -14,36 +14,30 @@ turn (jackknife), so they hold for a residual of any colour that is forgotten wi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from schemas.axes import Axes, Description
 from schemas.errors import DataError
-from service.identification.regression import (
-    COLUMNS,
-    COULOMB_COLUMN,
-    FOREARM_COLUMN,
-    GRAVITY_COLUMN,
-    INERTIA_COLUMN,
-    PLATFORM_COLUMN,
-    TORQUE_COLUMN,
-    TRANSITIONS,
-    VISCOUS_COLUMN,
-    Trajectory,
-)
-from service.model.signals import ANALYSIS_HZ
+from service.identification import fit as solver
+from service.identification.fit import Problem
+from service.identification.folds import Split
+from service.identification.noise import white_noise
+from service.model.hypothesis import Hypothesis
+from service.model.mechanism import mechanism_of
+from service.model.parameters import Parameter, Parameters, base_parameters
+from service.model.scene import Base, Recording
+from service.model.signals import Band
+from service.model.torque import predict
 
-PARAMETERS = ("rho_1", "rho_2", "forearm", "f_v_1", "f_v_2", "f_v_3", "f_c_1", "f_c_2", "f_c_3")
-RHO_1, RHO_2, FOREARM_MASS = range(3)
-VISCOUS, COULOMB = slice(3, 6), slice(6, 9)
-
-MINIMUM_BLOCKS = 2 * len(PARAMETERS)
+START_TRANSITION = 0.002  # rad/s
+SAME_RATE = 0.02  # share by which the sample time of two logs of one rate may differ
 # Standard error over value (or over what would make 5 % of the torque, if that is more).
 WEAK, NOT_IDENTIFIABLE = 0.1, 0.5
 NEGLIGIBLE_SHARE = 0.05
 # A parameter whose effect the others reproduce but for this share of its variance is not told apart from them.
 COLLINEAR = 1e-5
-TURNS_SMOOTHLY = 10.0  # squared residual in units of the noise by which a smooth reversal must beat a jump
 MOVES = 0.02  # rad of travel below which a joint does not move
 REVERSES = 0.05  # share of the motion time that must go in each direction
 
@@ -53,6 +47,7 @@ class Estimate:
     """One parameter. verdict: "identifiable", "weak" or "not identifiable"; reason: why, where it is not the first."""
 
     name: str
+    unit: str
     value: float
     std_error: float
     verdict: str
@@ -60,82 +55,163 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Fit:
-    """estimates in the order of `PARAMETERS`. noise: (3,) N m white rms per sample. noise_floor: (3,) N m, what of it
-    lies in the analysis band. held_out: (T, 3) rms of the residual of each trajectory under the fit to the others, N m
-    in the analysis band, NaN for a single trajectory. residual: (T, 3) the same under the fit to all. torque: (T, 3)
-    rms. without: (T, 9) values from the other trajectories (from all, for a single one)."""
+class Plain:
+    """The plain model's fit. T logs, n joints, P parameters.
 
+    estimates: in the order of `base_parameters`. fitted: residuals and tangents at them. noise: (n,) N m white rms a
+    sample. held_out: (T, n) rms of the residual of each log under the fit to the others, N m in the
+    analysis band, NaN for a single log. residual: (T, n) the same under the fit to all. torque: (T, n) rms. without:
+    (T, P) values from the other logs (from all, for a single one).
+    """
+
+    problem: Problem
+    fitted: solver.Fit
     estimates: tuple[Estimate, ...]
     noise: np.ndarray
-    noise_floor: np.ndarray
     held_out: np.ndarray
     residual: np.ndarray
     torque: np.ndarray
     without: np.ndarray
 
     @property
+    def values(self) -> np.ndarray:
+        """(P,)."""
+        return np.array([estimate.value for estimate in self.estimates])
+
+    @property
+    def noise_floor(self) -> np.ndarray:
+        """(n,) N m, what of the noise lies in the analysis band."""
+        return self.problem.sigma
+
+    @property
     def model_error(self) -> np.ndarray:
-        """(3,) N m rms of what is left above the noise, on trajectories not seen by the fit where there are several."""
+        """(n,) N m rms of what is left above the noise, on logs not seen by the fit where there are several."""
         left = np.where(np.isfinite(self.held_out), self.held_out, self.residual)
         return np.sqrt(np.maximum(np.nanmean(left**2, axis=0) - self.noise_floor**2, 0.0))
 
-    @property
-    def values(self) -> np.ndarray:
-        return np.array([estimate.value for estimate in self.estimates])
+    def left(self, values: np.ndarray) -> np.ndarray:
+        """(T, n) N m rms that other parameters (P,) leave of each log."""
+        change = values - Parameters(self.fitted.hypothesis).values[: len(values)]
+        pairs = zip(self.fitted.residuals, self.fitted.tangents, strict=True)
+        return _rms(self.problem, [r - t[:, : len(values)] @ change for r, t in pairs])
 
 
-def selection(joint: int) -> np.ndarray:
-    """(COLUMNS, 9): the columns of `joint` that each parameter multiplies."""
-    chosen = np.zeros((COLUMNS, len(PARAMETERS)))
-    for column, parameter in (
-        (INERTIA_COLUMN, RHO_1),
-        (GRAVITY_COLUMN, RHO_2),
-        (FOREARM_COLUMN, FOREARM_MASS),
-        (VISCOUS_COLUMN, VISCOUS.start + joint),
-        (COULOMB_COLUMN, COULOMB.start + joint),
-    ):
-        chosen[column, parameter] = 1.0
-    return chosen
+def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, np.ndarray]:
+    """The problem in units of the noise, which is read from the residual of a first fit; and the noise, (n,) N m.
+
+    Raises:
+        DataError: logs of several rates, naming them.
+    """
+    period = recordings[0].segment.period
+    for recording in recordings:
+        if abs(recording.segment.period / period - 1.0) > SAME_RATE:
+            raise DataError(
+                f"{recording.name}: {1e3 * recording.segment.period:.3g} ms between samples, {recordings[0].name} has "
+                f"{1e3 * period:.3g} ms: give logs of one rate"
+            )
+    band = Band.of(period)
+    noise, share = white_noise(recordings), band.white_share**0.5
+    problem = Problem.of(recordings, band, np.maximum(noise, 1e-9) * share)
+    first = solver.fit(problem, _start(problem), iterations=2).hypothesis
+    left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first.base)]
+    noise = np.minimum(noise, white_noise(recordings, left))
+    return replace(problem, sigma=np.maximum(noise, 1e-9) * share), noise
 
 
-def target(joint: int) -> np.ndarray:
-    """(COLUMNS,): torque less the platform's."""
-    chosen = np.zeros(COLUMNS)
-    chosen[TORQUE_COLUMN + joint], chosen[PLATFORM_COLUMN] = 1.0, -1.0
-    return chosen
+def _start(problem: Problem) -> Hypothesis:
+    mechanism = problem.recordings[0].mechanism
+    k, n = len(mechanism.coefficients), mechanism.joints
+    return Hypothesis(Base(np.zeros(k), np.zeros(n), np.zeros(n), START_TRANSITION), timed=False)
 
 
-def weights(trajectories: Sequence[Trajectory]) -> np.ndarray:
-    """(3,) per (N m)^2 s: information in a second of each joint's torque, from the median noise of the logs."""
-    density = np.median([trajectory.density for trajectory in trajectories], axis=0)
-    floor = 1e-9 * max(float(np.max(density)), float(np.mean(_mean_square(trajectories))) * 1e-6, 1e-12)
-    return 2.0 / np.maximum(density, floor)
+def nominal_of(robot: Description) -> np.ndarray:
+    """(P,) values of the description, which stand where the data cannot tell; NaN where it has none."""
+    nominal = np.full(len(base_parameters(mechanism_of(robot))), np.nan)
+    if not isinstance(robot, Axes):
+        nominal[:3] = 1.0, 1.0, robot.mass.passive_link
+    return nominal
 
 
-def _mean_square(trajectories: Sequence[Trajectory]) -> np.ndarray:
-    gram = np.sum([trajectory.gram.sum(axis=0) for trajectory in trajectories], axis=0)
-    seconds = np.sum([trajectory.seconds.sum(axis=0) for trajectory in trajectories], axis=0)
-    return np.array([gram[j, TORQUE_COLUMN + j, TORQUE_COLUMN + j] for j in range(3)]) / np.maximum(seconds, 1e-9)
+def fit(problem: Problem, noise: np.ndarray, nominal: np.ndarray) -> Plain:
+    """Fit the plain model. noise: (n,) N m a sample. nominal: as `nominal_of`."""
+    known = base_parameters(problem.recordings[0].mechanism)
+    count = len(known)
+    fitted = solver.fit(problem, _start(problem))
+    free = Parameters(fitted.hypothesis).values[:count]
+    split = Split.of(problem)
+    left, right = _normal_equations(fitted, free, split.block, split.blocks)
+    filled = np.einsum("bpp->b", left) > 0
+    left, right = left[filled], right[filled]
+    total_left, total_right = left.sum(axis=0), right.sum(axis=0)
+    fallback, scale = np.nan_to_num(nominal), _scale(problem, fitted, nominal)
+    reasons = _structure(problem)
+    held = np.array([reasons.get(parameter.name, "").endswith("never moves") for parameter in known])
+    held |= np.diag(total_left) == 0
+    while True:
+        tolerance = _tolerance(total_left, held)
+        collinear = ~held & (tolerance < COLLINEAR)
+        if not collinear.any():
+            break
+        worst = int(np.flatnonzero(collinear)[np.argmin(tolerance[collinear])])
+        reasons.setdefault(known[worst].name, "the other parameters explain it as well on these logs")
+        held[worst] = True
+    while True:
+        values = _solve(total_left, total_right, held, fallback)
+        error = _jackknife(left, right, held, fallback)
+        relative = error / np.maximum(np.abs(values), scale)
+        # without a nominal value, as zero, it would bend the others: left in, flagged below
+        vague = (relative > NOT_IDENTIFIABLE) & ~held & np.isfinite(nominal)
+        if not vague.any():
+            break
+        worst = int(np.argmax(np.where(vague, relative, 0.0)))
+        reasons[known[worst].name] = f"these logs leave it open by {100 * relative[worst]:.0f} %"
+        held[worst] = True
+    base = fitted.hypothesis.base
+    k, n = len(base.rigid), len(base.viscous)
+    rigid, viscous, coulomb = np.split(values, [k, k + n])
+    base = replace(base, rigid=rigid, viscous=viscous, coulomb=coulomb)
+    plain = solver.evaluate(problem, Hypothesis(base, timed=False))
+    logs = [np.full(len(rows), number) for rows, number in zip(plain.residuals, _logs(problem), strict=True)]
+    left, right = _normal_equations(plain, values, logs, max(_logs(problem)) + 1)
+    alone = len(left) < 2
+    without = _solve(left if alone else total_left - left, right if alone else total_right - right, held, fallback)
+    result = Plain(
+        problem,
+        plain,
+        tuple(
+            _estimate(parameter, value, one_error, share, was_held, reasons.get(parameter.name, ""))
+            for parameter, value, one_error, share, was_held in zip(
+                known, values.tolist(), error.tolist(), relative.tolist(), held.tolist(), strict=True
+            )
+        ),
+        noise,
+        np.full((1, n), np.nan),
+        _rms(problem, plain.residuals),
+        _rms(problem, [problem.select(i, target) for i, target in enumerate(problem.target)]),
+        without,
+    )
+    if alone:
+        return result
+    return replace(result, held_out=np.array([result.left(others)[t] for t, others in enumerate(without)]))
 
 
-def normal_equations(gram: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(..., 9, 9) and (..., 9) of grams (..., 3, COLUMNS, COLUMNS)."""
-    chosen = np.stack([selection(joint) for joint in range(3)])
-    wanted = np.stack([target(joint) for joint in range(3)])
-    left = np.einsum("j,jap,...jab,jbq->...pq", weight, chosen, gram, chosen, optimize=True)
-    right = np.einsum("j,jap,...jab,jb->...p", weight, chosen, gram, wanted, optimize=True)
+def _normal_equations(
+    fitted: solver.Fit, values: np.ndarray, groups: Sequence[np.ndarray], count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(G, P, P) and (G, P) of the linear parameters, which stand at `values`. groups: a (R,) array a recording."""
+    left, right = np.zeros((count, len(values), len(values))), np.zeros((count, len(values)))
+    for tangent, residual, group in zip(fitted.tangents, fitted.residuals, groups, strict=True):
+        slopes = tangent[:, : len(values)]
+        wanted = residual + slopes @ values
+        for number in np.unique(group):
+            mine = slopes[group == number]
+            left[number] += mine.T @ mine
+            right[number] += mine.T @ wanted[group == number]
     return left, right
 
 
-def square_residual(gram: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-    """(..., 3): sum of squares left by `parameters` (9,) in grams (..., 3, COLUMNS, COLUMNS), unweighted."""
-    left = np.stack([target(joint) - selection(joint) @ parameters for joint in range(3)])
-    return np.maximum(np.einsum("ja,...jab,jb->...j", left, gram, left), 0.0)
-
-
-def solve(left: np.ndarray, right: np.ndarray, held: np.ndarray, nominal: np.ndarray) -> np.ndarray:
-    """(..., 9): least-squares solution with the `held` parameters at their `nominal` values."""
+def _solve(left: np.ndarray, right: np.ndarray, held: np.ndarray, nominal: np.ndarray) -> np.ndarray:
+    """(..., P): least-squares solution with the `held` parameters at their `nominal` values."""
     free = np.flatnonzero(~held)
     result = np.broadcast_to(nominal, right.shape).copy()
     if len(free):
@@ -143,165 +219,78 @@ def solve(left: np.ndarray, right: np.ndarray, held: np.ndarray, nominal: np.nda
         scale = np.sqrt(np.einsum("...pp->...p", left)[..., free])
         scale = np.where(scale > 0, scale, 1.0)
         scaled = left[..., free[:, None], free] / (scale[..., :, None] * scale[..., None, :])
-        result[..., free] = np.linalg.solve(scaled, (known[..., free] / scale)[..., None])[..., 0] / scale
+        solved = np.linalg.pinv(scaled, rcond=1e-10, hermitian=True) @ (known[..., free] / scale)[..., None]
+        result[..., free] = solved[..., 0] / scale
     return result
 
 
-def transition(trajectories: Sequence[Trajectory]) -> float:
-    """Which of `TRANSITIONS` the logs ask for, rad/s; 0 unless they speak against a jump."""
-    weight = weights(trajectories)
-    held = np.array([_still(trajectories, name) for name in PARAMETERS])
-    lost = []
-    for speed in TRANSITIONS:
-        gram = np.sum([trajectory.at(speed).gram.sum(axis=0) for trajectory in trajectories], axis=0)
-        left, right = normal_equations(gram, weight)
-        values = np.zeros(len(PARAMETERS))
-        values[~held] = np.linalg.lstsq(left[np.ix_(~held, ~held)], right[~held], rcond=1e-10)[0]
-        lost.append(float(weight @ square_residual(gram, values)))
-    best = int(np.argmin(lost))
-    return TRANSITIONS[best] if lost[0] - lost[best] > TURNS_SMOOTHLY else 0.0
-
-
-def fit(trajectories: Sequence[Trajectory], forearm_mass: float) -> Fit:
-    """Fit all trajectories together. forearm_mass: kg, stands where the data cannot tell it.
-
-    Raises:
-        DataError: too little motion for any verdict.
-    """
-    gram = np.concatenate([trajectory.gram for trajectory in trajectories])
-    seconds = np.concatenate([trajectory.seconds for trajectory in trajectories])
-    filled = seconds.sum(axis=1) > 0
-    if filled.sum() < MINIMUM_BLOCKS:
-        raise DataError(
-            f"{', '.join(t.name for t in trajectories)}: too little motion, {seconds.max(axis=1).sum():.1f} s; "
-            f"nine parameters and their errors need {MINIMUM_BLOCKS / 2:.0f} s or more"
-        )
-    nominal = np.zeros(len(PARAMETERS))
-    nominal[[RHO_1, RHO_2, FOREARM_MASS]] = 1.0, 1.0, forearm_mass
-    weight = weights(trajectories)
-    left, right = normal_equations(gram[filled], weight)
-    total_left, total_right = left.sum(axis=0), right.sum(axis=0)
-
-    scale = _scale(gram.sum(axis=0), nominal)
-    reasons = _structure(trajectories)
-    held = np.array([_still(trajectories, name) for name in PARAMETERS])
-    collinear = ~held & (_tolerance(total_left, held) < COLLINEAR)
-    while collinear.any():
-        worst = int(np.flatnonzero(collinear)[np.argmin(_tolerance(total_left, held)[collinear])])
-        reasons.setdefault(PARAMETERS[worst], "the other parameters explain it as well on these logs")
-        held[worst] = True
-        collinear = ~held & (_tolerance(total_left, held) < COLLINEAR)
-    while True:
-        values = solve(total_left, total_right, held, nominal)
-        error = _jackknife(left, right, held, nominal)
-        relative = error / np.maximum(np.abs(values), scale)
-        vague = (relative > NOT_IDENTIFIABLE) & ~held
-        vague[VISCOUS] = vague[COULOMB] = False  # at zero they would bend the others; left in, flagged below
-        if not vague.any():
-            break
-        worst = int(np.argmax(np.where(vague, relative, 0.0)))
-        reasons[PARAMETERS[worst]] = f"these logs leave it open by {100 * relative[worst]:.0f} %"
-        held[worst] = True
-
-    estimates = tuple(
-        _estimate(name, float(values[p]), float(error[p]), float(relative[p]), bool(held[p]), reasons.get(name, ""))
-        for p, name in enumerate(PARAMETERS)
-    )
-    without = _without_each(trajectories, weight, held, nominal)
-    density = np.median([trajectory.density for trajectory in trajectories], axis=0)
-    period = float(np.median([trajectory.period for trajectory in trajectories]))
-    return Fit(
-        estimates,
-        np.sqrt(density / (2.0 * period)),
-        np.sqrt(density * ANALYSIS_HZ),
-        np.full((1, 3), np.nan)
-        if len(trajectories) < 2
-        else np.array([rms_residual(t, others) for t, others in zip(trajectories, without, strict=True)]),
-        np.array([rms_residual(trajectory, values) for trajectory in trajectories]),
-        np.array([np.sqrt(_mean_square([trajectory])) for trajectory in trajectories]),
-        without,
-    )
-
-
-def _estimate(name: str, value: float, error: float, relative: float, held: bool, reason: str) -> Estimate:
-    """One parameter's verdict. relative: standard error over value."""
-    if held:
-        return Estimate(name, value, 0.0, "not identifiable", f"{reason}; {value:g} assumed")
-    if reason or relative > NOT_IDENTIFIABLE:
-        return Estimate(name, value, error, "not identifiable", reason or f"open by {100 * relative:.0f} %")
-    if relative > WEAK:
-        return Estimate(name, value, error, "weak", f"open by {100 * relative:.0f} %: more of the motion that shows it")
-    return Estimate(name, value, error, "identifiable")
-
-
-def _joint(name: str) -> int | None:
-    return int(name[-1]) - 1 if name.startswith("f_") else None
-
-
-def _still(trajectories: Sequence[Trajectory], name: str) -> bool:
-    joint = _joint(name)
-    return joint is not None and bool(
-        max(t.travel[joint] for t in trajectories) < MOVES or not any(t.seconds[:, joint].any() for t in trajectories)
-    )
-
-
-def _structure(trajectories: Sequence[Trajectory]) -> dict[str, str]:
-    """Reasons that the motion alone gives, by parameter."""
-    reasons: dict[str, str] = {}
-    for joint in range(3):
-        forward = sum(float(t.forward[joint]) for t in trajectories)
-        backward = sum(float(t.backward[joint]) for t in trajectories)
-        if _still(trajectories, f"f_v_{joint + 1}"):
-            reasons[f"f_v_{joint + 1}"] = reasons[f"f_c_{joint + 1}"] = f"joint {joint + 1} never moves"
-        elif min(forward, backward) < REVERSES * (forward + backward):
-            reasons[f"f_c_{joint + 1}"] = f"joint {joint + 1} never reverses"
-    return reasons
-
-
-def _scale(gram: np.ndarray, nominal: np.ndarray) -> np.ndarray:
-    """(9,) what a standard error is held against where the value is less: the nominal value, or for friction what
-    would make `NEGLIGIBLE_SHARE` of the joint's torque, so that none at all can be identifiable too."""
-    scale = np.array(nominal)
-    for joint in range(3):
-        torque = gram[joint, TORQUE_COLUMN + joint, TORQUE_COLUMN + joint]
-        for column, parameter in ((VISCOUS_COLUMN, VISCOUS.start), (COULOMB_COLUMN, COULOMB.start)):
-            energy = gram[joint, column, column]
-            scale[parameter + joint] = NEGLIGIBLE_SHARE * np.sqrt(torque / energy) if energy > 0 else 1.0
-    return np.maximum(scale, 1e-12)
+def _jackknife(left: np.ndarray, right: np.ndarray, held: np.ndarray, nominal: np.ndarray) -> np.ndarray:
+    """(P,) standard errors: the fit repeated with each block left out."""
+    count = len(left)
+    without = _solve(left.sum(axis=0) - left, right.sum(axis=0) - right, held, nominal)
+    return np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
 
 
 def _tolerance(left: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """(9,) share of each free parameter's variance that the other free ones do not explain."""
-    result = np.ones(len(PARAMETERS))
+    """(P,) share of each free parameter's variance that the other free ones do not explain."""
+    result = np.ones(len(held))
     free = np.flatnonzero(~held)
-    diagonal = np.diag(left)[free]
-    if len(free) == 0 or not (diagonal > 0).all():
-        result[free] = np.where(diagonal > 0, 1.0, 0.0)
-        return result
-    scale = np.sqrt(diagonal)
+    scale = np.sqrt(np.diag(left)[free])
     values, vectors = np.linalg.eigh(left[np.ix_(free, free)] / np.outer(scale, scale))
     result[free] = 1.0 / (vectors**2 / np.maximum(values, 1e-14)).sum(axis=1)
     return result
 
 
-def _jackknife(left: np.ndarray, right: np.ndarray, held: np.ndarray, nominal: np.ndarray) -> np.ndarray:
-    """(9,) standard errors: the fit repeated with each block left out."""
-    count = len(left)
-    without = solve(left.sum(axis=0) - left, right.sum(axis=0) - right, held, nominal)
-    return np.sqrt((count - 1) / count * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
+def _scale(problem: Problem, fitted: solver.Fit, nominal: np.ndarray) -> np.ndarray:
+    """(P,) what a standard error is held against where the value is less: the nominal value, or what would make
+    `NEGLIGIBLE_SHARE` of the torque where it acts, so that none at all can be identifiable too."""
+    energy, torque = np.zeros(len(nominal)), np.zeros(len(nominal))
+    for index, tangent in enumerate(fitted.tangents):
+        slopes = tangent[:, : len(nominal)]
+        energy += (slopes**2).sum(axis=0)
+        torque += (slopes != 0).T @ problem.select(index, problem.target[index]) ** 2
+    share = NEGLIGIBLE_SHARE * np.sqrt(torque / np.where(energy > 0, energy, np.inf))
+    return np.maximum(np.where(np.isfinite(nominal), nominal, np.where(energy > 0, share, 1.0)), 1e-12)
 
 
-def _without_each(
-    trajectories: Sequence[Trajectory], weight: np.ndarray, held: np.ndarray, nominal: np.ndarray
-) -> np.ndarray:
-    left, right = normal_equations(np.stack([t.gram.sum(axis=0) for t in trajectories]), weight)
-    if len(trajectories) < 2:
-        return solve(left, right, held, nominal)
-    return solve(left.sum(axis=0) - left, right.sum(axis=0) - right, held, nominal)
+def _structure(problem: Problem) -> dict[str, str]:
+    """Reasons that the motion alone gives, by parameter."""
+    segments = [recording.segment for recording in problem.recordings]
+    forward, backward = (
+        sum(((sign * s.theta_dot > 0) & s.moving).sum(axis=0) * s.period for s in segments) for sign in (1, -1)
+    )
+    travel = np.max([np.ptp(s.theta, axis=0) for s in segments], axis=0)
+    reasons: dict[str, str] = {}
+    for joint, (there, back) in enumerate(zip(np.asarray(forward), np.asarray(backward), strict=True), start=1):
+        if travel[joint - 1] < MOVES or there + back == 0:
+            reasons[f"f_v_{joint}"] = reasons[f"f_c_{joint}"] = f"joint {joint} never moves"
+        elif min(there, back) < REVERSES * (there + back):
+            reasons[f"f_c_{joint}"] = f"joint {joint} never reverses"
+    return reasons
 
 
-def rms_residual(trajectory: Trajectory, parameters: np.ndarray) -> np.ndarray:
-    """(3,) N m rms of what `parameters` (9,) leave of a trajectory's moving samples."""
-    squares = square_residual(trajectory.gram.sum(axis=0), parameters)
-    seconds = trajectory.seconds.sum(axis=0)
-    return np.sqrt(squares / np.where(seconds > 0, seconds, np.inf))
+def _estimate(parameter: Parameter, value: float, error: float, relative: float, held: bool, reason: str) -> Estimate:
+    """One parameter's verdict. relative: standard error over value."""
+    name, unit = parameter.name, parameter.unit
+    if held:
+        return Estimate(name, unit, value, 0.0, "not identifiable", f"{reason}; {value:g} assumed")
+    if reason or relative > NOT_IDENTIFIABLE:
+        return Estimate(name, unit, value, error, "not identifiable", reason or f"open by {100 * relative:.0f} %")
+    if relative > WEAK:
+        why = f"open by {100 * relative:.0f} %: more of the motion that shows it"
+        return Estimate(name, unit, value, error, "weak", why)
+    return Estimate(name, unit, value, error, "identifiable")
+
+
+def _logs(problem: Problem) -> list[int]:
+    return [recording.trace for recording in problem.recordings]
+
+
+def _rms(problem: Problem, residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """(T, n) N m of (R,) residuals a recording, in units of the noise."""
+    shape = max(_logs(problem)) + 1, len(problem.sigma)
+    square, count = np.zeros(shape), np.zeros(shape)
+    for log, residual, joint in zip(_logs(problem), residuals, problem.joints_of_rows, strict=True):
+        square[log] += np.bincount(joint, residual**2, shape[1])
+        count[log] += np.bincount(joint, minlength=shape[1])
+    return np.sqrt(square / np.maximum(count, 1)) * problem.sigma

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from numba import njit
-from scipy.signal import butter, decimate, freqz_sos, sosfiltfilt, welch
+from scipy.signal import butter, decimate, freqz_sos, sosfiltfilt
 
 from schemas.errors import TraceError
 from schemas.messages import SampleFlag
@@ -170,14 +170,6 @@ def moving(position: np.ndarray, period: float) -> np.ndarray:
     return result
 
 
-def noise_density(values: np.ndarray, period: float) -> np.ndarray:
-    """One-sided density (n,) above `NOISE_HZ`, units^2/Hz: the white floor of `values` (N, n)."""
-    options: dict[str, Any] = {"nperseg": 256, "noverlap": 0, "detrend": False, "average": "median"}
-    # the median is deaf to the few windows in which friction jumps
-    frequency, density = welch(values, 1.0 / period, axis=0, **options)
-    return density[frequency >= min(NOISE_HZ, 0.25 / period)].mean(axis=0)
-
-
 @dataclass(frozen=True)
 class Segment:
     """M consecutive usable samples of a trace, motion already smoothed.
@@ -291,11 +283,12 @@ class Band:
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """(N, ...) to (M, ...)."""
         flat = values.reshape(len(values), -1)
-        parts = [
-            lowpass(flat[:, at : at + CHUNK], self.period, self.cutoff_hz)[:: self.step]
-            for at in range(0, flat.shape[1], CHUNK)
-        ]
-        return np.concatenate(parts, axis=1).reshape(-1, *values.shape[1:])
+        result = np.zeros((-(-len(flat) // self.step), flat.shape[1]))
+        live = np.flatnonzero(flat.any(axis=0))  # many a slope is zero on the joints that it is not of
+        for at in range(0, len(live), CHUNK):
+            some = live[at : at + CHUNK]
+            result[:, some] = lowpass(flat[:, some], self.period, self.cutoff_hz)[:: self.step]
+        return result.reshape(-1, *values.shape[1:])
 
     @cached_property
     def white_share(self) -> float:

@@ -1,9 +1,10 @@
 """What these tests are about, imported in one place: where it lives is said here and nowhere else."""
 
 from service.diagnosis import cautions, diagnose, document, evidence, selection, statistics, where
-from service.diagnosis.selection import Candidate, Dictionary, Scored, Selection, Split
+from service.diagnosis.selection import Candidate, Dictionary, Scored, Selection
 from service.identification import events, noise
 from service.identification.fit import Fit, Problem, evaluate, fit, solve
+from service.identification.folds import Split
 from service.model.description import described, terms_of, torque_along
 from service.model.effects import CATALOGUE, by_name
 from service.model.effects.base import Amplitude, Effect, Shape, on_joint

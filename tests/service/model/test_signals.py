@@ -111,10 +111,3 @@ def test_nothing_usable_names_the_file() -> None:
     log.flags[::100] |= np.uint32(SampleFlag.BUS_FAULT)
     with pytest.raises(TraceError, match=r"log\.csv: longest part without a fault lasts 0\.099 s"):
         signals.segments(log)
-
-
-def test_noise_density_is_that_of_white_noise() -> None:
-    rng = np.random.default_rng(3)
-    _, theta, _, _ = swing(20_000)
-    density = signals.noise_density(10 * theta + 0.4 * rng.standard_normal(theta.shape), PERIOD)
-    assert np.allclose(np.sqrt(density / (2 * PERIOD)), 0.4, rtol=0.03)

@@ -1,0 +1,75 @@
+"""Data left out: folds and blocks of a problem's rows, and residuals under parameters from the other folds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.identification.fit import Fit, Problem, solve
+
+BLOCK = 0.5  # s, of bootstrap and jackknife: longer than the residual remembers
+FOLDS = 4  # where fewer than three traces are given
+
+
+@dataclass(frozen=True)
+class Split:
+    """Who is left out together. fold, block: a (R,) array a recording; blocks are numbered through."""
+
+    fold: list[np.ndarray]
+    block: list[np.ndarray]
+    folds: int
+    blocks: int
+
+    @classmethod
+    def of(cls, problem: Problem) -> Split:
+        """A trace a fold; with fewer than three traces, contiguous stretches."""
+        recordings = problem.recordings
+        traces = sorted({recording.trace for recording in recordings})
+        total = sum(len(target) for target in problem.target)
+        folds, blocks, done, first = [], [], 0, 0
+        for index, (recording, target) in enumerate(zip(recordings, problem.target, strict=True)):
+            count = len(target)
+            if len(traces) >= 3:
+                fold = np.full(count, traces.index(recording.trace))
+            else:
+                fold = (done + np.arange(count)) * FOLDS // total
+            length = max(1, round(BLOCK / (problem.band.period * problem.band.step)))
+            block = first + np.arange(count) // length
+            first, done = int(block[-1]) + 1, done + count
+            folds.append(_rows(problem, index, fold))
+            blocks.append(_rows(problem, index, block))
+        return cls(folds, blocks, len(traces) if len(traces) >= 3 else FOLDS, first)
+
+
+def _rows(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values[rows] for rows in problem.rows[index].T])
+
+
+def held_out(fitted: Fit, split: Split) -> list[np.ndarray]:
+    """Residuals (R,) a recording, each fold predicted by parameters from the other folds (linear in the refit)."""
+    grams, moments = [], []
+    for number in range(split.folds):
+        parts = [
+            (t[f == number], r[f == number])
+            for t, r, f in zip(fitted.moving, fitted.residuals, split.fold, strict=True)
+        ]
+        grams.append(np.asarray(sum(t.T @ t for t, _ in parts)))
+        moments.append(np.asarray(sum(t.T @ r for t, r in parts)))
+    gram, moment = sum(grams), sum(moments)
+    result = [residual.copy() for residual in fitted.residuals]
+    for number in range(split.folds):
+        step = solve(gram - grams[number], moment - moments[number])
+        for residual, slope, fold in zip(result, fitted.moving, split.fold, strict=True):
+            out = fold == number
+            residual[out] -= slope[out] @ step
+    return result
+
+
+def block_loss(residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:
+    """(blocks,) sums of squares."""
+    loss = np.zeros(split.blocks)
+    for residual, block in zip(residuals, split.block, strict=True):
+        loss += np.bincount(block, residual**2, split.blocks)
+    return loss
