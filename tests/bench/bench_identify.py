@@ -16,9 +16,10 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from drivers.trace import read_trace, write_trace
-from schemas.robot import Geometry, Mass, Robot
+from schemas.robot import Geometry, Mass, Robot, load_robot
 from schemas.trace import Trace
-from service.identification import paper, pooled
+from service.identification import paper
+from service.identification.identify import identify
 from service.identification.regression import Trajectory, summarise
 from service.model import signals
 from service.model.nominal import pack
@@ -77,11 +78,11 @@ def methods() -> None:
     trajectories = [
         summarise(MODEL, synthesise(MODEL, s, Truth(), multisine(s, 8.0, 2.0, 1e-3), 1e-3)) for s in range(4)
     ]
-    fit = pooled.fit(trajectories, 0.5)
+    fit = identify(ROBOT, trajectories)
     ratios = [
-        timed(lambda: paper.means(trajectories)) / timed(lambda: pooled.fit(trajectories, 0.5)) for _ in range(21)
+        timed(lambda: paper.means(trajectories)) / timed(lambda: identify(ROBOT, trajectories)) for _ in range(21)
     ]
-    once = timed(lambda: paper.refit(trajectories, fit))
+    once = timed(lambda: paper.refit(trajectories, fit.fit))
     print(
         f"grid and friction over the pooled fit's time, sums alike: {np.median(ratios):.2f}; {1e3 * once:.1f} ms in all"
     )
@@ -103,7 +104,7 @@ def whole() -> None:
             start = time.perf_counter()
             trajectories.append(summarise(MODEL, trace))
             passing += time.perf_counter() - start
-        solving = timed(lambda: pooled.fit(trajectories, 0.5))
+        solving = timed(lambda: identify(ROBOT, trajectories))
         cpu = time.process_time() - cpu
         size = path.stat().st_size / 1e6
     total = reading + passing + solving
@@ -121,12 +122,14 @@ def four_logs() -> None:
         print("no ../shared: four reference logs not timed")
         return
 
-    def identify() -> None:
-        pooled.fit([summarise(MODEL, read_trace(path, ROBOT)) for path in paths], 0.5)
+    robot = load_robot(folder / "robot.toml")
 
-    identify()
-    times = [timed(identify) for _ in range(7)]
-    cpu = min(timed(identify, time.process_time) for _ in range(7))
+    def whole_way() -> None:
+        identify(robot, [summarise(pack(robot), read_trace(path, robot)) for path in paths])
+
+    whole_way()
+    times = [timed(whole_way) for _ in range(7)]
+    cpu = min(timed(whole_way, time.process_time) for _ in range(7))
     print(
         f"four reference logs, read, passed, fitted: {np.median(times):.3f} s (most {max(times):.3f}), "
         f"{cpu:.3f} s of processor time"
