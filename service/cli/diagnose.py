@@ -38,9 +38,9 @@ def command(
     from schemas.files import make_folder, write_text
     from schemas.robot import save_robot
     from service.diagnosis.diagnose import diagnose
-    from service.diagnosis.document import corrected, document
-    from service.diagnosis.report import write_report
-    from service.diagnosis.text import paragraphs
+    from service.diagnosis.documents.document import corrected, document
+    from service.diagnosis.documents.report import write_report
+    from service.diagnosis.documents.text import paragraphs
     from service.model.effects import catalogue
 
     console = Console()

@@ -128,7 +128,7 @@ def answer(folder: Path) -> dict[str, Any]:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     from drivers.trace import read_trace
     from service.diagnosis.diagnose import diagnose
-    from service.diagnosis.document import corrected, document
+    from service.diagnosis.documents.document import corrected, document
     from service.identification.identify import identify
     from service.identification.regression import summarise
     from service.model.effects import CATALOGUE

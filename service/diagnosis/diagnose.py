@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from schemas.axes import Description
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
-from service.diagnosis import statistics
-from service.diagnosis.cautions import doubts_of, limits_of
-from service.diagnosis.selection import Scored, Selection, score, search
+from service.diagnosis.evidence import statistics
+from service.diagnosis.evidence.cautions import doubts_of, limits_of
+from service.diagnosis.findings import Findings
+from service.diagnosis.fit.selection import Selection, score, search
 from service.identification import pooled
 from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import Split
@@ -26,40 +27,6 @@ from service.model.signals import segments, thin
 # What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
 # smoothing of the motion costs another two.
 WITHIN_NOISE = 1.06
-
-
-@dataclass(frozen=True)
-class Findings:
-    """Everything the documents need. Residuals are in units of `problem.sigma`.
-
-    plain: the model that `identify` writes. reference: the one whose gap is "before". given: effects that the
-    description carried already. before, after: residuals (R,) a recording on data left out, of the reference and of the
-    corrected model, the latter left out of selection too. noise: (n,) N m a sample. reversal: (n,) N m in the band.
-    errors: as `statistics.standard_errors` of the corrected model. limit: rms up to which what is left is noise.
-    cannot_tell: what this data cannot say, with what to record. notes: what a reader has to know.
-    """
-
-    robot: Description
-    problem: Problem
-    split: Split
-    plain: Scored
-    reference: Hypothesis
-    selection: Selection
-    given: tuple[Term, ...]
-    before: list[np.ndarray]
-    after: list[np.ndarray]
-    noise: np.ndarray
-    reversal: np.ndarray
-    errors: np.ndarray
-    verdict: str
-    limit: float
-    cannot_tell: list[str]
-    notes: list[str]
-
-    @property
-    def best(self) -> Scored:
-        """The corrected model."""
-        return self.selection.best
 
 
 def diagnose(

@@ -1,7 +1,11 @@
 """What these tests are about, imported in one place: where it lives is said here and nowhere else."""
 
-from service.diagnosis import cautions, diagnose, document, evidence, selection, statistics, where
-from service.diagnosis.selection import Candidate, Dictionary, Scored, Selection
+from service.diagnosis import diagnose
+from service.diagnosis.documents import document
+from service.diagnosis.evidence import cautions, statistics, where
+from service.diagnosis.evidence import rivals as evidence
+from service.diagnosis.fit import selection
+from service.diagnosis.fit.selection import Candidate, Dictionary, Scored, Selection
 from service.identification import events, noise
 from service.identification.fit import Fit, Problem, evaluate, fit, solve
 from service.identification.folds import Split

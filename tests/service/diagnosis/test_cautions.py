@@ -12,10 +12,10 @@ import pytest
 from drivers.trace import read_trace
 from schemas.errors import DataError, RobotError
 from schemas.robot import load_robot
-from service.diagnosis.cautions import limits_of
 from service.diagnosis.diagnose import diagnose
-from service.diagnosis.document import document
-from service.diagnosis.text import sentences
+from service.diagnosis.documents.document import document
+from service.diagnosis.documents.text import sentences
+from service.diagnosis.evidence.cautions import limits_of
 from service.model.effects import CATALOGUE, by_name, catalogue
 
 EFFECTS = by_name(CATALOGUE)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.selection import LEAST_GAIN, SIMPLER_SHARE, TOLD_APART, Scored, Selection, z_score
+from service.diagnosis.fit.selection import LEAST_GAIN, SIMPLER_SHARE, TOLD_APART, Scored, Selection, z_score
 from service.identification.folds import Split
 
 DRAWS = 1000

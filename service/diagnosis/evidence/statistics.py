@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.selection import TOLD_APART, Scored, Selection, worth, z_score
+from service.diagnosis.fit.selection import TOLD_APART, Scored, Selection, worth, z_score
 from service.identification.fit import Fit, Problem, solve
 from service.identification.folds import Split, block_loss
 from service.model.parameters import Parameters

@@ -10,9 +10,9 @@ from plotly.subplots import make_subplots
 from scipy.signal import welch
 
 from schemas.diagnosis import Diagnosis
-from service.diagnosis.diagnose import Findings
-from service.diagnosis.text import paragraphs
-from service.diagnosis.where import Rows
+from service.diagnosis.documents.text import paragraphs
+from service.diagnosis.evidence.where import Rows
+from service.diagnosis.findings import Findings
 from service.model.description import in_units_of
 from service.model.hypothesis import Hypothesis
 from service.model.scene import Scene

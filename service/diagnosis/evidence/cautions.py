@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.diagnosis.selection import Selection
+from service.diagnosis.fit.selection import Selection
 from service.identification.fit import Problem, fit
 from service.model.effects.base import Effect
 

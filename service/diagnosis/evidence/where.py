@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from service.diagnosis.diagnose import Findings
+from service.diagnosis.findings import Findings
 from service.identification.events import bursts, events_of, rhythm
 from service.identification.fit import Problem
 from service.identification.folds import held_out

@@ -9,11 +9,11 @@ import numpy as np
 from schemas.axes import Description
 from schemas.diagnosis import Diagnosis, Estimate, Gap, NamedEffect, Ranked
 from schemas.trace import Trace
-from service.diagnosis import statistics
-from service.diagnosis.diagnose import Findings
-from service.diagnosis.evidence import Contest, confusable, contests
-from service.diagnosis.unseen import unseen
-from service.diagnosis.where import where, without
+from service.diagnosis.evidence import statistics
+from service.diagnosis.evidence.rivals import Contest, confusable, contests
+from service.diagnosis.evidence.unseen import unseen
+from service.diagnosis.evidence.where import where, without
+from service.diagnosis.findings import Findings
 from service.estimator.effects import carried
 from service.identification.folds import block_loss
 from service.model.description import described, digits, in_units_of

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from schemas.diagnosis import Shrunk, Unseen
 from schemas.trace import Trace
-from service.diagnosis import statistics
-from service.diagnosis.diagnose import Findings
+from service.diagnosis.evidence import statistics
+from service.diagnosis.findings import Findings
 from service.identification.events import bursts, events_of, outside, rhythm
 from service.identification.fit import Problem, evaluate
 from service.identification.folds import Split

@@ -1,0 +1,47 @@
+"""What a diagnosis found; documents are made from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from schemas.axes import Description
+from service.diagnosis.fit.selection import Scored, Selection
+from service.identification.fit import Problem
+from service.identification.folds import Split
+from service.model.hypothesis import Hypothesis, Term
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Everything the documents need. Residuals are in units of `problem.sigma`.
+
+    plain: the model that `identify` writes. reference: the one whose gap is "before". given: effects that the
+    description carried already. before, after: residuals (R,) a recording on data left out, of the reference and of the
+    corrected model, the latter left out of selection too. noise: (n,) N m a sample. reversal: (n,) N m in the band.
+    errors: as `statistics.standard_errors` of the corrected model. limit: rms up to which what is left is noise.
+    cannot_tell: what this data cannot say, with what to record. notes: what a reader has to know.
+    """
+
+    robot: Description
+    problem: Problem
+    split: Split
+    plain: Scored
+    reference: Hypothesis
+    selection: Selection
+    given: tuple[Term, ...]
+    before: list[np.ndarray]
+    after: list[np.ndarray]
+    noise: np.ndarray
+    reversal: np.ndarray
+    errors: np.ndarray
+    verdict: str
+    limit: float
+    cannot_tell: list[str]
+    notes: list[str]
+
+    @property
+    def best(self) -> Scored:
+        """The corrected model."""
+        return self.selection.best
