@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -11,6 +11,32 @@ Verdict = Literal["within_noise", "explained", "partly_explained", "unexplained"
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Online(_Section):
+    """Whether the online model carries an effect: from the present sample, or in its settings; or why it does not."""
+
+    carried: bool
+    reason: Literal["present_sample", "settings", "of_the_measurement", "no_online_form"]
+
+
+CautionCode = Literal[
+    "too_little_motion", "joints_at_rest", "one_way", "one_run", "beyond_any_robot", "several_arms", "runs_differ",
+    "much_is_left",
+]  # fmt: skip
+
+
+class Caution(_Section):
+    """What this data cannot say. joints from 1, those it is about; advice: what to record or to check.
+
+    effect: that would be beyond any robot's. share: of the torque's rms that is left.
+    """
+
+    code: CautionCode
+    joints: list[int] = []
+    advice: Literal["record_runs", "record_all_joints", "record_reversals", "check_description", "check_runs"]
+    effect: str | None = None
+    share: float | None = None
 
 
 class Estimate(_Section):
@@ -35,7 +61,7 @@ class NamedEffect(_Section):
     gap_share: float
     confusable_with: list[str]
     settles: str
-    online: str
+    online: Online
 
 
 class Ranked(_Section):
@@ -61,6 +87,42 @@ class Gap(_Section):
     band_hz: float
 
 
+class Regime(_Section):
+    """A kind of motion, by name: its share of a joint's gap above the noise, and of the time."""
+
+    regime: str
+    share: float
+    of_time: float
+
+
+class FrequencyShare(_Section):
+    """Share of a joint's gap above the noise between two frequencies."""
+
+    from_hz: float
+    to_hz: float
+    share: float
+
+
+class JointWhere(_Section):
+    """Where the gap of one joint (from 1) lies. rows: compared. budget_nm2: mean square by cause, adding up to that of
+    the base model's gap. Regimes come strongest concentration first."""
+
+    joint: int
+    rows: int
+    budget_nm2: dict[str, float]
+    before: list[Regime]
+    after: list[Regime]
+    spectrum_before: list[FrequencyShare]
+    spectrum_after: list[FrequencyShare]
+
+
+class RunLevel(_Section):
+    """What is left in one run, over the noise."""
+
+    run: str
+    after_over_noise: float
+
+
 class Burst(_Section):
     """A stretch in which the gap of a joint (from 1) stands far above the rest: an event, not a property.
 
@@ -72,6 +134,16 @@ class Burst(_Section):
     from_s: float
     to_s: float
     over_noise: float
+
+
+class Where(_Section):
+    """Where the gap lies. Runs come worst first, bursts strongest; bursts_rhythm_s: the period that most keep."""
+
+    joints: list[JointWhere]
+    left_out_at_rest_and_ends: float
+    worst_runs: list[RunLevel]
+    bursts: list[Burst]
+    bursts_rhythm_s: float | None
 
 
 class Shrunk(_Section):
@@ -101,21 +173,21 @@ class Diagnosis(_Section):
     """Where the gap lies, which effect causes it, how far it shrinks.
 
     plain: parameters of the base model fitted without effects. base: refitted together with the effects. tests: the
-    correction on logs given for that alone.
+    correction on logs given for that alone. given: effects that the description carried already.
     """
 
-    schema_: Literal["deltatwin.diagnosis/1"] = Field("deltatwin.diagnosis/1", alias="schema")
+    schema_: Literal["deltatwin.diagnosis/2"] = Field("deltatwin.diagnosis/2", alias="schema")
     robot: str
     traces: list[str]
     verdict: Verdict
     effects: list[NamedEffect]
-    cannot_tell: list[str]
+    cannot_tell: list[Caution]
     ranking: list[Ranked]
     probability_none: float
     probability_unknown: float
     plain: dict[str, float]
     base: dict[str, Estimate]
-    where: dict[str, Any]
+    where: Where
     gap: Gap
     tests: list[Unseen] = []
-    notes: list[str]
+    given: list[str]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from schemas.axes import Description
+from schemas.diagnosis import Verdict
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
@@ -77,11 +78,10 @@ def diagnose(
     if baseline is not None:
         reference = hypothesis_of(baseline)
         before = evaluate(problem, reference).residuals
-    notes = [f"{term.effect.name.replace('_', ' ')} is in the description already." for term in given]
     verdict = _verdict(problem, selection, given, after, limit)
     return Findings(
         robot, problem, split, plain, reference, selection, given, before, after, noise, reversal, errors, verdict,
-        limit, [*offer.reasons, *doubts], notes,
+        limit, [*offer.cautions, *doubts],
     )  # fmt: skip
 
 
@@ -99,7 +99,7 @@ def _given(robot: Description, baseline: Description | None) -> tuple[Term, ...]
 
 def _verdict(
     problem: Problem, selection: Selection, given: tuple[Term, ...], after: list[np.ndarray], limit: float
-) -> str:
+) -> Verdict:
     count = problem.count
     left = (float(sum(r @ r for r in after)) / count) ** 0.5
     if len(selection.best.hypothesis.terms) == len(given):

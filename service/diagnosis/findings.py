@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.axes import Description
+from schemas.diagnosis import Caution, Verdict
 from service.diagnosis.fit.selection import Scored, Selection
 from service.identification.fit import Problem
 from service.identification.folds import Split
@@ -21,7 +22,7 @@ class Findings:
     description carried already. before, after: residuals (R,) a recording on data left out, of the reference and of the
     corrected model, the latter left out of selection too. noise: (n,) N m a sample. reversal: (n,) N m in the band.
     errors: as `statistics.standard_errors` of the corrected model. limit: rms up to which what is left is noise.
-    cannot_tell: what this data cannot say, with what to record. notes: what a reader has to know.
+    cannot_tell: what this data cannot say.
     """
 
     robot: Description
@@ -36,10 +37,9 @@ class Findings:
     noise: np.ndarray
     reversal: np.ndarray
     errors: np.ndarray
-    verdict: str
+    verdict: Verdict
     limit: float
-    cannot_tell: list[str]
-    notes: list[str]
+    cannot_tell: list[Caution]
 
     @property
     def best(self) -> Scored:

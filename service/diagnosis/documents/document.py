@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from schemas.axes import Description
-from schemas.diagnosis import Diagnosis, Estimate, Gap, NamedEffect, Ranked
+from schemas.diagnosis import Diagnosis, Estimate, Gap, NamedEffect, Online, Ranked
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.rivals import Contest, confusable, contests
@@ -21,10 +21,6 @@ from service.model.effects.base import Effect
 from service.model.parameters import Parameters, base_parameters
 
 Z95 = 1.96
-ONLINE = {
-    True: "carried by the online model, from the present sample",
-    False: "offline only: the online model does without it",
-}
 
 
 def corrected(findings: Findings) -> Description:
@@ -48,10 +44,10 @@ def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
     base = base_parameters(problem.recordings[0].mechanism)
     plain, best = (Parameters(scored.hypothesis).values for scored in (findings.plain, findings.best))
     return Diagnosis(
-        schema="deltatwin.diagnosis/1",
+        schema="deltatwin.diagnosis/2",
         robot=findings.robot.name,
         traces=sorted({recording.name for recording in problem.recordings}),
-        verdict=findings.verdict,  # pyright: ignore[reportArgumentType]
+        verdict=findings.verdict,
         effects=_effects(findings, rounds),
         cannot_tell=findings.cannot_tell,
         ranking=_ranking(findings, rounds),
@@ -75,7 +71,7 @@ def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
             band_hz=problem.band.cutoff_hz,
         ),
         tests=[unseen(findings, trace) for trace in tests],
-        notes=findings.notes,
+        given=[term.effect.name for term in findings.given],
     )
 
 
@@ -112,10 +108,16 @@ def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
                 gap_share=round(float(np.clip(lost / gap, 0.0, 1.0)), 4),
                 confusable_with=confusable(findings.selection, effect.name),
                 settles=effect.settles,
-                online=ONLINE[carried(effect)],
+                online=_online(effect),
             )
         )
     return sorted(result, key=lambda effect: -effect.gap_share)
+
+
+def _online(effect: Effect) -> Online:
+    if carried(effect):
+        return Online(carried=True, reason="present_sample" if effect.online else "settings")
+    return Online(carried=False, reason="of_the_measurement" if effect.measured else "no_online_form")
 
 
 def _ranking(findings: Findings, rounds: list[Contest]) -> list[Ranked]:

@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 from scipy.signal import welch
 
 from schemas.diagnosis import Diagnosis
-from service.diagnosis.documents.text import paragraphs
+from service.diagnosis.documents.text import ONLINE, paragraphs
 from service.diagnosis.evidence.where import Rows
 from service.diagnosis.findings import Findings
 from service.model.description import in_units_of
@@ -40,7 +40,7 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
     for figure in plots.values():
         if figure is not None:
             figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 40, "b": 45}, font_size=12)
-    write_page("diagnosis", path, document=document, verdict=verdict, paragraphs=rest, plots=plots)
+    write_page("diagnosis", path, document=document, verdict=verdict, paragraphs=rest, plots=plots, said=ONLINE)
 
 
 def _over_time(findings: Findings) -> go.Figure:
@@ -87,12 +87,12 @@ def _thinned(
 
 def _budget(document: Diagnosis) -> go.Figure:
     figure = go.Figure()
-    joints = [f"joint {entry['joint']}" for entry in document.where["joints"]]
-    parts = list(dict.fromkeys(name for entry in document.where["joints"] for name in entry["budget_nm2"]))
+    joints = [f"joint {entry.joint}" for entry in document.where.joints]
+    parts = list(dict.fromkeys(name for entry in document.where.joints for name in entry.budget_nm2))
     fixed = {"noise": "#d0d7de", "reversals": "#b0b7c3", "unexplained": "#cf222e", "timing": "#8c959f"}
     spare = iter(EFFECTS)
     for part in sorted(parts, key=lambda name: list(fixed).index(name) if name in fixed else -1):
-        values = [entry["budget_nm2"].get(part, 0.0) for entry in document.where["joints"]]
+        values = [entry.budget_nm2.get(part, 0.0) for entry in document.where.joints]
         figure.add_bar(
             y=joints,
             x=values,
@@ -107,20 +107,20 @@ def _budget(document: Diagnosis) -> go.Figure:
 
 
 def _regimes(document: Diagnosis) -> go.Figure | None:
-    entries = [(e["joint"], r) for e in document.where["joints"] for r in e["before"][:4] if r["share"] > r["of_time"]]
+    entries = [(e.joint, r) for e in document.where.joints for r in e.before[:4] if r.share > r.of_time]
     if not entries:
         return None
-    labels = [f"joint {joint}: {regime['regime']}" for joint, regime in entries][::-1]
+    labels = [f"joint {joint}: {regime.regime}" for joint, regime in entries][::-1]
     figure = go.Figure()
     figure.add_bar(
         y=labels,
-        x=[100 * r["share"] for _, r in entries][::-1],
+        x=[100 * r.share for _, r in entries][::-1],
         orientation="h",
         name="of the gap",
         marker_color=COLOURS["after"],
     )
     figure.add_bar(
-        y=labels, x=[100 * r["of_time"] for _, r in entries][::-1], orientation="h", name="of the time",
+        y=labels, x=[100 * r.of_time for _, r in entries][::-1], orientation="h", name="of the time",
         marker_color=COLOURS["noise"],
     )  # fmt: skip
     figure.update_layout(barmode="group", height=90 + 34 * len(labels), legend={"orientation": "h", "y": 1.12})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from schemas.diagnosis import Burst, Diagnosis, Estimate, NamedEffect, Shrunk, Unseen
+from schemas.diagnosis import Burst, Caution, Diagnosis, Estimate, NamedEffect, Regime, Shrunk, Unseen
 
 VERDICTS = {
     "within_noise": "What is left between model and robot is within the noise of the torque signal.",
@@ -12,13 +12,41 @@ VERDICTS = {
     "partly_explained": "The named effects explain part of the gap; what remains has structure that none explains.",
     "unexplained": "There is structure in the gap, and no effect in the catalogue explains it.",
 }  # fmt: skip
+# code of a caution -> what cannot be told
+CAUTIONS = {
+    "too_little_motion": "Cannot be told apart on this data: no joint moves for 3 s in all.",
+    "joints_at_rest": "Joint {joints} hardly moves: effects of the whole robot and of that joint cannot be told apart "
+    "on this data.",
+    "one_way": "Joint {joints} moves one way only: its friction cannot be told from a constant torque on this data.",
+    "one_run": "There is one run only: what is left out of the fit is a stretch of the same run.",
+    "beyond_any_robot": "It would take {effect} beyond any robot's: cannot be told apart on this data.",
+    "several_arms": "Several arms at once would have to be far from the described geometry: cannot be told apart on "
+    "this data.",
+    "runs_differ": "Each run fits alone, but not all together: cannot be told apart on this data.",
+    "much_is_left": "What is left is {share:.0%} of the torque itself, more than effects of the catalogue would leave: "
+    "cannot be told apart on this data.",
+}
+NO_NAMES = CAUTIONS.keys() - {"one_way", "one_run"}  # with these no effect is told from others
+ADVICE = {
+    "record_runs": "Record three or more runs of 5 s: picks, a multisine and a slow sweep with reversals.",
+    "record_all_joints": "Record runs in which all joints move.",
+    "record_reversals": "Record runs with reversals.",
+    "check_description": "Check the description (lengths, gear ratio, order and sign of joints).",
+    "check_runs": "Check that all runs are of one robot with one tool, in one state.",
+}
+ONLINE = {
+    "present_sample": "carried by the online model, from the present sample",
+    "settings": "carried by the online model, in its settings",
+    "of_the_measurement": "offline only: of the reported torque, not of the robot",
+    "no_online_form": "offline only: the online model does without it",
+}
 MOST_TOLD = 6  # events
 LEAST_CONCENTRATED = 0.2  # of the gap in one regime
 
 
 def paragraphs(document: Diagnosis) -> list[list[str]]:
     """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next."""
-    open_ = [reason for reason in document.cannot_tell if "cannot be told apart" in reason.lower()]
+    open_ = [caution(one) for one in document.cannot_tell if one.code in NO_NAMES]
     unasked = document.verdict == "unexplained" and not document.effects and bool(open_)
     verdict = open_ if unasked else [VERDICTS[document.verdict]]
     effects = [_effect(effect) for effect in document.effects]
@@ -31,9 +59,10 @@ def paragraphs(document: Diagnosis) -> list[list[str]]:
     tests = [line for test in document.tests for line in _unseen(test, document.gap.unit)]
     remaining = _remaining(document) if document.verdict in ("unexplained", "partly_explained") else []
     settles = dict.fromkeys(e.settles for e in document.effects if e.confusable_with or e.probability < 0.9)
-    advice = [reason for reason in document.cannot_tell if reason not in verdict]
+    advice = [caution(one) for one in document.cannot_tell if caution(one) not in verdict]
     advice += [f"To be sure, record {settle}." for settle in settles]
-    groups = [verdict, _joints(document), effects, tests, remaining, advice + document.notes]
+    given = [f"{name.replace('_', ' ')} is in the description already." for name in document.given]
+    groups = [verdict, _joints(document), effects, tests, remaining, advice + given]
     return [group for group in groups if group]
 
 
@@ -42,17 +71,25 @@ def sentences(document: Diagnosis) -> list[str]:
     return [line for group in paragraphs(document) for line in group]
 
 
+def caution(found: Caution) -> str:
+    """What cannot be told, and what to record or to check."""
+    said = CAUTIONS[found.code].format(
+        joints=", ".join(map(str, found.joints)), effect=(found.effect or "").replace("_", " "), share=found.share
+    )
+    return f"{said} {ADVICE[found.advice]}"
+
+
 def _joints(document: Diagnosis) -> list[str]:
     gap, lines = document.gap, []
-    for entry in document.where["joints"]:
-        joint = entry["joint"]
+    for entry in document.where.joints:
+        joint = entry.joint
         before, floor = gap.before_nm[joint - 1], gap.noise_floor_nm[joint - 1]
-        if not entry["rows"] or not floor:
+        if not entry.rows or not floor:
             lines.append(f"Joint {joint} hardly moves: nothing is said about it.")
             continue
         line = f"Joint {joint}: {before:.3g} {gap.unit} between model and robot, {before / floor:.1f} times the noise."
-        if before > 1.15 * floor and entry["before"]:
-            line += " " + _concentrated(entry["before"][0])
+        if before > 1.15 * floor and entry.before:
+            line += " " + _concentrated(entry.before[0])
         lines.append(line)
     return lines
 
@@ -61,10 +98,10 @@ def _rms(values: list[float]) -> float:
     return math.sqrt(sum(value**2 for value in values) / len(values))
 
 
-def _concentrated(regime: dict) -> str:
-    if regime["share"] < LEAST_CONCENTRATED:
+def _concentrated(regime: Regime) -> str:
+    if regime.share < LEAST_CONCENTRATED:
         return "It is spread over all of the motion."
-    return f"{100 * regime['share']:.0f} % of it: {regime['regime']} ({100 * regime['of_time']:.0f} % of the time)."
+    return f"{100 * regime.share:.0f} % of it: {regime.regime} ({100 * regime.of_time:.0f} % of the time)."
 
 
 def _effect(effect: NamedEffect) -> str:
@@ -115,23 +152,18 @@ def _bursts(events: list[Burst], rhythm: float | None) -> str:
 
 def _remaining(document: Diagnosis) -> list[str]:
     lines = []
-    for entry in document.where["joints"]:
-        joint = entry["joint"]
+    for entry in document.where.joints:
+        joint = entry.joint
         after, floor = document.gap.after_nm[joint - 1], document.gap.noise_floor_nm[joint - 1]
-        if entry["after"] and after > 1.1 * floor:
-            bands = max(entry["spectrum_after"], key=lambda band: band["share"], default=None)
-            line = (
-                f"Unexplained in joint {joint}: {after / floor:.1f} times the noise. {_concentrated(entry['after'][0])}"
-            )
-            if bands and bands["share"] > 0:
-                line += f" {100 * bands['share']:.0f} % of it lies at {bands['from_hz']:g} to {bands['to_hz']:g} Hz."
+        if entry.after and after > 1.1 * floor:
+            bands = max(entry.spectrum_after, key=lambda band: band.share, default=None)
+            line = f"Unexplained in joint {joint}: {after / floor:.1f} times the noise. {_concentrated(entry.after[0])}"
+            if bands and bands.share > 0:
+                line += f" {100 * bands.share:.0f} % of it lies at {bands.from_hz:g} to {bands.to_hz:g} Hz."
             lines.append(line)
-    events = [Burst(**values) for values in document.where["bursts"]]
-    if events:
-        lines.append(_bursts(events, document.where["bursts_rhythm_s"]))
-    if document.where["worst_runs"]:
-        worst = document.where["worst_runs"][0]
-        lines.append(
-            f"It is worst in {worst['run']} ({worst['after_over_noise']:.1f} times the noise): look there first."
-        )
+    if document.where.bursts:
+        lines.append(_bursts(document.where.bursts, document.where.bursts_rhythm_s))
+    if document.where.worst_runs:
+        worst = document.where.worst_runs[0]
+        lines.append(f"It is worst in {worst.run} ({worst.after_over_noise:.1f} times the noise): look there first.")
     return lines

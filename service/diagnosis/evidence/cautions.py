@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from schemas.diagnosis import Caution
 from service.diagnosis.fit.selection import Selection
 from service.identification.fit import Problem, fit
 from service.model.effects.base import Effect
@@ -16,17 +17,16 @@ WRONG_MODEL = 0.10  # rms left, of the torque's own rms: a description that leav
 FOREIGN = 0.7  # of what is left that runs shed when each is fitted alone: they are not of one robot
 FOREIGN_LEFT = 2.0  # times the noise that has to be left for that question to arise
 CARRIES_OVER = 0.6  # of the gap above the noise that effects remove on runs left out: then they are no accident
-CHECK = "Check the description (lengths, gear ratio, order and sign of joints)."
 
 
 @dataclass(frozen=True)
 class Offer:
-    """What may be looked for. still: joints that hardly move. one_way: joints without reversals. enough: any at all."""
+    """What may be looked for. still: joints that hardly move. one_way: without reversals. enough: any at all."""
 
     still: frozenset[int]
     one_way: frozenset[int]
     enough: bool
-    reasons: list[str]
+    cautions: list[Caution]
 
     def allows(self, effect: Effect, joint: int) -> bool:
         """Whether `effect` may be looked for on `joint`."""
@@ -46,46 +46,32 @@ def limits_of(problem: Problem) -> Offer:
     time = forward + backward
     still = frozenset(np.flatnonzero(time < LEAST_TIME).tolist())
     one_way = frozenset(np.flatnonzero(np.minimum(forward, backward) < LEAST_SHARE * time).tolist()) - still
-    reasons = []
+    cautions = []
     enough = len(still) < joints
     if not enough:
-        reasons.append(
-            f"Cannot be told apart on this data: no joint moves for {LEAST_TIME:g} s in all. Record three or more runs "
-            "of 5 s: picks, a multisine and a slow sweep with reversals."
-        )
+        cautions.append(Caution(code="too_little_motion", advice="record_runs"))
     elif still:
-        which = ", ".join(str(joint + 1) for joint in sorted(still))
-        reasons.append(
-            f"Joint {which} hardly moves: effects of the whole robot and of that joint cannot be told apart on this "
-            "data. Record runs in which all joints move."
-        )
-    for joint in sorted(one_way):
-        reasons.append(
-            f"Joint {joint + 1} moves one way only: its friction cannot be told from a constant torque on this data. "
-            "Record runs with reversals."
-        )
+        which = [joint + 1 for joint in sorted(still)]
+        cautions.append(Caution(code="joints_at_rest", joints=which, advice="record_all_joints"))
+    if one_way:
+        which = [joint + 1 for joint in sorted(one_way)]
+        cautions.append(Caution(code="one_way", joints=which, advice="record_reversals"))
     if enough and len({recording.trace for recording in problem.recordings}) == 1:
-        reasons.append(
-            "There is one run only: what is left out of the fit is a stretch of the same run. Record three or more."
-        )
-    return Offer(still, one_way, enough, reasons)
+        cautions.append(Caution(code="one_run", advice="record_runs"))
+    return Offer(still, one_way, enough, cautions)
 
 
-def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[str]:
+def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caution]:
     """Reasons not to believe any name: the description does not fit at all, or the runs are not of one robot."""
     best = selection.best
     for term in best.hypothesis.terms:
         size = term.effect.size(problem.recordings[0].mechanism, term.amplitude)
+        which = [joint + 1 for joint in term.joints]
         if size > term.effect.beyond:
-            return [
-                f"It would take {term.effect.name.replace('_', ' ')} beyond any robot's: cannot be told apart on this "
-                f"data. {CHECK}"
-            ]
+            name = term.effect.name
+            return [Caution(code="beyond_any_robot", joints=which, effect=name, advice="check_description")]
         if len(term.joints) > 1 and size > term.effect.beyond_together:
-            return [
-                "Several arms at once would have to be far from the described geometry: cannot be told apart on this "
-                f"data. {CHECK}"
-            ]
+            return [Caution(code="several_arms", joints=which, advice="check_description")]
     left = best.loss / problem.count
     gap = selection.none.loss / problem.count
     if left**0.5 <= max(limit, FOREIGN_LEFT) or gap - left > CARRIES_OVER * (gap - 1.0):
@@ -93,10 +79,7 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[str]
     if len({recording.trace for recording in problem.recordings}) > 1:
         alone = _alone(problem, selection)
         if left - alone > FOREIGN * (left - 1.0):
-            return [
-                "Each run fits alone, but not all together: cannot be told apart on this data. Check that all runs are "
-                "of one robot with one tool, in one state."
-            ]
+            return [Caution(code="runs_differ", advice="check_runs")]
     torque = sum(
         float(((target[rows] - np.mean(target[rows])) ** 2).sum())
         for target, rows in zip(problem.target, problem.rows, strict=True)
@@ -104,10 +87,7 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[str]
     noise = float(np.mean(problem.sigma**2))
     share = (left * noise / (torque / problem.count)) ** 0.5
     if share > WRONG_MODEL:
-        return [
-            f"What is left is {100 * share:.0f} % of the torque itself, more than effects of the catalogue would "
-            f"leave: cannot be told apart on this data. {CHECK}"
-        ]
+        return [Caution(code="much_is_left", share=round(share, 4), advice="check_description")]
     return []
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from schemas.diagnosis import FrequencyShare, JointWhere, Regime, RunLevel, Where
 from service.diagnosis.findings import Findings
 from service.identification.events import bursts, events_of, rhythm
 from service.identification.fit import Problem
@@ -108,7 +108,7 @@ def without(findings: Findings, effect: Effect) -> list[np.ndarray]:
     return held_out(replace(fitted, residuals=residuals, free=free), findings.split)
 
 
-def regimes(findings: Findings, rows: Rows, residuals: list[np.ndarray], joint: int) -> list[dict[str, Any]]:
+def regimes(findings: Findings, rows: Rows, residuals: list[np.ndarray], joint: int) -> list[Regime]:
     """Share of one joint's gap above the noise in each regime, strongest concentration first."""
     residual = np.concatenate(residuals)
     mine = rows.joint == joint
@@ -149,11 +149,12 @@ def regimes(findings: Findings, rows: Rows, residuals: list[np.ndarray], joint: 
         of_time = float(mask.mean())
         if 0.005 < of_time < 0.995:
             share = float(square[mask].sum()) / total
-            found.append({"regime": name, "share": round(float(np.clip(share, 0, 1)), 4), "of_time": round(of_time, 4)})
-    return sorted(found, key=lambda item: -(item["share"] - item["of_time"]))
+            share = round(float(np.clip(share, 0, 1)), 4)
+            found.append(Regime(regime=name, share=share, of_time=round(of_time, 4)))
+    return sorted(found, key=lambda item: -(item.share - item.of_time))
 
 
-def spectrum(findings: Findings, residuals: list[np.ndarray], joint: int) -> list[dict[str, float]]:
+def spectrum(findings: Findings, residuals: list[np.ndarray], joint: int) -> list[FrequencyShare]:
     """Share of one joint's gap above the noise by frequency, in the analysis band."""
     problem = findings.problem
     rate = 1.0 / (problem.band.period * problem.band.step)
@@ -171,48 +172,41 @@ def spectrum(findings: Findings, residuals: list[np.ndarray], joint: int) -> lis
     above = np.maximum(energy - floor, 0.0)
     total = above.sum()
     return [
-        {"from_hz": low, "to_hz": high, "share": round(float(value / total), 4) if total > 0 else 0.0}
+        FrequencyShare(from_hz=low, to_hz=high, share=round(float(value / total), 4) if total > 0 else 0.0)
         for low, high, value in zip(FREQUENCIES[:-1], FREQUENCIES[1:], above, strict=True)
     ]
 
 
-def where(findings: Findings) -> dict[str, Any]:
+def where(findings: Findings) -> Where:
     """The `where` section of the document."""
-    rows = Rows.of(findings.problem, findings.best.hypothesis)
-    joints = []
-    for joint in range(len(findings.problem.sigma)):
-        mine = int((rows.joint == joint).sum())
-        joints.append(
-            {
-                "joint": joint + 1,
-                "rows": mine,
-                "budget_nm2": {name: float(f"{value:.4g}") for name, value in budget(findings, joint).items()},
-                "before": regimes(findings, rows, findings.before, joint)[:8],
-                "after": regimes(findings, rows, findings.after, joint)[:8],
-                "spectrum_before": spectrum(findings, findings.before, joint),
-                "spectrum_after": spectrum(findings, findings.after, joint),
-            }
-        )
-    moving = sum(int(r.segment.moving.sum()) for r in findings.problem.recordings)
-    samples = sum(r.segment.moving.size for r in findings.problem.recordings)
-    return {
-        "joints": joints,
-        "left_out_at_rest_and_ends": round(1.0 - moving / samples, 4),
-        "worst_runs": _runs(findings),
-        **_bursts(findings),
-    }
+    problem, rows = findings.problem, Rows.of(findings.problem, findings.best.hypothesis)
+    moving = sum(int(r.segment.moving.sum()) for r in problem.recordings)
+    samples = sum(r.segment.moving.size for r in problem.recordings)
+    found = events_of(problem, findings.after)
+    told = sorted(bursts(problem, found), key=lambda burst: -burst.over_noise)
+    return Where(
+        joints=[
+            JointWhere(
+                joint=joint + 1,
+                rows=int((rows.joint == joint).sum()),
+                budget_nm2={name: float(f"{value:.4g}") for name, value in budget(findings, joint).items()},
+                before=regimes(findings, rows, findings.before, joint)[:8],
+                after=regimes(findings, rows, findings.after, joint)[:8],
+                spectrum_before=spectrum(findings, findings.before, joint),
+                spectrum_after=spectrum(findings, findings.after, joint),
+            )
+            for joint in range(len(problem.sigma))
+        ],
+        left_out_at_rest_and_ends=round(1.0 - moving / samples, 4),
+        worst_runs=_runs(findings),
+        bursts=told[:MOST_BURSTS],
+        bursts_rhythm_s=rhythm(found),
+    )
 
 
-def _bursts(findings: Findings) -> dict[str, Any]:
-    found = events_of(findings.problem, findings.after)
-    told = sorted(bursts(findings.problem, found), key=lambda burst: -burst.over_noise)
-    return {"bursts": [burst.model_dump() for burst in told[:MOST_BURSTS]], "bursts_rhythm_s": rhythm(found)}
-
-
-def _runs(findings: Findings) -> list[dict[str, Any]]:
-    after = findings.after
+def _runs(findings: Findings) -> list[RunLevel]:
     result = []
-    for recording, residual in zip(findings.problem.recordings, after, strict=True):
+    for recording, residual in zip(findings.problem.recordings, findings.after, strict=True):
         level = float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
-        result.append({"run": recording.name, "after_over_noise": round(level, 3)})
-    return sorted(result, key=lambda item: -item["after_over_noise"])
+        result.append(RunLevel(run=recording.name, after_over_noise=round(level, 3)))
+    return sorted(result, key=lambda item: -item.after_over_noise)

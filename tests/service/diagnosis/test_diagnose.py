@@ -30,7 +30,7 @@ def test_names_what_was_put_in(shared, tmp_path, case, name, joints, parameter, 
     )
     assert result.exit_code == 0
     document = json.loads((tmp_path / "diagnosis.json").read_text())
-    assert document["schema"] == "deltatwin.diagnosis/1"
+    assert document["schema"] == "deltatwin.diagnosis/2"
     if name is None:
         assert document["verdict"] == "within_noise"
         assert document["effects"] == []

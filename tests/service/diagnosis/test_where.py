@@ -75,7 +75,7 @@ def told(findings, rows, mask: np.ndarray) -> dict[str, dict]:
     residual = np.where(mask & (rows.joint == 0), 3.0, 1.0)
     counts = [int(r.sum()) for r in findings.problem.rows]
     parts = np.split(residual, np.cumsum(counts)[:-1])
-    return {entry["regime"]: entry for entry in where.regimes(findings, rows, parts, 0)}
+    return {entry.regime: entry for entry in where.regimes(findings, rows, parts, 0)}
 
 
 def third(values: np.ndarray, rows, upper: bool) -> np.ndarray:
@@ -101,9 +101,9 @@ def test_a_gap_put_somewhere_is_found_there(findings, rows, place, words):
     mask = place(rows)
     found = told(findings, rows, mask)
     name, entry = next((name, entry) for name, entry in found.items() if name.startswith(words))
-    assert entry["share"] == 1.0
-    assert entry["of_time"] == pytest.approx(mask[rows.joint == 0].mean(), abs=0.02)
-    if entry["of_time"] < 0.5:
+    assert entry.share == 1.0
+    assert entry.of_time == pytest.approx(mask[rows.joint == 0].mean(), abs=0.02)
+    if entry.of_time < 0.5:
         assert name in list(found)[:3]
 
 
@@ -125,14 +125,14 @@ def test_a_wave_lies_at_its_frequency(findings, hz, band):
     step = problem.band.period * problem.band.step
     parts = [5.0 * np.sin(2 * np.pi * hz * np.arange(int(r.sum())) * step) for r in problem.rows]
     found = where.spectrum(findings, parts, 0)
-    assert [(entry["from_hz"], entry["to_hz"]) for entry in found] == [
+    assert [(entry.from_hz, entry.to_hz) for entry in found] == [
         (0.0, 3.0),
         (3.0, 10.0),
         (10.0, 20.0),
         (20.0, 40.0),
     ]
-    assert found[band]["share"] > 0.9
-    assert sum(entry["share"] for entry in found) == pytest.approx(1.0, abs=1e-3)
+    assert found[band].share > 0.9
+    assert sum(entry.share for entry in found) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_white_noise_lies_at_no_frequency(findings):
@@ -143,12 +143,11 @@ def test_white_noise_lies_at_no_frequency(findings):
     energy = np.concatenate(parts) / share
     assert np.mean(energy**2) == pytest.approx(1.0, rel=0.1)
     bare = where.spectrum(findings, [3.0 * np.sign(np.sin(np.arange(len(p)))) * 0 for p in parts], 0)
-    assert all(entry["share"] == 0.0 for entry in bare)
+    assert all(entry.share == 0.0 for entry in bare)
 
 
 def test_the_section_names_joints_and_runs(findings):
-    section = where.where(findings)
-    section = section if isinstance(section, dict) else section.model_dump()
+    section = where.where(findings).model_dump()
     assert [entry["joint"] for entry in section["joints"]] == [1, 2, 3]
     assert sum(entry["rows"] for entry in section["joints"]) == findings.problem.count
     moving = np.concatenate([r.segment.moving for r in findings.problem.recordings])
