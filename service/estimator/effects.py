@@ -16,7 +16,7 @@ from schemas.errors import RobotError
 from schemas.robot import Robot
 from service.model.description import terms_of
 from service.model.effects import CATALOGUE
-from service.model.effects.base import Correction, Effect, Moment
+from service.model.effects.base import Correction, Effect, Instant
 from service.model.hypothesis import Term
 
 MAX_EFFECTS = 12
@@ -113,7 +113,7 @@ def effects_kernel(
     way: (3,) direction of motion in [-1, 1]. load: (3,) rigid torque through the gears. seconds: of the bus clock.
     position, work: as the terms kernel left them for this motion.
     """
-    now = Moment(
+    now = Instant(
         model, gear_ratio, rho_2, theta, theta_dot, theta_ddot, way, load, seconds, position,
         work[4, 1], work[4, 2], work[1], work[2], work[4, 0],
     )  # fmt: skip

@@ -26,7 +26,7 @@ from service.identification.folds import Split
 from service.identification.noise import white_noise
 from service.model.hypothesis import Hypothesis
 from service.model.mechanism import mechanism_of
-from service.model.parameters import Parameter, Parameters, base_parameters
+from service.model.parameters import Parameters, Quantity, base_parameters
 from service.model.scene import Base, Recording
 from service.model.signals import Band
 from service.model.torque import predict
@@ -269,7 +269,7 @@ def _structure(problem: Problem) -> dict[str, str]:
     return reasons
 
 
-def _estimate(parameter: Parameter, value: float, error: float, relative: float, held: bool, reason: str) -> Estimate:
+def _estimate(parameter: Quantity, value: float, error: float, relative: float, held: bool, reason: str) -> Estimate:
     """One parameter's verdict. relative: standard error over value."""
     name, unit = parameter.name, parameter.unit
     if held:

@@ -20,7 +20,7 @@ TRANSITION = (2e-4, 2e-2)  # rad/s, limits of the speed over which Coulomb frict
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Quantity:
     """One parameter. name: as in the documents; of an effect it ends in the joint where the effect has several.
 
     low, high: what it can be. held: the fit keeps it between these. free: the fit moves it. rough: the torque is no
@@ -82,7 +82,7 @@ class Parameters:
         return replace(self.hypothesis, base=base, terms=tuple(terms))
 
     @cached_property
-    def of_terms(self) -> list[list[Parameter]]:
+    def of_terms(self) -> list[list[Quantity]]:
         """The parameters of each effect."""
         return [parameters_of(term) for term in self.hypothesis.terms]
 
@@ -126,23 +126,23 @@ class Parameters:
         return result
 
 
-def parameters_of(term: Term) -> list[Parameter]:
+def parameters_of(term: Term) -> list[Quantity]:
     """An effect's parameters, amplitudes joint by joint, then shapes."""
     effect, result = term.effect, []
     for joint in term.joints or (None,):
         suffix = f"_{joint + 1}" if joint is not None and len(term.joints) > 1 else ""
-        result += [Parameter(name + suffix, a.unit, a.low, a.high) for name, a in effect.amplitudes.items()]
+        result += [Quantity(name + suffix, a.unit, a.low, a.high) for name, a in effect.amplitudes.items()]
     return result + [
-        Parameter(name, s.unit, s.low, s.high, held=True, free=not s.fixed, rough=effect.rough)
+        Quantity(name, s.unit, s.low, s.high, held=True, free=not s.fixed, rough=effect.rough)
         for name, s in effect.shapes.items()
     ]
 
 
-def base_parameters(mechanism: Mechanism) -> list[Parameter]:
+def base_parameters(mechanism: Mechanism) -> list[Quantity]:
     """The base model's parameters by name, as far as documents show them: coefficients and friction."""
     joints = range(1, mechanism.joints + 1)
     return [
-        *(Parameter(name, c.unit, low=c.low) for name, c in mechanism.coefficients.items()),
-        *(Parameter(f"f_v_{joint}", "N m s/rad", low=0.0) for joint in joints),
-        *(Parameter(f"f_c_{joint}", "N m", low=0.0) for joint in joints),
+        *(Quantity(name, c.unit, low=c.low) for name, c in mechanism.coefficients.items()),
+        *(Quantity(f"f_v_{joint}", "N m s/rad", low=0.0) for joint in joints),
+        *(Quantity(f"f_c_{joint}", "N m", low=0.0) for joint in joints),
     ]

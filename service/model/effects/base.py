@@ -20,7 +20,7 @@ from service.model.mechanism import Mechanism
 from service.model.scene import Scene
 
 
-class Moment(NamedTuple):
+class Instant(NamedTuple):
     """What an online form reads of the present sample: arrays (3,), but column and elbow (3, 3), row i of arm i.
 
     model: record of DeltaModel. way: direction of motion in [-1, 1]. load: N m, rigid torque through the gears.
@@ -94,7 +94,7 @@ class Effect(ABC):
     moves one way only does not show it. same: effects that no motion tells it from. takes_timing: it has the place of
     the timing within a sample. beyond: `size` that no robot which runs has, several times the strongest of the blind
     test: an effect that large stands in for a wrong description; beyond_together: the same on several joints at once.
-    online: compiled (effect record, Moment, joint) -> N m from the present sample, where there is such a form; of the
+    online: compiled (effect record, Instant, joint) -> N m from the present sample, where there is such a form; of the
     effects that come along only.
     """
 
