@@ -105,7 +105,7 @@ def row(case: int, named: list[tuple[str, list[int]]], verdict: str, claimed: fl
     return {
         "case": f"case_{case:03d}", "verdict": verdict, "claimed": claimed, "shrink": shrink,
         "named": [{"name": name, "joints": joints, "probability": 1.0} for name, joints in named],
-        "before_nm": 1.0, "after_nm": 0.085, "seconds": 10.0 + case, "cpu_seconds": 5.0,
+        "before_nm": 1.0, "after_nm": 0.085, "band_hz": 40.0, "period_s": 1e-3, "seconds": 10.0 + case, "cpu_seconds": 5.0,
     }  # fmt: skip
 
 
@@ -159,6 +159,10 @@ def test_the_table_counts_right() -> None:
     # floor: noise through the analysis band, 0.3 N m sqrt(2 * 40 Hz * 1 ms)
     assert figures["after_over_floor_median"] == pytest.approx(0.085 / (0.3 * 0.08**0.5), abs=1e-3)
     assert figures["seconds_median"] == 15.0
+
+    # a case of 250 Hz has another band, and each its own floor
+    slow = blindtest.judged([row(0, [], "within_noise", 0.0, 0.0) | {"band_hz": 25.0, "period_s": 4e-3}], keys)
+    assert slow[0]["floor_nm"] == pytest.approx(0.3 * (2 * 25.0 * 4e-3) ** 0.5)
 
     truth, first, table = blindtest.confusion(judged)
     count = {(t, f): int(table[i, j]) for i, t in enumerate(truth) for j, f in enumerate(first) if table[i, j]}
