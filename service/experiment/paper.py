@@ -22,8 +22,7 @@ from service.identification import paper, payload
 from service.identification.evaluation import WITH_PAYLOAD, Evaluation, evaluate
 from service.identification.identify import Identification, identify
 from service.identification.payload import Course, Pick, Score, course, recursion
-from service.identification.pooled import COULOMB, RHO_1, RHO_2, VISCOUS
-from service.identification.regression import Trajectory, summarise
+from service.identification.regression import COULOMB, RHO_1, RHO_2, VISCOUS, Trajectory, summarise
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
@@ -134,7 +133,7 @@ def _run(robot: Robot, trace: Trace) -> Run:
 
 
 def _with_values(robot: Robot, values: np.ndarray) -> Robot:
-    """`robot` with other identified values, (9,) in the order of `pooled.PARAMETERS`."""
+    """`robot` with other identified values, (9,) in the order of `base_parameters`."""
     old = robot.identified
     assert old is not None
     changed = {

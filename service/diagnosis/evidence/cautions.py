@@ -53,9 +53,8 @@ def limits_of(problem: Problem) -> Offer:
     elif still:
         which = [joint + 1 for joint in sorted(still)]
         cautions.append(Caution(code="joints_at_rest", joints=which, advice="record_all_joints"))
-    if one_way:
-        which = [joint + 1 for joint in sorted(one_way)]
-        cautions.append(Caution(code="one_way", joints=which, advice="record_reversals"))
+    for joint in sorted(one_way):
+        cautions.append(Caution(code="one_way", joints=[joint + 1], advice="record_reversals"))
     if enough and len({recording.trace for recording in problem.recordings}) == 1:
         cautions.append(Caution(code="one_run", advice="record_runs"))
     return Offer(still, one_way, enough, cautions)

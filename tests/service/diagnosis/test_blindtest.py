@@ -105,7 +105,8 @@ def row(case: int, named: list[tuple[str, list[int]]], verdict: str, claimed: fl
     return {
         "case": f"case_{case:03d}", "verdict": verdict, "claimed": claimed, "shrink": shrink,
         "named": [{"name": name, "joints": joints, "probability": 1.0} for name, joints in named],
-        "before_nm": 1.0, "after_nm": 0.085, "band_hz": 40.0, "period_s": 1e-3, "seconds": 10.0 + case, "cpu_seconds": 5.0,
+        "before_nm": 1.0, "after_nm": 0.085, "band_hz": 40.0, "period_s": 1e-3,
+        "seconds": 10.0 + case, "cpu_seconds": 5.0,
     }  # fmt: skip
 
 

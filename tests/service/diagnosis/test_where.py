@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from schemas.diagnosis import Regime
 from tests.service.subject import Hypothesis, evaluate, fit, selection, where
 
 
@@ -70,7 +71,7 @@ def test_every_row_has_its_state(findings, rows):
     assert len(rows.joint) == problem.count
 
 
-def told(findings, rows, mask: np.ndarray) -> dict[str, dict]:
+def told(findings, rows, mask: np.ndarray) -> dict[str, Regime]:
     """Regimes of joint 1 where its residual is 3 times the noise in `mask` and the noise elsewhere."""
     residual = np.where(mask & (rows.joint == 0), 3.0, 1.0)
     counts = [int(r.sum()) for r in findings.problem.rows]

@@ -188,7 +188,7 @@ def test_an_effect_is_what_is_stated(name):
     flags, quantities, same, beyond, together, kind = STATED[name]
     effect = EFFECTS[name]
     assert {flag for flag in FLAGS if getattr(effect, flag)} == set(flags.split())
-    found = {key: (a.unit, a.low, a.high) for key, a in effect.amplitudes.items()}
+    found: dict[str, tuple] = {key: (a.unit, a.low, a.high) for key, a in effect.amplitudes.items()}
     for key, shape in effect.shapes.items():
         found[key] = (shape.unit, shape.low, shape.high, *(["fixed"] if shape.fixed else []))
     assert found == {key: tuple(value) for key, value in quantities.items()}

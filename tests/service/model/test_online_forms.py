@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.model.effects.base import Moment
+from service.model.effects.base import Instant
 from tests.service.injected import INJECTED
 from tests.service.subject import EFFECTS, added
 from tests.service.world import BASE, PERIOD, course, scene, stub
@@ -39,7 +39,7 @@ def test_the_online_torque_is_the_offline_one(name):
     checked = 0
     for k in range(EVERY, len(motion.time) - EVERY, EVERY):
         columns = (arms.jacobian[k] / lever[k]).T  # J[axis, i] = column[i, axis] lever[i]
-        now = Moment(
+        now = Instant(
             model, float(here.mechanism.gear_ratio[0]), float(BASE.rigid[1]), motion.theta[k], motion.theta_dot[k],
             motion.theta_ddot[k], here.direction[k], here.load[k], float(motion.time[k]), arms.position[k],
             arms.velocity[k], acceleration[k], np.ascontiguousarray(columns), np.ascontiguousarray(arms.slope[k]),
