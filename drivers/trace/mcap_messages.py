@@ -35,7 +35,8 @@ from schemas.files import MIB, most_unpacked
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 64 * MIB  # of one chunk, unpacked; writers in use make chunks of 1 to 8 MiB
 MAX_SUMMARY_BYTES = 64 * MIB  # an hour of six topics in chunks of 1 MiB has 2 MB
-LIBRARY_ERRORS = (McapError, ValueError, struct.error)  # ValueError: names that are no text, checksums
+# names that are no text and wrong checksums are a ValueError, lengths beyond all memory an OverflowError
+LIBRARY_ERRORS = (McapError, ValueError, OverflowError, struct.error)
 AHEAD = 3  # chunks being unpacked
 _FOOTER_BYTES = 9 + 20 + len(MAGIC)
 _RECORD = struct.Struct("<BQ")

@@ -1,0 +1,83 @@
+"""Mutated files of every format against their readers.
+
+    uv run python -m tests.bench.bench_fuzz --mutations 1000000 [--start 0] [--processes 2] [--keep FOLDER]
+
+A mutation is made from its number: a run goes on with --start. Findings are printed as they come, one of a kind, with
+the number that makes them again; with --keep the file is kept too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+BATCH = 500  # mutations a task
+_WARM: list[bool] = []  # in this process
+
+
+def batch(arguments: tuple[str, int, int, str | None]) -> tuple[int, list[tuple[str, int, str]]]:
+    """Mutations first to last of a format: how many, and the findings as (format, number, what)."""
+    from tests.drivers.fuzz import finding, mutated, warm_up
+
+    kind, first, last, keep = arguments
+    found = []
+    with tempfile.TemporaryDirectory(prefix="dt-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as folder:
+        if not _WARM:
+            warm_up(Path(folder))
+            _WARM.append(True)
+        for number in range(first, last):
+            data = mutated(kind, number)
+            what = finding(kind, data, Path(folder))
+            if what:
+                found.append((kind, number, what))
+                if keep:
+                    (Path(keep) / f"{kind}-{number}").write_bytes(data)
+    return last - first, found
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--mutations", type=int, default=1_000_000)
+    arguments.add_argument("--start", type=int, default=0, help="number of the first mutation of each format")
+    arguments.add_argument("--processes", type=int, default=2)
+    arguments.add_argument("--keep", type=Path, help="folder for the files that made a finding")
+    arguments.add_argument("--kinds", nargs="+", help="formats; default: all")
+    given = arguments.parse_args()
+    os.environ["POLARS_MAX_THREADS"] = "1"
+    from tests.drivers.fuzz import ENDINGS
+
+    kinds = given.kinds or list(ENDINGS)
+    if given.keep:
+        given.keep.mkdir(parents=True, exist_ok=True)
+    each = -(-given.mutations // len(kinds))
+    tasks = [
+        (kind, first, min(first + BATCH, given.start + each), given.keep and str(given.keep))
+        for first in range(given.start, given.start + each, BATCH)
+        for kind in kinds
+    ]
+    begin, done, seen = time.monotonic(), 0, Counter[str]()
+    with multiprocessing.get_context("spawn").Pool(given.processes) as pool:
+        for count, found in pool.imap_unordered(batch, tasks):
+            done += count
+            for kind, number, what in found:
+                seen[what.split(": ")[0]] += 1
+                if seen[what.split(": ")[0]] == 1:
+                    print(f"{kind} {number}: {what}", flush=True)
+            rate = done / (time.monotonic() - begin)
+            print(f"\r{done} of {each * len(kinds)}, {rate:.0f} a second", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    print(f"{done} mutations in {time.monotonic() - begin:.0f} s, {done / (time.monotonic() - begin):.0f} a second, "
+          f"formats {', '.join(kinds)} from {given.start}")  # fmt: skip
+    for what, count in seen.most_common():
+        print(f"{count:>8}  {what}")
+    sys.exit(1 if seen else 0)
+
+
+if __name__ == "__main__":
+    main()

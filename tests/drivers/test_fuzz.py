@@ -1,0 +1,33 @@
+"""Mutated files of every format: an answer or an error of ours, in time. A million: `tests.bench.bench_fuzz`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.drivers.fuzz import ENDINGS, finding, mutated, warm_up
+
+MUTATIONS = 20_000
+AT_ONCE = 20  # mutations a draw: drawing costs as much as reading
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the mutated files go; the corpus itself has been read in it."""
+    path = tmp_path_factory.mktemp("fuzz")
+    warm_up(path)
+    return path
+
+
+@pytest.mark.parametrize("kind", ENDINGS)
+def test_mutated(kind: str, folder: Path) -> None:
+    @settings(max_examples=MUTATIONS // len(ENDINGS) // AT_ONCE, deadline=None, database=None, derandomize=True)
+    @given(st.integers(0, 1 << 40))
+    def read(first: int) -> None:
+        for number in range(first, first + AT_ONCE):
+            assert finding(kind, mutated(kind, number), folder) == "", f"mutation {number} of {kind}"
+
+    read()
