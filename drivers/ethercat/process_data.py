@@ -55,6 +55,7 @@ _INTERVALS = 64  # cycles whose median step is the cycle time
 _PERIOD_AFTER = 16  # cycles before the cycle time is known
 _CATCH_UP = 64  # cycles after a gap in which late ones can turn out not to be lost
 _PORT_AFTER = 16  # answered frames before a port is taken for the returning one
+_BELIEVED_AFTER = 4  # cycles with one higher working counter before it is what is expected
 _FLIGHT = 0.75  # of a cycle: a frame that was sent longer ago is not the one that comes back
 
 
@@ -123,23 +124,27 @@ class State(NamedTuple):
     """What the kernel remembers from frame to frame."""
 
     counts: np.ndarray  # (len(Count),) int64
-    clock: np.ndarray  # (16,) int64, by the names below
+    clock: np.ndarray  # (18,) int64, by the names below
     intervals: np.ndarray  # (_INTERVALS,) int64, ns
     raw_inputs: np.ndarray  # (3, 5) int64 of the cycle in the making
     have_inputs: np.ndarray  # (3, 5) bool
+    last_inputs: np.ndarray  # (3, 5) int64 of the cycle before
     raw_outputs: np.ndarray  # (3, 5) int64
     have_outputs: np.ndarray  # (3, 5) bool
     sent_outputs: np.ndarray  # (256, 3, 5) int64, by datagram index
     outputs_at: np.ndarray  # (256, 3, 5) int64, ns, when they were sent, _NEVER once they came back
     sent_at: np.ndarray  # (256,) int64, ns, by datagram index: when a frame was sent, _NEVER once it came back
-    counters: np.ndarray  # (16, 3) int64: command, logical address, highest working counter seen
+    counters: (
+        np.ndarray
+    )  # (16, 5) int64: command, logical address, highest working counter seen; a higher one, how often
     ports: np.ndarray  # (256, 3) int64: answered frames, silent frames, highest working counter
 
 
 (
     _LAST, _PERIOD, _DC_MODE, _DC_LAST, _DC_OFFSET, _DC_NOW, _PLAIN_SEEN, _FAULT, _HIGHEST, _OWED, _SLIP, _SINCE,
     _STEPS, _SENT, _SENT_INDEX, _SENT_NS,
-) = range(16)  # fmt: skip
+    _BACK_INDEX, _BACK_NS,
+) = range(18)  # fmt: skip
 _UNDECIDED, _CAPTURE_CLOCK, _DISTRIBUTED_CLOCK = range(3)
 _COUNTER_LOW, _COUNTER_ZERO = 1, 2
 _NEVER = -(1 << 62)
@@ -150,16 +155,17 @@ def new_state() -> State:
     objects = (3, len(INPUTS))
     return State(
         counts=np.zeros(len(Count()), np.int64),
-        clock=np.zeros(16, np.int64),
+        clock=np.zeros(18, np.int64),
         intervals=np.zeros(_INTERVALS, np.int64),
         raw_inputs=np.zeros(objects, np.int64),
         have_inputs=np.zeros(objects, np.bool_),
+        last_inputs=np.zeros(objects, np.int64),
         raw_outputs=np.zeros(objects, np.int64),
         have_outputs=np.zeros(objects, np.bool_),
         sent_outputs=np.zeros((256, *objects), np.int64),
         outputs_at=np.full((256, *objects), _NEVER, np.int64),
         sent_at=np.full(256, _NEVER, np.int64),
-        counters=np.zeros((16, 3), np.int64),
+        counters=np.zeros((16, 5), np.int64),
         ports=np.zeros((256, 3), np.int64),
     )
 
@@ -305,13 +311,23 @@ def _joints_within(address, length, places):
 
 @njit(cache=True)
 def _expected(command, address, least, counter, declared, seen):
-    """Working counter this datagram should have: at least what the drives add, an ENI's, and the highest ever seen."""
+    """Working counter this datagram should have: at least what the drives add, an ENI's, and the highest seen.
+
+    That one some times in a row: a single one may be a corrupted frame's, and would be missed ever after.
+    """
     for row in range(len(declared)):
         if declared[row, 0] == command and declared[row, 1] == address:
             return declared[row, 2]
     for row in range(len(seen)):
         if seen[row, 2] == 0 or (seen[row, 0] == command and seen[row, 1] == address):
-            seen[row, 0], seen[row, 1], seen[row, 2] = command, address, max(seen[row, 2], counter, least)
+            seen[row, 0], seen[row, 1], seen[row, 2] = command, address, max(seen[row, 2], least)
+            if counter > seen[row, 2]:
+                seen[row, 4] = seen[row, 4] + 1 if counter == seen[row, 3] else 1
+                seen[row, 3] = counter
+                if seen[row, 4] >= _BELIEVED_AFTER:
+                    seen[row, 2] = counter
+            else:
+                seen[row, 4] = 0
             return seen[row, 2]
     return least
 
@@ -630,6 +646,19 @@ def _complete(places, have):
 
 
 @njit(cache=True)
+def _came_again(index, time, state):
+    """Whether the frame of the last cycle has come back twice: same index and inputs, too soon to be the next."""
+    clock = state.clock
+    again = index == clock[_BACK_INDEX] and _on_its_way(clock[_BACK_NS], time, clock) and clock[_PERIOD] > 0
+    for joint in range(3):
+        for item in range(state.raw_inputs.shape[1]):
+            again &= state.raw_inputs[joint, item] == state.last_inputs[joint, item]
+            state.last_inputs[joint, item] = state.raw_inputs[joint, item]
+    clock[_BACK_INDEX], clock[_BACK_NS] = index, time
+    return again
+
+
+@njit(cache=True)
 def assemble(data, offset, length, time, port, flags, layout, state, samples, raw):
     """Samples of the cycles that end in these frames; how many.
 
@@ -658,7 +687,11 @@ def assemble(data, offset, length, time, port, flags, layout, state, samples, ra
         state.counts[COUNT.returned if returned else COUNT.sent] += 1
         _read_frame(data, first, end, returned, time[frame], layout, state)
         if returned and _complete(layout.inputs, state.have_inputs):
+            again = _came_again(index, time[frame], state)
             _emit(time[frame], layout, state, samples, raw, made)
+            if again and samples.flags[made] & SampleFlag.REPEATED.value == 0:
+                samples.flags[made] |= SampleFlag.REPEATED.value
+                state.counts[COUNT.repeated] += 1
             made += 1
     return made
 

@@ -120,8 +120,8 @@ class Namespace:
 
 
 @contextlib.contextmanager
-def namespace(name: str) -> Iterator[Namespace]:
-    """Make a namespace and take it away again."""
+def namespace(name: str, middle: tuple[str, str] | None = None) -> Iterator[Namespace]:
+    """Make a namespace and take it away again. middle: the ends of what stands between `NEAR` and `FAR`."""
     require_namespaces()
     name = f"{name}-{os.getpid()}"
     run = lambda *command: subprocess.run(command, check=True, capture_output=True)  # noqa: E731
@@ -129,8 +129,9 @@ def namespace(name: str) -> Iterator[Namespace]:
     try:
         space = Namespace(name)
         run(*space.prefix("sysctl", "-qw", "net.ipv6.conf.all.disable_ipv6=1", "net.ipv6.conf.default.disable_ipv6=1"))
-        run("ip", "-n", name, "link", "add", NEAR, "type", "veth", "peer", "name", FAR)
-        for interface in (NEAR, FAR, "lo"):
+        for one, other in [(NEAR, middle[0]), (middle[1], FAR)] if middle else [(NEAR, FAR)]:
+            run("ip", "-n", name, "link", "add", one, "type", "veth", "peer", "name", other)
+        for interface in (NEAR, FAR, *(middle or ()), "lo"):
             run("ip", "-n", name, "link", "set", interface, "up")
         yield space
     finally:

@@ -442,3 +442,25 @@ def test_a_master_that_sends_nothing_loses_nothing(tmp_path: Path) -> None:
     returned = packets[1::2]  # one who hears the way back alone cannot tell that from a loss
     _, assembler = assembled(pcap(tmp_path / "b.pcap", returned, nanoseconds=True), robot())
     assert (assembler.count("pauses"), assembler.count("lost")) == (0, 25)
+
+
+def test_one_corrupted_working_counter_does_not_make_every_later_one_wrong(tmp_path: Path) -> None:
+    packets = []
+    for number in range(60):
+        pair = passes(cycle(number), cycle(number - 1), working_counter=265 if number == 30 else 9, index=number)
+        packets += [(START + number * 1_000_000 + 20_000 * returned, data) for returned, data in enumerate(pair)]
+    samples, assembler = assembled(pcap(tmp_path / "a.pcap", packets, nanoseconds=True), robot())
+
+    assert not (samples["flags"][31:] & SampleFlag.BUS_FAULT).any()
+    assert assembler.count("counter_faults") == 0
+
+
+def test_a_returned_frame_that_comes_twice_is_one_sample_flagged_as_repeated(tmp_path: Path) -> None:
+    packets = stream(60)
+    time, data = packets[81]
+    packets.insert(82, (time + 10_000, data))
+    samples, assembler = assembled(pcap(tmp_path / "a.pcap", packets, nanoseconds=True), robot())
+
+    assert np.flatnonzero(samples["flags"] & SampleFlag.REPEATED).tolist() == [41]
+    assert assembler.count("repeated") == 1
+    of_cycles(np.delete(samples, 41), range(60))
