@@ -82,4 +82,6 @@ def explain(error: ValidationError) -> str:
     if first["type"] == "missing":
         return f"{key}: missing key"
     message = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "value_error" and not first["loc"]:
+        return message  # of the file as a whole: it names its keys
     return f"{key}: {message}" if first["type"] == "value_error" else f"{key}: {message} (got {first['input']!r})"

@@ -58,6 +58,9 @@ def test_every_shared_robot_loads(shared: Path) -> None:
     assert all(load_robot(path).geometry.active_link_length > 0 for path in paths)
 
 
+ONE, TWO = (f"\n[identified]\ntorque_noise_nm = {{value = {v}}}\n#" for v in ([1], [1, 2]))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -85,6 +88,11 @@ def test_every_shared_robot_loads(shared: Path) -> None:
         ('"d3-1200"', '"d3/1200"', r"name: robot name 'd3/1200'|name: .*'d3/1200'"),
         ('"d3-1200"', '"*"', r"name: .*'\*'"),
         ('"d3-1200"', '""', r"name: .*''"),
+        ('"d3-1200"', '"d3\\n"', r"name: .*d3"),
+        ("# Witt", TWO, r"identified\.torque_noise_nm\.value: 2 values for 3"),
+        ("# Witt", ONE, r"identified\.torque_noise_nm\.value: 1 values for 3"),
+        ("# Witt", "\n[[effect]]\nname = 'x'\njoints = [4]\nparameters = {}\n#", r"effect x: joint 4 of 3"),
+        ("gear_ratio = 5", "gear_ratio = 5\n[columns]\nheader_line = 1e20", r"columns\.header_line: .*got 1e\+20"),
         ("gravity_mps2 = 9.81", 'kind = "scara"', r"kind: .*'delta'.*\(got 'scara'\)"),
         ("gravity_mps2 = 9.81", "gravity_mps2 = ", r"not TOML: .*line 3"),
         ("gravity_mps2 = 9.81", 'name = "twice"', r"not TOML: "),

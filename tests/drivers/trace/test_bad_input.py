@@ -193,6 +193,15 @@ def test_rows_without_a_stamp_and_blank_lines_are_left_out_and_told(own_csv: Pat
     assert "2 gaps, 2 cycles of 1 ms missing: before lines 51, 101" in messages(trace)
 
 
+def test_a_stamp_that_no_clock_gives_is_left_out_and_told(own_csv: Path) -> None:
+    def change(lines: Lines) -> None:
+        field(lines, 50, 0, "1e308")
+
+    trace = read_trace(spoil(own_csv, change))
+    assert "1 rows without a possible time stamp were left out: line 50" in messages(trace)
+    assert np.all(np.diff(trace.time_ns) > 0)
+
+
 def test_time_that_does_not_rise(own_csv: Path) -> None:
     def change(lines: Lines) -> None:
         for line in range(2, 202):

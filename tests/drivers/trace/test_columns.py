@@ -173,7 +173,7 @@ def test_joint_pattern_names_all_joints_and_the_robot_gives_the_gear(tmp_path: P
     [
         ("separater = ';'", r"c\.toml: separater: unknown key \(value ';'\)"),
         ("decimal = ';'", r"c\.toml: decimal: .*'\.' or ','.*got ';'"),
-        ("decimal = ','", r"c\.toml: file: decimal ',' is also the separator"),
+        ("decimal = ','", r"c\.toml: decimal ',' is also the separator"),
         ("position = [{ name = 'a', unit = 'inch' }]", r"c\.toml: position\.0\.unit: .*got 'inch'"),
         ("position = [{ name = 'a', unit = 'counts' }]", r"position\.0: unit 'counts' with counts_per_rev None"),
         ("torque = [{ name = 'a', unit = 'V' }]", r"torque\.0: unit 'V' with constant None"),
