@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from schemas.robot import Robot
-from service.estimator.estimator import Estimator, Result, period_of
+from service.estimator.estimator import Estimator, Result, rate_of
 
 
 def process(robot: Robot, samples: np.ndarray) -> Result:
@@ -14,4 +14,4 @@ def process(robot: Robot, samples: np.ndarray) -> Result:
     Raises:
         DataError: the stamps do not rise.
     """
-    return Estimator(robot, period_of(samples)).run(samples)
+    return Estimator(robot, *rate_of(samples)).run(samples)

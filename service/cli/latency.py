@@ -80,11 +80,11 @@ def _steps(robot, samples: np.ndarray) -> np.ndarray:
     import numpy as np
 
     from schemas.messages import SAMPLE
-    from service.estimator.estimator import Estimator, period_of
+    from service.estimator.estimator import Estimator, rate_of
 
     size, data = SAMPLE.dtype.itemsize, samples.tobytes()
     messages = [data[n * size : (n + 1) * size] for n in range(len(samples))]
-    estimator = Estimator(robot, period_of(samples))
+    estimator = Estimator(robot, *rate_of(samples))
     estimator.warm_up()
     taken = np.zeros(len(samples), np.int64)
     for n, message in enumerate(messages):

@@ -102,7 +102,3 @@ def rate_of(samples: np.ndarray) -> Rate:
         raise DataError(f"sample period {period:g} s: no controller is slower than {LONGEST_PERIOD:g} s")
     return Rate(period, stride)
 
-
-def period_of(samples: np.ndarray) -> float:
-    """The period alone, see `rate_of`."""
-    return rate_of(samples).period

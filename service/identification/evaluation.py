@@ -11,7 +11,7 @@ from schemas.axes import Axes, Description
 from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.trace import Trace
-from service.estimator.estimator import Estimator, period_of
+from service.estimator.estimator import Estimator, rate_of
 from service.identification.events import Event, Run, events, outside
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
@@ -100,7 +100,7 @@ def _events(trace: Trace, error: np.ndarray) -> list[Event]:
 def _carried(robot: Robot, trace: Trace, along: Motion) -> np.ndarray | None:
     """Torque (N, 3), N m, of the payload as the online estimator weighs it; None where it saw no pick."""
     samples = trace.samples()
-    payload = Estimator(robot, period_of(samples)).run(samples).payload
+    payload = Estimator(robot, *rate_of(samples)).run(samples).payload
     if not (payload["event"] == PayloadEvent.PICK).any():
         return None
     # row n came out with sample n + lag: no sample is credited with what was learnt after it

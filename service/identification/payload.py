@@ -15,7 +15,7 @@ from schemas.files import MIB, read_bytes
 from schemas.messages import PayloadEvent, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Trace
-from service.estimator.estimator import Estimator, period_of
+from service.estimator.estimator import Estimator, rate_of
 from service.estimator.recursion import FORGETTING, fixed_forgetting
 from service.model import kinematics
 from service.model.nominal import pack
@@ -71,7 +71,7 @@ def course(robot: Robot, trace: Trace) -> Course:
         DataError: its stamps do not rise.
     """
     samples = trace.samples()
-    result = Estimator(robot, period_of(samples)).run(samples).payload
+    result = Estimator(robot, *rate_of(samples)).run(samples).payload
     lag = len(samples) - len(result)
 
     def known(values: np.ndarray) -> np.ndarray:
