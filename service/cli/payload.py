@@ -12,7 +12,7 @@ from service.cli.reading import OwnEffects, reading
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from service.identification.payload import Pick, Score
+    from service.identification.payload import Course, Level, Score
 
 
 def command(
@@ -22,6 +22,9 @@ def command(
     columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
     truth: Annotated[
         list[Path] | None, typer.Option(help="What was really picked: CSV with from_s,until_s,mass_kg; one a trace")
+    ] = None,
+    predictions: Annotated[
+        Path | None, typer.Option(help="Folder for <trace>.csv with mass, std_dev, trusted, event after every sample")
     ] = None,
 ) -> None:
     """Find picks and releases and weigh what was picked, as the online estimator does it.
@@ -34,7 +37,7 @@ def command(
 
     from schemas.errors import DataError
     from schemas.robot import load_robot
-    from service.identification.payload import course, picks, read_truth, score
+    from service.identification.payload import course, levels, read_truth, score
 
     if truth and len(truth) != len(traces):
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one a trace, in their order")
@@ -43,21 +46,43 @@ def command(
     scores: list[Score] = []
     for number, trace in enumerate(reading(traces, description, columns, "weighing")):
         found = course(description, trace)
+        if predictions is not None:
+            _write(found, predictions / f"{trace.path.name.split('.')[0]}.csv")
         if truth:
             scores += [score(found, pick) for pick in read_truth(truth[number])]
         else:
-            console.print(_found(trace.path.name, picks(found)))
+            console.print(_found(trace.path.name, levels(found)))
     if scores:
         for table in _scored(scores):
             console.print(table)
 
 
-def _found(name: str, seen: list[Pick]) -> Table:
+def _write(found: Course, path: Path) -> None:
+    import numpy as np
+
+    from schemas.errors import StorageError
+    from schemas.files import whole
+
+    columns = np.column_stack([found.time, found.mass, found.std_dev, found.trusted, found.event])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{path.parent}: {error.strerror}") from error
+    with whole(path) as partial:
+        header = "time_s,mass_kg,std_dev_kg,trusted,event"
+        np.savetxt(partial, columns, ("%.6f", "%.5f", "%.5f", "%d", "%d"), ",", header=header, comments="")
+
+
+def _found(name: str, seen: list[Level]) -> Table:
     from rich.table import Table
 
-    table = Table("pick seen at, s", "held until, s", "mass, kg", title=f"{name}: {len(seen)} picks")
-    for pick in seen:
-        table.add_row(f"{pick.begin:.3f}", f"{pick.end:.3f}", f"{pick.mass:.3f}")
+    table = Table("seen at, s", "until, s", "what", "mass, kg", "std dev, kg", "trusted", title=f"{name}: payload")
+    for level in seen:
+        what = level.event.name.lower()
+        table.add_row(
+            f"{level.begin:.3f}", f"{level.end:.3f}", what, f"{level.mass:.3f}", f"{level.std_dev:.3f}",
+            f"{level.trusted:.0%}",
+        )  # fmt: skip
     return table
 
 

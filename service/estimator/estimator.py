@@ -44,7 +44,7 @@ class Estimator:
         """robot: with its identified parameters. period, stride: of its samples, as `rate_of` reads them."""
         self.period, self.stride = period, stride
         self._settings = state.settings(robot, period, stride)
-        self._state = state.fresh()
+        self._state = state.fresh(self._settings)
 
     def run(self, samples: np.ndarray) -> Result:
         """Take (N,) records of SAMPLE."""
@@ -68,7 +68,7 @@ class Estimator:
 
     def warm_up(self) -> None:
         """Compile, without touching the state, so that the first live sample is not seconds late."""
-        fresh = state.fresh()
+        fresh = state.fresh(self._settings)
         plan_kernel(self._settings[0], fresh[0], REFERENCE.empty(1)[0])
         run_kernel(
             self._settings,
@@ -101,4 +101,3 @@ def rate_of(samples: np.ndarray) -> Rate:
     if period > LONGEST_PERIOD:
         raise DataError(f"sample period {period:g} s: no controller is slower than {LONGEST_PERIOD:g} s")
     return Rate(period, stride)
-

@@ -131,7 +131,7 @@ def _for_motion(settings, state, sample):
     if status != REACHED:
         return False
     torque_kernel(settings, state, sample.stamp_sec + sample.stamp_nanosec * 1e-9)
-    mass = usable_mass(settings, state)
+    mass = usable_mass(state)
     finite = True
     for i in range(3):
         state.wanted[i] = state.full[i] + mass * load_kernel(settings, state, i)
@@ -174,10 +174,10 @@ def load_kernel(settings, state, i):
 
 
 @njit(cache=True)
-def usable_mass(settings, state):
+def usable_mass(state):
     """The payload to reckon with, kg: the trusted one; an estimate not yet trusted may only make it lighter."""
-    mass = state.mass if state.mass_trusted != 0 else min(state.mass, state.payload.load)
-    return min(max(0.0, mass), settings.max_payload)
+    weighed = state.payload
+    return weighed.mass if weighed.trusted != 0 else min(weighed.mass, weighed.load)
 
 
 @njit(cache=True)

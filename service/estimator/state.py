@@ -9,7 +9,7 @@ import numpy as np
 
 from schemas.messages import FeedforwardSource
 from schemas.robot import Robot
-from service.estimator import effects, kalman, payload
+from service.estimator import effects, friction, kalman, payload
 from service.estimator.bounds import bounds_of
 from service.model.description import terms_of
 from service.model.dynamics import REST_SPEED, TERMS
@@ -43,9 +43,7 @@ SETTINGS = np.dtype(
         ("scale", "f8", 3),  # reported over true torque
         ("gear_ratio", "f8"),
         ("variance", "f8", 3),  # (N m)^2 of a torque sample, worth CORRELATION_TIME
-        ("forgetting", "f8"),
-        ("bin_size", "i8"),
-        ("worth", "f8"),
+        ("payload", payload.SETTINGS),
     ],
     align=True,
 )
@@ -80,9 +78,6 @@ STATE = np.dtype(
         ("head", "i8"),
         ("filled", "i8"),
         ("payload", payload.STATE),
-        ("mass", "f8"),  # kg
-        ("std_dev", "f8"),  # kg
-        ("mass_trusted", "i8"),
         ("torque", "f8", 3),  # N m, last feed-forward
         ("way_before", "f8", 3),  # direction of motion that it was for
         ("source", "i8"),
@@ -103,9 +98,6 @@ STATE = np.dtype(
         ("load", "f8", 3),
         ("full", "f8", 3),
         ("wanted", "f8", 3),
-        ("phi", "f8", 3),
-        ("residual", "f8", 3),
-        ("weight", "f8", 3),  # (N m)^-2
     ],
     align=True,
 )
@@ -148,16 +140,14 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["scale"] = scale
     record["gear_ratio"] = robot.drive.gear_ratio
     record["variance"] = payload.sample_variance(noise, left_over)
-    record["forgetting"] = np.exp(-period / payload.MEMORY_TIME)
-    record["bin_size"] = max(1, round(payload.BIN_TIME / period))
-    record["worth"] = min(1.0, period / payload.CORRELATION_TIME)
+    prior = friction.drift(record["viscous"][0], record["coulomb"][0])
+    record["payload"] = payload.settings(period, prior, robot.limits.max_payload_kg)
     return record
 
 
-def fresh() -> np.ndarray:
-    """One STATE record of an estimator that has seen nothing."""
+def fresh(record: np.ndarray) -> np.ndarray:
+    """One STATE record of an estimator with these settings that has seen nothing."""
     state = np.zeros(1, STATE)
-    payload.start(state["payload"])
+    payload.start(state["payload"], record["payload"]["prior"][0])
     state["source"] = FeedforwardSource.NONE
-    state["std_dev"] = payload.PRIOR_STD
     return state

@@ -117,7 +117,7 @@ def _remember(settings, state, sample, flags, gap):
 @njit(cache=True)
 def _lagged(settings, state, payload_out, error_out):
     """Model errors and payload at the sample `lag` ago, with motion smoothed by what came since."""
-    lag, terms, motion = settings.motion.lag, state.terms, state.trajectory
+    lag, terms, motion, weighed = settings.motion.lag, state.terms, state.trajectory, state.payload
     past = state.past[(state.head - lag + MAX_LAG + 1) % (MAX_LAG + 1)]
     event = PayloadEvent.NONE.value
     flags = past.flags
@@ -138,28 +138,25 @@ def _lagged(settings, state, payload_out, error_out):
             error_out.kh[i] = past.torque[i] - kh
             error_out.id[i] = past.torque[i] - grey
             error_out.id_friction[i] = past.torque[i] - grey - friction
-            state.residual[i] = past.torque[i] - state.full[i]
-            state.phi[i] = load_kernel(settings, state, i)
+            weighed.residual[i] = past.torque[i] - state.full[i]
+            weighed.phi[i] = load_kernel(settings, state, i)
+            weighed.shape[i, 0] = settings.scale[i] * state.way[i]
+            weighed.shape[i, 1] = settings.scale[i] * motion[1, i]
+            weighed.shape[i, 2] = 1.0
             doubt = MODEL_SHARE * (
                 abs(terms[INERTIA, i]) + abs(terms[GRAVITY, i]) + abs(terms[PLATFORM, i]) + abs(friction)
             )
             # a resting joint's friction can be anything within Coulomb's bounds, the same for as long as it rests
-            state.weight[i] = 1.0 / (settings.variance[i] + doubt * doubt) if speed > REVERSAL_SPEED else 0.0
-        mass, std_dev, trusted, event = payload_kernel(
-            state.payload, settings.forgetting, settings.bin_size, settings.worth,
-            state.phi, state.residual, state.weight,
-        )  # fmt: skip
-        state.mass = mass
-        state.std_dev = std_dev
-        state.mass_trusted = 1 if trusted else 0
-        load = usable_mass(settings, state)
+            weighed.weight[i] = 1.0 / (settings.variance[i] + doubt * doubt) if speed > REVERSAL_SPEED else 0.0
+        event = payload_kernel(settings.payload, weighed)
+        load = usable_mass(state)
         for i in range(3):
-            error_out.full[i] = state.residual[i] - load * state.phi[i]
+            error_out.full[i] = weighed.residual[i] - load * weighed.phi[i]
     error_out.flags = flags
-    payload_out.mass = state.mass
-    payload_out.std_dev = state.std_dev
-    payload_out.excitation = state.payload.information - PRIOR_STD**-2
-    payload_out.trusted = state.mass_trusted
+    payload_out.mass = weighed.mass
+    payload_out.std_dev = weighed.std_dev
+    payload_out.excitation = weighed.information - PRIOR_STD**-2
+    payload_out.trusted = weighed.trusted
     payload_out.event = event
     payload_out.stamp_sec = error_out.stamp_sec = past.stamp_sec
     payload_out.stamp_nanosec = error_out.stamp_nanosec = past.stamp_nanosec

@@ -30,6 +30,7 @@ MAX_TRUTH_BYTES = 16 * MIB  # some hundred thousand picks
 @dataclass(frozen=True)
 class Course:
     """Payload over a trace, as known after each of N samples. time: s, bus. mass, std_dev: kg. event: PayloadEvent.
+    trusted: bool.
 
     recursion: (N,) kg, the paper's at a fixed forgetting factor on M_Id+F.
     """
@@ -37,6 +38,7 @@ class Course:
     time: np.ndarray
     mass: np.ndarray
     std_dev: np.ndarray
+    trusted: np.ndarray
     event: np.ndarray
     recursion: np.ndarray
 
@@ -48,6 +50,19 @@ class Pick:
     begin: float
     end: float
     mass: float
+
+
+@dataclass(frozen=True)
+class Level:
+    """What hangs on the platform from one event to the next: begin, end s, mass and standard deviation kg, the share of
+    that time in which it was trusted, and the event that it begins with."""
+
+    begin: float
+    end: float
+    mass: float
+    std_dev: float
+    trusted: float
+    event: PayloadEvent
 
 
 @dataclass(frozen=True)
@@ -85,6 +100,7 @@ def course(robot: Robot, trace: Trace) -> Course:
         time=stamp_ns(samples) * 1e-9,
         mass=known(result["mass"]),
         std_dev=known(result["std_dev"]),
+        trusted=known(result["trusted"]) != 0,
         event=known(result["event"]),
         recursion=recursion(robot, trace, along, torque),
     )
@@ -125,6 +141,26 @@ def picks(found: Course) -> list[Pick]:
         end = int(later[0]) - 1 if len(later) else len(found.time) - 1
         held = found.mass[start : end + 1]
         result.append(Pick(float(found.time[start]), float(found.time[end]), float(np.median(held))))
+    return result
+
+
+def levels(found: Course) -> list[Level]:
+    """Every level that the estimator saw; its figures are those of its later half."""
+    starts = np.flatnonzero(found.event != PayloadEvent.NONE)
+    result = []
+    for start, stop in zip(starts, [*starts[1:], len(found.time)], strict=True):
+        last = int(stop) - 1
+        late = slice(start + (stop - start) // 2, stop)  # when most is known of it
+        result.append(
+            Level(
+                begin=float(found.time[start]),
+                end=float(found.time[last]),
+                mass=float(np.median(found.mass[late])),
+                std_dev=float(np.median(found.std_dev[late])),
+                trusted=float(found.trusted[start:stop].mean()),
+                event=PayloadEvent(int(found.event[start])),
+            )
+        )
     return result
 
 

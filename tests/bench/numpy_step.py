@@ -12,6 +12,7 @@ from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, SAMPLE
 from schemas.robot import Robot
 from service.estimator import payload as p
 from service.estimator.kalman import MotionFilter, design
+from service.estimator.state import settings
 from service.estimator.step import REVERSAL_SPEED
 from service.estimator.stream import SETTLE_TIME
 from service.model.dynamics import REST_SPEED
@@ -55,18 +56,14 @@ class NumpyEstimator:
         assert found.model_error_nm is not None
         square, noise = np.square(found.model_error_nm.value), np.square(found.torque_noise_nm.value)
         self.variance = noise + square**2 / (square + noise) * p.MODEL_ERROR_TIME / p.CORRELATION_TIME
-        self.forgetting, self.worth = np.exp(-period / p.MEMORY_TIME), min(1.0, period / p.CORRELATION_TIME)
-        self.bin_size = max(1, round(p.BIN_TIME / period))
         self.azimuth = np.stack([self.model.azimuth_cos, self.model.azimuth_sin, np.zeros(3)], axis=1)
         self.measured: Track | None = None
         self.count = 0
         self.past: list = []
-        self.information, self.moment = p.PRIOR_STD**-2, 0.0
-        self.bin_information, self.bin_moment = np.zeros(p.WINDOW), np.zeros(p.WINDOW)
-        self.head, self.in_bin, self.filled = 0, 0, 1
-        self.load, self.trusted = 0.0, False
-        self.mass, self.std_dev = 0.0, p.PRIOR_STD
-        self.last_event, self.quiet = 0, 0
+        # how the payload is weighed is checked against truths elsewhere, and shared here
+        self.weigher = settings(robot, period, 1)["payload"][0]
+        self.weighed = np.zeros(1, p.STATE)
+        p.start(self.weighed, self.weigher["prior"])
 
     def step(self, message: bytes) -> tuple[bytes, bytes, bytes]:
         sample = np.frombuffer(message, SAMPLE.dtype)[0]
@@ -84,7 +81,7 @@ class NumpyEstimator:
             answer[field] = sample[field]
         answer["target_sequence"] = sample["sequence"]
         if self.count > SETTLE_TIME / self.period:
-            mass = max(0.0, self.mass if self.trusted else min(self.mass, self.load))
+            mass = self.mass()
             inertia, gravity, platform, forearm, friction, load = self.terms(*self.commanded.state[:, :3].T)
             answer["source"] = 1
             answer["torque"] = (
@@ -110,15 +107,20 @@ class NumpyEstimator:
         torque = sample["torque"]
         doubt = p.MODEL_SHARE * (np.abs(inertia) + np.abs(gravity) + np.abs(platform) + np.abs(friction))
         noise = np.where(np.abs(state[:, 1]) > REVERSAL_SPEED, self.variance + doubt**2, np.inf)
-        event = self.weigh(load, torque - full, noise)
-        mass = max(0.0, self.mass if self.trusted else min(self.mass, self.load))
+        now = self.weighed[0]
+        now["phi"], now["residual"], now["weight"] = load, torque - full, 1.0 / noise
+        way = np.clip(state[:, 1] / REST_SPEED, -1, 1)
+        now["shape"] = np.stack([way, state[:, 1], np.ones(3)], axis=1)
+        event = p.payload_kernel(self.weigher, now)
+        mass = self.mass()
         payload, error = PAYLOAD.empty(1), MODEL_ERROR.empty(1)
         for field in ("stamp_sec", "stamp_nanosec", "sequence"):
             payload[field] = error[field] = sample[field]
         error["kh"], error["id"] = torque - inertia - gravity - platform, torque - grey
         error["id_friction"], error["full"] = torque - grey - friction, torque - full - mass * load
-        payload["mass"], payload["std_dev"], payload["trusted"] = self.mass, self.std_dev, self.trusted
-        payload["excitation"], payload["event"] = self.information - p.PRIOR_STD**-2, event
+        for field in ("mass", "std_dev", "trusted"):
+            payload[field] = now[field]
+        payload["excitation"], payload["event"] = now["information"] - p.PRIOR_STD**-2, event
         return payload.tobytes(), error.tobytes()
 
     def terms(self, theta, theta_dot, theta_ddot):
@@ -154,47 +156,6 @@ class NumpyEstimator:
             load,
         )
 
-    def weigh(self, load, residual, noise) -> int:
-        weight = self.worth / noise
-        information, moment = (load**2 * weight).sum(), (load * residual * weight).sum()
-        prior = p.PRIOR_STD**-2
-        self.information = prior + (self.information - prior) * self.forgetting + information
-        self.moment = self.moment * self.forgetting + moment
-        self.bin_information[self.head] += information
-        self.bin_moment[self.head] += moment
-        self.in_bin += 1
-        if self.in_bin >= self.bin_size:
-            self.in_bin = 0
-            self.change()
-            self.head = (self.head + 1) % p.WINDOW
-            self.filled = min(p.WINDOW, self.filled + 1)
-            self.bin_information[self.head] = self.bin_moment[self.head] = 0.0
-        self.mass, self.std_dev = self.moment / self.information, self.information**-0.5
-        self.trusted = self.std_dev < p.TRUST_SHARE * abs(self.mass) + p.TRUST_FLOOR
-        self.quiet += 1
-        if not (self.trusted or abs(self.mass - self.load) > p.CLEAR_STEP * self.std_dev):
-            return 0
-        step = max(0.0, self.mass) - self.load
-        released = step < -max(p.SMALLEST_CHANGE, p.RELEASE_SHARE * self.load)
-        event = 1 if step > p.SMALLEST_CHANGE else 2 if released else 0
-        if self.trusted or event:
-            self.load = max(0.0, self.mass)
-        if not event or (event == self.last_event and self.quiet < p.WINDOW * self.bin_size):
-            return 0
-        self.last_event, self.quiet = event, 0
-        return event
-
-    def change(self) -> None:
-        order = (self.head - np.arange(self.filled)) % p.WINDOW
-        information, moment = np.cumsum(self.bin_information[order]), np.cumsum(self.bin_moment[order])
-        rest = self.information - information
-        usable = (np.arange(1, len(order) + 1) >= p.SHORTEST) & (information > 0) & (rest > 0)
-        if not usable.any():
-            return
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = moment / information - (self.moment - moment) / rest
-            statistic = step**2 / (1 / information + 1 / rest)
-        found = usable & (np.abs(step) > p.SMALLEST_CHANGE) & (statistic > p.CHANGE_THRESHOLD)
-        if found.any():
-            n = int(np.argmax(np.where(found, statistic, 0)))
-            self.information, self.moment, self.filled = information[n], moment[n], n + 1
+    def mass(self) -> float:
+        now = self.weighed[0]
+        return now["mass"] if now["trusted"] else min(now["mass"], now["load"])

@@ -1,0 +1,115 @@
+"""Friction that follows the machine: how far Coulomb, viscous friction and offset are from the identified ones, now.
+
+Per joint i the torque residual of a sample is r_i = m_p phi_i + x_i delta_i + noise with x_i = (direction, speed, 1).
+The payload is eliminated sample by sample: only the part of the residuals at right angles to phi, in the metric of the
+noise, is looked at, so what hangs on the gripper, and when it was picked, need not be known. What is left is linear
+least squares in nine numbers, with slow forgetting and the identified values as the prior.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+PARTS = 3  # Coulomb N m, viscous N m s/rad, offset N m
+COUNT = 3 * PARTS
+
+# One standard deviation of what a gear does from day to day, as a share of what was identified, and at least this.
+DRIFT_SHARE = 0.15
+SMALLEST_DRIFT = (0.15, 0.05, 0.15)  # N m, N m s/rad, N m
+# No more than this many standard deviations are believed.
+BOUND = 4.0
+# A gear warms within minutes.
+MEMORY_TIME = 20.0  # s of motion
+
+STATE = np.dtype(
+    [
+        ("information", "f8", (COUNT, COUNT)),
+        ("moment", "f8", COUNT),
+        ("block_information", "f8", (COUNT, COUNT)),
+        ("block_moment", "f8", COUNT),
+        ("delta", "f8", COUNT),  # joint by joint
+        ("covariance", "f8", (COUNT, COUNT)),
+        ("root", "f8", (COUNT, COUNT)),  # scratch
+        ("column", "f8", COUNT),  # scratch
+    ],
+    align=True,
+)
+
+
+def drift(viscous: np.ndarray, coulomb: np.ndarray) -> np.ndarray:
+    """(9,) prior standard deviations for identified friction (3,) N m s/rad and (3,) N m."""
+    found = np.stack([np.abs(coulomb), np.abs(viscous), np.zeros(3)], axis=1)
+    return np.maximum(DRIFT_SHARE * found, SMALLEST_DRIFT).ravel()
+
+
+def start(state: np.ndarray, prior: np.ndarray) -> None:
+    """Nothing is known but the prior (9,)."""
+    state[:] = np.zeros((), STATE)
+    state["covariance"] = np.diag(prior**2)
+
+
+@njit(cache=True)
+def gather_kernel(state, phi, residual, weight, shape):
+    """Take one sample into the block. phi: (3,) N m/kg. residual, weight: (3,) N m and (N m)^-2. shape: (3, 3), x_i."""
+    load = 0.0
+    for i in range(3):
+        load += weight[i] * phi[i] * phi[i]
+    if load <= 0.0:
+        return
+    for i in range(3):
+        if weight[i] <= 0.0:
+            continue
+        for j in range(3):
+            part = -weight[i] * phi[i] * phi[j] * weight[j] / load
+            if i == j:
+                part += weight[i]
+            for a in range(PARTS):
+                state.block_moment[PARTS * i + a] += shape[i, a] * part * residual[j]
+                for b in range(PARTS):
+                    state.block_information[PARTS * i + a, PARTS * j + b] += shape[i, a] * part * shape[j, b]
+
+
+@njit(cache=True)
+def learn_kernel(state, prior, forgetting, inflation):
+    """Take the block, whose residuals scatter `inflation` times as much as their weights say. prior: (9,), as drift."""
+    for a in range(COUNT):
+        state.moment[a] = state.moment[a] * forgetting + state.block_moment[a] / inflation
+        state.block_moment[a] = 0.0
+        for b in range(COUNT):
+            state.information[a, b] = state.information[a, b] * forgetting + state.block_information[a, b] / inflation
+            state.block_information[a, b] = 0.0
+    _solve(state, prior)
+
+
+@njit(cache=True)
+def _solve(state, prior):
+    """delta and covariance from the information, by Cholesky; the prior weighs in undiminished."""
+    root, column = state.root, state.column
+    for a in range(COUNT):
+        for b in range(a + 1):
+            total = state.information[a, b]
+            if a == b:
+                total += 1.0 / (prior[a] * prior[a])
+            for k in range(b):
+                total -= root[a, k] * root[b, k]
+            if a == b:
+                root[a, a] = np.sqrt(max(total, 1e-12))
+            else:
+                root[a, b] = total / root[b, b]
+    for b in range(COUNT + 1):
+        for a in range(COUNT):
+            total = state.moment[a] if b == COUNT else (1.0 if a == b else 0.0)
+            for k in range(a):
+                total -= root[a, k] * column[k]
+            column[a] = total / root[a, a]
+        for a in range(COUNT - 1, -1, -1):
+            total = column[a]
+            for k in range(a + 1, COUNT):
+                total -= root[k, a] * column[k]
+            column[a] = total / root[a, a]
+        for a in range(COUNT):
+            if b == COUNT:
+                state.delta[a] = max(-BOUND * prior[a], min(BOUND * prior[a], column[a]))
+            else:
+                state.covariance[a, b] = column[a]

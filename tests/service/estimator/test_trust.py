@@ -1,0 +1,113 @@
+"""`trusted` means it: with a model that is a little wrong the mass is right, or said not to be."""
+
+import numpy as np
+import pytest
+
+from schemas.messages import PayloadEvent, stamp_ns
+from service.estimator.estimator import Estimator
+from service.model.nominal import pack
+from tests.known import PERIOD
+
+PICKS = [(1.0, 1.6, 2.0), (2.2, 2.9, 0.5), (3.5, 4.1, 3.8), (4.7, 5.4, 1.0), (6.0, 6.7, 3.0), (7.3, 8.0, 0.5)]
+
+
+def carried(time, picks=PICKS):
+    return sum(mass * ((time >= on) & (time < off)) for on, off, mass in picks)
+
+
+def weigh(robot, samples, lag=6):
+    """Mass, std_dev, trusted and event after each sample, and the time."""
+    payload = Estimator(robot, PERIOD).run(samples).payload
+    return payload, stamp_ns(payload) * 1e-9 + lag * PERIOD
+
+
+def covered(payload, time, truth, after=0.15):
+    """Share of trusted samples within 2 std_dev + 20 g of the truth, some time after each change of it."""
+    changed = np.flatnonzero(np.diff(truth))
+    since = time - np.r_[-np.inf, time[changed + 1]][np.searchsorted(changed + 1, np.arange(len(time)), "right")]
+    used = (payload["trusted"] != 0) & (since > after)
+    inside = np.abs(payload["mass"] - truth) <= 2 * payload["std_dev"] + 0.02
+    return inside[used].mean() if used.any() else 1.0, used.mean()
+
+
+@pytest.mark.parametrize("share", [0.25, -0.25, 0.1], ids=["cold", "warm", "a little cold"])
+def test_friction_that_moved_since_it_was_identified_is_followed(robot, make, share):
+    known = make(9.0, payload=carried, noise=0.25)
+    found = robot.identified
+    way = np.clip(known.theta_dot / 0.01, -1, 1)
+    friction = found.viscous_friction_nms.value * known.theta_dot + found.coulomb_friction_nm.value * way
+    known.samples["torque"] += share * friction
+    payload, time = weigh(robot, known.samples)
+    truth = carried(time)
+    inside, trusted = covered(payload, time, truth)
+    assert inside >= 0.95
+    assert trusted >= 0.6
+    late = (time > 4.0) & np.all([np.abs(time - edge) > 0.15 for pick in PICKS for edge in pick[:2]], axis=0)
+    assert np.abs(payload["mass"] - truth)[late].max() < 0.2
+    events = payload["event"][time > 1.0]
+    assert (events[events != 0] == [PayloadEvent.PICK, PayloadEvent.RELEASE] * len(PICKS)).all()
+
+
+def test_an_exact_model_is_trusted(robot, make):
+    payload, time = weigh(robot, make(9.0, payload=carried, noise=0.25).samples)
+    inside, trusted = covered(payload, time, carried(time))
+    assert inside >= 0.97
+    assert trusted >= 0.7
+
+
+def test_a_load_off_the_axis_that_swings_is_not_trusted(robot, make):
+    """Its sideways force, 2 kg at 50 mm and 2 Hz, reaches the joints at right angles to what a weight would do."""
+    known = make(6.0, payload=lambda t: 2.0 * (t >= 1.0), noise=0.25)
+    time = stamp_ns(known.samples) * 1e-9
+    angle = np.pi / 2 * np.sin(4 * np.pi * time)
+    place = 0.05 * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    force = 2.0 * np.gradient(np.gradient(place, time, axis=0), time, axis=0) * (time >= 1.0)[:, None]
+    from service.model.kinematics import jacobian
+
+    known.samples["torque"] += np.einsum("nai,na->ni", jacobian(pack(robot), known.theta), force)
+    payload, time = weigh(robot, known.samples)
+    inside, _ = covered(payload, time, 2.0 * (time >= 1.0))
+    assert inside >= 0.95
+    assert np.count_nonzero(payload["event"]) <= 2
+
+
+def test_a_mass_below_nothing_is_not_told_and_counts_against_the_others(robot, make):
+    """A platform 0.4 kg heavier in the description than it is: empty moves say -0.4 kg, and all are off by that."""
+    heavy = robot.model_copy(update={"mass": robot.mass.model_copy(update={"platform": robot.mass.platform + 0.4})})
+    known = make(9.0, payload=carried, noise=0.25)
+    payload, time = weigh(heavy, known.samples)
+    assert payload["mass"].min() >= 0.0
+    assert not payload["trusted"][(time > 0.3) & (time < 1.0)].any(), "a contradiction is not trusted"
+    inside, _ = covered(payload, time, carried(time))
+    assert inside >= 0.95
+
+
+def test_more_than_the_gripper_carries_is_not_trusted(robot, make):
+    light = robot.model_copy(update={"limits": robot.limits.model_copy(update={"max_payload_kg": 1.5})})
+    payload, time = weigh(light, make(3.0, payload=lambda t: 3.0 * (t >= 1.0), noise=0.25).samples)
+    assert payload["mass"].max() <= 1.5
+    assert not payload["trusted"][time > 1.1].any()
+
+
+def test_stacked_picks_and_partial_releases_are_events(robot, make):
+    steps = [(0.8, 8.0, 1.0), (1.6, 8.0, 1.0), (2.4, 3.2, 1.0), (4.0, 4.8, 1.5)]
+    known = make(9.0, payload=lambda t: carried(t, steps), noise=0.25)
+    payload, time = weigh(robot, known.samples)
+    kinds, at = payload["event"][payload["event"] != 0], time[payload["event"] != 0]
+    pick, release = PayloadEvent.PICK, PayloadEvent.RELEASE
+    assert kinds.tolist() == [pick, pick, pick, release, pick, release, release]
+    assert (np.abs(at - [0.8, 1.6, 2.4, 3.2, 4.0, 4.8, 8.0]) < 0.15).all()
+
+
+def test_friction_is_learnt_whatever_hangs_on_the_gripper(robot, make):
+    """No empty move at all, and the payload unknown: the nine numbers come out within their errors."""
+    known = make(8.0, payload=lambda t: 1.0 + 1.0 * (t > 3.0), noise=0.25)
+    truth = np.array([[1.0, 0.3, 0.2], [-0.6, 0.1, -0.2], [0.8, -0.3, 0.1]])
+    way = np.clip(known.theta_dot / 0.01, -1, 1)
+    known.samples["torque"] += truth[:, 0] * way + truth[:, 1] * known.theta_dot + truth[:, 2]
+    estimator = Estimator(robot, PERIOD)
+    estimator.run(known.samples)
+    friction = estimator.state["payload"]["friction"]
+    deviation = np.sqrt(np.diag(friction["covariance"])).reshape(3, 3)
+    assert (np.abs(friction["delta"].reshape(3, 3) - truth) < 4 * deviation + 0.02).all()
+    assert (deviation < 0.1).all()
