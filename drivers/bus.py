@@ -31,7 +31,7 @@ import numpy as np
 import zenoh
 
 from drivers.security.check import check, find_files
-from schemas.errors import BusError
+from schemas.errors import BusError, RoleTakenError
 from schemas.keys import liveliness_key, topic_key
 from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, TOPICS, Message, Role
 
@@ -465,7 +465,7 @@ def _hold(path: Path, robot: str, role: Role) -> int:
     except BlockingIOError:
         holder = os.read(descriptor, 32).decode(errors="replace").strip()
         os.close(descriptor)
-        raise BusError(f"robot {robot!r} already has a {role.name.lower()} running (process {holder})") from None
+        raise RoleTakenError(f"robot {robot!r} already has a {role.name.lower()} running (process {holder})") from None
     os.ftruncate(descriptor, 0)
     os.write(descriptor, f"{os.getpid()}\n".encode())
     return descriptor

@@ -44,6 +44,10 @@ class BusError(DeltatwinError):
     """Zenoh or the field bus cannot be opened, or another role already holds the name."""
 
 
+class RoleTakenError(BusError):
+    """Another process of this host has the role."""
+
+
 class StorageError(DeltatwinError):
     """A file cannot be written, or a recording not read back."""
 

@@ -12,7 +12,6 @@ import fcntl
 import os
 import select
 import socket
-import stat
 import struct
 import time
 from collections.abc import Callable, Iterator
@@ -151,13 +150,13 @@ class Master:
 
     def __enter__(self) -> Master:
         check_interface(self._interface)
-        before = _open_sockets()
+        before = _packet_sockets()
         try:
             self._soem.open(self._interface)
         except ConnectionError as error:
             raise BusError(f"{self._interface}: {error}") from error
         try:
-            (self._wire,) = _open_sockets() - before
+            (self._wire,) = _packet_sockets() - before
             os.set_blocking(self._wire, False)
             self._configure()
         except BaseException:
@@ -422,13 +421,13 @@ def follow(master: Master, course: Course, feedforward: Feedforward, offset: Tor
         yield sample
 
 
-def _open_sockets() -> set[int]:
-    """Descriptors of this process's sockets."""
+def _packet_sockets() -> set[int]:
+    """Descriptors of this process's raw Ethernet sockets; Zenoh's threads open and close others meanwhile."""
     sockets = set()
     for name in os.listdir("/proc/self/fd"):
-        with contextlib.suppress(OSError):  # that of the listing itself
-            if stat.S_ISSOCK(os.fstat(int(name)).st_mode):
-                sockets.add(int(name))
+        with contextlib.suppress(OSError), socket.fromfd(int(name), socket.AF_UNSPEC, 0) as found:
+            if found.getsockopt(socket.SOL_SOCKET, socket.SO_DOMAIN) == socket.AF_PACKET:
+                sockets.add(int(name))  # what is no socket, or closed since, is passed over
     return sockets
 
 

@@ -78,7 +78,7 @@ def command(
     from drivers.motion import Planner
     from replay.clock import wait_until
     from replay.realtime import go_realtime
-    from schemas.errors import BusError
+    from schemas.errors import BusError, RoleTakenError
     from schemas.messages import HealthFlag, Role, StopReason
     from service.cli.progress import counting
     from service.estimator.bounds import bounds_of
@@ -102,8 +102,8 @@ def command(
             bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config, insecure))
             health = stack.enter_context(Health(bus, standing))
         except BusError as error:
-            if feedforward is Source.BUS or zenoh_config is not None:
-                raise
+            if feedforward is Source.BUS or zenoh_config is not None or isinstance(error, RoleTakenError):
+                raise  # two masters would fight for the drives
             typer.echo(f"master: {error}; runs on, its health is not heard", err=True)
         if feedforward is Source.BUS and bus:
             torque = OverBus(bus, peak, period)
