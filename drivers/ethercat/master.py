@@ -181,8 +181,12 @@ class Master:
                 axis.put(cia402.TORQUE_OFFSET, round(offset * max(0.0, 1 - (number + 1) / fade)))
             self._wait_until(self._deadline)
             self._deadline = max(self._deadline, time.monotonic_ns() - self._period_ns) + self._period_ns
-            if self._exchange() != self._soem.expected_wkc:
+            good = self._exchange() == self._soem.expected_wkc
+            self._faulty_run = 0 if good else self._faulty_run + 1  # Ctrl-C may have left a frame half received
+            if self._faulty_run >= self._faulty_limit:
                 break
+            if not good:
+                continue
             now = [axis.tx.unpack(slave.input)[axis.places[1]] for axis, slave in self._pairs()]
             still = still + 1 if now == before else 0
             before = now
