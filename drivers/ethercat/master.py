@@ -12,6 +12,7 @@ import fcntl
 import os
 import select
 import socket
+import stat
 import struct
 import time
 from collections.abc import Callable, Iterator
@@ -429,9 +430,12 @@ def _packet_sockets() -> set[int]:
     """Descriptors of this process's raw Ethernet sockets; Zenoh's threads open and close others meanwhile."""
     sockets = set()
     for name in os.listdir("/proc/self/fd"):
-        with contextlib.suppress(OSError), socket.fromfd(int(name), socket.AF_UNSPEC, 0) as found:
-            if found.getsockopt(socket.SOL_SOCKET, socket.SO_DOMAIN) == socket.AF_PACKET:
-                sockets.add(int(name))  # what is no socket, or closed since, is passed over
+        with contextlib.suppress(OSError):  # what has been closed since is passed over
+            if not stat.S_ISSOCK(os.fstat(int(name)).st_mode):
+                continue  # `fromfd` would leave a copy of it open
+            with socket.fromfd(int(name), socket.AF_UNSPEC, 0) as found:
+                if found.getsockopt(socket.SOL_SOCKET, socket.SO_DOMAIN) == socket.AF_PACKET:
+                    sockets.add(int(name))
     return sockets
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import os
 import re
 import signal
 import subprocess
@@ -155,7 +156,9 @@ def test_a_second_master_finds_the_drives_as_the_first_left_them(
     space: rig.Namespace, segment: rig.SegmentProcess, robot: Robot
 ) -> None:
     first = space.call(lambda: run(robot))
+    descriptors = len(os.listdir("/proc/self/fd"))
     second = space.call(lambda: run(robot))
+    assert len(os.listdir("/proc/self/fd")) == descriptors  # a run leaves none open
     np.testing.assert_allclose(second["position"][0], first["position"][-1], atol=2e-3)
 
 
