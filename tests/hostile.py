@@ -51,7 +51,7 @@ def reference(random: np.random.Generator, sequence: int) -> np.void:
 def not_finite(record: np.void, name: str = "") -> list[str]:
     """Names of the fields of a structured record, nested ones too, that hold a number that is none."""
     found = []
-    for field in record.dtype.names:
+    for field in record.dtype.names or ():
         value, dtype = record[field], record.dtype[field].base
         if dtype.names:
             for part in np.atleast_1d(value):

