@@ -213,6 +213,7 @@ class Wire:
             if "drives in operation" in master.said:
                 break
             master = self._start_master(feedforward)
+        self.heard.cleared(Role.MASTER, HealthFlag.STOPPED, since, READY)  # heard at all: the link is up
         if feedforward == "bus":
             self.heard.cleared(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since, READY)
             time.sleep(0.3)  # in which the torque rises
