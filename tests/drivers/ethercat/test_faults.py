@@ -275,6 +275,14 @@ def loaded(wire: Wire) -> None:
         time.sleep(0.05)
 
 
+def calm(wire: Wire) -> None:
+    """Wait until no BUS_FAULT of before stands: one that does is told again only with the next regular message."""
+    give_up = time.monotonic() + 15.0
+    while wire.heard.health(Role.MASTER, 0.0)[-1][1]["flags"] & HealthFlag.BUS_FAULT:
+        assert time.monotonic() < give_up, "BUS_FAULT stands"
+        time.sleep(0.01)
+
+
 def fades(wire: Wire, since: float) -> None:
     """The drives' torque goes to zero soon after `since`, and by no step."""
     time.sleep(SOON + 0.3)
@@ -364,9 +372,9 @@ def test_frames_that_are_late_by_less_than_a_cycle(wire: Wire, running: Process)
 
 @pytest.mark.parametrize("slip", ["3600000000000", "-3600000000000"])
 def test_a_clock_that_slips(wire: Wire, running: Process, slip: str) -> None:
+    calm(wire)
     since = wire.spoil(f"clock {slip}")
-    # 0.65 and 0.77 s were seen on a host at rest, where 1 cycle is meant; why is open, so only that it is told is held
-    wire.heard.told(Role.MASTER, HealthFlag.BUS_FAULT, since, 5.0)
+    wire.heard.told(Role.MASTER, HealthFlag.BUS_FAULT, since)
     time.sleep(0.5)
     end = wire.spoil("whole")  # which slips it back
     wire.heard.cleared(Role.MASTER, HealthFlag.BUS_FAULT, end)
