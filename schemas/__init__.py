@@ -1,8 +1,8 @@
 """What is said? Messages, Zenoh keys, robot description, trace, diagnosis document.
 
-Also, because every other room imports this one first: compiled kernels are cached under a digest of all sources.
-Numba's own key is the one file a kernel is written in, so after a change to a function that it calls from another file
-it would go on running the old one.
+Also, because every other room imports this one first: compiled kernels are cached under a digest of all sources that
+kernels are made of. Numba's own key is the one file a kernel is written in, so after a change to a function or constant
+that it takes from another file it would go on running the old one.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ import sys
 from pathlib import Path
 
 _HERE = Path(__file__).parent
+KERNEL_ROOMS = ("drivers", "schemas", "service/estimator", "service/model")  # kernels, and all that they import
 
 
 def _digest() -> str:
     sources = hashlib.sha256()
-    for room in ("drivers", "replay", "schemas", "service"):
+    for room in KERNEL_ROOMS:
         for path in sorted((_HERE.parent / room).rglob("*.py")):
             sources.update(path.read_bytes())
     return sources.hexdigest()[:16]
