@@ -1,34 +1,112 @@
-"""The `deltatwin` command: every file of this folder with a `command` in it is a subcommand of the file's name."""
+"""The `deltatwin` command: a file of this folder whose first line reads "`deltatwin NAME`: ..." is that subcommand.
+
+Only the file of the command that runs is imported; help and completion read first lines.
+"""
 
 from __future__ import annotations
 
 import importlib
 import os
-import pkgutil
 import sys
-from typing import NoReturn
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
-import service.cli
 from schemas.errors import DeltatwinError, printable
+
+GROUPS = {
+    "Begin": ("demo", "import", "inspect", "convert"),
+    "From logs to answers": ("identify", "evaluate", "payload", "diagnose"),
+    "On the bus": ("replay", "estimate", "monitor", "recover", "keys", "latency"),
+    "On an EtherCAT": ("tap", "master", "segment", "ethercat-demo"),
+    "Simulated robots": ("simulate", "closed-loop", "experiment", "blindtest"),
+}
+OTHERS = "More"
+MISSED = 3  # exit code: everything ran, a stated bound does not hold
+HELP_WIDTH = 120  # characters, where the terminal has as many
+_HEAD = '"""`deltatwin '
+
+
+@cache
+def summaries() -> dict[str, str]:
+    """What each command does, by its name: the first line of its file."""
+    found = {}
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        with path.open(encoding="utf-8") as file:
+            head = file.readline().rstrip().removesuffix('"""')
+        if head.startswith(_HEAD):
+            name, _, does = head.removeprefix(_HEAD).partition("`: ")
+            found[name] = does
+    return found
+
+
+class _Commands(TyperGroup):
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands = dict.fromkeys(self.list_commands(None))  # names, for what Typer suggests after a typing error
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        grouped = [name for names in GROUPS.values() for name in names if name in summaries()]
+        return grouped + [name for name in summaries() if name not in grouped]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name not in summaries():
+            return None
+        module = cmd_name.replace("-", "_") + ("_" if cmd_name == "import" else "")
+        one = typer.Typer(add_completion=False, rich_markup_mode=None)
+        one.command(cmd_name)(importlib.import_module(f"service.cli.{module}").command)
+        return typer.main.get_command(one)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        grouped = {name for names in GROUPS.values() for name in names}
+        rest = tuple(name for name in summaries() if name not in grouped)
+        for title, names in (*GROUPS.items(), (OTHERS, rest)):
+            rows = [(name, summaries()[name]) for name in names if name in summaries()]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"deltatwin {version('deltatwin')}")
+        raise typer.Exit
+
 
 app = typer.Typer(
     name="deltatwin",
+    cls=_Commands,
     help="Controller-side twin for Delta robots: feed-forward torque, payload mass, and the sim-to-real gap explained.",
+    epilog="deltatwin COMMAND --help says more, with an example.",
     no_args_is_help=True,
-    add_completion=False,
+    rich_markup_mode=None,  # brackets are meant; and the help of a pipe is that of a terminal
     pretty_exceptions_enable=False,
+    context_settings={
+        "max_content_width": HELP_WIDTH,
+        "terminal_width": None if sys.stdout.isatty() else HELP_WIDTH,
+    },
 )
-for _found in pkgutil.iter_modules(service.cli.__path__):
-    if _found.name != "main":
-        _module = importlib.import_module(f"service.cli.{_found.name}")
-        if hasattr(_module, "command"):
-            app.command(_found.name.replace("_", "-"))(_module.command)
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
 
 
 def main() -> None:
-    """Run a subcommand; a known error is one line on stderr and exit code 1, wrong usage 2, Ctrl-C 130."""
+    """Run a subcommand.
+
+    A known error is one line on stderr and exit code 1, wrong usage 2, a bound that is missed 3, Ctrl-C 130.
+    """
     try:
         try:
             app()

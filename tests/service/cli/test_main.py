@@ -1,0 +1,68 @@
+"""The command line as a whole: what it is made of, how soon it answers, what is never imported."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+import service.cli
+from service.cli.main import GROUPS, app, summaries
+
+HEAVY = ("numpy", "rich", "numba", "polars", "zenoh", "mujoco")  # seconds to import; help needs none of them
+
+
+def test_every_command_is_found_and_grouped() -> None:
+    commands = {
+        found.name.removesuffix("_").replace("_", "-")
+        for found in pkgutil.iter_modules(service.cli.__path__)
+        if found.name != "main" and hasattr(importlib.import_module(f"service.cli.{found.name}"), "command")
+    }
+    assert set(summaries()) == commands
+    shown = CliRunner().invoke(app, ["--help"]).output
+    for group in GROUPS:
+        assert f"\n{group}:\n" in shown
+    for name, does in summaries().items():
+        assert does in shown
+        assert f"\n  {name} " in shown
+
+
+def test_help_and_version_import_nothing_heavy() -> None:
+    code = f"""
+import sys
+sys.argv = ["deltatwin", "--help"]
+from service.cli.main import main
+try:
+    main()
+finally:
+    print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.strip() == "[]"
+
+
+def test_version_is_the_packages() -> None:
+    from importlib.metadata import version
+
+    assert CliRunner().invoke(app, ["--version"]).output.strip() == f"deltatwin {version('deltatwin')}"
+
+
+@pytest.mark.parametrize("name", summaries())
+def test_help_of_each_command_has_an_example_and_keeps_brackets(name: str) -> None:
+    shown = CliRunner().invoke(app, [name, "--help"])
+    assert shown.exit_code == 0
+    assert f"deltatwin {name}" in shown.output.split("Example:", 1)[1]
+
+
+def test_brackets_in_help_are_kept() -> None:
+    assert "[identified] section" in CliRunner().invoke(app, ["identify", "--help"]).output
+
+
+def test_a_typing_error_is_answered_with_the_nearest_command() -> None:
+    done = CliRunner().invoke(app, ["identfy"])
+    assert done.exit_code == 2
+    assert "Did you mean 'identify'" in done.output
