@@ -32,6 +32,7 @@ from schemas.errors import BusError
 from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag, set_stamp
 from schemas.robot import Robot
 
+BRING_UP_TIME = 2.0  # s in which drives that do not answer, or not in full, are asked again: frames get lost
 FAULTY_TIME = 0.08  # s of working-counter faults in a row that end the run: sooner than the drives' watchdogs, 0.1 s
 LEFT_CYCLES = 3  # in a row with a drive out of operation that end the run: one status word may be corrupted
 STOP_TIME = 0.5  # s at most for the drives' quick stop before they are switched off
@@ -159,7 +160,7 @@ class Master:
         try:
             (self._wire,) = _packet_sockets() - before
             os.set_blocking(self._wire, False)
-            self._configure()
+            self._bring_up()
         except BaseException:
             self._soem.close()
             raise
@@ -317,6 +318,15 @@ class Master:
     def _pairs(self) -> Iterator[tuple[_Axis, Any]]:
         """Each axis and SOEM's slave."""
         return zip(self._axes, self._soem.slaves, strict=True)
+
+    def _bring_up(self) -> None:
+        give_up = time.monotonic() + BRING_UP_TIME
+        while True:
+            try:
+                return self._configure()
+            except BusError:
+                if time.monotonic() > give_up:
+                    raise
 
     def _configure(self) -> None:
         found = self._soem.config_init()

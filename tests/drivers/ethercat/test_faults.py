@@ -69,10 +69,10 @@ class Process:
         """Everything it said so far."""
         return self._log.read_text() if self._log.exists() else ""
 
-    def wait_for(self, words: str, or_for: str | None = None) -> None:
-        """Until it says so, or the other."""
+    def wait_for(self, words: str) -> None:
+        """Until it says so."""
         give_up = time.monotonic() + READY
-        while words not in self.said and not (or_for and or_for in self.said):
+        while words not in self.said:
             assert self.process.is_alive(), self.said
             assert time.monotonic() < give_up, self.said
             time.sleep(0.02)
@@ -195,24 +195,16 @@ class Wire:
         assert self._box.stdout.readline() == line + "\n"
         return time.monotonic()
 
-    def _start_master(self, feedforward: str) -> Process:
-        master = self.start(
-            "master", rig.NEAR, "--robot", self.robot, "--rate", str(RATE), "--duration", "200", "--speed", "0.3",
-            "--feedforward", feedforward,
-        )  # fmt: skip
-        master.wait_for("drives in operation", or_for="no EtherCAT slave answers")
-        return master
-
     def master(self, feedforward: str = "bus") -> Process:
         """A master whose drives are in operation and, over the bus, get a torque."""
         self.spoil("whole")
         self.segment.say("mend")
         since = time.monotonic()
-        master = self._start_master(feedforward)
-        for _ in range(2):  # SOEM gives the drives some ms to answer when it looks for them, which a busy host takes
-            if "drives in operation" in master.said:
-                break
-            master = self._start_master(feedforward)
+        master = self.start(
+            "master", rig.NEAR, "--robot", self.robot, "--rate", str(RATE), "--duration", "200", "--speed", "0.3",
+            "--feedforward", feedforward,
+        )  # fmt: skip
+        master.wait_for("drives in operation")
         self.heard.cleared(Role.MASTER, HealthFlag.STOPPED, since, READY)  # heard at all: the link is up
         if feedforward == "bus":
             self.heard.cleared(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since, READY)

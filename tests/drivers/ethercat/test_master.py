@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import subprocess
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import pytest
 
 from drivers.ethercat.cia402 import Scale
 from drivers.ethercat.course import Course, course
-from drivers.ethercat.master import FAULTY_TIME, Master, TorqueOffset, follow
+from drivers.ethercat.master import BRING_UP_TIME, FAULTY_TIME, Master, TorqueOffset, follow
 from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES
 from drivers.motion import Planner, Trajectory
 from drivers.trace import read_trace
@@ -171,6 +172,14 @@ def test_missing_drives(space: rig.Namespace, segment: rig.SegmentProcess, robot
         space.call(lambda: run(robot))
     segment.say("mend")
     assert len(space.call(lambda: run(robot)))
+
+
+def test_drives_that_answer_late(space: rig.Namespace, segment: rig.SegmentProcess, robot: Robot) -> None:
+    segment.say("break 1")
+    plugged_in = threading.Timer(0.5 * BRING_UP_TIME, segment.say, ("mend",))
+    plugged_in.start()
+    assert len(space.call(lambda: run(robot)))
+    plugged_in.join()
 
 
 @pytest.mark.parametrize(
