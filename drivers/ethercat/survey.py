@@ -11,7 +11,8 @@ import numpy as np
 from drivers.ethercat.capture import Capture, FrameFlag, Frames
 from drivers.ethercat.cia402 import DriveState, drive_state
 from drivers.ethercat.frames import AL_STATUS, FMMU, AlState, Command, DatagramFlag, Kind, decode
-from drivers.ethercat.process_data import GAP_PERIODS, lost_cycles, mapped_objects
+from drivers.ethercat.process_data.clock import GAP_PERIODS, lost_cycles
+from drivers.ethercat.process_data.layout import STATUS, mapped_inputs, mapped_objects
 from drivers.ethercat.trace import CaptureReader
 from schemas.errors import TraceError
 from schemas.messages import stamp_ns
@@ -245,9 +246,9 @@ def _robot_figures(path: Path, robot: Robot) -> dict[str, Any]:
     states = np.full(3, -1, np.int64)
     try:
         for records, raw in reader.blocks():
-            found = drive_state(raw[:, :, 0]).astype(np.int64)
+            found = drive_state(raw[:, :, STATUS]).astype(np.int64)
             changed = np.diff(np.vstack([states, found]), axis=0) != 0
-            for row, joint in np.argwhere(changed & (layout.inputs[:, 0] >= 0)):
+            for row, joint in np.argwhere(changed & mapped_inputs(layout)[:, STATUS]):
                 if len(changes) < CHANGES_SHOWN:
                     changes.append(
                         {

@@ -20,17 +20,10 @@ import numpy as np
 from drivers.ethercat.capture import Capture
 from drivers.ethercat.cia402 import DriveState, drive_state
 from drivers.ethercat.declaration import FirstMotion
-from drivers.ethercat.process_data import (
-    COUNT,
-    INPUTS,
-    NOT_MAPPED,
-    STOPPED_CYCLES,
-    STOPPED_NS,
-    Assembler,
-    assemble,
-    columns_of,
-    make_layout,
-)  # fmt: skip
+from drivers.ethercat.process_data.assembly import Assembler, assemble
+from drivers.ethercat.process_data.clock import STOPPED_CYCLES, STOPPED_NS
+from drivers.ethercat.process_data.layout import INPUTS, STATUS, make_layout, mapped_inputs
+from drivers.ethercat.process_data.state import COUNTS, counts_of
 from drivers.health import Health
 from schemas.errors import BusError
 from schemas.messages import NANOSECONDS, SAMPLE, HealthFlag, SampleFlag
@@ -225,7 +218,6 @@ class Tap:
         self._frame = np.zeros((3, 1), np.int64)  # offset, length, time
         self._port = np.zeros((2, 1), np.uint8)  # port, flags
         self._record = SAMPLE.empty(1)
-        self._columns = columns_of(self._record)
         self._raw = np.zeros((1, 3, len(INPUTS)), np.int64)
         self._states = np.full(3, DriveState.UNKNOWN, np.uint16)
         self._standing = HealthFlag(0)  # of the process: real time, declaration
@@ -238,7 +230,7 @@ class Tap:
         port, flags = self._port
         return assemble(
             self._buffer, offset, length, time_ns, port, flags,
-            self.assembler.layout, self.assembler.state, self._columns, self._raw,
+            self.assembler.layout, self.assembler.state, self._record, self._raw,
         )  # fmt: skip
 
     def run(self, put: Callable[[bytes], object], health: Health, count: int = 0) -> None:
@@ -248,7 +240,7 @@ class Tap:
             BusError: the interface went down or away.
             TraceError: the file is no capture.
         """
-        view, counts, flags = self._buffer.data, self.assembler.state.counts, self._columns.flags
+        view, counts, flags = self._buffer.data, counts_of(self.assembler.state), self._record["flags"]
         self._standing = health.flags
         self._source.start()
         self._told.sample_ns = time.monotonic_ns()
@@ -264,9 +256,9 @@ class Tap:
                     health.time_one(self._source.age(got[1]))
                     self._declaration.add(self._record, self._raw)
                     self._told.sample_ns, self._told.faulty = now, flags[0] & _FAULT != 0
-                    if counts[COUNT.samples] == count:
+                    if counts[_SAMPLES] == count:
                         break
-                elif now < health.due_ns + OVERDUE_NS and counts[COUNT.missing] <= MISSING_CYCLES:
+                elif now < health.due_ns + OVERDUE_NS and counts[_MISSING] <= MISSING_CYCLES:
                     continue  # its cycle's sample is still to come: all else waits until that is out
             self._judge(health, now)
             if health.due:
@@ -277,8 +269,8 @@ class Tap:
 
     def _judge(self, health: Health, now: int) -> None:
         """What stands now; a change is published at once."""
-        told, counts = self._told, self.assembler.state.counts
-        missing = counts[COUNT.missing] > MISSING_CYCLES
+        told, counts = self._told, counts_of(self.assembler.state)
+        missing = counts[_MISSING] > MISSING_CYCLES
         troubles = int(counts.take(_TROUBLE_COUNTS).sum())
         if troubles > told.troubles:
             told.trouble_ns = now
@@ -324,8 +316,8 @@ class Tap:
         if dropped:
             self._say(f"{self._source.name}: the kernel dropped {dropped} frames")
         if fresh["samples"]:
-            mapped = self.assembler.layout.inputs[:, 0] != NOT_MAPPED
-            states = drive_state(self._raw[0, :, 0])
+            mapped = mapped_inputs(self.assembler.layout)[:, STATUS]
+            states = drive_state(self._raw[0, :, STATUS])
             for joint in np.flatnonzero(mapped & (states != self._states)):
                 self._say(f"joint {joint + 1}: {DriveState(int(states[joint])).name.lower().replace('_', ' ')}")
             self._states = states
@@ -350,7 +342,8 @@ _TROUBLES = {
 }
 
 
-_TROUBLE_COUNTS = np.array([getattr(COUNT, name) for name in _TROUBLES if name != "pauses"])
+_SAMPLES, _MISSING = COUNTS.names.index("samples"), COUNTS.names.index("missing")
+_TROUBLE_COUNTS = np.array([COUNTS.names.index(name) for name in _TROUBLES if name != "pauses"])
 
 
 class _Told:

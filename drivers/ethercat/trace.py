@@ -11,7 +11,8 @@ import numpy as np
 from drivers.ethercat.capture import Capture, FrameFlag, Frames
 from drivers.ethercat.declaration import Declaration
 from drivers.ethercat.frames import Command, Kind, decode
-from drivers.ethercat.process_data import Assembler, make_layout
+from drivers.ethercat.process_data.assembly import Assembler
+from drivers.ethercat.process_data.layout import NOT_MAPPED, make_layout
 from drivers.trace.mcap_file import to_trace, write_samples
 from drivers.trace.quality import Rows, check
 from schemas.errors import TraceError
@@ -114,13 +115,13 @@ class CaptureReader:
                 f"no returned frame among {self.assembler.count('sent')} with process data: either only the way out "
                 f"was captured, or no drive answered (working counter 0){damage}"
             )
-        layout = self.assembler.layout
+        places = self.assembler.layout["inputs"]["place"][0]
         missing = [
             f"joint {joint + 1}"
             for joint in range(3)
             if not any(
                 address <= place < address + length
-                for place in layout.inputs[joint][layout.inputs[joint] >= 0]
+                for place in places[joint][places[joint] != NOT_MAPPED]
                 for _, address, length in self._seen
             )
         ]

@@ -22,7 +22,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from drivers.ethercat.eni import read_eni
-from drivers.ethercat.process_data import make_layout
+from drivers.ethercat.process_data.layout import make_layout
 from drivers.ethercat.survey import survey_capture
 from drivers.plant.truth import load_truth
 from drivers.trace import read_trace

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.ethercat.pdo import joint_pdos
-from drivers.ethercat.process_data import make_layout
+from drivers.ethercat.process_data.layout import make_layout
 from schemas.errors import RobotError
 from schemas.robot import Robot
 from tests.drivers.ethercat.wire import INPUT_BYTES, INPUTS, OUTPUT_BYTES, OUTPUTS, robot
@@ -55,10 +55,10 @@ def with_eni(folder: Path, text: str | bytes) -> Robot:
 def test_an_eni_gives_the_layout_that_the_declaration_gives(tmp_path: Path) -> None:
     found, declared = make_layout(with_eni(tmp_path, ENI)), make_layout(robot())
 
-    np.testing.assert_array_equal(found.inputs, declared.inputs)
-    np.testing.assert_array_equal(found.outputs, declared.outputs)
-    assert found.counters.tolist() == [[12, 4096, 9]]
-    assert not found.shared
+    np.testing.assert_array_equal(found["inputs"], declared["inputs"])
+    np.testing.assert_array_equal(found["outputs"], declared["outputs"])
+    assert found["counters"][0, :2].tolist() == [(12, 4096, 9), (0, 0, 0)]
+    assert not found["shared"]
 
 
 def test_a_master_maps_by_the_eni_what_it_maps_by_the_declaration(tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_a_master_maps_by_the_eni_what_it_maps_by_the_declaration(tmp_path: Path
 def test_a_declared_mapping_wins_over_the_eni(tmp_path: Path) -> None:
     (tmp_path / "machine.xml").write_text(ENI)
     layout = make_layout(robot(drive={"eni": str(tmp_path / "machine.xml")}, inputs=["0x6064", "0x6077"]))
-    assert layout.inputs[0].tolist() == [-1, 0x1000 + 36, -1, 0x1000 + 40, -1]
+    assert layout["inputs"]["place"][0, 0].tolist() == [-1, 0x1000 + 36, -1, 0x1000 + 40, -1]
 
 
 BOMB = (

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from drivers.ethercat.capture import Capture
-from drivers.ethercat.process_data import Assembler, make_layout
+from drivers.ethercat.process_data.assembly import Assembler
+from drivers.ethercat.process_data.layout import make_layout
 from schemas.errors import RobotError
 from schemas.messages import SampleFlag, stamp_ns
 from schemas.robot import Robot, load_robot
