@@ -45,15 +45,18 @@ class TimeColumn(_Entry):
 
 class _Channel(_Entry):
     name: str
+    time: str | None = None  # name of this channel's own time column, same unit as `Columns.time`
+
+
+class _JointChannel(_Channel):
     side: Literal["joint", "motor"] = "joint"  # motor: before the gear
     gear_ratio: Positive | None = None  # motor turns per joint turn; absent: `drive.gear_ratio` of the robot
     sign: Literal[1, -1] = 1  # -1: positive turns the active link up
     zero: float = 0.0  # reading, in the column's unit, where the joint's angle (or torque) is zero
-    time: str | None = None  # name of this channel's own time column, same unit as `Columns.time`
     between: Literal["linear", "hold"] = "linear"  # value between two samples where the stamps are another channel's
 
 
-class PositionColumn(_Channel):
+class PositionColumn(_JointChannel):
     """A joint position."""
 
     unit: Literal["rad", "deg", "counts", "m", "mm"] = "rad"
@@ -75,7 +78,7 @@ class PositionColumn(_Channel):
         return {"rad": 1.0, "deg": math.pi / 180, "m": 1.0, "mm": 1e-3}[self.unit]
 
 
-class TorqueColumn(_Channel):
+class TorqueColumn(_JointChannel):
     """A joint torque, or the force of a linear axis."""
 
     unit: Literal["N m", "N", "permille", "V", "A"] = "N m"
@@ -94,6 +97,13 @@ class TorqueColumn(_Channel):
     def scale(self) -> float:
         """N m (or N) per unit of the column, before the gear."""
         return self.constant or (self.rated or 1000.0) / 1000.0
+
+
+class GripperColumn(_Channel):
+    """The state of the gripper: `open` where it holds nothing, any other number where it is closed."""
+
+    open: float = 0.0
+    between: Literal["hold"] = "hold"
 
 
 def _table(value: Any) -> Any:
@@ -131,6 +141,8 @@ class Columns(_Entry):
     torque: _Torque = [TorqueColumn(name="torque_{joint}_nm")]
     position_command: _Position = [PositionColumn(name="position_command_{joint}_rad")]
     torque_command: _Torque = [TorqueColumn(name="torque_command_{joint}_nm")]
+    fourth_position: Annotated[PositionColumn | None, BeforeValidator(_table)] = PositionColumn(name="position_4_rad")
+    gripper: Annotated[GripperColumn | None, BeforeValidator(_table)] = GripperColumn(name="gripper")
 
     @model_validator(mode="after")
     def _consistent(self) -> Columns:
@@ -150,8 +162,8 @@ class Columns(_Entry):
 
     def channel(self, name: str) -> list[PositionColumn] | list[TorqueColumn]:
         """The columns of one of `CHANNELS`, one a joint; empty where the mapping has none."""
-        if name.endswith("command") and name not in self.model_fields_set and "position" in self.model_fields_set:
-            return []  # a foreign table has the commands it says it has
+        if name.endswith("command") and self._is_foreign(name):
+            return []
         entries = getattr(self, name)
         if len(entries) != 1 or "{joint}" not in entries[0].name:
             return entries
@@ -160,8 +172,17 @@ class Columns(_Entry):
             for j in range(self.joints)
         ]
 
+    def extra(self, name: str) -> PositionColumn | GripperColumn | None:
+        """The column of one of `EXTRAS`; None where the mapping has none."""
+        return None if self._is_foreign(name) else getattr(self, name)
+
+    def _is_foreign(self, name: str) -> bool:
+        """Whether an optional channel is not meant: a foreign table has those that it says it has."""
+        return name not in self.model_fields_set and "position" in self.model_fields_set
+
 
 CHANNELS = ("position", "torque", "position_command", "torque_command")
+EXTRAS = ("fourth_position", "gripper")  # of the robot, not of a joint
 
 
 def load_columns(path: str | Path) -> Columns:

@@ -19,6 +19,8 @@ from schemas.errors import MessageError
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 NANOSECONDS = 1_000_000_000
 
+OPTIONAL = {"fourth_position"}  # what most sources do not have
+
 _TIME = "builtin_interfaces/Time"
 _TIME_TEXT = "int32 sec\nuint32 nanosec\n"
 _PRIMITIVES = {
@@ -42,6 +44,14 @@ class SampleFlag(enum.IntFlag):
     COMMAND_JUMP = 512  # the command moved further in one cycle than the joint can: not differentiated
     LIMITED = 1024  # of a feed-forward: the torque or its slope was held at its bound
     FADING = 2048  # of a feed-forward: no usable motion, the last torque is on its way to zero
+
+
+class Gripper(enum.IntEnum):
+    """What the gripper says of itself in a sample."""
+
+    UNKNOWN = 0  # nothing does
+    OPEN = 1  # it holds nothing
+    CLOSED = 2  # it may hold something
 
 
 class FeedforwardSource(enum.IntEnum):
@@ -115,8 +125,10 @@ class Message:
         return f"{self.text}{'=' * 80}\nMSG: {_TIME}\n{_TIME_TEXT}"
 
     def empty(self, count: int = 1) -> np.ndarray:
-        """`count` records of zeros with the CDR header in place."""
+        """`count` records of zeros with the CDR header in place; `OPTIONAL` fields are NaN."""
         records = np.zeros(count, self.dtype)
+        for name in OPTIONAL.intersection(self.dtype.names or ()):
+            records[name] = np.nan
         records["cdr_header"] = np.frombuffer(CDR_LITTLE_ENDIAN, np.uint8)
         return records
 

@@ -175,6 +175,18 @@ class Limits(_Section):
     max_payload_kg: Positive = 6.0
 
 
+class FourthAxis(_Section):
+    """The axis that turns the gripper, driven from the base through a telescopic shaft; its angle is `position_4_rad`.
+
+    Of these the three arms feel the shaft's mass alone: what turns about the axis the parallelograms hold.
+    """
+
+    shaft_mass_kg: NotNegative = 0.0  # what of the shaft moves with the platform, beside `mass.platform`
+    inertia_kgm2: NotNegative = 0.0  # about the axis, without load
+    viscous_friction_nms: NotNegative = 0.0
+    coulomb_friction_nm: NotNegative = 0.0
+
+
 class Parameter(_Section):
     """One identified number with its standard error in the same unit, and whether the data could tell it."""
 
@@ -257,6 +269,7 @@ class Robot(_Section):
     mass: Mass
     drive: Drive = Drive()
     limits: Limits = Limits()
+    fourth_axis: FourthAxis | None = None
     columns: Columns | None = None
     identified: Identified | None = None
     effect: list[Effect] = []

@@ -32,7 +32,8 @@ class Trace:
     """N samples of n joints as they were recorded, nothing repaired.
 
     time: (N,) s, as in the file. position, torque: (N, n) rad and N m. position_command, torque_command: (N, n) or
-    None where the source has none. flags: (N,) uint32 of SampleFlag. findings: what the reader noticed.
+    None where the source has none. fourth_position: (N,) rad, the angle of the gripper's axis, and gripper: (N,)
+    of Gripper, or None. flags: (N,) uint32 of SampleFlag. findings: what the reader noticed.
     sequence: (N,) uint64 where the source counts its cycles, else None. epoch_ns: bus time of `time` 0, in ns; not
     zero only where the stamps are too large for float64 seconds to tell nanoseconds (above 1e6 s). own_time: (M,) s,
     the stamps of the channels (`torque_3`) that were brought to `time` from their own. angular: False where the axes
@@ -45,6 +46,8 @@ class Trace:
     torque: np.ndarray
     position_command: np.ndarray | None = None
     torque_command: np.ndarray | None = None
+    fourth_position: np.ndarray | None = None
+    gripper: np.ndarray | None = None
     flags: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint32))
     findings: tuple[Finding, ...] = ()
     sequence: np.ndarray | None = None
@@ -91,5 +94,9 @@ class Trace:
         records["torque"] = self.torque
         records["position_command"] = np.nan if self.position_command is None else self.position_command
         records["torque_command"] = np.nan if self.torque_command is None else self.torque_command
+        if self.fourth_position is not None:
+            records["fourth_position"] = self.fourth_position
+        if self.gripper is not None:
+            records["gripper"] = self.gripper
         records["flags"] = self.flags
         return records

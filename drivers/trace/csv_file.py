@@ -15,10 +15,11 @@ import polars as pl
 
 from drivers.trace.quality import EXACT_SECONDS, Rows, check
 from schemas.axes import Axes, Description
-from schemas.columns import CHANNELS, TIME_UNITS, Columns, PositionColumn, TorqueColumn
+from schemas.columns import CHANNELS, EXTRAS, TIME_UNITS, Columns, GripperColumn, PositionColumn, TorqueColumn
 from schemas.errors import TraceError
 from schemas.files import MAX_LOG_BYTES, MIB, most_unpacked, read_bytes
-from schemas.messages import NANOSECONDS, SampleFlag
+from schemas.messages import NANOSECONDS, Gripper, SampleFlag
+from schemas.robot import Robot
 from schemas.trace import Finding, Trace
 
 MAX_LINE_BYTES = 1 << 20  # of a header; one of a thousand signals with their paths has 100 kB
@@ -26,6 +27,7 @@ MAX_COLUMNS = 4096
 LATEST_S = 2.0**31 - 1  # year 2038: no stamp of a message is later
 MISSING = ["", " ", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]  # cells that say there is no value
 _OWN = re.compile(r"^position_\d+_(rad|m)$")
+FOURTH = 3  # number of the joint behind the three of a Delta
 OWN_UNITS = {True: ("rad", "nm"), False: ("m", "n")}  # endings of our own column names: angular, linear
 _STAMP = pl.Decimal(38, 9)
 _FIXED_POINT_LINES = 20  # lines looked at to tell whether the last field has a fixed number of decimals
@@ -35,15 +37,15 @@ _FIXED_POINT_LINES = 20  # lines looked at to tell whether the last field has a 
 class _Channel:
     """One column of the file and where it goes."""
 
-    name: str  # of CHANNELS
+    name: str  # of CHANNELS or EXTRAS
     joint: int
-    column: PositionColumn | TorqueColumn
+    column: PositionColumn | TorqueColumn | GripperColumn
     index: int
     time_index: int
 
     @property
     def label(self) -> str:
-        return f"{self.name}_{self.joint + 1} ({self.column.name!r})"
+        return f"{self.name}_{self.joint + 1} ({self.column.name!r})" if self.name in CHANNELS else self.column.name
 
 
 def read_csv(
@@ -57,7 +59,7 @@ def read_csv(
         TraceError: see `drivers.trace`.
     """
     raw = _load(path)
-    columns = columns or _mapping(raw, fallback)
+    columns = columns or _mapping(raw, fallback, robot)
     names, body = _split(raw, columns, path)
     channels = _channels(names, columns, path)
     body, notes = _without_cut_line(body, columns)
@@ -81,6 +83,15 @@ def write_csv(trace: Trace, path: Path) -> None:
         unit = OWN_UNITS[trace.angular][name.startswith("torque")]
         if values is not None:
             data.update({f"{name}_{j + 1}_{unit}": values[:, j] for j in range(values.shape[1])})
+    if trace.fourth_position is not None:
+        data["position_4_rad"] = trace.fourth_position
+    if trace.gripper is not None:
+        known = trace.gripper != Gripper.UNKNOWN
+        data["gripper"] = (
+            pl.DataFrame({"known": known, "closed": trace.gripper == Gripper.CLOSED})
+            .select(pl.when("known").then(pl.col("closed").cast(pl.Int8)))
+            .to_series()
+        )
     text = pl.DataFrame(data).write_csv().encode()
     path.write_bytes(gzip.compress(text, compresslevel=6) if path.suffix == ".gz" else text)
 
@@ -111,13 +122,14 @@ def _unzipped(packed: bytes, path: Path) -> bytes:
     return b"".join(parts)
 
 
-def _mapping(raw: bytes, fallback: Columns | None) -> Columns:
+def _mapping(raw: bytes, fallback: Columns | None, robot: Description | None) -> Columns:
     names = _fields(_first_line(raw)[:MAX_LINE_BYTES].decode("utf-8", "replace"), ",")
     own = [match[1] for name in names if (match := _OWN.match(name))]
     if not own:
         return fallback or Columns()
     if own[0] == "rad":
-        return Columns(joints=len(own))
+        fourth = "position_4_rad" in names and (isinstance(robot, Robot) or "torque_4_nm" not in names)
+        return Columns(joints=3) if fourth and len(own) == 4 else Columns(joints=len(own), fourth_position=None)
     linear: dict[str, Any] = {"joints": len(own)}
     for channel, ending, unit in zip(CHANNELS, ("m", "n") * 2, ("m", "N") * 2, strict=True):
         if f"{channel}_1_{ending}" in names or not channel.endswith("command"):
@@ -164,7 +176,7 @@ def _channels(names: list[str], columns: Columns, path: Path) -> list[_Channel]:
             )
         return names.index(name)
 
-    def find_time(entry: PositionColumn | TorqueColumn, index: int) -> int:
+    def find_time(entry: PositionColumn | TorqueColumn | GripperColumn, index: int) -> int:
         name = entry.time or columns.time.name
         places = [i for i, n in enumerate(names) if n == name]
         if len(places) <= 1:
@@ -180,6 +192,11 @@ def _channels(names: list[str], columns: Columns, path: Path) -> list[_Channel]:
         for joint, entry in enumerate(entries):
             index = find(entry.name)
             found.append(_Channel(name, joint, entry, index, find_time(entry, index)))
+    for name in EXTRAS:
+        entry = columns.extra(name)
+        if entry is not None and (name in columns.model_fields_set or entry.name in names):
+            index = find(entry.name)
+            found.append(_Channel(name, FOURTH, entry, index, find_time(entry, index)))
     return found
 
 
@@ -292,7 +309,7 @@ def _assemble(
     notes.extend(left_out)
     if len(rows) == 0:
         raise TraceError(f"{path}: no row has a time stamp in column {columns.time.name!r}")
-    joints = 1 + max(channel.joint for channel in channels)
+    joints = 1 + max(channel.joint for channel in channels if channel.name in CHANNELS)
     time = stamps[base][rows]
     arrays: dict[str, np.ndarray] = {}
     own_time: dict[str, np.ndarray] = {}
@@ -305,8 +322,15 @@ def _assemble(
             values, note = _bring(time, own, raw, channel, channels[0], path)
             notes.append(note)
             own_time[f"{channel.name}_{channel.joint + 1}"] = own[np.isfinite(own)]
-        array = arrays.setdefault(channel.name, np.empty((len(rows), joints)))
-        array[:, channel.joint] = _to_joint(values, channel, robot, path)
+        if isinstance(channel.column, GripperColumn):
+            closed = np.where(values == channel.column.open, Gripper.OPEN, Gripper.CLOSED)
+            arrays[channel.name] = np.where(np.isfinite(values), closed, Gripper.UNKNOWN).astype(np.uint32)
+            continue
+        values = _to_joint(values, channel, channel.column, robot, path)
+        if channel.name in EXTRAS:
+            arrays[channel.name] = values
+        else:
+            arrays.setdefault(channel.name, np.empty((len(rows), joints)))[:, channel.joint] = values
     trace = Trace(
         path=path,
         time=time,
@@ -314,10 +338,12 @@ def _assemble(
         torque=arrays["torque"],
         position_command=arrays.get("position_command"),
         torque_command=arrays.get("torque_command"),
+        fourth_position=arrays.get("fourth_position"),
+        gripper=arrays.get("gripper"),
         findings=tuple(notes),
         epoch_ns=epoch_ns,
         own_time=own_time,
-        angular=all(channel.column.unit not in ("m", "mm") for channel in channels),
+        angular=all(getattr(channel.column, "unit", "") not in ("m", "mm") for channel in channels),
     )
     return check(trace, Rows("line", columns.first_line + rows), robot)
 
@@ -363,12 +389,19 @@ def _gear_ratio(robot: Description | None, joint: int) -> float | None:
         return None
     if isinstance(robot, Axes):
         return robot.axis[joint].gear_ratio if joint < len(robot.axis) else None
+    if joint == FOURTH:
+        return None  # `drive` is of the arms
     own = robot.drive.joint[joint].gear_ratio if robot.drive.joint else None
     return own or robot.drive.gear_ratio
 
 
-def _to_joint(values: np.ndarray, channel: _Channel, robot: Description | None, path: Path) -> np.ndarray:
-    column = channel.column
+def _to_joint(
+    values: np.ndarray,
+    channel: _Channel,
+    column: PositionColumn | TorqueColumn,
+    robot: Description | None,
+    path: Path,
+) -> np.ndarray:
     gear: float | None = 1.0
     if column.side == "motor":
         gear = column.gear_ratio or _gear_ratio(robot, channel.joint)

@@ -94,11 +94,14 @@ def to_trace(samples: np.ndarray, path: Path) -> Trace:
     for name in ("position_command", "torque_command"):
         command = np.ascontiguousarray(samples[name])
         commands[name] = None if np.isnan(command).all() else command
+    angle, gripper = np.ascontiguousarray(samples["fourth_position"]), samples["gripper"].astype(np.uint32)
     return Trace(
         path=path,
         time=(stamps - epoch) / NANOSECONDS,
         position=np.ascontiguousarray(samples["position"]),
         torque=np.ascontiguousarray(samples["torque"]),
+        fourth_position=None if np.isnan(angle).all() else angle,
+        gripper=gripper if gripper.any() else None,
         flags=samples["flags"].astype(np.uint32),
         sequence=samples["sequence"].astype(np.uint64),
         epoch_ns=epoch,

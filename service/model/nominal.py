@@ -30,6 +30,7 @@ def pack(robot: Robot) -> DeltaModel:
     azimuth = np.array(robot.arm_angles)
     length = geometry.active_link_length + np.array(geometry.active_link_length_error)
     half_forearm = mass.passive_link / 2
+    shaft = robot.fourth_axis.shaft_mass_kg if robot.fourth_axis else 0.0
     return DeltaModel(
         azimuth_cos=np.cos(azimuth),
         azimuth_sin=np.sin(azimuth),
@@ -39,6 +40,6 @@ def pack(robot: Robot) -> DeltaModel:
         radius=geometry.base_radius - geometry.platform_radius,
         inertia=(mass.active_link / 3 + half_forearm) * length**2,
         gravity_torque=(mass.active_link / 2 + half_forearm) * robot.gravity_mps2 * length,
-        moving_mass=mass.platform + 3 * half_forearm,
+        moving_mass=mass.platform + shaft + 3 * half_forearm,
         gravity=robot.gravity_mps2,
     )

@@ -12,7 +12,8 @@ from mcap.writer import CompressionType, Writer
 from drivers.trace import find_columns, read_trace, write_trace
 from schemas.columns import Columns
 from schemas.errors import TraceError
-from schemas.messages import SAMPLE
+from schemas.messages import SAMPLE, Gripper
+from schemas.robot import Geometry, Mass, Robot
 from schemas.trace import Trace
 
 
@@ -39,6 +40,60 @@ def test_each_format_gives_back_every_bit(tmp_path: Path, ending: str, commands:
     if commands:
         assert read.samples()["torque_command"].tobytes() == trace.samples()["torque_command"].tobytes()
     assert not read.findings
+
+
+@pytest.mark.parametrize("ending", ["csv", "mcap"])
+def test_fourth_axis_and_gripper_are_kept(tmp_path: Path, ending: str) -> None:
+    angle = np.random.default_rng(1).normal(0, 2, 500)
+    angle[100] = np.nan
+    gripper = np.repeat(np.array([Gripper.UNKNOWN, Gripper.OPEN, Gripper.CLOSED], np.uint32), [100, 200, 200])
+    write_trace(replace(make_trace(), fourth_position=angle, gripper=gripper), tmp_path / f"a.{ending}", "d3")
+    samples = read_trace(tmp_path / f"a.{ending}").samples()
+    assert samples["position"].shape == (500, 3)
+    assert samples["fourth_position"].tobytes() == angle.tobytes()
+    assert (samples["gripper"] == gripper).all()
+
+
+def test_a_source_without_fourth_axis_and_gripper_says_so() -> None:
+    samples = make_trace().samples()
+    assert np.isnan(samples["fourth_position"]).all()
+    assert (samples["gripper"] == Gripper.UNKNOWN).all()
+
+
+def test_fourth_position_of_an_axis_with_torque_belongs_to_a_delta_only_with_its_description(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    position, torque = rng.normal(0, 1e-4, (500, 4)), rng.normal(0, 3, (500, 4))
+    write_trace(Trace(Path("four"), np.arange(500) / 1000, position, torque), tmp_path / "a.csv")
+    assert read_trace(tmp_path / "a.csv").position.shape == (500, 4)
+    robot = Robot(
+        name="d3",
+        geometry=Geometry(active_link_length=0.36, passive_link_length=0.85, base_radius=0.19, platform_radius=0.05),
+        mass=Mass(active_link=2.7, passive_link=0.55, platform=1.3),
+    )
+    trace = read_trace(tmp_path / "a.csv", robot)
+    assert trace.position.shape == (500, 3)
+    assert trace.fourth_position is not None
+    assert trace.fourth_position.tobytes() == position[:, 3].tobytes()
+
+
+def test_columns_of_a_foreign_table_name_fourth_axis_and_gripper(tmp_path: Path) -> None:
+    names = ["t", *(f"q{j}" for j in "123"), *(f"m{j}" for j in "123"), "turn", "valve"]
+    rows = np.column_stack([np.arange(50) / 1000, np.full((50, 6), 0.5), np.full(50, 180.0), np.arange(50) < 30])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=",".join(names), comments="")
+    mapping = Columns.model_validate(
+        {
+            "time": "t",
+            "position": "q{joint}",
+            "torque": "m{joint}",
+            "fourth_position": {"name": "turn", "unit": "deg"},
+            "gripper": {"name": "valve", "open": 1},
+        }
+    )
+    trace = read_trace(tmp_path / "a.csv", columns=mapping)
+    assert trace.fourth_position is not None
+    np.testing.assert_allclose(trace.fourth_position, np.pi)
+    assert trace.gripper is not None
+    assert trace.gripper.tolist() == [Gripper.OPEN] * 30 + [Gripper.CLOSED] * 20
 
 
 def test_csv_to_mcap_to_csv_is_the_same_file(tmp_path: Path) -> None:
