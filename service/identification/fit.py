@@ -68,7 +68,7 @@ class Fit:
     """A hypothesis at its optimum: residuals (R,) and tangents (R, F) a recording, in units of the noise.
 
     inside: (F,) bool, False for parameters that stand at a limit. free: also False for those too rough to be moved by a
-    slope.
+    slope. reach: (F,) steps down and up over which slopes hold, inside the limits.
     """
 
     hypothesis: Hypothesis
@@ -76,11 +76,16 @@ class Fit:
     tangents: list[np.ndarray]
     inside: np.ndarray
     free: np.ndarray
+    reach: tuple[np.ndarray, np.ndarray]
 
     @property
     def moving(self) -> list[np.ndarray]:
         """Tangents of the free parameters."""
         return [tangent[:, self.free] for tangent in self.tangents]
+
+    def step(self, gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
+        """Least-squares step of the free parameters from normal equations in them, within reach."""
+        return within(gram, moment, self.reach[0][self.free], self.reach[1][self.free])
 
     @property
     def cost(self) -> float:
@@ -98,14 +103,18 @@ def evaluate(problem: Problem, hypothesis: Hypothesis) -> Fit:
     parts = list(THREADS.map(one, range(len(problem.recordings)), problem.scenes(hypothesis.base)))
     residuals, tangents = [residual for residual, _ in parts], [slope for _, slope in parts]
     parameters = Parameters(hypothesis)
-    low, high = parameters.limits(problem.band.period)
+    mechanism, period = problem.recordings[0].mechanism, problem.band.period
+    low, high = parameters.limits(mechanism, period)
     values = parameters.values[parameters.free]
     inside = (values > low) & (values < high)
-    return Fit(hypothesis, residuals, tangents, inside, inside & ~parameters.rough)
+    reach = parameters.reach(mechanism, period)
+    return Fit(hypothesis, residuals, tangents, inside, inside & ~parameters.rough, reach)
 
 
 def solve(gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
     """Least squares from normal equations (P, P) and (P,) or (P, m); directions without information stay at zero."""
+    if not len(gram):
+        return moment
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     values, vectors = np.linalg.eigh(gram * scale[:, None] * scale)
     keep = values > 1e-10 * values[-1]
@@ -116,7 +125,7 @@ def solve(gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
 def fit(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS) -> Fit:
     """Gauss-Newton over all parameters together, from the hypothesis's own, inside their limits.
 
-    A parameter that would leave its limits is held there and the rest solved again; steps that do not help are halved.
+    Steps that do not help are halved.
     """
     best = evaluate(problem, hypothesis)
     for _ in range(iterations):
@@ -124,8 +133,8 @@ def fit(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS) 
         moment = np.asarray(sum(t.T @ r for t, r in zip(best.tangents, best.residuals, strict=True)))
         parameters = Parameters(best.hypothesis)
         start = parameters.values[parameters.free]
-        low, high = parameters.limits(problem.band.period)
-        step = _within(gram, moment, low - start, high - start)
+        low, high = parameters.limits(problem.recordings[0].mechanism, problem.band.period)
+        step = within(gram, moment, low - start, high - start)
         for share in (1.0, 0.5, 0.2, 0.05):
             candidate = evaluate(problem, parameters.at(start + share * step))
             if candidate.cost < best.cost:
@@ -139,13 +148,27 @@ def fit(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS) 
     return best
 
 
-def _within(gram: np.ndarray, moment: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def within(gram: np.ndarray, moment: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Least-squares step (P,) from normal equations, each entry between `low` and `high`.
+
+    What would leave its limits is held there and the rest solved again; then let go, one at a time, what would rather
+    come back in.
+    """
     step = solve(gram, moment)
     held = np.zeros(len(step), bool)
-    while True:
+    for _ in range(3 * len(step)):
         out = ~held & ((step < low) | (step > high))
-        if not out.any():
-            return step
         held |= out
+        if not out.any():
+            if not held.any():
+                return step
+            pull = (
+                (moment - gram @ step) * np.where(step <= low, 1.0, -1.0) / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+            )
+            back = np.where(held & (low < high), pull, 0.0)
+            if back.max() <= 1e-6 * np.sqrt(np.abs(moment @ step)):
+                return step
+            held[np.argmax(back)] = False
         step[held] = np.clip(step, low, high)[held]
         step[~held] = solve(gram[np.ix_(~held, ~held)], moment[~held] - gram[np.ix_(~held, held)] @ step[held])
+    return np.clip(step, low, high)

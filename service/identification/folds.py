@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.fit import Fit, Problem, solve
+from service.identification.fit import Fit, Problem
 
 BLOCK = 0.5  # s, of bootstrap and jackknife: longer than the residual remembers
 FOLDS = 4  # where fewer than three traces are given
@@ -48,7 +48,8 @@ def _rows(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
 
 
 def held_out(fitted: Fit, split: Split) -> list[np.ndarray]:
-    """Residuals (R,) a recording, each fold predicted by parameters from the other folds (linear in the refit)."""
+    """Residuals (R,) a recording, each fold predicted by parameters from the other folds (linear in the refit, within
+    reach of the slopes: what one fold left open may not run away on the next)."""
     grams, moments = [], []
     for number in range(split.folds):
         parts = [
@@ -60,7 +61,7 @@ def held_out(fitted: Fit, split: Split) -> list[np.ndarray]:
     gram, moment = sum(grams), sum(moments)
     result = [residual.copy() for residual in fitted.residuals]
     for number in range(split.folds):
-        step = solve(gram - grams[number], moment - moments[number])
+        step = fitted.step(gram - grams[number], moment - moments[number])
         for residual, slope, fold in zip(result, fitted.moving, split.fold, strict=True):
             out = fold == number
             residual[out] -= slope[out] @ step

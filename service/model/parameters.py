@@ -16,6 +16,7 @@ from service.model.hypothesis import Hypothesis, Term
 from service.model.mechanism import Mechanism
 
 TIMING_LIMIT = 0.25  # samples: a shift below this is sampling, beyond it an effect
+REACH, REACH_OF_RANGE = 0.5, 0.02  # of a value, of its range: further than both together a slope says nothing
 TRANSITION = (2e-4, 2e-2)  # rad/s, limits of the speed over which Coulomb friction turns; beyond is an effect
 
 
@@ -23,15 +24,14 @@ TRANSITION = (2e-4, 2e-2)  # rad/s, limits of the speed over which Coulomb frict
 class Quantity:
     """One parameter. name: as in the documents; of an effect it ends in the joint where the effect has several.
 
-    low, high: what it can be. held: the fit keeps it between these. free: the fit moves it. rough: the torque is no
-    smooth function of it. timing's limits are samples, not seconds.
+    low, high: what it can be; the fit keeps it there. free: the fit moves it. rough: the torque is no smooth function
+    of it. timing's limits are samples, not seconds.
     """
 
     name: str
     unit: str
     low: float = -np.inf
     high: float = np.inf
-    held: bool = False
     free: bool = True
     rough: bool = False
 
@@ -103,15 +103,28 @@ class Parameters:
             rough[mine] = [parameter.rough for parameter in parameters]
         return rough[self.free]
 
-    def limits(self, period: float) -> tuple[np.ndarray, np.ndarray]:
+    def limits(self, mechanism: Mechanism, period: float) -> tuple[np.ndarray, np.ndarray]:
         """(F,) lowest and highest values that a fit may give the free parameters. period: s between samples."""
         low, high = np.full(len(self.values), -np.inf), np.full(len(self.values), np.inf)
+        base = base_parameters(mechanism)
+        low[: len(base)], high[: len(base)] = [known.low for known in base], [known.high for known in base]
         low[self.transition], high[self.transition] = TRANSITION
         low[self.timing], high[self.timing] = -TIMING_LIMIT * period, TIMING_LIMIT * period
         for mine, parameters in zip(self.terms, self.of_terms, strict=True):
-            low[mine] = [parameter.low if parameter.held else -np.inf for parameter in parameters]
-            high[mine] = [parameter.high if parameter.held else np.inf for parameter in parameters]
+            low[mine], high[mine] = [known.low for known in parameters], [known.high for known in parameters]
         return low[self.free], high[self.free]
+
+    def reach(self, mechanism: Mechanism, period: float) -> tuple[np.ndarray, np.ndarray]:
+        """(F,) steps down and up that a slope can be trusted over, inside the limits: without end where the torque is
+        linear, `REACH` of a value where it is not."""
+        low, high = self.limits(mechanism, period)
+        bent = np.zeros(len(self.values), bool)
+        bent[self.transition] = True
+        for term, mine in zip(self.hypothesis.terms, self.terms, strict=True):
+            bent[mine.start + term.amplitude.size : mine.stop] = True
+        bent, values = bent[self.free], self.values[self.free]
+        far = np.where(bent, REACH * np.abs(values) + REACH_OF_RANGE * np.where(bent, high - low, 0.0), np.inf)
+        return np.maximum(low - values, -far), np.minimum(high - values, far)
 
     def columns(self, number: int) -> np.ndarray:
         """Indices of effect `number`'s free parameters among the F."""
@@ -133,8 +146,7 @@ def parameters_of(term: Term) -> list[Quantity]:
         suffix = f"_{joint + 1}" if joint is not None and len(term.joints) > 1 else ""
         result += [Quantity(name + suffix, a.unit, a.low, a.high) for name, a in effect.amplitudes.items()]
     return result + [
-        Quantity(name, s.unit, s.low, s.high, held=True, free=not s.fixed, rough=effect.rough)
-        for name, s in effect.shapes.items()
+        Quantity(name, s.unit, s.low, s.high, free=not s.fixed, rough=effect.rough) for name, s in effect.shapes.items()
     ]
 
 

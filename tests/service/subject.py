@@ -5,7 +5,7 @@ from service.diagnosis.documents import document
 from service.diagnosis.evidence import cautions, statistics, where
 from service.diagnosis.evidence import rivals as evidence
 from service.diagnosis.fit import selection
-from service.diagnosis.fit.selection import Candidate, Dictionary, Scored, Selection
+from service.diagnosis.fit.selection import Candidate, Dictionary, Regressors, Scored, Selection
 from service.identification import events, noise
 from service.identification.fit import Fit, Problem, evaluate, fit, solve
 from service.identification.folds import Split
@@ -37,6 +37,7 @@ __all__ = [
     "Parameters",
     "Problem",
     "Recording",
+    "Regressors",
     "Scene",
     "Scored",
     "Segment",

@@ -90,7 +90,7 @@ def _inner(scored: Scored, split: Split, out: int) -> np.ndarray:
         train = [k for k in range(split.folds) if k not in (fold, out)]
         if fold == out or not train:
             continue
-        step = solve(np.asarray(sum(grams[k] for k in train)), np.asarray(sum(moments[k] for k in train)))
+        step = fitted.step(np.asarray(sum(grams[k] for k in train)), np.asarray(sum(moments[k] for k in train)))
         for residual, slope, f in zip(residuals, fitted.moving, split.fold, strict=True):
             residual[f == fold] -= slope[f == fold] @ step
     for residual, f in zip(residuals, split.fold, strict=True):

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.identification.fit import THREADS, Fit, Problem, fit, solve
+from service.identification.fit import THREADS, Fit, Problem, fit, solve, within
 from service.identification.folds import Split, block_loss, held_out
 from service.model.effects.base import Effect, on_joint
 from service.model.hypothesis import Hypothesis, Term
-from service.model.scene import Scene
+from service.model.scene import Base, Scene
 from service.model.torque import reported
 
 SHORTLIST = 5  # candidates fitted exactly a step
@@ -78,37 +78,46 @@ def score(fitted: Fit, split: Split) -> Scored:
     return Scored(fitted, residuals, block_loss(residuals, split))
 
 
-class Dictionary:
-    """Normal equations of the present hypothesis's tangents, every candidate's regressors, and the residual."""
+class Regressors:
+    """All candidates' regressors in the band, kept from round to round: only effects on the measured torque alter them
+    so much that it would show in the ranking.
 
-    def __init__(self, problem: Problem, split: Split, fitted: Fit, effects: Iterable[Effect]):
+    low: (C,) least that each amplitude can be.
+    """
+
+    def __init__(self, problem: Problem, split: Split, effects: Iterable[Effect], base: Base):
+        self.problem, self.split = problem, split
+        self.effects = [e for e in effects if problem.recordings[0].mechanism.kind in e.kinds]
         self.index: dict[tuple[Effect, int, tuple[float, ...]], np.ndarray] = {}
-        own = fitted.moving
-        self.own = own[0].shape[1]
-        effects = [e for e in effects if problem.recordings[0].mechanism.kind in e.kinds]
-        scenes = problem.scenes(fitted.hypothesis.base)
-        at = self.own
-        for effect in effects:
-            for joint in range(scenes[0].joints) if effect.per_joint else (0,):
-                for shape in effect.grid(scenes[0]):
-                    self.index[effect, joint, shape] = at + np.arange(max(1, len(effect.amplitudes)))
-                    at = int(self.index[effect, joint, shape][-1]) + 1
+        scene, low = Scene(problem.recordings[0], base), []
+        for effect in self.effects:
+            for joint in range(scene.joints) if effect.per_joint else (0,):
+                for shape in effect.grid(scene):
+                    own = [amplitude.low for amplitude in effect.amplitudes.values()] or [0.0]
+                    self.index[effect, joint, shape] = len(low) + np.arange(len(own))
+                    low += own
+        self.low = np.array(low)
+        self.seen: tuple[Term, ...] | None = None
+        self.columns: list[np.ndarray] = []
+        self.grams: list[np.ndarray] = []
 
-        def products(number: int, scene: Scene) -> list[tuple[int, np.ndarray]]:
-            columns = self._columns(problem, number, scene, fitted.hypothesis, at)
-            matrix = np.concatenate([own[number], columns, fitted.residuals[number][:, None]], axis=1)
-            folds = [(int(fold), matrix[split.fold[number] == fold]) for fold in np.unique(split.fold[number])]
-            return [(fold, part.T @ part) for fold, part in folds]
+    def along(self, hypothesis: Hypothesis) -> None:
+        """Fill columns, (R, C) a recording, and grams, (C, C) a fold, as `hypothesis` sees them."""
+        measured = tuple(term for term in hypothesis.terms if term.effect.measured)
+        if self.seen is not None and [t.effect for t in measured] == [t.effect for t in self.seen]:
+            return
+        self.seen, split = measured, self.split
+        scenes = self.problem.scenes(hypothesis.base)
+        self.columns = list(
+            THREADS.map(lambda n, scene: self._columns(n, scene, hypothesis), range(len(scenes)), scenes)
+        )
+        self.grams = [
+            np.asarray(sum(c[f == k].T @ c[f == k] for c, f in zip(self.columns, split.fold, strict=True)))
+            for k in range(split.folds)
+        ]
 
-        grams = [np.zeros((at + 1, at + 1)) for _ in range(split.folds)]
-        for parts in THREADS.map(products, range(len(scenes)), scenes):
-            for fold, gram in parts:
-                grams[fold] += gram
-        self.effects = effects
-        self._reduce(grams)
-
-    def _columns(self, problem: Problem, number: int, scene: Scene, hypothesis: Hypothesis, end: int) -> np.ndarray:
-        """(R, C), all candidates' regressors filtered in one go. end: one past the last of `index`."""
+    def _columns(self, number: int, scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
+        """(R, C), filtered in one go."""
         n = scene.joints
         measured = any(term.effect.measured for term in hypothesis.terms)
         parts: list[np.ndarray] = []
@@ -123,19 +132,46 @@ class Dictionary:
             parts.append(np.moveaxis(reported(scene, hypothesis, values), 1, 2).reshape(len(values), -1))
             owners.append(np.tile(np.r_[-1, np.full(n - 1, -2)], values.shape[-1]))
         owner = np.concatenate(owners)
-        band = problem.band(np.concatenate(parts, axis=1))
-        columns = np.zeros((len(band), n, end - self.own))
+        band = self.problem.band(np.concatenate(parts, axis=1))
+        columns = np.zeros((len(band), n, len(self.low)))
         whole = np.flatnonzero(owner == -1)
         number_of = np.cumsum(owner != -2) - 1  # column -> regressor
         for joint in range(n):
             mine = np.flatnonzero(owner == joint)
             columns[:, joint, number_of[mine]] = band[:, mine]
             columns[:, joint, number_of[whole]] = band[:, whole + joint]
-        return problem.select(number, columns)
+        return self.problem.select(number, columns)
+
+
+class Dictionary:
+    """Normal equations of the present hypothesis's tangents, every candidate's regressors, and the residual."""
+
+    def __init__(self, regressors: Regressors, fitted: Fit):
+        regressors.along(fitted.hypothesis)
+        self.index, self.effects, self.low = regressors.index, regressors.effects, regressors.low
+        split, own = regressors.split, fitted.moving
+        self.own = own[0].shape[1]
+        grams = []
+        for fold in range(split.folds):
+            parts = [
+                (np.concatenate([mine, residual[:, None]], axis=1)[f == fold], columns[f == fold])
+                for mine, residual, columns, f in zip(
+                    own, fitted.residuals, regressors.columns, split.fold, strict=True
+                )
+            ]
+            grams.append(
+                _assembled(
+                    self.own,
+                    np.asarray(sum(near.T @ near for near, _ in parts)),
+                    np.asarray(sum(near.T @ columns for near, columns in parts)),
+                    regressors.grams[fold],
+                )
+            )
+        self._reduce(grams)
 
     def _reduce(self, grams: list[np.ndarray]) -> None:
         """Project the hypothesis's own tangents out of everything, a fold left out at a time."""
-        total, own = sum(grams), self.own
+        total, own = np.asarray(sum(grams)), self.own
         self.training, self.left_out = [], []
         for gram in grams:
             train = total - gram
@@ -147,15 +183,16 @@ class Dictionary:
         self.nothing = float(sum(gram[-1, -1] for gram in self.left_out))
 
     def loss(self, candidate: Candidate) -> float:
-        """Squared residual on the folds left out, with the candidate added."""
+        """Squared residual on the folds left out, with the candidate added inside its limits."""
         places = candidate.joints or (0,)
-        chosen = np.concatenate([self.index[candidate.effect, joint, candidate.shape] for joint in places]) - self.own
+        chosen = np.concatenate([self.index[candidate.effect, joint, candidate.shape] for joint in places])
         chosen = chosen[self.alive[chosen]]
         if not len(chosen):
             return self.nothing
+        low, high = self.low[chosen], np.full(len(chosen), np.inf)
         loss = 0.0
         for train, out in zip(self.training, self.left_out, strict=True):
-            weight = solve(train[np.ix_(chosen, chosen)], train[chosen, -1])
+            weight = within(train[np.ix_(chosen, chosen)], train[chosen, -1], low, high)
             loss += out[-1, -1] - 2 * weight @ out[chosen, -1] + weight @ out[np.ix_(chosen, chosen)] @ weight
         return float(loss)
 
@@ -189,6 +226,18 @@ class Dictionary:
 
     def _size(self, candidate: Candidate) -> int:
         return sum(len(self.index[candidate.effect, joint, candidate.shape]) for joint in candidate.joints or (0,))
+
+
+def _assembled(own: int, near: np.ndarray, cross: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """One Gram matrix, in the order own tangents, candidates, residual. near: of the first and the last."""
+    size = own + len(columns) + 1
+    gram = np.empty((size, size))
+    ends = np.r_[0:own, size - 1]
+    gram[np.ix_(ends, ends)] = near
+    gram[ends, own:-1] = cross
+    gram[own:-1, ends] = cross.T
+    gram[own:-1, own:-1] = columns
+    return gram
 
 
 def _prefer_single(scored: list[tuple[float, Candidate]], nothing: float) -> tuple[float, Candidate]:
@@ -254,9 +303,10 @@ def search(
     none = best = score(fit(problem, start), split)
     path: list[tuple[list[Scored], Scored | None]] = []
     trimmed: dict[int, Scored] = {}
+    regressors = Regressors(problem, split, effects, start.base)
     for _ in range(MOST_EFFECTS if effects else 0):
         progress("weighing the catalogue")
-        dictionary = Dictionary(problem, split, best.fitted, effects)
+        dictionary = Dictionary(regressors, best.fitted)
         ranking = dictionary.ranking(best.hypothesis.terms, problem.recordings[0].mechanism.joints, allows)
         shortlist = [item for item in ranking[:SHORTLIST] if dictionary.nothing - item[0] > 0.3 * LEAST_GAIN * rows]
         exact: list[Scored] = []

@@ -28,6 +28,7 @@ class AsymmetricFriction(Effect):
     name = "asymmetric_friction"
     same = frozenset({"torque_offset"})
     directional = True
+    dissipates = True
     online = staticmethod(_online)
     settles = "the same path at three speeds in both directions"
 

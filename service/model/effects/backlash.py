@@ -28,7 +28,9 @@ class Backlash(Effect):
         "Hz", "natural frequency of the link on the closed flank", (120.0,), 20.0, 400.0, fixed=True
     )
     contact_damping: Shape = Shape("", "damping ratio of the closed flank", (2.0,), 0.05, 4.0, fixed=True)
-    motor_share: Shape = Shape("", "share of the joint's inertia on the motor side", (0.1, 0.2, 0.35, 0.55), 0.02, 0.9)
+    motor_share: Shape = Shape(
+        "", "share of the joint's inertia on the motor side", (0.1, 0.2, 0.35, 0.55), 0.02, 0.9, minor=True
+    )
     name = "backlash"
     directional = True
     own_joint = False

@@ -73,7 +73,10 @@ class Amplitude:
 
 @dataclass(frozen=True)
 class Shape:
-    """A quantity that is searched: tried at `grid`, refined between `low` and `high`, kept if `fixed`."""
+    """A quantity that is searched: tried at `grid`, refined between `low` and `high`, kept if `fixed`.
+
+    minor: the torque hardly depends on it, so that a limit of its own says nothing about the effect.
+    """
 
     unit: str
     meaning: str
@@ -81,6 +84,7 @@ class Shape:
     low: float
     high: float
     fixed: bool = False
+    minor: bool = False
 
 
 @dataclass(frozen=True)
@@ -91,7 +95,8 @@ class Effect(ABC):
     measured: alters the reported torque instead of adding to it. rough: its torque is no smooth function of its shapes,
     so they are kept when a part of the data is left out. own_shapes: each joint may have shapes of its own. kinds:
     mechanisms it makes sense for. settles: the motion that tells it from what it resembles. directional: a joint that
-    moves one way only does not show it. same: effects that no motion tells it from. takes_timing: it has the place of
+    moves one way only does not show it. dissipates: friction, which together with the base model's takes energy out of
+    the motion in either direction. same: effects that no motion tells it from. takes_timing: it has the place of
     the timing within a sample. beyond: `size` that no robot which runs has, several times the strongest of the blind
     test: an effect that large stands in for a wrong description; beyond_together: the same on several joints at once.
     online: compiled (effect record, Instant, joint) -> N m from the present sample, where there is such a form; of the
@@ -107,6 +112,7 @@ class Effect(ABC):
     kinds: ClassVar[frozenset[str]] = frozenset({"delta", "axes"})
     settles: ClassVar[str]
     directional: ClassVar[bool] = False
+    dissipates: ClassVar[bool] = False
     same: ClassVar[frozenset[str]] = frozenset()
     takes_timing: ClassVar[bool] = False
     beyond: ClassVar[float] = math.inf

@@ -22,8 +22,10 @@ NATURAL_HZ = (4.0, 5.4, 7.3, 9.8, 13.0, 18.0, 24.0, 33.0, 45.0, 60.0)
 @dataclass(frozen=True)
 class JointElasticity(Effect):
     natural_hz: Shape = Shape("Hz", "natural frequency of the link against a held motor", NATURAL_HZ, 2.0, 250.0)
-    damping_ratio: Shape = Shape("", "damping ratio of the link", (0.07,), 0.01, 2.0)
-    motor_share: Shape = Shape("", "share of the joint's inertia on the motor side", (0.13, 0.35), 0.02, 0.9)
+    damping_ratio: Shape = Shape("", "damping ratio of the link", (0.07,), 0.01, 2.0, minor=True)
+    motor_share: Shape = Shape(
+        "", "share of the joint's inertia on the motor side", (0.13, 0.35), 0.02, 0.9, minor=True
+    )
     name = "joint_elasticity"
     own_joint = False
     rough = True

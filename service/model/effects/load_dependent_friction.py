@@ -25,6 +25,7 @@ def _online(effect, now, i):
 class LoadDependentFriction(Effect):
     mu: Amplitude = Amplitude("", "friction torque per torque through the gear", low=0.0)
     name = "load_dependent_friction"
+    dissipates = True
     directional = True
     online = staticmethod(_online)
     settles = "fast and slow runs of one path, or the same path with a payload"

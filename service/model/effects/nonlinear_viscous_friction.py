@@ -23,9 +23,10 @@ def _online(effect, now, i):
 
 @dataclass(frozen=True)
 class NonlinearViscousFriction(Effect):
-    f: Amplitude = Amplitude("N m (s/rad)^p", "coefficient")
+    f: Amplitude = Amplitude("N m (s/rad)^p", "coefficient", low=0.0)
     p: Shape = Shape("", "exponent of speed", (0.35, 0.6, 1.5, 2.0, 3.0), 0.2, 4.0)
     name = "nonlinear_viscous_friction"
+    dissipates = True
     directional = True
     online = staticmethod(_online)
     own_shapes = True

@@ -29,6 +29,7 @@ class PositionDependentFriction(Effect):
     sine: Amplitude = Amplitude("N m", "sine part of the amplitude")
     order: Shape = Shape("", "periods a turn of the joint", (1, 2, 3, 4, 5, 6, 8, 10, 12), 0.5, 40.0)
     name = "position_dependent_friction"
+    dissipates = True
     directional = True
     online = staticmethod(_online)
     settles = "a slow sweep over the whole angle in both directions"

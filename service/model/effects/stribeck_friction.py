@@ -27,6 +27,7 @@ class StribeckFriction(Effect):
     f_s: Amplitude = Amplitude("N m", "breakaway friction above the Coulomb level", low=0.0)
     v_s: Shape = Shape("rad/s", "speed at which it has fallen to 37 %", geometric(0.01, 1.0, 9), 0.005, 2.0)
     name = "stribeck_friction"
+    dissipates = True
     directional = True
     online = staticmethod(_online)
     own_shapes = True

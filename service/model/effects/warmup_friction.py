@@ -27,6 +27,7 @@ class WarmupFriction(Effect):
     f: Amplitude = Amplitude("N m s/rad", "viscous friction of the cold gear above the warm one", low=0.0)
     tau: Shape = Shape("s", "time constant of the warm-up", (3.0, 8.0, 20.0, 50.0, 150.0, 600.0), 1.0, 3600.0)
     name = "warmup_friction"
+    dissipates = True
     online = staticmethod(_online)
     settles = "one path, cold and after half an hour of running, on one clock"
 

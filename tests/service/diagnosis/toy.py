@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from tests.service.subject import Fit, Scored, Split, selection
 from tests.service.world import stub
@@ -24,15 +25,23 @@ def scored(columns: Sequence[np.ndarray], target: Sequence[np.ndarray], split: S
     residuals = [values - part @ best for part, values in zip(columns, target, strict=True)]
     every = np.ones(whole.shape[1], bool)
     terms = tuple(stub(effect=stub(name=name), joints=(0,)) for name in names)
-    fitted = Fit(stub(terms=terms), residuals, list(columns), every, every)  # pyright: ignore[reportArgumentType]
+    far = np.full(whole.shape[1], np.inf)
+    fitted = Fit(stub(terms=terms), residuals, list(columns), every, every, (-far, far))  # pyright: ignore[reportArgumentType]
     return selection.score(fitted, split)
 
 
-def left_out(columns: Sequence[np.ndarray], target: Sequence[np.ndarray], out: Sequence[int] = ()) -> list[np.ndarray]:
-    """Residuals of each recording under the fit to all others but it and `out`."""
+def left_out(
+    columns: Sequence[np.ndarray], target: Sequence[np.ndarray], out: Sequence[int] = (), positive: int = 0
+) -> list[np.ndarray]:
+    """Residuals of each recording under the fit to all others but it and `out`. positive: last columns of which a
+    weight cannot be below zero."""
     result = []
     for mine in range(len(columns)):
         others = [k for k in range(len(columns)) if k != mine and k not in out]
         whole, wanted = np.concatenate([columns[k] for k in others]), np.concatenate([target[k] for k in others])
-        result.append(target[mine] - columns[mine] @ np.linalg.lstsq(whole, wanted, rcond=None)[0])
+        weight = np.linalg.lstsq(whole, wanted, rcond=None)[0]
+        if positive and (weight[-positive:] < 0).any():
+            low = np.r_[np.full(whole.shape[1] - positive, -np.inf), np.zeros(positive)]
+            weight = lsq_linear(whole, wanted, (low, np.inf), tol=1e-14).x
+        result.append(target[mine] - columns[mine] @ weight)
     return result

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from service.identification.fit import _within
+from service.identification.fit import within
 from tests.service.injected import INJECTED, reports
 from tests.service.subject import EFFECTS, Hypothesis, Parameters, evaluate, fit, predict, solve
 from tests.service.world import BASE, COULOMB, VISCOUS, course, problem
@@ -41,7 +41,7 @@ def test_a_step_stays_within_its_limits(seed):
     columns = 20 * np.linalg.qr(random.standard_normal((400, 4)))[0] + 0.02 * random.standard_normal((400, 4))
     target = columns @ [2.0, -1.0, 0.5, 0.1] + 0.1 * random.standard_normal(400)
     low, high = np.array([-1.0, -0.5, -np.inf, -1.0]), np.array([1.0, np.inf, np.inf, 0.05])
-    found = _within(columns.T @ columns, columns.T @ target, low, high)
+    found = within(columns.T @ columns, columns.T @ target, low, high)
     np.testing.assert_allclose(found, lsq_linear(columns, target, (low, high)).x, atol=1e-6)
     assert (found >= low).all()
     assert (found <= high).all()
@@ -89,11 +89,12 @@ def test_what_stands_at_a_limit_or_is_rough_does_not_move():
     assert found.free.tolist() == found.inside.tolist()
     assert found.moving[0].shape[1] == 11
     parameters = Parameters(Hypothesis(BASE, (term,)))
-    low, high = parameters.limits(1e-3)
+    low, high = parameters.limits(logs.recordings[0].mechanism, 1e-3)
     assert (low[9], high[9]) == (2e-4, 2e-2)
     assert (low[10], high[10]) == (-2.5e-4, 2.5e-4)
     assert (low[11], high[11]) == (3.0, 300.0)
-    assert np.isinf(low[:9]).all()
+    assert low[:9].tolist() == [0.0] * 9
+    assert np.isinf(high[:9]).all()
 
 
 def test_a_filter_is_fitted_up_to_its_limit_and_no_further():

@@ -8,6 +8,7 @@ from service.model.hypothesis import Hypothesis, Term
 from service.model.mechanism import DecoupledAxes, Delta
 from service.model.parameters import Parameters, base_parameters, parameters_of
 from service.model.scene import Base
+from tests.service.world import ROBOT
 
 EFFECTS = by_name(CATALOGUE)
 BASE = Base(np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0]), np.array([7.0, 8.0, 9.0]), 0.002, 1e-4)
@@ -43,7 +44,7 @@ def test_every_free_number_goes_where_it_came_from():
 
 def test_limits_columns_and_roughness_are_of_the_free_ones():
     parameters = Parameters(Hypothesis(BASE, (STRIBECK, BACKLASH)))
-    low, high = parameters.limits(1e-3)
+    low, high = parameters.limits(Delta.of(ROBOT), 1e-3)
     assert (low[9], high[9]) == (2e-4, 2e-2), "transition"
     assert (low[10], high[10]) == (-2.5e-4, 2.5e-4), "timing"
     assert (low[13], high[13]) == (0.005, 2.0), "v_s"
