@@ -8,12 +8,10 @@ sample, make the next outputs ready. What an estimator does therefore falls betw
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import select
 import socket
 import stat
-import struct
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -27,6 +25,7 @@ from drivers.ethercat import cia402
 from drivers.ethercat.bus_clock import BusClock
 from drivers.ethercat.cia402 import Control, DriveState, Mode, Scale, drive_state
 from drivers.ethercat.course import Course
+from drivers.ethercat.interface import check_interface
 from drivers.ethercat.pdo import DIGITAL_OUTPUTS, GRIPPER, Pdo, joint_pdos
 from schemas.errors import BusError
 from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag, set_stamp
@@ -47,7 +46,6 @@ _NEXT_CONTROL = {
     DriveState.SWITCHED_ON: Control.ENABLE_OPERATION,
     DriveState.OPERATION_ENABLED: Control.ENABLE_OPERATION,
 }
-_SIOCGIFFLAGS, _IFF_UP = 0x8913, 1
 
 
 @dataclass
@@ -460,23 +458,3 @@ def _side_by_side(scales: tuple[Scale, ...]) -> Scale:
         torque_nm_per_mille=np.array([scale.torque_nm_per_mille for scale in scales]),  # pyright: ignore[reportArgumentType]
         radians_per_s_per_unit=None,
     )
-
-
-def check_interface(interface: str) -> None:
-    """Raise unless raw frames can be sent on `interface`.
-
-    Raises:
-        BusError: it does not exist, is down, or may not be used.
-    """
-    try:
-        socket.if_nametoindex(interface)
-    except OSError:
-        raise BusError(f"{interface}: no such interface") from None
-    try:
-        with socket.socket(socket.AF_PACKET, socket.SOCK_RAW) as probe:
-            request = struct.pack("16sH22x", interface.encode()[:15], 0)
-            flags = struct.unpack_from("H", fcntl.ioctl(probe, _SIOCGIFFLAGS, request), 16)[0]
-    except PermissionError:
-        raise BusError(f"{interface}: raw Ethernet needs the capability CAP_NET_RAW (run as root)") from None
-    if not flags & _IFF_UP:
-        raise BusError(f"{interface}: the interface is down (ip link set {interface} up)")

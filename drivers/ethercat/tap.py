@@ -7,8 +7,6 @@ clock's where the bus carries one, else those of the network interface: its hard
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import socket
 import struct
 import time
@@ -20,6 +18,7 @@ import numpy as np
 from drivers.ethercat.capture import Capture
 from drivers.ethercat.cia402 import DriveState, drive_state
 from drivers.ethercat.declaration import FirstMotion
+from drivers.ethercat.interface import open_interface
 from drivers.ethercat.process_data.assembly import Assembler, assemble
 from drivers.ethercat.process_data.clock import STOPPED_CYCLES, STOPPED_NS
 from drivers.ethercat.process_data.layout import INPUTS, STATUS, make_layout, mapped_inputs
@@ -41,7 +40,6 @@ SAY_NS = NANOSECONDS // 5  # least time between two lines of what went wrong
 _ETH_P_ALL = 0x0003
 _SOL_PACKET, _PACKET_ADD_MEMBERSHIP, _PACKET_STATISTICS, _PACKET_MR_PROMISC = 263, 1, 6, 1
 _SO_RCVBUFFORCE, _SO_TIMESTAMPING = 33, 37
-_SIOCGIFFLAGS, _IFF_UP = 0x8913, 1
 _RX_HARDWARE, _RX_SOFTWARE, _SOFTWARE, _RAW_HARDWARE = 1 << 2, 1 << 3, 1 << 4, 1 << 6
 _THREE_TIMES = struct.Struct("@6q")  # software, unused, hardware: seconds and nanoseconds each
 _ANCILLARY = socket.CMSG_SPACE(_THREE_TIMES.size)
@@ -58,26 +56,15 @@ class InterfaceSource:
         self.name = interface
         self.ended = False
         self._hardware = False
-        try:
-            index = socket.if_nametoindex(interface)
-        except OSError:
-            known = ", ".join(name for _, name in socket.if_nameindex())
-            raise BusError(f"{interface}: no such interface or capture file (interfaces: {known})") from None
-        try:
-            self._socket = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0)
-        except PermissionError:
-            raise BusError(
-                f"{interface}: reading frames is not allowed to this user: run as root or with CAP_NET_RAW"
-            ) from None
+        self._socket = open_interface(interface, 0)
         try:
             self._reserve()
             stamping = _RX_HARDWARE | _RX_SOFTWARE | _SOFTWARE | _RAW_HARDWARE
             self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, stamping)
-            promiscuous = struct.pack("IHH8s", index, _PACKET_MR_PROMISC, 0, b"")
+            promiscuous = struct.pack("IHH8s", socket.if_nametoindex(interface), _PACKET_MR_PROMISC, 0, b"")
             self._socket.setsockopt(_SOL_PACKET, _PACKET_ADD_MEMBERSHIP, promiscuous)
             self._socket.bind((interface, _ETH_P_ALL))
             self._wait()
-            self._check_up()
         except OSError as error:
             self._socket.close()
             raise BusError(f"{interface}: {error.strerror}") from error
@@ -92,11 +79,6 @@ class InterfaceSource:
         """Let the kernel wait, not Python, which would ask it twice a frame."""
         self._socket.setblocking(True)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", 0, IDLE_NS // 1000))
-
-    def _check_up(self) -> None:
-        request = struct.pack("16sH14x", self.name.encode(), 0)
-        if not struct.unpack_from("H", fcntl.ioctl(self._socket, _SIOCGIFFLAGS, request), 16)[0] & _IFF_UP:
-            raise OSError(errno.ENETDOWN, f"the interface is down (ip link set {self.name} up)")
 
     def start(self) -> None:
         """Forget the frames that came while the process was getting ready.
@@ -342,8 +324,9 @@ _TROUBLES = {
 }
 
 
-_SAMPLES, _MISSING = COUNTS.names.index("samples"), COUNTS.names.index("missing")
-_TROUBLE_COUNTS = np.array([COUNTS.names.index(name) for name in _TROUBLES if name != "pauses"])
+_NAMES = tuple(COUNTS.fields or ())
+_SAMPLES, _MISSING = _NAMES.index("samples"), _NAMES.index("missing")
+_TROUBLE_COUNTS = np.array([_NAMES.index(name) for name in _TROUBLES if name != "pauses"])
 
 
 class _Told:

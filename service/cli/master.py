@@ -62,7 +62,8 @@ def command(
 
     Example: deltatwin master eth1 --robot d3.toml --duration 60
     """
-    from drivers.ethercat.master import Master, TorqueOffset, check_interface, follow
+    from drivers.ethercat.interface import check_interface
+    from drivers.ethercat.master import Master, TorqueOffset, follow
     from schemas.robot import load_robot
     from service.cli.signals import terminate_as_interrupt
 

@@ -40,7 +40,8 @@ def command(
     terminate_as_interrupt()
     description = load_robot(robot)
     path = Path(interface)
-    source = FileSource(path, wait_until, speed) if path.is_file() else InterfaceSource(interface)
+    is_capture = path.is_file() or path.suffix in (".pcap", ".pcapng")
+    source = FileSource(path, wait_until, speed) if is_capture else InterfaceSource(interface)
     tap = Tap(source, description, lambda line: typer.echo(line, err=True))
     realtime = go_realtime("tap")
     try:

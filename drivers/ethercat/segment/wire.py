@@ -9,7 +9,6 @@ host's scheduler does. When frames stay away the clock runs on by itself, as a d
 
 from __future__ import annotations
 
-import errno
 import socket
 import struct
 import time
@@ -21,6 +20,7 @@ import numpy as np
 from drivers.ethercat import cia402
 from drivers.ethercat.cia402 import Mode, Scale
 from drivers.ethercat.frames import ETHERTYPE, AlState, Command
+from drivers.ethercat.interface import open_interface
 from drivers.ethercat.pdo import DIGITAL_OUTPUTS, GRIPPER, Pdo
 from drivers.ethercat.segment.drive import Drive
 from drivers.ethercat.segment.esc import Mapping, SlaveController
@@ -368,7 +368,8 @@ def serve(interface: str, segment: Segment, stopping: Callable[[], bool]) -> Non
     """
     frame = bytearray(1600)
     view = memoryview(frame)
-    with _open(interface) as wire:
+    with open_interface(interface, ETHERTYPE) as wire:
+        wire.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", 0, round(SILENCE * 1e6)))
         while not stopping():
             try:
                 size = wire.recv_into(frame)
@@ -380,18 +381,3 @@ def serve(interface: str, segment: Segment, stopping: Callable[[], bool]) -> Non
             if segment.exchange(frame, size):
                 wire.send(view[:size])
             segment.proceed()
-
-
-def _open(interface: str) -> socket.socket:
-    try:
-        wire = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ETHERTYPE))
-    except PermissionError:
-        raise BusError(f"{interface}: raw Ethernet needs the capability CAP_NET_RAW (run as root)") from None
-    try:
-        wire.bind((interface, ETHERTYPE))
-    except OSError as error:
-        wire.close()
-        reason = "no such interface" if error.errno == errno.ENODEV else error.strerror
-        raise BusError(f"{interface}: {reason}") from None
-    wire.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", 0, round(SILENCE * 1e6)))
-    return wire

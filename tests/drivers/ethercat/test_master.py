@@ -246,7 +246,8 @@ def master_command(space: rig.Namespace, files: Path, interface: str, *before: s
 
 def test_an_interface_that_is_not_there_or_not_up_is_one_line(space: rig.Namespace, files: Path) -> None:
     done = master_command(space, files, "bus7")
-    assert (done.returncode, done.stderr) == (1, "deltatwin: bus7: no such interface\n")
+    assert done.returncode == 1
+    assert done.stderr.startswith("deltatwin: bus7: no such interface (interfaces: lo, ")
     link = ["ip", "-n", space.name, "link"]
     subprocess.run([*link, "add", "dull0", "type", "veth", "peer", "name", "dull1"], check=True)
     done = master_command(space, files, "dull0")

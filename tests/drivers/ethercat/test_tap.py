@@ -138,7 +138,7 @@ def test_an_interface_that_goes_down_is_one_error(space: Namespace, observer: Bu
 
 
 def test_interfaces_that_cannot_be_tapped_are_one_error_each(space: Namespace) -> None:
-    with pytest.raises(BusError, match=r"nowhere0: no such interface or capture file \(interfaces: .*lo"):
+    with pytest.raises(BusError, match=r"nowhere0: no such interface \(interfaces: .*lo"):
         InterfaceSource("nowhere0")
     subprocess.run(["ip", "-n", space.name, "link", "set", NEAR, "down"], check=True)
     with pytest.raises(BusError, match=f"{NEAR}: the interface is down"):
@@ -152,7 +152,7 @@ def test_without_the_privilege_it_says_which(space: Namespace) -> None:
         "except tap.BusError as error: print(error)"
     )
     done = subprocess.run(space.prefix(sys.executable, "-c", code), capture_output=True, text=True, check=False)
-    assert "run as root or with CAP_NET_RAW" in done.stdout, done.stderr
+    assert "raw Ethernet needs the capability CAP_NET_RAW (run as root)" in done.stdout, done.stderr
 
 
 def test_a_capture_played_as_live_gives_what_converting_it_gives(shared: Path, bus_folder: Path) -> None:
