@@ -40,7 +40,8 @@ class TimeColumn(_Entry):
     """The stamps. Where the name occurs several times, each channel has the nearest one to its left (TwinCAT Scope)."""
 
     name: str = "time_s"
-    unit: Literal["s", "ms", "us", "ns"] = "s"
+    unit: Literal["s", "ms", "us", "ns", "datetime"] = "s"  # datetime: text such as 2026-11-22 09:30:00.125
+    rate_hz: Positive | None = None  # of a table without stamps: its rows are 1/rate_hz s apart
 
 
 class _Channel(_Entry):
@@ -53,13 +54,15 @@ class _JointChannel(_Channel):
     gear_ratio: Positive | None = None  # motor turns per joint turn; absent: `drive.gear_ratio` of the robot
     sign: Literal[1, -1] = 1  # -1: positive turns the active link up
     zero: float = 0.0  # reading, in the column's unit, where the joint's angle (or torque) is zero
+    bits: Literal[16, 32] | None = None  # width of an unsigned reading that is meant signed
+    times: str | None = None  # name of a column to multiply with, such as the voltage a duty cycle is a share of
     between: Literal["linear", "hold"] = "linear"  # value between two samples where the stamps are another channel's
 
 
 class PositionColumn(_JointChannel):
     """A joint position."""
 
-    unit: Literal["rad", "deg", "counts", "m", "mm"] = "rad"
+    unit: Literal["rad", "deg", "turns", "counts", "m", "mm"] = "rad"
     counts_per_rev: Positive | None = None  # encoder increments per turn of its shaft
 
     @model_validator(mode="after")
@@ -75,20 +78,20 @@ class PositionColumn(_JointChannel):
         """Radians (or metres) per unit of the column, before the gear."""
         if self.counts_per_rev is not None:
             return 2 * math.pi / self.counts_per_rev
-        return {"rad": 1.0, "deg": math.pi / 180, "m": 1.0, "mm": 1e-3}[self.unit]
+        return {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi, "m": 1.0, "mm": 1e-3}[self.unit]
 
 
 class TorqueColumn(_JointChannel):
     """A joint torque, or the force of a linear axis."""
 
-    unit: Literal["N m", "N", "permille", "V", "A"] = "N m"
-    rated: Positive | None = None  # permille: rated torque of the drive, N m (or rated force, N)
+    unit: Literal["N m", "N", "permille", "percent", "V", "A"] = "N m"
+    rated: Positive | None = None  # permille, percent: rated torque of the drive, N m (or rated force, N)
     constant: Positive | None = None  # V, A: N m (or N) per volt or ampere
 
     @model_validator(mode="after")
     def _complete(self) -> TorqueColumn:
-        if (self.unit == "permille") != (self.rated is not None):
-            raise ValueError(f"unit {self.unit!r} with rated {self.rated}: give it with 'permille' only")
+        if (self.unit in ("permille", "percent")) != (self.rated is not None):
+            raise ValueError(f"unit {self.unit!r} with rated {self.rated}: give it with 'permille' or 'percent' only")
         if (self.unit in ("V", "A")) != (self.constant is not None):
             raise ValueError(f"unit {self.unit!r} with constant {self.constant}: give it with 'V' or 'A' only")
         return self
@@ -96,7 +99,16 @@ class TorqueColumn(_JointChannel):
     @property
     def scale(self) -> float:
         """N m (or N) per unit of the column, before the gear."""
-        return self.constant or (self.rated or 1000.0) / 1000.0
+        if self.rated is not None:
+            return self.rated / {"permille": 1000.0, "percent": 100.0}[self.unit]
+        return self.constant or 1.0
+
+
+class RowFilter(_Entry):
+    """Rows that count: those with `equals` in the column `name`. The others are left out, and that is told."""
+
+    name: str
+    equals: float = 1.0
 
 
 class GripperColumn(_Channel):
@@ -133,8 +145,10 @@ class Columns(_Entry):
     separator: Annotated[str, Field(pattern=r"^[\t !#$%&*,/:;<=>?@^_|~]$")] = ","
     decimal: Literal[".", ","] = "."
     encoding: Annotated[str, AfterValidator(_text_encoding)] = "utf-8"
-    header_line: Annotated[int, Field(ge=1, le=MAX_LINE)] = 1
-    data_line: Annotated[int, Field(ge=2, le=MAX_LINE)] | None = None  # of numbers; absent: the one behind the header
+    header_line: Annotated[int, Field(ge=0, le=MAX_LINE)] = 1  # 0: there is none, columns are called 1, 2, ...
+    data_line: Annotated[int, Field(ge=1, le=MAX_LINE)] | None = None  # of numbers; absent: the one behind the header
+    beside: Annotated[list[str], _LISTED] = []  # files in the same folder whose rows go on to the right
+    where: Annotated[RowFilter | None, BeforeValidator(_table)] = None
     joints: Annotated[int, Field(ge=1, le=MAX_JOINTS)] = 3  # how many `{joint}` stands for
     time: Annotated[TimeColumn, BeforeValidator(_table)] = TimeColumn()
     position: _Position = [PositionColumn(name="position_{joint}_rad")]

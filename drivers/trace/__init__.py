@@ -1,4 +1,5 @@
-"""Traces from and to files: CSV (plain, gzip), MCAP and EtherCAT captures (read only), into one `schemas.trace.Trace`.
+"""Traces from and to files: CSV (plain, gzip), MCAP and, read only, EtherCAT captures and the formats of
+`drivers.trace.tables`, into one `schemas.trace.Trace`.
 
 An unusable file is an error, a bad row is flagged.
 
@@ -21,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from drivers.trace.tables import READERS
 from schemas.axes import Axes, Description, no_axes
 from schemas.columns import Columns, load_columns
 from schemas.errors import TraceError
@@ -29,6 +31,8 @@ from schemas.trace import Trace
 
 MAPPINGS = Path(__file__).parent / "mappings"
 CAPTURE_ENDINGS = (".pcap", ".pcapng", ".cap")
+LAYOUT = {"separator", "decimal", "encoding", "header_line", "data_line"}  # keys of Columns that lay out a text
+TABLE_ENDINGS = tuple(READERS)
 CSV_ENDINGS = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv")
 
 
@@ -55,18 +59,6 @@ def read_trace(path: str | Path, robot: Description | None = None, columns: Colu
 
 
 def _read(path: Path, robot: Description | None, columns: Columns | None) -> Trace:
-    if path.name.endswith(".mcap"):
-        from drivers.trace.mcap_file import read_mcap
-
-        return read_mcap(path, robot)
-    if path.name.endswith(CSV_ENDINGS):
-        from drivers.trace.csv_file import read_csv
-
-        if isinstance(robot, Axes):
-            fallback = find_columns(robot.mapping) if robot.mapping else None
-        else:
-            fallback = robot.columns if robot else None
-        return read_csv(path, robot, columns, fallback)
     if path.name.endswith(CAPTURE_ENDINGS):
         robot = no_axes(robot, str(path))
         if robot is None:
@@ -74,7 +66,40 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
         from drivers.ethercat.trace import read_capture
 
         return read_capture(path, robot)
-    raise TraceError(f"{path}: unknown kind of trace, its name should end in .csv, .csv.gz, .mcap, .pcap or .pcapng")
+    if isinstance(robot, Axes):
+        fallback = find_columns(robot.mapping) if robot.mapping else None
+    else:
+        fallback = robot.columns if robot else None
+    if path.name.endswith(".mcap"):
+        from drivers.trace.mcap_file import holds_samples, read_mcap
+
+        if not ((columns or fallback) and not holds_samples(path)):
+            return read_mcap(path, robot)
+    mapping = columns or fallback
+    if path.name.endswith(CSV_ENDINGS) and not (mapping and mapping.beside):
+        from drivers.trace.csv_file import read_csv
+
+        return read_csv(path, robot, columns, fallback)
+    if path.name.endswith((*TABLE_ENDINGS, *CSV_ENDINGS)) or path.is_dir():
+        if mapping is None:
+            raise TraceError(f"{path}: what its columns mean has to be said first: deltatwin import {path.name}")
+        return _foreign(path, robot, mapping)
+    endings = ", ".join((".csv", ".csv.gz", *TABLE_ENDINGS, ".pcap", ".pcapng"))
+    raise TraceError(f"{path}: unknown kind of trace, its name should end in one of {endings}")
+
+
+def _foreign(path: Path, robot: Description | None, columns: Columns) -> Trace:
+    import polars as pl
+
+    from drivers.trace.assembly import assemble, plan
+    from drivers.trace.tables import joined, read_table
+
+    layout = columns.model_dump(include=LAYOUT, exclude_defaults=True)
+    tables = [read_table(path, layout or None), *(read_table(path.parent / name) for name in columns.beside)]
+    table = joined(tables)
+    wanted = plan(list(table.columns), columns, path)
+    frame = pl.DataFrame({str(index): values for index, values in enumerate(table.columns.values())})
+    return assemble(frame, wanted, columns, robot, path, [], table.epoch_ns, "row")
 
 
 def find_columns(name: str | Path) -> Columns:

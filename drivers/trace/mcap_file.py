@@ -38,6 +38,16 @@ def read_mcap(path: Path, robot: Description | None = None) -> Trace:
     return check(to_trace(samples, path), Rows("message", np.arange(1, len(samples) + 1)), robot)
 
 
+def holds_samples(path: Path) -> bool:
+    """Whether an MCAP file has samples of ours, or cannot be told to have none."""
+    with opened(path, TraceError) as stream:
+        try:
+            summary = read_summary(stream, path)
+        except (MessageError, StorageError):
+            return True  # to be told by who reads it
+    return summary is None or any(_SAMPLE_TOPIC.match(channel.topic) for channel in summary.channels.values())
+
+
 def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None) -> np.ndarray:
     """(N,) records of `schemas.messages.SAMPLE` as they stand in the file `path`, opened as `stream`.
 

@@ -1,0 +1,254 @@
+"""Columns of a table, whatever file they stood in, as a trace: what `schemas.columns` says of them is done here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from drivers.trace.quality import Rows, check
+from schemas.axes import Axes, Description
+from schemas.columns import CHANNELS, EXTRAS, TIME_UNITS, Columns, GripperColumn, PositionColumn, TorqueColumn
+from schemas.errors import TraceError
+from schemas.messages import Gripper, SampleFlag
+from schemas.trace import Finding, Trace
+
+COUNTED = -1  # index of the stamps where the table has none and `time.rate_hz` says how far apart its rows are
+FOURTH = 3  # number of the joint behind the three of a Delta
+MOST_NAMED = 20  # columns of a file listed in a message
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One column of the table and where it goes. times_index: of the column it is multiplied with."""
+
+    name: str  # of CHANNELS or EXTRAS
+    joint: int
+    column: PositionColumn | TorqueColumn | GripperColumn
+    index: int
+    time_index: int
+    times_index: int | None = None
+
+    @property
+    def label(self) -> str:
+        """As messages call it."""
+        return f"{self.name}_{self.joint + 1} ({self.column.name!r})" if self.name in CHANNELS else self.column.name
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which columns of a table are needed. where: index of the column that says which rows count, if there is one."""
+
+    channels: tuple[Channel, ...]
+    where: int | None
+
+    @property
+    def times(self) -> list[int]:
+        """Indices of the columns of stamps."""
+        return sorted({channel.time_index for channel in self.channels} - {COUNTED})
+
+    @property
+    def values(self) -> list[int]:
+        """Indices of the columns of numbers that are no stamps."""
+        wanted = {c.index for c in self.channels} | {c.times_index for c in self.channels} | {self.where}
+        return sorted({index for index in wanted if index is not None} - set(self.times))
+
+
+def plan(names: Sequence[str], columns: Columns, path: Path) -> Plan:
+    """What of a table with columns `names` is needed for `columns`.
+
+    Raises:
+        TraceError: a column is missing, or there twice.
+    """
+
+    def find(name: str) -> int:
+        count = names.count(name)
+        if count != 1:
+            listed = ", ".join(names[:MOST_NAMED]) + (", ..." if len(names) > MOST_NAMED else "")
+            line = f"line {columns.header_line}" if columns.header_line else "the file"
+            raise TraceError(
+                f"{path}: column {name!r} is {'there twice' if count else 'missing'}; {line} has: {listed} "
+                f"(other names and units: deltatwin import, or --columns)"
+            )
+        return names.index(name)
+
+    def find_time(entry: PositionColumn | TorqueColumn | GripperColumn, index: int) -> int:
+        if columns.time.rate_hz is not None:
+            return COUNTED
+        name = entry.time or columns.time.name
+        places = [i for i, n in enumerate(names) if n == name]
+        if len(places) <= 1:
+            return find(name)
+        return max((i for i in places if i < index), default=places[0])
+
+    found = []
+    for name in CHANNELS:
+        entries = columns.channel(name)
+        optional = name.endswith("command") and name not in columns.model_fields_set
+        if optional and not any(entry.name in names for entry in entries):
+            continue
+        for joint, entry in enumerate(entries):
+            index = find(entry.name)
+            times = None if entry.times is None else find(entry.times)
+            found.append(Channel(name, joint, entry, index, find_time(entry, index), times))
+    for name in EXTRAS:
+        entry = columns.extra(name)
+        if entry is not None and (name in columns.model_fields_set or entry.name in names):
+            index = find(entry.name)
+            found.append(Channel(name, FOURTH, entry, index, find_time(entry, index)))
+    return Plan(tuple(found), None if columns.where is None else find(columns.where.name))
+
+
+def assemble(
+    table: pl.DataFrame,
+    wanted: Plan,
+    columns: Columns,
+    robot: Description | None,
+    path: Path,
+    notes: list[Finding],
+    epoch_ns: int,
+    word: str = "line",
+) -> Trace:
+    """The trace that `columns` makes of `table`, checked.
+
+    table: float64 columns called by their index. notes: what was found while reading. epoch_ns: what the stamps count
+    from. word: how messages call a row of the file.
+
+    Raises:
+        TraceError: see `drivers.trace`.
+    """
+    channels = wanted.channels
+    per_second = TIME_UNITS.get(columns.time.unit, 1.0)
+    if columns.time.rate_hz is not None:
+        table = table.with_columns(pl.Series(str(COUNTED), np.arange(len(table)) / columns.time.rate_hz * per_second))
+    stamps = {i: table[str(i)].to_numpy() / per_second for i in sorted({c.time_index for c in channels})}
+    base = channels[0].time_index
+    first = columns.first_line if word == "line" else 1
+    lines = Rows(word, first + np.arange(len(table)))
+    rows, left_out = _stamped(stamps[base], lines)
+    notes.extend(left_out)
+    if len(rows) == 0:
+        raise TraceError(f"{path}: no row has a time stamp in column {columns.time.name!r}")
+    if columns.where is not None:
+        counts = table[str(wanted.where)].to_numpy()[rows] == columns.where.equals
+        if not counts.any():
+            raise TraceError(f"{path}: no row has {columns.where.equals:g} in column {columns.where.name!r}")
+        if not counts.all():
+            message = (
+                f"{np.count_nonzero(~counts)} of {len(rows)} rows have not {columns.where.equals:g} in column "
+                f"{columns.where.name!r} and were left out"
+            )
+            notes.append(Finding(SampleFlag(0), message, np.zeros(0, np.intp)))
+        rows = rows[counts]
+    joints = 1 + max(channel.joint for channel in channels if channel.name in CHANNELS)
+    time = stamps[base][rows]
+    arrays: dict[str, np.ndarray] = {}
+    own_time: dict[str, np.ndarray] = {}
+    for channel in channels:
+        column, raw = channel.column, table[str(channel.index)].to_numpy()
+        if not isinstance(column, GripperColumn):
+            raw = _signed(raw, column.bits)
+        if channel.times_index is not None:
+            raw = raw * table[str(channel.times_index)].to_numpy()
+        own = stamps[channel.time_index]
+        if channel.time_index == base or np.array_equal(own, stamps[base], equal_nan=True):
+            values = raw[rows]
+        else:
+            values, note = _bring(time, own, raw, channel, channels[0], path)
+            notes.append(note)
+            own_time[f"{channel.name}_{channel.joint + 1}"] = own[np.isfinite(own)]
+        if isinstance(column, GripperColumn):
+            closed = np.where(values == column.open, Gripper.OPEN, Gripper.CLOSED)
+            arrays[channel.name] = np.where(np.isfinite(values), closed, Gripper.UNKNOWN).astype(np.uint32)
+            continue
+        values = _to_joint(values, channel, column, robot, path)
+        if channel.name in EXTRAS:
+            arrays[channel.name] = values
+        else:
+            arrays.setdefault(channel.name, np.empty((len(rows), joints)))[:, channel.joint] = values
+    trace = Trace(
+        path=path,
+        time=time,
+        position=arrays["position"],
+        torque=arrays["torque"],
+        position_command=arrays.get("position_command"),
+        torque_command=arrays.get("torque_command"),
+        fourth_position=arrays.get("fourth_position"),
+        gripper=arrays.get("gripper"),
+        findings=tuple(notes),
+        epoch_ns=epoch_ns,
+        own_time=own_time,
+        angular=all(getattr(channel.column, "unit", "") not in ("m", "mm") for channel in channels),
+    )
+    return check(trace, Rows(word, lines.numbers[rows]), robot)
+
+
+def _stamped(stamps: np.ndarray, lines: Rows) -> tuple[np.ndarray, list[Finding]]:
+    """Rows with a stamp, and a finding for those in between that have none. Blank rows behind the last are the end."""
+    finite = np.isfinite(stamps)
+    rows = np.flatnonzero(finite)
+    if len(rows) == 0:
+        return rows, []
+    bad = np.flatnonzero(~finite[: rows[-1]])
+    if len(bad) == 0:
+        return rows, []
+    message = f"{len(bad)} rows without a possible time stamp were left out: {lines.name(bad)}"
+    return rows, [Finding(SampleFlag(0), message, np.zeros(0, np.intp))]
+
+
+def _bring(
+    time: np.ndarray, own: np.ndarray, raw: np.ndarray, channel: Channel, base: Channel, path: Path
+) -> tuple[np.ndarray, Finding]:
+    """`raw`, stamped `own`, at `time`. Outside its own stamps a channel has no value: NaN, never extrapolated."""
+    known = np.isfinite(own)
+    own, raw = own[known], raw[known]
+    if len(own) < 2 or np.any(np.diff(own) <= 0):
+        raise TraceError(f"{path}: {channel.label}: its own time stamps do not rise, it cannot be brought to another's")
+    if channel.column.between == "hold":
+        values = raw[np.clip(np.searchsorted(own, time, side="right") - 1, 0, None)]
+    else:
+        values = np.interp(time, own, raw)
+    outside = np.flatnonzero((time < own[0]) | (time > own[-1]))
+    values[outside] = np.nan
+    how = "held" if channel.column.between == "hold" else "interpolated linearly"
+    message = (
+        f"{channel.label} is sampled every {np.median(np.diff(own)) * 1e3:.6g} ms, {how} at the "
+        f"{np.median(np.diff(time)) * 1e3:.6g} ms stamps of {base.label}; {len(outside)} of {len(time)} rows outside"
+    )
+    return values, Finding(SampleFlag(0), message, np.zeros(0, np.intp))
+
+
+def _signed(values: np.ndarray, bits: int | None) -> np.ndarray:
+    if bits is None:
+        return values
+    return np.where(values >= 2.0 ** (bits - 1), values - 2.0**bits, values)
+
+
+def _gear_ratio(robot: Description | None, joint: int) -> float | None:
+    if robot is None:
+        return None
+    if isinstance(robot, Axes):
+        return robot.axis[joint].gear_ratio if joint < len(robot.axis) else None
+    if joint == FOURTH:
+        return None  # `drive` is of the arms
+    own = robot.drive.joint[joint].gear_ratio if robot.drive.joint else None
+    return own or robot.drive.gear_ratio
+
+
+def _to_joint(
+    values: np.ndarray,
+    channel: Channel,
+    column: PositionColumn | TorqueColumn,
+    robot: Description | None,
+    path: Path,
+) -> np.ndarray:
+    gear: float | None = 1.0
+    if column.side == "motor":
+        gear = column.gear_ratio or _gear_ratio(robot, channel.joint)
+        if gear is None:
+            raise TraceError(f"{path}: {channel.label} is motor side: give its gear_ratio or a robot with [drive]")
+    scale = column.sign * column.scale
+    return (values - column.zero) * (scale / gear if isinstance(column, PositionColumn) else scale * gear)

@@ -1,0 +1,116 @@
+"""Tables of foreign files: named columns, before anybody has said what they mean. One file a format.
+
+A reader says what the file itself says: names, units where they stand in it, which column stamps which.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from schemas.errors import TraceError
+
+MAX_COLUMNS = 4096
+
+READERS = {
+    ".npy": "numpy_file",
+    ".npz": "numpy_file",
+    ".mat": "matlab",
+    ".json": "records",
+    ".jsonl": "records",
+    ".ndjson": "records",
+    ".db3": "rosbag",
+    ".mcap": "rosbag",
+    ".dat": "diadem",
+    ".trace": "codesys",
+    ".xml": "codesys",
+}  # the file of this folder that reads what ends so; text that is none of these is `text`'s
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a file.
+
+    kind: what it is, in words. columns: (N,) float64 by name, in the file's order; NaN where a cell is empty.
+    units: what the file says of a column's unit. time_of: the column that stamps a column, where the file says so.
+    epoch_ns: what the stamps count from, ns since 1970; 0 where they are as in the file. layout: keys of
+    `schemas.columns.Columns` that reading the file again takes.
+    """
+
+    path: Path
+    kind: str
+    columns: Mapping[str, np.ndarray]
+    units: Mapping[str, str] = field(default_factory=dict)
+    time_of: Mapping[str, str] = field(default_factory=dict)
+    epoch_ns: int = 0
+    layout: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.columns:
+            raise TraceError(f"{self.path}: {self.kind} without a column of numbers")
+        if len(self.columns) > MAX_COLUMNS:
+            raise TraceError(f"{self.path}: {len(self.columns)} columns, at most {MAX_COLUMNS} are read")
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+
+def read_table(path: Path, layout: Mapping[str, object] | None = None) -> Table:
+    """The columns of a file, or of a folder that is a rosbag2.
+
+    layout: how a text is laid out (`Table.layout`); without it, that is found out.
+
+    Raises:
+        TraceError: it cannot be read, is damaged, or no table is in it.
+    """
+    ending = ".db3" if path.is_dir() else path.suffix.lower()
+    if ending in READERS:
+        read: Callable[[Path], Table] = import_module(f"drivers.trace.tables.{READERS[ending]}").read
+        return read(path)
+    from drivers.trace.tables.text import read
+
+    return read(path, layout)
+
+
+def joined(tables: Sequence[Table]) -> Table:
+    """Files side by side as one: the first one's columns, then those of the others called `file:column`.
+
+    Raises:
+        TraceError: they have not the same number of rows.
+    """
+    first, *others = tables
+    columns = dict(first.columns)
+    units, time_of = dict(first.units), dict(first.time_of)
+    for other in others:
+        if len(other) != len(first):
+            raise TraceError(f"{other.path}: {len(other)} rows, {first.path.name} beside it has {len(first)}")
+        stem = other.path.name.split(".")[0]
+        columns |= {f"{stem}:{name}": values for name, values in other.columns.items()}
+        units |= {f"{stem}:{name}": unit for name, unit in other.units.items()}
+        time_of |= {f"{stem}:{name}": f"{stem}:{time}" for name, time in other.time_of.items()}
+    layout = dict(first.layout)
+    if others:
+        layout["beside"] = [other.path.name for other in others]
+    return Table(first.path, first.kind, columns, units, time_of, first.epoch_ns, layout)
+
+
+def padded(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns of different lengths as columns of the longest one's, NaN behind their ends."""
+    longest = max((len(values) for values in columns.values()), default=0)
+    return {name: np.concatenate([values, np.full(longest - len(values), np.nan)]) for name, values in columns.items()}
+
+
+def spread(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    """An array of one or two dimensions as columns: the longer side is time; `name_1`, `name_2`, ... if several."""
+    values = np.asarray(values, np.float64)
+    if values.ndim == 1:
+        return {name: values}
+    rows = values if values.shape[0] >= values.shape[1] else values.T
+    if rows.shape[1] == 1:
+        return {name: rows[:, 0]}
+    prefix = f"{name}_" if name else ""
+    return {f"{prefix}{k + 1}": np.ascontiguousarray(rows[:, k]) for k in range(rows.shape[1])}

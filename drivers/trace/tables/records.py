@@ -1,0 +1,78 @@
+"""JSON: a list of records, one such list inside an object, an object of lists, or a record a line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.trace.tables import Table, padded
+from drivers.trace.tables.numpy_file import same_length
+from schemas.errors import TraceError
+from schemas.files import MIB, read_bytes
+
+MAX_BYTES = 512 * MIB  # twenty times that in memory
+
+
+def read(path: Path) -> Table:
+    """
+    Raises:
+        TraceError: not JSON, or no records of numbers in it.
+    """
+    raw = read_bytes(path, MAX_BYTES, TraceError)
+    try:
+        text = raw.decode("utf-8-sig")
+        if path.suffix.lower() == ".json":
+            document = json.loads(text)
+        else:
+            document = [json.loads(line) for line in text.splitlines() if line.strip()]
+    except UnicodeDecodeError as error:
+        raise TraceError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
+    except (ValueError, RecursionError) as error:
+        raise TraceError(f"{path}: not JSON: {error}") from error
+    lists = _lists(document)
+    if not lists:
+        raise TraceError(f"{path}: no list of records, and no lists of numbers, in this JSON")
+    records = max(lists, key=len)
+    return Table(path, "JSON records", same_length(_columns(records), path))
+
+
+def _lists(document: Any) -> list[list[dict[str, Any]]]:
+    """The lists of records in a document, an object of lists of numbers as one."""
+    if isinstance(document, list):
+        return [document] if document and all(isinstance(entry, dict) for entry in document) else []
+    if not isinstance(document, dict):
+        return []
+    found = [entry for value in document.values() for entry in _lists(value)]
+    series = {key: value for key, value in document.items() if isinstance(value, list) and _numbers(value)}
+    if series and not found:
+        longest = max(map(len, series.values()))
+        found = [[{key: value[k] for key, value in series.items() if k < len(value)} for k in range(longest)]]
+    return found
+
+
+def _numbers(values: list[Any]) -> bool:
+    return len(values) > 1 and all(isinstance(value, (int, float, list)) for value in values)
+
+
+def _columns(records: list[dict[str, Any]]) -> dict[str, np.ndarray]:
+    found: dict[str, np.ndarray] = {}
+    for k, record in enumerate(records):
+        for name, value in _flat("", record):
+            if name not in found:
+                found[name] = np.full(len(records), np.nan)
+            found[name][k] = value
+    return padded(found)
+
+
+def _flat(name: str, value: Any) -> list[tuple[str, float]]:
+    """A record's numbers by name: `motor.position_1` for the first of a list inside an object."""
+    if isinstance(value, dict):
+        return [pair for key, inner in value.items() for pair in _flat(f"{name}.{key}" if name else str(key), inner)]
+    if isinstance(value, list):
+        return [pair for k, inner in enumerate(value) for pair in _flat(f"{name}_{k + 1}", inner)]
+    if isinstance(value, (bool, int, float)) and abs(value) < 1e300:
+        return [(name, float(value))]
+    return []
