@@ -169,6 +169,11 @@ def assemble(
             arrays[channel.name] = values
         else:
             arrays.setdefault(channel.name, np.empty((len(rows), joints)))[:, channel.joint] = values
+    if isinstance(robot, Axes) and robot.coupling is not None and joints == len(robot.axis):
+        for name in CHANNELS:
+            own = [c.column for c in channels if c.name == name and not isinstance(c.column, GripperColumn)]
+            if own:
+                _uncouple(arrays, name, {column.side for column in own}, robot, path)
     trace = Trace(
         path=path,
         time=time,
@@ -236,6 +241,15 @@ def _gear_ratio(robot: Description | None, joint: int) -> float | None:
         return None  # `drive` is of the arms
     own = robot.drive.joint[joint].gear_ratio if robot.drive.joint else None
     return own or robot.drive.gear_ratio
+
+
+def _uncouple(arrays: dict[str, np.ndarray], name: str, sides: set[str], axes: Axes, path: Path) -> None:
+    """Bring a channel of all motors to the joints, in place; one that is the joints' already stays."""
+    if len(sides) > 1:
+        raise TraceError(f"{path}: {name}: side is motor for some joints; {axes.name} has a coupling, give it for all")
+    if sides == {"motor"}:
+        turn = axes.motors if "torque" in name else np.linalg.inv(axes.motors).T
+        arrays[name] = arrays[name] @ turn
 
 
 def _to_joint(

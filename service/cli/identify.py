@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
+    from schemas.axes import Description
     from service.identification.pooled import Estimate, Plain
-    from service.identification.regression import Trajectory
 
 
 def command(
@@ -34,54 +34,66 @@ def command(
     """
     from rich.console import Console
 
+    from schemas.axes import Axes, load_description, save_axes
+    from schemas.errors import RobotError
     from schemas.files import make_folder
-    from schemas.robot import load_robot, save_robot
+    from schemas.robot import save_robot
     from service.cli.reading import reading
+    from service.identification.axes import identify_axes
     from service.identification.identify import identify
     from service.identification.regression import summarise
     from service.model.nominal import pack
 
     console = Console()
     make_folder(out.parent)
-    description = load_robot(robot)
-    model = pack(description)
-    trajectories = [summarise(model, trace) for trace in reading(traces, description, columns, "reading")]
-    result = identify(description, trajectories, method)
-    save_robot(result.robot, out, template=robot)
-    console.print(_parameters(result.fit.estimates))
-    console.print(_residuals(result.fit, trajectories))
+    description = load_description(robot)
+    logs = reading(traces, description, columns, "reading")
+    if isinstance(description, Axes):
+        if method == "paper":
+            raise RobotError(f"{robot}: --method paper: the paper's method is for a Delta robot")
+        result = identify_axes(description, list(logs))
+        save_axes(result.axes, out)
+    else:
+        model = pack(description)
+        result = identify(description, [summarise(model, trace) for trace in logs], method)
+        save_robot(result.robot, out, template=robot)
+    console.print(_parameters(result.fit.estimates, description))
+    console.print(_residuals(result.fit, [path.name for path in traces], description))
     for warning in result.warnings:
         console.print(f"warning: {warning}", highlight=False, markup=False, style="yellow", soft_wrap=True)
     console.print(f"wrote {out}", highlight=False, markup=False, soft_wrap=True)
 
 
-def _parameters(estimates: Sequence[Estimate]) -> Table:
+def _parameters(estimates: Sequence[Estimate], robot: Description) -> Table:
     from rich.table import Table
+
+    from service.model.description import in_units_of
 
     table = Table("parameter", "value", "std. error", "unit", "verdict", "why", title="identified")
     for column in table.columns[1:3]:
         column.justify = "right"
     for estimate in estimates:
         value, error = f"{estimate.value:.4f}", f"{estimate.std_error:.4f}"
-        table.add_row(estimate.name, value, error, estimate.unit, estimate.verdict, estimate.reason)
+        table.add_row(estimate.name, value, error, in_units_of(robot, estimate.unit), estimate.verdict, estimate.reason)
     return table
 
 
-def _residuals(fit: Plain, trajectories: Sequence[Trajectory]) -> Table:
+def _residuals(fit: Plain, names: Sequence[str], robot: Description) -> Table:
     from rich.table import Table
 
-    from service.model.signals import ANALYSIS_HZ
+    from service.model.description import in_units_of
 
-    title = f"rms while moving, below {ANALYSIS_HZ:g} Hz, N m, joints 1 / 2 / 3"
-    caption = f"noise of the torque in this band: {_three(fit.noise_floor)}"
+    joints = " / ".join(str(joint + 1) for joint in range(len(fit.noise)))
+    title = f"rms while moving, below {fit.problem.band.cutoff_hz:g} Hz, {in_units_of(robot, 'N m')}, joints {joints}"
+    caption = f"noise of the torque in this band: {_each(fit.noise_floor)}"
     table = Table("trajectory", "torque", "residual", "held out", title=title, caption=caption)
     for column in table.columns[1:]:
         column.justify = "right"
         column.no_wrap = True
-    for row, trajectory in enumerate(trajectories):
-        table.add_row(trajectory.name, _three(fit.torque[row]), _three(fit.residual[row]), _three(fit.held_out[row]))
+    for row, name in enumerate(names):
+        table.add_row(name, _each(fit.torque[row]), _each(fit.residual[row]), _each(fit.held_out[row]))
     return table
 
 
-def _three(values) -> str:
-    return " / ".join(f"{value:.2f}" for value in values)
+def _each(values) -> str:
+    return " / ".join(f"{value:.3g}" for value in values)

@@ -60,7 +60,7 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = 
         viscous_friction_nms=_joints(estimates[VISCOUS]),
         coulomb_friction_nm=_joints(estimates[COULOMB]),
         forearm_inertia_kg=_parameter(estimates[FOREARM_MASS]),
-        friction_transition_radps=digits(transition),
+        friction_transition_radps=digits(float(transition)),
         torque_noise_nm=JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
         model_error_nm=JointParameter(value=[float(f"{error:.4g}") for error in fit.model_error]),
     )

@@ -22,7 +22,7 @@ from schemas.axes import Axes, Description
 from schemas.errors import DataError
 from service.identification import fit as solver
 from service.identification.fit import Problem
-from service.identification.folds import Split
+from service.identification.folds import Split, block_loss, held_out
 from service.identification.noise import white_noise
 from service.model.hypothesis import Hypothesis
 from service.model.mechanism import mechanism_of
@@ -32,6 +32,9 @@ from service.model.signals import Band
 from service.model.torque import predict
 
 START_TRANSITION = 0.002  # rad/s
+WIDER_TRANSITIONS = (0.01, 0.04, 0.15, 0.4)  # rad/s, tried where each friction has its own: slopes do not lead there
+WANTED_GAIN = 0.01  # of the squared residual of data left out that optional coefficients have to remove
+WANTED_Z = 3.0  # standard errors over blocks
 SAME_RATE = 0.02  # share by which the sample time of two logs of one rate may differ
 # Standard error over value (or over what would make 5 % of the torque, if that is more).
 WEAK, NOT_IDENTIFIABLE = 0.1, 0.5
@@ -91,9 +94,10 @@ class Plain:
 
     def left(self, values: np.ndarray) -> np.ndarray:
         """(T, n) N m rms that other parameters (P,) leave of each log."""
-        change = values - Parameters(self.fitted.hypothesis).values[: len(values)]
+        parameters, count = Parameters(self.fitted.hypothesis), len(values)
+        change = values - parameters.values[:count]
         pairs = zip(self.fitted.residuals, self.fitted.tangents, strict=True)
-        return _rms(self.problem, [r - t[:, : len(values)] @ change for r, t in pairs])
+        return _rms(self.problem, [r - parameters.widened(t, count) @ change for r, t in pairs])
 
 
 def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, np.ndarray]:
@@ -120,8 +124,64 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, np.ndarray]:
 
 def _start(problem: Problem) -> Hypothesis:
     mechanism = problem.recordings[0].mechanism
-    k, n = len(mechanism.coefficients), mechanism.joints
-    return Hypothesis(Base(np.zeros(k), np.zeros(n), np.zeros(n), START_TRANSITION), timed=False)
+    k, n = len(mechanism.coefficients), len(mechanism.frictions)
+    transition = START_TRANSITION if mechanism.kind == "delta" else np.full(n, START_TRANSITION)
+    return Hypothesis(Base(np.zeros(k), np.zeros(n), np.zeros(n), transition), timed=False)
+
+
+def _base(problem: Problem) -> solver.Fit:
+    """The base model at its optimum, optional coefficients left out where data left out do not want them."""
+    fitted = solver.fit(problem, _start(problem))
+    mechanism = problem.recordings[0].mechanism
+    if mechanism.kind == "delta":
+        return fitted
+    fitted = _turning(problem, fitted)
+    split, names = Split.of(problem), list(mechanism.coefficients)
+    wanted = np.ones(len(names), bool)
+    for group in mechanism.optional:
+        columns = np.array([names.index(name) for name in group])
+        if not _wants(fitted, split, columns):
+            wanted[columns] = False
+    if wanted.all():
+        return fitted
+    base = fitted.hypothesis.base
+    base = replace(base, rigid=np.where(wanted, base.rigid, 0.0), wanted=wanted)
+    return _turning(problem, solver.fit(problem, replace(fitted.hypothesis, base=base)))
+
+
+def _turning(problem: Problem, fitted: solver.Fit) -> solver.Fit:
+    """The fit with the transition of each friction that of several which suits its joints best."""
+    base, rows = fitted.hypothesis.base, problem.recordings[0].mechanism.rows
+    widths = [base.transition, *(np.full(len(rows), width) for width in WIDER_TRANSITIONS)]
+    trials = [solver.evaluate(problem, replace(fitted.hypothesis, base=replace(base, transition=w))) for w in widths]
+    left = []
+    for trial in trials:  # at a width of its own the model is linear
+        parameters = Parameters(trial.hypothesis)
+        turning = parameters.among_free(parameters.transition)
+        tangents = [np.delete(tangent, turning, axis=1) for tangent in trial.tangents]
+        low, high = (np.delete(reach, turning) for reach in trial.reach)
+        gram = np.asarray(sum(t.T @ t for t in tangents))
+        moment = np.asarray(sum(t.T @ r for t, r in zip(tangents, trial.residuals, strict=True)))
+        step = solver.within(gram, moment, low, high)
+        rest = [r - t @ step for r, t in zip(trial.residuals, tangents, strict=True)]
+        left.append(np.sum(_rms(problem, rest) ** 2, axis=0))
+    best = np.argmin(np.array(left) @ (rows.T != 0), axis=0)
+    start = np.array([np.asarray(widths[choice])[place] for place, choice in enumerate(best)])
+    moved = solver.fit(problem, replace(fitted.hypothesis, base=replace(base, transition=start)))
+    return moved if moved.cost < fitted.cost else fitted
+
+
+def _wants(fitted: solver.Fit, split: Split, columns: np.ndarray) -> bool:
+    """Whether data left out lose by holding the rigid coefficients of `columns` at zero."""
+    change, free = np.zeros(len(fitted.free)), fitted.free.copy()
+    change[columns] = -fitted.hypothesis.base.rigid[columns]
+    free[columns] = False
+    residuals = [r - t @ change for r, t in zip(fitted.residuals, fitted.tangents, strict=True)]
+    without = replace(fitted, residuals=residuals, free=free)
+    kept, lost = (block_loss(held_out(one, split), split) for one in (fitted, without))
+    gain = lost - kept
+    spread = np.sqrt(len(gain)) * np.std(gain)
+    return bool(gain.sum() > max(WANTED_GAIN * lost.sum(), WANTED_Z * spread))
 
 
 def nominal_of(robot: Description) -> np.ndarray:
@@ -136,7 +196,7 @@ def fit(problem: Problem, noise: np.ndarray, nominal: np.ndarray) -> Plain:
     """Fit the plain model. noise: (n,) N m a sample. nominal: as `nominal_of`."""
     known = base_parameters(problem.recordings[0].mechanism)
     count = len(known)
-    fitted = solver.fit(problem, _start(problem))
+    fitted = _base(problem)
     free = Parameters(fitted.hypothesis).values[:count]
     split = Split.of(problem)
     left, right = _normal_equations(fitted, free, split.block, split.blocks)
@@ -147,6 +207,10 @@ def fit(problem: Problem, noise: np.ndarray, nominal: np.ndarray) -> Plain:
     reasons = _structure(problem)
     held = np.array([reasons.get(parameter.name, "").endswith("never moves") for parameter in known])
     held |= np.diag(total_left) == 0
+    if fitted.hypothesis.base.wanted is not None:
+        unwanted = np.flatnonzero(~fitted.hypothesis.base.wanted)
+        held[unwanted] = True
+        reasons |= {known[index].name: "data left out do as well without" for index in unwanted}
     while True:
         tolerance = _tolerance(total_left, held)
         collinear = ~held & (tolerance < COLLINEAR)
@@ -200,8 +264,9 @@ def _normal_equations(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(G, P, P) and (G, P) of the linear parameters, which stand at `values`. groups: a (R,) array a recording."""
     left, right = np.zeros((count, len(values), len(values))), np.zeros((count, len(values)))
+    parameters = Parameters(fitted.hypothesis)
     for tangent, residual, group in zip(fitted.tangents, fitted.residuals, groups, strict=True):
-        slopes = tangent[:, : len(values)]
+        slopes = parameters.widened(tangent, len(values))
         wanted = residual + slopes @ values
         for number in np.unique(group):
             mine = slopes[group == number]
@@ -245,8 +310,9 @@ def _scale(problem: Problem, fitted: solver.Fit, nominal: np.ndarray) -> np.ndar
     """(P,) what a standard error is held against where the value is less: the nominal value, or what would make
     `NEGLIGIBLE_SHARE` of the torque where it acts, so that none at all can be identifiable too."""
     energy, torque = np.zeros(len(nominal)), np.zeros(len(nominal))
+    parameters = Parameters(fitted.hypothesis)
     for index, tangent in enumerate(fitted.tangents):
-        slopes = tangent[:, : len(nominal)]
+        slopes = parameters.widened(tangent, len(nominal))
         energy += (slopes**2).sum(axis=0)
         torque += (slopes != 0).T @ problem.select(index, problem.target[index]) ** 2
     share = NEGLIGIBLE_SHARE * np.sqrt(torque / np.where(energy > 0, energy, np.inf))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +14,8 @@ from schemas.robot import EffectParameter, Identified, JointParameter, Parameter
 from service.model.effects import by_name, catalogue
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
-from service.model.mechanism import mechanism_of
-from service.model.parameters import Parameters, parameters_of
+from service.model.mechanism import DecoupledAxes, mechanism_of
+from service.model.parameters import Parameters, base_parameters, parameters_of
 from service.model.scene import Base, Recording, Scene
 from service.model.signals import Segment
 from service.model.torque import predict
@@ -90,15 +91,28 @@ def base_of(identified: Identified | None) -> Base:
 
 def base_of_axes(axes: Axes) -> Base:
     """The base model that a description of axes carries; without one nothing is known but that they move."""
-    zero = [0.0] * len(axes.axis)
-    if axes.identified is None:
-        return Base(np.array(zero + zero), np.array(zero), np.array(zero))
-    known = axes.identified
+    mechanism, known = DecoupledAxes.of(axes), axes.identified
+    if known is None:
+        zero = np.zeros(len(mechanism.frictions))
+        return Base(np.zeros(len(mechanism.coefficients)), zero, zero)
+    shared = axes.shared_motors
+
+    def some(values: JointParameter | None, which: Sequence[int]) -> list[float]:
+        return [0.0 if values is None else values.value[number] for number in which]
+
+    weights = some(known.gravity_sin, mechanism.weighs) + some(known.gravity_cos, mechanism.weighs)
+    rigid = known.inertia.value + known.offset.value + weights + some(known.motor_inertia, shared)
+    transition = known.friction_transition
+    if isinstance(transition, list) and len(transition) != len(mechanism.frictions):
+        raise RobotError(
+            f"robot {axes.name}: identified.friction_transition has {len(transition)} values, one or "
+            f"{len(mechanism.frictions)} are needed: {', '.join(mechanism.frictions)}"
+        )
     return Base(
-        np.array(known.inertia.value + known.offset.value),
-        np.array(known.viscous_friction.value),
-        np.array(known.coulomb_friction.value),
-        known.friction_transition,
+        np.array(rigid),
+        np.array(known.viscous_friction.value + some(known.motor_viscous_friction, shared)),
+        np.array(known.coulomb_friction.value + some(known.motor_coulomb_friction, shared)),
+        np.array(transition) if isinstance(transition, list) else transition,
         known.torque_timing_s,
     )
 
@@ -121,17 +135,14 @@ def described(robot: Description, hypothesis: Hypothesis, errors: np.ndarray, no
     def joints(part: slice) -> JointParameter:
         return JointParameter(value=_digits(parameters.values[part]), std_error=_digits(errors[part]))
 
-    timing, transition = digits(hypothesis.base.timing), digits(hypothesis.base.transition)
+    timing = digits(hypothesis.base.timing)
     identified: AxesIdentified | Identified
     if isinstance(robot, Axes):
-        inertia, offset = (slice(at, at + len(robot.axis)) for at in (0, len(robot.axis)))
-        identified = AxesIdentified(
-            inertia=joints(inertia),
-            offset=joints(offset),
-            viscous_friction=joints(parameters.viscous),
-            coulomb_friction=joints(parameters.coulomb),
-            friction_transition=transition,
-            torque_timing_s=timing,
+        known = base_parameters(mechanism_of(robot))
+        identified = axes_identified(
+            robot,
+            {p.name: (float(v), float(e)) for p, v, e in zip(known, parameters.values, errors, strict=False)},
+            hypothesis.base,
         )
     else:
         rho_1, rho_2, forearm = (
@@ -147,13 +158,46 @@ def described(robot: Description, hypothesis: Hypothesis, errors: np.ndarray, no
             viscous_friction_nms=joints(parameters.viscous),
             coulomb_friction_nm=joints(parameters.coulomb),
             torque_noise_nm=JointParameter(value=_digits(noise)),
-            friction_transition_radps=transition,
+            friction_transition_radps=digits(float(hypothesis.base.transition)),
             torque_timing_s=timing,
         )
     return robot.model_copy(update={"identified": identified, "effect": entries})
 
 
-def _digits(values: np.ndarray) -> list[float]:
+def axes_identified(
+    axes: Axes, figures: dict[str, tuple[float, float]], base: Base, verdicts: dict[str, str] | None = None
+) -> AxesIdentified:
+    """The `[identified]` section of axes. figures: name as in `base_parameters` -> value, standard error; what a
+    coefficient does not stand for on an axis is zero."""
+    count = range(1, len(axes.axis) + 1)
+
+    def joints(name: str) -> JointParameter | None:
+        keys = [name.format(number) for number in count]
+        if not any(key in figures for key in keys):
+            return None
+        values, errors = ([figures.get(key, (0.0, 0.0))[part] for key in keys] for part in (0, 1))
+        told = [verdicts.get(key, "identifiable") for key in keys] if verdicts else []
+        return JointParameter.model_validate({"value": _digits(values), "std_error": _digits(errors), "verdict": told})
+
+    transition = base.transition
+    return AxesIdentified.model_validate(
+        {
+            "inertia": joints("inertia_{}"),
+            "offset": joints("offset_{}"),
+            "gravity_sin": joints("gravity_sin_{}"),
+            "gravity_cos": joints("gravity_cos_{}"),
+            "viscous_friction": joints("f_v_{}"),
+            "coulomb_friction": joints("f_c_{}"),
+            "motor_inertia": joints("inertia_motor_{}"),
+            "motor_viscous_friction": joints("f_v_motor_{}"),
+            "motor_coulomb_friction": joints("f_c_motor_{}"),
+            "friction_transition": _digits(transition) if isinstance(transition, np.ndarray) else digits(transition),
+            "torque_timing_s": digits(base.timing),
+        }
+    )
+
+
+def _digits(values: np.ndarray | list[float]) -> list[float]:
     return [digits(value) for value in values]
 
 

@@ -27,14 +27,14 @@ def friction_kernel(viscous: float, coulomb: float, theta_dot: float, transition
     return viscous * theta_dot + coulomb * direction(theta_dot, transition)
 
 
-def mean_direction(theta_dot: np.ndarray, transition: float) -> np.ndarray:
-    """Which way (N, n) speeds go, in [-1, 1]: sign theta_dot, or smooth over `transition` rad/s.
+def mean_direction(theta_dot: np.ndarray, transition: float | np.ndarray) -> np.ndarray:
+    """Which way (N, n) speeds go, in [-1, 1]: sign theta_dot, or smooth over `transition` rad/s, one or (n,).
 
     The smooth form is the mean of tanh(theta_dot / transition) over the sample's interval, the speed taken as straight
     between half-way points: a fast reversal falls between two samples, and its place there is worth 2 f_c times a
     fraction of the interval.
     """
-    if not transition:
+    if not np.any(transition):
         return np.sign(theta_dot)
     half = np.empty((len(theta_dot) + 1, theta_dot.shape[1]))
     half[1:-1] = 0.5 * (theta_dot[1:] + theta_dot[:-1])

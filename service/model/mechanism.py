@@ -6,7 +6,9 @@ the platform and in the ball joints need.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -37,7 +39,11 @@ class Coefficient(NamedTuple):
 
 
 class Mechanism(Protocol):
-    """n joints with k identified coefficients, by name."""
+    """n joints with k identified coefficients, by name.
+
+    frictions: what rubs, F of them, the joints' own first. rows: (F, n), share of each joint's speed in the speed of
+    each. optional: coefficients that stand or fall together, and fall where the data do not want them.
+    """
 
     @property
     def kind(self) -> str: ...
@@ -47,6 +53,12 @@ class Mechanism(Protocol):
     def coefficients(self) -> dict[str, Coefficient]: ...
     @property
     def gear_ratio(self) -> np.ndarray: ...
+    @property
+    def frictions(self) -> tuple[str, ...]: ...
+    @property
+    def rows(self) -> np.ndarray: ...
+    @property
+    def optional(self) -> Sequence[tuple[str, ...]]: ...
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid: ...
 
@@ -73,6 +85,9 @@ class Delta:
     gear_ratio: np.ndarray
     kind = "delta"
     joints = 3
+    frictions = ("1", "2", "3")
+    rows = np.eye(3)
+    optional = ()
     coefficients = {  # noqa: RUF012 - a constant of the class
         "rho_1": Coefficient(""),
         "rho_2": Coefficient(""),
@@ -131,33 +146,68 @@ class Delta:
 
 @dataclass(frozen=True)
 class DecoupledAxes:
-    """n axes that do not feel each other: inertia and a constant load each."""
+    """n axes that do not feel each other but through their motors: inertia, a constant load and a weight each.
+
+    weighs: axes whose weight turns with them. motors: row i, how far motor i turns for a turn of each axis; one that
+    turns with several has inertia and friction of its own.
+    """
 
     gear_ratio: np.ndarray
+    weighs: tuple[int, ...] = ()
+    motors: np.ndarray | None = None
     kind = "axes"
 
     @classmethod
     def of(cls, axes: Axes) -> DecoupledAxes:
         """The mechanism of a description."""
-        return cls(np.array([axis.gear_ratio for axis in axes.axis]))
+        weighs = tuple(number for number, axis in enumerate(axes.axis) if axis.weighs)
+        return cls(np.array([axis.gear_ratio for axis in axes.axis]), weighs, axes.motors)
 
     @property
     def joints(self) -> int:
         """n."""
         return len(self.gear_ratio)
 
+    @cached_property
+    def shared(self) -> dict[str, np.ndarray]:
+        """Motors that turn with several axes, by name."""
+        rows = () if self.motors is None else enumerate(self.motors, start=1)
+        return {f"motor_{number}": row for number, row in rows if np.count_nonzero(row) > 1}
+
+    @property
+    def frictions(self) -> tuple[str, ...]:
+        """The axes, and the motors that turn with several."""
+        return (*(str(axis + 1) for axis in range(self.joints)), *self.shared)
+
+    @property
+    def rows(self) -> np.ndarray:
+        """(F, n)."""
+        return np.stack([*np.eye(self.joints), *self.shared.values()])
+
     @property
     def coefficients(self) -> dict[str, Coefficient]:
-        """Inertias, then constant loads."""
+        """Inertias, constant loads, weights as sine and cosine of the angle, inertias of shared motors."""
         joints = range(1, self.joints + 1)
-        inertias = {f"inertia_{j}": Coefficient("kg m^2") for j in joints}
-        return inertias | {f"offset_{j}": Coefficient("N m", low=-np.inf) for j in joints}
+        names = {f"inertia_{j}": Coefficient("kg m^2") for j in joints}
+        names |= {f"offset_{j}": Coefficient("N m", low=-np.inf) for j in joints}
+        for part in ("sin", "cos"):
+            names |= {f"gravity_{part}_{j + 1}": Coefficient("N m", low=-np.inf) for j in self.weighs}
+        return names | {f"inertia_{motor}": Coefficient("kg m^2") for motor in self.shared}
+
+    @property
+    def optional(self) -> list[tuple[str, ...]]:
+        """Weights, axis by axis."""
+        return [(f"gravity_sin_{j + 1}", f"gravity_cos_{j + 1}") for j in self.weighs]
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, n) motions."""
         eye = np.eye(self.joints)
-        constant = np.broadcast_to(eye, (len(theta), self.joints, self.joints))
-        return Rigid(np.zeros(theta.shape), np.concatenate([theta_ddot[..., None] * eye, constant], axis=-1))
+        weighs = list(self.weighs)
+        angle, own = theta[:, None, weighs], eye[:, weighs]
+        columns = [theta_ddot[..., None] * eye, np.broadcast_to(eye, (len(theta), *eye.shape))]
+        columns += [np.sin(angle) * own, np.cos(angle) * own]
+        columns += [(theta_ddot @ row)[:, None, None] * row[:, None] for row in self.shared.values()]
+        return Rigid(np.zeros(theta.shape), np.concatenate(columns, axis=-1))
 
 
 def mechanism_of(robot: Description) -> Mechanism:

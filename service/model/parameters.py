@@ -1,8 +1,8 @@
 """The parameters of a hypothesis in one order, and all that is known of each: everything that turns a hypothesis into
 numbers and back, or puts a name, a limit or an error to a number, asks here.
 
-Order: rigid coefficients of the mechanism, viscous and Coulomb friction joint by joint, transition, timing; then,
-effect by effect, amplitudes joint by joint and shapes.
+Order: rigid coefficients of the mechanism, viscous and Coulomb friction joint by joint and of what else rubs,
+transition (one, or one a friction), timing; then, effect by effect, amplitudes joint by joint and shapes.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from service.model.mechanism import Mechanism
 TIMING_LIMIT = 0.25  # samples: a shift below this is sampling, beyond it an effect
 REACH, REACH_OF_RANGE = 0.5, 0.02  # of a value, of its range: further than both together a slope says nothing
 TRANSITION = (2e-4, 2e-2)  # rad/s, limits of the speed over which Coulomb friction turns; beyond is an effect
+WIDE_TRANSITION = 0.5  # rad/s, the upper limit where each friction has its own
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,9 @@ class Parameters:
         base = hypothesis.base
         k, n = len(base.rigid), len(base.viscous)
         self.rigid, self.viscous, self.coulomb = slice(0, k), slice(k, k + n), slice(k + n, k + 2 * n)
-        self.transition, self.timing = k + 2 * n, k + 2 * n + 1
-        at = k + 2 * n + 2
+        count = np.size(base.transition)
+        self.transition, self.timing = slice(k + 2 * n, k + 2 * n + count), k + 2 * n + count
+        at = self.timing + 1
         self.terms: list[slice] = []
         for term in hypothesis.terms:
             count = term.amplitude.size + len(term.shape)
@@ -56,7 +58,7 @@ class Parameters:
     def values(self) -> np.ndarray:
         """(P,)."""
         base = self.hypothesis.base
-        parts = [base.rigid, base.viscous, base.coulomb, [base.transition, base.timing]]
+        parts = [base.rigid, base.viscous, base.coulomb, np.atleast_1d(base.transition), [base.timing]]
         for term in self.hypothesis.terms:
             parts += [term.amplitude.ravel(), term.shape]
         return np.concatenate([np.asarray(part, float) for part in parts])
@@ -70,7 +72,7 @@ class Parameters:
             rigid=values[self.rigid],
             viscous=values[self.viscous],
             coulomb=values[self.coulomb],
-            transition=float(values[self.transition]),
+            transition=_like(self.hypothesis.base.transition, values[self.transition]),
             timing=float(values[self.timing]) if self.hypothesis.fits_timing else 0.0,
         )
         terms = []
@@ -90,6 +92,8 @@ class Parameters:
     def free(self) -> np.ndarray:
         """(P,) bool: what a fit moves."""
         free = np.ones(len(self.values), bool)
+        if self.hypothesis.base.wanted is not None:
+            free[self.rigid] = self.hypothesis.base.wanted
         free[self.timing] = self.hypothesis.fits_timing
         for mine, parameters in zip(self.terms, self.of_terms, strict=True):
             free[mine] = [parameter.free for parameter in parameters]
@@ -109,6 +113,8 @@ class Parameters:
         base = base_parameters(mechanism)
         low[: len(base)], high[: len(base)] = [known.low for known in base], [known.high for known in base]
         low[self.transition], high[self.transition] = TRANSITION
+        if np.ndim(self.hypothesis.base.transition):
+            high[self.transition] = WIDE_TRANSITION
         low[self.timing], high[self.timing] = -TIMING_LIMIT * period, TIMING_LIMIT * period
         for mine, parameters in zip(self.terms, self.of_terms, strict=True):
             low[mine], high[mine] = [known.low for known in parameters], [known.high for known in parameters]
@@ -128,15 +134,30 @@ class Parameters:
 
     def columns(self, number: int) -> np.ndarray:
         """Indices of effect `number`'s free parameters among the F."""
+        return self.among_free(self.terms[number])
+
+    def among_free(self, part: slice) -> np.ndarray:
+        """Indices of the free parameters of `part` among the F."""
         mine = np.zeros(len(self.values), bool)
-        mine[self.terms[number]] = True
+        mine[part] = True
         return np.flatnonzero(mine[self.free])
+
+    def widened(self, columns: np.ndarray, count: int) -> np.ndarray:
+        """(R, count) of the first parameters, of (R, F) columns of the free ones; zero for those that are held."""
+        free = self.free[:count]
+        result = np.zeros((len(columns), count))
+        result[:, free] = columns[:, : np.count_nonzero(free)]
+        return result
 
     def spread(self, free: np.ndarray) -> np.ndarray:
         """(P,) of (F,) figures of the free parameters, zero for the others."""
         result = np.zeros(len(self.values))
         result[self.free] = free
         return result
+
+
+def _like(form: float | np.ndarray, values: np.ndarray) -> float | np.ndarray:
+    return values if np.ndim(form) else float(values[0])
 
 
 def parameters_of(term: Term) -> list[Quantity]:
@@ -151,10 +172,16 @@ def parameters_of(term: Term) -> list[Quantity]:
 
 
 def base_parameters(mechanism: Mechanism) -> list[Quantity]:
-    """The base model's parameters by name, as far as documents show them: coefficients and friction."""
-    joints = range(1, mechanism.joints + 1)
+    """The base model's parameters that the torque is linear in, by name: coefficients and friction."""
     return [
         *(Quantity(name, c.unit, low=c.low) for name, c in mechanism.coefficients.items()),
-        *(Quantity(f"f_v_{joint}", "N m s/rad", low=0.0) for joint in joints),
-        *(Quantity(f"f_c_{joint}", "N m", low=0.0) for joint in joints),
+        *(Quantity(f"f_v_{name}", "N m s/rad", low=0.0) for name in mechanism.frictions),
+        *(Quantity(f"f_c_{name}", "N m", low=0.0) for name in mechanism.frictions),
     ]
+
+
+def shown_parameters(mechanism: Mechanism) -> list[Quantity]:
+    """The base model's parameters as far as documents show them: with the transitions, where each friction has one."""
+    low, high = TRANSITION[0], WIDE_TRANSITION
+    own = () if mechanism.kind == "delta" else mechanism.frictions
+    return base_parameters(mechanism) + [Quantity(f"transition_{name}", "rad/s", low, high) for name in own]

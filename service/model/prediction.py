@@ -70,7 +70,8 @@ def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, 
     if isinstance(robot, Axes) and robot.identified is None:
         raise DataError(f"robot {robot.name}: no [identified] parameters: run `deltatwin diagnose` on its logs first")
     try:
-        rigid = mechanism_of(robot).rigid(along.theta, along.theta_dot, along.theta_ddot)
+        mechanism = mechanism_of(robot)
+        rigid = mechanism.rigid(along.theta, along.theta_dot, along.theta_ddot)
     except PoseError as error:
         raise TraceError(f"{trace.path}: {error}") from error
     result = {}
@@ -81,7 +82,9 @@ def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, 
         base = hypothesis.base
         coefficients = base.rigid if isinstance(robot, Axes) else base.rigid * TEXTBOOK
         result["M_Id"] = rigid.torque(coefficients)
-        friction = base.viscous * along.theta_dot + base.coulomb * mean_direction(along.theta_dot, base.transition)
+        sliding = along.theta_dot @ mechanism.rows.T
+        friction = base.viscous * sliding + base.coulomb * mean_direction(sliding, base.transition)
+        friction = friction @ mechanism.rows
         result["M_Id+F"] = result["M_Id"] + friction
         result[FULL] = rigid.torque(base.rigid) + friction
         if hypothesis.terms or base.timing:

@@ -19,17 +19,19 @@ Moved = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class Base:
-    """The model without effects: k rigid coefficients and friction of n joints.
+    """The model without effects: k rigid coefficients and F frictions.
 
-    transition: rad/s over which friction turns from one sign to the other, f_c tanh(theta_dot / transition); 0: a jump.
-    timing: s by which torque was sampled later than position, a fraction of a sample.
+    transition: rad/s over which friction turns from one sign to the other, f_c tanh(theta_dot / transition), one for
+    all or one (F,) each; 0: a jump. timing: s by which torque was sampled later than position, a fraction of a sample.
+    wanted: (k,) bool, coefficients that a fit moves; None: all.
     """
 
     rigid: np.ndarray
     viscous: np.ndarray
     coulomb: np.ndarray
-    transition: float = 0.0
+    transition: float | np.ndarray = 0.0
     timing: float = 0.0
+    wanted: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -129,9 +131,19 @@ class Scene:
         return self.mechanism.joints
 
     @cached_property
+    def sliding(self) -> np.ndarray:
+        """(N, F): speed of each friction."""
+        return self.segment.theta_dot @ self.mechanism.rows.T
+
+    @cached_property
+    def ways(self) -> np.ndarray:
+        """(N, F): which way each friction goes, in [-1, 1]."""
+        return mean_direction(self.sliding, self.base.transition)
+
+    @property
     def direction(self) -> np.ndarray:
         """(N, n): which way each joint moves, in [-1, 1]."""
-        return mean_direction(self.segment.theta_dot, self.base.transition)
+        return self.ways[:, : self.joints]
 
     @cached_property
     def load(self) -> np.ndarray:
@@ -141,7 +153,8 @@ class Scene:
     @cached_property
     def total(self) -> np.ndarray:
         """(N, n) N m: the base model."""
-        return self.load + self.base.viscous * self.segment.theta_dot + self.base.coulomb * self.direction
+        rubs = self.base.viscous * self.sliding + self.base.coulomb * self.ways
+        return self.load + rubs @ self.mechanism.rows
 
     @cached_property
     def inertia(self) -> np.ndarray:
@@ -151,7 +164,8 @@ class Scene:
     @cached_property
     def damping(self) -> np.ndarray:
         """(N, n, joint): d (load + viscous friction) / d theta_dot, N m s/rad."""
-        return self._at(self.recording.by_speed) + np.diag(self.base.viscous)
+        rows = self.mechanism.rows
+        return self._at(self.recording.by_speed) + (rows.T * self.base.viscous) @ rows
 
     @cached_property
     def stiffness(self) -> np.ndarray:

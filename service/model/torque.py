@@ -46,12 +46,13 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
     n = scene.joints
     own = [np.zeros(()) if term.effect.measured else added(scene, term) for term in hypothesis.terms]
     torque = scene.total + sum(own)
-    at_joint: list[np.ndarray] = [scene.recording.rigid.columns]
-    motion = scene.segment
-    at_joint.append(_per_joint(motion.theta_dot))
-    at_joint.append(_per_joint(scene.direction))
-    wider = mean_direction(motion.theta_dot, 1.05 * hypothesis.base.transition) - scene.direction
-    at_joint.append((hypothesis.base.coulomb * wider / (0.05 * hypothesis.base.transition))[..., None])
+    base, rows = hypothesis.base, scene.mechanism.rows
+    columns = scene.recording.rigid.columns
+    at_joint: list[np.ndarray] = [columns if base.wanted is None else columns[..., base.wanted]]
+    at_joint += [scene.sliding[:, None] * rows.T, scene.ways[:, None] * rows.T]
+    wider = mean_direction(scene.sliding, 1.05 * base.transition) - scene.ways
+    widening = (base.coulomb * wider / (0.05 * base.transition))[:, None] * rows.T
+    at_joint.append(widening if np.ndim(base.transition) else widening.sum(axis=-1, keepdims=True))
     if hypothesis.fits_timing:
         at_joint.append(-np.gradient(torque, scene.period, axis=0)[..., None])
     raw: dict[int, np.ndarray] = {}
@@ -82,10 +83,6 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
         columns[..., index + 1] = values
     columns = band(columns)
     return columns[..., 0], columns[..., 1:]
-
-
-def _per_joint(values: np.ndarray) -> np.ndarray:
-    return values[..., None] * np.eye(values.shape[1])
 
 
 def _by_amplitude(scene: Scene, term: Term, place: int, amplitude: np.ndarray) -> np.ndarray:

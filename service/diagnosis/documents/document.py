@@ -18,7 +18,7 @@ from service.estimator.effects import carried
 from service.identification.folds import block_loss
 from service.model.description import described, digits, in_units_of
 from service.model.effects.base import Effect
-from service.model.parameters import Parameters, base_parameters
+from service.model.parameters import Parameters, shown_parameters
 
 Z95 = 1.96
 
@@ -41,7 +41,7 @@ def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
     floor_energy = float(np.sum(count * (problem.sigma**2 + findings.reversal**2)))
     explainable = float(before_blocks.sum()) - floor_energy
     removed = float(before_blocks.sum() - after_blocks.sum())
-    base = base_parameters(problem.recordings[0].mechanism)
+    base = shown_parameters(problem.recordings[0].mechanism)
     plain, best = (Parameters(scored.hypothesis).values for scored in (findings.plain, findings.best))
     return Diagnosis(
         schema="deltatwin.diagnosis/2",

@@ -38,7 +38,9 @@ def reversal_noise(problem: Problem, coulomb: np.ndarray) -> np.ndarray:
     """(n,) N m rms in the band that no sampled model can remove: where between two samples friction changes sign.
 
     A step of 2 f_c whose place is uncertain by `REVERSAL_PLACE` of a sample is an impulse of that area.
+    coulomb: (F,), of which the joints' own count.
     """
+    coulomb = coulomb[: len(problem.sigma)]
     square, count = np.zeros(len(coulomb)), np.zeros(len(coulomb))
     for recording in problem.recordings:
         segment = recording.segment

@@ -43,7 +43,7 @@ class PassiveJointFriction(Effect):
         for arm in range(3):
             bend_per_joint[:, arm, :, arm] -= arms.axle[arm]
         columns = []
-        smooth = max(scene.base.transition, 1e-3)
+        smooth = max(float(scene.base.transition), 1e-3)
         for rate, per_joint in ((bend, bend_per_joint), (turn, turn_per_joint)):
             speed = np.sqrt(np.sum(rate**2, axis=-1, keepdims=True))
             unit = rate * np.tanh(speed / smooth) / np.maximum(speed, 1e-12)

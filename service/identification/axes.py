@@ -1,0 +1,78 @@
+"""From traces of axes to their description with an `[identified]` section."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from schemas.axes import Axes
+from schemas.errors import DataError
+from schemas.trace import Trace
+from service.identification import checks, pooled
+from service.identification.folds import BLOCK
+from service.identification.pooled import Plain
+from service.model.description import axes_identified
+from service.model.mechanism import mechanism_of
+from service.model.parameters import base_parameters
+from service.model.scene import Recording
+from service.model.signals import segments, thin
+
+BLOCKS_A_PARAMETER = 2
+
+
+@dataclass(frozen=True)
+class Identification:
+    """axes: the description with what was found. fit: numbers and verdicts. warnings: what a user has to know."""
+
+    axes: Axes
+    fit: Plain
+    warnings: tuple[str, ...]
+
+
+def identify_axes(axes: Axes, traces: Sequence[Trace]) -> Identification:
+    """Fit axes to traces by pooled least squares.
+
+    Raises:
+        TraceError: a trace without a usable part, naming the file.
+        DataError: too little motion, or logs of several rates, naming them.
+    """
+    mechanism = mechanism_of(axes)
+    recordings = [
+        Recording(thin(part), mechanism, number, trace.name)
+        for number, trace in enumerate(traces)
+        for part in segments(trace)
+    ]
+    seconds = sum(r.segment.period * r.segment.moving.sum(axis=0) for r in recordings)
+    least = BLOCKS_A_PARAMETER * BLOCK * len(base_parameters(mechanism)) / mechanism.joints
+    if np.max(seconds) < least:
+        names = ", ".join(trace.path.name for trace in traces)
+        raise DataError(
+            f"{names}: too little motion, {np.max(seconds):.1f} s of an axis, at least {least:.0f} s needed"
+        )
+    problem, noise = pooled.problem_of(recordings)
+    fit = pooled.fit(problem, noise, pooled.nominal_of(axes))
+    identified = axes_identified(
+        axes,
+        {estimate.name: (estimate.value, estimate.std_error) for estimate in fit.estimates},
+        fit.fitted.hypothesis.base,
+        {estimate.name: estimate.verdict for estimate in fit.estimates},
+    )
+    # what diagnose found on another base does not hold on this one
+    found = axes.model_copy(update={"identified": identified, "effect": []})
+    return Identification(found, fit, tuple(_warnings(fit, traces)))
+
+
+def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
+    share = fit.residual / np.maximum(fit.torque, 1e-12)
+    log, axis = divmod(int(np.argmax(share)), share.shape[1])
+    name, warnings = traces[log].path.name, []
+    if share.max() > checks.HOPELESS:
+        warnings.append(
+            f"{name}: the model leaves {100 * share.max():.0f} % of the torque of axis {axis + 1} unexplained; wrong "
+            "units, gear, coupling? `deltatwin diagnose` tells more"
+        )
+    if len(traces) == 1:
+        warnings.append(f"{name}: a single trajectory cannot be held out, nothing shows how far the fit carries")
+    return warnings

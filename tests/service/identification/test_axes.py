@@ -1,0 +1,156 @@
+"""Axes of known truth: weight, motors that turn with two axes, friction that turns over slowly."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from schemas.axes import Axes, load_axes
+from schemas.errors import RobotError
+from service.cli.main import app
+
+run = CliRunner().invoke
+
+PERIOD, SECONDS = 2e-3, 8.0
+# axis 1 swings like a pendulum, its friction turns over 0.25 rad/s; motor 3 turns with axes 2 and 3; axis 3 may weigh
+# something, and does not
+DESCRIPTION = """name = "bench"
+kind = "axes"
+coupling = [[1, 0, 0], [0, 1, 0], [0, 1, 1]]
+[[axis]]
+[[axis]]
+gravity = false
+[[axis]]
+"""
+INERTIA, OFFSET = (0.4, 0.25, 0.06), (0.3, -0.2, 0.1)
+SIN, COS = 3.0, -1.2
+VISCOUS, COULOMB, WIDTH = (0.8, 0.5, 0.1), (1.5, 1.0, 0.2), 0.25
+MOTOR_INERTIA, MOTOR_VISCOUS, MOTOR_COULOMB = 0.02, 0.3, 0.9
+NOISE = 0.02
+
+
+def motion(seed: int) -> tuple[np.ndarray, list[np.ndarray]]:
+    """(N,) s and angle, speed, acceleration (N, 3) of sums of sines."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(SECONDS / PERIOD)) * PERIOD
+    signals = [np.zeros((len(time), 3)) for _ in range(3)]
+    for joint in range(3):
+        for size, hertz in ((1.1, 0.2), (0.35, 0.7), (0.1, 1.9)):
+            rate = 2 * np.pi * hertz * rng.uniform(0.8, 1.25)
+            wave = size * np.exp(1j * (rate * time + rng.uniform(0, 6)))
+            for order, signal in enumerate(signals):
+                signal[:, joint] += ((1j * rate) ** order * wave).imag
+    return time, signals
+
+
+def torque_of(signals: list[np.ndarray]) -> np.ndarray:
+    """(N, 3) N m at the joints, term by term."""
+    q, v, a = signals
+    torque = a * INERTIA + OFFSET + v * VISCOUS
+    torque[:, 0] += SIN * np.sin(q[:, 0]) + COS * np.cos(q[:, 0]) + COULOMB[0] * np.tanh(v[:, 0] / WIDTH)
+    torque[:, 1:] += COULOMB[1:] * np.sign(v[:, 1:])
+    both, harder = v[:, 1] + v[:, 2], a[:, 1] + a[:, 2]
+    shared = MOTOR_INERTIA * harder + MOTOR_VISCOUS * both + MOTOR_COULOMB * np.sign(both)
+    torque[:, 1:] += shared[:, None]
+    return torque
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the description and three logs, on the motors' side."""
+    folder = tmp_path_factory.mktemp("bench")
+    (folder / "bench.toml").write_text(DESCRIPTION)
+    (folder / "columns.toml").write_text(
+        'joints = 3\ntime = "t"\nposition = { name = "m{joint}", side = "motor", gear_ratio = 10 }\n'
+        'torque = { name = "y{joint}", side = "motor", gear_ratio = 10 }\n'
+    )
+    for number in range(3):
+        time, signals = motion(number)
+        torque = torque_of(signals) + np.random.default_rng(9 + number).normal(0, NOISE, signals[0].shape)
+        turned = signals[0] @ np.array([[1.0, 0, 0], [0, 1, 1], [0, 0, 1]])  # motor 3: axis 2 + axis 3
+        at_motor = torque @ np.array([[1.0, 0, 0], [0, 1, 0], [0, -1, 1]])  # axis 2 feels motors 2 and 3
+        table = np.column_stack([time, 10 * turned, at_motor / 10])
+        header = "t," + ",".join(f"{name}{axis}" for name in "my" for axis in (1, 2, 3))
+        np.savetxt(folder / f"log_{number}.csv", table, "%.10g", ",", header=header, comments="")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(bench: Path) -> Axes:
+    """What `identify` writes of two of the logs."""
+    arguments = ["identify", bench / "log_0.csv", bench / "log_1.csv", "--robot", bench / "bench.toml"]
+    arguments += ["--columns", bench / "columns.toml", "--out", bench / "identified.toml"]
+    result = run(app, [str(argument) for argument in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert "gravity_si" in result.output
+    return load_axes(bench / "identified.toml")
+
+
+def test_every_part_is_recovered(found: Axes) -> None:
+    known = found.identified
+    assert known is not None
+    assert known.gravity_sin is not None
+    assert known.gravity_cos is not None
+    assert known.gravity_sin.value == pytest.approx([SIN, 0, 0], rel=0.01)
+    assert known.gravity_cos.value == pytest.approx([COS, 0, 0], rel=0.01)
+    assert known.gravity_sin.verdict == ["identifiable", "identifiable", "not identifiable"]
+    assert known.inertia.value == pytest.approx(INERTIA, rel=0.02)
+    assert known.offset.value == pytest.approx(OFFSET, abs=0.01)
+    assert known.viscous_friction.value == pytest.approx(VISCOUS, rel=0.05)
+    assert known.coulomb_friction.value == pytest.approx(COULOMB, rel=0.05)
+
+
+def test_a_motor_of_two_axes_has_its_own_inertia_and_friction(found: Axes) -> None:
+    known = found.identified
+    assert known is not None
+    for values, expected in (
+        (known.motor_inertia, MOTOR_INERTIA),
+        (known.motor_viscous_friction, MOTOR_VISCOUS),
+        (known.motor_coulomb_friction, MOTOR_COULOMB),
+    ):
+        assert values is not None
+        assert values.value == pytest.approx([0, 0, expected], rel=0.05)
+
+
+def test_each_friction_turns_over_its_own_width(found: Axes) -> None:
+    assert found.identified is not None
+    widths = found.identified.friction_transition
+    assert isinstance(widths, list)
+    assert widths[0] == pytest.approx(WIDTH, rel=0.05)
+    assert max(widths[1:]) < 0.02
+
+
+def test_evaluate_and_diagnose_take_what_was_found(bench: Path, found: Axes, tmp_path: Path) -> None:
+    log = ["--columns", str(bench / "columns.toml")]
+    shown = run(app, ["evaluate", str(bench / "log_2.csv"), "--robot", str(bench / "identified.toml"), "--json", *log])
+    errors = json.loads(shown.stdout)["models"]["full"]["rms_nm"]
+    assert max(errors) < 0.05, "torque of 1 to 4 N m, none of it seen by the fit"
+    logs = [str(path) for path in sorted(bench.glob("log_*.csv"))]
+    arguments = ["diagnose", *logs, "--robot", str(bench / "bench.toml"), "--out", str(tmp_path), *log]
+    assert run(app, arguments, catch_exceptions=False).exit_code == 0
+    document = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert document["effects"] == [], "the base model has it all"
+    assert document["base"]["gravity_sin_1"]["value"] == pytest.approx(SIN, rel=0.01)
+    assert document["base"]["transition_1"]["value"] == pytest.approx(WIDTH, rel=0.05)
+    assert document["base"]["f_c_motor_3"]["value"] == pytest.approx(MOTOR_COULOMB, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("coupling = [[1, 0], [0, 1], [0, 1]]", "coupling: 3 rows of 3 numbers are needed"),
+        ("coupling = [[1, 0, 0], [0, 1, 1], [0, 1, 1]]", "the motors do not tell where every joint is"),
+        ('axis = [{ unit = "m", gravity = true }]', "a linear axis has a constant weight"),
+    ],
+)
+def test_what_cannot_be_is_one_line(tmp_path: Path, line: str, words: str) -> None:
+    path = tmp_path / "axes.toml"
+    path.write_text(f'name = "a"\nkind = "axes"\n{line}\n' + ("" if "axis" in line else "[[axis]]\n" * 3))
+    with pytest.raises(RobotError, match=words) as told:
+        load_axes(path)
+    assert "\n" not in str(told.value)
+    assert str(path) in str(told.value)
