@@ -18,6 +18,7 @@ from schemas.errors import MessageError
 
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 NANOSECONDS = 1_000_000_000
+SEQUENCE_BYTES = slice(12, 20)  # of every message, behind CDR header and stamp
 
 OPTIONAL = {"fourth_position"}  # what most sources do not have
 

@@ -41,11 +41,12 @@ class InCycle:
         reference["sequence"] = sample["sequence"][0] + 1
         _plan(reference, course, number)
         self._estimator.plan(reference)
-        result = self._estimator.run(sample)
-        if len(result.payload) and result.payload["trusted"][-1]:
-            self._payload = result.payload[-1]
-        answer = result.feedforward[0]
-        return answer["torque"] if _for_the_plan(answer) else None
+        estimator = self._estimator
+        _, event = estimator.step(sample.tobytes())
+        if event >= 0 and estimator.payload["trusted"][0]:
+            self._payload = estimator.payload[0].copy()
+        answer = estimator.feedforward[0]
+        return answer["torque"].copy() if _for_the_plan(answer) else None
 
     def counts(self) -> dict[str, int]:
         """For the health message."""

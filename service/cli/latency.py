@@ -89,9 +89,11 @@ def _steps(robot, samples: np.ndarray) -> np.ndarray:
     taken = np.zeros(len(samples), np.int64)
     for n, message in enumerate(messages):
         begin = time.perf_counter_ns()
-        result = estimator.run(np.frombuffer(message, SAMPLE.dtype))
-        for records in (result.feedforward, result.payload, result.error):
-            records.tobytes()
+        _, event = estimator.step(message)
+        estimator.feedforward.tobytes()
+        if event >= 0:
+            estimator.payload.tobytes()
+            estimator.error.tobytes()
         taken[n] = time.perf_counter_ns() - begin
     return taken
 

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from schemas.errors import DataError
-from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, stamp_ns
+from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, stamp_ns
 from schemas.robot import Robot
 from service.estimator import state
 from service.estimator.feedforward import plan_kernel
-from service.estimator.step import run_kernel
+from service.estimator.step import answer_kernel, run_kernel
 
 # Samples from which the period is read. Stamps of a bus jitter; the median of this many does not.
 PERIOD_SAMPLES = 16
@@ -38,20 +38,33 @@ class Rate(NamedTuple):
 
 
 class Estimator:
-    """Consumes samples in the order they come; the same samples give the same bits, one by one or in any batches."""
+    """Consumes samples in the order they come; the same samples give the same bits, one by one or in any batches.
+
+    feedforward, payload, error: (1,) records, the answers to the last `step`, overwritten by the next.
+    """
 
     def __init__(self, robot: Robot, period: float, stride: int = 1) -> None:
         """robot: with its identified parameters. period, stride: of its samples, as `rate_of` reads them."""
         self.period, self.stride = period, stride
-        self._settings = state.settings(robot, period, stride)
-        self._state = state.fresh(self._settings)
+        self._steps = state.fresh(state.settings(robot, period, stride))
+        self._sample = self._steps["sample"].view(np.uint8).data
+        self.feedforward, self.payload, self.error = (self._steps[name] for name in ("feedforward", "payload", "error"))
+
+    def step(self, message: bytes) -> tuple[int, int]:
+        """Take one SAMPLE as it came off the wire.
+
+        Returns its flags and the payload event; the event is -1, and `payload` and `error` hold nothing, until samples
+        reach back to the fixed lag.
+        """
+        self._sample[:] = message
+        return answer_kernel(self._steps)
 
     def run(self, samples: np.ndarray) -> Result:
         """Take (N,) records of SAMPLE."""
         count = len(samples)
         feedforward = np.empty(count, FEEDFORWARD.dtype)
         payload, error = np.empty(count, PAYLOAD.dtype), np.empty(count, MODEL_ERROR.dtype)
-        lagged = run_kernel(self._settings, self._state, samples, feedforward, payload, error)
+        lagged = run_kernel(self._steps, samples, feedforward, payload, error)
         return Result(feedforward, payload[:lagged], error[:lagged])
 
     def plan(self, reference: np.void) -> None:
@@ -59,25 +72,19 @@ class Estimator:
 
         One that no joint could follow is not taken, and the next feed-forward says so in its flags.
         """
-        plan_kernel(self._settings[0], self._state[0], reference)
+        self._steps["reference"] = reference
+        plan_kernel(self._steps)
 
     @property
     def state(self) -> np.void:
         """The STATE record: everything that is remembered from sample to sample."""
-        return self._state[0]
+        return self._steps["state"][0]
 
     def warm_up(self) -> None:
-        """Compile, without touching the state, so that the first live sample is not seconds late."""
-        fresh = state.fresh(self._settings)
-        plan_kernel(self._settings[0], fresh[0], REFERENCE.empty(1)[0])
-        run_kernel(
-            self._settings,
-            fresh,
-            SAMPLE.empty(1),
-            np.empty(1, FEEDFORWARD.dtype),
-            np.empty(1, PAYLOAD.dtype),
-            np.empty(1, MODEL_ERROR.dtype),
-        )
+        """Compile `plan` and `step`, without touching the state, so that the first live sample is not seconds late."""
+        fresh = state.fresh(self._steps["settings"])
+        plan_kernel(fresh)
+        answer_kernel(fresh)
 
 
 def rate_of(samples: np.ndarray) -> Rate:

@@ -103,8 +103,9 @@ def _is_near(settings, state, ahead):
 
 
 @njit(cache=True)
-def plan_kernel(settings, state, reference):
-    """Take a planned motion if it is one; else the next answer is flagged with what is wrong with it."""
+def plan_kernel(steps):
+    """Take the planned motion in `steps` (1,) if it is one; else the next answer says what is wrong with it."""
+    settings, state, reference = steps[0].settings, steps[0].state, steps[0].reference
     flags = 0
     for i in range(3):
         position, velocity, acceleration = reference.position[i], reference.velocity[i], reference.acceleration[i]

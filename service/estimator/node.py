@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from drivers.bus import Bus, SequenceCounter
 from drivers.health import Health
 from schemas.errors import DataError
-from schemas.messages import HealthFlag, SampleFlag
+from schemas.messages import SAMPLE, SEQUENCE_BYTES, HealthFlag, SampleFlag
 from schemas.robot import Robot
 from service.estimator.estimator import PERIOD_SAMPLES, Estimator, Rate, rate_of
 
@@ -33,29 +33,32 @@ class Node:
         self._put = {topic: bus.publisher(topic).put for topic in ("feedforward", "payload", "error")}
         self.health, self._flags = Health(bus, flags), flags
         self._counter = SequenceCounter()
-        self._waiting = self._samples.message.empty(0)  # the first samples, until they tell the period
-        self._recent = self._waiting  # the first ones after a report, which tell whether it is still that
+        self._waiting: list[bytes] = []  # the first samples, until they tell the period
+        self._recent: list[bytes] = []  # the first ones after a report, which tell whether it is still that
         self._suspected: Rate | None = None  # what one reading of another rate gave
         self._estimator: Estimator | None = None
-        self._received = self._published = self._invalid = 0
+        self._every = 1  # sequence numbers from report to report
+        self._published = self._invalid = self._received = 0
         self._heard_ns, self._silent = time.monotonic_ns(), False
 
     def step(self) -> None:
         """Wait for samples, at most POLL_S, and answer them all."""
         if self._samples.wait(POLL_S):
-            samples, arrival = self._samples.found()
+            messages, arrival = self._samples.found()
             self._heard_ns = arrival[-1]
-            if self._estimator is None:
-                self._waiting = np.concatenate([self._waiting, samples])
-                self._estimator = self._start()
-                if self._estimator is not None:
-                    self._answer(self._estimator, self._waiting, arrival)
-            else:
-                self._answer(self._estimator, samples, arrival)
-            self._received += len(samples)
-            self._counter.update_many(samples["sequence"])
+            references, _ = self._references.take()
+            for message, came in zip(messages, arrival, strict=True):
+                if self._estimator is None:
+                    self._wait_for_rate(message, came)
+                else:
+                    if len(references):
+                        self._estimator.plan(references[-1])
+                        references = references[:0]
+                    self._answer(self._estimator, message, came)
+                self._counter.update(int.from_bytes(message[SEQUENCE_BYTES], "little"))
+            self._received += len(messages)
             if len(self._recent) < PERIOD_SAMPLES:
-                self._recent = np.concatenate([self._recent, samples[:PERIOD_SAMPLES]])
+                self._recent += messages
                 if self._estimator is not None and len(self._recent) >= PERIOD_SAMPLES:
                     self._follow_rate(self._estimator)
         self._note_silence()
@@ -69,43 +72,39 @@ class Node:
             self._silent = silent
             self.health.flags = self._flags | (HealthFlag.STALE_INPUT if silent else HealthFlag(0))
 
-    def _start(self) -> Estimator | None:
+    def _wait_for_rate(self, message: bytes, came: int) -> None:
+        self._waiting.append(message)
         if len(self._waiting) < PERIOD_SAMPLES:
-            return None
-        try:
-            return Estimator(self._robot, *rate_of(self._waiting))
-        except DataError:  # the stamps stand still: health shows samples coming in and nothing going out
-            self._waiting = self._waiting[-PERIOD_SAMPLES + 1 :]
-            return None
-
-    def _answer(self, estimator: Estimator, samples: np.ndarray, arrival: list[int]) -> None:
-        references, _ = self._references.take()
-        if len(references):
-            estimator.plan(references[-1])
-        result = estimator.run(samples)
-        self._say("feedforward", result.feedforward, range(len(samples)))  # first: somebody steers by it
-        now = time.monotonic_ns()
-        # Lists from here on: of a sample or two they cost a tenth of what arrays do.
-        for came in arrival:
-            self.health.time_one(now - came)
-        every = max(1, round(REPORT_PERIOD / estimator.period))
-        numbers, events = result.payload["sequence"].tolist(), result.payload["event"].tolist()
-        told = [row for row, number in enumerate(numbers) if number % every == 0 or events[row]]
-        self._say("payload", result.payload, told)
-        self._say("error", result.error, told)
-        self._invalid += sum(flags & _INVALID != 0 for flags in result.feedforward["flags"].tolist())
-
-    def _say(self, topic: str, records: np.ndarray, rows: Sequence[int]) -> None:
-        if not rows:
             return
-        put, data, size = self._put[topic], records.tobytes(), records.itemsize
-        for row in rows:
-            put(data[row * size : (row + 1) * size])
-        self._published += len(rows)
+        try:
+            self._start(rate_of(_records(self._waiting)))
+        except DataError:  # the stamps stand still: health shows samples coming in and nothing going out
+            del self._waiting[0]
+            return
+        assert self._estimator is not None
+        for first in self._waiting:
+            self._answer(self._estimator, first, came)
+        self._waiting.clear()
+
+    def _start(self, rate: Rate) -> None:
+        self._estimator = Estimator(self._robot, *rate)
+        self._every = max(1, round(REPORT_PERIOD / rate.period))
+
+    def _answer(self, estimator: Estimator, message: bytes, came: int) -> None:
+        flags, event = estimator.step(message)
+        self._put["feedforward"](estimator.feedforward.tobytes())  # first: somebody steers by it
+        self.health.time_one(time.monotonic_ns() - came)
+        self._published += 1
+        if flags & _INVALID:
+            self._invalid += 1
+        if event > 0 or (event == 0 and int(estimator.payload["sequence"][0]) % self._every == 0):
+            self._put["payload"](estimator.payload.tobytes())
+            self._put["error"](estimator.error.tobytes())
+            self._published += 2
 
     def report(self) -> None:
         """Publish health."""
-        self._recent = self._recent[:0]  # read the rate anew
+        self._recent.clear()  # read the rate anew
         self.health.publish(
             received=self._received,
             published=self._published,
@@ -120,19 +119,24 @@ class Node:
         """Start anew when two readings in a row agree on another rate than that of `estimator`."""
         before, self._suspected = self._suspected, None
         try:
-            found = rate_of(self._recent)
+            found = rate_of(_records(self._recent[:PERIOD_SAMPLES]))
         except DataError:
             return
         if found.stride == estimator.stride and _close(found.period, estimator.period, PERIOD_CHANGE):
             return
         if before is None or found.stride != before.stride or not _close(found.period, before.period, PERIOD_AGREES):
-            self._suspected, self._recent = found, self._recent[:0]
+            self._suspected = found
+            self._recent.clear()
             return
         print(
             f"estimate: sample period changed from {estimator.period:g} s to {found.period:g} s; starting anew",
             file=sys.stderr,
         )
-        self._estimator = Estimator(self._robot, *found)
+        self._start(found)
+
+
+def _records(messages: list[bytes]) -> np.ndarray:
+    return np.frombuffer(b"".join(messages), SAMPLE.dtype)
 
 
 def _close(one: float, other: float, relative: float) -> bool:

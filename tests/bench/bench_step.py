@@ -36,9 +36,11 @@ def main() -> None:
     compiled.warm_up()
 
     def ours(message: bytes) -> None:
-        result = compiled.run(np.frombuffer(message, SAMPLE.dtype))
-        for records in (result.feedforward, result.payload, result.error):
-            records.tobytes()
+        _, event = compiled.step(message)
+        compiled.feedforward.tobytes()
+        if event >= 0:
+            compiled.payload.tobytes()
+            compiled.error.tobytes()
 
     for message in messages[:200]:
         ours(message)

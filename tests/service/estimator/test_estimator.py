@@ -29,6 +29,27 @@ def test_one_by_one_in_batches_and_all_at_once_give_the_same_bits(robot, make):
         assert b.tobytes() == expected
 
 
+def test_a_message_at_a_time_gives_the_same_bits_and_says_when_the_lag_line_is_full(robot, make):
+    samples = make(1.0, payload=lambda t: 2.0 * (t > 0.5), noise=0.25).samples
+    samples["position"][700] = np.nan
+    whole, single = Estimator(robot, PERIOD).run(samples), Estimator(robot, PERIOD)
+    told, flags, events = {"feedforward": b"", "payload": b"", "error": b""}, [], []
+    for n in range(len(samples)):
+        flag, event = single.step(samples[n : n + 1].tobytes())
+        flags.append(flag)
+        told["feedforward"] += single.feedforward.tobytes()
+        if event >= 0:
+            events.append(event)
+            told["payload"] += single.payload.tobytes()
+            told["error"] += single.error.tobytes()
+    for name, answers in told.items():
+        assert answers == getattr(whole, name).tobytes()
+    assert flags == whole.feedforward["flags"].tolist()
+    assert events == whole.payload["event"].tolist()
+    with pytest.raises(ValueError, match="different"):
+        single.step(samples[:1].tobytes()[:-1])
+
+
 def test_feedforward_is_the_torque_of_the_commanded_motion(robot, make):
     known = make(2.0)
     out = Estimator(robot, PERIOD).run(known.samples).feedforward
