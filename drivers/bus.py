@@ -6,9 +6,10 @@ user brings a Zenoh configuration. Real-time privileges have to be taken before 
 the threads of the session inherit them.
 
 What a subscriber that stops reading can do: the kernel and Zenoh buffer about 280 messages for it (70 ms at 4 kHz).
-When they are full a publisher waits `PATIENCE_S` once, then passes that subscriber over, without waiting, for as long
-as it takes nothing. The others miss nothing, link and session stay, and the subscriber, should it come back, sees the
-hole in the sequence. (Blocking publishers would close the link instead and lose all until it is up again.)
+When they are full a publisher waits `PATIENCE_S` of drivers/peer.py once, then passes that subscriber over, without
+waiting, for as long as it takes nothing. The others miss nothing, link and session stay, and the subscriber, should it
+come back, sees the hole in the sequence. (Blocking publishers would close the link instead and lose all until it is up
+again.)
 """
 
 from __future__ import annotations
@@ -30,14 +31,13 @@ from types import TracebackType
 import numpy as np
 import zenoh
 
+from drivers.peer import peer_settings
 from drivers.security.check import check, find_files
 from schemas.errors import BusError, RoleTakenError
 from schemas.keys import liveliness_key, topic_key
 from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, TOPICS, Message, Role
 
-PATIENCE_S = 0.02  # longest a publisher waits for a stuck subscriber; Zenoh's 1 ms loses samples on an idle host
 WAKE_S = 0.01  # to which a wait on a silent bus keeps its limit
-RETRY_MS = (50, 250)  # first and longest pause between two attempts to reach a role that is not there
 LINK_S = 0.5  # by then every role that runs has linked up with one that has just come
 SOURCES = frozenset({Role.PLAYER, Role.ROBOT, Role.TAP})  # roles that publish `sample`
 
@@ -77,23 +77,9 @@ def _endpoint(folder: Path, robot: str, role: Role) -> str:
 
 
 def _own_config(folder: Path, robot: str, role: Role) -> zenoh.Config:
-    settings = {
-        "mode": "peer",
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "listen": {"endpoints": [_endpoint(folder, robot, role)], "exit_on_failure": True},
-        "connect": {
-            "endpoints": [_endpoint(folder, robot, other) for other in Role if other < role],
-            "timeout_ms": -1,
-            "exit_on_failure": False,
-            "retry": {"period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1], "period_increase_factor": 2},
-        },
-        "timestamping": {"enabled": {"peer": True}},  # one host, one clock
-        "open": {"return_conditions": {"connect_scouted": False, "declares": True}},
-        "transport": {
-            "shared_memory": {"enabled": False},  # gains nothing at a hundred bytes
-            "link": {"tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": int(PATIENCE_S * 1e6)}}}}},
-        },
-    }
+    settings = peer_settings(
+        _endpoint(folder, robot, role), [_endpoint(folder, robot, other) for other in Role if other < role]
+    ) | {"timestamping": {"enabled": {"peer": True}}}  # one host, one clock
     return zenoh.Config.from_json5(json.dumps(settings))
 
 

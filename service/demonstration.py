@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.ethercat.capture import Capture
-from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES
+from drivers.segment.wire import INPUT_DELAY_CYCLES
 from schemas.errors import BusError, StorageError, TraceError
 from schemas.files import make_folder, write_text
 from schemas.messages import PayloadEvent, SampleFlag, stamp_ns

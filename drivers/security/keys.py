@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from drivers.bus import PATIENCE_S, RETRY_MS
+from drivers.peer import peer_settings
 from drivers.security.check import MAX_PEM_BYTES, load_certificate
 from drivers.security.rights import COMMON_NAME, SOURCES, access_control, common_name
 from schemas.errors import StorageError
@@ -171,35 +171,19 @@ def _settings(host: Host, hosts: list[Host], robot: str | None, role: Role, sour
     # Lower roles wherever they may run, so that every pair is linked once; its own role elsewhere, to find a double.
     connect = [there.reached(other) for other in Role for there in hosts if other < role]
     connect += [there.reached(role) for there in hosts if there != host]
-    return {
-        "mode": "peer",
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "listen": {"endpoints": [host.listens(role)], "exit_on_failure": True},
-        "connect": {
-            "endpoints": connect,
-            "timeout_ms": -1,
-            "exit_on_failure": False,
-            "retry": {"period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1], "period_increase_factor": 2},
+    link = {
+        "protocols": ["tls"],
+        "tls": {
+            "root_ca_certificate": "ca.pem",
+            "listen_certificate": f"{name}.pem",
+            "listen_private_key": f"{name}.key",
+            "connect_certificate": f"{name}.pem",
+            "connect_private_key": f"{name}.key",
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
         },
-        "open": {"return_conditions": {"connect_scouted": False, "declares": True}},
-        "transport": {
-            "shared_memory": {"enabled": False},
-            "link": {
-                "protocols": ["tls"],
-                "tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": int(PATIENCE_S * 1e6)}}}},
-                "tls": {
-                    "root_ca_certificate": "ca.pem",
-                    "listen_certificate": f"{name}.pem",
-                    "listen_private_key": f"{name}.key",
-                    "connect_certificate": f"{name}.pem",
-                    "connect_private_key": f"{name}.key",
-                    "enable_mtls": True,
-                    "verify_name_on_connect": True,
-                },
-            },
-        },
-        "access_control": access_control(robot, source),
     }
+    return peer_settings(host.listens(role), connect, link) | {"access_control": access_control(robot, source)}
 
 
 def _authority(

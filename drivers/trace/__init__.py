@@ -63,7 +63,7 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
         robot = no_axes(robot, str(path))
         if robot is None:
             raise TraceError(f"{path}: a capture is read with its robot description (--robot): layout and scaling")
-        from drivers.ethercat.trace import read_capture
+        from drivers.trace.capture import read_capture
 
         return read_capture(path, robot)
     if isinstance(robot, Axes):

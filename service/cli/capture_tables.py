@@ -8,13 +8,11 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from service.cli.inspect import count
-
 ROWS_SHOWN = 12
 
 
 def show_capture(figures: dict[str, Any], console: Console) -> None:
-    """Print what `drivers.ethercat.survey.survey_capture` found."""
+    """Print what `drivers.trace.capture_survey.survey_capture` found."""
 
     def say(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True)
@@ -89,3 +87,8 @@ def _show_robot(robot: dict[str, Any], say: Callable[[str], None]) -> None:
 def _more(found: int, say: Callable[[str], None]) -> None:
     if found > ROWS_SHOWN:
         say(f"... {found - ROWS_SHOWN} more (--json)")
+
+
+def count(value: int) -> str:
+    """A number of faults, marked where there are any."""
+    return f"[yellow]{value}[/yellow]" if value else "0"

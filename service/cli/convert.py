@@ -48,7 +48,7 @@ def command(
     capture = source.name.endswith(CAPTURE_ENDINGS)
     delta = no_axes(description, str(source)) if capture else None
     if delta and target.name.endswith(".mcap"):
-        from drivers.ethercat.trace import convert_capture  # as a stream: a capture can be larger than the memory
+        from drivers.trace.capture import convert_capture  # as a stream: a capture can be larger than the memory
 
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task(f"converting {source.name}", total=None)

@@ -39,8 +39,8 @@ def command(
 
     from rich.console import Console
 
-    from drivers.ethercat.survey import survey_capture
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace
+    from drivers.trace.capture_survey import survey_capture
     from drivers.trace.survey import survey
     from schemas.axes import load_description, no_axes
     from schemas.errors import TraceError
@@ -75,6 +75,8 @@ def command(
 
 def _show(figures: dict[str, Any], console: Console) -> None:
     from rich.markup import escape
+
+    from service.cli.capture_tables import count
 
     def say(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True)
@@ -128,8 +130,3 @@ def _table(left: list[str], right: list[str]) -> Table:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.5g}"
-
-
-def count(value: int) -> str:
-    """A number of faults, marked where there are any."""
-    return f"[yellow]{value}[/yellow]" if value else "0"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from drivers.ethercat.segment.wire import Switches
+    from drivers.segment.wire import Switches
 
 
 def command(
@@ -34,9 +34,9 @@ def command(
 
     from drivers.ethercat.cia402 import scales
     from drivers.ethercat.pdo import joint_pdos
-    from drivers.ethercat.segment.wire import Segment, serve
     from drivers.plant.plant import Plant
     from drivers.plant.truth import PlantTruth, load_truth
+    from drivers.segment.wire import Segment, serve
     from drivers.trace import write_trace
     from drivers.trace.mcap_file import to_trace
     from replay.realtime import go_realtime

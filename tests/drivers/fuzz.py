@@ -23,9 +23,9 @@ from mcap.writer import CompressionType, Writer
 
 from drivers.ethercat.eni import read_eni
 from drivers.ethercat.process_data.layout import make_layout
-from drivers.ethercat.survey import survey_capture
 from drivers.plant.truth import load_truth
 from drivers.trace import read_trace
+from drivers.trace.capture_survey import survey_capture
 from drivers.trace.survey import survey
 from schemas.axes import load_description
 from schemas.columns import Columns, load_columns

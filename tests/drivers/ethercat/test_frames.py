@@ -11,7 +11,7 @@ from drivers.ethercat.capture import Capture, Frames
 from drivers.ethercat.frames import Command, DatagramFlag, Kind, decode
 from drivers.ethercat.process_data.assembly import Assembler
 from drivers.ethercat.process_data.layout import make_layout
-from drivers.ethercat.survey import Survey
+from drivers.trace.capture_survey import Survey
 from schemas.errors import TraceError
 from schemas.robot import load_robot
 from tests.drivers.ethercat.wire import datagram, frame

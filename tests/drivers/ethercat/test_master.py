@@ -19,8 +19,8 @@ import pytest
 from drivers.ethercat.cia402 import Scale
 from drivers.ethercat.course import Course, course
 from drivers.ethercat.master import BRING_UP_TIME, FAULTY_TIME, Master, TorqueOffset, follow
-from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES
 from drivers.motion import Planner, Trajectory
+from drivers.segment.wire import INPUT_DELAY_CYCLES
 from drivers.trace import read_trace
 from replay.clock import wait_until
 from schemas.errors import BusError

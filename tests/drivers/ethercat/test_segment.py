@@ -14,10 +14,10 @@ from drivers.ethercat.capture import Capture
 from drivers.ethercat.cia402 import Control, DriveState, Mode, drive_state
 from drivers.ethercat.frames import AL_CONTROL, AL_STATUS, DC_SYSTEM_TIME, FMMU, AlState, Command
 from drivers.ethercat.pdo import GRIPPER, Pdo, joint_pdos
-from drivers.ethercat.segment.esc import AL_STATUS_CODE, DL_STATUS, STATION_ADDRESS, SYNC_MANAGER, Code
-from drivers.ethercat.segment.sii import INPUT_ADDRESS, INPUT_CONTROL, OUTPUT_ADDRESS, OUTPUT_CONTROL
-from drivers.ethercat.segment.wire import INPUT_DELAY_CYCLES, Segment
 from drivers.plant.plant import Plant
+from drivers.segment.esc import AL_STATUS_CODE, DL_STATUS, STATION_ADDRESS, SYNC_MANAGER, Code
+from drivers.segment.sii import INPUT_ADDRESS, INPUT_CONTROL, OUTPUT_ADDRESS, OUTPUT_CONTROL
+from drivers.segment.wire import INPUT_DELAY_CYCLES, Segment
 from schemas.messages import SampleFlag, stamp_ns
 from service.model import kinematics
 from service.model.nominal import pack

@@ -15,8 +15,8 @@ import pytest
 
 from drivers.bus import Bus, Inbox, open_bus
 from drivers.ethercat.tap import FileSource, InterfaceSource, Tap
-from drivers.ethercat.trace import CaptureReader
 from drivers.health import Health
+from drivers.trace.capture import CaptureReader
 from replay.clock import wait_until
 from schemas.errors import BusError
 from schemas.messages import HealthFlag, Role, SampleFlag

@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from drivers.bus import open_bus
 from drivers.ethercat.cia402 import scales
-from drivers.ethercat.survey import survey_capture
 from drivers.ethercat.tap import FileSource, Tap
-from drivers.ethercat.trace import convert_capture, read_capture
 from drivers.health import Health
 from drivers.trace import read_trace
+from drivers.trace.capture import convert_capture, read_capture
+from drivers.trace.capture_survey import survey_capture
 from replay.clock import wait_until
 from schemas.errors import TraceError
 from schemas.messages import HealthFlag, Role, SampleFlag
@@ -141,7 +141,7 @@ def test_convert_streams_what_reading_whole_gives(capture: Path, tmp_path: Path)
 
 def test_inspect_counts_what_tshark_counts(shared: Path, tmp_path: Path) -> None:
     path = shared / "captures" / "own_three_drives_4khz.pcap"
-    description = Path(__file__).parent / "robots" / "own_three_drives.toml"
+    description = Path(__file__).parents[1] / "ethercat" / "robots" / "own_three_drives.toml"
     result = CliRunner().invoke(app, ["inspect", str(path), "--robot", str(description), "--json"])
     figures = json.loads(result.stdout)[0]
     rows = tshark(path, "ecat.cmd")

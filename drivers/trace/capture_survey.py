@@ -13,7 +13,7 @@ from drivers.ethercat.cia402 import DriveState, drive_state
 from drivers.ethercat.frames import AL_STATUS, FMMU, AlState, Command, DatagramFlag, Kind, decode
 from drivers.ethercat.process_data.clock import GAP_PERIODS, lost_cycles
 from drivers.ethercat.process_data.layout import STATUS, mapped_inputs, mapped_objects
-from drivers.ethercat.trace import CaptureReader
+from drivers.trace.capture import CaptureReader
 from schemas.errors import TraceError
 from schemas.messages import stamp_ns
 from schemas.robot import Robot

@@ -22,10 +22,10 @@ from drivers.ethercat.cia402 import Mode, Scale
 from drivers.ethercat.frames import ETHERTYPE, AlState, Command
 from drivers.ethercat.interface import open_interface
 from drivers.ethercat.pdo import DIGITAL_OUTPUTS, GRIPPER, Pdo
-from drivers.ethercat.segment.drive import Drive
-from drivers.ethercat.segment.esc import Mapping, SlaveController
-from drivers.ethercat.segment.sii import build_sii
 from drivers.plant.plant import Plant, Target
+from drivers.segment.drive import Drive
+from drivers.segment.esc import Mapping, SlaveController
+from drivers.segment.sii import build_sii
 from schemas.errors import BusError
 from schemas.messages import SAMPLE, SampleFlag, set_stamp
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.ethercat.frames import AL_CONTROL, AL_STATUS, DC_SYSTEM_TIME, FMMU, AlState
-from drivers.ethercat.segment.sii import INPUT_ADDRESS, OUTPUT_ADDRESS
+from drivers.segment.sii import INPUT_ADDRESS, OUTPUT_ADDRESS
 
 STATION_ADDRESS = 0x0010
 DL_STATUS = 0x0110

@@ -1,0 +1,32 @@
+"""How every role's Zenoh session reaches the others, on one host and across several."""
+
+from __future__ import annotations
+
+from typing import Any
+
+PATIENCE_S = 0.02  # longest a publisher waits for a stuck subscriber; Zenoh's 1 ms loses samples on an idle host
+RETRY_MS = (50, 250)  # first and longest pause between two attempts to reach a role that is not there
+
+
+def peer_settings(listen: str, connect: list[str], link: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Zenoh's settings of a role that listens at `listen` and looks for others at `connect`, and nowhere else.
+
+    link: what there is to say of its links beside.
+    """
+    return {
+        "mode": "peer",
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "listen": {"endpoints": [listen], "exit_on_failure": True},
+        "connect": {
+            "endpoints": connect,
+            "timeout_ms": -1,
+            "exit_on_failure": False,
+            "retry": {"period_init_ms": RETRY_MS[0], "period_max_ms": RETRY_MS[1], "period_increase_factor": 2},
+        },
+        "open": {"return_conditions": {"connect_scouted": False, "declares": True}},
+        "transport": {
+            "shared_memory": {"enabled": False},  # gains nothing at a hundred bytes
+            "link": (link or {})
+            | {"tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": int(PATIENCE_S * 1e6)}}}}},
+        },
+    }
