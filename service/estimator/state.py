@@ -18,13 +18,13 @@ from service.model.nominal import DeltaModel, pack
 # Per sample, when `identify` has not measured it.
 DEFAULT_TORQUE_NOISE = 0.5  # N m
 
-_MODEL = np.dtype([(name, "f8", (3,)) if name in (
+MODEL = np.dtype([(name, "f8", (3,)) if name in (
     "azimuth_cos", "azimuth_sin", "joint_offset", "active_length", "inertia", "gravity_torque"
 ) else (name, "f8") for name in DeltaModel._fields], align=True)  # fmt: skip
 
 SETTINGS = np.dtype(
     [
-        ("model", _MODEL),
+        ("model", MODEL),
         ("motion", kalman.FILTER),
         ("period", "f8"),  # s
         ("stride", "i8"),  # sequence numbers from sample to sample, more than one of a decimated stream

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -53,6 +55,40 @@ def _two_masses(
             return
 
 
+class Relative(NamedTuple):
+    """The link relative to a recorded motor. angle, speed, change: (N,) rad, rad/s, rad/s^2, zero where it came apart.
+    motor: kg m^2 that turn with the motor. stiffness, damping: of gear or closed flank, N m/rad, N m s/rad."""
+
+    angle: np.ndarray
+    speed: np.ndarray
+    change: np.ndarray
+    motor: float
+    stiffness: float
+    damping: float
+
+
+def relative_motion(
+    scene: Scene, joint: int, half: float, natural_hz: float, damping_ratio: float, motor_share: float
+) -> Relative:
+    """Link behind the recorded motor of `joint`; arguments as of `two_masses`."""
+    whole = scene.inertia[:, joint, joint]
+    motor = motor_share * float(np.mean(whole))
+    link = np.maximum(whole - motor, 0.02 * whole)
+    mean = float(np.mean(link))
+    stiffness = mean * (2 * np.pi * natural_hz) ** 2
+    damping = float(2 * damping_ratio * np.sqrt(stiffness * mean))
+    acceleration = np.ascontiguousarray(scene.segment.theta_ddot[:, joint])
+    demand = scene.load[:, joint] - whole * acceleration
+    angle, speed, change = np.empty_like(demand), np.empty_like(demand), np.empty_like(demand)
+    substeps = max(1, round(SUBSTEPS_PER_SECOND * scene.period))
+    drag = scene.damping[:, joint, joint] - scene.base.viscous[joint]  # the gear's own friction stays with the motor
+    _two_masses(
+        acceleration, demand, link, np.ascontiguousarray(scene.stiffness[:, joint, joint]), drag, half, stiffness,
+        damping, scene.period, substeps, angle, speed, change,
+    )  # fmt: skip
+    return Relative(angle, speed, change, motor, stiffness, damping)
+
+
 def two_masses(
     scene: Scene, joint: int, half: float, natural_hz: float, damping_ratio: float, motor_share: float
 ) -> np.ndarray:
@@ -62,21 +98,7 @@ def two_masses(
     The link's torque is taken to first order in its relative motion where that stays below `SLIGHT`.
     """
     motion = scene.segment
-    whole = scene.inertia[:, joint, joint]
-    motor = motor_share * float(np.mean(whole))
-    link = np.maximum(whole - motor, 0.02 * whole)
-    mean = float(np.mean(link))
-    stiffness = mean * (2 * np.pi * natural_hz) ** 2
-    damping = 2 * damping_ratio * np.sqrt(stiffness * mean)
-    acceleration = np.ascontiguousarray(motion.theta_ddot[:, joint])
-    demand = scene.load[:, joint] - whole * acceleration
-    angle, speed, change = np.empty_like(demand), np.empty_like(demand), np.empty_like(demand)
-    substeps = max(1, round(SUBSTEPS_PER_SECOND * scene.period))
-    drag = scene.damping[:, joint, joint] - scene.base.viscous[joint]  # the gear's own friction stays with the motor
-    _two_masses(
-        acceleration, demand, link, np.ascontiguousarray(scene.stiffness[:, joint, joint]), drag, half, stiffness,
-        damping, scene.period, substeps, angle, speed, change,
-    )  # fmt: skip
+    angle, speed, change, motor, *_ = relative_motion(scene, joint, half, natural_hz, damping_ratio, motor_share)
     if not angle.any():
         return np.zeros(scene.load.shape)
     if np.max(np.abs(angle)) < SLIGHT:

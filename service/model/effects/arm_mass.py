@@ -28,6 +28,7 @@ def _online(effect, now, i):
 class ArmMass(Effect):
     delta_m: Amplitude = Amplitude("kg", "mass of this active link above the others'")
     name = "arm_mass"
+    accelerates = True
     online = staticmethod(_online)
     kinds = frozenset({"delta"})
     settles = "fast moves and slow sweeps over a wide range of this joint's angle"

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Effect, Shape
+from service.model.effects.base import Effect, Inside, Shape
 from service.model.scene import Scene
 from service.model.two_masses import two_masses
 
@@ -44,3 +44,7 @@ class Backlash(Effect):
     def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:
         """Impacts move in time with the gap: neighbours on the grid's scale."""
         return [(factor * shape[0], *shape[1:]) for factor in (0.87, 1.0, 1.15)]
+
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+        """A gap and its two flanks."""
+        inside.two_masses[joint] = shape

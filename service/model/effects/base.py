@@ -62,6 +62,23 @@ class Correction:
 
 
 @dataclass(frozen=True)
+class Inside:
+    """What effects put inside the robot that only a simulation forward in time has to carry. (3,) one entry a joint.
+
+    bristle, distance: N m of the Coulomb friction that builds up, over rad. two_masses: joint -> half the lost motion
+    rad, natural frequency Hz of the link, damping ratio, share of the inertia on the motor side. ball_joints: (4,) dry
+    friction N m at elbow and platform, viscous N m s/rad at both. wobble: joint, cosine rad, sine rad and order of the
+    true angle over the measured one, periodic in the motor angle.
+    """
+
+    bristle: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    distance: np.ndarray = field(default_factory=lambda: np.ones(3))
+    two_masses: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    ball_joints: np.ndarray = field(default_factory=lambda: np.zeros(4))
+    wobble: list[tuple[int, float, float, float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
 class Amplitude:
     """A quantity that the torque is proportional to. unit: SI. meaning: for the report. low, high: what it can be."""
 
@@ -97,8 +114,9 @@ class Effect(ABC):
     mechanisms it makes sense for. settles: the motion that tells it from what it resembles. directional: a joint that
     moves one way only does not show it. dissipates: friction, which together with the base model's takes energy out of
     the motion in either direction. same: effects that no motion tells it from. takes_timing: it has the place of
-    the timing within a sample. beyond: `size` that no robot which runs has, several times the strongest of the blind
-    test: an effect that large stands in for a wrong description; beyond_together: the same on several joints at once.
+    the timing within a sample. accelerates: its torque depends on the acceleration, as a mass's. beyond: `size` that no
+    robot which runs has, several times the strongest of the blind test: an effect that large stands in for a wrong
+    description; beyond_together: the same on several joints at once.
     online: compiled (effect record, Instant, joint) -> N m from the present sample, where there is such a form; of the
     effects that come along only.
     """
@@ -115,6 +133,7 @@ class Effect(ABC):
     dissipates: ClassVar[bool] = False
     same: ClassVar[frozenset[str]] = frozenset()
     takes_timing: ClassVar[bool] = False
+    accelerates: ClassVar[bool] = False
     beyond: ClassVar[float] = math.inf
     beyond_together: ClassVar[float] = math.inf
     online: ClassVar[Callable[..., float] | None] = None
@@ -145,6 +164,12 @@ class Effect(ABC):
         """Put the effect, with amplitudes (k,) on `joint`, into the online model's settings; only where it changes them
         instead of adding a torque."""
 
+    def put_inside(  # noqa: B027 - most do not
+        self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
+    ) -> None:
+        """Put the effect on `joint` into what a simulation carries; only where it has neither an online form nor a
+        place in the online model's settings."""
+
     def grid(self, scene: Scene) -> list[tuple[float, ...]]:
         """Shapes to try first."""
         return list(itertools.product(*(shape.grid for shape in self.shapes.values())))
@@ -161,6 +186,12 @@ class Effect(ABC):
 
     def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
         """What is reported of a true joint torque (..., n); only where `measured`."""
+        raise NotImplementedError
+
+    def restore(
+        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
+    ) -> np.ndarray:
+        """`report` undone: the true joint torque (N, n) of a reported one; only where `measured`. period: s."""
         raise NotImplementedError
 
 

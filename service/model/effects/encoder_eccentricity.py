@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.effects.base import Amplitude, Effect, Inside, Shape
 from service.model.scene import Scene
 
 
@@ -39,3 +39,7 @@ class EncoderEccentricity(Effect):
             ],
             axis=-1,
         )
+
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+        """An error of the measured angle."""
+        inside.wobble.append((joint, float(amplitude[0]), float(amplitude[1]), shape[0]))

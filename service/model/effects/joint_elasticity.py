@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Effect, Shape
+from service.model.effects.base import Effect, Inside, Shape
 from service.model.scene import Scene
 from service.model.two_masses import two_masses
 
@@ -38,3 +38,7 @@ class JointElasticity(Effect):
     def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:
         """A lightly damped link answers sharply to its natural frequency."""
         return [(factor * shape[0], *shape[1:]) for factor in (0.9, 1.0, 1.1)]
+
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+        """A spring and a damper."""
+        inside.two_masses[joint] = (0.0, *shape)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Effect, Inside
 from service.model.scene import Scene
 
 
@@ -51,3 +51,7 @@ class PassiveJointFriction(Effect):
         for rate, per_joint in ((bend, bend_per_joint), (turn, turn_per_joint)):
             columns.append((rate, per_joint))
         return np.stack([np.einsum("nax,naxj->nj", rate, per) for rate, per in columns], axis=-1)
+
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+        """In the ball joints."""
+        inside.ball_joints[:] += amplitude

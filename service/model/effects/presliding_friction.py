@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from service.model.effects.base import Amplitude, Effect, Shape, geometric
+from service.model.effects.base import Amplitude, Effect, Inside, Shape, geometric
 from service.model.scene import Scene
 
 
@@ -28,6 +28,13 @@ def _dahl(theta, distance, state):
         state[k] = z
 
 
+def deflection(theta: np.ndarray, distance: float) -> np.ndarray:
+    """(N,) relative deflection in [-1, 1] of bristles along angles (N,) rad, from 0."""
+    state = np.empty(len(theta))
+    _dahl(theta, distance, state)
+    return state
+
+
 @dataclass(frozen=True)
 class PreslidingFriction(Effect):
     f: Amplitude = Amplitude("N m", "part of the Coulomb friction that builds up over the distance", low=0.0)
@@ -39,7 +46,9 @@ class PreslidingFriction(Effect):
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
-        motion = scene.segment
-        state = np.empty(len(scene.time))
-        _dahl(motion.theta[:, joint], shape[0], state)
-        return (state - scene.direction[:, joint])[:, None]
+        return (deflection(scene.segment.theta[:, joint], shape[0]) - scene.direction[:, joint])[:, None]
+
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+        """Bristles."""
+        inside.bristle[joint] += amplitude[0]
+        inside.distance[joint] = shape[0]

@@ -25,6 +25,7 @@ def _online(effect, now, i):
 class RotorInertia(Effect):
     delta_i: Amplitude = Amplitude("kg m^2", "inertia of this joint above the others', joint side", low=0.0)
     name = "rotor_inertia"
+    accelerates = True
     online = staticmethod(_online)
     settles = "fast moves of this joint beside slow ones over the same angles"
 

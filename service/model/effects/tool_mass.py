@@ -26,6 +26,7 @@ def _online(effect, now, i):
 class ToolMass(Effect):
     delta_m: Amplitude = Amplitude("kg", "mass at the platform beyond the description")
     name = "tool_mass"
+    accelerates = True
     online = staticmethod(_online)
     per_joint = False
     own_joint = False

@@ -36,3 +36,9 @@ class TorqueDelay(Effect):
     def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
         """Shifts all joints."""
         return delayed(torque, shape[0], scene.period)
+
+    def restore(
+        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
+    ) -> np.ndarray:
+        """Shifts all joints back."""
+        return delayed(torque, -shape[0], period)

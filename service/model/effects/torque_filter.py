@@ -34,3 +34,11 @@ class TorqueFilter(Effect):
         keep = np.exp(-2 * np.pi * shape[0] * scene.period)
         start = keep * torque[:1]
         return lfilter([1.0 - keep], [1.0, -keep], torque, axis=0, zi=start)[0]
+
+    def restore(
+        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
+    ) -> np.ndarray:
+        """The filter turned round; white noise comes out stronger."""
+        keep = np.exp(-2 * np.pi * shape[0] * period)
+        start = -keep * torque[:1]
+        return lfilter([1.0, -keep], [1.0 - keep], torque, axis=0, zi=start / (1.0 - keep))[0]

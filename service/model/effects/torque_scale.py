@@ -36,3 +36,11 @@ class TorqueScale(Effect):
         torque = torque.copy()
         torque[:, joint] *= 1.0 + amplitude[0]
         return torque
+
+    def restore(
+        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
+    ) -> np.ndarray:
+        """Scales one joint back."""
+        torque = torque.copy()
+        torque[:, joint] /= 1.0 + amplitude[0]
+        return torque

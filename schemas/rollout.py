@@ -1,0 +1,54 @@
+"""The document of `rollout`: the gap as motion."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Reached(_Section):
+    """Rms of simulated less measured motion of one robot over the windows that stayed in the workspace.
+
+    joint_mrad, platform_mm: at the horizon. growth_mm: of the platform, at the document's `times_s`. ran_away: windows
+    that left the workspace. left_out: effects of the description that the simulation does without.
+    """
+
+    robot: str
+    joint_mrad: list[float | None]
+    platform_mm: float | None
+    growth_mm: list[float | None]
+    ran_away: int
+    left_out: list[str]
+
+
+class RegimeReached(_Section):
+    """Rms of a joint (from 1), mrad at the horizon, over the windows of one kind of its motion; one figure a robot."""
+
+    joint: int
+    regime: str
+    windows: int
+    joint_mrad: dict[str, float | None]
+
+
+class RolloutDocument(_Section):
+    """Simulated robots under recorded torque. floor: what torque noise and start state make of the last robot alone.
+
+    path_mm: rms way of the measured platform. seconds: of the logs; used_s: in windows.
+    """
+
+    schema_: Literal["deltatwin.rollout/1"] = Field("deltatwin.rollout/1", alias="schema")
+    traces: list[str]
+    horizon_s: float
+    windows: int
+    seconds: float
+    used_s: float
+    path_mm: float
+    times_s: list[float]
+    robots: list[Reached]
+    floor: Reached
+    regimes: list[RegimeReached]

@@ -1,0 +1,1 @@
+"""What does the simulated robot do where the real one did what the log says?"""

@@ -1,0 +1,140 @@
+"""What a rollout says: as a document and as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+
+from schemas.robot import Robot
+from schemas.rollout import Reached, RegimeReached, RolloutDocument
+from service.pages import write_page
+from service.rollout.gap import REGIMES, Course, Rollout, rms
+from service.rollout.robot import left_out
+
+TIMES = 21  # of the growth over the horizon
+COLOURS = ("#b0b7c3", "#bf8700", "#1f6feb", "#8250df", "#2da44e")
+FLOOR = "#d0d7de"
+
+
+def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) -> RolloutDocument:
+    """The document of a rollout of `robots` over `traces`."""
+    samples = found.floor.platform.shape[1]
+    rows = np.unique(np.linspace(0, samples - 1, TIMES).round().astype(int))
+    shown = [_reached(course, rows, left_out(robots[course.name])) for course in found.courses]
+    return RolloutDocument(
+        schema="deltatwin.rollout/1",
+        traces=list(traces),
+        horizon_s=found.horizon,
+        windows=len(found.runs),
+        seconds=found.seconds,
+        used_s=found.used,
+        path_mm=found.floor.path_mm,
+        times_s=[round(float(row * found.period), 6) for row in rows],
+        robots=shown,
+        floor=_reached(found.floor, rows, []),
+        regimes=_regimes(found),
+    )
+
+
+def _reached(course: Course, rows: np.ndarray, without: list[str]) -> Reached:
+    return Reached(
+        robot=course.name,
+        joint_mrad=_numbers(course.joint_mrad),
+        platform_mm=_number(course.platform_mm),
+        growth_mm=_numbers(course.growth_mm[rows]),
+        ran_away=int(np.sum(~course.good)),
+        left_out=without,
+    )
+
+
+def _regimes(found: Rollout) -> list[RegimeReached]:
+    result = []
+    courses = (*found.courses, found.floor)
+    for joint in range(3):
+        for number, regime in enumerate(REGIMES):
+            mine = found.regime[:, joint] == number
+            if not mine.any():
+                continue
+            errors = {}
+            for course in courses:
+                repeats = len(course.angle) // len(mine)
+                kept = np.tile(mine, repeats) & course.good
+                errors[course.name] = _number(1e3 * float(rms(course.angle[kept, -1, joint])))
+            result.append(RegimeReached(joint=joint + 1, regime=regime, windows=int(mine.sum()), joint_mrad=errors))
+    return result
+
+
+def _number(value: float) -> float | None:
+    return float(f"{value:.5g}") if np.isfinite(value) else None
+
+
+def _numbers(values: np.ndarray) -> list[float | None]:
+    return [_number(float(value)) for value in values]
+
+
+def write_rollout(result: RolloutDocument, path: Path) -> None:
+    """Write the page of a rollout."""
+    plots = {"How the platform's error grows": _growth(result), "By joint and kind of motion": _by_regime(result)}
+    for figure in plots.values():
+        figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 40, "b": 45}, font_size=12)
+    write_page("rollout", path, document=result, sentences=sentences(result), plots=plots)
+
+
+def sentences(result: RolloutDocument) -> list[str]:
+    """What a reader should know first."""
+    horizon = f"{1e3 * result.horizon_s:.0f} ms"
+    shown = [robot for robot in result.robots if robot.platform_mm is not None]
+    lines = []
+    if len(shown) > 1:
+        first, last = shown[-2], shown[-1]
+        lines.append(
+            f"In the simulator the platform's error after {horizon} goes from {first.platform_mm:.3g} mm "
+            f"({first.robot}) to {last.platform_mm:.3g} mm ({last.robot})."
+        )
+    elif shown:
+        lines.append(f"In the simulator the platform is off by {shown[0].platform_mm:.3g} mm after {horizon}.")
+    if result.floor.platform_mm is not None:
+        lines.append(
+            f"Torque noise and start state alone give {result.floor.platform_mm:.3g} mm; "
+            f"it goes {result.path_mm:.3g} mm in that time."
+        )
+    for robot in result.robots:
+        if robot.ran_away:
+            lines.append(
+                f"{robot.robot}: runs away in {robot.ran_away} of {result.windows} windows, which no figure counts."
+            )
+        elif robot.platform_mm is not None and robot.platform_mm > result.path_mm:
+            lines.append(f"{robot.robot}: no better than a robot that stands still.")
+        if robot.left_out:
+            lines.append(f"{robot.robot}: the simulation does without {', '.join(robot.left_out)}.")
+    return lines
+
+
+def _growth(result: RolloutDocument) -> go.Figure:
+    figure = go.Figure()
+    times = [1e3 * time for time in result.times_s]
+    for robot, colour in zip((*result.robots, result.floor), _colours(result), strict=True):
+        dash = "dot" if robot is result.floor else "solid"
+        figure.add_scatter(x=times, y=robot.growth_mm, name=robot.robot, line={"color": colour, "dash": dash})
+    figure.update_xaxes(title_text="time from the start of a window, ms")
+    figure.update_yaxes(title_text="rms error of the platform, mm", type="log")
+    figure.update_layout(height=380)
+    return figure
+
+
+def _by_regime(result: RolloutDocument) -> go.Figure:
+    figure = go.Figure()
+    labels = [f"joint {entry.joint}: {entry.regime}" for entry in result.regimes]
+    for robot, colour in zip((*result.robots, result.floor), _colours(result), strict=True):
+        values = [entry.joint_mrad[robot.robot] for entry in result.regimes]
+        figure.add_bar(x=labels, y=values, name=robot.robot, marker_color=colour)
+    figure.update_yaxes(title_text=f"rms after {1e3 * result.horizon_s:.0f} ms, mrad", type="log")
+    figure.update_layout(barmode="group", height=420)
+    return figure
+
+
+def _colours(result: RolloutDocument) -> list[str]:
+    return [COLOURS[number % len(COLOURS)] for number in range(len(result.robots))] + [FLOOR]

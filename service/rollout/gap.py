@@ -1,0 +1,299 @@
+"""The gap as motion: how far simulated robots are from a log after a while under its torque.
+
+A log is cut into windows. Each starts in the smoothed measured state and is driven by the recorded torque alone; what
+is compared is the angle that the encoders would give, and the platform that follows from it. The floor is what the same
+robot does when only the noise of the torque and of the start state is laid over its own run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from schemas.axes import Axes
+from schemas.errors import DataError, PoseError, TraceError
+from schemas.robot import Robot
+from schemas.trace import Trace
+from service.identification.noise import white_noise
+from service.model import kinematics
+from service.model.description import hypothesis_of
+from service.model.dynamics import REST_SPEED
+from service.model.mechanism import Delta
+from service.model.nominal import DeltaModel
+from service.model.scene import Recording, Scene
+from service.model.signals import EDGE, Segment, segments, smooth
+from service.model.torque import predict
+from service.rollout.kernel import LONGEST_STEP, SCRATCH, run_kernel
+from service.rollout.robot import Stretch, stretch
+
+HORIZON = 0.2  # s
+SHORTEST, LONGEST = 0.01, 5.0  # s of horizon that make sense
+DRAWS = 4  # runs with noise a window, for the floor
+SEED = 2026
+PLAIN = "plain"
+SLOW_SHARE = 0.5  # of a joint's rms speed, below which a window is slow for it
+REGIMES = ("at rest", "reversal", "slow", "fast")
+TURNED = 0.5  # share of the error that is left with the torque turned round, if its sign is wrong
+
+
+@dataclass(frozen=True)
+class Course:
+    """One robot over W windows of S samples: angles (W, S, 3) rad and platform (W, S, 3) m, both simulated less
+    measured; NaN from where a run left the workspace. path: (W, S) m that the measured platform is from its start."""
+
+    name: str
+    angle: np.ndarray
+    platform: np.ndarray
+    path: np.ndarray
+
+    @property
+    def good(self) -> np.ndarray:
+        """(W,) windows that came to their end."""
+        return np.isfinite(self.platform[:, -1, 0])
+
+    @property
+    def path_mm(self) -> float:
+        """Rms way of the measured platform to the horizon: what a robot that stands still is off."""
+        return 1e3 * float(rms(self.path[:, -1]))
+
+    @property
+    def joint_mrad(self) -> np.ndarray:
+        """(3,) rms at the horizon."""
+        return 1e3 * rms(self.angle[self.good, -1])
+
+    @property
+    def platform_mm(self) -> float:
+        """Rms distance at the horizon."""
+        return 1e3 * float(np.sqrt(3.0) * rms(self.platform[self.good, -1].ravel()))
+
+    @cached_property
+    def growth_mm(self) -> np.ndarray:
+        """(S,) rms distance of the platform."""
+        return 1e3 * np.sqrt(np.mean(np.sum(self.platform[self.good] ** 2, axis=2), axis=0))
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Robots against logs. period, horizon: s. courses: one a robot, in the order given. floor: of the last of them.
+
+    regime: (W, 3) index into `REGIMES` of each window for each joint. runs: (W,) log of each. seconds: of the logs;
+    used: in windows, which leave out faults, the ends and what rests.
+    """
+
+    period: float
+    horizon: float
+    courses: tuple[Course, ...]
+    floor: Course
+    regime: np.ndarray
+    runs: tuple[str, ...]
+    seconds: float
+    used: float
+
+
+def rms(values: np.ndarray) -> np.ndarray:
+    """Over the first axis; NaN of nothing."""
+    return np.sqrt(np.mean(np.square(values), axis=0)) if len(values) else np.full(values.shape[1:], np.nan)
+
+
+def plain(robot: Robot) -> Robot:
+    """The description as it was drawn up."""
+    return robot.model_copy(update={"identified": None, "effect": []})
+
+
+def rollout(
+    robots: dict[str, Robot],
+    traces: Sequence[Trace],
+    horizon: float = HORIZON,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Rollout:
+    """Simulate the robots, by name, over `traces`; the floor is the last one's. progress: told what is at hand.
+
+    Raises:
+        DataError: the horizon makes no sense, no window of it moves, or a torque's sign is wrong.
+        TraceError: a trace without a usable part, or with positions that are no pose, naming the file.
+        RobotError: an effect that is not known.
+    """
+    if not SHORTEST <= horizon <= LONGEST:
+        raise DataError(f"horizon of {horizon:g} s: must be {SHORTEST:g} to {LONGEST:g} s")
+    for name, robot in robots.items():
+        if isinstance(robot, Axes):
+            raise DataError(f"robot {name}: decoupled axes have no platform to follow; a Delta is needed")
+    parts = [(trace, segment) for trace in traces for segment in segments(trace)]
+    period = parts[0][1].period
+    for trace, segment in parts:
+        if abs(segment.period / period - 1.0) > 0.02:
+            raise DataError(
+                f"{trace.path}: {1e3 * segment.period:.3g} ms between samples, others have {1e3 * period:.3g}"
+            )
+    samples = max(2, round(horizon / period)) + 1
+    windows = [_windows(segment, samples) for _, segment in parts]
+    count = sum(map(len, windows))
+    if not count:
+        raise DataError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves")
+    courses, floor = [], None
+    for name, robot in robots.items():
+        last = name == list(robots)[-1]
+        of_parts, of_floor = [], []
+        for (trace, segment), starts in zip(parts, windows, strict=True):
+            if not len(starts):
+                continue
+            progress(f"{name}, {trace.name}")
+            try:
+                seen = stretch(robot, segment, trace.position[segment.rows])
+                of_parts.append(_course(name, seen, segment, starts, samples))
+                if last:
+                    of_floor.append(_floor(robot, seen, trace, segment, starts, samples))
+            except PoseError as error:
+                raise TraceError(f"{trace.path}: {error}") from error
+        courses.append(_joined(name, of_parts))
+        if last:
+            floor = _joined("floor", of_floor)
+    assert floor is not None
+    _check_sign(list(robots.values())[-1], parts, windows, samples, courses[-1])
+    regime = np.concatenate(
+        [_regimes(segment, starts, samples) for (_, segment), starts in zip(parts, windows, strict=True)]
+    )
+    runs = tuple(trace.name for (trace, _), starts in zip(parts, windows, strict=True) for _ in starts)
+    seconds = float(sum(len(trace) * period for trace in traces))
+    return Rollout(period, (samples - 1) * period, tuple(courses), floor, regime, runs, seconds, count * horizon)
+
+
+def _windows(segment: Segment, samples: int) -> np.ndarray:
+    """(W,) first samples of windows one after the other in which some joint moves."""
+    edge = round(EDGE / segment.period)
+    starts = np.arange(edge, len(segment.time) - edge - samples, samples - 1)
+    return np.array([at for at in starts if segment.moving[at : at + samples].any()], np.int64)
+
+
+def _regimes(segment: Segment, starts: np.ndarray, samples: int) -> np.ndarray:
+    """(W, 3) index into `REGIMES`."""
+    usual = np.sqrt(np.mean(segment.theta_dot**2, axis=0))
+    result = np.empty((len(starts), 3), np.int64)
+    for number, at in enumerate(starts):
+        speed = segment.theta_dot[at : at + samples]
+        rests = ~segment.moving[at : at + samples].any(axis=0)
+        turns = (speed.max(axis=0) > REST_SPEED) & (speed.min(axis=0) < -REST_SPEED)
+        slow = np.sqrt(np.mean(speed**2, axis=0)) < SLOW_SHARE * usual
+        result[number] = np.where(rests, 0, np.where(turns, 1, np.where(slow, 2, 3)))
+    return result
+
+
+def simulate(seen: Stretch, start: np.ndarray, torque: np.ndarray, clock: np.ndarray, period: float):
+    """Angles (W, S, 3) rad that the encoders give from `start` (W, 5, 3) under `torque` (W, S, 3); NaN once it ends."""
+    substeps = max(1, int(np.ceil(period / LONGEST_STEP - 1e-6)))
+    motor, motor_dot = np.empty(torque.shape), np.empty(torque.shape)
+    start, torque = np.ascontiguousarray(start), np.ascontiguousarray(torque)
+    run_kernel(seen.forward, np.zeros(1, SCRATCH), start, torque, clock, period, substeps, motor, motor_dot)
+    return seen.measured(motor)
+
+
+def _cut(values: np.ndarray, starts: np.ndarray, samples: int) -> np.ndarray:
+    """(W, S, ...) of (N, ...)."""
+    return values[starts[:, None] + np.arange(samples)]
+
+
+def _course(name: str, seen: Stretch, segment: Segment, starts: np.ndarray, samples: int) -> Course:
+    torque = _cut(seen.torque, starts, samples)
+    angle = simulate(seen, seen.start[starts], torque, segment.time[starts], segment.period)
+    return _compared(name, seen.model, angle, _cut(segment.theta, starts, samples))
+
+
+def _compared(name: str, model: DeltaModel, angle: np.ndarray, measured: np.ndarray) -> Course:
+    reference = kinematics.forward(model, measured.reshape(-1, 3)).reshape(measured.shape)
+    platform = np.full(angle.shape, np.nan)
+    good = np.isfinite(angle[..., 0])
+    for w in range(len(angle)):  # a run may end where the platform is out of reach
+        end = int(good[w].sum())
+        try:
+            platform[w, :end] = kinematics.forward(model, angle[w, :end])
+        except PoseError:
+            angle[w] = np.nan
+    path = np.linalg.norm(reference - reference[:, :1], axis=2)
+    return Course(name, angle - measured, platform - reference, path)
+
+
+def _floor(robot: Robot, seen: Stretch, trace: Trace, segment: Segment, starts: np.ndarray, samples: int) -> Course:
+    """Runs of the same robot with noise over torque and start state, less the run without."""
+    rng = np.random.default_rng(SEED)
+    torque_noise, angle_noise = noise_of(robot, trace, segment)
+    torque = _cut(seen.torque, starts, samples)
+    clock = segment.time[starts]
+    clean = simulate(seen, seen.start[starts], torque, clock, segment.period)
+    draws = []
+    for _ in range(DRAWS):
+        noise = torque_noise * rng.standard_normal(segment.torque.shape)
+        disturbed = stretch(robot, replace(segment, torque=segment.torque + noise), trace.position[segment.rows])
+        angle, speed, _ = smooth(angle_noise * rng.standard_normal(segment.theta.shape), segment.period)
+        start = seen.start[starts].copy()
+        for row, error in ((0, angle), (1, speed), (2, angle), (3, speed)):
+            start[:, row] += error[starts]
+        moved = simulate(seen, start, _cut(disturbed.torque, starts, samples), clock, segment.period)
+        draws.append(_compared("floor", seen.model, moved, clean))
+    return _joined("floor", draws)
+
+
+def noise_of(robot: Robot, trace: Trace, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
+    """White noise a sample of torque, (3,) N m, and of the angle, (3,) rad: what the motion's smoother takes away."""
+    recording = Recording(segment, Delta.of(robot), 0, trace.name)
+    hypothesis = hypothesis_of(robot)
+    left = segment.torque - predict(Scene(recording, hypothesis.base), hypothesis)
+    torque = np.minimum(white_noise([recording]), white_noise([recording], [left]))
+    white = np.random.default_rng(SEED).standard_normal((4096, 1))
+    share = float(np.std(white - smooth(white, segment.period)[0]))
+    rough = trace.position[segment.rows] - segment.theta
+    angle = np.median(np.abs(rough - np.median(rough, axis=0)), axis=0) / 0.6745 / share
+    return torque, angle
+
+
+def _joined(name: str, courses: Sequence[Course]) -> Course:
+    return Course(
+        name,
+        np.concatenate([course.angle for course in courses]),
+        np.concatenate([course.platform for course in courses]),
+        np.concatenate([course.path for course in courses]),
+    )
+
+
+def _check_sign(
+    robot: Robot, parts: list[tuple[Trace, Segment]], windows: list[np.ndarray], samples: int, course: Course
+) -> None:
+    """
+    Raises:
+        DataError: the simulated robot does no better than one that stands still, and with some torque turned round it
+            does.
+    """
+    if course.good.all() and course.platform_mm < course.path_mm:
+        return
+    best, error = None, _typical(course)
+    for signs in ((-1, -1, -1), (-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1)):
+        turned = []
+        for (trace, segment), starts in zip(parts, windows, strict=True):
+            if len(starts):
+                other = replace(segment, torque=segment.torque * signs)
+                seen = stretch(robot, other, trace.position[segment.rows])
+                turned.append(_course("", seen, other, starts, samples))
+        left = _typical(_joined("", turned))
+        if left < TURNED * error:
+            best, error = signs, left
+    if best is not None:
+        joints = ", ".join(str(joint + 1) for joint in range(3) if best[joint] < 0)
+        raise DataError(
+            f"{parts[0][0].path}: the simulated robot runs away ({_far(course)}), with the torque of joint {joints} "
+            f"turned round it does not (off by {error:.3g} mm): the sign of that torque is wrong"
+        )
+
+
+def _typical(course: Course) -> float:
+    """Median distance at the horizon, mm, a run that left the workspace being farther than any."""
+    distance = np.linalg.norm(course.platform[:, -1], axis=1)
+    return 1e3 * float(np.median(np.where(np.isfinite(distance), distance, np.inf)))
+
+
+def _far(course: Course) -> str:
+    away, count = int(np.sum(~course.good)), len(course.good)
+    if away:
+        return f"it leaves the workspace in {away} of {count} windows"
+    return f"off by {course.platform_mm:.3g} mm on a way of {course.path_mm:.3g} mm"

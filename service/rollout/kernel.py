@@ -1,0 +1,377 @@
+"""The robot forward in time under a given torque, with everything its description carries: one compiled kernel.
+
+Each step is one of Verwer's second-order Rosenbrock method with an inexact Jacobian (ROS2 as a W-method): two
+evaluations of the dynamics, and only what is stiff is taken implicitly - friction by its secant, which never steps
+over zero speed, and the spring and damper between motor and link. Without friction it is Heun's method.
+
+A joint is one mass, or two with a spring or a gap between them: then friction and the torque act on the motor, whose
+angle is measured, and the rigid body on the link.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from service.estimator.effects import EFFECT, MAX_EFFECTS, effects_kernel
+from service.estimator.state import MODEL
+from service.model.dynamics import TERMS
+from service.model.forward import bias_kernel, mass_kernel, solve_kernel
+from service.model.kinematics import REACHED
+
+LONGEST_STEP = 0.25e-3  # s
+GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of ROS2: what decays fast does so in one step
+SHARPEST = 1e-4  # rad/s over which friction turns where the description has a jump
+SLOW = 0.05  # rad/s below which friction is so steep that the effects' share in it counts
+FARTHEST = 3.0  # rad from the angle that it started at: a robot that runs away
+
+
+# One robot. Three numbers are one a joint, in N m, rad and s.
+FORWARD = np.dtype(
+    [
+        ("model", MODEL),
+        ("rho_1", "f8", 3),
+        ("rho_2", "f8", 3),
+        ("forearm", "f8"),  # kg
+        ("viscous", "f8", 3),
+        ("coulomb", "f8", 3),
+        ("transition", "f8"),  # rad/s
+        ("gear_ratio", "f8"),
+        ("at_joints", EFFECT, MAX_EFFECTS),  # the joints' own effects
+        ("at_platform", EFFECT, MAX_EFFECTS),  # those that reach all joints
+        ("joints_accelerate", "i8"),  # 1 where one of them depends on the acceleration
+        ("platform_accelerates", "i8"),
+        ("ball_joints", "f8", 4),  # as in `Inside`
+        ("bristle", "f8", 3),
+        ("distance", "f8", 3),
+        ("motor", "f8", 3),  # kg m^2 of a motor that is a mass of its own, 0: one with its link
+        ("stiffness", "f8", 3),
+        ("damping", "f8", 3),
+        ("half", "f8", 3),
+    ],
+    align=True,
+)
+
+# What one step works on.
+SCRATCH = np.dtype(
+    [
+        ("position", "f8", 3),
+        ("work", "f8", (8, 3, 3)),
+        ("terms", "f8", (len(TERMS), 3)),
+        ("bias", "f8", 3),
+        ("mass", "f8", (3, 3)),  # kg m^2 of the links
+        ("inertia", "f8", 3),  # of the motors
+        ("guess", "f8", 3),  # rad/s^2, acceleration of the evaluation before
+        ("load", "f8", 3),
+        ("way", "f8", 3),
+        ("own", "f8", 3),  # N m of the effects
+        ("shared", "f8", 3),
+        ("more", "f8", 3),
+        ("right_link", "f8", 3),  # torque left over for acceleration
+        ("right_motor", "f8", 3),
+        ("contact", "f8", (2, 3)),  # stiffness and damping of flanks that are closed
+        ("steep", "f8", 3),  # N m s/rad, secant of the friction
+        ("turning", "f8", (3, 3)),  # of a forearm
+        ("state", "f8", (5, 3)),  # link, link speed, motor, motor speed, bristles
+        ("middle", "f8", (5, 3)),
+        ("first", "f8", (2, 3)),  # stage: acceleration of links and motors
+        ("second", "f8", (2, 3)),
+        ("kept_mass", "f8", (3, 3)),  # of the step's start, for both stages
+        ("kept_inertia", "f8", 3),
+        ("kept_steep", "f8", 3),
+        ("kept_contact", "f8", (2, 3)),
+        ("right", "f8", (2, 3)),
+        ("matrix", "f8", (3, 3)),
+        ("side", "f8", 3),
+        ("before", "f8", 3),  # N m, torque at both ends of the step
+        ("after", "f8", 3),
+    ],
+    align=True,
+)
+
+
+@njit(cache=True)
+def _own(f, s, motor, motor_dot, seconds, torque):
+    for i in range(3):
+        torque[i] = 0.0
+    effects_kernel(
+        f.at_joints, f.model, f.gear_ratio, f.rho_2[0], motor, motor_dot, s.guess, s.way, s.load, seconds, s.position,
+        s.work, torque,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _shared(f, s, link, link_dot, seconds, torque):
+    for i in range(3):
+        torque[i] = 0.0
+    effects_kernel(
+        f.at_platform, f.model, f.gear_ratio, f.rho_2[0], link, link_dot, s.guess, s.way, s.load, seconds, s.position,
+        s.work, torque,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _ball_joints(f, s, link_dot, torque):
+    """Add the ball joints' friction, as `passive_joint_friction` has it: by virtual power of the forearms' turning."""
+    column, elbow, lever, velocity = s.work[1], s.work[2], s.work[4, 0], s.work[4, 1]
+    forearm = s.work[0]
+    over = 1.0 / f.model.passive_length**2
+    smooth = max(f.transition, 1e-3)
+    turn, per, swing = s.turning[0], s.turning[1], s.turning[2]
+    for arm in range(3):
+        axle_x, axle_y = -f.model.azimuth_sin[arm], f.model.azimuth_cos[arm]
+        x, y, z = forearm[arm, 0], forearm[arm, 1], forearm[arm, 2]
+        for axis in range(3):
+            swing[axis] = velocity[axis] - elbow[arm, axis] * link_dot[arm]
+        turn[0] = (y * swing[2] - z * swing[1]) * over
+        turn[1] = (z * swing[0] - x * swing[2]) * over
+        turn[2] = (x * swing[1] - y * swing[0]) * over
+        for end in range(2):  # elbow, platform
+            if end == 0:
+                turn[0] -= axle_x * link_dot[arm]
+                turn[1] -= axle_y * link_dot[arm]
+            speed = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+            level = f.ball_joints[end] * math.tanh(speed / smooth) / max(speed, 1e-12) + f.ball_joints[2 + end]
+            for joint in range(3):
+                for axis in range(3):
+                    swing[axis] = column[joint, axis] * lever[joint] - (elbow[arm, axis] if joint == arm else 0.0)
+                per[0] = (y * swing[2] - z * swing[1]) * over
+                per[1] = (z * swing[0] - x * swing[2]) * over
+                per[2] = (x * swing[1] - y * swing[0]) * over
+                if end == 0 and joint == arm:
+                    per[0] -= axle_x
+                    per[1] -= axle_y
+                torque[joint] += level * (turn[0] * per[0] + turn[1] * per[1] + turn[2] * per[2])
+            if end == 0:
+                turn[0] += axle_x * link_dot[arm]
+                turn[1] += axle_y * link_dot[arm]
+
+
+@njit(cache=True)
+def _evaluate(f, s, state, torque, seconds, step, implicit):
+    """Masses and the torque left over for acceleration, at s.guess as far as effects depend on it. Returns a status.
+
+    step: s, ahead of which a flank that closes counts as closed. implicit: also fill `steep`.
+    """
+    link, link_dot, motor, motor_dot, bristle = state[0], state[1], state[2], state[3], state[4]
+    status = bias_kernel(f.model, f.rho_2, f.forearm, link, link_dot, s.position, s.work, s.terms, s.bias)
+    if status != REACHED:
+        return status
+    mass_kernel(f.model, f.rho_1, f.forearm, s.work, s.mass)
+    column, lever, acceleration = s.work[1], s.work[4, 0], s.work[4, 2]
+    for i in range(3):
+        s.load[i] = s.bias[i] + s.mass[i, 0] * s.guess[0] + s.mass[i, 1] * s.guess[1] + s.mass[i, 2] * s.guess[2]
+        s.way[i] = math.tanh(motor_dot[i] / f.transition)
+        for axis in range(3):
+            acceleration[axis] += column[i, axis] * lever[i] * s.guess[i]
+    _own(f, s, motor, motor_dot, seconds, s.own)
+    _shared(f, s, link, link_dot, seconds, s.shared)
+    if implicit:
+        _steepness(f, s, motor, motor_dot, seconds)
+    for i in range(3):
+        push = torque[i] - s.own[i] - f.viscous[i] * motor_dot[i] - f.coulomb[i] * s.way[i]
+        s.right_motor[i] = push - f.bristle[i] * (bristle[i] - s.way[i])
+        s.right_link[i] = -s.bias[i] - s.shared[i]
+        s.inertia[i] = f.motor[i]
+    if f.joints_accelerate != 0:
+        for i in range(3):
+            s.guess[i] += 1.0
+        _own(f, s, motor, motor_dot, seconds, s.more)
+        for i in range(3):
+            s.guess[i] -= 1.0
+            step_up = s.more[i] - s.own[i]
+            s.right_motor[i] += step_up * s.guess[i]
+            if f.motor[i] > 0.0:
+                s.inertia[i] += step_up
+            else:
+                s.mass[i, i] += step_up
+    if f.platform_accelerates != 0:
+        for j in range(3):
+            s.guess[j] += 1.0
+            for axis in range(3):
+                acceleration[axis] += column[j, axis] * lever[j]
+            _shared(f, s, link, link_dot, seconds, s.more)
+            s.guess[j] -= 1.0
+            for axis in range(3):
+                acceleration[axis] -= column[j, axis] * lever[j]
+            for i in range(3):
+                step_up = s.more[i] - s.shared[i]
+                s.mass[i, j] += step_up
+                s.right_link[i] += step_up * s.guess[j]
+    if f.ball_joints[0] + f.ball_joints[1] + f.ball_joints[2] + f.ball_joints[3] > 0.0:
+        for i in range(3):
+            s.more[i] = 0.0
+        _ball_joints(f, s, link_dot, s.more)
+        for i in range(3):
+            s.right_link[i] -= s.more[i]
+    for i in range(3):
+        s.contact[0, i] = s.contact[1, i] = 0.0
+        if f.motor[i] > 0.0:
+            s.mass[i, i] -= f.motor[i]
+            passed = _passed(f, s, i, link[i] - motor[i], link_dot[i] - motor_dot[i], step)
+            s.right_link[i] += passed
+            s.right_motor[i] -= passed
+        else:
+            s.right_link[i] += s.right_motor[i]
+    return status
+
+
+@njit(cache=True)
+def _steepness(f, s, motor, motor_dot, seconds):
+    """s.steep: secant of everything that turns with the direction of motion."""
+    slow = False
+    for i in range(3):
+        s.steep[i] = f.coulomb[i] - f.bristle[i]
+        slow |= abs(motor_dot[i]) < SLOW
+    if slow:
+        for i in range(3):
+            s.way[i] += 1.0
+        _own(f, s, motor, motor_dot, seconds, s.more)
+        for i in range(3):
+            s.way[i] -= 1.0
+            s.steep[i] += s.more[i] - s.own[i]
+    for i in range(3):
+        secant = s.way[i] / motor_dot[i] if abs(motor_dot[i]) > 1e-9 else 1.0 / f.transition
+        s.steep[i] = max(0.0, f.viscous[i] + s.steep[i] * secant)
+
+
+@njit(cache=True)
+def _passed(f, s, i, twist, speed, step):
+    """Torque from motor to link, N m. twist: link less motor. A flank that is closed or will be goes to s.contact."""
+    half, stiffness, damping = f.half[i], f.stiffness[i], f.damping[i]
+    if half == 0.0:
+        s.contact[0, i], s.contact[1, i] = stiffness, damping
+        return -stiffness * twist - damping * speed
+    if abs(twist + step * speed) > half or abs(twist) > half:
+        s.contact[0, i], s.contact[1, i] = stiffness, damping
+    if twist > half:  # flanks push, they do not pull
+        return min(0.0, -stiffness * (twist - half) - damping * speed)
+    if twist < -half:
+        return max(0.0, -stiffness * (twist + half) - damping * speed)
+    return 0.0
+
+
+@njit(cache=True)
+def _solve(f, s, mass, inertia, steep, contact, weight, right, result):
+    """result (2, 3), links and motors, of the implicit equations. weight: gamma h, 0 for the explicit ones.
+
+    (inertia + weight steep + g) motor - g link = right[1],   g = weight damping + weight^2 stiffness
+    mass link + g (link - motor) = right[0]                   of a joint of two masses
+    """
+    matrix, side = s.matrix, s.side
+    for i in range(3):
+        for j in range(3):
+            matrix[i, j] = mass[i, j]
+        side[i] = right[0, i]
+        if f.motor[i] > 0.0:
+            g = weight * contact[1, i] + weight * weight * contact[0, i]
+            own = inertia[i] + weight * steep[i] + g
+            matrix[i, i] += g - g * g / own
+            side[i] += g / own * right[1, i]
+        else:
+            matrix[i, i] += weight * steep[i]
+    solve_kernel(matrix, side, result[0])
+    for i in range(3):
+        result[1, i] = result[0, i]
+        if f.motor[i] > 0.0:
+            g = weight * contact[1, i] + weight * weight * contact[0, i]
+            result[1, i] = (right[1, i] + g * result[0, i]) / (inertia[i] + weight * steep[i] + g)
+
+
+@njit(cache=True)
+def _slid(f, i, bristle, way):
+    """Bristles of joint i after the motor turned by `way` rad: dz / dtheta = (1 - z sign v) / distance, exactly."""
+    sign = 1.0 if way > 0.0 else -1.0
+    return sign + (bristle - sign) * math.exp(-abs(way) / f.distance[i])
+
+
+@njit(cache=True)
+def _step(f, s, seconds, h):
+    """s.state `h` s on under torque that goes from s.before to s.after. Returns a status."""
+    weight = GAMMA * h
+    state, middle, first, second, right = s.state, s.middle, s.first, s.second, s.right
+    mass, inertia, steep, contact = s.kept_mass, s.kept_inertia, s.kept_steep, s.kept_contact
+    status = _evaluate(f, s, state, s.before, seconds, h, True)
+    if status != REACHED:
+        return status
+    for i in range(3):
+        inertia[i], steep[i] = s.inertia[i], s.steep[i]
+        contact[0, i], contact[1, i] = s.contact[0, i], s.contact[1, i]
+        for j in range(3):
+            mass[i, j] = s.mass[i, j]
+        pull = weight * contact[0, i] * (state[3, i] - state[1, i])
+        right[0, i], right[1, i] = s.right_link[i] + pull, s.right_motor[i] - pull
+    _solve(f, s, mass, inertia, steep, contact, weight, right, first)
+    for i in range(3):
+        for mine in range(2):
+            place, speed = 2 * mine, 2 * mine + 1
+            middle[place, i] = state[place, i] + h * (state[speed, i] + weight * first[mine, i])
+            middle[speed, i] = state[speed, i] + h * first[mine, i]
+        if f.bristle[i] != 0.0:
+            middle[4, i] = _slid(f, i, state[4, i], middle[2, i] - state[2, i])
+        s.guess[i] = first[0, i]
+    status = _evaluate(f, s, middle, s.after, seconds + h, h, False)
+    if status != REACHED:
+        return status
+    for i in range(3):
+        right[0, i], right[1, i] = s.right_link[i], s.right_motor[i]
+    _solve(f, s, s.mass, s.inertia, steep, contact, 0.0, right, second)
+    for i in range(3):
+        s.guess[i] = second[0, i]
+        for mine in range(2):
+            second[mine, i] -= 2.0 * first[mine, i]
+            # from here on `middle` holds the second stage's share of the speeds
+            speed = 2 * mine + 1
+            middle[2 * mine, i] = middle[speed, i] - 2.0 * (state[speed, i] + weight * first[mine, i])
+    for i in range(3):
+        pull = weight * contact[0, i] * (middle[2, i] - middle[0, i])
+        right[0, i] = mass[i, 0] * second[0, 0] + mass[i, 1] * second[0, 1] + mass[i, 2] * second[0, 2] + pull
+        right[1, i] = inertia[i] * second[1, i] - pull
+    _solve(f, s, mass, inertia, steep, contact, weight, right, second)
+    for i in range(3):
+        turned = state[2, i]
+        for mine in range(2):
+            place, speed = 2 * mine, 2 * mine + 1
+            state[place, i] += 1.5 * h * (state[speed, i] + weight * first[mine, i])
+            state[place, i] += 0.5 * h * (middle[place, i] + weight * second[mine, i])
+            state[speed, i] += h * (1.5 * first[mine, i] + 0.5 * second[mine, i])
+        if f.bristle[i] != 0.0:
+            state[4, i] = _slid(f, i, state[4, i], state[2, i] - turned)
+    return status
+
+
+@njit(cache=True, nogil=True)
+def run_kernel(forward, scratch, start, torque, seconds, period, substeps, motor, motor_dot):
+    """W runs of S samples each from their own start.
+
+    forward, scratch: one record each. start: (W, 5, 3) link, link speed, motor, motor speed, bristles. torque:
+    (W, S, 3) N m at the joints, straight between samples. seconds: (W,) of the log's clock at the start. Filled: motor,
+    motor_dot (W, S, 3), NaN from where a run left the workspace.
+    """
+    f, s = forward[0], scratch[0]
+    h = period / substeps
+    count = torque.shape[1]
+    for w in range(len(start)):
+        for i in range(3):
+            s.guess[i] = 0.0
+            for row in range(5):
+                s.state[row, i] = start[w, row, i]
+        sound = True
+        for k in range(count):
+            for i in range(3):
+                sound &= abs(s.state[2, i] - start[w, 2, i]) < FARTHEST  # also when NaN
+            for i in range(3):
+                motor[w, k, i] = s.state[2, i] if sound else np.nan
+                motor_dot[w, k, i] = s.state[3, i] if sound else np.nan
+            if not sound or k == count - 1:
+                continue
+            for part in range(substeps):
+                for i in range(3):
+                    change = torque[w, k + 1, i] - torque[w, k, i]
+                    s.before[i] = torque[w, k, i] + change * part / substeps
+                    s.after[i] = torque[w, k, i] + change * (part + 1) / substeps
+                sound = _step(f, s, seconds[w] + k * period + part * h, h) == REACHED
+                if not sound:
+                    break

@@ -1,0 +1,131 @@
+"""A description as the forward kernel wants it, and a recorded stretch as that robot sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from schemas.robot import Robot
+from service.estimator.effects import carried, corrected, pack_effects
+from service.model.description import base_of, terms_of
+from service.model.effects.base import Effect, Inside
+from service.model.effects.presliding_friction import deflection
+from service.model.hypothesis import Term
+from service.model.mechanism import Delta
+from service.model.nominal import DeltaModel, pack
+from service.model.scene import Recording, Scene
+from service.model.signals import Segment, delayed, smooth
+from service.model.two_masses import relative_motion
+from service.rollout.kernel import FORWARD, SHARPEST
+
+
+def simulated(effect: Effect) -> bool:
+    """Whether the simulation has the effect."""
+    kind = type(effect)
+    return carried(effect) or kind.put_inside is not Effect.put_inside or kind.restore is not Effect.restore
+
+
+def left_out(robot: Robot) -> list[str]:
+    """Effects of a description that have no form forward in time."""
+    return [term.effect.name for term in terms_of(robot) if not simulated(term.effect)]
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """N samples between two faults, as one description understands them.
+
+    model: its geometry. forward: (1,) FORWARD record. start: (N, 5, 3) state at each sample - link, link speed, motor,
+    motor speed, bristles. motion: (N, 3) rad, smoothed, what the encoders give. torque: (N, 3) N m at the joints, what
+    the measurement does to it undone. wobble: as in `Inside`.
+    """
+
+    model: DeltaModel
+    forward: np.ndarray
+    start: np.ndarray
+    motion: np.ndarray
+    torque: np.ndarray
+    wobble: list[tuple[int, float, float, float]]
+    gear_ratio: float
+
+    def measured(self, angle: np.ndarray) -> np.ndarray:
+        """What the encoders give at true angles (..., 3) of the motors, rad."""
+        result = angle
+        if self.wobble:
+            for _ in range(4):  # the error is some thousandths of the angle: a few rounds are exact
+                result = angle - _error(self.wobble, self.gear_ratio, result)
+        return result
+
+
+def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
+    """`segment` with raw `position` (N, 3) rad as `robot` sees it.
+
+    Raises:
+        RobotError: an effect that is not known, or not described in full. PoseError: a pose out of reach.
+    """
+    terms, base = terms_of(robot), base_of(robot.identified)
+    changed, ratio, _ = corrected(robot)
+    inside = Inside()
+    for term in terms:
+        for place, amplitude in zip(term.places, term.amplitude, strict=True):
+            term.effect.put_inside(inside, place, amplitude, term.shape)
+    encoders = segment.theta
+    if inside.wobble:
+        angles = position + _error(inside.wobble, robot.drive.gear_ratio, position)
+        theta, theta_dot, theta_ddot = smooth(angles, segment.period)
+        segment = replace(segment, theta=theta, theta_dot=theta_dot, theta_ddot=theta_ddot)
+    torque = true_torque(terms, base.timing, segment.torque, segment.period)
+    mechanism = Delta.of(changed)
+    scene = Scene(Recording(segment, mechanism, 0, robot.name), base)
+    start = np.stack([segment.theta, segment.theta_dot, segment.theta, segment.theta_dot, np.zeros_like(torque)], 1)
+    motor, stiffness, damping, half = np.zeros((4, 3))
+    for joint, figures in inside.two_masses.items():
+        link = relative_motion(scene, joint, *figures)
+        motor[joint], stiffness[joint], damping[joint], half[joint] = (
+            link.motor,
+            link.stiffness,
+            link.damping,
+            figures[0],
+        )
+        start[:, 0, joint] += link.angle
+        start[:, 1, joint] += link.speed
+    for joint in np.flatnonzero(inside.bristle):
+        start[:, 4, joint] = deflection(segment.theta[:, joint], inside.distance[joint])
+    forward, model = np.zeros(1, FORWARD), pack(changed)
+    for name in DeltaModel._fields:
+        forward["model"][name] = getattr(model, name)
+    # rho also stands for rotor and gear: a longer link changes its own share of inertia and gravity, not theirs
+    forward["rho_1"] = base.rigid[0] + (1.0 - base.rigid[0]) * (1.0 - ratio**-2)
+    forward["rho_2"] = base.rigid[1] + (1.0 - base.rigid[1]) * (1.0 - ratio**-1)
+    forward["forearm"] = base.rigid[2]
+    forward["viscous"], forward["coulomb"] = base.viscous, base.coulomb
+    forward["transition"] = max(float(np.max(base.transition)), SHARPEST)
+    forward["gear_ratio"] = robot.drive.gear_ratio
+    at_joints = [term for term in terms if term.effect.own_joint]
+    at_platform = [term for term in terms if not term.effect.own_joint]
+    forward["at_joints"], forward["at_platform"] = pack_effects(at_joints), pack_effects(at_platform)
+    forward["joints_accelerate"] = any(term.effect.accelerates for term in at_joints)
+    forward["platform_accelerates"] = any(term.effect.accelerates for term in at_platform)
+    forward["ball_joints"] = inside.ball_joints
+    forward["bristle"], forward["distance"] = inside.bristle, inside.distance
+    forward["motor"], forward["stiffness"], forward["damping"], forward["half"] = motor, stiffness, damping, half
+    return Stretch(model, forward, start, encoders, torque, inside.wobble, robot.drive.gear_ratio)
+
+
+def true_torque(terms: tuple[Term, ...], timing: float, torque: np.ndarray, period: float) -> np.ndarray:
+    """Joint torque (N, 3) N m of a reported one. timing: s by which torque was sampled later than position."""
+    torque = delayed(torque, -timing, period)
+    for term in reversed(terms):
+        if term.effect.measured:
+            for place, amplitude in zip(term.places, term.amplitude, strict=True):
+                torque = term.effect.restore(torque, period, place, amplitude, term.shape)
+    return torque
+
+
+def _error(wobble: list[tuple[int, float, float, float]], gear_ratio: float, measured: np.ndarray) -> np.ndarray:
+    """True less measured angle (..., 3) rad."""
+    result = np.zeros_like(measured)
+    for joint, cosine, sine, order in wobble:
+        angle = order * gear_ratio * measured[..., joint]
+        result[..., joint] += cosine * np.cos(angle) + sine * np.sin(angle)
+    return result
