@@ -1,0 +1,108 @@
+"""`deltatwin rollout` on logs whose robot is known, and on logs and descriptions that are wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from typer.testing import CliRunner
+
+from drivers.trace import read_trace
+from schemas.errors import DataError
+from schemas.robot import Robot, save_robot
+from service.cli.main import app
+from service.rollout.gap import PLAIN, Rollout, plain, rollout
+from tests.service.rollout.test_kernel import effect, identified, recorded
+from tests.service.world import ROBOT
+
+NOISE, ENCODER = 0.3, 2e-5  # N m, rad
+runner = CliRunner()
+
+
+def log(folder: Path, robot: Robot, turned: tuple[int, ...] = (), seconds: float = 3.0, hole: bool = False) -> Path:
+    """A CSV of a motion in closed form; `turned`: joints whose torque has the wrong sign."""
+    part = recorded(robot, seconds)
+    random = np.random.default_rng(5)
+    torque = part.torque + NOISE * random.standard_normal(part.torque.shape)
+    torque[:, list(turned)] *= -1.0
+    position = part.theta + ENCODER * random.standard_normal(part.theta.shape)
+    columns = {"time_s": part.time}
+    columns |= {f"position_{j + 1}_rad": position[:, j] for j in range(3)}
+    columns |= {f"torque_{j + 1}_nm": torque[:, j] for j in range(3)}
+    table = pl.DataFrame(columns)
+    if hole:
+        table = pl.concat([table[:1200], table[1500:]])
+    path = folder / "log.csv"
+    table.write_csv(path)
+    return path
+
+
+def run(path: Path, **robots: Robot) -> Rollout:
+    return rollout(robots, [read_trace(path, ROBOT)])
+
+
+def test_the_right_model_comes_down_to_the_floor_and_the_wrong_one_does_not(tmp_path: Path) -> None:
+    truth = identified(effect("stribeck_friction"))
+    found = run(log(tmp_path, truth), plain=plain(ROBOT), identified=identified(), corrected=truth)
+    drawn, known, corrected = found.courses
+    assert drawn.platform_mm > known.platform_mm > 5 * corrected.platform_mm
+    assert corrected.platform_mm < 1.3 * found.floor.platform_mm
+    assert (corrected.joint_mrad < 1.5 * found.floor.joint_mrad).all()
+    assert corrected.growth_mm[0] < 0.1 * corrected.growth_mm[-1]
+    assert len(found.runs) == 13
+    assert found.floor.path_mm > 100
+
+
+def test_no_window_spans_a_gap(tmp_path: Path) -> None:
+    whole, broken = (run(log(tmp_path, identified(), hole=hole), identified=identified()) for hole in (False, True))
+    assert len(whole.runs) == 13
+    assert len(broken.runs) == 10  # 4 of 1 s and 6 of 1.3 s; in one piece it would be 12
+    assert broken.courses[0].platform_mm < 1.5 * broken.floor.platform_mm
+
+
+@pytest.mark.parametrize(("turned", "said"), [((0, 1, 2), "joint 1, 2, 3"), ((1,), "joint 2")])
+def test_a_torque_of_the_wrong_sign_is_named(tmp_path: Path, turned: tuple[int, ...], said: str) -> None:
+    with pytest.raises(DataError, match=rf"log\.csv: the simulated robot runs away .* torque of {said} turned round"):
+        run(log(tmp_path, identified(), turned), identified=identified())
+
+
+def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
+    truth = identified(effect("tool_mass"))
+    names = {"identified": identified(), "corrected": truth}
+    for name, robot in names.items():
+        save_robot(robot, tmp_path / f"{name}.toml")
+    trace = log(tmp_path, truth)
+    given = [argument for name in names for argument in ("--robot", str(tmp_path / f"{name}.toml"))]
+    told = runner.invoke(app, ["rollout", str(trace), *given, "--out", str(tmp_path / "out")])
+    assert told.exit_code == 0, told.output
+    written = json.loads((tmp_path / "out" / "rollout.json").read_text())
+    assert written["schema"] == "deltatwin.rollout/1"
+    assert [entry["robot"] for entry in written["robots"]] == [PLAIN, "identified", "corrected"]
+    off = [entry["platform_mm"] for entry in written["robots"]]
+    assert f"from {off[1]:.3g} mm (identified) to {off[2]:.3g} mm (corrected)" in told.output
+    assert sum(entry["windows"] for entry in written["regimes"] if entry["joint"] == 1) == written["windows"]
+    page = (tmp_path / "out" / "rollout.html").read_text()
+    assert f"{off[2]:.3f}" in page
+    assert "corrected" in page
+
+
+def test_what_cannot_be_simulated_is_told_in_one_line(tmp_path: Path) -> None:
+    trace = log(tmp_path, identified(), seconds=0.6)
+    save_robot(identified(), tmp_path / "r.toml")
+    other = ROBOT.model_copy(update={"mass": ROBOT.mass.model_copy(update={"platform": 2.0})})
+    save_robot(other, tmp_path / "other.toml")
+    (tmp_path / "axes.toml").write_text('name = "a"\nkind = "axes"\n[[axis]]\ngear_ratio = 1.0\n')
+
+    def said(*arguments: str) -> str:
+        result = runner.invoke(app, ["rollout", str(trace), *arguments])
+        assert isinstance(result.exception, Exception), result.output
+        return str(result.exception)
+
+    mine = ["--robot", str(tmp_path / "r.toml")]
+    assert "horizon of 9 s: must be 0.01 to 5 s" in said(*mine, "--horizon", "9")
+    assert "log.csv: no window of 1 s between faults" in said(*mine, "--horizon", "1")
+    assert "other.toml: its [mass] is not that of" in said(*mine, "--robot", str(tmp_path / "other.toml"))
+    assert 'axes.toml: kind = "axes"' in said("--robot", str(tmp_path / "axes.toml"))
