@@ -26,7 +26,7 @@ from drivers.trace.tables import READERS
 from schemas.axes import Axes, Description, no_axes
 from schemas.columns import Columns, load_columns
 from schemas.errors import TraceError
-from schemas.files import whole
+from schemas.files import opened, whole
 from schemas.trace import Trace
 
 MAPPINGS = Path(__file__).parent / "mappings"
@@ -76,7 +76,7 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
         if not ((columns or fallback) and not holds_samples(path)):
             return read_mcap(path, robot)
     mapping = columns or fallback
-    if path.name.endswith(CSV_ENDINGS) and not (mapping and mapping.beside):
+    if path.name.endswith(CSV_ENDINGS) and not (mapping and (mapping.beside or _is_codesys(path))):
         from drivers.trace.csv_file import read_csv
 
         return read_csv(path, robot, columns, fallback)
@@ -86,6 +86,13 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
         return _foreign(path, robot, mapping)
     endings = ", ".join((".csv", ".csv.gz", *TABLE_ENDINGS, ".pcap", ".pcapng"))
     raise TraceError(f"{path}: unknown kind of trace, its name should end in one of {endings}")
+
+
+def _is_codesys(path: Path) -> bool:
+    from drivers.trace.tables.codesys import FIRST_LINE
+
+    with opened(path, TraceError) as stream:
+        return stream.read(len(FIRST_LINE)) == FIRST_LINE.encode()
 
 
 def _foreign(path: Path, robot: Description | None, columns: Columns) -> Trace:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import permutations, product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -64,15 +65,55 @@ def _refuse_copies(trajectories: Sequence[Trajectory]) -> None:
                 raise DataError(f"{trajectory.name}: the same motion and torque as {earlier.name}, give it once")
 
 
+class Fit(NamedTuple):
+    """A reading of the torque: that of joint j is `scale * signs[j] * torque[order[j]]`.
+
+    share: of its rms, left by a fit.
+    """
+
+    share: float
+    order: Sequence[int]
+    signs: Sequence[float]
+    scale: float
+
+
+def best_fit(gram: np.ndarray, gear_ratio: float, free_scale: bool = False) -> Fit:
+    """The reading of one log's torque that makes most sense; the one given where it does. gram: (3, COLUMNS, COLUMNS).
+
+    free_scale: the torque's unit is not known; its scale comes from the platform's mass.
+    """
+    if free_scale:
+        options = [_scaled(gram, order, signs) for order, signs in product(_ORDERS, _SIGNS)]
+        return min(options)
+    given = Fit(_left(gram, (0, 1, 2), (1.0, 1.0, 1.0), 1.0), (0, 1, 2), (1.0, 1.0, 1.0), 1.0)
+    if given.share < SUSPECT:
+        return given
+    scales = (1.0, gear_ratio) if gear_ratio > 2.0 else (1.0,)
+    best = min(Fit(_left(gram, *option), *option) for option in product(_ORDERS, _SIGNS, scales))
+    return best if best.share <= BETTER * given.share else given
+
+
+def _scaled(gram: np.ndarray, order: Sequence[int], signs: Sequence[float]) -> Fit:
+    """The fit with the torque's scale among what is fitted: that of the platform's known torque is 1."""
+    left = np.zeros((PARAMETERS + 1, PARAMETERS + 1))
+    right = np.zeros(PARAMETERS + 1)
+    for joint in range(3):
+        measured = np.zeros((COLUMNS, 1))
+        measured[TORQUE_COLUMN + order[joint]] = signs[joint]
+        chosen = np.hstack([selection(joint), -measured])
+        left += chosen.T @ gram[joint] @ chosen
+        right -= chosen.T @ gram[joint, :, PLATFORM_COLUMN]
+    scale = float(np.linalg.lstsq(left, right, rcond=1e-10)[0][-1])
+    if scale <= 0:
+        return Fit(np.inf, order, signs, 1.0)
+    return Fit(_left(gram, order, signs, scale), order, signs, scale)
+
+
 def _reading(gram: np.ndarray, gear_ratio: float) -> str:
     """How else the torque of one log makes sense, "" if it does as it is. gram: (3, COLUMNS, COLUMNS)."""
     given = _left(gram, (0, 1, 2), (1.0, 1.0, 1.0), 1.0)
-    if given < SUSPECT:
-        return ""
-    scales = (1.0, gear_ratio) if gear_ratio > 2.0 else (1.0,)
-    options = [(_left(gram, *option), *option) for option in product(_ORDERS, _SIGNS, scales)]
-    best, order, signs, scale = min(options)
-    if best > BETTER * given:
+    best, order, signs, scale = best_fit(gram, gear_ratio)
+    if best == given:
         return ""
     faults = []
     swapped = [joint for joint in range(3) if order[joint] != joint]

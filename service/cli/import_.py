@@ -1,0 +1,221 @@
+"""`deltatwin import`: foreign logs, whatever wrote them: what is in them, how to read them, and a log to go on with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from drivers.trace.tables import Table
+    from service.identification.proposal import Proposal, Told
+
+
+def command(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="TwinCAT Scope, CODESYS, KUKA (.dat), tables with or without a header, JSON, .mat, .npy, .npz, "
+            "rosbag2; several files are taken side by side.",
+        ),
+    ],
+    robot: Annotated[
+        Path | None, typer.Option(metavar="FILE|NAME", help="Robot description (TOML): signs and gear side are tried.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Log to write. Default: the first file's name, .mcap (.csv if not three joints)."),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Take the proposal without asking.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
+    time: Annotated[str | None, typer.Option(help="Column of the stamps.")] = None,
+    rate: Annotated[float | None, typer.Option(min=0.1, help="Rows a second (Hz), where no column has stamps.")] = None,
+    position: Annotated[str | None, typer.Option(help="Columns of the positions, with commas, joint 1 first.")] = None,
+    torque: Annotated[str | None, typer.Option(help="Columns of the torques or currents, with commas.")] = None,
+    position_unit: Annotated[str | None, typer.Option(help="rad, deg, turns, counts, m or mm.")] = None,
+    counts_per_rev: Annotated[float | None, typer.Option(min=1.0, help="Increments a turn of the encoder.")] = None,
+    torque_unit: Annotated[
+        str | None,
+        typer.Option(
+            help="'N m', N, 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT' (N m, N m/A, N m/V)."
+        ),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print channels, proposal and doubts as JSON.")] = False,
+) -> None:
+    """List the channels of foreign logs, propose how to read them, and write the mapping and the log.
+
+    Unit, clock, sign and side of the gear come from what the file says, else from what makes the torque fit the
+    motion (with --robot). What cannot be told is said, and asked where this is a terminal. Nothing is repaired.
+
+    Writes OUT and, beside it, OUT's name with .columns.toml: the mapping, for --columns or to correct by hand.
+
+    Example: deltatwin import scope.csv --robot robot.toml --yes
+
+    Example: deltatwin import pos.csv current.csv --robot arm.toml --rate 5000 --torque-unit 'A 0.12'
+    """
+    import sys
+
+    from rich.console import Console
+
+    from drivers.trace import read_trace, write_trace
+    from drivers.trace.tables import joined, read_table
+    from schemas.axes import load_description
+    from schemas.columns import load_columns
+    from schemas.errors import StorageError, TraceError
+    from schemas.files import check_folder, write_text
+    from service.cli.signals import terminate_as_interrupt
+    from service.identification.proposal import propose
+
+    terminate_as_interrupt()
+    description = load_description(robot) if robot else None
+    told = _told(time, rate, position, torque, position_unit, counts_per_rev, torque_unit)
+    for path in files[1:]:
+        if path.parent.resolve() != files[0].parent.resolve():
+            raise TraceError(f"{path}: not in the folder of {files[0]}; files side by side stand beside each other")
+    with Console(stderr=True).status(f"reading {files[0].name}"):
+        table = joined([read_table(path) for path in files])
+        proposal = propose(table, description, told)
+    if not json:
+        _show(table, proposal)
+    log = out or files[0].with_name(
+        files[0].name.split(".")[0] + (".mcap" if len(proposal.columns["position"]) == 3 else ".imported.csv")
+    )
+    mapping = log.with_name(log.name.split(".")[0] + ".columns.toml")
+    check_folder(log.parent)
+    for path in (log, mapping):
+        if path.exists() and not overwrite:
+            raise StorageError(f"{path}: exists already; --overwrite replaces it, --out names another")
+    if not yes:
+        if not sys.stdin.isatty():
+            raise typer.BadParameter("no terminal to ask on; --yes takes the proposal", param_hint="--yes")
+        if not typer.confirm("take it?", default=not proposal.doubts, err=True):
+            typer.echo("nothing written; say otherwise with --position, --torque, --time, --torque-unit ...", err=True)
+            raise typer.Exit(1)
+    write_text(mapping, _toml(table, proposal))
+    with Console(stderr=True).status(f"writing {log.name}"):
+        trace = read_trace(files[0], description, load_columns(mapping))
+        write_trace(trace, log, description.name if description else "robot")
+    for finding in trace.findings:
+        typer.echo(f"{files[0]}: {finding.message}", err=True)
+    if json:
+        typer.echo(_json(table, proposal, log, mapping))
+        return
+    typer.echo(f"{log}: {len(trace)} samples, {trace.position.shape[1]} joints; mapping in {mapping}")
+    options = f"--robot {robot}" if robot else "--robot ROBOT.toml"
+    typer.echo(f"next: deltatwin diagnose {log} {options} --out diagnosis")
+
+
+def _told(
+    time: str | None,
+    rate: float | None,
+    position: str | None,
+    torque: str | None,
+    position_unit: str | None,
+    counts_per_rev: float | None,
+    torque_unit: str | None,
+) -> Told:
+    from service.identification.channels import POSITION_UNITS, TORQUE_UNITS
+    from service.identification.proposal import Told
+
+    if position_unit is not None and position_unit not in POSITION_UNITS.values():
+        raise typer.BadParameter(f"{position_unit!r}: rad, deg, turns, counts, m or mm", param_hint="--position-unit")
+    unit: tuple[str, float | None] | None = None
+    if torque_unit is not None:
+        name, _, number = torque_unit.rpartition(" ")
+        try:
+            unit = (name.strip(), float(number))
+        except ValueError:
+            unit = (torque_unit.strip(), None)
+        if unit[0] not in TORQUE_UNITS.values():
+            raise typer.BadParameter(
+                f"{torque_unit!r}: 'N m', N, 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT'",
+                param_hint="--torque-unit",
+            )
+
+    def names(text: str | None) -> list[str] | None:
+        return None if text is None else [name.strip() for name in text.split(",")]
+
+    return Told(time, rate, names(position), names(torque), position_unit, counts_per_rev, unit)
+
+
+def _channels(table: Table, proposal: Proposal) -> list[dict[str, Any]]:
+    import numpy as np
+
+    from service.identification.channels import rate_hz
+
+    roles = {proposal.channels.time: "time"} | dict.fromkeys(table.time_of.values(), "time")
+    for role in ("position", "torque", "position_command", "torque_command"):
+        roles |= {name: f"{role} {k}" for k, name in enumerate(getattr(proposal.channels, role), 1)}
+    rows = []
+    for name, values in table.columns.items():
+        known = values[np.isfinite(values)]
+        clock = table.time_of.get(name, proposal.channels.time)
+        stated = proposal.columns["time"].get("rate_hz")
+        rows.append(
+            {
+                "channel": name,
+                "unit": table.units.get(name, ""),
+                "min": float(known.min()) if len(known) else None,
+                "max": float(known.max()) if len(known) else None,
+                "rate_hz": stated if clock is None else rate_hz(table, clock),
+                "missing": len(values) - len(known),
+                "taken_for": roles.get(name, ""),
+            }
+        )
+    return rows
+
+
+def _show(table: Table, proposal: Proposal) -> None:
+    from rich.markup import escape
+    from rich.table import Table as Printed
+
+    from service.cli.output import console
+
+    screen = console()
+    screen.print(f"[bold]{escape(str(table.path))}[/bold]: {table.kind}, {len(table)} rows", highlight=False)
+    printed = Printed(box=None, pad_edge=False, header_style="dim")
+    for heading in ("channel", "unit said", "min", "max", "rate", "taken for"):
+        right = heading in ("min", "max", "rate")
+        printed.add_column(heading, justify="right" if right else "left", no_wrap=True)
+    for row in _channels(table, proposal):
+        low, high = ("-" if row[key] is None else f"{row[key]:.5g}" for key in ("min", "max"))
+        rate = f"{row['rate_hz']:.6g} Hz"
+        printed.add_row(escape(row["channel"]), escape(row["unit"]), low, high, rate, row["taken_for"])
+    screen.print(printed, highlight=False)
+    for reason in proposal.reasons:
+        screen.print(f"  {escape(reason)}", highlight=False, soft_wrap=True)
+    for doubt in proposal.doubts:
+        screen.print(f"  [yellow]check:[/yellow] {escape(doubt)}", highlight=False, soft_wrap=True)
+
+
+def _toml(table: Table, proposal: Proposal) -> str:
+    import tomlkit
+
+    from schemas.robot import toml_item
+
+    document = tomlkit.document()
+    document.add(tomlkit.comment(f"How to read {table.path.name} ({table.kind}). Every key: schemas/columns.py."))
+    for line in (*proposal.reasons, *(f"check: {doubt}" for doubt in proposal.doubts)):
+        document.add(tomlkit.comment(line))
+    for key, value in proposal.columns.items():
+        document[key] = toml_item(value)
+    return tomlkit.dumps(document)
+
+
+def _json(table: Table, proposal: Proposal, log: Path, mapping: Path) -> str:
+    from json import dumps
+
+    document = {
+        "schema": "deltatwin.import/1",
+        "file": str(table.path),
+        "kind": table.kind,
+        "channels": _channels(table, proposal),
+        "columns": proposal.columns,
+        "reasons": list(proposal.reasons),
+        "doubts": list(proposal.doubts),
+        "log": str(log),
+        "mapping": str(mapping),
+    }
+    return dumps(document, indent=1)

@@ -1,0 +1,182 @@
+"""What the columns of a foreign table may be, from their names, the units that stand there, and their numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.trace.tables import Table
+from schemas.columns import TIME_UNITS
+
+# Words of column names, English and German, as controllers and loggers write them.
+WORDS = {
+    "time": {"t", "time", "timestamp", "timestamps", "stamp", "zeit", "zeitstempel", "clock", "when", "date"},
+    "position": {"position", "positions", "pos", "q", "qm", "angle", "angles", "winkel", "lage", "phi", "theta"},
+    "torque": {
+        "torque", "torques", "trq", "tau", "effort", "moment", "drehmoment", "m", "nm", "iq", "current", "currents",
+        "curr", "strom", "load", "force", "kraft", "vir",
+    },
+    "command": {
+        "set", "soll", "sollwert", "setpoint", "cmd", "command", "commanded", "target", "ref", "reference", "desired",
+        "goal", "qg",
+    },
+    "other": {
+        "velocity", "speed", "vel", "qd", "dq", "qdot", "geschwindigkeit", "drehzahl", "error", "err", "lag",
+        "schleppfehler", "deviation", "following", "temp", "temperature", "volt", "volts", "voltage", "acceleration",
+        "acc", "qdd", "pwm", "status", "state", "enable", "enabled",
+    },
+}  # fmt: skip
+POSITION_UNITS = {
+    "rad": "rad", "radian": "rad", "radians": "rad", "deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg",
+    "°": "deg", "turns": "turns", "rev": "turns", "inc": "counts", "count": "counts", "counts": "counts",
+    "m": "m", "mm": "mm",
+}  # fmt: skip
+TORQUE_UNITS = {
+    "nm": "N m", "n m": "N m", "n*m": "N m", "n": "N", "%": "percent", "percent": "percent", "‰": "permille",
+    "permille": "permille", "promille": "permille", "a": "A", "amp": "A", "v": "V",
+}  # fmt: skip
+RATES_HZ = (20.0, 40_000.0)  # of logs that hold dynamics; a unit of time that gives another rate is not believed
+_TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+|[%‰°]")
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Which column is what. Each of the lists has an entry a joint; empty where there is none."""
+
+    time: str | None = None
+    position: Sequence[str] = ()
+    torque: Sequence[str] = ()
+    position_command: Sequence[str] = ()
+    torque_command: Sequence[str] = ()
+    reasons: Sequence[str] = field(default=())
+
+
+def tokens(name: str) -> list[str]:
+    """The words and numbers of a column's name: `axis0.actPos` is axis, 0, act, pos."""
+    return [token.lower() for token in _TOKEN.findall(name)]
+
+
+def guess(table: Table, joints: int | None) -> Channels:
+    """Channels by their names, and by how smooth they are where names say nothing. joints: of the robot, if known."""
+    time = _time(table)
+    clocks = {time, *table.time_of.values()} - {None}
+    names = [n for n, v in table.columns.items() if n not in clocks and _moves(v)]
+    found: dict[str, list[str]] = {"position": [], "torque": [], "position_command": [], "torque_command": []}
+    for name in names:
+        role = _role(name, table)
+        if role:
+            found[role].append(name)
+    reasons = ["columns are told by their names"]
+    if not (found["position"] and found["torque"]):
+        by_shape = _by_smoothness(table, names, joints)
+        if by_shape:
+            found |= dict(zip(("position", "torque"), by_shape, strict=True))
+            reasons = ["names say nothing: the smoother columns are taken for positions, the rougher for torques"]
+    ordered = {role: _by_joint(columns) for role, columns in found.items()}
+    count = joints or len(ordered["position"])
+    ordered = {role: columns if len(columns) == count else [] for role, columns in ordered.items()}
+    return Channels(time, **ordered, reasons=reasons)
+
+
+def time_unit(table: Table, name: str) -> tuple[str, bool]:
+    """Unit of a column of stamps, and whether the file or the name says so; else by the rate that it gives."""
+    said = table.units.get(name, "").lower().replace("µ", "u")
+    if said in TIME_UNITS or said == "datetime":
+        return said, True
+    for unit in ("ns", "us", "ms", "s"):
+        if unit in tokens(name.replace("µ", "u")):
+            return unit, True
+    step = _step(table.columns[name])
+    for unit, per_second in TIME_UNITS.items():
+        if RATES_HZ[0] <= per_second / step <= RATES_HZ[1]:
+            return unit, False
+    return "s", False
+
+
+def rate_hz(table: Table, clock: str) -> float:
+    """Samples a second by a column of stamps."""
+    return TIME_UNITS.get(time_unit(table, clock)[0], 1.0) / _step(table.columns[clock])
+
+
+def said_unit(table: Table, name: str, known: Mapping[str, str]) -> str | None:
+    """The unit that the file, or the name of the column, gives."""
+    said = table.units.get(name, "").strip().lower()
+    if said in known:
+        return known[said]
+    bracket = re.search(r"[\[(]([^\])]+)[\])]", name)
+    words = [bracket[1].strip().lower()] if bracket else []
+    words += [word for word in tokens(name)[-2:] if word not in ("m", "a", "v", "n")]  # one letter names an axis too
+    return next((known[word] for word in words if word in known), None)
+
+
+def _time(table: Table) -> str | None:
+    rising = [name for name, values in table.columns.items() if _rises(values)]
+    named = [name for name in rising if WORDS["time"] & set(tokens(name)) or table.units.get(name) == "datetime"]
+    if not named and table.kind.startswith("TwinCAT"):
+        named = [name for name in table.columns if name in table.time_of.values()]
+    if named:
+        return named[0]
+    first = next(iter(table.columns))
+    return first if first in rising and _role(first, table) is None and not table.layout.get("beside") else None
+
+
+def _rises(values: np.ndarray) -> bool:
+    steps = np.diff(values[np.isfinite(values)])
+    return len(steps) > 1 and bool(np.mean(steps > 0) > 0.9 and np.mean(steps >= 0) > 0.99)
+
+
+def _step(values: np.ndarray) -> float:
+    steps = np.diff(values[np.isfinite(values)])
+    return float(np.median(steps[steps > 0]))
+
+
+def _moves(values: np.ndarray) -> bool:
+    known = values[np.isfinite(values)]
+    return len(known) > 1 and bool(np.ptp(known) > 0)
+
+
+def _role(name: str, table: Table) -> str | None:
+    words = set(tokens(name))
+    if table.layout.get("beside") and ":" not in name:
+        words |= set(tokens(table.path.name.split(".")[0]))
+    if said_unit(table, name, {"rad/s": "x", "deg/s": "x", "rpm": "x"}) or words & WORDS["other"]:
+        return None
+    command = bool(words & WORDS["command"])
+    torque = words & WORDS["torque"] or said_unit(table, name, TORQUE_UNITS)
+    position = words & WORDS["position"] or said_unit(table, name, POSITION_UNITS)
+    if bool(torque) == bool(position):
+        strong = "torque" if words & (WORDS["torque"] - {"m", "load"}) else "position" if position else None
+        kind = strong if torque and position else "position_only" if command and words & {"qg", "goal"} else None
+        kind = "position" if kind == "position_only" else kind
+    else:
+        kind = "torque" if torque else "position"
+    return None if kind is None else f"{kind}_command" if command else kind
+
+
+def _by_smoothness(table: Table, names: list[str], joints: int | None) -> tuple[list[str], list[str]] | None:
+    """The table split into positions and torques: a position turns smoothly, a torque does not."""
+    if len(names) % 2 or (joints and len(names) != 2 * joints):
+        return None
+    roughness = {}
+    for name in names:
+        values = table.columns[name]
+        values = values[np.isfinite(values)]
+        roughness[name] = float(np.std(np.diff(values, 2)) / np.std(values)) if len(values) > 3 else np.inf
+    half = len(names) // 2
+    smooth = sorted(names, key=roughness.__getitem__)[:half]
+    ordered = [name for name in names if name in smooth], [name for name in names if name not in smooth]
+    blocks = {tuple(names[:half]), tuple(names[half:]), tuple(names[::2]), tuple(names[1::2])}
+    return ordered if tuple(ordered[0]) in blocks else None
+
+
+def _by_joint(names: Sequence[str]) -> list[str]:
+    """Names in the order of the joint number in them, where each has another."""
+    numbers = [[int(token) for token in tokens(name) if token.isdecimal()] for name in names]
+    for place in range(-1, -min((len(n) for n in numbers), default=0) - 1, -1):
+        at = [n[place] for n in numbers]
+        if len(set(at)) == len(at) and max(at) - min(at) == len(at) - 1:
+            return [name for _, name in sorted(zip(at, names, strict=True))]
+    return list(names)

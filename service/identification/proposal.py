@@ -1,0 +1,429 @@
+"""A proposal how to read a foreign table: units, signs and the side of the gear that make the torque what the motion
+needs, and what cannot be told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.trace.quality import ANY_JOINT, MAX_SPEED
+from drivers.trace.tables import Table
+from schemas.axes import Axes, Description
+from schemas.columns import CHANNELS
+from schemas.errors import DataError, TraceError
+from schemas.messages import SampleFlag
+from schemas.robot import Robot
+from schemas.trace import Trace
+from service.identification.channels import (
+    POSITION_UNITS,
+    TORQUE_UNITS,
+    Channels,
+    guess,
+    rate_hz,
+    said_unit,
+    time_unit,
+)
+from service.identification.checks import SUSPECT, Fit, best_fit
+from service.identification.regression import summarise
+from service.model.nominal import pack
+from service.model.signals import lowpass
+
+LONGEST = 10.0  # s of a log that are tried; a reading that is wrong shows at once
+FITS = 0.02  # share of the torque left, below which no other unit is tried
+SHORTEST = 0.5  # s that each joint moves, without which nothing is tried
+CLEAR = 0.6  # a reading is told from another that leaves this many times as much or more
+HOPELESS = 0.5  # share of the torque left, from which nothing can be said
+SAME = 1.25  # factor within which a torque's scale goes with the masses of the description
+_WHENCE = "by the masses of the description; the data sheet is better: --torque-unit"
+SCALES = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "m": 1.0, "mm": 1e-3}
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the user says; None where it is to be found. torque_unit: (unit, rated torque or constant)."""
+
+    time: str | None = None
+    rate_hz: float | None = None
+    position: Sequence[str] | None = None
+    torque: Sequence[str] | None = None
+    position_unit: str | None = None
+    counts_per_rev: float | None = None
+    torque_unit: tuple[str, float | None] | None = None
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """columns: keys of `schemas.columns.Columns`. reasons: why. doubts: what cannot be told, and how it was taken."""
+
+    columns: Mapping[str, Any]
+    reasons: Sequence[str]
+    doubts: Sequence[str]
+    channels: Channels
+
+
+def propose(table: Table, robot: Description | None, told: Told) -> Proposal:
+    """
+    Raises:
+        DataError: it cannot be told which columns are meant, or how far apart its rows are in time, naming the option
+            that says so.
+    """
+    joints = None if robot is None else len(robot.axis) if isinstance(robot, Axes) else 3
+    channels = guess(table, joints)
+    channels = replace(
+        channels,
+        time=told.time or (None if told.rate_hz else channels.time),
+        position=told.position or channels.position,
+        torque=told.torque or channels.torque,
+    )
+    _check(table, channels, told, joints)
+    reasons, doubts = list(channels.reasons), []
+    if told.position and told.torque:
+        reasons.clear()
+    time, rate = _time(table, channels, told, reasons, doubts)
+    units = _Units(table, channels, robot, rate, told)
+    positions, torque = units.positions(reasons, doubts), units.torque(reasons, doubts)
+    position = positions[0]
+    signs: Sequence[int] = [1] * len(channels.position)
+    torque_signs: Sequence[int] = [1] * len(channels.position)
+    if isinstance(robot, Robot):
+        found = [_by_delta(table, channels, robot, rate, position, torque, units.torque_said) for position in positions]
+        best = min(found, key=lambda reading: reading.share)
+        if len(found) > 1:
+            others = [reading.share for reading in found if reading is not best]
+            told_by = f"positions are {_named(best.position)}: the fit leaves {100 * best.share:.2g} % of the torque"
+            clear = best.share < CLEAR * min(others)
+            (reasons if clear else doubts).append(f"{told_by}, read otherwise {100 * min(others):.2g} %")
+        position, signs, torque, torque_signs = best.position, best.signs, best.torque, best.torque_signs
+        reasons += best.reasons
+        doubts += best.doubts
+    elif isinstance(robot, Axes):
+        torque_signs = _by_axes(table, channels, rate, position, reasons, doubts)
+    else:
+        doubts.append("without --robot signs and the side of the gear cannot be checked")
+    columns: dict[str, Any] = dict(table.layout)
+    columns["time"] = time
+    for role in CHANNELS:
+        names = getattr(channels, role)
+        entry, sign = (torque, torque_signs) if role.startswith("torque") else (position, signs)
+        if names:
+            columns[role] = [_entry(table, channels, name, entry, s) for name, s in zip(names, sign, strict=True)]
+    return Proposal(columns, reasons, doubts, channels)
+
+
+def _check(table: Table, channels: Channels, told: Told, joints: int | None) -> None:
+    listed = ", ".join(list(table.columns)[:20])
+    for role in ("position", "torque"):
+        names = getattr(channels, role)
+        for name in names:
+            if name not in table.columns:
+                raise DataError(f"{table.path}: no column {name!r}; it has: {listed}")
+        if not names or (joints and len(names) != joints):
+            wanted = f"{joints} " if joints else ""
+            raise DataError(
+                f"{table.path}: which {wanted}columns are the {role}s cannot be told; say --{role} NAME,NAME,... "
+                f"(columns: {listed})"
+            )
+    if len(channels.position) != len(channels.torque):
+        raise DataError(
+            f"{table.path}: {len(channels.position)} positions ({', '.join(channels.position)}) with "
+            f"{len(channels.torque)} torques ({', '.join(channels.torque)}); say --position and --torque"
+        )
+    if channels.time is None and told.rate_hz is None:
+        raise DataError(f"{table.path}: no column of stamps: say --rate HZ, or --time NAME (columns: {listed})")
+    if channels.time is not None and channels.time not in table.columns:
+        raise DataError(f"{table.path}: no column {channels.time!r}; it has: {listed}")
+
+
+def _time(
+    table: Table, channels: Channels, told: Told, reasons: list[str], doubts: list[str]
+) -> tuple[dict[str, Any], float]:
+    if channels.time is None:
+        assert told.rate_hz is not None
+        return {"rate_hz": told.rate_hz}, told.rate_hz
+    unit, said = time_unit(table, channels.time)
+    clock = table.time_of.get(channels.position[0], channels.time)
+    rate = rate_hz(table, clock)
+    line = f"stamps in {channels.time!r} are {unit}: {rate:.6g} Hz"
+    (reasons if said or unit == "datetime" else doubts).append(line if said else f"{line}, by the rate alone")
+    name = clock.rsplit(" (", 1)[0] if table.kind.startswith("TwinCAT") else clock
+    return {"name": name, "unit": unit}, rate
+
+
+def _entry(table: Table, channels: Channels, name: str, entry: Mapping[str, Any], sign: int) -> dict[str, Any]:
+    found: dict[str, Any] = {"name": name, **entry}
+    if sign < 0:
+        found["sign"] = -1
+    clock = table.time_of.get(name)
+    if clock and clock != table.time_of.get(channels.position[0], channels.time) and not table.kind.startswith("Twin"):
+        found["time"] = clock
+    return found
+
+
+class _Units:
+    """Units that names, ranges and speeds tell."""
+
+    def __init__(self, table: Table, channels: Channels, robot: Description | None, rate: float, told: Told) -> None:
+        self._table, self._channels, self._robot, self._rate, self._told = table, channels, robot, rate, told
+        self._values = np.column_stack([table.columns[name] for name in channels.position])
+        self._gear = _gear(robot)
+        self.torque_said = True
+
+    def positions(self, reasons: list[str], doubts: list[str]) -> list[dict[str, Any]]:
+        """What the positions may be, the likeliest first."""
+        told, robot = self._told, self._robot
+        said = told.position_unit or said_unit(self._table, self._channels.position[0], POSITION_UNITS)
+        if said == "counts" or (said is None and self._integers()):
+            per_turn = told.counts_per_rev or _counts(robot)
+            if per_turn is None:
+                raise DataError(
+                    f"{self._table.path}: positions are increments; how many make a turn of the encoder's shaft? "
+                    "say --counts-per-rev"
+                )
+            reasons.append(f"positions are increments, {per_turn:g} a turn")
+            return self._sides({"unit": "counts", "counts_per_rev": per_turn}, 2 * np.pi / per_turn)
+        if said is not None:
+            reasons.append(f"positions are {said}: " + ("told" if told.position_unit else "it stands there"))
+            return self._sides({"unit": said}, SCALES[said])
+        if isinstance(robot, Axes) and robot.linear:
+            unit = "mm" if np.nanmax(np.abs(self._values)) > 10 else "m"
+            doubts.append(f"positions taken as {unit}, by their range")
+            return [{"unit": unit}]
+        found = [entry for unit in ("rad", "deg") for entry in self._sides({"unit": unit}, SCALES[unit])]
+        found = [entry for entry in found if self._plausible(_scale(entry, self._gear))] or [{"unit": "rad"}]
+        if not isinstance(robot, Robot) or len(found) == 1:
+            doubts.append(f"positions taken as {_named(found[0])}, by their range and speed")
+        return found
+
+    def _integers(self) -> bool:
+        values = self._values[np.isfinite(self._values)]
+        return bool(np.ptp(values) > 1000 and np.mean(np.abs(values - np.round(values)) < 0.51) == 1.0
+                    and np.mean(values == np.round(values)) > 0.1)  # fmt: skip
+
+    def _plausible(self, scale: float) -> bool:
+        speed = np.abs(np.diff(self._values, axis=0)) * scale * self._rate
+        return bool(np.nanmax(np.abs(self._values)) * scale <= ANY_JOINT and np.nanquantile(speed, 0.99) <= MAX_SPEED)
+
+    def _sides(self, entry: dict[str, Any], scale: float) -> list[dict[str, Any]]:
+        """The sides of the gear on which a Delta's joint, or an axis, could turn so far."""
+        if self._gear == 1.0 or "m" in entry["unit"]:
+            return [entry]
+        farthest = float(np.nanmax(np.abs(self._values))) * scale
+        motor = entry | {"side": "motor"}
+        if isinstance(self._robot, Axes):
+            return [entry]  # an axis may turn as far as it likes
+        return [entry] * (farthest <= ANY_JOINT) + [motor] * (farthest / self._gear <= ANY_JOINT) or [entry]
+
+    def torque(self, reasons: list[str], doubts: list[str]) -> dict[str, Any]:
+        """Without a scale where it takes a constant that nobody has said."""
+        linear = isinstance(self._robot, Axes) and self._robot.linear
+        self.torque_said = True
+        if self._told.torque_unit is not None:
+            unit, factor = self._told.torque_unit
+        else:
+            unit, factor = said_unit(self._table, self._channels.torque[0], TORQUE_UNITS), None
+            if unit is not None:
+                reasons.append(f"torques are {unit}: it stands there")
+        if unit is None:
+            unit, self.torque_said = "N" if linear else "N m", False
+            if isinstance(self._robot, Robot):
+                return {"unit": unit}
+            doubts.append(f"torques taken as {unit}: nothing says so")
+        entry: dict[str, Any] = {"unit": unit}
+        if unit in ("percent", "permille"):
+            entry["rated"] = factor or _rated(self._robot)
+        elif unit in ("A", "V"):
+            entry["constant"] = factor
+        missing = next((key for key in ("rated", "constant") if key in entry and entry[key] is None), None)
+        if missing and not isinstance(self._robot, Robot):
+            what = "rated torque" if missing == "rated" else "N m a unit"
+            raise DataError(
+                f"{self._table.path}: torques are {unit}; the {what} is not known: say --torque-unit '{unit} NUMBER'"
+            )
+        return entry
+
+
+def _gear(robot: Description | None) -> float:
+    if isinstance(robot, Axes):
+        return robot.axis[0].gear_ratio
+    return robot.drive.gear_ratio if robot else 1.0
+
+
+def _counts(robot: Description | None) -> float | None:
+    drives = robot.drive.joint if isinstance(robot, Robot) else None
+    return float(drives[0].counts_per_turn) if drives else None
+
+
+def _rated(robot: Description | None) -> float | None:
+    drives = robot.drive.joint if isinstance(robot, Robot) else None
+    return float(drives[0].torque.full_scale_nm) if drives else None
+
+
+def _trial(table: Table, rate: float, position: np.ndarray, torque: np.ndarray) -> Trace:
+    """The part of the log that moves most, evenly stamped."""
+    length = min(len(position), int(LONGEST * rate))
+    activity = np.concatenate([[0.0], np.cumsum(np.nansum(np.abs(np.diff(position, axis=0)), axis=1))])
+    ends = activity[length - 1 :] - activity[: len(activity) - length + 1]
+    start = int(np.argmax(ends)) if len(ends) else 0
+    part = slice(start, start + length)
+    bad = ~(np.isfinite(position[part]).all(axis=1) & np.isfinite(torque[part]).all(axis=1))
+    return Trace(
+        Path(table.path.name),
+        np.arange(length) / rate,
+        np.ascontiguousarray(position[part]),
+        np.ascontiguousarray(torque[part]),
+        flags=np.where(bad, np.uint32(SampleFlag.NOT_A_NUMBER), np.uint32(0)),
+    )
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """One way to read a Delta's log. share: of the torque's rms, that the robot's equations leave."""
+
+    share: float
+    position: dict[str, Any]
+    signs: Sequence[int]
+    torque: dict[str, Any]
+    torque_signs: Sequence[int]
+    reasons: list[str]
+    doubts: list[str]
+
+
+def _by_delta(
+    table: Table,
+    channels: Channels,
+    robot: Robot,
+    rate: float,
+    position: dict[str, Any],
+    torque: dict[str, Any],
+    said: bool,
+) -> _Reading:
+    """Signs, side and scale with which the robot's equations explain the torque. said: whether its unit is known."""
+    model, gear = pack(robot), robot.drive.gear_ratio
+    raw = np.column_stack([table.columns[name] for name in channels.position]) * _scale(position, gear)
+    given = np.column_stack([table.columns[name] for name in channels.torque])
+    factor = torque.get("constant") or torque.get("rated")
+    known = not ("constant" in torque or "rated" in torque) or factor is not None
+    per = {"percent": 100.0, "permille": 1000.0}.get(torque["unit"], 1.0)
+    scaled = given * (factor / per if factor else 1.0)
+
+    def gram(signs: Sequence[int]) -> np.ndarray | None:
+        try:
+            log = summarise(model, _trial(table, rate, raw * np.array(signs), scaled))
+            return log.gram.sum(axis=0) if log.seconds.sum(axis=0).min() > SHORTEST else None
+        except (TraceError, DataError):  # no pose of this robot
+            return None
+
+    def fitted(signs: Sequence[int]) -> Fit | None:
+        sums = gram(signs)
+        if sums is None:
+            return None
+        named = best_fit(sums, gear) if known else None
+        free = best_fit(sums, gear, free_scale=True) if named is None or (not said and named.share > FITS) else None
+        if named is None or (free is not None and free.share < min(SUSPECT, CLEAR * named.share)):
+            return free
+        return named
+
+    plain: tuple[int, ...] = (1, 1, 1)
+    first = fitted(plain)
+    found = {plain: first}
+    if first is None or first.share > SUSPECT:
+        found |= {signs: fitted(signs) for signs in product((1, -1), repeat=3) if signs != plain}
+    ranked = sorted(((fit.share, signs, fit) for signs, fit in found.items() if fit), key=lambda entry: entry[0])
+    reasons: list[str] = []
+    doubts: list[str] = []
+    if not ranked:
+        doubts.append(f"read as {_named(position)} the positions are no poses of {robot.name}: zero or geometry?")
+        return _Reading(np.inf, position, plain, _without_fit(torque, table), plain, reasons, doubts)
+    share, signs, fit = ranked[0]
+    line = f"with these readings the robot's equations leave {100 * share:.2g} % of the torque"
+    if share > HOPELESS:
+        doubts.append(f"{line}: signs and gear side cannot be told from this log")
+        return _Reading(share, position, plain, _without_fit(torque, table), plain, reasons, doubts)
+    second = ranked[1][0] if len(ranked) > 1 else np.inf
+    if share > CLEAR * second:
+        doubts.append(f"{line}, with other signs of the positions {100 * second:.2g} %: signs are not certain")
+    else:
+        reasons.append(line)
+    if fit.order != (0, 1, 2):
+        order = ", ".join(str(k + 1) for k in fit.order)
+        doubts.append(f"the torques fit better in the order {order}: cables swapped? --torque says it otherwise")
+        return _Reading(share, position, plain, _without_fit(torque, table), plain, reasons, doubts)
+    for what, which in (("torque", fit.signs), ("position", signs)):
+        turned = ", ".join(str(j + 1) for j in range(3) if which[j] < 0)
+        if turned:
+            reasons.append(f"the {what} of joint {turned} has the other sign")
+    torque = dict(torque)
+    side = next((s for s in (1.0, gear) if 1 / SAME <= fit.scale / s <= SAME), None) if known else None
+    if side is None:
+        torque = _known(torque if not known else {"unit": "A", "constant": None}, float(f"{fit.scale * per:.4g}"))
+        doubts.append(
+            f"one {torque['unit'] if not known else 'unit of torque'} taken as {fit.scale:.4g} N m, {_WHENCE}"
+        )
+    elif side != 1.0:
+        torque["side"] = "motor"
+        reasons.append(f"torques are the motor's: times the gear of {gear:g} they fit")
+    if side is not None and not said:
+        fits = share < SUSPECT
+        line = "torques taken as N m: nothing says so" + ("; the fit goes with it" if fits else ", and the fit is poor")
+        (reasons if fits else doubts).append(line)
+    return _Reading(share, position, signs, torque, [int(s) for s in fit.signs], reasons, doubts)
+
+
+def _named(position: Mapping[str, Any]) -> str:
+    return f"{position['unit']} of the {'motor' if position.get('side') == 'motor' else 'joint'}"
+
+
+def _without_fit(torque: Mapping[str, Any], table: Table) -> dict[str, Any]:
+    """The torque as it is said to be, where the equations tell nothing.
+
+    Raises:
+        DataError: its unit takes a constant that nobody has said.
+    """
+    if None in torque.values():
+        raise DataError(f"{table.path}: torques are {torque['unit']}: how many N m each? say --torque-unit")
+    return dict(torque)
+
+
+def _known(torque: Mapping[str, Any], scale: float) -> dict[str, Any]:
+    return {key: scale if value is None else value for key, value in torque.items()}
+
+
+def _scale(position: Mapping[str, Any], gear: float) -> float:
+    scale = 2 * np.pi / position["counts_per_rev"] if "counts_per_rev" in position else SCALES[position["unit"]]
+    return scale / gear if position.get("side") == "motor" else scale
+
+
+def _by_axes(
+    table: Table, channels: Channels, rate: float, position: Mapping[str, Any], reasons: list[str], doubts: list[str]
+) -> list[int]:
+    """Signs with which more acceleration takes more torque, each axis for itself."""
+    signs = []
+    for number, (name, force) in enumerate(zip(channels.position, channels.torque, strict=True), 1):
+        x, y = table.columns[name], table.columns[force]
+        good = np.isfinite(x) & np.isfinite(y)
+        if good.sum() < 100:
+            signs.append(1)
+            continue
+        x = lowpass(x[good][:, None] * _scale(position, 1.0), 1 / rate)[:, 0]
+        y = lowpass(y[good][:, None], 1 / rate)[:, 0]
+        v = np.gradient(x) * rate
+        a = np.gradient(v) * rate
+        moved = np.abs(v) > 0.05 * np.abs(v).max()
+        columns = np.column_stack([a, v, np.sign(v), np.sin(x), np.cos(x), np.ones_like(x)])[moved]
+        values, *_ = np.linalg.lstsq(columns, y[moved], rcond=1e-9)
+        left = y[moved] - columns @ values
+        worth = np.array([abs(values[k]) * np.std(columns[:, k]) for k in (0, 2)])
+        if worth.max() < 0.1 * np.std(left):
+            doubts.append(f"axis {number}: neither inertia nor friction shows in {force!r}: its sign cannot be told")
+            signs.append(1)
+            continue
+        against = values[(0, 2)[int(np.argmax(worth))]] < 0
+        signs.append(-1 if against else 1)
+        if against:
+            reasons.append(f"axis {number}: {force!r} pushes against the motion: the other sign")
+    return signs

@@ -1,0 +1,220 @@
+"""`import` of one log in ten foreign formats: read as it was, without an edited file or a question."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from typer.testing import CliRunner
+
+from drivers.motion import Planner
+from drivers.plant.plant import Plant
+from drivers.plant.simulate import simulate
+from drivers.plant.truth import PlantTruth
+from drivers.trace import read_trace
+from replay.demo import LOG, ROBOT
+from schemas.columns import load_columns
+from schemas.robot import load_robot
+from schemas.trace import Trace
+from service.cli.main import app
+from tests.drivers.trace.test_tables import joint_state
+
+GEAR = load_robot("d3-1200").drive.gear_ratio
+NAMES = ["t", "q1", "q2", "q3", "tau1", "tau2", "tau3"]
+
+
+@pytest.fixture(scope="module")
+def log() -> Trace:
+    """Four seconds of a simulated robot that carries nothing, from the time 5 s."""
+    robot = load_robot("d3-1200")
+    plant = Plant(robot, PlantTruth.nominal(robot), period=1e-3, seed=1)
+    motion = Planner(robot, 1e-3).multisine(np.random.default_rng(1), 4.0)
+    trace = simulate(plant, motion)
+    part = slice(0, 4000)
+    return Trace(LOG, 5.0 + np.arange(4000) / 1000, trace.position[part], trace.torque[part])
+
+
+def text(path: Path, block: np.ndarray, separator: str = ",", head: str = "", decimal: str = ".") -> None:
+    rows = "\n".join(separator.join(f"{v:.8f}" for v in row) for row in block)
+    path.write_text(head + rows.replace(".", decimal) + "\n", encoding="latin-1")
+
+
+def twincat(folder: Path, log: Trace) -> Path:
+    """Degrees and the motor's torque, decimal comma, joint 2 the other way round."""
+    turned = np.array([1.0, -1.0, 1.0])
+    cells = [
+        [t * 1e3, *np.degrees(q * turned), *(m * turned / GEAR)]
+        for t, q, m in zip(log.time, log.position, log.torque, strict=True)
+    ]
+    signals = [f"Axis {j} ActPos [°]" for j in (1, 2, 3)] + [f"Axis {j} ActTorque" for j in (1, 2, 3)]
+    head = "Name\tScope\nFile\tscope.csv\nStarttime of export\t132959733843760000\n\n\n\n"
+    head += "\t".join(["Name", *signals]) + "\n"
+    head += "\t".join(["Data-Type", *["REAL64"] * 6]) + "\n" + "\t".join(["SampleTime[ms]", *["1"] * 6]) + "\n\n"
+    text(folder / "log.csv", np.array(cells), "\t", head, ",")
+    return folder / "log.csv"
+
+
+def codesys(folder: Path, log: Trace) -> Path:
+    lines = ["[key]; [value]", "Version; 0x03050000", "Name; Application.Trace", "Flags; 16"]
+    columns = [(f"PLC.axis{j}.actPos", log.position[:, j]) for j in range(3)]
+    columns += [(f"PLC.axis{j}.actTorque", log.torque[:, j]) for j in range(3)]
+    for k, (name, values) in enumerate(columns):
+        lines += [f"{k}.Variable; {name}", f"{k}.Data; "]
+        lines += [f"; {round(t * 1e3)}; {v:.9g}" for t, v in zip(log.time, values, strict=True)]
+    (folder / "log.csv").write_text("\n".join(lines))
+    return folder / "log.csv"
+
+
+def kuka(folder: Path, log: Trace) -> Path:
+    np.column_stack([np.degrees(log.position), log.torque]).astype("<f8").tofile(folder / "log.r64")
+    head = ["#BEGINCHANNELHEADER", "200,Zeit", "202,s", "210,IMPLIZIT", "220,4000", "240,5", "241,0.001"]
+    for k in range(6):
+        name, unit = (f"Winkel Achse {k + 1}", "°") if k < 3 else (f"Moment Achse {k - 2}", "Nm")
+        head += ["#ENDCHANNELHEADER", "#BEGINCHANNELHEADER", f"200,{name}", f"202,{unit}", "210,EXPLIZIT"]
+        head += ["211,LOG.R64", "213,BLOCK", "214,REAL64", "220,4000", f"221,{k + 1}", "240,0", "241,1"]
+    (folder / "log.dat").write_text("\n".join([*head, "#ENDCHANNELHEADER"]), encoding="latin-1")
+    return folder / "log.dat"
+
+
+def block(log: Trace) -> np.ndarray:
+    return np.column_stack([log.time, log.position, log.torque])
+
+
+def german_table(folder: Path, log: Trace) -> Path:
+    data = block(log) * [1e6, *[180 / np.pi] * 3, 1, 1, 1]
+    head = "Zeit [us];A1 Winkel [°];A2 Winkel [°];A3 Winkel [°];A1 Moment [Nm];A2 Moment [Nm];A3 Moment [Nm]\n"
+    text(folder / "log.csv", data, ";", head, ",")
+    return folder / "log.csv"
+
+
+def no_header(folder: Path, log: Trace) -> Path:
+    """Positions of the motor in radians, torques in a unit of a fifth: neither stands anywhere."""
+    text(folder / "log.txt", block(log) * [1, *[GEAR] * 3, *[0.2] * 3], " ")
+    return folder / "log.txt"
+
+
+def records(folder: Path, log: Trace) -> Path:
+    entries = [dict(zip(NAMES, row, strict=True)) for row in block(log).tolist()]
+    (folder / "log.json").write_text(json.dumps({"robot": "d3", "entries": entries}))
+    return folder / "log.json"
+
+
+def matlab(folder: Path, log: Trace) -> Path:
+    scipy.io.savemat(folder / "log.mat", {"t": log.time, "q": log.position, "tau": log.torque})
+    return folder / "log.mat"
+
+
+def npy(folder: Path, log: Trace) -> Path:
+    np.save(folder / "log.npy", block(log).T)
+    return folder / "log.npy"
+
+
+def npz(folder: Path, log: Trace) -> Path:
+    np.savez(folder / "log.npz", time=log.time, position=np.degrees(log.position), torque=log.torque)
+    return folder / "log.npz"
+
+
+def bag(folder: Path, log: Trace) -> Path:
+    with sqlite3.connect(folder / "log.db3") as connection:
+        connection.execute("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT)")
+        connection.execute("CREATE TABLE messages(id INTEGER, topic_id INTEGER, data BLOB)")
+        connection.execute("INSERT INTO topics VALUES (1, '/joint_states', 'sensor_msgs/msg/JointState')")
+        rows = [(k, joint_state(row)) for k, row in enumerate(block(log))]
+        connection.executemany("INSERT INTO messages VALUES (?, 1, ?)", rows)
+    return folder / "log.db3"
+
+
+def imported(*arguments: object) -> str:
+    done = CliRunner().invoke(app, ["import", *map(str, arguments)])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+@pytest.mark.parametrize(
+    "write", [twincat, codesys, kuka, german_table, no_header, records, matlab, npy, npz, bag], ids=lambda w: w.__name__
+)
+def test_ten_formats_come_back_as_they_were(tmp_path: Path, log: Trace, write: Callable[[Path, Trace], Path]) -> None:
+    path = write(tmp_path, log)
+    imported(path, "--robot", "d3-1200", "--yes")
+    back = read_trace(tmp_path / "log.mcap", load_robot("d3-1200"))
+    np.testing.assert_allclose(back.time - back.time[0], log.time - 5.0, atol=2e-6)
+    np.testing.assert_allclose(back.position, log.position, atol=1e-5)
+    scale = 0.1 if write is no_header else 1e-6  # there it comes from the masses, to 10 %
+    np.testing.assert_allclose(back.torque, log.torque, rtol=scale, atol=1e-4)
+    again = read_trace(path, load_robot("d3-1200"), load_columns(tmp_path / "log.columns.toml"))
+    np.testing.assert_array_equal(again.position, back.position)
+
+
+def test_files_side_by_side_in_per_mille(tmp_path: Path, log: Trace) -> None:
+    text(tmp_path / "pos.csv", log.position, ",", "J1,J2,J3\n")
+    text(tmp_path / "torque.csv", log.torque / GEAR / 2.5 * 1000, ",", "J1,J2,J3\n")
+    options = ["--rate", "1000", "--torque-unit", "permille 2.5", "--yes", "--out", tmp_path / "both.mcap"]
+    imported(tmp_path / "pos.csv", tmp_path / "torque.csv", "--robot", "d3-1200", *options)
+    back = read_trace(tmp_path / "both.mcap", load_robot("d3-1200"))
+    np.testing.assert_allclose(back.torque, log.torque, atol=1e-3)
+
+
+def test_what_cannot_be_told_is_asked_for(tmp_path: Path, log: Trace) -> None:
+    text(tmp_path / "log.csv", block(log)[:, 1:], ",", "a,b,c,d,e,f\n")
+    done = CliRunner().invoke(app, ["import", str(tmp_path / "log.csv"), "--robot", "d3-1200", "--yes"])
+    assert "say --rate HZ, or --time NAME (columns: a, b, c, d, e, f)" in str(done.exception)
+    counts = np.round(log.position * 65536 / 2 / np.pi)
+    text(tmp_path / "inc.csv", np.column_stack([log.time, counts, log.torque]), ",", ",".join(NAMES) + "\n")
+    done = CliRunner().invoke(app, ["import", str(tmp_path / "inc.csv"), "--robot", "d3-1200", "--yes"])
+    assert "--counts-per-rev" in str(done.exception)
+    assert list(tmp_path.glob("*.mcap")) == []
+
+
+def test_nothing_is_replaced_or_taken_without_a_word(tmp_path: Path, log: Trace) -> None:
+    path = npy(tmp_path, log)
+    asked = CliRunner().invoke(app, ["import", str(path), "--robot", "d3-1200"])
+    assert asked.exit_code == 2
+    assert "--yes takes the proposal" in asked.output
+    imported(path, "--robot", "d3-1200", "--yes")
+    before = (tmp_path / "log.mcap").read_bytes()
+    again = CliRunner().invoke(app, ["import", str(path), "--robot", "d3-1200", "--yes"])
+    assert "exists already; --overwrite replaces it" in str(again.exception)
+    assert (tmp_path / "log.mcap").read_bytes() == before
+
+
+def test_a_payload_is_no_other_unit(tmp_path: Path) -> None:
+    """The demo's log carries products, which the empty robot's equations do not explain: N m stays N m."""
+    demo = read_trace(LOG, load_robot(ROBOT))
+    np.save(tmp_path / "log.npy", block(demo).T)
+    imported(tmp_path / "log.npy", "--robot", ROBOT, "--yes")
+    np.testing.assert_allclose(read_trace(tmp_path / "log.mcap").torque, demo.torque, atol=1e-9)
+
+
+def test_json_has_channels_and_doubts(tmp_path: Path, log: Trace) -> None:
+    shown = json.loads(imported(npy(tmp_path, log), "--robot", "d3-1200", "--yes", "--json"))
+    assert shown["channels"][1]["taken_for"] == "position 1"
+    assert shown["channels"][1]["rate_hz"] == pytest.approx(1000)
+    assert any("by the rate alone" in doubt for doubt in shown["doubts"])
+
+
+def test_axes_with_a_force_of_the_other_sign(tmp_path: Path) -> None:
+    time = np.arange(4000) / 1000
+    position = 0.2 * np.sin(2 * np.pi * time) + 0.02 * np.sin(2 * np.pi * 3.1 * time)
+    speed = np.gradient(position, time)
+    force = 95 * np.gradient(speed, time) + 200 * speed + 20 * np.sign(speed) - 3
+    text(tmp_path / "axis.csv", np.column_stack([time, position, -force]), ",", "t,pos,force\n")
+    (tmp_path / "axis.toml").write_text('name = "axis"\nkind = "axes"\n[[axis]]\nunit = "m"\n')
+    said = imported(tmp_path / "axis.csv", "--robot", tmp_path / "axis.toml", "--yes")
+    assert "'force' pushes against the motion: the other sign" in said
+    back = read_trace(tmp_path / "axis.imported.csv")
+    np.testing.assert_allclose(back.torque[:, 0], force, atol=1e-6)
+
+
+def test_real_logs(shared: Path, tmp_path: Path) -> None:
+    """Six axes at a stated rate in two files; a servo whose 16 bit load is unsigned."""
+    robot = tmp_path / "tx40.toml"
+    robot.write_text('name = "tx40"\nkind = "axes"\n' + "[[axis]]\ngear_ratio = 32\n" * 6)
+    real = shared / "real"
+    options = ["--rate", "5000", "--yes", "--torque-unit", "N m", "--out", tmp_path / "tx40.csv"]
+    imported(real / "tx40" / "pos_read_data.csv", real / "tx40" / "curr_data.csv", "--robot", robot, *options)
+    assert read_trace(tmp_path / "tx40.csv").torque.shape == (45000, 6)
