@@ -55,7 +55,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
-class Limits:
+class MotionLimits:
     """What a motion must stay within: joint side rad/s, rad/s^2, N m."""
 
     speed: float = 10.0
@@ -75,10 +75,10 @@ class Workspace:
 class Planner:
     """Plans motions of one robot at one cycle time."""
 
-    def __init__(self, robot: Robot, period: float, limits: Limits | None = None):
+    def __init__(self, robot: Robot, period: float, limits: MotionLimits | None = None):
         self.period = period
         # the rest is for friction, a payload and the feedback
-        self.limits = limits or Limits(torque=0.6 * peak_torque(robot))
+        self.limits = limits or MotionLimits(torque=0.6 * peak_torque(robot))
         self.geometry: DeltaModel = pack(robot)
         self.forearm_kg = robot.mass.passive_link
         self.range = robot.geometry.joint_range_rad
@@ -104,7 +104,7 @@ class Planner:
             )
             return point + np.array([0.0, 0.0, space.bottom + rng.uniform(0.0, 0.25) * height])
 
-        parts: list[kinematics.Motion] = []
+        parts: list[kinematics.PlatformMotion] = []
         payloads: list[Payload] = []
         side, here = 1.0, place(1.0)
         clock = self._hold(parts, here, REST_BEFORE)
@@ -163,7 +163,7 @@ class Planner:
             ]
         )
         window = _window(time, duration, min(0.8, duration / 4))
-        limits = Limits(speed=1.3, acceleration=self.limits.acceleration, torque=self.limits.torque)
+        limits = MotionLimits(speed=1.3, acceleration=self.limits.acceleration, torque=self.limits.torque)
         return self._largest(_even(_windowed(wave, window), rng), 1.0, limits)
 
     def bound(self, rng: np.random.Generator, duration: float, speed: float = 1.0) -> Trajectory:
@@ -174,7 +174,7 @@ class Planner:
         phase, turn = rng.uniform(0, 2 * math.pi, 3), rng.uniform(0.30, 0.45)
         middle = (space.top + space.bottom) / 2
 
-        def at(rate: float) -> kinematics.Motion:
+        def at(rate: float) -> kinematics.PlatformMotion:
             # the angle swings over more than a turn, so that every direction is met both ways
             swing, bob = 2 * math.pi * turn * rate, 2 * math.pi * 0.9 * rate
             angle = _sine(time, swing, phase[0], 3.5)
@@ -194,7 +194,7 @@ class Planner:
             )
             start = np.array([0.0, 0.0, middle])
             wave = np.stack([(point - start[:, None]).T, first.T, second.T])
-            return kinematics.Motion(*_offset(_windowed(wave, window), start))
+            return kinematics.PlatformMotion(*_offset(_windowed(wave, window), start))
 
         def excess(rate: float) -> float:
             return self.excess(self._joint(at(rate), ()), speed)
@@ -217,7 +217,7 @@ class Planner:
             motion.payloads,
         )
 
-    def excess(self, motion: Trajectory, share: float = 1.0, limits: Limits | None = None) -> float:
+    def excess(self, motion: Trajectory, share: float = 1.0, limits: MotionLimits | None = None) -> float:
         """Largest of joint speed, acceleration and torque over `share` of their limits; above 1 it is too much."""
         limits = limits or self.limits
         every = max(1, round(TORQUE_GRID / self.period))
@@ -240,13 +240,13 @@ class Planner:
     def _clock(self, duration: float) -> np.ndarray:
         return np.arange(max(2, round(duration / self.period)) + 1) * self.period
 
-    def _hold(self, parts: list[kinematics.Motion], point: np.ndarray, length: float) -> float:
+    def _hold(self, parts: list[kinematics.PlatformMotion], point: np.ndarray, length: float) -> float:
         count = max(1, round(length / self.period))
         still = np.zeros((count, 3))
-        parts.append(kinematics.Motion(still + point, still, still))
+        parts.append(kinematics.PlatformMotion(still + point, still, still))
         return count * self.period
 
-    def _gate(self, start: np.ndarray, end: np.ndarray, lift: float, share: float) -> kinematics.Motion:
+    def _gate(self, start: np.ndarray, end: np.ndarray, lift: float, share: float) -> kinematics.PlatformMotion:
         """Up, across, down, each a smooth step in time, overlapping: as fast as `share` of the limits allows."""
         path = self._gate_in(start, end, lift, length := 0.35)
         for _ in range(12):
@@ -258,7 +258,7 @@ class Planner:
             path = self._gate_in(start, end, lift, length)
         return path
 
-    def _gate_in(self, start: np.ndarray, end: np.ndarray, lift: float, length: float) -> kinematics.Motion:
+    def _gate_in(self, start: np.ndarray, end: np.ndarray, lift: float, length: float) -> kinematics.PlatformMotion:
         time = np.arange(max(20, round(length / self.period))) * self.period
         length = len(time) * self.period
         across = _smooth_step(time, 0.15 * length, 0.85 * length)
@@ -268,12 +268,12 @@ class Planner:
         fall = rise - np.array([0.0, 0.0, drop[2]])
         flat = np.array([drop[0], drop[1], 0.0])
         wave = across[..., None] * flat + up[..., None] * rise - down[..., None] * fall
-        return kinematics.Motion(*_offset(wave, start))
+        return kinematics.PlatformMotion(*_offset(wave, start))
 
-    def _joint(self, platform: kinematics.Motion, payloads: tuple[Payload, ...]) -> Trajectory:
+    def _joint(self, platform: kinematics.PlatformMotion, payloads: tuple[Payload, ...]) -> Trajectory:
         return Trajectory(self.period, *kinematics.inverse_motion(self.geometry, platform), payloads)
 
-    def _largest(self, wave: np.ndarray, share: float, limits: Limits | None = None) -> Trajectory:
+    def _largest(self, wave: np.ndarray, share: float, limits: MotionLimits | None = None) -> Trajectory:
         """Joint motion `HOME + scale wave` with the largest scale that stays in limits and workspace."""
 
         def at(scale: float) -> Trajectory:
@@ -396,6 +396,6 @@ def _offset(wave: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return wave[0] + start, wave[1], wave[2]
 
 
-def _chain(parts: list[kinematics.Motion]) -> kinematics.Motion:
+def _chain(parts: list[kinematics.PlatformMotion]) -> kinematics.PlatformMotion:
     position, velocity, acceleration = (np.concatenate(pieces) for pieces in zip(*parts, strict=True))
-    return kinematics.Motion(position, velocity, acceleration)
+    return kinematics.PlatformMotion(position, velocity, acceleration)

@@ -29,7 +29,7 @@ _STAMP_OFFSET: int = SAMPLE.dtype.fields["stamp_sec"][1]  # pyright: ignore[repo
 
 
 @dataclass(frozen=True)
-class Score:
+class Schedule:
     """What is to be sent, and when.
 
     payload: N messages, one behind the other. stamp, due: (N,) int64 ns, bus time and time since the start of a loop.
@@ -61,7 +61,7 @@ class Played:
     lateness: np.ndarray
 
 
-def score(
+def schedule(
     trace: Trace,
     *,
     rate: float | None = None,
@@ -69,7 +69,7 @@ def score(
     loops: int = 1,
     start: float = 0.0,
     stop: float | None = None,
-) -> Score:
+) -> Schedule:
     """Encode the samples of `trace` from `start` to `stop` (s after its first) and lay down when each goes out.
 
     rate: samples a second, evenly, instead of the recorded times. speed: how many times faster than that. The stamps
@@ -99,7 +99,7 @@ def score(
         due_period = NANOSECONDS / (rate * speed)
         due = np.arange(len(samples)) * due_period
     due = np.rint(due).astype(np.int64)
-    return Score(
+    return Schedule(
         payload=bytearray(samples.tobytes()),
         stamp=stamp,
         due=due,
@@ -112,22 +112,24 @@ def score(
     )
 
 
-def play(score: Score, put: Callable[[bytes], object], health: Health | None, show: Callable[[int], object]) -> Played:
-    """Send until the score or Ctrl-C ends it.
+def play(
+    schedule: Schedule, put: Callable[[bytes], object], health: Health | None, show: Callable[[int], object]
+) -> Played:
+    """Send until the schedule or Ctrl-C ends it.
 
     put: publishes one message. health: told how it goes, and why it ended. show: told how many were sent, now and then.
     A sample is late when it goes out after the next one was due.
     """
-    total = len(score) * score.loops
+    total = len(schedule) * schedule.loops
     kept = np.zeros(min(total, REMEMBERED) if total else REMEMBERED, np.int64)
     sent = late_count = 0
     if health is not None:  # what is called for the first time is slow
         health.time_one(0)
         health.publish(published=0)
     try:
-        for sent, late in enumerate(_send(score, put), start=1):
+        for sent, late in enumerate(_send(schedule, put), start=1):
             kept[(sent - 1) % len(kept)] = late
-            late_count += late > score.period_ns
+            late_count += late > schedule.period_ns
             if sent % 256 == 0:
                 show(sent)
             if health is not None:
@@ -145,18 +147,22 @@ def play(score: Score, put: Callable[[bytes], object], health: Health | None, sh
     return Played(sent, total or None, late_count, order)
 
 
-def _send(score: Score, put: Callable[[bytes], object]) -> Iterator[int]:
+def _send(schedule: Schedule, put: Callable[[bytes], object]) -> Iterator[int]:
     """Yield how late each sample went out, ns, after it did: what the caller does falls into the pause before the next.
 
     Stamp and sequence are written into the encoded message in that pause too, so that every loop costs the same.
     """
-    payload, size, count = score.payload, SAMPLE.dtype.itemsize, len(score)
-    stamp, due, sequence = score.stamp.data, score.due.data, score.sequence.data  # quicker to index than arrays
+    payload, size, count = schedule.payload, SAMPLE.dtype.itemsize, len(schedule)
+    stamp, due, sequence = (
+        schedule.stamp.data,
+        schedule.due.data,
+        schedule.sequence.data,
+    )
     pack = _STAMP_AND_SEQUENCE.pack_into
     start, loop, pace = time.monotonic_ns() + LEAD_NS, 0, Pacer()
-    while score.loops == 0 or loop < score.loops:
-        stamp_shift, sequence_shift = loop * score.stamp_span, loop * score.sequence_span
-        begin = start + loop * score.due_span
+    while schedule.loops == 0 or loop < schedule.loops:
+        stamp_shift, sequence_shift = loop * schedule.stamp_span, loop * schedule.sequence_span
+        begin = start + loop * schedule.due_span
         for i in range(count):
             offset = i * size
             pack(

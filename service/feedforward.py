@@ -1,6 +1,6 @@
 """Where the master's feed-forward torque comes from: an estimator in its own cycle, or one that answers over Zenoh.
 
-Each gives (3,) N m for the motion that the next frame commands, or None where it has nothing fresh; `TorqueOffset`
+Each gives (3,) N m for the motion that the next frame commands, or None where it has nothing fresh; `OffsetRamp`
 then takes what the drives had to zero.
 """
 

@@ -86,7 +86,7 @@ Feedforward = Callable[[np.ndarray, Course, int], np.ndarray | None]
 """(1,) record of SAMPLE, the course, the number of its coming cycle; gives tau_FF (3,) N m, None where it has none."""
 
 
-class TorqueOffset:
+class OffsetRamp:
     """tau_FF to 0x60B2 of three drives: rounded to the drive's unit, limited in size and slope, faded to zero where
     there is none.
 
@@ -419,7 +419,7 @@ class Master:
         return f"{self._interface}: the drives are not in operation"
 
 
-def follow(master: Master, course: Course, feedforward: Feedforward, offset: TorqueOffset) -> Iterator[np.ndarray]:
+def follow(master: Master, course: Course, feedforward: Feedforward, offset: OffsetRamp) -> Iterator[np.ndarray]:
     """Take drives in operation through `course`.
 
     Yields the (1,) record of SAMPLE of each cycle, good until the next one, once the next command is ready.

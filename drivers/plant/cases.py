@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
-from drivers.motion import Limits, Planner, Trajectory
+from drivers.motion import MotionLimits, Planner, Trajectory
 from drivers.plant.effects import CATALOGUE, EFFECTS, Effect
 from drivers.plant.mechanism import Design, Mechanism, build, required_torque
 from drivers.plant.plant import Plant
@@ -84,7 +84,7 @@ def random_case(seed: int) -> Case:
             "integral_time_s": rng.uniform(0.04, 0.10),
         }
     )
-    planner = Planner(robot, PERIOD, Limits(speed=10.0, acceleration=240.0, torque=85.0))
+    planner = Planner(robot, PERIOD, MotionLimits(speed=10.0, acceleration=240.0, torque=85.0))
 
     def pick() -> Trajectory:
         return planner.pick_and_place(rng, rng.uniform(4.4, 5.4), speed=rng.uniform(0.7, 1.0))

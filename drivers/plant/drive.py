@@ -26,7 +26,7 @@ class Tuning(NamedTuple):
     step: float  # s
 
 
-class DriveState(NamedTuple):
+class ServoState(NamedTuple):
     """What the drives remember. All (3,)."""
 
     lag: np.ndarray  # rad, position error of the pass before
@@ -48,9 +48,9 @@ def tune(
     )
 
 
-def rest(torque: np.ndarray) -> DriveState:
+def rest(torque: np.ndarray) -> ServoState:
     """Drives at rest on their target that hold `torque` (3,) N m."""
-    return DriveState(np.zeros(3), np.zeros(3), torque.copy())
+    return ServoState(np.zeros(3), np.zeros(3), torque.copy())
 
 
 @njit(cache=True)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from drivers.plant.drive import DriveState, control_kernel, creep_kernel, rest, tune
+from drivers.plant.drive import ServoState, control_kernel, creep_kernel, rest, tune
 from drivers.plant.effects import Effect
 from drivers.plant.mechanism import (
     Design,
@@ -135,7 +135,7 @@ class Plant:
         self.data.qpos[self.mechanism.motor] = motor
         mujoco.mj_forward(self.mechanism.model, self.data)
         self.load = holding.copy()
-        self.drive: DriveState = rest(holding)
+        self.drive: ServoState = rest(holding)
         self._observe()
         self.reading = self.motor - self.offset
         for effect in self.effects:

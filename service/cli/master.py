@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from drivers.ethercat.master import Counts, Master, TorqueOffset
+    from drivers.ethercat.master import Counts, Master, OffsetRamp
     from drivers.health import Health
     from schemas.messages import HealthFlag
     from service.feedforward import InCycle, OverBus
@@ -63,7 +63,7 @@ def command(
     Example: deltatwin master eth1 --robot d3.toml --duration 60
     """
     from drivers.ethercat.interface import check_interface
-    from drivers.ethercat.master import Master, TorqueOffset, follow
+    from drivers.ethercat.master import Master, OffsetRamp, follow
     from schemas.robot import load_robot
     from service.cli.signals import terminate_as_interrupt
 
@@ -112,7 +112,7 @@ def command(
         with Master(interface, description, period, wait_until) as master:
             plan = course(master.operate(), motion)
             limit = peak if max_torque is None else min(peak, max_torque)
-            offset = TorqueOffset(master.scale, limit, slope, description.limits.torque_fade_s, period)
+            offset = OffsetRamp(master.scale, limit, slope, description.limits.torque_fade_s, period)
             typer.echo(
                 f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True
             )
@@ -142,7 +142,7 @@ class Telling:
         health: Health | None,
         standing: HealthFlag,
         master: Master,
-        offset: TorqueOffset,
+        offset: OffsetRamp,
         torque: InCycle | OverBus | None,
     ) -> None:
         self._health, self._standing = health, standing

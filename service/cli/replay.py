@@ -38,7 +38,7 @@ def command(
     from drivers.bus import open_bus
     from drivers.health import Health
     from drivers.trace import find_columns, read_trace
-    from replay.player import play, score
+    from replay.player import play, schedule
     from replay.realtime import go_realtime
     from schemas.messages import HealthFlag, Role
     from schemas.robot import load_robot
@@ -50,7 +50,7 @@ def command(
     recorded = read_trace(trace, description, find_columns(columns) if columns else None)
     for finding in recorded.findings:
         typer.echo(f"{trace}: {finding.message}", err=True)
-    plan = score(recorded, rate=rate, speed=speed, loops=loop, start=start, stop=stop)
+    plan = schedule(recorded, rate=rate, speed=speed, loops=loop, start=start, stop=stop)
     with counting(f"replay {description.name}", len(plan) * loop) as show:
         realtime = go_realtime("replay")
         with open_bus(description.name, Role.PLAYER, zenoh_config, insecure) as bus:

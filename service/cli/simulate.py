@@ -72,7 +72,7 @@ def command(
     """
     import numpy as np
 
-    from drivers.motion import Limits, Planner
+    from drivers.motion import MotionLimits, Planner
     from schemas.errors import DataError
     from schemas.files import check_folder
     from schemas.robot import load_robot
@@ -88,7 +88,7 @@ def command(
     plant, which = make_plant(description, truth, 1.0 / rate, seed)
     planner = Planner(description, plant.period)
     given = {"speed": max_speed, "acceleration": max_acceleration, "torque": max_torque}
-    planner.limits = Limits(**(vars(planner.limits) | {key: value for key, value in given.items() if value}))
+    planner.limits = MotionLimits(**(vars(planner.limits) | {key: value for key, value in given.items() if value}))
     if planner.limits.torque > plant.truth.peak_torque_nm:
         raise DataError(f"--max-torque {max_torque} N m: the drives give {plant.truth.peak_torque_nm:.6g} N m at most")
     planned = _plan(planner, motion, np.random.default_rng([seed, 1]), duration, tuple(payload or ()), speed)

@@ -8,7 +8,7 @@ import numpy as np
 
 from schemas.robot import Robot
 from service.model.dynamics import GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
-from service.model.kinematics import Motion, forward, inverse_motion
+from service.model.kinematics import PlatformMotion, forward, inverse_motion
 from service.model.nominal import pack
 
 # The move that the default bounds are made for: 10 g in any direction with the greatest payload, near the middle of the
@@ -44,7 +44,7 @@ def _needed(robot: Robot) -> float:
     acceleration = ACCELERATION * np.concatenate([directions, up])
     position = forward(model, np.repeat(ARM_ANGLES[:, None], 3, axis=1))
     position, acceleration = np.repeat(position, len(acceleration), axis=0), np.tile(acceleration, (len(position), 1))
-    theta, speed, change = inverse_motion(model, Motion(position, np.zeros_like(position), acceleration))
+    theta, speed, change = inverse_motion(model, PlatformMotion(position, np.zeros_like(position), acceleration))
     terms = torque_terms(model, theta, speed, change)
     rho_1, rho_2 = (1.0, 1.0) if found is None else (found.rho_1.value, found.rho_2.value)
     moving = rho_1 * terms[:, INERTIA] + terms[:, PLATFORM] + robot.limits.max_payload_kg * terms[:, PAYLOAD]

@@ -24,7 +24,7 @@ SINGULAR_DETERMINANT = 1e-3
 SINGULAR_STRETCH = 1e-3
 
 
-class Motion(NamedTuple):
+class PlatformMotion(NamedTuple):
     """Platform motion in the base frame: position m, velocity m/s, acceleration m/s^2, each (..., 3)."""
 
     position: np.ndarray
@@ -237,7 +237,7 @@ def jacobian(model: DeltaModel, theta: np.ndarray) -> np.ndarray:
     return result.reshape(*np.shape(theta), 3)
 
 
-def motion(model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Motion:
+def motion(model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> PlatformMotion:
     """Platform motion of joint motion, all (N, 3): rad, rad/s, rad/s^2 to m, m/s, m/s^2.
 
     Raises:
@@ -248,10 +248,10 @@ def motion(model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, theta_dd
     status, row = _motion_batch(model, batch, rows(theta_dot), rows(theta_ddot), position, velocity, acceleration)
     raise_pose(status, row, batch[row], "rad")
     shape = np.shape(theta)
-    return Motion(position.reshape(shape), velocity.reshape(shape), acceleration.reshape(shape))
+    return PlatformMotion(position.reshape(shape), velocity.reshape(shape), acceleration.reshape(shape))
 
 
-def inverse_motion(model: DeltaModel, platform: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def inverse_motion(model: DeltaModel, platform: PlatformMotion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Joint angles, velocities and accelerations (N, 3) of a platform motion.
 
     Raises:

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.ethercat.course import course
-from drivers.ethercat.master import Master, TorqueOffset, follow
+from drivers.ethercat.master import Master, OffsetRamp, follow
 from drivers.motion import Planner
 from replay.clock import wait_until
 from replay.realtime import go_realtime
@@ -51,7 +51,7 @@ def main(minutes: float, rate: float, turn: float) -> None:
             schedstat = os.open("/proc/thread-self/schedstat", os.O_RDONLY)
             with Master(rig.NEAR, robot, 1 / rate, wait_until) as master:
                 here = master.operate()
-                offset = TorqueOffset(master.scale, math.inf, 5000.0, robot.limits.torque_fade_s, 1 / rate)
+                offset = OffsetRamp(master.scale, math.inf, 5000.0, robot.limits.torque_fade_s, 1 / rate)
                 for number in range(2 * max(1, round(minutes * 30 / turn))):
                     kind = TURNS[number % 2]
                     plan = course(here, motion)

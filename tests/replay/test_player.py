@@ -12,7 +12,7 @@ import pytest
 from drivers.bus import SequenceCounter, open_bus
 from drivers.health import Health
 from replay.clock import SPIN_NS, Pacer, wait_until
-from replay.player import Played, Score, play, score
+from replay.player import Played, Schedule, play, schedule
 from schemas.errors import TraceError
 from schemas.messages import HEALTH, SAMPLE, HealthFlag, Role, StopReason, stamp_ns
 from schemas.trace import Trace
@@ -23,7 +23,7 @@ def trace(count: int, rate: float, first: float = 12.5) -> Trace:
     return Trace(Path("made.csv"), first + np.arange(count) / rate, position, torque)
 
 
-def sent(plan: Score) -> tuple[np.ndarray, Played]:
+def sent(plan: Schedule) -> tuple[np.ndarray, Played]:
     payloads: list[bytes] = []
     played = play(plan, payloads.append, None, lambda _: None)
     return np.frombuffer(b"".join(payloads), SAMPLE.dtype), played
@@ -31,7 +31,7 @@ def sent(plan: Score) -> tuple[np.ndarray, Played]:
 
 def test_one_pass_sends_the_samples_of_the_trace_bit_for_bit() -> None:
     made = trace(300, 4000.0)
-    records, played = sent(score(made))
+    records, played = sent(schedule(made))
     assert records.tobytes() == made.samples().tobytes()
     assert (played.sent, played.planned, len(played.lateness)) == (300, 300, 300)
     assert played.lateness.min() >= 0  # nothing goes out before its time
@@ -39,7 +39,7 @@ def test_one_pass_sends_the_samples_of_the_trace_bit_for_bit() -> None:
 
 def test_loops_go_on_in_time_and_sequence() -> None:
     made = trace(50, 1000.0)
-    records, played = sent(score(made, speed=20.0, loops=3))
+    records, played = sent(schedule(made, speed=20.0, loops=3))
     assert played.sent == 150
     assert records["sequence"].tolist() == list(range(150))
     assert np.all(np.diff(stamp_ns(records)) == 1_000_000)
@@ -50,7 +50,7 @@ def test_loops_go_on_in_time_and_sequence() -> None:
 def test_sequence_of_the_source_is_kept_holes_and_all() -> None:
     made = trace(4, 1000.0)
     made = Trace(made.path, made.time, made.position, made.torque, sequence=np.array([100, 101, 105, 106], np.uint64))
-    records, _ = sent(score(made, loops=2))
+    records, _ = sent(schedule(made, loops=2))
     assert records["sequence"].tolist() == [100, 101, 105, 106, 107, 108, 112, 113]
 
 
@@ -64,7 +64,7 @@ def test_sequence_of_the_source_is_kept_holes_and_all() -> None:
     ],
 )
 def test_rate_and_speed_lay_down_the_deadlines(options: dict, due_ms: list[float]) -> None:
-    plan = score(trace(4, 1000.0), **options)
+    plan = schedule(trace(4, 1000.0), **options)
     assert (plan.due * 1e-6).tolist() == due_ms
     assert plan.due_span * 1e-6 == due_ms[-1] + due_ms[1]  # the next loop is one period behind
 
@@ -72,7 +72,7 @@ def test_rate_and_speed_lay_down_the_deadlines(options: dict, due_ms: list[float
 def test_gap_in_the_trace_is_played_as_a_gap_and_time_going_back_in_order() -> None:
     made = trace(5, 1000.0)
     moved = Trace(made.path, np.array([0.0, 0.001, 0.050, 0.049, 0.051]), made.position, made.torque)
-    plan = score(moved)
+    plan = schedule(moved)
     assert (plan.due * 1e-6).tolist() == [0, 1, 50, 50, 51]
     records, _ = sent(plan)
     assert records["sequence"].tolist() == [0, 1, 2, 3, 4]
@@ -80,16 +80,16 @@ def test_gap_in_the_trace_is_played_as_a_gap_and_time_going_back_in_order() -> N
 
 
 def test_start_and_stop_cut_the_trace() -> None:
-    plan = score(trace(1000, 1000.0), start=0.1, stop=0.2)
+    plan = schedule(trace(1000, 1000.0), start=0.1, stop=0.2)
     assert plan.sequence.tolist() == list(range(100, 201))
     assert plan.due[0] == 0  # no wait for what was cut off
     with pytest.raises(TraceError, match=r"made\.csv: 0 samples from 5 s to the end; it lasts 0\.999 s"):
-        score(trace(1000, 1000.0), start=5.0)
+        schedule(trace(1000, 1000.0), start=5.0)
 
 
 def test_first_samples_keep_their_distance() -> None:
     instants: list[int] = []
-    play(score(trace(20, 200.0)), lambda _: instants.append(time.monotonic_ns()), None, lambda _: None)
+    play(schedule(trace(20, 200.0)), lambda _: instants.append(time.monotonic_ns()), None, lambda _: None)
     assert np.all(np.array(instants) - instants[0] >= np.arange(20) * 5_000_000 - 4_000_000)
 
 
@@ -103,7 +103,7 @@ def test_held_up_samples_are_counted_and_follow_in_order_at_twice_the_rate_at_mo
         if len(payloads) == 10:
             time.sleep(0.05)
 
-    played = play(score(trace(200, 1000.0)), put, None, lambda _: None)
+    played = play(schedule(trace(200, 1000.0)), put, None, lambda _: None)
     records = np.frombuffer(b"".join(payloads), SAMPLE.dtype)
     assert records["sequence"].tolist() == list(range(200))
     assert played.late >= 40
@@ -120,7 +120,7 @@ def test_interrupt_ends_it_with_what_was_sent() -> None:
         if len(payloads) == 70:
             raise KeyboardInterrupt
 
-    played = play(score(trace(50, 4000.0), loops=0), put, None, lambda _: None)
+    played = play(schedule(trace(50, 4000.0), loops=0), put, None, lambda _: None)
     assert (played.sent, played.planned) == (69, None)
 
 
@@ -152,7 +152,7 @@ def test_nothing_is_lost_on_the_bus(bus_folder: Path, rate: float, until: Callab
         publisher = player.publisher("sample")
         until(lambda: publisher.heard)
         made = trace(count // 2, rate)
-        play(score(made, loops=2), publisher.put, Health(player, HealthFlag.NO_REALTIME), lambda _: None)
+        play(schedule(made, loops=2), publisher.put, Health(player, HealthFlag.NO_REALTIME), lambda _: None)
         taken: list[np.ndarray] = []
         until(lambda: bool(taken.append(inbox.take()[0]) or sum(map(len, taken)) >= count))
         records = np.concatenate(taken)

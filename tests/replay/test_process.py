@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.bus import LINK_S, open_bus
-from replay.player import play, score
+from replay.player import play, schedule
 from replay.process import process
 from schemas.messages import Role
 from schemas.robot import save_robot
@@ -76,7 +76,7 @@ def test_the_bus_gives_the_bits_of_process_replay(estimator, robot, make, until,
         publisher = bus.publisher("sample")
         until(lambda: Role.ESTIMATOR in observer.alive and Role.ESTIMATOR in bus.alive and publisher.heard)
         time.sleep(LINK_S)
-        play(score(trace), publisher.put, None, lambda _: None)
+        play(schedule(trace), publisher.put, None, lambda _: None)
         answers = collect(inboxes, [len(expected.feedforward), len(expected.payload), len(expected.error)])
     for name, answer in zip(("feedforward", "payload", "error"), answers, strict=True):
         assert answer.tobytes() == getattr(expected, name).tobytes(), name

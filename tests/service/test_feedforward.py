@@ -13,7 +13,7 @@ import pytest
 from drivers.bus import Bus, open_bus
 from drivers.ethercat.cia402 import Scale
 from drivers.ethercat.course import Course
-from drivers.ethercat.master import TorqueOffset
+from drivers.ethercat.master import OffsetRamp
 from replay.clock import wait_until
 from schemas.messages import FEEDFORWARD, SAMPLE, FeedforwardSource, Role, SampleFlag, set_stamp, stamp_ns
 from service.feedforward import FRESH_CYCLES, OverBus
@@ -35,7 +35,7 @@ class Talk:
 
     def __init__(self, master: Bus, estimator: Bus) -> None:
         self.over = OverBus(master, PEAK, PERIOD)
-        self.offset = TorqueOffset(SCALE, PEAK, 1e9, FADE, PERIOD)
+        self.offset = OffsetRamp(SCALE, PEAK, 1e9, FADE, PERIOD)
         self.references = estimator.subscribe("reference")
         self.publisher = estimator.publisher("feedforward")
         self.number = 0

@@ -18,7 +18,7 @@ import pytest
 
 from drivers.ethercat.cia402 import Scale
 from drivers.ethercat.course import Course, course
-from drivers.ethercat.master import BRING_UP_TIME, FAULTY_TIME, Master, TorqueOffset, follow
+from drivers.ethercat.master import BRING_UP_TIME, FAULTY_TIME, Master, OffsetRamp, follow
 from drivers.motion import Planner, Trajectory
 from drivers.segment.wire import INPUT_DELAY_CYCLES
 from drivers.trace import read_trace
@@ -94,7 +94,7 @@ def run(
     taken, motion = [], plan(robot.folder)
     with Master(rig.NEAR, robot, PERIOD, wait_until) as master:
         whole = change(course(master.operate(), motion))
-        offset = TorqueOffset(master.scale, math.inf, 5000.0, FADE, PERIOD)
+        offset = OffsetRamp(master.scale, math.inf, 5000.0, FADE, PERIOD)
         at_start()
         for sample in follow(master, whole, nothing, offset):
             taken.append(sample.copy())
@@ -270,26 +270,26 @@ SCALE = Scale(
 
 
 def test_the_torque_offset_is_in_the_drives_unit_and_sign() -> None:
-    offset = TorqueOffset(SCALE, math.inf, 1e9, FADE, 1e-3)
+    offset = OffsetRamp(SCALE, math.inf, 1e9, FADE, 1e-3)
     assert offset.step(np.array([2.0, 2.0, -3.0])).tolist() == [100, -100, -100]
 
 
 def test_the_torque_offset_is_limited_in_size() -> None:
-    rated = TorqueOffset(SCALE, math.inf, 1e9, FADE, 1e-3)
+    rated = OffsetRamp(SCALE, math.inf, 1e9, FADE, 1e-3)
     assert rated.step(np.array([500.0, 500.0, -500.0])).tolist() == [1000, -1000, -1000]
-    asked = TorqueOffset(SCALE, 3.0, 1e9, FADE, 1e-3)
+    asked = OffsetRamp(SCALE, 3.0, 1e9, FADE, 1e-3)
     assert asked.step(np.array([500.0, 1.0, -500.0])).tolist() == [150, -50, -100]
 
 
 def test_the_torque_offset_is_limited_in_slope() -> None:
-    offset = TorqueOffset(SCALE, math.inf, 1000.0, FADE, 1e-3)
+    offset = OffsetRamp(SCALE, math.inf, 1000.0, FADE, 1e-3)
     steps = [offset.step(np.array([5.0, -5.0, 0.0])).tolist()[0] for _ in range(7)]
     assert steps == [50, 100, 150, 200, 250, 250, 250]
 
 
 @pytest.mark.parametrize("missing", [None, np.array([1.0, np.nan, 1.0]), np.array([np.inf, 0.0, 0.0])])
 def test_a_missing_or_senseless_torque_fades_to_zero_in_the_declared_time(missing: np.ndarray | None) -> None:
-    offset = TorqueOffset(SCALE, math.inf, 1000.0, FADE, 1e-3)
+    offset = OffsetRamp(SCALE, math.inf, 1000.0, FADE, 1e-3)
     assert offset.stale
     for _ in range(10):
         offset.step(np.array([5.0, -2.0, 0.0]))

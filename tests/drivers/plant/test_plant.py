@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from drivers.motion import Limits, Planner, Trajectory
+from drivers.motion import MotionLimits, Planner, Trajectory
 from drivers.plant.effects import make_effects
 from drivers.plant.mechanism import required_torque
 from drivers.plant.plant import Plant, Target
@@ -141,7 +141,7 @@ def test_rate_does_not_change_the_physics(robot: Robot, rate: float) -> None:
 
 
 def test_motions_stay_inside_their_limits_and_the_workspace(robot: Robot) -> None:
-    limits = Limits(speed=6.0, acceleration=120.0, torque=40.0)
+    limits = MotionLimits(speed=6.0, acceleration=120.0, torque=40.0)
     planner = Planner(robot, 1e-3, limits)
     random = np.random.default_rng(11)
     low, high = robot.geometry.joint_range_rad

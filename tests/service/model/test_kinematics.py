@@ -105,6 +105,6 @@ def test_a_stretched_arm_has_no_joint_velocity(model):
             -reach * np.sin(1.0) + 1e-9,
         ]
     )
-    still = kinematics.Motion(position, np.ones(3), np.zeros(3))
+    still = kinematics.PlatformMotion(position, np.ones(3), np.zeros(3))
     with pytest.raises(PoseError, match="pose"):
         kinematics.inverse_motion(straight, still)

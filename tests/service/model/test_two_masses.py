@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from drivers.motion import Limits, Planner
+from drivers.motion import MotionLimits, Planner
 from drivers.plant.effects import transmission
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
@@ -72,7 +72,7 @@ def test_on_the_robot_it_is_what_the_plant_does(name, effect, joint, left_over):
     """Rotor and link as two bodies in closed loop; the other joints feel what the link does."""
     viscous = 2.0
     truth = TRUTH.model_copy(update={"viscous_friction_nms": [viscous] * 3, "peak_torque_nm": 250.0})
-    planner = Planner(ROBOT, PERIOD, Limits(speed=10.0, acceleration=240.0, torque=85.0))
+    planner = Planner(ROBOT, PERIOD, MotionLimits(speed=10.0, acceleration=240.0, torque=85.0))
     plant = Plant(ROBOT, truth, (effect,), PERIOD)
     trace = simulate(plant, planner.multisine(np.random.default_rng(4), 2.5, 1.0))
     (part,) = segments(trace)
