@@ -28,7 +28,7 @@ from service.model.hypothesis import Hypothesis
 from service.model.mechanism import mechanism_of
 from service.model.parameters import Parameters, Quantity, base_parameters
 from service.model.scene import Base, Recording
-from service.model.signals import Band
+from service.model.signals import Band, resolved_hz
 from service.model.torque import predict
 
 START_TRANSITION = 0.002  # rad/s
@@ -113,7 +113,7 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, np.ndarray]:
                 f"{recording.name}: {1e3 * recording.segment.period:.3g} ms between samples, {recordings[0].name} has "
                 f"{1e3 * period:.3g} ms: give logs of one rate"
             )
-    band = Band.of(period)
+    band = Band.of(period, resolved_hz([recording.segment for recording in recordings]))
     noise, share = white_noise(recordings), band.white_share**0.5
     problem = Problem.of(recordings, band, np.maximum(noise, 1e-9) * share)
     first = solver.fit(problem, _start(problem), iterations=2).hypothesis

@@ -12,7 +12,7 @@ from schemas.trace import Trace
 from service.model.description import hypothesis_of, torque_along
 from service.model.friction import mean_direction
 from service.model.mechanism import mechanism_of
-from service.model.signals import lowpass, segments
+from service.model.signals import Segment, between, lowpass, segments, usable
 
 MODELS = ("M_KH", "M_Id", "M_Id+F", "full")  # each a superset of the one before; full adds forearm and effects
 FULL = MODELS[-1]
@@ -44,15 +44,23 @@ def motion(trace: Trace) -> Motion:
     signals = np.zeros((3, *shape))
     moving, measured = np.zeros(shape, bool), np.zeros(len(trace), bool)
     for part in segments(trace):
-        signals[:, part.rows] = part.theta, part.theta_dot, part.theta_ddot
-        moving[part.rows] = part.moving
-        measured[part.rows] = True
+        rows = _rows(part, trace)
+        for order, values in enumerate((part.theta, part.theta_dot, part.theta_ddot)):
+            signals[order, rows] = between(trace.time[rows], part.time, values)
+        moving[rows] = between(trace.time[rows], part.time, part.moving) > 0.5
+        measured[rows] = True
     if not measured.all():
         # by row, not by time: a faulty row's stamp may be the fault
         row, known = np.arange(len(trace)), np.flatnonzero(measured)
         for signal, joint in np.ndindex(len(signals), shape[1]):
             signals[signal, ~measured, joint] = np.interp(row[~measured], known, signals[signal, known, joint])
     return Motion(signals[0], signals[1], signals[2], moving, measured)
+
+
+def _rows(part: Segment, trace: Trace) -> np.ndarray:
+    """The usable rows that a part spans; all of its own, and those between, where it was brought to an even clock."""
+    rows = np.arange(part.rows[0], part.rows[-1] + 1)
+    return rows[usable(trace)[rows]]
 
 
 def predict(robot: Description, trace: Trace) -> dict[str, np.ndarray]:
@@ -96,5 +104,7 @@ def error_in_band(trace: Trace, along: Motion, torque: np.ndarray) -> np.ndarray
     """tau - `torque` (N, 3) through the common low-pass, N m; NaN where a joint rests or rows are faulty."""
     result = np.full(torque.shape, np.nan)
     for part in segments(trace):
-        result[part.rows] = lowpass(part.torque - torque[part.rows], part.period)
+        rows = _rows(part, trace)
+        error = part.torque - between(part.time, trace.time[rows], torque[rows])
+        result[rows] = between(trace.time[rows], part.time, lowpass(error, part.period))
     return np.where(along.moving, result, np.nan)

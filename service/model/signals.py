@@ -10,6 +10,7 @@ from it (sign theta_dot among them), and the same zero-phase low-pass is then pu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -35,6 +36,14 @@ REST_HZ = 60.0  # of the position whose slope tells rest from motion
 REST_TIME = 0.040  # s below REST_SPEED that make a rest
 REST_MARGIN = 0.015  # s left out on both sides of a rest
 EDGE = 0.1  # s at each end of a segment that the filters' start reaches into
+LONGEST_STEP = 1.5  # periods between two samples; beyond is a gap
+JITTER = 0.1  # of the period, from the 5 % shortest to the 5 % longest steps: beyond, samples may have been polled
+LONGEST_HOLE = 6.0  # periods, bridged where samples were polled
+HOLES = 1e-3  # of the steps
+SMOOTHER = 0.7  # of the position's noise that is left by the stamps, where they are right
+FEWEST = 100  # samples that tell
+NOISY = 0.03  # of the acceleration, rms: bends an inertia by its square
+LEAST_HZ = 3.0  # of the analysis band
 RATE = 1000.0  # Hz, regressors are built at no less than this: plenty for what the motion smoother passes
 CHUNK = 32  # columns filtered at a time: what fits in the cache
 NOISE_HZ = 250.0  # above it (or a quarter of the sample rate) a robot's torque is noise
@@ -174,8 +183,9 @@ def moving(position: np.ndarray, period: float) -> np.ndarray:
 class Segment:
     """M consecutive usable samples of a trace, motion already smoothed.
 
-    rows: (M,) row numbers in the trace. time: (M,) s. period: s. theta, theta_dot, theta_ddot, torque: (M, n), rad and
-    N m. moving: (M, n), False at rest and, for all joints, within `EDGE` of the ends.
+    rows: (M,) row numbers in the trace, of the next sample where they were brought to an even clock. time: (M,) s.
+    period: s. theta, theta_dot, theta_ddot, torque: (M, n), rad and N m. moving: (M, n), False at rest and, for all
+    joints, within `EDGE` of the ends. noise: (n,) rad rms of the positions, which came every `sampled` s.
     """
 
     rows: np.ndarray
@@ -186,6 +196,8 @@ class Segment:
     theta_ddot: np.ndarray
     torque: np.ndarray
     moving: np.ndarray
+    noise: np.ndarray | None = None
+    sampled: float = 0.0
 
 
 def usable(trace: Trace) -> np.ndarray:
@@ -196,31 +208,103 @@ def usable(trace: Trace) -> np.ndarray:
 def segments(trace: Trace) -> list[Segment]:
     """The parts of `trace` that no gap and no unusable row interrupts and that outlast the filters' ends.
 
+    Samples that were polled, at instants of their own, are brought to an even clock by straight lines between them, of
+    a preferred rate (10, 12.5, 16, 20, ... Hz), so that several such logs have one.
+
     Raises:
         TraceError: no part is long enough, naming the file.
     """
     good = np.flatnonzero(usable(trace))
     if len(good) < 2:
         raise TraceError(f"{trace.path}: {len(good)} usable rows of {len(trace)}")
-    period = float(np.median(np.diff(trace.time[good])))
+    time, position, torque = trace.time[good], trace.position[good], trace.torque[good]
+    steps = np.diff(time)
+    period = float(np.median(steps))
     shortest = round(4 * EDGE / period)
-    parts = np.split(good, np.flatnonzero(np.diff(trace.time[good]) > 1.5 * period) + 1)
-    result = [_segment(trace, part, period) for part in parts if len(part) >= shortest]
+    polled = _polled(time, position)
+    ends = np.flatnonzero(steps > (LONGEST_HOLE if polled else LONGEST_STEP) * period) + 1
+    every = np.split(np.arange(len(good)), ends)
+    parts = [part for part in every if len(part) >= shortest]
+    if polled and parts:
+        rate = float(np.mean([(len(part) - 1) / np.ptp(time[part]) for part in parts]))
+        period = 1.0 / 10 ** (round(10 * np.log10(rate)) / 10)
+    result = []
+    for part in parts:
+        mine = time[part], position[part], torque[part]
+        if polled:
+            count = round(np.ptp(mine[0]) / period) + 1
+            clock = mine[0][0] + period * np.arange(count)
+            part = part[np.clip(np.searchsorted(mine[0], clock), 0, len(part) - 1)]
+            mine = clock, between(clock, mine[0], mine[1]), between(clock, mine[0], mine[2])
+        result.append(_segment(good[part], *mine, period))
     if not result:
-        longest = max(len(part) for part in parts) * period
+        longest = max(len(part) for part in every) * period
         raise TraceError(
             f"{trace.path}: longest part without a fault lasts {longest:.3g} s, at least {4 * EDGE:g} s are needed"
         )
     return result
 
 
-def _segment(trace: Trace, rows: np.ndarray, period: float) -> Segment:
-    position = trace.position[rows]
+def _polled(time: np.ndarray, position: np.ndarray) -> bool:
+    """Whether samples were taken at the uneven instants that their stamps say, not evenly by a clock whose stamps
+    jitter: then the motion is smoother by the stamps, or there are short holes."""
+    if len(time) < FEWEST:
+        return False
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    early, late = np.quantile(steps, [0.05, 0.95])
+    if late - early < JITTER * period:
+        return False
+    if np.mean((steps > LONGEST_STEP * period) & (steps < LONGEST_HOLE * period)) > HOLES:
+        return True
+    even = np.linspace(time[0], time[-1], len(time))
+    return bool((position_noise(between(even, time, position)) < SMOOTHER * position_noise(position)).any())
+
+
+def between(clock: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(M, n) values at `clock` (M,) on straight lines between those (N, n) at `time` (N,)."""
+    return np.stack([np.interp(clock, time, column) for column in values.T], axis=1)
+
+
+def position_noise(position: np.ndarray) -> np.ndarray:
+    """(n,) rms of the white noise of evenly sampled positions (N, n), from their fourth differences, in which a motion
+    leaves next to nothing."""
+    fourth = np.abs(np.diff(position, 4, axis=0))
+    typical = np.median(fourth, axis=0) / 0.6745  # of a normal distribution
+    coarse = np.sqrt(np.mean(fourth**2, axis=0))  # where most samples repeat the last: an encoder's steps
+    return np.where(typical > 0, typical, coarse) / 70**0.5
+
+
+def _segment(rows: np.ndarray, time: np.ndarray, position: np.ndarray, torque: np.ndarray, period: float) -> Segment:
     theta, theta_dot, theta_ddot = smooth(position, period)
     mask = moving(position, period)
     edge = round(EDGE / period)
     mask[:edge] = mask[-edge:] = False
-    return Segment(rows, trace.time[rows], period, theta, theta_dot, theta_ddot, trace.torque[rows], mask)
+    noise = position_noise(position)
+    return Segment(rows, time, period, theta, theta_dot, theta_ddot, torque, mask, noise, period)
+
+
+def resolved_hz(parts: Sequence[Segment]) -> float:
+    """Frequency, at most `ANALYSIS_HZ`, below which the noise of the positions is no more than `NOISY` of their
+    acceleration.
+
+    Noise in a regressor shrinks what it multiplies: a coarse encoder makes an inertia light.
+    """
+    period = parts[0].period
+    cutoff = min(ANALYSIS_HZ, MOTION_SHARE / period)
+    while cutoff > LEAST_HZ:
+        signal, noise = np.zeros((2, parts[0].theta.shape[1]))
+        for part in parts:
+            if part.noise is not None:
+                # of white noise, twice differentiated, what passes a sharp low-pass
+                rms = part.noise * (2 * np.pi) ** 2 * cutoff**2.5 * (2 * part.sampled / 5) ** 0.5
+                signal += (lowpass(part.theta_ddot, part.period, cutoff) ** 2 * part.moving).sum(axis=0)
+                noise += rms**2 * part.moving.sum(axis=0)
+        live = signal > 0
+        if not live.any() or np.median(noise[live] / signal[live]) <= NOISY**2:
+            break
+        cutoff /= 1.25
+    return max(cutoff, LEAST_HZ)
 
 
 def thin(segment: Segment) -> Segment:

@@ -26,7 +26,7 @@ def unseen(findings: Findings, trace: Trace) -> Unseen:
     known, corrected = findings.problem, findings.best.hypothesis
     mechanism = known.recordings[0].mechanism
     parts = [Recording(thin(part), mechanism, 0, trace.name) for part in segments(trace)]
-    problem = Problem.of(parts, Band.of(parts[0].segment.period), known.sigma)
+    problem = Problem.of(parts, Band.of(parts[0].segment.period, known.band.cutoff_hz), known.sigma)
     found = events_of(problem, evaluate(problem, corrected).residuals)
     calm = replace(
         problem,
