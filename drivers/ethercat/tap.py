@@ -19,16 +19,15 @@ from drivers.ethercat.capture import Capture
 from drivers.ethercat.cia402 import DriveState, drive_state
 from drivers.ethercat.declaration import FirstMotion
 from drivers.ethercat.interface import open_interface
-from drivers.ethercat.process_data.assembly import Assembler, assemble
+from drivers.ethercat.process_data.assembly import FRAME_BYTES, ONE_FRAME, Assembler, assemble_one
 from drivers.ethercat.process_data.clock import STOPPED_CYCLES, STOPPED_NS
-from drivers.ethercat.process_data.layout import INPUTS, STATUS, make_layout, mapped_inputs
+from drivers.ethercat.process_data.layout import STATUS, make_layout, mapped_inputs
 from drivers.ethercat.process_data.state import COUNTS, counts_of
 from drivers.health import Health
 from schemas.errors import BusError
 from schemas.messages import NANOSECONDS, SAMPLE, HealthFlag, SampleFlag
 from schemas.robot import Robot
 
-FRAME_BYTES = 2048  # more than an Ethernet frame with tags
 RECEIVE_BYTES = 8 << 20  # of kernel buffer: 10 s of a busy bus
 IDLE_NS = 5_000_000  # longest silence before the loop looks around
 SILENT_NS = 2 * NANOSECONDS  # before a bus that has brought no sample yet is called quiet
@@ -196,24 +195,16 @@ class Tap:
         self.assembler = Assembler(make_layout(robot))
         self._source = source
         self._say = say
-        self._buffer = np.zeros(FRAME_BYTES, np.uint8)
-        self._frame = np.zeros((3, 1), np.int64)  # offset, length, time
-        self._port = np.zeros((2, 1), np.uint8)  # port, flags
-        self._record = SAMPLE.empty(1)
-        self._raw = np.zeros((1, 3, len(INPUTS)), np.int64)
+        self._frame = np.zeros(1, ONE_FRAME)
+        self._frame["layout"], self._frame["state"] = self.assembler.layout, self.assembler.state
+        self._frame["sample"] = SAMPLE.empty(1)
+        self.assembler.state = self._frame["state"]
+        self._record, self._raw = self._frame["sample"], self._frame["raw"]
         self._states = np.full(3, DriveState.UNKNOWN, np.uint16)
         self._standing = HealthFlag(0)  # of the process: real time, declaration
         self._told = _Told(self.assembler)
         self._declaration = FirstMotion(robot)
-        self._assemble()  # a frame of no bytes: the kernel is compiled before the bus is looked at
-
-    def _assemble(self) -> int:
-        offset, length, time_ns = self._frame
-        port, flags = self._port
-        return assemble(
-            self._buffer, offset, length, time_ns, port, flags,
-            self.assembler.layout, self.assembler.state, self._record, self._raw,
-        )  # fmt: skip
+        assemble_one(self._frame)  # a frame of no bytes: the kernel is compiled before the bus is looked at
 
     def run(self, put: Callable[[bytes], object], health: Health, count: int = 0) -> None:
         """Publish with `put` until `count` samples are out (0: without end), a capture ends, or Ctrl-C.
@@ -222,7 +213,8 @@ class Tap:
             BusError: the interface went down or away.
             TraceError: the file is no capture.
         """
-        view, counts, flags = self._buffer.data, counts_of(self.assembler.state), self._record["flags"]
+        frame = self._frame
+        view, counts, flags = frame["data"][0].data, counts_of(self.assembler.state), self._record["flags"]
         self._standing = health.flags
         self._source.start()
         self._told.sample_ns = time.monotonic_ns()
@@ -232,8 +224,8 @@ class Tap:
             got = self._source.receive(view)
             now = time.monotonic_ns()
             if got is not None:
-                self._frame[1, 0], self._frame[2, 0], self._port[0, 0] = got
-                if self._assemble():
+                frame["length"], frame["time"], frame["port"] = got
+                if assemble_one(frame):
                     put(self._record.tobytes())
                     health.time_one(self._source.age(got[1]))
                     self._declaration.add(self._record, self._raw)
