@@ -237,13 +237,7 @@ class Inbox:
         """
         self._drain()
         if not self._payloads:
-            if self._waker is None:
-                self._waker = threading.Thread(target=self._wake, name="waker", daemon=True)
-                self._waker.start()
-            self._wake_ns = time.monotonic_ns() + int(longest * 1e9)
-            sample = self._recv()
-            self._wake_ns = _NEVER
-            self._keep(sample)
+            self._keep(self._sleep(longest))
         return bool(self._payloads)
 
     def take(self) -> tuple[np.ndarray, np.ndarray]:
@@ -251,17 +245,28 @@ class Inbox:
         self._drain()
         if not self._payloads:
             return self._nothing
-        payloads, times = self.found()
-        return np.frombuffer(bytearray().join(payloads), self.message.dtype), np.array(times, np.int64)
+        records = np.frombuffer(bytearray().join(self._payloads), self.message.dtype)
+        times = np.array(self._times, np.int64)
+        self._payloads.clear()
+        self._times.clear()
+        return records, times
 
-    def found(self) -> tuple[list[bytes], list[int]]:
-        """The same, of what `wait` found, as it came: for who lives on one message at a time.
+    def one(self, longest: float = 0.0) -> bytes | None:
+        """The oldest message as it came, waited for at most `longest` s (and `WAKE_S`); None: none came, or no message.
 
-        Arrays for every message cost 10 µs where caches are cold, which is where a cycle leaves them.
+        For who lives on one message at a time: what lies between `recv` and the answer counts twice and more, because
+        a cycle leaves the caches cold. What `wait` has found is for `take`.
         """
-        payloads, times = self._payloads, self._times
-        self._payloads, self._times = [], []
-        return payloads, times
+        sample = self._try_recv()
+        if sample is None:
+            if not longest:
+                return None
+            sample = self._sleep(longest)
+        payload = sample.payload.to_bytes()
+        if len(payload) == self._size and payload.startswith(CDR_LITTLE_ENDIAN):
+            return payload
+        self._refuse(payload)
+        return None
 
     def close(self) -> None:
         """End the waker."""
@@ -274,12 +279,25 @@ class Inbox:
                 return
             self._keep(sample)
 
+    def _sleep(self, longest: float) -> zenoh.Sample:
+        if self._waker is None:
+            self._waker = threading.Thread(target=self._wake, name="waker", daemon=True)
+            self._waker.start()
+        self._wake_ns = time.monotonic_ns() + int(longest * 1e9)
+        sample = self._recv()
+        self._wake_ns = _NEVER
+        return sample
+
     def _keep(self, sample: zenoh.Sample) -> None:
         payload = sample.payload.to_bytes()
         if len(payload) == self._size and payload.startswith(CDR_LITTLE_ENDIAN):
             self._payloads.append(payload)
             self._times.append(self._clock(sample))
-        elif not payload and self._nudged > self._seen:
+        else:
+            self._refuse(payload)
+
+    def _refuse(self, payload: bytes) -> None:
+        if not payload and self._nudged > self._seen:
             self._seen += 1
         else:
             self.rejected += 1

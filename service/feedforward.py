@@ -42,8 +42,8 @@ class InCycle:
         _plan(reference, course, number)
         self._estimator.plan(reference)
         estimator = self._estimator
-        _, event = estimator.step(sample.tobytes())
-        if event >= 0 and estimator.payload["trusted"][0]:
+        estimator.step(sample.tobytes())
+        if estimator.look_back() >= 0 and estimator.payload["trusted"][0]:
             self._payload = estimator.payload[0].copy()
         answer = estimator.feedforward[0]
         return answer["torque"].copy() if _for_the_plan(answer) else None

@@ -89,9 +89,9 @@ def _steps(robot, samples: np.ndarray) -> np.ndarray:
     taken = np.zeros(len(samples), np.int64)
     for n, message in enumerate(messages):
         begin = time.perf_counter_ns()
-        _, event = estimator.step(message)
+        estimator.step(message)
         estimator.feedforward.tobytes()
-        if event >= 0:
+        if estimator.look_back() >= 0:
             estimator.payload.tobytes()
             estimator.error.tobytes()
         taken[n] = time.perf_counter_ns() - begin

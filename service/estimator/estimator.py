@@ -11,7 +11,7 @@ from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, stamp_ns
 from schemas.robot import Robot
 from service.estimator import state
 from service.estimator.feedforward import plan_kernel
-from service.estimator.step import answer_kernel, run_kernel
+from service.estimator.step import answer_kernel, look_back_kernel, run_kernel
 
 # Samples from which the period is read. Stamps of a bus jitter; the median of this many does not.
 PERIOD_SAMPLES = 16
@@ -40,7 +40,7 @@ class Rate(NamedTuple):
 class Estimator:
     """Consumes samples in the order they come; the same samples give the same bits, one by one or in any batches.
 
-    feedforward, payload, error: (1,) records, the answers to the last `step`, overwritten by the next.
+    feedforward, payload, error: (1,) records, what the last `step` and `look_back` said, overwritten by the next.
     """
 
     def __init__(self, robot: Robot, period: float, stride: int = 1) -> None:
@@ -49,18 +49,30 @@ class Estimator:
         self._steps = state.fresh(state.settings(robot, period, stride))
         self._sample = self._steps["sample"].view(np.uint8).data
         self.feedforward, self.payload, self.error = (self._steps[name] for name in ("feedforward", "payload", "error"))
+        self._lagged = False
 
-    def step(self, message: bytes) -> tuple[int, int]:
-        """Take one SAMPLE as it came off the wire.
-
-        Returns its flags and the payload event; the event is -1, and `payload` and `error` hold nothing, until samples
-        reach back to the fixed lag.
-        """
+    def step(self, message: bytes) -> int:
+        """Fill `feedforward` for one SAMPLE as it came off the wire. Returns its flags."""
+        if self._lagged:
+            self.look_back()
         self._sample[:] = message
-        return answer_kernel(self._steps)
+        flags, self._lagged = answer_kernel(self._steps)
+        return flags
+
+    def look_back(self) -> int:
+        """Fill `payload` and `error`, which nobody waits for, after a `step`.
+
+        Returns the payload event, or -1 where there is nothing: samples do not reach back to the fixed lag yet, or that
+        one closed no cycle. (Left out, the next step does it first.)
+        """
+        if not self._lagged:
+            return -1
+        self._lagged = False
+        return look_back_kernel(self._steps)
 
     def run(self, samples: np.ndarray) -> Result:
         """Take (N,) records of SAMPLE."""
+        self.look_back()
         count = len(samples)
         feedforward = np.empty(count, FEEDFORWARD.dtype)
         payload, error = np.empty(count, PAYLOAD.dtype), np.empty(count, MODEL_ERROR.dtype)
@@ -85,6 +97,7 @@ class Estimator:
         fresh = state.fresh(self._steps["settings"])
         plan_kernel(fresh)
         answer_kernel(fresh)
+        look_back_kernel(fresh)
 
 
 def rate_of(samples: np.ndarray) -> Rate:

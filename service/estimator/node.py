@@ -11,7 +11,7 @@ import numpy as np
 from drivers.bus import Bus, SequenceCounter
 from drivers.health import Health
 from schemas.errors import DataError
-from schemas.messages import SAMPLE, SEQUENCE_BYTES, HealthFlag, SampleFlag
+from schemas.messages import REFERENCE, SAMPLE, SEQUENCE_BYTES, HealthFlag, SampleFlag
 from schemas.robot import Robot
 from service.estimator.estimator import PERIOD_SAMPLES, Estimator, Rate, rate_of
 
@@ -42,24 +42,19 @@ class Node:
         self._heard_ns, self._silent = time.monotonic_ns(), False
 
     def step(self) -> None:
-        """Wait for samples, at most POLL_S, and answer them all."""
-        if self._samples.wait(POLL_S):
-            messages, arrival = self._samples.found()
-            self._heard_ns = arrival[-1]
-            references, _ = self._references.take()
-            for message, came in zip(messages, arrival, strict=True):
-                if self._estimator is None:
-                    self._wait_for_rate(message, came)
-                else:
-                    if len(references):
-                        self._estimator.plan(references[-1])
-                        references = references[:0]
-                    self._answer(self._estimator, message, came)
-                self._counter.update(int.from_bytes(message[SEQUENCE_BYTES], "little"))
-            self._received += len(messages)
+        """Wait for a sample, at most POLL_S, and answer it."""
+        message = self._samples.one(POLL_S)
+        if message is not None:
+            came = self._heard_ns = time.monotonic_ns()
+            if self._estimator is not None:
+                self._answer(self._estimator, message, came)
+            else:
+                self._wait_for_rate(message, came)
+            self._received += 1
+            self._counter.update(int.from_bytes(message[SEQUENCE_BYTES], "little"))
             if len(self._recent) < PERIOD_SAMPLES:
-                self._recent += messages
-                if self._estimator is not None and len(self._recent) >= PERIOD_SAMPLES:
+                self._recent.append(message)
+                if self._estimator is not None and len(self._recent) == PERIOD_SAMPLES:
                     self._follow_rate(self._estimator)
         self._note_silence()
         if self.health.due:
@@ -91,12 +86,17 @@ class Node:
         self._every = max(1, round(REPORT_PERIOD / rate.period))
 
     def _answer(self, estimator: Estimator, message: bytes, came: int) -> None:
-        flags, event = estimator.step(message)
+        reference = self._references.one()
+        if reference is not None:
+            newer, _ = self._references.take()
+            estimator.plan(newer[-1] if len(newer) else np.frombuffer(reference, REFERENCE.dtype)[0])
+        flags = estimator.step(message)
         self._put["feedforward"](estimator.feedforward.tobytes())  # first: somebody steers by it
         self.health.time_one(time.monotonic_ns() - came)
         self._published += 1
         if flags & _INVALID:
             self._invalid += 1
+        event = estimator.look_back()
         if event > 0 or (event == 0 and int(estimator.payload["sequence"][0]) % self._every == 0):
             self._put["payload"](estimator.payload.tobytes())
             self._put["error"](estimator.error.tobytes())
@@ -119,7 +119,7 @@ class Node:
         """Start anew when two readings in a row agree on another rate than that of `estimator`."""
         before, self._suspected = self._suspected, None
         try:
-            found = rate_of(_records(self._recent[:PERIOD_SAMPLES]))
+            found = rate_of(_records(self._recent))
         except DataError:
             return
         if found.stride == estimator.stride and _close(found.period, estimator.period, PERIOD_CHANGE):

@@ -79,7 +79,7 @@ def _follow(settings, state, sample, flags, gap):
 def _follow_command(settings, state, sample, flags, gap):
     """Move the filter of the commanded position on to `sample`."""
     track, command, longest = state.commanded, sample.position_command, restart_cycles(settings)
-    if flags & COMMAND_JUMP != 0 and is_new_command(settings, state, sample, gap):
+    if flags & NOT_FOLLOWED == COMMAND_JUMP and is_new_command(settings, state, sample, gap):  # a source may set flags
         track.used = 0
     elif flags & NOT_FOLLOWED != 0:
         if track.used > 0:
@@ -115,7 +115,7 @@ def _remember(settings, state, sample, flags, gap):
 
 
 @njit(cache=True)
-def _lagged(settings, state, payload_out, error_out):
+def lagged_kernel(settings, state, payload_out, error_out):
     """Model errors and payload at the sample `lag` ago, with motion smoothed by what came since."""
     lag, terms, motion, weighed = settings.motion.lag, state.terms, state.trajectory, state.payload
     past = state.past[(state.head - lag + MAX_LAG + 1) % (MAX_LAG + 1)]
@@ -166,8 +166,8 @@ def _lagged(settings, state, payload_out, error_out):
 
 
 @njit(cache=True)
-def step_kernel(settings, state, sample, feedforward, payload_out, error_out):
-    """One sample. Fills `feedforward`; once the lag line is full also `payload_out` and `error_out`, returning True."""
+def step_kernel(settings, state, sample, feedforward):
+    """One sample. Fills `feedforward`. Returns whether there is a sample the fixed lag ago, to look back on."""
     gap = cycles_since(settings, state, sample)
     flags = faults(settings, state, sample, gap)
     begins = False
@@ -206,19 +206,23 @@ def step_kernel(settings, state, sample, feedforward, payload_out, error_out):
     feedforward.stamp_nanosec = sample.stamp_nanosec
     feedforward.sequence = sample.sequence
     feedforward.flags = flags
-    if not forward or state.filled <= settings.motion.lag:
-        return False
-    _lagged(settings, state, payload_out, error_out)
-    return True
+    return bool(forward and state.filled > settings.motion.lag)
 
 
 @njit(cache=True)
-def answer_kernel(steps) -> tuple[int, int]:
-    """The one sample in `steps` (1,), records of STEP. Returns its flags, and the payload event, -1 while the lag line
-    is not full."""
+def answer_kernel(steps) -> tuple[int, bool]:
+    """Answer the one sample in `steps` (1,), records of STEP. Returns the answer's flags, and as `step_kernel`."""
     step = steps[0]
-    lagged = step_kernel(step.settings, step.state, step.sample, step.feedforward, step.payload, step.error)
-    return int(step.feedforward.flags), int(step.payload.event) if lagged else -1
+    lagged = step_kernel(step.settings, step.state, step.sample, step.feedforward)
+    return int(step.feedforward.flags), bool(lagged)
+
+
+@njit(cache=True)
+def look_back_kernel(steps) -> int:
+    """Fill payload and error in `steps` (1,) after `answer_kernel`. Returns the payload event."""
+    step = steps[0]
+    lagged_kernel(step.settings, step.state, step.payload, step.error)
+    return int(step.payload.event)
 
 
 @njit(cache=True)
@@ -226,6 +230,7 @@ def run_kernel(steps, samples, feedforward, payload_out, error_out):
     """Samples in order. Returns how many of `payload_out` and `error_out` are filled, from the front."""
     step, lagged = steps[0], 0
     for n in range(len(samples)):
-        if step_kernel(step.settings, step.state, samples[n], feedforward[n], payload_out[lagged], error_out[lagged]):
+        if step_kernel(step.settings, step.state, samples[n], feedforward[n]):
+            lagged_kernel(step.settings, step.state, payload_out[lagged], error_out[lagged])
             lagged += 1
     return lagged

@@ -36,9 +36,9 @@ def main() -> None:
     compiled.warm_up()
 
     def ours(message: bytes) -> None:
-        _, event = compiled.step(message)
+        compiled.step(message)
         compiled.feedforward.tobytes()
-        if event >= 0:
+        if compiled.look_back() >= 0:
             compiled.payload.tobytes()
             compiled.error.tobytes()
 
