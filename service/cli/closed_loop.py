@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.reading import OwnEffects
+
 if TYPE_CHECKING:
     from service.experiment.closed_loop import Tracking
     from service.experiment.pictures import Page
@@ -25,6 +27,7 @@ def command(
     duration: Annotated[float, typer.Option(min=3.0, help="Length of each run (s).")] = 10.0,
     rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz).")] = 1000.0,
     seed: Annotated[int, typer.Option(min=0, help="Of motion and noise.")] = 0,
+    effects: OwnEffects = None,
 ) -> None:
     """Run a live simulated robot and the estimator over Zenoh and measure the tracking error: with feedback alone, with
     the feed-forward torque of every model, with the payload in it, and with the estimator lost half way.
@@ -72,7 +75,7 @@ def command(
             )
             known = identify(description, [summarise(pack(description), log) for log in logs]).robot
         else:
-            known = load_robot(identified)
+            known = load_robot(identified, effects)
             if known.name != description.name:
                 raise RobotError(f"{identified}: describes {known.name}, not {description.name}")
         masses = tuple(payload) if payload else (1.0, 3.8)

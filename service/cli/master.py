@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.network import Insecure, ZenohConfig
+from service.cli.reading import OwnEffects
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -52,6 +53,7 @@ def command(
     ] = None,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
+    effects: OwnEffects = None,
 ) -> None:
     """Bring three CiA 402 drives into operation, run a pick-and-place and stop them again.
 
@@ -68,7 +70,7 @@ def command(
     from service.cli.signals import terminate_as_interrupt
 
     terminate_as_interrupt()
-    description = load_robot(robot)
+    description = load_robot(robot, effects)
     check_interface(interface)
 
     import numpy as np

@@ -135,6 +135,7 @@ def _estimator(robot: Robot, feed: Robot | None, bus: Bus) -> Iterator[Process |
     with tempfile.TemporaryDirectory(prefix="deltatwin-") as folder, Supervisor(Path(folder)) as crew:
         description = Path(folder) / "robot.toml"
         save_robot(feed.model_copy(update={"name": robot.name}), description)
-        process = crew.start(lambda: Role.ESTIMATOR in bus.alive, "estimate", "--robot", description)
+        own = ("--effects", feed.effects_file) if feed.effects_file else ()
+        process = crew.start(lambda: Role.ESTIMATOR in bus.alive, "estimate", "--robot", description, *own)
         process.wait_ready()
         yield process
