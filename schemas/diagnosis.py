@@ -155,10 +155,29 @@ class Shrunk(_Section):
     shrink_ci95: tuple[float, float]
 
 
+class Simulated(_Section):
+    """The models before and after, simulated under the recorded torque: rms error after the horizon.
+
+    path_mm: rms way of the measured platform in that time. floor: torque noise and start state alone. None: the
+    simulated robot left the workspace in every window. left_out: effects that have no form forward in time.
+    """
+
+    horizon_s: float
+    windows: int
+    path_mm: float
+    platform_before_mm: float | None
+    platform_after_mm: float | None
+    platform_floor_mm: float | None
+    joint_before_mrad: list[float | None]
+    joint_after_mrad: list[float | None]
+    left_out: list[str]
+
+
 class Unseen(_Section):
     """A log kept out of everything. bursts: of the corrected model's gap there, and the period in s that most keep.
 
-    outside: without the bursts, where there are any. outside_share: of the moving time that is left then.
+    simulated: where the robot is a Delta that moves. outside: without the bursts, where there are any. outside_share:
+    of the moving time that is left then.
     """
 
     trace: str
@@ -167,6 +186,7 @@ class Unseen(_Section):
     rhythm_s: float | None
     outside: Shrunk | None
     outside_share: float
+    simulated: Simulated | None = None
 
 
 class Diagnosis(_Section):

@@ -39,13 +39,14 @@ def command(
 
     from schemas.files import make_folder, write_text
     from service.rollout.document import document, sentences, write_rollout
-    from service.rollout.gap import PLAIN, rollout
+    from service.rollout.gap import PLAIN, check_sign, rollout
 
     robots = _robots(robot, effects)
     console, progress = Console(), Console(stderr=True)
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
     with progress.status("simulating") as status:
         found = rollout(robots, recorded, horizon, lambda what: status.update(f"simulating {what}"))
+    check_sign(list(robots.values())[-1], recorded, found)
     result = document(found, robots, [trace.name for trace in recorded])
     if out is not None:
         make_folder(out)

@@ -23,7 +23,7 @@ def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) ->
     """The document of a rollout of `robots` over `traces`."""
     samples = found.floor.platform.shape[1]
     rows = np.unique(np.linspace(0, samples - 1, TIMES).round().astype(int))
-    shown = [_reached(course, rows, left_out(robots[course.name])) for course in found.courses]
+    shown = [reached(course, rows, left_out(robots[course.name])) for course in found.courses]
     return RolloutDocument(
         schema="deltatwin.rollout/1",
         traces=list(traces),
@@ -34,19 +34,20 @@ def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) ->
         path_mm=found.floor.path_mm,
         times_s=[round(float(row * found.period), 6) for row in rows],
         robots=shown,
-        floor=_reached(found.floor, rows, []),
+        floor=reached(found.floor, rows),
         regimes=_regimes(found),
     )
 
 
-def _reached(course: Course, rows: np.ndarray, without: list[str]) -> Reached:
+def reached(course: Course, rows: Sequence[int] | np.ndarray = (), without: Sequence[str] = ()) -> Reached:
+    """A course's figures. rows: samples at which to tell its growth. without: effects left out."""
     return Reached(
         robot=course.name,
         joint_mrad=_numbers(course.joint_mrad),
         platform_mm=_number(course.platform_mm),
-        growth_mm=_numbers(course.growth_mm[rows]),
+        growth_mm=_numbers(course.growth_mm[list(rows)]),
         ran_away=int(np.sum(~course.good)),
-        left_out=without,
+        left_out=list(without),
     )
 
 
@@ -61,7 +62,7 @@ def _regimes(found: Rollout) -> list[RegimeReached]:
             errors = {}
             for course in courses:
                 repeats = len(course.angle) // len(mine)
-                kept = np.tile(mine, repeats) & course.good
+                kept = np.repeat(mine, repeats) & course.good
                 errors[course.name] = _number(1e3 * float(rms(course.angle[kept, -1, joint])))
             result.append(RegimeReached(joint=joint + 1, regime=regime, windows=int(mine.sum()), joint_mrad=errors))
     return result

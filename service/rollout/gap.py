@@ -13,11 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
-from schemas.axes import Axes
 from schemas.errors import DataError, PoseError, TraceError
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.identification.noise import white_noise
+from service.identification.pooled import SAME_RATE
 from service.model import kinematics
 from service.model.description import hypothesis_of
 from service.model.dynamics import REST_SPEED
@@ -112,24 +112,12 @@ def rollout(
     """Simulate the robots, by name, over `traces`; the floor is the last one's. progress: told what is at hand.
 
     Raises:
-        DataError: the horizon makes no sense, no window of it moves, or a torque's sign is wrong.
+        DataError: the horizon makes no sense, no window of it moves, or logs of several rates.
         TraceError: a trace without a usable part, or with positions that are no pose, naming the file.
         RobotError: an effect that is not known.
     """
-    if not SHORTEST <= horizon <= LONGEST:
-        raise DataError(f"horizon of {horizon:g} s: must be {SHORTEST:g} to {LONGEST:g} s")
-    for name, robot in robots.items():
-        if isinstance(robot, Axes):
-            raise DataError(f"robot {name}: decoupled axes have no platform to follow; a Delta is needed")
-    parts = [(trace, segment) for trace in traces for segment in segments(trace)]
+    parts, windows, samples = _cut_up(traces, horizon)
     period = parts[0][1].period
-    for trace, segment in parts:
-        if abs(segment.period / period - 1.0) > 0.02:
-            raise DataError(
-                f"{trace.path}: {1e3 * segment.period:.3g} ms between samples, others have {1e3 * period:.3g}"
-            )
-    samples = max(2, round(horizon / period)) + 1
-    windows = [_windows(segment, samples) for _, segment in parts]
     count = sum(map(len, windows))
     if not count:
         raise DataError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves")
@@ -152,13 +140,35 @@ def rollout(
         if last:
             floor = _joined("floor", of_floor)
     assert floor is not None
-    _check_sign(list(robots.values())[-1], parts, windows, samples, courses[-1])
     regime = np.concatenate(
         [_regimes(segment, starts, samples) for (_, segment), starts in zip(parts, windows, strict=True)]
     )
     runs = tuple(trace.name for (trace, _), starts in zip(parts, windows, strict=True) for _ in starts)
     seconds = float(sum(len(trace) * period for trace in traces))
     return Rollout(period, (samples - 1) * period, tuple(courses), floor, regime, runs, seconds, count * horizon)
+
+
+def has_windows(traces: Sequence[Trace], horizon: float = HORIZON) -> bool:
+    """Whether there is anything to simulate.
+
+    Raises:
+        DataError: the horizon makes no sense, or logs of several rates. TraceError: a trace without a usable part.
+    """
+    return any(map(len, _cut_up(traces, horizon)[1]))
+
+
+def _cut_up(traces: Sequence[Trace], horizon: float) -> tuple[list[tuple[Trace, Segment]], list[np.ndarray], int]:
+    """Parts without a fault, first samples of the windows in each, samples a window."""
+    if not SHORTEST <= horizon <= LONGEST:
+        raise DataError(f"horizon of {horizon:g} s: must be {SHORTEST:g} to {LONGEST:g} s")
+    parts = [(trace, segment) for trace in traces for segment in segments(trace)]
+    period = parts[0][1].period
+    for trace, segment in parts:
+        if abs(segment.period / period - 1.0) > SAME_RATE:
+            times = f"{1e3 * segment.period:.3g} ms between samples, {parts[0][0].name} has {1e3 * period:.3g} ms"
+            raise DataError(f"{trace.path}: {times}: give logs of one rate")
+    samples = max(2, round(horizon / period)) + 1
+    return parts, [_windows(segment, samples) for _, segment in parts], samples
 
 
 def _windows(segment: Segment, samples: int) -> np.ndarray:
@@ -232,7 +242,12 @@ def _floor(robot: Robot, seen: Stretch, trace: Trace, segment: Segment, starts: 
             start[:, row] += error[starts]
         moved = simulate(seen, start, _cut(disturbed.torque, starts, samples), clock, segment.period)
         draws.append(_compared("floor", seen.model, moved, clean))
-    return _joined("floor", draws)
+    # window by window, as the other courses are
+    angle, platform, path = (
+        np.stack([getattr(draw, part) for draw in draws], axis=1).reshape(-1, *getattr(draws[0], part).shape[1:])
+        for part in ("angle", "platform", "path")
+    )
+    return Course("floor", angle, platform, path)
 
 
 def noise_of(robot: Robot, trace: Trace, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
@@ -257,16 +272,17 @@ def _joined(name: str, courses: Sequence[Course]) -> Course:
     )
 
 
-def _check_sign(
-    robot: Robot, parts: list[tuple[Trace, Segment]], windows: list[np.ndarray], samples: int, course: Course
-) -> None:
-    """
+def check_sign(robot: Robot, traces: Sequence[Trace], found: Rollout) -> None:
+    """See whether the last course of `found`, which is `robot`'s, runs away because of a torque's sign.
+
     Raises:
         DataError: the simulated robot does no better than one that stands still, and with some torque turned round it
             does.
     """
+    course = found.courses[-1]
     if course.good.all() and course.platform_mm < course.path_mm:
         return
+    parts, windows, samples = _cut_up(traces, found.horizon)
     best, error = None, _typical(course)
     for signs in ((-1, -1, -1), (-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1)):
         turned = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from schemas.diagnosis import Burst, Caution, Diagnosis, Estimate, NamedEffect, Regime, Shrunk, Unseen
+from schemas.diagnosis import Burst, Caution, Diagnosis, Estimate, NamedEffect, Regime, Shrunk, Simulated, Unseen
 
 VERDICTS = {
     "within_noise": "What is left between model and robot is within the noise of the torque signal.",
@@ -131,7 +131,21 @@ def _unseen(test: Unseen, unit: str) -> list[str]:
     if test.outside is not None:
         lines[0] += f" Outside events ({100 * test.outside_share:.0f} % of the motion): {_goes(test.outside, unit)}."
         lines.append(_bursts(sorted(test.bursts, key=lambda burst: -burst.over_noise), test.rhythm_s))
+    if test.simulated is not None:
+        lines.append(_forward(test.simulated))
     return lines
+
+
+def _forward(found: Simulated) -> str:
+    before, after, floor = (
+        f"{value:.2g} mm" if value is not None else "beyond the workspace"
+        for value in (found.platform_before_mm, found.platform_after_mm, found.platform_floor_mm)
+    )
+    without = f" without {', '.join(name.replace('_', ' ') for name in found.left_out)}" if found.left_out else ""
+    return (
+        f"In the simulator{without}, under the recorded torque the platform's error after {found.horizon_s:.2g} s goes "
+        f"from {before} to {after}; noise alone gives {floor}."
+    )
 
 
 def _goes(shrunk: Shrunk, unit: str) -> str:

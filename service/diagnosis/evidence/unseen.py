@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from schemas.diagnosis import Shrunk, Unseen
+import numpy as np
+
+from schemas.diagnosis import Shrunk, Simulated, Unseen
+from schemas.robot import Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.findings import Findings
 from service.identification.events import bursts, events_of, outside, rhythm
 from service.identification.fit import Problem, evaluate
 from service.identification.folds import Split
-from service.model.description import digits
+from service.model.description import described, digits
 from service.model.hypothesis import Hypothesis
+from service.model.parameters import Parameters
 from service.model.scene import Recording
 from service.model.signals import Band, segments, thin
+from service.rollout.document import reached
+from service.rollout.gap import has_windows, rollout
+from service.rollout.robot import left_out
 
 
 def unseen(findings: Findings, trace: Trace) -> Unseen:
@@ -42,6 +49,30 @@ def unseen(findings: Findings, trace: Trace) -> Unseen:
         rhythm_s=rhythm(found),
         outside=_shrunk(calm, findings.reference, corrected) if found and calm.count else None,
         outside_share=round(calm.count / max(problem.count, 1), 4),
+        simulated=_simulated(findings, trace),
+    )
+
+
+def _simulated(findings: Findings, trace: Trace) -> Simulated | None:
+    """The models before and after in the simulator, under the trace's torque."""
+    robot = findings.robot
+    if not isinstance(robot, Robot) or not has_windows([trace]):
+        return None
+    robots = {}
+    for name, hypothesis in (("before", findings.reference), ("after", findings.best.hypothesis)):
+        robots[name] = described(robot, hypothesis, np.zeros(len(Parameters(hypothesis).values)), findings.noise)
+    found = rollout(robots, [trace])
+    before, after, floor = (reached(course) for course in (*found.courses, found.floor))
+    return Simulated(
+        horizon_s=found.horizon,
+        windows=len(found.runs),
+        path_mm=round(found.floor.path_mm, 3),
+        platform_before_mm=before.platform_mm,
+        platform_after_mm=after.platform_mm,
+        platform_floor_mm=floor.platform_mm,
+        joint_before_mrad=before.joint_mrad,
+        joint_after_mrad=after.joint_mrad,
+        left_out=left_out(robots["after"]),
     )
 
 
