@@ -25,9 +25,9 @@ from service.model.prediction import error_in_band, motion, predict_along
 def test_names_what_was_put_in(shared, tmp_path, case, name, joints, parameter, truth, tolerance):
     folder = shared / "plant_logs" / case
     logs = [str(path) for path in sorted(folder.glob("fit_*.csv"))]
-    result = CliRunner().invoke(
-        app, ["diagnose", *logs, "--robot", str(folder / "robot.toml"), "--out", str(tmp_path)], catch_exceptions=False
-    )
+    kept = [argument for path in sorted(folder.glob("test_*.csv")) for argument in ("--test", str(path))]
+    arguments = ["diagnose", *logs, "--robot", str(folder / "robot.toml"), "--out", str(tmp_path), *kept]
+    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert result.exit_code == 0
     document = json.loads((tmp_path / "diagnosis.json").read_text())
     assert document["schema"] == "deltatwin.diagnosis/2"
@@ -50,3 +50,11 @@ def test_names_what_was_put_in(shared, tmp_path, case, name, joints, parameter, 
     measured = np.sqrt(np.nanmean(np.concatenate(errors) ** 2))
     claimed = np.sqrt(np.mean(np.square(document["gap"]["after_nm"])))
     assert measured == pytest.approx(claimed, rel=0.15)
+
+    # and in the simulator, under the torque of those logs, it comes down to what noise alone does
+    for test in document["tests"]:
+        found = test["simulated"]
+        before, after, floor = (found[f"platform_{which}_mm"] for which in ("before", "after", "floor"))
+        assert after < 1.5 * floor
+        assert after < (1.05 if name is None else 0.5) * before
+        assert f"{before:.2g} mm to {after:.2g} mm" in " ".join(result.output.split())
