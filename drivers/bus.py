@@ -440,6 +440,29 @@ def open_bus(robot: str, role: Role, zenoh_config: Path | None = None, insecure:
     return Bus(session, robot, role, lock)
 
 
+def check_free(robot: str, role: Role) -> None:
+    """Refuse what `open_bus` would, before anything that takes long.
+
+    Raises:
+        BusError: another process of this host holds the role.
+    """
+    os.close(_hold(runtime_folder() / f"{robot}.{role.name.lower()}.pid", robot, role))
+
+
+def running() -> list[str]:
+    """Roles that hold their locks on this host, as `robot.role`."""
+    found = []
+    for path in sorted(runtime_folder().glob("*.pid")):
+        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            found.append(path.stem)
+        finally:
+            os.close(descriptor)
+    return found
+
+
 def _runs_elsewhere(session: zenoh.Session, token: str) -> bool:
     """Whether somebody holds `token`; asks until links have had the time to come up."""
     give_up = time.monotonic() + LINK_S

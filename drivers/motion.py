@@ -113,6 +113,8 @@ class Planner:
             there = place(-side)
             move = self._gate(here, there, rng.uniform(0.3, 0.7) * height, speed * rng.uniform(0.5, 1.0))
             length = len(move.position) * self.period
+            if clock + length > duration and len(parts) == 1:
+                raise DataError(f"one move takes {length:.3g} s at this speed, the motion is to take {duration:g} s")
             if clock + length + 2 * GRIP + REST_AFTER > duration and len(parts) > 1:
                 break
             pick = clock + GRIP / 2

@@ -20,15 +20,16 @@ def go_realtime(role: str, priority: int = PRIORITY) -> bool:
     for good: the loops of this project make no reference cycles.
     """
     libc = ctypes.CDLL(None, use_errno=True)
-    libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    if hasattr(libc, "prctl"):  # Linux
+        libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     gc.collect()
     gc.freeze()
     gc.disable()
     refused = []
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError as error:
-        refused.append(f"SCHED_FIFO ({error.strerror})")
+    except (OSError, AttributeError) as error:  # macOS knows neither function nor policy
+        refused.append(f"SCHED_FIFO ({getattr(error, 'strerror', 'not on this system')})")
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         refused.append(f"memory locking ({os.strerror(ctypes.get_errno())})")
     if refused:

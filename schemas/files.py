@@ -70,7 +70,7 @@ def whole(path: Path) -> Iterator[Path]:
         if target.exists() and not target.is_file():
             raise StorageError(f"{path}: exists and is not a file")
         yield partial
-        with partial.open("rb") as written:
+        with partial.open("rb+") as written:  # Windows syncs only what may be written
             os.fsync(written.fileno())
         partial.replace(target)
     except OSError as error:

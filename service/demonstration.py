@@ -67,7 +67,7 @@ def demonstrate(out: Path, rate: float, duration: float, product: float, say: Ca
         truth = str(resources.files("drivers.plant") / "truths" / f"{MODEL}.toml")
         segment = crew.start(
             "segment: 3 drives", "segment", SEGMENT_END, "--robot", str(robot), "--truth", truth, "--rate", str(rate),
-            "--trace", str(out / "own.mcap"),
+            "--out", str(out / "own.mcap"),
         )  # fmt: skip
         tap = crew.start(
             Path(folder, "deltatwin", f"{MODEL}.tap.sock"), "tap", MASTER_END, "--robot", str(robot), "--wait", "60"
@@ -227,7 +227,7 @@ def _tracking(own: np.ndarray, runs: tuple[slice, slice]) -> Check:
 
 
 def _monitor(crew: Supervisor, robot: Path, path: Path) -> Process:
-    return crew.start(path, "monitor", "--robot", robot, "--output", path, name=f"monitor-{path.stem}")
+    return crew.start(path, "monitor", "--robot", robot, "--out", path, name=f"monitor-{path.stem}")
 
 
 def _frames_on_wire() -> int:

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.reading import AsJson
+
 
 class Backend(StrEnum):
     """Where joblib runs the cases."""
@@ -30,16 +32,18 @@ def command(
         str | None,
         typer.Option(help="Dask scheduler, tcp://host:port, whose workers see the same folders; default: this host"),
     ] = None,
+    json: AsJson = False,
 ) -> None:
     """Simulate robots with hidden faults, diagnose them from their logs alone, then open the key and count.
 
-    Every answer is kept as it comes: after Ctrl-C the same command goes on where it stopped.
+    Every answer is kept as it comes: after Ctrl-C the same command goes on where it stopped. Exit code 3 where a bound
+    is missed.
 
     Example: deltatwin blindtest --cases 100 --seed 1 --out blind
 
     Example: deltatwin blindtest --cases 1000 --out blind --backend dask --scheduler tcp://10.0.0.5:8786
     """
-    import json
+    import json as json_library
 
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -47,13 +51,15 @@ def command(
 
     from schemas.errors import StorageError
     from schemas.files import make_folder, write_text
+    from service.cli.main import MISSED
+    from service.cli.output import console as result_console
     from service.diagnosis import blindtest
-    from service.diagnosis.blindpage import BOUNDS, write_page
+    from service.diagnosis.blindpage import BOUNDS, missed, write_page
 
     if (out / "results.json").exists():
         raise StorageError(f"{out}: holds a finished blind test")
     make_folder(out)
-    console = Console()
+    console = Console(stderr=True)
     bars = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*bars, console=console) as progress:
         if not (out / "commitment.txt").exists():
@@ -69,9 +75,16 @@ def command(
     judged = blindtest.judged(rows, blindtest.unseal(out))
     figures = blindtest.summary(judged)
     write_page(judged, figures, commitment, out / "blindtest.html")
-    write_text(out / "results.json", json.dumps({"summary": figures, "rows": judged}, indent=1))
+    write_text(out / "results.json", json_library.dumps({"summary": figures, "rows": judged}, indent=1))
     table = Table("figure", "measured", "bound", title=f"{figures['cases']} cases, {figures['failed']} failed")
     for key, (label, bound) in BOUNDS.items():
         table.add_row(label, str(figures[key]), bound)
-    console.print(table)
-    console.print(f"wrote {out / 'blindtest.html'}", highlight=False)
+    late = missed(figures)
+    if json:
+        typer.echo(json_library.dumps({"summary": figures, "missed": late}, indent=1))
+    else:
+        result_console().print(table)
+        typer.echo(f"wrote {out / 'blindtest.html'}")
+    if late:
+        typer.echo(f"bounds missed: {', '.join(late)}", err=True)
+        raise typer.Exit(MISSED)

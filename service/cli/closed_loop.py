@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 
 def command(
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML), or one that comes along.")] = Path("d3-1200"),
+    robot: Annotated[
+        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML), or one that comes along.")
+    ] = Path("d3-1200"),
     out: Annotated[Path, typer.Option(help="Folder for page, pictures and figures as JSON.")] = Path("closed-loop"),
     identified: Annotated[
         Path | None, typer.Option(help="What `identify` wrote. Default: identify on simulated logs first.")
@@ -46,6 +48,7 @@ def command(
     from schemas.errors import RobotError
     from schemas.files import make_folder, write_text
     from schemas.robot import load_robot
+    from service.cli.output import console as result_console
     from service.cli.signals import terminate_as_interrupt
     from service.cli.simulate import make_plant
     from service.experiment.closed_loop import follow, tracking, variants
@@ -101,7 +104,7 @@ def command(
         column.justify = "right"
     for row in rows:
         table.add_row(*(row[column] for column in SHORT))
-    Console().print(table)
+    result_console().print(table)
     which = make_plant(description, truth, period, seed)[1]
     page = _page(description.name, which, masses, runs, rows)
     write_page(page, out / "closed_loop.html")

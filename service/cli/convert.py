@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.reading import ColumnsFrom
+
 
 def command(
     source: Annotated[
@@ -19,11 +21,12 @@ def command(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending says the format.")],
     robot: Annotated[
         Path | None,
-        typer.Option(help="Robot description (TOML): joint range, gear ratio, columns table, topic."),
+        typer.Option(
+            metavar="FILE|NAME", help="Robot description (TOML): joint range, gear ratio, columns table, topic."
+        ),
     ] = None,
-    columns: Annotated[
-        str | None, typer.Option(help="Column mapping of a foreign table: a TOML file, or emps, twincat_scope.")
-    ] = None,
+    columns: ColumnsFrom = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it is there.")] = False,
 ) -> None:
     """Write a trace as .csv, .csv.gz (joint side, SI, every digit) or .mcap (ROS 2 messages, opens in Foxglove).
 
@@ -39,9 +42,12 @@ def command(
 
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace, write_trace
     from schemas.axes import load_description, no_axes
+    from schemas.errors import StorageError
     from service.cli.signals import terminate_as_interrupt
 
     terminate_as_interrupt()
+    if target.exists() and not overwrite:
+        raise StorageError(f"{target}: exists already; --overwrite replaces it")
     description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
     console = Console(stderr=True)

@@ -29,8 +29,10 @@ def command(
 
     Example: deltatwin demo --out /tmp/demo
     """
+    import sys
     import time
 
+    print("loading; a first run compiles, about half a minute", file=sys.stderr, flush=True)
     from rich.console import Console
     from rich.live import Live
 
@@ -39,13 +41,14 @@ def command(
     from schemas.files import make_folder
     from schemas.messages import Role
     from schemas.robot import load_robot
+    from service.cli.output import console as result_console
     from service.cli.signals import terminate_as_interrupt
     from service.monitor.readback import read_recording
     from service.monitor.report import picture, write_page
     from service.supervisor import Supervisor
 
     terminate_as_interrupt()
-    console = Console()
+    console = Console(stderr=True)
     robot = load_robot(ROBOT)
     recording, page = out / "demo.mcap", out / "demo.html"
     make_folder(out)
@@ -53,7 +56,7 @@ def command(
     with open_bus(robot.name, Role.OBSERVER) as bus, Supervisor(out) as crew:
         with console.status("starting monitor and estimator (a first run compiles, about half a minute)"):
             roles = [
-                crew.start(lambda: Role.MONITOR in bus.alive, "monitor", "--robot", ROBOT, "--output", recording),
+                crew.start(lambda: Role.MONITOR in bus.alive, "monitor", "--robot", ROBOT, "--out", recording),
                 crew.start(lambda: Role.ESTIMATOR in bus.alive, "estimate", "--robot", ROBOT),
             ]
             for role in roles:
@@ -70,9 +73,8 @@ def command(
     recorded = read_recording(recording)
     write_page(picture(recorded), f"{LOG.name} replayed {LOOPS} times: measured against predicted torque", page)
     for table in _results(recorded):
-        console.print(table)
-    console.print(player.last_words())
-    console.print(f"recording: {recording}\npicture:   {page}")
+        result_console().print(table)
+    typer.echo(f"{player.last_words()}\nrecording: {recording}\npicture:   {page}")
 
 
 class _Live:

@@ -7,18 +7,19 @@ from typing import Annotated
 
 import typer
 
-from service.cli.reading import OwnEffects, reading
+from service.cli.reading import AsJson, ColumnsFrom, OwnEffects, reading
 
 
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Logs to diagnose: .csv, .csv.gz or .mcap", metavar="TRACE...")],
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML)")],
+    robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML)")],
     out: Annotated[Path, typer.Option(help="Folder for diagnosis.json, corrected.toml and report.html")],
-    columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
+    columns: ColumnsFrom = None,
     baseline: Annotated[
         Path | None, typer.Option(help="Identified description whose gap is the one before; default: identify anew")
     ] = None,
     effects: OwnEffects = None,
+    json: AsJson = False,
     test: Annotated[
         list[Path] | None, typer.Option(help="Log to try the correction on, used for nothing else; may be repeated")
     ] = None,
@@ -32,18 +33,17 @@ def command(
 
     Example: deltatwin diagnose fit_*.csv --robot corrected.toml --out again --effects rubber_stop.py
     """
-    from rich.console import Console
-
     from schemas.axes import Axes, load_description, save_axes
     from schemas.files import make_folder, write_text
     from schemas.robot import save_robot
+    from service.cli.output import console as result_console
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.documents.document import corrected, document
     from service.diagnosis.documents.report import write_report
     from service.diagnosis.documents.text import paragraphs
     from service.model.effects import catalogue
 
-    console = Console()
+    console = result_console()
     make_folder(out)
     known = catalogue(effects)
     description = load_description(robot, effects)
@@ -61,6 +61,9 @@ def command(
         else:
             save_robot(fixed, out / "corrected.toml", template=robot)
         write_report(findings, result, out / "report.html")
+    if json:
+        typer.echo(result.model_dump_json(indent=1, by_alias=True))
+        return
     for group in paragraphs(result):
         console.print("\n".join(group), highlight=False, markup=False)
         console.print()

@@ -12,7 +12,9 @@ from service.cli.reading import OwnEffects
 
 
 def command(
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML), best one that `identify` wrote.")],
+    robot: Annotated[
+        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML), best one that `identify` wrote.")
+    ],
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
     effects: OwnEffects = None,
@@ -23,7 +25,7 @@ def command(
 
     Example: deltatwin estimate --robot identified.toml
     """
-    from drivers.bus import open_bus
+    from drivers.bus import check_free, open_bus
     from replay.realtime import go_realtime
     from schemas.messages import HealthFlag, Role
     from schemas.robot import load_robot
@@ -42,6 +44,7 @@ def command(
     left_out = [term.effect.name for term in terms_of(description) if not carried(term.effect)]
     if left_out:
         typer.echo(f"{robot}: the online model does not carry {', '.join(left_out)}", err=True)
+    check_free(description.name, Role.ESTIMATOR)
     Estimator(description, 1e-3).warm_up()  # before anybody can hear that the role is alive
     realtime = go_realtime("estimate")
     with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure) as bus:

@@ -11,25 +11,26 @@ import typer
 def command(
     out: Annotated[Path, typer.Option(help="Folder for everything that is recorded.")] = Path("ethercat-demo"),
     rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second (Hz).")] = 1000.0,
-    duration: Annotated[float, typer.Option(min=3.0, help="Length of each of the two pick-and-place runs (s).")] = 8.0,
+    duration: Annotated[float, typer.Option(min=6.0, help="Length of each of the two pick-and-place runs (s).")] = 8.0,
     product: Annotated[float, typer.Option(min=0.1, help="What the gripper lifts in the second run (kg).")] = 1.5,
 ) -> None:
     """Simulated drives and robot, master, passive tap, capture, estimator and monitor on one wire; needs root.
 
     First run: empty gripper, no feed-forward; the robot is identified from what the tap heard. Second run: the same
     motion with products, tau_FF from the estimator over Zenoh. Then every claim is checked against the simulated
-    robot's own account of the runs. Exit code 1 when one does not hold.
+    robot's own account of the runs. Exit code 3 when one does not hold.
 
     Example: sudo deltatwin ethercat-demo --out demo
     """
     import time
 
-    from rich.console import Console
     from rich.table import Table
 
+    from service.cli.main import MISSED
+    from service.cli.output import console as result_console
     from service.demonstration import demonstrate
 
-    console, begin = Console(), time.monotonic()
+    console, begin = result_console(), time.monotonic()
     checks = demonstrate(
         out,
         rate,
@@ -45,4 +46,4 @@ def command(
     console.print(table)
     console.print(f"recorded in {out}", highlight=False)
     if not all(check.holds for check in checks):
-        raise typer.Exit(1)
+        raise typer.Exit(MISSED)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.reading import OwnEffects, reading
+from service.cli.reading import AsJson, ColumnsFrom, OwnEffects, reading
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -21,10 +21,13 @@ MOST_EVENTS = 4  # told
 
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE...")],
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML), plain, identified or corrected; or of axes")],
+    robot: Annotated[
+        Path,
+        typer.Option(metavar="FILE|NAME", help="Robot description (TOML), plain, identified or corrected; or of axes"),
+    ],
     effects: OwnEffects = None,
-    columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table")] = False,
+    columns: ColumnsFrom = None,
+    json: AsJson = False,
     predictions: Annotated[
         Path | None, typer.Option(help="Folder for the fullest model's torque, one CSV a trace, every row")
     ] = None,
@@ -36,10 +39,9 @@ def command(
 
     Example: deltatwin evaluate test_*.csv --robot identified.toml --predictions predicted/
     """
-    from rich.console import Console
-
     from schemas.axes import Axes, load_description
     from schemas.errors import TraceError
+    from service.cli.output import console as result_console
     from service.identification.evaluation import evaluate
 
     description = load_description(robot, effects)
@@ -61,7 +63,7 @@ def command(
     if json:
         print(_json(results, unit))
     else:
-        console = Console()
+        console = result_console()
         console.print(_table(results, unit))
         for result in results:
             for line in _events(result, unit):

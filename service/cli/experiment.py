@@ -42,6 +42,7 @@ def command(
     from drivers.trace import write_trace
     from schemas.files import make_folder
     from schemas.robot import load_robot, save_robot
+    from service.cli.output import console as result_console
     from service.experiment.logs import excitations, record
     from service.experiment.paper import page, run, table_1
     from service.experiment.pictures import write_page, write_pictures
@@ -82,5 +83,5 @@ def command(
         column.justify = "right"
     for row in shown.rows:
         table.add_row(*row)
-    Console().print(table)
+    result_console().print(table)
     typer.echo(f"all of it simulated; wrote {out / 'experiment.html'}, .pdf, PNG pictures and identified.toml")

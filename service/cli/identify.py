@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from service.cli.reading import AsJson, ColumnsFrom
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -20,31 +22,35 @@ def command(
     traces: Annotated[
         list[Path], typer.Argument(help="Logs to identify on: .csv, .csv.gz or .mcap", metavar="TRACE...")
     ],
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML)")],
+    robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML)")],
     out: Annotated[Path, typer.Option(help="Robot description to write, with its [identified] section")],
     method: Annotated[
         Literal["pooled", "paper"],
         typer.Option(help="pooled: weighted least squares over all traces; paper: grid and mean over traces"),
     ] = "pooled",
-    columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
+    json: AsJson = False,
+    columns: ColumnsFrom = None,
 ) -> None:
     """Identify inertia, gravity, forearm and friction, with standard errors and a verdict for each.
 
     Example: deltatwin identify fit_*.csv --robot robot.toml --out identified.toml
     """
-    from rich.console import Console
+    import json as json_library
+    from dataclasses import asdict
 
     from schemas.axes import Axes, load_description, save_axes
     from schemas.errors import RobotError
     from schemas.files import make_folder
     from schemas.robot import save_robot
+    from service.cli.output import console as result_console
     from service.cli.reading import reading
     from service.identification.axes import identify_axes
     from service.identification.identify import identify
     from service.identification.regression import summarise
+    from service.model.description import in_units_of
     from service.model.nominal import pack
 
-    console = Console()
+    console = result_console()
     make_folder(out.parent)
     description = load_description(robot)
     logs = reading(traces, description, columns, "reading")
@@ -57,6 +63,13 @@ def command(
         model = pack(description)
         result = identify(description, [summarise(model, trace) for trace in logs], method)
         save_robot(result.robot, out, template=robot)
+    if json:
+        parameters = [
+            asdict(estimate) | {"unit": in_units_of(description, estimate.unit)} for estimate in result.fit.estimates
+        ]
+        document = {"schema": "deltatwin.identification/1", "parameters": parameters, "warnings": list(result.warnings)}
+        typer.echo(json_library.dumps(document | {"out": str(out)}, indent=1, default=float))
+        return
     console.print(_parameters(result.fit.estimates, description))
     console.print(_residuals(result.fit, [path.name for path in traces], description))
     for warning in result.warnings:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.reading import AsJson, ColumnsFrom
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -19,12 +21,11 @@ def command(
         list[Path], typer.Argument(help="Recorded traces (.csv, .csv.gz, .mcap) or EtherCAT captures (.pcap, .pcapng).")
     ],
     robot: Annotated[
-        Path | None, typer.Option(help="Robot description (TOML): joint range, gear ratio, its columns table.")
+        Path | None,
+        typer.Option(metavar="FILE|NAME", help="Robot description (TOML): joint range, gear ratio, its columns table."),
     ] = None,
-    columns: Annotated[
-        str | None, typer.Option(help="Column mapping of a foreign table: a TOML file, or emps, twincat_scope.")
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print figures in SI as JSON.")] = False,
+    columns: ColumnsFrom = None,
+    json: AsJson = False,
 ) -> None:
     """Show rate, jitter, gaps, repeats and ranges of each channel, and what is missing or wrong.
 
@@ -45,10 +46,11 @@ def command(
     from schemas.axes import load_description, no_axes
     from schemas.errors import TraceError
     from service.cli.capture_tables import show_capture
+    from service.cli.output import console as result_console
 
     description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
-    console, failed, surveys = Console(), False, []
+    console, failed, surveys = result_console(), False, []
     for path in traces:
         try:
             if path.name.endswith(CAPTURE_ENDINGS):

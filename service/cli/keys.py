@@ -27,7 +27,10 @@ def command(
     ],
     out: Annotated[Path, typer.Option(help="Folder to write; a CA that is in it is kept and signs the new keys.")],
     robot: Annotated[
-        str | None, typer.Option(help="Name of the robot, or its description (.toml). Default: keys for every robot.")
+        str | None,
+        typer.Option(
+            metavar="FILE|NAME", help="Name of the robot, or its description (.toml). Default: keys for every robot."
+        ),
     ] = None,
     source: Annotated[
         SampleSource, typer.Option(help="The one role that may write samples: tap, player or simulated robot.")

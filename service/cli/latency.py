@@ -26,12 +26,11 @@ def command(
 
     Example: deltatwin latency --rate 1000 --count 10000
     """
-    from rich.console import Console
-
     from drivers.trace import read_trace
     from replay.demo import LOG, ROBOT
     from replay.latency import take_turns
     from schemas.robot import load_robot
+    from service.cli.output import console as result_console
     from service.cli.progress import counting
     from service.cli.signals import terminate_as_interrupt
 
@@ -44,7 +43,7 @@ def command(
     table = latency_table(rate)
     add_row(table, "estimator step, bytes in to bytes out", step, "")
     add_ratio(table, add_trips(table, trips), "estimator", "echo")
-    Console().print(table)
+    result_console().print(table)
 
 
 def echo(robot: str) -> None:

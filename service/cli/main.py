@@ -19,13 +19,14 @@ from schemas.errors import DeltatwinError, printable
 
 GROUPS = {
     "Begin": ("demo", "import", "inspect", "convert"),
-    "From logs to answers": ("identify", "evaluate", "payload", "diagnose"),
+    "From logs to answers": ("identify", "evaluate", "payload", "diagnose", "rollout"),
     "On the bus": ("replay", "estimate", "monitor", "recover", "keys", "latency"),
     "On an EtherCAT": ("tap", "master", "segment", "ethercat-demo"),
     "Simulated robots": ("simulate", "closed-loop", "experiment", "blindtest"),
 }
 OTHERS = "More"
 MISSED = 3  # exit code: everything ran, a stated bound does not hold
+LINUX_ONLY = ("fcntl", "pysoem")  # what live commands import; the others run anywhere
 HELP_WIDTH = 120  # characters, where the terminal has as many
 _HEAD = '"""`deltatwin '
 
@@ -118,6 +119,10 @@ def main() -> None:
         if sys.stdout.fileno() == 1:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left in the buffer goes nowhere
         _end(printable(f"{error.filename or 'output'}: {error.strerror or error}"))
+    except ModuleNotFoundError as error:
+        if error.name not in LINUX_ONLY:
+            raise
+        _end(f"{sys.argv[1] if len(sys.argv) > 1 else 'this'} needs Linux: this system has no {error.name}")
     except MemoryError:
         _end("out of memory; a shorter log, or a machine with more")
     except KeyboardInterrupt:

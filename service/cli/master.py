@@ -35,7 +35,9 @@ class Source(enum.StrEnum):
 
 def command(
     interface: Annotated[str, typer.Argument(help="Ethernet interface that the drives hang on.")],
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML) with its drives and their process data.")],
+    robot: Annotated[
+        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) with its drives and their process data.")
+    ],
     feedforward: Annotated[
         Source,
         typer.Option(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,12 +11,19 @@ import typer
 from service.cli.network import Insecure, ZenohConfig
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from service.monitor.node import Monitor
 
 
+SILENCE_S = 3.0  # without a sample, until it is said what else runs here
+
+
 def command(
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML); its name is the robot on the bus.")],
-    output: Annotated[
+    robot: Annotated[
+        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML); its name is the robot on the bus.")
+    ],
+    out: Annotated[
         Path | None, typer.Option(help="File to write. Default: the robot's name and the time, in this folder.")
     ] = None,
     zenoh_config: ZenohConfig = None,
@@ -26,11 +34,11 @@ def command(
     Says once a second on the bus how many messages came, were lost or came twice, and how long a feed-forward took. If
     the disk fails later it says so and goes on watching.
 
-    Example: deltatwin monitor --robot d3.toml --output run.mcap
+    Example: deltatwin monitor --robot d3.toml --out run.mcap
     """
     import datetime
 
-    from drivers.bus import open_bus
+    from drivers.bus import open_bus, running
     from replay.realtime import PRIORITY, go_realtime
     from schemas.errors import StorageError
     from schemas.files import check_folder
@@ -42,9 +50,9 @@ def command(
     from service.monitor.writer import WriterThread
 
     name = load_robot(robot).name
-    path = output or Path(f"{name}-{datetime.datetime.now(datetime.UTC):%Y%m%dT%H%M%SZ}.mcap")
+    path = out or Path(f"{name}-{datetime.datetime.now(datetime.UTC):%Y%m%dT%H%M%SZ}.mcap")
     if path.exists():
-        raise StorageError(f"{path}: exists already; give another name with --output")
+        raise StorageError(f"{path}: exists already; give another name with --out")
     check_folder(path.parent)  # before anything runs: a monitor that cannot record has nothing to do
     stopped = stop_requested()
     with counting(f"monitor {name}", 0) as show:
@@ -52,14 +60,32 @@ def command(
         with open_bus(name, Role.MONITOR, zenoh_config, insecure) as bus:
             writer = WriterThread(path, name)
             monitor = Monitor(bus, writer, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
+            hint = _Silence(name, monitor.tally.received, running)
             try:
-                run(monitor, stopped, show)
+                run(monitor, stopped, lambda count: (show(count), hint()))
             finally:
                 writer.close()
     typer.echo(summary(monitor))
     if writer.failed:
         raise typer.Exit(1)
     typer.echo(f"wrote {writer.written} messages to {path}")
+
+
+class _Silence:
+    """Says once, when no sample has come for a while, what runs on this host instead."""
+
+    def __init__(self, robot: str, received: Mapping[str, int], running: Callable[[], list[str]]) -> None:
+        self._robot, self._received, self._running = robot, received, running
+        self._say_at: float | None = time.monotonic() + SILENCE_S
+
+    def __call__(self) -> None:
+        if self._say_at is None or time.monotonic() < self._say_at:
+            return
+        self._say_at = None
+        others = [role for role in self._running() if not role.startswith(f"{self._robot}.")]
+        if not self._received["sample"]:
+            heard = f"; on this host run {', '.join(others)}" if others else ""
+            typer.echo(f"monitor: no samples of {self._robot} yet{heard}", err=True)
 
 
 def summary(monitor: Monitor) -> str:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.reading import OwnEffects, reading
+from service.cli.reading import AsJson, ColumnsFrom, OwnEffects, reading
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE...")],
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML) that `identify` wrote")],
+    robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) that `identify` wrote")],
     effects: OwnEffects = None,
-    columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
+    columns: ColumnsFrom = None,
+    json: AsJson = False,
     truth: Annotated[
         list[Path] | None, typer.Option(help="What was really picked: CSV with from_s,until_s,mass_kg; one a trace")
     ] = None,
@@ -33,26 +34,36 @@ def command(
 
     Example: deltatwin payload pick_a.csv --robot identified.toml --truth pick_a.payloads.csv
     """
-    from rich.console import Console
+    import json as json_library
+    from dataclasses import asdict
 
     from schemas.errors import DataError
     from schemas.robot import load_robot
+    from service.cli.output import console as result_console
     from service.identification.payload import course, levels, read_truth, score
 
     if truth and len(truth) != len(traces):
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one a trace, in their order")
     description = load_robot(robot, effects)
-    console = Console()
+    console = result_console()
     scores: list[Score] = []
+    weighed: list[dict[str, Any]] = []
     for number, trace in enumerate(reading(traces, description, columns, "weighing")):
         found = course(description, trace)
         if predictions is not None:
             _write(found, predictions / f"{trace.path.name.split('.')[0]}.csv")
         if truth:
             scores += [score(found, pick) for pick in read_truth(truth[number])]
+        elif json:
+            seen = [asdict(level) | {"event": level.event.name.lower()} for level in levels(found)]
+            weighed.append({"trace": str(trace.path), "levels": seen})
         else:
             console.print(_found(trace.path.name, levels(found)))
-    if scores:
+    if json:
+        scored = [asdict(score) for score in scores]
+        text = json_library.dumps({"schema": "deltatwin.payload/1", "traces": weighed, "picks": scored}, indent=1)
+        typer.echo(text.replace("NaN", "null"))
+    elif scores:
         for table in _scored(scores):
             console.print(table)
 

@@ -12,12 +12,21 @@ if TYPE_CHECKING:
     from schemas.axes import Description
     from schemas.trace import Trace
 
-OwnEffects = Annotated[Path | None, typer.Option("--effects", help="Python file with effects of your own")]
+ColumnsFrom = Annotated[
+    str | None,
+    typer.Option(
+        "--columns",
+        metavar="FILE|NAME",
+        help="Column mapping of a foreign table: a TOML file (`deltatwin import` writes one), or emps, twincat_scope.",
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+OwnEffects = Annotated[
+    Path | None, typer.Option("--effects", metavar="FILE", help="Python file with effects of your own")
+]
 
 
-def reading(
-    paths: Sequence[Path], robot: Description | None, columns: Path | str | None, title: str
-) -> Iterator[Trace]:
+def reading(paths: Sequence[Path], robot: Description | None, columns: str | None, title: str) -> Iterator[Trace]:
     """Yield the trace of each of `paths`; its findings go to stderr, and a progress bar where that is a terminal.
 
     Raises:

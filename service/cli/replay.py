@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.network import Insecure, ZenohConfig
+from service.cli.reading import ColumnsFrom
 
 if TYPE_CHECKING:
     from replay.player import Played
@@ -15,8 +16,10 @@ if TYPE_CHECKING:
 
 def command(
     trace: Annotated[Path, typer.Argument(help="Recorded trace (.csv, .csv.gz, .mcap).")],
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML); its name is the robot on the bus.")],
-    columns: Annotated[Path | None, typer.Option(help="Column mapping (TOML) of a foreign table.")] = None,
+    robot: Annotated[
+        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML); its name is the robot on the bus.")
+    ],
+    columns: ColumnsFrom = None,
     rate: Annotated[
         float | None, typer.Option(min=1e-3, help="Samples a second, evenly (Hz). Default: the recorded times.")
     ] = None,

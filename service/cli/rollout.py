@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.reading import OwnEffects, reading
+from service.cli.reading import AsJson, ColumnsFrom, OwnEffects, reading
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,13 +19,16 @@ if TYPE_CHECKING:
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Logs: .csv, .csv.gz or .mcap", metavar="LOG...")],
     robot: Annotated[
-        list[Path], typer.Option(help="Robot description (TOML), identified or corrected; repeat to compare, best last")
+        list[Path],
+        typer.Option(
+            metavar="FILE|NAME", help="Robot description (TOML), identified or corrected; repeat to compare, best last"
+        ),
     ],
     horizon: Annotated[float, typer.Option(help="Length of a window, s")] = 0.2,
     out: Annotated[Path | None, typer.Option(help="Folder for rollout.json and rollout.html")] = None,
     effects: OwnEffects = None,
-    columns: Annotated[Path | None, typer.Option(help="Column mapping of a foreign table (TOML)")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table")] = False,
+    columns: ColumnsFrom = None,
+    json: AsJson = False,
 ) -> None:
     """Simulate the robot under the recorded torque and say how far its motion is from the measured one.
 
@@ -38,11 +41,12 @@ def command(
     from rich.console import Console
 
     from schemas.files import make_folder, write_text
+    from service.cli.output import console as result_console
     from service.rollout.document import document, sentences, write_rollout
     from service.rollout.gap import PLAIN, check_sign, rollout
 
     robots = _robots(robot, effects)
-    console, progress = Console(), Console(stderr=True)
+    console, progress = result_console(), Console(stderr=True)
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
     with progress.status("simulating") as status:
         found = rollout(robots, recorded, horizon, lambda what: status.update(f"simulating {what}"))

@@ -13,12 +13,14 @@ if TYPE_CHECKING:
 
 def command(
     interface: Annotated[str, typer.Argument(help="Ethernet interface to answer on, e.g. one end of a veth pair.")],
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML) with its drives and their process data.")],
+    robot: Annotated[
+        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) with its drives and their process data.")
+    ],
     truth: Annotated[Path | None, typer.Option(help="Where the simulated robot departs from it (TOML).")] = None,
     rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second that the master will run at (Hz).")] = 1000.0,
     product: Annotated[float, typer.Option(min=0.0, help="What the gripper lifts when it is told to grip (kg).")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the sensors' noise.")] = 0,
-    trace: Annotated[Path | None, typer.Option(help="Write the robot's own account of the run here (.mcap).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the robot's own account of the run here (.mcap).")] = None,
 ) -> None:
     """Be an EtherCAT segment of three CiA 402 drives that move a simulated Delta robot.
 
@@ -45,8 +47,8 @@ def command(
     from service.cli.signals import terminate_as_interrupt
 
     terminate_as_interrupt()
-    if trace:
-        check_folder(trace.parent)
+    if out:
+        check_folder(out.parent)
     description = load_robot(robot)
     actual = load_truth(truth, description) if truth else PlantTruth.nominal(description)
     plant = Plant(description, actual, period=1 / rate, seed=seed)
@@ -60,8 +62,8 @@ def command(
     except KeyboardInterrupt:
         pass
     finally:
-        if trace and segment.cycles:
-            write_trace(to_trace(segment.trace, trace), trace, description.name)
+        if out and segment.cycles:
+            write_trace(to_trace(segment.trace, out), out, description.name)
     frameless = int((segment.trace["flags"] != 0).sum())
     typer.echo(f"{segment.cycles} cycles in operation, {frameless} of them without a frame")
 

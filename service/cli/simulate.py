@@ -28,7 +28,9 @@ class MotionKind(StrEnum):
 
 
 def command(
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML), or one that comes along: d3-1200.")],
+    robot: Annotated[
+        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML), or one that comes along: d3-1200.")
+    ],
     motion: Annotated[
         MotionKind,
         typer.Option(help="pick: between two conveyors; multisine: excites all; bound: workspace rim; slow: sweep."),

@@ -14,7 +14,10 @@ def command(
     interface: Annotated[
         str, typer.Argument(metavar="IFACE", help="Network interface on the bus, or a capture to play as if live.")
     ],
-    robot: Annotated[Path, typer.Option(help="Robot description (TOML): name, scaling and mapping of its drives.")],
+    robot: Annotated[
+        Path,
+        typer.Option(metavar="FILE|NAME", help="Robot description (TOML): name, scaling and mapping of its drives."),
+    ],
     count: Annotated[int, typer.Option(min=0, help="Samples to publish; 0: until Ctrl-C.")] = 0,
     speed: Annotated[float, typer.Option(min=1e-3, help="Of a capture: times faster than recorded.")] = 1.0,
     wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for a subscriber before the start (s).")] = 1.0,

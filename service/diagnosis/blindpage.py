@@ -35,6 +35,17 @@ def write_page(rows: list[dict[str, Any]], summary: dict[str, Any], commitment: 
     pages.write_page("blindtest", path, **fields)
 
 
+def missed(summary: dict[str, Any]) -> list[str]:
+    """Figures of `BOUNDS` that do not hold; one without a case does not count."""
+    late = []
+    for key, (label, bound) in BOUNDS.items():
+        sign, number = bound.split()
+        value = summary[key]
+        if value is not None and not (value >= float(number) if sign == "≥" else value <= float(number)):
+            late.append(label)
+    return late
+
+
 def _shown(value: float | None) -> str:
     return "no such case" if value is None else str(value)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.errors import TraceError
+from schemas.errors import DataError, TraceError
 from schemas.files import MIB, read_bytes
 from schemas.messages import PayloadEvent, stamp_ns
 from schemas.robot import Robot
@@ -83,8 +83,10 @@ def course(robot: Robot, trace: Trace) -> Course:
 
     Raises:
         TraceError: the trace cannot be used, naming the file.
-        DataError: its stamps do not rise.
+        DataError: its stamps do not rise, or the robot was never identified.
     """
+    if robot.identified is None:
+        raise DataError(f"{robot.name} was never identified, so nothing can be weighed: deltatwin identify ... first")
     samples = trace.samples()
     result = Estimator(robot, *rate_of(samples)).run(samples).payload
     lag = len(samples) - len(result)

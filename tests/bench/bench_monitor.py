@@ -59,7 +59,7 @@ def cpu_seconds(process: int) -> float:
 def measure(folder: Path, rate: float, seconds: float) -> None:
     path = folder / f"{rate:.0f}.mcap"
     robot = folder / "robot.toml"
-    monitor = subprocess.Popen([COMMAND, "monitor", "--robot", robot, "--output", path], stdout=subprocess.DEVNULL)
+    monitor = subprocess.Popen([COMMAND, "monitor", "--robot", robot, "--out", path], stdout=subprocess.DEVNULL)
     answering = subprocess.Popen([sys.executable, __file__, "--answer"])
     time.sleep(4)
     before, start = cpu_seconds(monitor.pid), time.monotonic()

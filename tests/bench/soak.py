@@ -95,7 +95,7 @@ class Soak:
     def start(self, rate: float) -> None:
         """Monitor and estimator, and when they are there the player."""
         robot = ["--robot", self._folder / "robot.toml"]
-        self._launch("monitor", "monitor", *robot, "--output", self._folder / "run.mcap")
+        self._launch("monitor", "monitor", *robot, "--out", self._folder / "run.mcap")
         self._launch("estimator", "estimate", *robot)
         wanted = {Role.MONITOR, Role.ESTIMATOR}
         give_up = time.monotonic() + START_S

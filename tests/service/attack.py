@@ -89,7 +89,7 @@ class Attack:
             save_robot(self._robot.model_copy(update={"name": name}), path)
         given = ["--robot", str(paths["attacked"])]
         self._start("estimator", "estimate", *given)
-        self._start("monitor", "monitor", *given, "--output", str(folder / "run.mcap"))
+        self._start("monitor", "monitor", *given, "--out", str(folder / "run.mcap"))
         self._start("robot", "simulate", "--robot", str(paths["attacked-robot"]), "--live", "--truth", "ideal")
         mine, robots = (
             stack.enter_context(open_bus(name, role))

@@ -60,7 +60,7 @@ def robot(files: Path) -> Robot:
 def start(space: rig.Namespace, files: Path) -> rig.SegmentProcess:
     return rig.SegmentProcess(
         space, "--robot", str(files / "robot.toml"), "--truth", str(files / "truth.toml"),
-        "--rate", str(1 / PERIOD), "--product", "1.5", "--trace", str(files / "own.mcap"),
+        "--rate", str(1 / PERIOD), "--product", "1.5", "--out", str(files / "own.mcap"),
     )  # fmt: skip
 
 

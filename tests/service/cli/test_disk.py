@@ -37,9 +37,9 @@ LONG = {  # refuse before they compute
     "experiment": "experiment --out {disk}",
     "demo": "demo --out {disk}/demo",
     "blindtest": "blindtest --cases 1 --out {disk}",
-    "monitor": "monitor --robot {in}/robot.toml --output {disk}/new.mcap",
-    "monitor-nowhere": "monitor --robot {in}/robot.toml --output {disk}/nowhere/new.mcap",
-    "segment": "segment lo --robot {in}/robot.toml --trace {disk}/new.mcap",
+    "monitor": "monitor --robot {in}/robot.toml --out {disk}/new.mcap",
+    "monitor-nowhere": "monitor --robot {in}/robot.toml --out {disk}/nowhere/new.mcap",
+    "segment": "segment lo --robot {in}/robot.toml --out {disk}/new.mcap",
 }
 
 

@@ -36,7 +36,7 @@ class Watched:
 
     def start(self, output: Path, until: Until, before: Callable[[], None] | None = None) -> subprocess.Popen[str]:
         self.process = subprocess.Popen(
-            [COMMAND, "monitor", "--robot", self.robot, "--output", output],
+            [COMMAND, "monitor", "--robot", self.robot, "--out", output],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=before,
         )  # fmt: skip
         until(lambda: all(publisher.heard for publisher in self.publishers.values()))
@@ -224,7 +224,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_runs(
     watched: Watched, tmp_path: Path, place: str
 ) -> None:
     done = subprocess.run(
-        [COMMAND, "monitor", "--robot", watched.robot, "--output", tmp_path / place],
+        [COMMAND, "monitor", "--robot", watched.robot, "--out", tmp_path / place],
         capture_output=True, text=True, check=False, timeout=60,
     )  # fmt: skip
     assert done.returncode == 1
@@ -236,7 +236,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_runs(
 def test_existing_recording_is_refused(watched: Watched, tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_bytes(b"precious")
     done = subprocess.run(
-        [COMMAND, "monitor", "--robot", watched.robot, "--output", tmp_path / "run.mcap"],
+        [COMMAND, "monitor", "--robot", watched.robot, "--out", tmp_path / "run.mcap"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 1
