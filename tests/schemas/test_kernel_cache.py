@@ -7,35 +7,86 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from schemas import KERNEL_ROOMS
 
 PROJECT = Path(__file__).resolve().parents[2]
+HEADER = "from numba import njit\nimport schemas\n"
 ROOMS = ("drivers", "replay", "schemas", "service")
 
 
-def run(folder: Path) -> str:
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+def run(folder: Path, **environment: str) -> tuple[str, str]:
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | environment
     code = "from service.model.caller import ask; print(ask())"
-    return subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, env=environment, check=True, capture_output=True, text=True
-    ).stdout.strip()
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True)
+    return done.stdout.strip(), done.stderr.strip()
 
 
-def test_a_change_in_a_called_file_recompiles_its_callers(tmp_path):
+@pytest.fixture
+def room(tmp_path):
+    """A package of one kernel that calls another."""
     (tmp_path / "schemas").mkdir()
     shutil.copy(PROJECT / "schemas" / "__init__.py", tmp_path / "schemas")
     room = tmp_path / "service" / "model"
     room.mkdir(parents=True)
     (tmp_path / "service" / "__init__.py").touch()
     (room / "__init__.py").touch()
-    header = "from numba import njit\nimport schemas\n"
     (room / "caller.py").write_text(
-        f"{header}from service.model.called import answer\n\n@njit(cache=True)\ndef ask():\n    return answer()\n"
+        f"{HEADER}from service.model.called import answer\n\n@njit(cache=True)\ndef ask():\n    return answer()\n"
     )
-    (room / "called.py").write_text(f"{header}\n@njit(cache=True)\ndef answer():\n    return 1\n")
-    assert run(tmp_path) == "1"
-    (room / "called.py").write_text(f"{header}\n@njit(cache=True)\ndef answer():\n    return 2\n")
-    assert run(tmp_path) == "2"
+    (room / "called.py").write_text(f"{HEADER}\n@njit(cache=True)\ndef answer():\n    return 1\n")
+    return room
+
+
+def test_a_change_in_a_called_file_recompiles_its_callers(tmp_path, room):
+    assert run(tmp_path) == ("1", "")
+    (room / "called.py").write_text(f"{HEADER}\n@njit(cache=True)\ndef answer():\n    return 2\n")
+    assert run(tmp_path) == ("2", "")
+
+
+@pytest.fixture
+def homeless(tmp_path, room):
+    """Environment in which neither the package's folder nor the home can keep anything."""
+    (tmp_path / "schemas" / "__pycache__").touch()
+    (tmp_path / "t").mkdir()
+    return {"HOME": os.devnull, "TMPDIR": str(tmp_path / "t"), "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+def test_without_a_place_kernels_are_kept_in_a_temporary_folder_of_this_users_alone(tmp_path, homeless):
+    own = tmp_path / "t" / f"deltatwin-{os.getuid()}"
+    answer, said = run(tmp_path, **homeless)
+    assert (answer, len(said.splitlines())) == ("1", 1)
+    assert str(own) in said
+    assert own.stat().st_mode & 0o777 == 0o700
+    assert list(own.rglob("*.nbc"))
+    assert run(tmp_path, **homeless) == ("1", "")
+
+
+@pytest.mark.parametrize("planted", ["link", "open to others"])
+def test_a_temporary_folder_that_others_could_write_is_not_used(tmp_path, homeless, planted):
+    own, foreign = tmp_path / "t" / f"deltatwin-{os.getuid()}", tmp_path / "foreign"
+    foreign.mkdir()
+    if planted == "link":
+        own.symlink_to(foreign)
+    else:
+        own.mkdir()
+        own.chmod(0o777)
+    answer, said = run(tmp_path, **homeless)
+    assert (answer, len(said.splitlines())) == ("1", 1)
+    assert "this run alone" in said
+    assert not list(tmp_path.rglob("*.nbc"))
+    assert [path.name for path in (tmp_path / "t").iterdir()] == [own.name]
+
+
+def test_with_no_folder_at_all_it_is_one_line(tmp_path, homeless):
+    nowhere = "/dev/null"
+    code = f"import tempfile; tempfile._candidate_tempdir_list = lambda: [{nowhere!r}]; import schemas"
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | homeless
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert len(done.stderr.splitlines()) == 1
+    assert "NUMBA_CACHE_DIR" in done.stderr
 
 
 def imported(path: Path) -> set[Path]:
