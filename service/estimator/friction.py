@@ -50,24 +50,35 @@ def start(state: np.ndarray, prior: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def gather_kernel(state, phi, residual, weight, shape):
-    """Take one sample into the block. phi: (3,) N m/kg. residual, weight: (3,) N m and (N m)^-2. shape: (3, 3), x_i."""
+def gather_kernel(state, column, residual, known, weight, shape):
+    """Take one sample into the block. column[:, 0]: phi, N m/kg. residual, known, weight: (3,) N m, N m of it that is
+    known not to be friction, (N m)^-2. shape: (3, 3), x_i."""
     load = 0.0
     for i in range(3):
-        load += weight[i] * phi[i] * phi[i]
+        load += weight[i] * column[i, 0] * column[i, 0]
     if load <= 0.0:
         return
     for i in range(3):
         if weight[i] <= 0.0:
             continue
         for j in range(3):
-            part = -weight[i] * phi[i] * phi[j] * weight[j] / load
+            part = -weight[i] * column[i, 0] * column[j, 0] * weight[j] / load
             if i == j:
                 part += weight[i]
             for a in range(PARTS):
-                state.block_moment[PARTS * i + a] += shape[i, a] * part * residual[j]
+                state.block_moment[PARTS * i + a] += shape[i, a] * part * (residual[j] - known[j])
                 for b in range(PARTS):
                     state.block_information[PARTS * i + a, PARTS * j + b] += shape[i, a] * part * shape[j, b]
+
+
+@njit(cache=True)
+def covariance_kernel(state, one, other):
+    """Covariance of two sums that friction enters with `one` and `other`, both (9,)."""
+    total = 0.0
+    for a in range(COUNT):
+        for b in range(COUNT):
+            total += one[a] * state.covariance[a, b] * other[b]
+    return total
 
 
 @njit(cache=True)

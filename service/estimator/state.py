@@ -9,7 +9,7 @@ import numpy as np
 
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
 from schemas.robot import Robot
-from service.estimator import effects, friction, kalman, payload
+from service.estimator import effects, friction, kalman, payload, turning
 from service.estimator.bounds import bounds_of
 from service.model.description import terms_of
 from service.model.dynamics import REST_SPEED, TERMS
@@ -77,6 +77,10 @@ STATE = np.dtype(
         ("past", _PAST, kalman.MAX_LAG + 1),
         ("head", "i8"),
         ("filled", "i8"),
+        ("turn", "f8", turning.LINE),  # rad, angles of the fourth axis, a ring
+        ("turn_head", "i8"),
+        ("turn_known", "i8"),  # how many in a row
+        ("turn_read", "f8"),  # rad, the newest as it was read
         ("payload", payload.STATE),
         ("torque", "f8", 3),  # N m, last feed-forward
         ("way_before", "f8", 3),  # direction of motion that it was for
@@ -155,7 +159,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["gear_ratio"] = robot.drive.gear_ratio
     record["variance"] = payload.sample_variance(noise, left_over)
     prior = friction.drift(record["viscous"][0], record["coulomb"][0])
-    record["payload"] = payload.settings(period, prior, robot.limits.max_payload_kg)
+    record["payload"] = payload.settings(period, prior, robot.limits.max_payload_kg, left_over, record["variance"][0])
     return record
 
 

@@ -54,6 +54,7 @@ from service.estimator.stream import (
     restart,
     restart_cycles,
 )  # fmt: skip
+from service.estimator.turning import swing_kernel, turn_kernel
 from service.model.dynamics import GRAVITY, INERTIA, PLATFORM, terms_kernel
 from service.model.kinematics import REACHED
 
@@ -105,6 +106,7 @@ def _remember(settings, state, sample, flags, gap):
     if state.filled <= settings.motion.lag and state.measured.used * settings.period > SETTLE_TIME:
         state.filled += 1
     keep_kernel(state.measured, gap, state.slots[state.head])
+    turn_kernel(state, sample.fourth_position, gap)
     past = state.past[state.head]
     past.stamp_sec = sample.stamp_sec
     past.stamp_nanosec = sample.stamp_nanosec
@@ -129,6 +131,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
         for i in range(3):
             error_out.kh[i] = error_out.id[i] = error_out.id_friction[i] = error_out.full[i] = math.nan
     else:
+        swing_kernel(settings, state, state.work[1], state.work[4, 0], weighed.column)
         torque_kernel(settings, state, past.stamp_sec + past.stamp_nanosec * 1e-9)
         for i in range(3):
             speed = abs(motion[1, i])
@@ -139,7 +142,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             error_out.id[i] = past.torque[i] - grey
             error_out.id_friction[i] = past.torque[i] - grey - friction
             weighed.residual[i] = past.torque[i] - state.full[i]
-            weighed.phi[i] = load_kernel(settings, state, i)
+            weighed.column[i, 0] = load_kernel(settings, state, i)
             weighed.shape[i, 0] = settings.scale[i] * state.way[i]
             weighed.shape[i, 1] = settings.scale[i] * motion[1, i]
             weighed.shape[i, 2] = 1.0
@@ -151,11 +154,11 @@ def lagged_kernel(settings, state, payload_out, error_out):
         event = payload_kernel(settings.payload, weighed)
         load = usable_mass(state)
         for i in range(3):
-            error_out.full[i] = weighed.residual[i] - load * weighed.phi[i]
+            error_out.full[i] = weighed.residual[i] - load * weighed.column[i, 0]
     error_out.flags = flags
     payload_out.mass = weighed.mass
     payload_out.std_dev = weighed.std_dev
-    payload_out.excitation = weighed.information - PRIOR_STD**-2
+    payload_out.excitation = weighed.information[0, 0] - PRIOR_STD**-2
     payload_out.trusted = weighed.trusted
     payload_out.event = event
     payload_out.stamp_sec = error_out.stamp_sec = past.stamp_sec

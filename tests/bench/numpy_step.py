@@ -108,7 +108,7 @@ class NumpyEstimator:
         doubt = p.MODEL_SHARE * (np.abs(inertia) + np.abs(gravity) + np.abs(platform) + np.abs(friction))
         noise = np.where(np.abs(state[:, 1]) > REVERSAL_SPEED, self.variance + doubt**2, np.inf)
         now = self.weighed[0]
-        now["phi"], now["residual"], now["weight"] = load, torque - full, 1.0 / noise
+        now["column"][:, 0], now["residual"], now["weight"] = load, torque - full, 1.0 / noise
         way = np.clip(state[:, 1] / REST_SPEED, -1, 1)
         now["shape"] = np.stack([way, state[:, 1], np.ones(3)], axis=1)
         event = p.payload_kernel(self.weigher, now)
@@ -120,7 +120,7 @@ class NumpyEstimator:
         error["id_friction"], error["full"] = torque - grey - friction, torque - full - mass * load
         for field in ("mass", "std_dev", "trusted"):
             payload[field] = now[field]
-        payload["excitation"], payload["event"] = now["information"] - p.PRIOR_STD**-2, event
+        payload["excitation"], payload["event"] = now["information"][0, 0] - p.PRIOR_STD**-2, event
         return payload.tobytes(), error.tobytes()
 
     def terms(self, theta, theta_dot, theta_ddot):

@@ -5,6 +5,7 @@ import pytest
 
 from schemas.messages import PayloadEvent, stamp_ns
 from service.estimator.estimator import Estimator
+from service.model.kinematics import jacobian
 from service.model.nominal import pack
 from tests.known import PERIOD
 
@@ -55,20 +56,62 @@ def test_an_exact_model_is_trusted(robot, make):
     assert trusted >= 0.7
 
 
+def swinging(robot, known, carried, offset=0.05, turns=np.pi / 2, rate=2.0):
+    """Add to the torque of `known` what `carried` (N,) kg does `offset` m off the fourth axis; its angle (N,), rad."""
+    time = stamp_ns(known.samples) * 1e-9
+    angle = turns * np.sin(2 * np.pi * rate * time)
+    place = offset * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    force = carried[:, None] * np.gradient(np.gradient(place, time, axis=0), time, axis=0)
+    known.samples["torque"] += np.einsum("nai,na->ni", jacobian(pack(robot), known.theta), force)
+    return angle
+
+
 def test_a_load_off_the_axis_that_swings_is_not_trusted(robot, make):
     """Its sideways force, 2 kg at 50 mm and 2 Hz, reaches the joints at right angles to what a weight would do."""
     known = make(6.0, payload=lambda t: 2.0 * (t >= 1.0), noise=0.25)
     time = stamp_ns(known.samples) * 1e-9
-    angle = np.pi / 2 * np.sin(4 * np.pi * time)
-    place = 0.05 * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
-    force = 2.0 * np.gradient(np.gradient(place, time, axis=0), time, axis=0) * (time >= 1.0)[:, None]
-    from service.model.kinematics import jacobian
-
-    known.samples["torque"] += np.einsum("nai,na->ni", jacobian(pack(robot), known.theta), force)
+    swinging(robot, known, 2.0 * (time >= 1.0))
     payload, time = weigh(robot, known.samples)
     inside, _ = covered(payload, time, 2.0 * (time >= 1.0))
     assert inside >= 0.95
     assert np.count_nonzero(payload["event"]) <= 2
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["multi-turn", "within one turn"])
+def test_a_load_off_the_axis_is_weighed_where_the_angle_is_known(robot, make, turned):
+    known = make(9.0, payload=carried, noise=0.25)
+    time = stamp_ns(known.samples) * 1e-9
+    angle = swinging(robot, known, carried(time)) + 3.0
+    known.samples["fourth_position"] = np.mod(angle, 2 * np.pi) if turned else angle
+    payload, time = weigh(robot, known.samples)
+    truth = carried(time)
+    inside, trusted = covered(payload, time, truth)
+    assert inside >= 0.95
+    assert trusted >= 0.7
+    late = np.all([np.abs(time - edge - 0.1) > 0.1 for pick in PICKS for edge in pick[:2]], axis=0) & (time > 0.5)
+    assert np.abs(payload["mass"] - truth)[late].max() < 0.1
+    events = payload["event"][payload["event"] != 0]
+    assert (events == [PayloadEvent.PICK, PayloadEvent.RELEASE] * len(PICKS)).all()
+
+
+def test_where_the_load_hangs_is_found(robot, make):
+    known = make(3.0, payload=lambda t: 2.0 * np.ones_like(t), noise=0.25)
+    known.samples["fourth_position"] = swinging(robot, known, np.full(len(known.samples), 2.0), offset=-0.03)
+    estimator = Estimator(robot, PERIOD)
+    estimator.run(known.samples)
+    np.testing.assert_allclose(estimator.state["payload"]["offset"], [-0.06, 0.0], atol=1e-3)
+
+
+def test_an_angle_that_fails_is_not_taken_for_one(robot, make):
+    """Gone for a while, back elsewhere: no motion is seen in the hole, and the mass stays right."""
+    known = make(4.0, payload=lambda t: 2.0 * np.ones_like(t), noise=0.25)
+    time = stamp_ns(known.samples) * 1e-9
+    angle = np.where(time < 2.0, 0.5, 1.7)
+    angle[1990:2050] = np.nan
+    known.samples["fourth_position"] = angle
+    payload, time = weigh(robot, known.samples)
+    assert np.abs(payload["mass"] - 2.0)[time > 0.5].max() < 0.05
+    assert payload["trusted"][time > 0.5].all()
 
 
 def test_a_mass_below_nothing_is_not_told_and_counts_against_the_others(robot, make):
