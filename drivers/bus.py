@@ -336,9 +336,10 @@ class Publisher:
 class Bus:
     """The session of one role of one robot. Made by `open_bus`; closes with its `with` block."""
 
-    def __init__(self, session: zenoh.Session, robot: str, role: Role, lock: int) -> None:
+    def __init__(self, session: zenoh.Session, robot: str, role: Role, lock: int, stamped: bool) -> None:
         self.robot = robot
         self.role = role
+        self.stamped = stamped  # whether `sending` is Zenoh's stamp: all are on one host, and have one clock
         self.duplicate_source = False  # whether more than one role publishes samples
         self._session = session
         self._lock = lock
@@ -437,7 +438,7 @@ def open_bus(robot: str, role: Role, zenoh_config: Path | None = None, insecure:
         session.close()
         os.close(lock)
         raise BusError(f"robot {robot!r}: another {role.name.lower()} is running elsewhere on its Zenoh network")
-    return Bus(session, robot, role, lock)
+    return Bus(session, robot, role, lock, stamped=zenoh_config is None)
 
 
 def check_free(robot: str, role: Role) -> None:

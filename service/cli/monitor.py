@@ -95,12 +95,14 @@ def summary(monitor: Monitor) -> str:
     lines = [f"{'topic':<12} {'received':>10} {'lost':>8} {'repeated':>9} {'out of order':>13} {'restarts':>9}"]
     for topic, received in monitor.tally.received.items():
         if topic in THINNED:
-            lines.append(f"{topic:<12} {received:>10} {'cannot be told':>18}")
+            lines.append(f"{topic:<12} {received:>10}")
             continue
         counts = monitor.tally.count(topic)
         lines.append(
             f"{topic:<12} {received:>10} {counts.lost:>8} {counts.repeated:>9} {counts.out_of_order:>13} "
             f"{counts.restarts:>9}"
         )
+    lost = monitor.tally.thinned_lost
+    lines.append(f"lost of {' and '.join(THINNED)} together: {'cannot be told' if lost is None else lost}")
     lines.append(f"rejected payloads {monitor.rejected}")
     return "\n".join(lines)

@@ -16,25 +16,28 @@ STALE_NS = 1_000_000_000
 DEPTH = 1 << 15  # messages a topic's inbox holds: 4 s at 8 kHz
 
 
+def _order(topic: str) -> int:
+    return {"health": 0, "sample": 2}.get(topic, 1)
+
+
 class Monitor:
     """Call `step` every `CYCLE_S`; it empties the inboxes into the tally and the writer and publishes health."""
 
     def __init__(self, bus: Bus, writer: WriterThread, flags: HealthFlag) -> None:
-        self.tally = Tally()
+        self.tally = Tally(bus.stamped)
         self._writer = writer
         self._flags = flags
         self.health = Health(bus, flags)
-        # Feed-forward before sample: when the inboxes are emptied in this order its sample is always known.
-        self._inboxes = {
-            topic: bus.subscribe(topic, DEPTH, sending) for topic in sorted(TOPICS, key=lambda t: t == "sample")
-        }
+        # When the inboxes are emptied in this order, and their messages counted in the reverse one, the sample of every
+        # feed-forward is known, and all that the estimator's health counts is there before it.
+        self._inboxes = {topic: bus.subscribe(topic, DEPTH, sending) for topic in sorted(TOPICS, key=_order)}
         self._sample_at = time.monotonic_ns()
 
     def step(self) -> None:
         """Take what came."""
         taken = {topic: batch for topic, inbox in self._inboxes.items() if len((batch := inbox.take())[0])}
         gaps = []
-        for topic, (records, sent) in taken.items():
+        for topic, (records, sent) in reversed(taken.items()):
             missed = self.tally.add(topic, records, sent)
             if missed:
                 gaps.append(

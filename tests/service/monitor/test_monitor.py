@@ -240,12 +240,12 @@ def test_existing_recording_is_refused(watched: Watched, tmp_path: Path) -> None
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 1
-    assert done.stderr == f"deltatwin: {tmp_path / 'run.mcap'}: exists already; give another name with --output\n"
+    assert done.stderr == f"deltatwin: {tmp_path / 'run.mcap'}: exists already; give another name with --out\n"
     assert (tmp_path / "run.mcap").read_bytes() == b"precious"
 
 
 def test_latency_pairs_feedforward_with_its_sample() -> None:
-    tally = Tally()
+    tally = Tally(stamped=True)
     samples, answers = SAMPLE.empty(5), FEEDFORWARD.empty(4)
     samples["sequence"], answers["sequence"] = [10, 11, 12, 13, 14], [10, 12, 14, 15]
     tally.add("sample", samples, np.array([1000, 2000, 3000, 4000, 5000]))
@@ -253,7 +253,7 @@ def test_latency_pairs_feedforward_with_its_sample() -> None:
 
 
 def test_health_of_different_roles_is_not_a_hole_in_one_sequence() -> None:
-    tally = Tally()
+    tally = Tally(stamped=True)
     said = HEALTH.empty(6)
     said["role"] = [Role.PLAYER, Role.MONITOR, Role.PLAYER, Role.MONITOR, Role.PLAYER, Role.MONITOR]
     said["sequence"] = [0, 40, 1, 41, 3, 42]
@@ -262,10 +262,69 @@ def test_health_of_different_roles_is_not_a_hole_in_one_sequence() -> None:
 
 
 def test_payload_and_error_of_every_eighth_sample_are_no_loss() -> None:
-    tally = Tally()
+    tally = Tally(stamped=True)
     for topic in ("payload", "error"):
         said = TOPICS[topic].empty(100)
         said["sequence"] = np.arange(0, 800, 8)
         assert tally.add(topic, said, np.zeros(100, np.int64)) == 0
     assert tally.count().lost == 0
     assert tally.received["error"] == 100
+
+
+def answered(tally: Tally, sequence: int, every: int = 4) -> None:
+    """What an estimator answers to one sample, sent in the nanosecond of its number times ten."""
+    for topic in ("feedforward", "payload", "error") if sequence % every == 0 else ("feedforward",):
+        said = TOPICS[topic].empty(1)
+        said["sequence"] = sequence
+        tally.add(topic, said, np.array([10 * sequence]))
+
+
+def health_of_estimator(tally: Tally, sequence: int, published: int, sent: int) -> None:
+    said = HEALTH.empty(1)
+    said["role"], said["sequence"], said["published"] = Role.ESTIMATOR, sequence, published
+    tally.add("health", said, np.array([sent]))
+
+
+def test_loss_of_thinned_topics_is_told_by_the_estimators_own_count() -> None:
+    tally = Tally(stamped=True)
+    for number in range(100):
+        answered(tally, number)
+    health_of_estimator(tally, 0, 150, 991)  # 100 feed-forward, 25 payload, 25 error; nothing is known of before
+    for number in range(100, 200):
+        if number in (120, 140, 141):  # of 141 the feed-forward alone, which its own sequence tells
+            continue
+        answered(tally, number)
+    health_of_estimator(tally, 1, 300 - 6, 1951)  # the last ones that came were sent after it
+    assert (tally.thinned_lost, tally.count("feedforward").lost, tally.count().lost) == (4, 3, 7)
+    health_of_estimator(tally, 2, 300, 1991)
+    assert (tally.thinned_lost, tally.count().lost) == (4, 7)
+    health_of_estimator(tally, 0, 12, 2500)  # started over: what was lost stays, what is new begins
+    assert (tally.thinned_lost, tally.count().lost) == (4, 7)
+    health_of_estimator(tally, 1, 15, 2600)
+    assert (tally.thinned_lost, tally.count().lost) == (7, 10)
+
+
+def test_where_nothing_is_stamped_loss_of_thinned_topics_cannot_be_told() -> None:
+    tally = Tally(stamped=False)
+    answered(tally, 0)
+    health_of_estimator(tally, 0, 50, 10)
+    health_of_estimator(tally, 1, 100, 20)
+    assert (tally.thinned_lost, tally.count().lost) == (None, 0)
+
+
+def test_a_monitor_that_hears_no_payload_of_a_live_estimator_says_how_much_is_missing(
+    watched: Watched, tmp_path: Path, until: Until
+) -> None:
+    watched.start(tmp_path / "run.mcap", until)
+    said, answer = HEALTH.empty(1), FEEDFORWARD.empty(1)
+    said["role"] = Role.ESTIMATOR
+    for number in range(101):
+        if number % 50 == 0:  # it says it gave payload and error with every feed-forward
+            said["sequence"], said["published"] = number // 50, 3 * number
+            watched.publishers["health"].put(said.tobytes())
+        answer["sequence"] = number
+        watched.publishers["feedforward"].put(answer.tobytes())
+        time.sleep(0.001)
+    time.sleep(0.5)
+    told, _ = watched.finish()
+    assert "lost of payload and error together: 200" in told
