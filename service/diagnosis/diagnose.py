@@ -14,6 +14,7 @@ from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.cautions import doubts_of, limits_of
 from service.diagnosis.findings import Findings
+from service.diagnosis.fit.orders import more_orders
 from service.diagnosis.fit.selection import Selection, score, search
 from service.identification import pooled
 from service.identification.fit import Problem, evaluate, fit
@@ -65,7 +66,7 @@ def diagnose(
     if given:
         plain = score(fit(problem, timed), split)
     offer = limits_of(problem)
-    selection = search(problem, split, timed, effects if offer.enough else (), progress, offer.allows)
+    selection = search(problem, split, timed, effects if offer.enough else (), progress, offer.allows, more_orders)
     progress("checking on data left out")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     limit = WITHIN_NOISE * _floor(problem, reversal)

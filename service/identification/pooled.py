@@ -27,6 +27,7 @@ from service.identification.noise import white_noise
 from service.model.hypothesis import Hypothesis
 from service.model.mechanism import mechanism_of
 from service.model.parameters import Parameters, Quantity, base_parameters
+from service.model.ripple import standing_out
 from service.model.scene import Base, Recording
 from service.model.signals import Band, resolved_hz
 from service.model.torque import predict
@@ -35,6 +36,8 @@ START_TRANSITION = 0.002  # rad/s
 WIDER_TRANSITIONS = (0.01, 0.04, 0.15, 0.4)  # rad/s, tried where each friction has its own: slopes do not lead there
 WANTED_GAIN = 0.01  # of the squared residual of data left out that optional coefficients have to remove
 WANTED_Z = 3.0  # standard errors over blocks
+MOST_RIPPLES = 4  # orders a joint that the band has to reach
+RIPPLE_REACH = 1.3  # times their frequency at the middle speed
 SAME_RATE = 0.02  # share by which the sample time of two logs of one rate may differ
 # Standard error over value (or over what would make 5 % of the torque, if that is more).
 WEAK, NOT_IDENTIFIABLE = 0.1, 0.5
@@ -119,7 +122,24 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, np.ndarray]:
     first = solver.fit(problem, _start(problem), iterations=2).hypothesis
     left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first.base)]
     noise = np.minimum(noise, white_noise(recordings, left))
+    wider = Band.of(period, max(band.cutoff_hz, _ripple_hz(recordings, left)))
+    if wider.cutoff_hz > band.cutoff_hz:
+        problem, share = Problem.of(recordings, wider, problem.sigma), wider.white_share**0.5
     return replace(problem, sigma=np.maximum(noise, 1e-9) * share), noise
+
+
+def _ripple_hz(recordings: Sequence[Recording], left: Sequence[np.ndarray]) -> float:
+    """How far a band has to reach for the ripple over motor turns that stands out of (N, n) what a model leaves."""
+    highest = 0.0
+    for recording, values in zip(recordings, left, strict=True):
+        segment = recording.segment
+        turns = recording.mechanism.gear_ratio * segment.theta / (2 * np.pi)
+        for joint, moving in enumerate(segment.moving.T):
+            orders = standing_out(turns[moving, joint], values[moving, joint])[:MOST_RIPPLES]
+            if orders:
+                speed = np.median(np.abs(np.gradient(turns[:, joint], segment.period)[moving]))
+                highest = max(highest, RIPPLE_REACH * max(orders) * float(speed))
+    return highest
 
 
 def _start(problem: Problem) -> Hypothesis:

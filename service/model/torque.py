@@ -97,7 +97,7 @@ def _by_amplitude(scene: Scene, term: Term, place: int, amplitude: np.ndarray) -
 def _moved(hypothesis: Hypothesis, term: Term, index: int) -> tuple[Hypothesis, float]:
     limits = list(term.effect.shapes.values())[index]
     shape = np.array(term.shape)
-    size = 1e-2 * max(abs(shape[index]), 1e-3 * (limits.high - limits.low))
+    size = min(1e-2 * max(abs(shape[index]), 1e-3 * (limits.high - limits.low)), limits.most_step)
     if shape[index] + size > limits.high:
         size = -size
     shape[index] += size

@@ -88,12 +88,15 @@ def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
         mine = every.terms[number]
         if number < len(findings.given):
             continue
-        shared = sum(other.effect is term.effect for other in hypothesis.terms) > 1
-        suffix = f"_{term.joints[0] + 1}" if shared and term.joints else ""
+        others = [other for other in hypothesis.terms if other.effect is term.effect]
+        suffix = f"_{term.joints[0] + 1}" if len({other.joints for other in others}) > 1 and term.joints else ""
+        if sum(other.joints == term.joints for other in others) > 1:
+            suffix += f"_{term.shape[0]:.4g}"
         for known, value, error in zip(every.of_terms[number], every.values[mine], findings.errors[mine], strict=True):
             estimate = _estimate(value, error, in_units_of(findings.robot, known.unit))
             parameters.setdefault(term.effect, {})[known.name + suffix] = estimate
-        joints.setdefault(term.effect, []).extend(joint + 1 for joint in term.joints)
+        joints.setdefault(term.effect, [])
+        joints[term.effect] += [joint + 1 for joint in term.joints if joint + 1 not in joints[term.effect]]
     gap = max(findings.selection.none.loss - findings.problem.count, 1e-9)
     result = []
     for effect, found in parameters.items():

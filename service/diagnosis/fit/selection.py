@@ -89,10 +89,11 @@ class Regressors:
         self.problem, self.split = problem, split
         self.effects = [e for e in effects if problem.recordings[0].mechanism.kind in e.kinds]
         self.index: dict[tuple[Effect, int, tuple[float, ...]], np.ndarray] = {}
-        scene, low = Scene(problem.recordings[0], base), []
+        scenes, low = problem.scenes(base), []
         for effect in self.effects:
-            for joint in range(scene.joints) if effect.per_joint else (0,):
-                for shape in effect.grid(scene):
+            shapes = dict.fromkeys(shape for scene in scenes for shape in effect.grid(scene))
+            for joint in range(scenes[0].joints) if effect.per_joint else (0,):
+                for shape in shapes:
                     own = [amplitude.low for amplitude in effect.amplitudes.values()] or [0.0]
                     self.index[effect, joint, shape] = len(low) + np.arange(len(own))
                     low += own
@@ -293,10 +294,11 @@ def search(
     effects: Sequence[Effect],
     progress: Callable[[str], None],
     allows: Callable[[Effect, int], bool] = lambda effect, joint: True,
+    grow: Callable[[Problem, Split, Scored], Scored] = lambda problem, split, best: best,
 ) -> Selection:
     """Add effects one by one while each is worth it on data left out; then see whether one can go again.
 
-    allows: whether the data let an effect be looked for on a joint at all.
+    allows: whether the data let an effect be looked for on a joint at all. grow: what else an effect just found brings.
     """
     given = len(start.terms)
     rows = problem.count
@@ -320,7 +322,8 @@ def search(
             path.append((exact, None))
             break
         path.append((exact, exact[0]))
-        best = trimmed[id(exact[0])] = spread(problem, split, pruned(problem, split, exact[0], none, rows, given))
+        best = spread(problem, split, pruned(problem, split, exact[0], none, rows, given))
+        best = trimmed[id(exact[0])] = grow(problem, split, best)
         if best.loss / rows < 1.0 + LEAST_GAIN:
             break
     return Selection(none, best, path, trimmed)

@@ -93,6 +93,7 @@ class Shape:
     """A quantity that is searched: tried at `grid`, refined between `low` and `high`, kept if `fixed`.
 
     minor: the torque hardly depends on it, so that a limit of its own says nothing about the effect.
+    most_step: over which a slope by it can be taken.
     """
 
     unit: str
@@ -102,6 +103,7 @@ class Shape:
     high: float
     fixed: bool = False
     minor: bool = False
+    most_step: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,8 @@ class Effect(ABC):
 
     name: as in the catalogue. per_joint: sits on single joints. own_joint: adds torque to no other joint than its own.
     measured: alters the reported torque instead of adding to it. rough: its torque is no smooth function of its shapes,
-    so they are kept when a part of the data is left out. own_shapes: each joint may have shapes of its own. kinds:
+    so they are kept when a part of the data is left out. own_shapes: each joint may have shapes of its own.
+    repeats: may be at work more than once on a joint. kinds:
     mechanisms it makes sense for. settles: the motion that tells it from what it resembles. directional: a joint that
     moves one way only does not show it. dissipates: friction, which together with the base model's takes energy out of
     the motion in either direction. same: effects that no motion tells it from. takes_timing: it has the place of
@@ -127,6 +130,7 @@ class Effect(ABC):
     measured: ClassVar[bool] = False
     rough: ClassVar[bool] = False
     own_shapes: ClassVar[bool] = False
+    repeats: ClassVar[bool] = False
     kinds: ClassVar[frozenset[str]] = frozenset({"delta", "axes"})
     settles: ClassVar[str]
     directional: ClassVar[bool] = False

@@ -2,7 +2,8 @@
 
 Physics: magnets and slots, or the teeth of a gear: T = a cos(n N theta) + b sin(n N theta), N the gear ratio.
 Implementation: order n per motor turn, amplitude and phase as the two coefficients.
-Limitations: above half the sample rate it is folded; fast motion moves it above the analysis band.
+Limitations: above half the sample rate it is folded; fast motion moves it above the analysis band, which follows it
+where it stands out of what the model leaves.
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ import numpy as np
 from numba import njit
 
 from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.ripple import MOST_ORDER, standing_out
 from service.model.scene import Scene
 
 COGGING_ORDERS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 22, 24, 30, 36)
+MOST_PEAKS = 4  # a joint and run
 
 
 @njit(cache=True)
@@ -29,10 +32,19 @@ def _online(effect, now, i):
 class Cogging(Effect):
     cosine: Amplitude = Amplitude("N m", "cosine part of the amplitude, joint side")
     sine: Amplitude = Amplitude("N m", "sine part of the amplitude, joint side")
-    order: Shape = Shape("", "periods a motor turn", COGGING_ORDERS, 0.5, 60.0)
+    order: Shape = Shape("", "periods a motor turn", COGGING_ORDERS, 0.5, MOST_ORDER, most_step=0.05)
     name = "cogging"
+    repeats = True
     online = staticmethod(_online)
     settles = "a slow constant-speed sweep of this joint over several motor turns"
+
+    def grid(self, scene: Scene) -> list[tuple[float, ...]]:
+        """The usual orders, and those that stand out of what the base model leaves."""
+        left, turns = scene.segment.torque - scene.total, scene.mechanism.gear_ratio * scene.segment.theta / (2 * np.pi)
+        orders: set[int] = set(COGGING_ORDERS)
+        for joint, moving in enumerate(scene.segment.moving.T):
+            orders.update(standing_out(turns[moving, joint], left[moving, joint])[:MOST_PEAKS])
+        return [(float(order),) for order in sorted(orders)]
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 2)."""

@@ -15,10 +15,12 @@ from scipy.signal import lfilter
 from service.model.effects.base import Effect, Shape
 from service.model.scene import Scene
 
+CUTOFFS = (1.0, 1.8, 3.0, 5.0, 8.0, 15.0, 25.0, 40.0, 70.0, 120.0)  # the lowest: a drive's filter of what it reports
+
 
 @dataclass(frozen=True)
 class TorqueFilter(Effect):
-    cutoff: Shape = Shape("Hz", "cut-off frequency", (8.0, 15.0, 25.0, 40.0, 70.0, 120.0), 3.0, 300.0)
+    cutoff: Shape = Shape("Hz", "cut-off frequency", CUTOFFS, 0.3, 300.0)
     name = "torque_filter"
     per_joint = False
     own_joint = False

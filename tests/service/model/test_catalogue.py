@@ -133,10 +133,10 @@ STATED = {
         "",
     ),
     "torque_delay": ("measured takes_timing", {"delay": ("s", -0.02, 0.02)}, [], INF, INF, ""),
-    "torque_filter": ("measured", {"cutoff": ("Hz", 3.0, 300.0)}, [], INF, INF, ""),
+    "torque_filter": ("measured", {"cutoff": ("Hz", 0.3, 300.0)}, [], INF, INF, ""),
     "cogging": (
         "per_joint own_joint",
-        {"cosine": ("N m", -INF, INF), "sine": ("N m", -INF, INF), "order": ("", 0.5, 60.0)},
+        {"cosine": ("N m", -INF, INF), "sine": ("N m", -INF, INF), "order": ("", 0.5, 500.0)},
         [],
         INF,
         INF,
@@ -177,7 +177,7 @@ SPANS = {
     ("backlash", "contact_damping"): (2.0, 2.0),
     ("backlash", "motor_share"): (0.1, 0.55),
     ("torque_delay", "delay"): (-0.003, 0.006),
-    ("torque_filter", "cutoff"): (8.0, 120.0),
+    ("torque_filter", "cutoff"): (1.0, 120.0),
     ("cogging", "order"): (1, 36),
     ("encoder_eccentricity", "order"): (1, 4),
 }

@@ -1,0 +1,82 @@
+"""Real machines, imported from their original files and diagnosed: what is known of them is found, nothing else named.
+
+What is known: the README beside each set of logs.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from service.cli.main import app
+
+SURE = 0.9  # probability from which a name counts as given
+TORQUE_CONSTANT = 8.27 / 150  # N m/A of the ODrive's motor
+COUNTED = """joints = 1
+time = "1"
+position = { name = "2", unit = "counts", counts_per_rev = 8192 }
+torque = { name = "3", unit = "A", constant = 0.055133 }
+"""
+# load: a share of 885, unsigned 16 bit, times the supply's volts. N m per volt: 0.0678 to 0.0877 by the published fits
+PWM = """joints = 1
+time = "timestamp"
+where = { name = "torque_enable", equals = 1 }
+position = "position"
+position_command = "goal_position"
+torque = { name = "load", bits = 16, times = "input_volts", unit = "V", constant = 8.43e-5 }
+"""
+
+
+def diagnosed(folder: Path, columns: str, logs: list[Path]) -> dict[str, Any]:
+    """The document that the command writes of some logs of one axis."""
+    (folder / "columns.toml").write_text(columns)
+    (folder / "axes.toml").write_text('name = "real"\nkind = "axes"\ncolumns = "columns.toml"\n[[axis]]\n')
+    arguments = ["diagnose", *logs, "--robot", folder / "axes.toml", "--out", folder / "out"]
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return json.loads((folder / "out" / "diagnosis.json").read_text())
+
+
+def sure(document: dict[str, Any]) -> set[str]:
+    """Effects that are given as good as certain."""
+    return {effect["name"] for effect in document["effects"] if effect["probability"] >= SURE}
+
+
+def test_cogging_of_many_orders_behind_a_filter(shared: Path, tmp_path: Path) -> None:
+    """ODrive: slow turns. By the static map 0.86, 0.56, 0.35, 0.29, 0.26 A of orders 7, 28, 14, 36, 12, reported
+    through a low-pass of 1.27 Hz (by its setting) to 1.47 Hz (own fit beside the logs)."""
+    folder = shared / "real" / "odrive_cogging"
+    names = ("slow2/nocomp_0", "slow2/nocomp_1", "slow2/nocomp_2", "slow2_slower/nocomp_0")
+    document = diagnosed(tmp_path, COUNTED, [folder / f"{name}.npy" for name in names])
+    assert sure(document) <= {"cogging", "torque_filter"}
+    effects = {effect["name"]: effect["parameters"] for effect in document["effects"]}
+    assert 1.27 / 1.05 < effects["torque_filter"]["cutoff"]["value"] < 1.47 * 1.05
+    found = {}
+    for key, order in effects["cogging"].items():
+        if key.startswith("order"):
+            parts = [effects["cogging"][key.replace("order", part)]["value"] for part in ("cosine", "sine")]
+            found[round(order["value"])] = np.hypot(*parts) / TORQUE_CONSTANT
+    for order, amperes in {7: 0.862, 28: 0.560, 14: 0.349, 36: 0.290, 12: 0.263}.items():
+        assert found[order] == pytest.approx(amperes, rel=0.12), order
+    assert all(found[order] < 0.15 for order in found.keys() - {7, 28, 14, 36, 12})
+    assert all(document["base"][key]["value"] >= 0 for key in ("inertia_1", "f_v_1", "f_c_1"))
+
+
+def test_a_weight_is_neither_spring_nor_cogging_nor_filter(shared: Path, tmp_path: Path) -> None:
+    """Servo on a pendulum: m g l 0.4805 N m and 0.00654 kg m^2, of which the drive's constant is only known to a
+    quarter; so their ratio is held against it."""
+    logs = sorted((shared / "real" / "bam_xl330" / "raw").glob("*.json"))
+    powered = [log for log in logs if log.stem[-8:] not in ("10h28m17", "10h29m21", "10h29m54")]
+    document = diagnosed(tmp_path, PWM, powered)
+    assert not sure(document) - {"load_dependent_friction"}
+    base = {key: estimate["value"] for key, estimate in document["base"].items()}
+    weight = np.hypot(base["gravity_sin_1"], base["gravity_cos_1"])
+    assert base["inertia_1"] / weight == pytest.approx(0.00654 / 0.4805, rel=0.05)
+    constant = 8.43e-5 * 885 * 0.4805 / weight  # N m per volt that makes the weight right
+    assert 0.0678 < constant < 0.0877
+    assert min(base["f_v_1"], base["f_c_1"]) >= 0
