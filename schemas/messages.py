@@ -94,6 +94,7 @@ class HealthFlag(enum.IntFlag):
     DUPLICATE_SOURCE = 16  # two senders on one key
     WRONG_DECLARATION = 32  # drives contradict the robot description
     STALE_FEEDFORWARD = 64  # the drives get no fresh feed-forward: it fades to zero or is zero
+    FRICTION_DRIFT = 256  # friction is further from the identified one than the robot description allows
     STOPPED = 128  # the last word of this role; `reason` says why
 
 
@@ -182,6 +183,7 @@ REFERENCE = _load("Reference")
 FEEDFORWARD = _load("Feedforward")
 PAYLOAD = _load("Payload")
 MODEL_ERROR = _load("ModelError")
+FRICTION = _load("Friction")
 HEALTH = _load("Health")
 
 TOPICS = {
@@ -190,6 +192,7 @@ TOPICS = {
     "feedforward": FEEDFORWARD,
     "payload": PAYLOAD,
     "error": MODEL_ERROR,
+    "friction": FRICTION,
     "health": HEALTH,
 }
 

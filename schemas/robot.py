@@ -173,6 +173,7 @@ class Limits(_Section):
     torque_fade_s: Positive = 0.05  # in which a feed-forward without fresh input goes to zero
     joint_speed_radps: Positive = 40.0  # a position or command that moved faster is a jump
     max_payload_kg: Positive = 6.0
+    friction_drift: Positive = 0.3  # share of the identified friction beyond which health says that it has changed
 
 
 class FourthAxis(_Section):

@@ -22,6 +22,7 @@ _WRITERS: dict[str, tuple[Role, ...]] = {
     "feedforward": (Role.ESTIMATOR,),
     "payload": (Role.ESTIMATOR,),
     "error": (Role.ESTIMATOR,),
+    "friction": (Role.ESTIMATOR,),
     "health": tuple(Role),
 }
 _LISTENERS: dict[str, tuple[Role, ...]] = {

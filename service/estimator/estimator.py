@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from schemas.errors import DataError
-from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, stamp_ns
+from schemas.messages import FEEDFORWARD, FRICTION, MODEL_ERROR, PAYLOAD, stamp_ns
 from schemas.robot import Robot
-from service.estimator import state
+from service.estimator import friction, state
 from service.estimator.feedforward import plan_kernel
 from service.estimator.step import answer_kernel, look_back_kernel, run_kernel
 
@@ -91,6 +91,19 @@ class Estimator:
     def state(self) -> np.void:
         """The STATE record: everything that is remembered from sample to sample."""
         return self._steps["state"][0]
+
+    def friction(self) -> np.ndarray:
+        """(1,) record of FRICTION: what is known of friction now."""
+        (state,), (settings,) = self._steps["state"], self._steps["settings"]
+        departure, spread = friction.learnt(state["payload"]["friction"])
+        record = FRICTION.empty()
+        for field in ("stamp_sec", "stamp_nanosec", "sequence"):
+            record[field] = state[field]
+        for part, name in enumerate(("coulomb", "viscous", "offset")):
+            record[name], record[f"{name}_std_dev"] = departure[:, part], spread[:, part]
+        identified = np.stack([settings["coulomb"], settings["viscous"]], axis=1)
+        record["drift"] = friction.drift_share(departure, identified)
+        return record
 
     def warm_up(self) -> None:
         """Compile `plan` and `step`, without touching the state, so that the first live sample is not seconds late."""

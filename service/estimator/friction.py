@@ -17,6 +17,7 @@ COUNT = 3 * PARTS
 # One standard deviation of what a gear does from day to day, as a share of what was identified, and at least this.
 DRIFT_SHARE = 0.15
 SMALLEST_DRIFT = (0.15, 0.05, 0.15)  # N m, N m s/rad, N m
+DRIFT_SPEED = 1.0  # rad/s, at which two frictions are compared
 # No more than this many standard deviations are believed.
 BOUND = 4.0
 # A gear warms within minutes.
@@ -47,6 +48,22 @@ def start(state: np.ndarray, prior: np.ndarray) -> None:
     """Nothing is known but the prior (9,)."""
     state[:] = np.zeros((), STATE)
     state["covariance"] = np.diag(prior**2)
+
+
+def learnt(state: np.void) -> tuple[np.ndarray, np.ndarray]:
+    """Departure from the identified friction and its standard deviation, (3, PARTS) each: joints, parts."""
+    spread = np.sqrt(np.maximum(np.diag(state["covariance"]), 0.0))
+    return state["delta"].reshape(3, PARTS).copy(), spread.reshape(3, PARTS)
+
+
+def drift_share(departure: np.ndarray, identified: np.ndarray) -> np.ndarray:
+    """(3,): the larger of what friction at `DRIFT_SPEED` and what the offset departs by, over friction there.
+
+    departure: (3, PARTS), as `learnt`. identified: (3, 2) N m, N m s/rad.
+    """
+    moving = departure[:, 0] + departure[:, 1] * DRIFT_SPEED
+    whole = identified[:, 0] + identified[:, 1] * DRIFT_SPEED
+    return np.maximum(np.abs(moving), np.abs(departure[:, 2])) / np.maximum(whole, SMALLEST_DRIFT[0])
 
 
 @njit(cache=True)

@@ -1,4 +1,4 @@
-"""The estimator on the bus: takes `sample` and `reference`, gives `feedforward`, `payload` and `error`."""
+"""The estimator on the bus: takes `sample` and `reference`, gives `feedforward`, `payload`, `error` and `friction`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Node:
     def __init__(self, robot: Robot, bus: Bus, flags: HealthFlag) -> None:
         self._robot = robot
         self._samples, self._references = bus.subscribe("sample"), bus.subscribe("reference", capacity=1024)
-        self._put = {topic: bus.publisher(topic).put for topic in ("feedforward", "payload", "error")}
+        self._put = {topic: bus.publisher(topic).put for topic in ("feedforward", "payload", "error", "friction")}
         self.health, self._flags = Health(bus, flags), flags
         self._counter = SequenceCounter()
         self._waiting: list[bytes] = []  # the first samples, until they tell the period
@@ -39,7 +39,7 @@ class Node:
         self._estimator: Estimator | None = None
         self._every = 1  # sequence numbers from report to report
         self._published = self._invalid = self._received = 0
-        self._heard_ns, self._silent = time.monotonic_ns(), False
+        self._heard_ns, self._silent, self._drifted = time.monotonic_ns(), False, False
 
     def step(self) -> None:
         """Wait for a sample, at most POLL_S, and answer it."""
@@ -65,7 +65,24 @@ class Node:
         silent = time.monotonic_ns() - self._heard_ns > max(STALE_NS, cycles * 1e9)
         if silent != self._silent:
             self._silent = silent
-            self.health.flags = self._flags | (HealthFlag.STALE_INPUT if silent else HealthFlag(0))
+            self._set_flags()
+
+    def _set_flags(self) -> None:
+        flags = self._flags
+        if self._silent:
+            flags |= HealthFlag.STALE_INPUT
+        if self._drifted:
+            flags |= HealthFlag.FRICTION_DRIFT
+        self.health.flags = flags
+
+    def _tell_friction(self, estimator: Estimator) -> None:
+        friction = estimator.friction()
+        self._put["friction"](friction.tobytes())
+        self._published += 1
+        drifted = bool((friction["drift"] > self._robot.limits.friction_drift).any())
+        if drifted != self._drifted:
+            self._drifted = drifted
+            self._set_flags()
 
     def _wait_for_rate(self, message: bytes, came: int) -> None:
         self._waiting.append(message)
@@ -105,6 +122,8 @@ class Node:
     def report(self) -> None:
         """Publish health."""
         self._recent.clear()  # read the rate anew
+        if self._estimator is not None and not self._silent:
+            self._tell_friction(self._estimator)
         self.health.publish(
             received=self._received,
             published=self._published,

@@ -20,7 +20,7 @@ import math
 import numpy as np
 from numba import njit
 
-from schemas.messages import PayloadEvent
+from schemas.messages import Gripper, PayloadEvent
 from service.estimator import friction
 
 BIN_TIME = 0.002  # s, resolution of an onset
@@ -72,6 +72,8 @@ CONTRADICTION, CONTRADICTION_FLOOR = 2.0, 0.05  # -, kg
 # A gripper makes this many events a second at most; a burst of so many more is no gripper.
 EVENT_RATE, EVENT_BURST = 5.0, 3.0  # 1/s, -
 
+UNKNOWN, OPEN = Gripper.UNKNOWN.value, Gripper.OPEN.value
+EMPTY_SIGMAS = 5.0  # by which a mass contradicts an open gripper
 WEIGHT, RESIDUAL, COLUMN = range(3)  # of a joint's sums over a block
 ONSET_DOUBT = 3  # bins by which an onset is found too late
 PENDING = 5  # newest blocks that a change not yet found may lie in
@@ -135,6 +137,8 @@ STATE = np.dtype(
         ("column", "f8", (3, LOADS)),  # of this sample: what each load does, phi N m/kg and swing N m/(kg m)
         ("residual", "f8", 3),  # of this sample, N m, measured minus predicted without payload
         ("weight", "f8", 3),  # of this sample, (N m)^-2, 0 where a joint has nothing to say
+        ("gripper", "i8"),  # of this sample, schemas.messages.Gripper
+        ("gripper_before", "i8"),
         ("mass", "f8"),  # kg
         ("std_dev", "f8"),  # kg
         ("trusted", "i8"),
@@ -201,6 +205,8 @@ def start(state: np.ndarray, prior: np.ndarray) -> None:
 def payload_kernel(settings, state):
     """Take the sample in state.column, residual, weight, shape. Filled: mass, std_dev, trusted. Returns an event."""
     column, residual, weight, shape, head = state.column, state.residual, state.weight, state.shape, state.head
+    if state.gripper != state.gripper_before:
+        _grip(state)
     for i in range(3):
         weight[i] *= settings.worth
     _note_turning(settings, state)
@@ -244,6 +250,25 @@ def payload_kernel(settings, state):
         if onset > 0 and state.active > 1:
             _part_blocks(settings, state, onset * settings.bin_size)
     return _conclude(settings, state)
+
+
+@njit(cache=True)
+def _grip(state):
+    """The gripper opened or closed: what hangs on it is another from here on."""
+    if state.gripper_before != UNKNOWN and state.gripper != UNKNOWN:
+        for n in range(WINDOW):
+            state.bin_information[n] = 0.0
+            state.bin_moment[n] = 0.0
+            state.bin_drag[n] = 0.0
+        state.in_bin = 0
+        state.filled = 1
+        state.information[:] = 0.0
+        for p in range(LOADS):
+            state.information[p, p] = _prior(p)
+            state.moment[p] = 0.0
+            state.drag[p] = 0.0
+        state.raw_information = _prior(0)
+    state.gripper_before = state.gripper
 
 
 @njit(cache=True)
@@ -424,6 +449,11 @@ def _conclude(settings, state):
         trusted = False
         std_dev = max(std_dev, abs(mass - min(max(mass, 0.0), settings.max_payload)))
     held = min(max(mass, 0.0), settings.max_payload)
+    if state.gripper == OPEN:
+        if mass > EMPTY_SIGMAS * std_dev + SMALLEST_CHANGE:  # the gripper says one thing, the torque another
+            trusted, std_dev = False, max(std_dev, held)
+        else:
+            trusted, held, std_dev = True, 0.0, 0.0
     event = PayloadEvent.NONE.value
     if state.last_event == PayloadEvent.RELEASE.value and state.quiet < WINDOW * settings.bin_size:
         state.load = min(state.load, held)  # the rest of a release is no second one

@@ -56,6 +56,7 @@ _PAST = np.dtype(
         ("stamp_nanosec", "u4"),
         ("sequence", "u8"),
         ("flags", "u4"),
+        ("gripper", "u4"),
     ],
     align=True,
 )

@@ -112,6 +112,7 @@ def _remember(settings, state, sample, flags, gap):
     past.stamp_nanosec = sample.stamp_nanosec
     past.sequence = sample.sequence
     past.flags = flags
+    past.gripper = sample.gripper
     for i in range(3):
         past.torque[i] = sample.torque[i] if flags & UNUSABLE == 0 else 0.0
 
@@ -151,6 +152,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             )
             # a resting joint's friction can be anything within Coulomb's bounds, the same for as long as it rests
             weighed.weight[i] = 1.0 / (settings.variance[i] + doubt * doubt) if speed > REVERSAL_SPEED else 0.0
+        weighed.gripper = past.gripper
         event = payload_kernel(settings.payload, weighed)
         load = usable_mass(state)
         for i in range(3):

@@ -10,7 +10,7 @@ from schemas.messages import TOPICS, Role, SampleFlag
 INVALID = SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE
 
 # Told of every n-th sample at a high rate and of none while filters start: a hole in their sequence is no loss.
-THINNED = ("payload", "error")
+THINNED = ("payload", "error", "friction")
 _ANSWERS = ("feedforward", *THINNED)  # what the estimator's health counts as published
 _WAITING = 1 << 17  # answers since its last health, 8 s at the fastest: beyond, none comes, and nothing can be told
 _REMEMBERED = 1 << 15  # samples whose time is known when their feed-forward comes; 8 s at 4 kHz

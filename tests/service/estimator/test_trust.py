@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from schemas.messages import PayloadEvent, stamp_ns
+from schemas.messages import Gripper, PayloadEvent, stamp_ns
 from service.estimator.estimator import Estimator
 from service.model.kinematics import jacobian
 from service.model.nominal import pack
@@ -112,6 +112,48 @@ def test_an_angle_that_fails_is_not_taken_for_one(robot, make):
     payload, time = weigh(robot, known.samples)
     assert np.abs(payload["mass"] - 2.0)[time > 0.5].max() < 0.05
     assert payload["trusted"][time > 0.5].all()
+
+
+def test_an_open_gripper_holds_nothing(robot, make):
+    """Not a gram, and a release is seen in the sample in which the valve opens."""
+    known = make(9.0, payload=carried, noise=0.25)
+    held = carried(stamp_ns(known.samples) * 1e-9) > 0
+    known.samples["gripper"] = np.where(held, Gripper.CLOSED, Gripper.OPEN)
+    payload, time = weigh(robot, known.samples)
+    empty = carried(time - 6 * PERIOD) == 0
+    assert (payload["mass"][empty] == 0).all()
+    assert payload["trusted"][empty].all()
+    kinds, at = payload["event"][payload["event"] != 0], time[payload["event"] != 0]
+    assert (kinds == [PayloadEvent.PICK, PayloadEvent.RELEASE] * len(PICKS)).all()
+    assert (np.abs(at[1::2] - [off for _, off, _ in PICKS]) < 0.01).all(), "a release is the valve's"
+    inside, trusted = covered(payload, time, carried(time))
+    assert inside >= 0.95
+    assert trusted >= 0.75, "all but the 150 ms after each change"
+
+
+def test_a_load_on_an_open_gripper_is_not_trusted(robot, make):
+    known = make(2.0, payload=lambda t: 2.0 * np.ones_like(t), noise=0.25)
+    known.samples["gripper"] = Gripper.OPEN
+    payload, time = weigh(robot, known.samples)
+    assert not payload["trusted"][time > 0.2].any()
+
+
+def test_friction_is_told(robot, make):
+    """20 % above the identified at 1 rad/s: the record has each part, its error and the share."""
+    known = make(6.0, noise=0.25)
+    way = np.clip(known.theta_dot / 0.01, -1, 1)
+    found = robot.identified
+    more = 0.2 * (np.array(found.coulomb_friction_nm.value) + np.array(found.viscous_friction_nms.value))
+    known.samples["torque"] += more * way
+    estimator = Estimator(robot, PERIOD)
+    estimator.run(known.samples)
+    (told,) = estimator.friction()
+    assert (np.abs(told["coulomb"] - more) < 4 * told["coulomb_std_dev"] + 0.02).all()
+    assert (np.abs(told["viscous"]) < 4 * told["viscous_std_dev"] + 0.02).all()
+    assert (np.abs(told["offset"]) < 4 * told["offset_std_dev"] + 0.02).all()
+    assert (told["coulomb_std_dev"] < 0.1).all()
+    np.testing.assert_allclose(told["drift"], 0.2, atol=0.04)
+    assert told["sequence"] == known.samples["sequence"][-1]
 
 
 def test_a_mass_below_nothing_is_not_told_and_counts_against_the_others(robot, make):
