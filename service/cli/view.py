@@ -1,0 +1,68 @@
+"""`deltatwin view`: what runs on the bus, live in Foxglove."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.network import Insecure, ZenohConfig
+
+
+def command(
+    robot: Annotated[
+        Path,
+        typer.Option(metavar="FILE|NAME", help="Robot description (TOML); its name is the robot on the bus."),
+    ],
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; 0.0.0.0 lets every host in, unchecked.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 takes a free one.")] = 8765,
+    layout: Annotated[
+        Path | None, typer.Option(help="Write the Foxglove layout of this robot here (.json) and end.")
+    ] = None,
+    zenoh_config: ZenohConfig = None,
+    insecure: Insecure = False,
+) -> None:
+    """Serve the bus to Foxglove: torques, model errors, payload, health, and the robot in three dimensions.
+
+    In Foxglove: Open connection, Foxglove WebSocket, ws://127.0.0.1:8765; then import the layout. Recordings of
+    `monitor` open with the same layout. At most 200 messages of a topic a second are passed on, and all picks and
+    releases.
+
+    Example: deltatwin view --robot d3.toml --layout d3.layout.json && deltatwin view --robot d3.toml
+    """
+    from schemas.files import write_text
+    from schemas.robot import load_robot
+
+    description = load_robot(robot)
+    if layout is not None:
+        from drivers.view.layout import layout as layout_of
+
+        write_text(layout, layout_of(description.name))
+        typer.echo(f"wrote {layout}; in Foxglove: Layouts, Import from file")
+        return
+    from schemas.errors import BusError
+
+    try:
+        from drivers.view.server import View, run
+    except ModuleNotFoundError as error:
+        if error.name != "foxglove":
+            raise
+        raise BusError("view needs the Foxglove SDK: install deltatwin[view]") from None
+
+    from drivers.bus import open_bus
+    from schemas.messages import Role
+    from service.cli.signals import terminate_as_interrupt
+
+    terminate_as_interrupt()
+    with (
+        open_bus(description.name, Role.OBSERVER, zenoh_config, insecure) as bus,
+        View(bus, description, host, port) as view,
+    ):
+        typer.echo(f"view of {description.name}: ws://{host}:{view.port}; Ctrl-C ends it", err=True)
+        try:
+            run(view)
+        except KeyboardInterrupt:
+            typer.echo(f"view: stopped; {view.shown} messages shown", err=True)
