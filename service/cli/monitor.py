@@ -103,6 +103,6 @@ def summary(monitor: Monitor) -> str:
             f"{counts.restarts:>9}"
         )
     lost = monitor.tally.thinned_lost
-    lines.append(f"lost of {' and '.join(THINNED)} together: {'cannot be told' if lost is None else lost}")
+    lines.append(f"lost of {', '.join(THINNED)} together: {'cannot be told' if lost is None else lost}")
     lines.append(f"rejected payloads {monitor.rejected}")
     return "\n".join(lines)

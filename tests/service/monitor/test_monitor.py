@@ -327,4 +327,4 @@ def test_a_monitor_that_hears_no_payload_of_a_live_estimator_says_how_much_is_mi
         time.sleep(0.001)
     time.sleep(0.5)
     told, _ = watched.finish()
-    assert "lost of payload and error together: 200" in told
+    assert "lost of payload, error, friction together: 200" in told
