@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -29,6 +29,7 @@ from service.model.nominal import DeltaModel
 mujoco.set_mju_user_warning(lambda message: None)
 
 IMPEDANCE = 0.9999  # MuJoCo's upper bound: share of the constraint acceleration that is removed
+SIDES = (-ROD_SPACING / 2, ROD_SPACING / 2)  # m, of a forearm's rods from its middle
 THIN = 1e-7  # kg m^2 about a link's own axis: nothing, but MuJoCo wants it positive
 
 
@@ -116,7 +117,7 @@ def true_geometry(truth: PlantTruth) -> DeltaModel:
 def build(design: Design, step: float) -> Mechanism:
     """Compile `design` for an integration step of `step` s."""
     truth = design.truth
-    model = mujoco.MjModel.from_xml_string(_document(design, step))
+    model = specify(design, step).compile()
     address = {model.joint(i).name: i for i in range(model.njnt)}  # hinges and slides only: joint = coordinate = dof
     arm = np.array([address[f"arm{i}"] for i in range(3)])
     motor = np.array([address.get(f"motor{i}", arm[i]) for i in range(3)])
@@ -223,70 +224,80 @@ def centre_pose(truth: PlantTruth) -> np.ndarray:
     return theta
 
 
-def _document(design: Design, step: float) -> str:
-    truth = design.truth
-    soft = f'{2 * step} 1" solimp{{0}}="{IMPEDANCE} {IMPEDANCE} 1e-3'
-    closure, friction = soft.format(""), soft.format("friction")
-    arms, feet, loops, motors = [], [], [], []
+def specify(design: Design, step: float) -> mujoco.MjSpec:
+    """`design` as an editable model, for an integration step of `step` s. Joints `arm<i>`, `motor<i>` where a motor is
+    a mass of its own, `x`, `y`, `z` of the platform."""
+    truth, spec = design.truth, mujoco.MjSpec()
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep, option.gravity = step, truth.gravity_mps2
+    option.integrator, option.solver = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, mujoco.mjtSolver.mjSOL_NEWTON
+    option.jacobian, option.tolerance, option.iterations = mujoco.mjtJacobian.mjJAC_DENSE, 1e-12, 20
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    upper = spec.worldbody if design.base_mode is None else _swinging_base(spec, design.base_mode)
+    for i in range(3):
+        _add_arm(upper, design, i, step)
+    for i in range(3):
+        if design.split[i]:
+            rotor = truth.rotor_inertia_kgm2[i]
+            motor = _add_body(upper, f"motor{i}", 1.0, [0, 0, 0], [rotor] * 3, **_place(truth, i))
+            _hinge(motor, f"motor{i}", step)
+    platform = _add_body(spec.worldbody, "platform", truth.platform_kg, [0, 0, 0], [1e-3] * 3)
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        platform.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
     for i in range(3):
         azimuth = math.radians(truth.arm_angles_deg[i])
         cosine, sine = math.cos(azimuth), math.sin(azimuth)
-        length, mass, centre = (
-            truth.active_link_length_m[i],
-            truth.active_link_kg[i],
-            truth.active_link_centre_m[i],
-        )
-        about_centre = max(truth.active_link_inertia_kgm2[i] - mass * centre**2, THIN)
-        rod_mass, rod_length = truth.forearm_kg[i] / 2, truth.passive_link_length_m
-        across = rod_mass * rod_length**2 / 12
-        rods = []
-        for rod, side in enumerate((-ROD_SPACING / 2, ROD_SPACING / 2)):
-            rods.append(
-                f'<body name="rod{i}{rod}" pos="{length} {side} 0">'
-                f'<joint name="swing{i}{rod}" axis="0 1 0"/><joint name="tilt{i}{rod}" axis="0 0 1"/>'
-                f'<inertial pos="{rod_length / 2} 0 0" mass="{rod_mass}" diaginertia="{THIN} {across} {across}"/>'
-                f'<site name="end{i}{rod}" pos="{rod_length} 0 0"/></body>'
-            )
+        for rod, side in enumerate(SIDES):
             x = truth.platform_radius_m * cosine - side * sine
             y = truth.platform_radius_m * sine + side * cosine
-            feet.append(f'<site name="foot{i}{rod}" pos="{x} {y} 0"/>')
-            loops.append(f'<connect site1="end{i}{rod}" site2="foot{i}{rod}" solref="{closure}"/>')
-        place = (
-            f'pos="{truth.base_radius_m * cosine} {truth.base_radius_m * sine} 0" euler="0 0 {truth.arm_angles_deg[i]}"'
-        )
-        armature = 0.0 if design.split[i] else truth.rotor_inertia_kgm2[i]
-        arms.append(
-            f'<body name="arm{i}" {place}>'
-            f'<joint name="arm{i}" axis="0 1 0" armature="{armature}" solreffriction="{friction}"/>'
-            f'<inertial pos="{centre} 0 0" mass="{mass}" diaginertia="{THIN} {about_centre} {about_centre}"/>'
-            f"{''.join(rods)}</body>"
-        )
-        if design.split[i]:
-            rotor = truth.rotor_inertia_kgm2[i]
-            motors.append(
-                f'<body name="motor{i}" {place}><joint name="motor{i}" axis="0 1 0" solreffriction="{friction}"/>'
-                f'<inertial pos="0 0 0" mass="1" diaginertia="{rotor} {rotor} {rotor}"/></body>'
-            )
-    upper = "".join(arms + motors)
-    if design.base_mode is not None:
-        mode = design.base_mode
-        stiffness = mode.mass * (2 * math.pi * mode.frequency) ** 2
-        damping = 2 * mode.damping_ratio * math.sqrt(stiffness * mode.mass)
-        upper = (
-            f'<body name="base"><joint name="base" type="slide"'
-            f' axis="{math.cos(mode.azimuth)} {math.sin(mode.azimuth)} 0" stiffness="{stiffness}" damping="{damping}"/>'
-            f'<inertial pos="0 0 0" mass="{mode.mass}" diaginertia="1 1 1"/>{upper}</body>'
-        )
-    slides = "".join(
-        f'<joint name="{name}" type="slide" axis="{axis}"/>'
-        for name, axis in (("x", "1 0 0"), ("y", "0 1 0"), ("z", "0 0 1"))
-    )
-    gravity = " ".join(str(component) for component in truth.gravity_mps2)
-    return (
-        f'<mujoco><compiler angle="degree"/>'
-        f'<option timestep="{step}" gravity="{gravity}" integrator="implicitfast" solver="Newton" jacobian="dense"'
-        f' tolerance="1e-12" iterations="20"><flag contact="disable"/></option>'
-        f'<worldbody>{upper}<body name="platform">{slides}'
-        f'<inertial pos="0 0 0" mass="{truth.platform_kg}" diaginertia="1e-3 1e-3 1e-3"/>{"".join(feet)}</body>'
-        f"</worldbody><equality>{''.join(loops)}</equality></mujoco>"
-    )
+            platform.add_site(name=f"foot{i}{rod}", pos=[x, y, 0.0])
+            spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_SITE, name1=f"end{i}{rod}",
+                name2=f"foot{i}{rod}", solref=[2 * step, 1.0], solimp=[IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 2.0],
+            )  # fmt: skip
+    return spec
+
+
+def _add_arm(upper: mujoco.MjsBody, design: Design, i: int, step: float) -> None:
+    truth = design.truth
+    length, mass, centre = truth.active_link_length_m[i], truth.active_link_kg[i], truth.active_link_centre_m[i]
+    about_centre = max(truth.active_link_inertia_kgm2[i] - mass * centre**2, THIN)
+    arm = _add_body(upper, f"arm{i}", mass, [centre, 0, 0], [THIN, about_centre, about_centre], **_place(truth, i))
+    _hinge(arm, f"arm{i}", step).armature = 0.0 if design.split[i] else truth.rotor_inertia_kgm2[i]
+    rod_mass, rod_length = truth.forearm_kg[i] / 2, truth.passive_link_length_m
+    across = rod_mass * rod_length**2 / 12
+    for number, side in enumerate(SIDES):
+        middle, inertia = [rod_length / 2, 0, 0], [THIN, across, across]
+        rod = _add_body(arm, f"rod{i}{number}", rod_mass, middle, inertia, pos=[length, side, 0.0])
+        rod.add_joint(name=f"swing{i}{number}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0])
+        rod.add_joint(name=f"tilt{i}{number}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+        rod.add_site(name=f"end{i}{number}", pos=[rod_length, 0, 0])
+
+
+def _swinging_base(spec: mujoco.MjSpec, mode: BaseMode) -> mujoco.MjsBody:
+    stiffness = mode.mass * (2 * math.pi * mode.frequency) ** 2
+    base = _add_body(spec.worldbody, "base", mode.mass, [0, 0, 0], [1.0] * 3)
+    base.add_joint(
+        name="base", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[math.cos(mode.azimuth), math.sin(mode.azimuth), 0.0],
+        stiffness=stiffness, damping=2 * mode.damping_ratio * math.sqrt(stiffness * mode.mass),
+    )  # fmt: skip
+    return base
+
+
+def _add_body(
+    parent: mujoco.MjsBody, name: str, mass: float, centre: Sequence[float], inertia: Sequence[float], **place: Any
+) -> mujoco.MjsBody:
+    return parent.add_body(name=name, mass=mass, ipos=centre, inertia=inertia, explicitinertial=True, **place)
+
+
+def _place(truth: PlantTruth, i: int) -> dict[str, list[float]]:
+    """Of a joint's axis on the base."""
+    azimuth = math.radians(truth.arm_angles_deg[i])
+    pos = [truth.base_radius_m * math.cos(azimuth), truth.base_radius_m * math.sin(azimuth), 0.0]
+    return {"pos": pos, "quat": [math.cos(azimuth / 2), 0.0, 0.0, math.sin(azimuth / 2)]}
+
+
+def _hinge(body: mujoco.MjsBody, name: str, step: float) -> mujoco.MjsJoint:
+    friction = {"solref_friction": [2 * step, 1.0], "solimp_friction": [IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 2.0]}
+    return body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0], **friction)
