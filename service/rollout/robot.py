@@ -14,7 +14,7 @@ from service.model.effects.presliding_friction import deflection
 from service.model.hypothesis import Term
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel, pack
-from service.model.scene import Recording, Scene
+from service.model.scene import Base, Recording, Scene
 from service.model.signals import Segment, delayed, smooth
 from service.model.two_masses import relative_motion
 from service.rollout.kernel import FORWARD, SHARPEST
@@ -94,9 +94,7 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     forward, model = np.zeros(1, FORWARD), pack(changed)
     for name in DeltaModel._fields:
         forward["model"][name] = getattr(model, name)
-    # rho also stands for rotor and gear: a longer link changes its own share of inertia and gravity, not theirs
-    forward["rho_1"] = base.rigid[0] + (1.0 - base.rigid[0]) * (1.0 - ratio**-2)
-    forward["rho_2"] = base.rigid[1] + (1.0 - base.rigid[1]) * (1.0 - ratio**-1)
+    forward["rho_1"], forward["rho_2"] = grey(base, ratio)
     forward["forearm"] = base.rigid[2]
     forward["viscous"], forward["coulomb"] = base.viscous, base.coulomb
     forward["transition"] = max(float(np.max(base.transition)), SHARPEST)
@@ -110,6 +108,13 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     forward["bristle"], forward["distance"] = inside.bristle, inside.distance
     forward["motor"], forward["stiffness"], forward["damping"], forward["half"] = motor, stiffness, damping, half
     return Stretch(model, forward, start, encoders, torque, inside.wobble, robot.drive.gear_ratio)
+
+
+def grey(base: Base, ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """rho_1 and rho_2 (3,) of links that are `ratio` (3,) as long as drawn: rho also stands for rotor and gear, and a
+    longer link changes its own share of inertia and gravity, not theirs."""
+    rho_1, rho_2 = base.rigid[0], base.rigid[1]
+    return rho_1 + (1.0 - rho_1) * (1.0 - ratio**-2), rho_2 + (1.0 - rho_2) * (1.0 - ratio**-1)
 
 
 def true_torque(terms: tuple[Term, ...], timing: float, torque: np.ndarray, period: float) -> np.ndarray:

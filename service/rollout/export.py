@@ -1,0 +1,328 @@
+"""A description in a simulator's own terms: MuJoCo's closed chain, and the open chain of a URDF for viewers.
+
+The forearm term of mass m_f is that of uniform rods of m_f; what point masses the base model has beyond them goes to
+platform and active link, so that rho_1, rho_2 and forearm come out as they were identified:
+
+    platform = M - 3/2 m_f,   about the joint: rho_1 I - m_f/2 l1^2,   first moment: rho_2 G/g - m_f/2 l1
+"""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo's compiled modules carry no types)
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from xml.etree import ElementTree as xml
+
+import mujoco
+import numpy as np
+
+from drivers.plant.mechanism import Design, build, centre_pose, close, specify
+from drivers.plant.truth import PlantTruth
+from schemas.errors import RobotError
+from schemas.robot import Robot
+from service.estimator.effects import corrected
+from service.model.description import base_of, terms_of
+from service.model.effects.base import Inside
+from service.model.forward import forward_dynamics
+from service.model.hypothesis import Term
+from service.model.nominal import pack
+from service.rollout.robot import grey
+
+STEP = 0.25e-3  # s
+SMOOTH = 0.01  # rad/s over which the callback's friction turns, explicit as it is
+OF_THE_MEASUREMENT = {
+    "torque_delay": "shift a recorded torque by it before it goes in",
+    "torque_filter": "turn it round on a recorded torque before that goes in",
+    "encoder_eccentricity": "add it to the angle that is read",
+}
+
+
+@dataclass
+class Export:
+    """spec: the model. callback: Python that runs what MuJoCo has no word for, or None. by_callback: those effects.
+    left_out: effect -> why neither has it."""
+
+    spec: mujoco.MjSpec
+    callback: str | None = None
+    by_callback: list[str] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+def to_mjcf(robot: Robot) -> Export:
+    """The closed chain of `robot` in MuJoCo's terms. Joints `arm<i>` turn as the encoders read, actuators `drive<i>`
+    take the torque that a log reports.
+
+    Raises:
+        RobotError: an effect that is not known, or figures that no body can have.
+    """
+    terms, base = terms_of(robot), base_of(robot.identified)
+    changed, ratio, scale = corrected(robot)
+    model, (rho_1, rho_2) = pack(changed), grey(base, ratio)
+    amount = _amounts(terms)
+    inside = Inside()
+    for term in terms:
+        for place, amplitude in zip(term.places, term.amplitude, strict=True):
+            term.effect.put_inside(inside, place, amplitude, term.shape)
+    forearm, length = float(base.rigid[2]), model.active_length
+    more = amount("arm_mass", "delta_m")
+    inertia = (
+        rho_1 * model.inertia - forearm / 2 * length**2 + more * length**2 / 3 + amount("rotor_inertia", "delta_i")
+    )
+    moment = rho_2 * model.gravity_torque / model.gravity - forearm / 2 * length + more * length / 2
+    platform = model.moving_mass - 1.5 * forearm + float(amount("tool_mass", "delta_m")[0])
+    if platform <= 0 or (inertia <= 0).any():
+        raise RobotError(
+            f"robot {robot.name}: no bodies have these figures: platform {platform:.3g} kg, active links "
+            f"{', '.join(f'{value:.3g}' for value in inertia)} kg m^2 about their joints"
+        )
+    motor, stiffness, damping, half = _trains(inside, model, base.rigid)
+    drawn = np.maximum(robot.mass.active_link + more, 1e-3)
+    link = np.where(motor > 0, inertia - motor, np.minimum(inertia, drawn * length**2 / 3))
+    if (link <= 0).any():
+        raise RobotError(f"robot {robot.name}: so much of a joint's inertia on the motor leaves none for its link")
+    mass = np.maximum(drawn, 2 * moment**2 / link)  # turning about a fixed axis, only moment and inertia are felt
+    about_x, about_y = amount("base_tilt", "about_x")[0], amount("base_tilt", "about_y")[0]
+    truth = PlantTruth.nominal(robot).model_copy(
+        update={
+            "gravity_mps2": [model.gravity * about_y, -model.gravity * about_x, -model.gravity],
+            "active_link_length_m": length.tolist(),
+            "active_link_kg": mass.tolist(),
+            "active_link_centre_m": (moment / mass).tolist(),
+            "active_link_inertia_kgm2": link.tolist(),
+            "rotor_inertia_kgm2": np.maximum(inertia - link, 0.0).tolist(),
+            "forearm_kg": [max(forearm, 1e-6)] * 3,
+            "platform_kg": platform,
+            "joint_offset_rad": [0.0, 0.0, 0.0],
+        }
+    )
+    design = replace(Design(truth), drive_stiffness=tuple(np.where(motor > 0, np.maximum(stiffness, 1.0), 0.0)))
+    spec = specify(design, STEP)
+    spec.modelname = robot.name
+    spring, preload = amount("joint_spring", "k"), amount("joint_spring", "preload")
+    offset = amount("torque_offset", "offset")
+    for i in range(3):
+        turns = spec.joint(f"motor{i}" if motor[i] > 0 else f"arm{i}")
+        turns.frictionloss = float(base.coulomb[i] - inside.bristle[i])
+        _linear(turns, damping=float(base.viscous[i]))
+        if spring[i] > 0:
+            _linear(turns, stiffness=float(spring[i]))
+            turns.springref = float(-preload[i] / spring[i])
+        for name in {turns.name, f"arm{i}"}:
+            spec.joint(name).ref = -float(model.joint_offset[i])
+        if motor[i] > 0:
+            _add_train(spec, i, float(stiffness[i]), float(damping[i]), float(half[i]))
+        drive = spec.add_actuator(name=f"drive{i}", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=turns.name)
+        drive.set_to_motor()
+        drive.gainprm[0] = 1.0 / scale[i]
+        push = -offset[i] - (preload[i] if spring[i] <= 0 else 0.0)
+        if push:
+            drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            drive.biasprm[0] = push
+    hose = amount("hose_spring", "k")[0]
+    if hose > 0:
+        for axis in "xyz":
+            _linear(spec.joint(axis), stiffness=float(hose))
+            spec.joint(axis).springref = float(-amount("hose_spring", f"force_{axis}")[0] / hose)
+    _add_home(spec, design, model.joint_offset)
+    result = Export(spec)
+    _callback(result, robot, terms, base.transition)
+    return result
+
+
+def _linear(part: mujoco.MjsJoint | mujoco.MjsTendon, **values: float) -> None:
+    """Stiffness or damping, which MuJoCo 4 takes as a polynomial."""
+    for name, value in values.items():
+        setattr(part, name, value if np.isscalar(getattr(part, name)) else [value, 0.0, 0.0])
+
+
+def _amounts(terms: tuple[Term, ...]):
+    """(effect, amplitude) -> (3,) of the joints, or three times that of the whole robot; zero without the effect."""
+
+    def amount(effect: str, name: str) -> np.ndarray:
+        result = np.zeros(3)
+        for term in terms:
+            if term.effect.name == effect:
+                column = list(term.effect.amplitudes).index(name)
+                result[list(term.joints) or slice(None)] += term.amplitude[:, column]
+        return result
+
+    return amount
+
+
+def _trains(inside: Inside, model, rigid: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Inertia of motors of their own, stiffness, damping and half the lost motion, (3,) each; zero where stiff."""
+    motor, stiffness, damping, half = np.zeros((4, 3))
+    if inside.two_masses:
+        # on a log it is the mean along it; here over the middle of the workspace
+        poses = np.array([[a, b, c] for a in (0.0, 0.4, 0.8) for b in (0.0, 0.4, 0.8) for c in (0.0, 0.4, 0.8)])
+        _, mass = forward_dynamics(model, rigid, poses, 0 * poses, 0 * poses)
+        for joint, (gap, natural_hz, ratio, share) in inside.two_masses.items():
+            whole = float(np.mean(mass[:, joint, joint]))
+            motor[joint], link = share * whole, (1 - share) * whole
+            stiffness[joint] = link * (2 * np.pi * natural_hz) ** 2
+            damping[joint], half[joint] = 2 * ratio * np.sqrt(stiffness[joint] * link), gap
+    return motor, stiffness, damping, half
+
+
+def _add_train(spec: mujoco.MjSpec, i: int, stiffness: float, damping: float, half: float) -> None:
+    """A spring between motor and link, or the two ends of a gap."""
+    train = spec.add_tendon(name=f"train{i}")
+    train.wrap_joint(f"motor{i}", 1.0)
+    train.wrap_joint(f"arm{i}", -1.0)
+    if half > 0:
+        train.limited, train.range = True, [-half, half]
+        train.solref_limit = [2 * STEP, 1.0]
+    else:
+        _linear(train, stiffness=stiffness, damping=damping)
+        train.springlength = [0.0, 0.0]
+
+
+def _add_home(spec: mujoco.MjSpec, design: Design, offset: np.ndarray) -> None:
+    """A keyframe with the links a little below the horizontal."""
+    plain = build(design, STEP)
+    pose = close(plain, centre_pose(design.truth)[None])[0]
+    for i in range(3):
+        pose[list({plain.arm[i], plain.motor[i]})] -= offset[i]
+    spec.add_key(name="home", qpos=pose)
+
+
+# The torque of effects MuJoCo has no word for, on joint i: q rad, v rad/s, way of motion, time s; {name} is a tuple of
+# three, or the shape's value.
+FORMS = {
+    "stribeck_friction": "{f_s}[i] * way * math.exp(-((v / {v_s}) ** 2))",
+    "asymmetric_friction": "{delta_c}[i] + {delta_v}[i] * abs(v)",
+    "nonlinear_viscous_friction": "{f}[i] * way * abs(v) ** {p}",
+    "position_dependent_friction": ("({cosine}[i] * math.cos({order} * q) + {sine}[i] * math.sin({order} * q)) * way"),
+    "warmup_friction": "{f}[i] * math.exp(-time / {tau}) * v",
+    "cogging": ("{cosine}[i] * math.cos({order} * GEAR_RATIO * q) + {sine}[i] * math.sin({order} * GEAR_RATIO * q)"),
+    "presliding_friction": "{f}[i] * self.slide(i, q, {distance})",
+}
+
+# What is left of the drive's torque goes through the gear, load, and load + mu |load| way = what is left.
+_LOAD = """            left = float(data.qfrc_actuator[dof] + data.qfrc_passive[dof]) - self.dry[dof] * way - torque
+            torque += {mu}[i] * abs(left) * way / (1.0 + {mu}[i] * way * math.copysign(1.0, left))  # {name}
+"""
+
+_HEAD = '''"""What MuJoCo has no word for in robot {name}. Made by `deltatwin export`.
+
+    effects = Effects(model)
+    while ...:
+        effects.apply(data)
+        mujoco.mj_step(model, data)
+"""
+
+import math
+
+GEAR_RATIO = {gear_ratio!r}
+SMOOTH = {smooth!r}  # rad/s over which friction turns
+
+
+class Effects:
+    """Sets data.qfrc_applied of the joints and the platform; add your own forces after it."""
+
+    def __init__(self, model):
+        self.joints = [model.joint(name) for name in {joints!r}]
+        self.dry = model.dof_frictionloss
+        self.platform = [model.joint(axis).dofadr[0] for axis in "xyz"]
+        self.bristle = [0.0, 0.0, 0.0]
+        self.last = [None, None, None]
+
+    def slide(self, i, q, distance):
+        """Bristles between -1 and 1: they bend before they slip."""
+        step = 0.0 if self.last[i] is None else q - self.last[i]
+        self.last[i] = q
+        sign = 1.0 if step > 0.0 else -1.0
+        self.bristle[i] = sign + (self.bristle[i] - sign) * math.exp(-abs(step) / distance)
+        return self.bristle[i]
+
+    def apply(self, data):
+        time = data.time
+        for i, joint in enumerate(self.joints):
+            dof = joint.dofadr[0]
+            q, v = float(data.qpos[joint.qposadr[0]]), float(data.qvel[dof])
+            way = math.tanh(v / SMOOTH)
+            torque = 0.0
+'''
+_TAIL = """            data.qfrc_applied[dof] = -torque
+"""
+_DRAG = """        velocity = [float(data.qvel[dof]) for dof in self.platform]
+        speed = math.sqrt(sum(value**2 for value in velocity))
+        for dof, value in zip(self.platform, velocity):
+            data.qfrc_applied[dof] = -{c!r} * speed * value  # air_drag
+"""
+_IN_THE_MODEL = {
+    "rotor_inertia", "arm_mass", "tool_mass", "base_tilt", "joint_spring", "hose_spring", "link_length_error",
+    "joint_offset", "joint_elasticity", "backlash", "torque_scale", "torque_offset",
+}  # fmt: skip
+
+
+def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], transition: float | np.ndarray) -> None:
+    """Fill callback, by_callback and left_out of `result`."""
+    lines, load, drag = [], "", ""
+    for term in terms:
+        effect, name = term.effect, term.effect.name
+        if name in FORMS or name == "load_dependent_friction":
+            spread = np.zeros((3, len(effect.amplitudes)))
+            spread[list(term.joints)] = term.amplitude
+            values = {key: tuple(map(float, spread[:, n])) for n, key in enumerate(effect.amplitudes)}
+            values |= {key: float(value) for key, value in zip(effect.shapes, term.shape, strict=True)}
+            if name in FORMS:
+                lines.append(f"            torque += {FORMS[name].format(**values)}  # {name}\n")
+            else:
+                load += _LOAD.format(**values, name=name)
+        elif name == "air_drag":
+            drag = _DRAG.format(c=float(term.amplitude[0, 0]))
+        elif name in OF_THE_MEASUREMENT:
+            result.left_out[name] = f"of the measurement, not of the robot: {OF_THE_MEASUREMENT[name]}"
+            continue
+        elif name not in _IN_THE_MODEL:
+            result.left_out[name] = "neither MuJoCo nor the callback has a form for it"
+            continue
+        else:
+            continue
+        result.by_callback.append(name)
+    if result.by_callback:
+        split = {joint.name for joint in result.spec.joints if joint.name.startswith("motor")}
+        joints = [f"motor{i}" if f"motor{i}" in split else f"arm{i}" for i in range(3)]
+        smooth = max(SMOOTH, float(np.max(transition)))
+        head = _HEAD.format(name=robot.name, gear_ratio=robot.drive.gear_ratio, joints=joints, smooth=smooth)
+        result.callback = head + "".join(lines) + load + _TAIL + drag
+
+
+def to_urdf(robot: Robot) -> str:
+    """The actuated part of `robot` for viewers, base and active links: URDF knows no closed chain."""
+    changed, _, _ = corrected(robot)
+    model = pack(changed)
+    root = xml.Element("robot", name=robot.name)
+    geometry, limits = robot.geometry, robot.limits
+    _link(root, "base", geometry.base_radius, 0.02, upright=True)
+    low, high = geometry.joint_range_rad
+    for i in range(3):
+        azimuth, length = robot.arm_angles[i], float(model.active_length[i])
+        place = geometry.base_radius * np.array([np.cos(azimuth), np.sin(azimuth)])
+        _link(root, f"arm{i}", 0.02, length)
+        joint = _joint(root, f"arm{i}", "revolute", "base", f"arm{i}", (*place, 0.0), (0.0, 0.0, azimuth))
+        xml.SubElement(joint, "axis", xyz="0 1 0")
+        torque = limits.peak_torque_nm or PlantTruth.nominal(robot).peak_torque_nm
+        bounds = {"lower": low, "upper": high, "effort": torque, "velocity": limits.joint_speed_radps}
+        xml.SubElement(joint, "limit", {key: f"{value:.6g}" for key, value in bounds.items()})
+    xml.indent(root)
+    return xml.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _link(root: xml.Element, name: str, radius: float, length: float, upright: bool = False) -> None:
+    """A cylinder along x from the link's origin, or upright about it."""
+    visual = xml.SubElement(xml.SubElement(root, "link", name=name), "visual")
+    turn, middle = ("0 0 0", "0 0 0") if upright else ("0 1.5707963 0", f"{length / 2:.6g} 0 0")
+    xml.SubElement(visual, "origin", xyz=middle, rpy=turn)
+    shape = xml.SubElement(visual, "geometry")
+    xml.SubElement(shape, "cylinder", radius=f"{radius:.6g}", length=f"{length:.6g}")
+
+
+def _joint(root: xml.Element, name: str, kind: str, parent: str, child: str, xyz, rpy) -> xml.Element:
+    joint = xml.SubElement(root, "joint", name=name, type=kind)
+    xml.SubElement(joint, "parent", link=parent)
+    xml.SubElement(joint, "child", link=child)
+    xml.SubElement(joint, "origin", xyz=" ".join(f"{v:.6g}" for v in xyz), rpy=" ".join(f"{v:.6g}" for v in rpy))
+    return joint

@@ -1,0 +1,126 @@
+"""The exported model is the robot that `rollout` simulates."""
+
+# pyright: reportAttributeAccessIssue=false
+# (MuJoCo's compiled modules carry no types)
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.plant.mechanism import Mechanism, close, dependence
+from schemas.robot import EffectParameter, Robot, save_robot
+from service.cli.main import app
+from service.model import kinematics
+from service.rollout.export import STEP, to_mjcf
+from service.rollout.gap import simulate
+from service.rollout.robot import Stretch, stretch
+from tests.service.rollout.test_kernel import HORIZON, effect, identified, recorded
+from tests.service.world import PERIOD
+
+BODIES = (
+    "tool_mass", "rotor_inertia", "arm_mass", "link_length_error", "joint_offset", "joint_spring",
+    "hose_spring", "torque_scale", "torque_offset",
+)  # fmt: skip
+CALLED = (
+    "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "nonlinear_viscous_friction",
+    "position_dependent_friction", "warmup_friction", "cogging", "presliding_friction", "air_drag",
+)  # fmt: skip
+
+
+def run(robot: Robot, seen: Stretch, at: int, torque: np.ndarray) -> np.ndarray:
+    """Angles (3,) rad that the encoders of the exported model give after the horizon, from the state of row `at`."""
+    made = to_mjcf(robot)
+    model = made.spec.compile()
+    data = mujoco.MjData(model)
+    names = ("arm0", "arm1", "arm2")
+    arm = np.array([model.joint(name).qposadr[0] for name in names])
+    motors = [f"motor{i}" if f"motor{i}" in {joint.name for joint in made.spec.joints} else f"arm{i}" for i in range(3)]
+    motor = np.array([model.joint(name).qposadr[0] for name in motors])
+    platform = np.array([model.joint(axis).qposadr[0] for axis in "xyz"])
+    mechanism = Mechanism(model, seen.model._replace(joint_offset=np.zeros(3)), arm, motor, platform, 0)
+    link, link_dot, angle, speed, bristles = seen.start[at]
+    true = link + seen.model.joint_offset
+    data.qpos[:] = close(mechanism, true[None])[0]
+    data.qvel[:] = dependence(mechanism, true[None])[0] @ link_dot
+    data.qpos[arm], data.qpos[motor], data.qvel[motor] = link, angle, speed
+    scope: dict = {}
+    if made.callback is not None:
+        exec(made.callback, scope)
+    effects = scope["Effects"](model) if scope else None
+    if effects is not None:
+        effects.bristle[:] = bristles
+    steps = round(PERIOD / STEP)
+    data.time = at * PERIOD
+    for k in range(HORIZON - 1):
+        for part in range(steps):
+            data.ctrl[:] = torque[k] + (torque[k + 1] - torque[k]) * (part + 0.5) / steps
+            if effects is not None:
+                effects.apply(data)
+            mujoco.mj_step(model, data)
+    return data.qpos[motor].copy()
+
+
+@pytest.mark.parametrize(
+    "names",
+    [(), BODIES, ("base_tilt",), ("joint_elasticity",), ("backlash",), CALLED],
+    ids=["base", "bodies", "tilt", "spring", "gap", "called"],
+)
+def test_it_goes_where_rollout_goes(names: tuple[str, ...]) -> None:
+    effects = [effect(name) for name in names]
+    for entry in effects:
+        if "motor_share" in entry.parameters:  # more than the link has to give could not be built
+            entry.parameters["motor_share"] = EffectParameter(value=0.15)
+    robot = identified(*effects)
+    part = recorded(robot)
+    seen = stretch(robot, part, part.theta)
+    for at in (200, 620):
+        rows = slice(at, at + HORIZON)
+        ours = simulate(seen, seen.start[[at]], seen.torque[None, rows], part.time[[at]], PERIOD)[0]
+        there, begin = (kinematics.forward(seen.model, angle) for angle in (ours[-1], ours[0]))
+        theirs = kinematics.forward(seen.model, run(robot, seen, at, part.torque[rows]))
+        off, way = np.linalg.norm(theirs - there), np.linalg.norm(there - begin)
+        print(f"{names}: {1e3 * off:.3f} mm of {1e3 * way:.0f} mm")
+        assert way > 0.05
+        assert off < 0.01 * way
+
+
+def test_the_command_writes_model_and_callback_and_says_what_is_left_out(tmp_path: Path) -> None:
+    robot = identified(*(effect(name) for name in ("tool_mass", "stribeck_friction", "torque_filter")))
+    save_robot(robot, tmp_path / "corrected.toml")
+    told = CliRunner().invoke(app, ["export", str(tmp_path / "corrected.toml"), "--out", str(tmp_path / "robot.xml")])
+    assert told.exit_code == 0, told.output
+    assert "robot_effects.py: call it before every step for stribeck_friction" in told.output
+    assert "torque_filter is left out: of the measurement" in told.output
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    assert [model.joint(f"arm{i}").name for i in range(3)] == ["arm0", "arm1", "arm2"]
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.efc_pos[: data.ne]).max() < 1e-6  # the chain is closed at home
+    compile((tmp_path / "robot_effects.py").read_text(), "robot_effects.py", "exec")
+
+
+def test_a_urdf_has_the_three_active_links(tmp_path: Path) -> None:
+    save_robot(identified(), tmp_path / "r.toml")
+    arguments = ["export", str(tmp_path / "r.toml"), "--to", "urdf", "--out", str(tmp_path / "r.urdf")]
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    root = ElementTree.parse(tmp_path / "r.urdf").getroot()
+    joints = root.findall("joint")
+    assert [joint.get("type") for joint in joints] == ["revolute"] * 3
+    assert len(root.findall("link")) == 4
+
+
+def test_figures_that_no_body_can_have_are_told(tmp_path: Path) -> None:
+    heavy = identified().model_copy(
+        update={"mass": identified().mass.model_copy(update={"platform": 0.01, "passive_link": 0.05})}
+    )
+    save_robot(heavy, tmp_path / "r.toml")
+    told = CliRunner().invoke(app, ["export", str(tmp_path / "r.toml"), "--out", str(tmp_path / "r.xml")])
+    assert "no bodies have these figures" in str(told.exception)
+    assert not (tmp_path / "r.xml").exists()
