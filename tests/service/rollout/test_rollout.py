@@ -65,8 +65,12 @@ def test_no_window_spans_a_gap(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("turned", "said"), [((0, 1, 2), "joint 1, 2, 3"), ((1,), "joint 2")])
 def test_a_torque_of_the_wrong_sign_is_named(tmp_path: Path, turned: tuple[int, ...], said: str) -> None:
-    with pytest.raises(DataError, match=rf"log\.csv: the simulated robot runs away .* torque of {said} turned round"):
-        run(log(tmp_path, identified(), turned), identified=identified())
+    path = log(tmp_path, identified(), turned)
+    save_robot(identified(), tmp_path / "r.toml")
+    told = runner.invoke(app, ["rollout", str(path), "--robot", str(tmp_path / "r.toml")])
+    assert isinstance(told.exception, DataError)
+    assert f"{path}: the simulated robot runs away" in str(told.exception)
+    assert f"with the torque of {said} turned round it does not" in str(told.exception)
 
 
 def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
