@@ -1,0 +1,23 @@
+"""What README shows of Python runs as it stands there."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+import numpy as np
+
+from tests.conftest import REPOSITORY
+
+
+def test_the_example_from_python_runs() -> None:
+    section = (
+        (REPOSITORY / "README.md").read_text(encoding="utf-8").split("## From Python\n", 1)[1].split("\n## ", 1)[0]
+    )
+    code = textwrap.dedent("\n".join(line for line in section.splitlines() if line.startswith("    ") or not line))
+    found: dict[str, Any] = {}
+    exec(code, found)
+    assert found["trace"].torque.shape[1] == 3
+    assert found["mass"].max() > 0.5  # the demo's log carries products
+    assert np.isfinite(found["torque"]).all()
+    assert all(rms.shape == (3,) and rms.max() < found["trace"].torque.std() for rms in found["rms"].values())
