@@ -41,8 +41,8 @@ FORWARD = np.dtype(
         ("gear_ratio", "f8"),
         ("at_joints", EFFECT, MAX_EFFECTS),  # the joints' own effects
         ("at_platform", EFFECT, MAX_EFFECTS),  # those that reach all joints
-        ("joints_accelerate", "i8"),  # 1 where one of them depends on the acceleration
-        ("platform_accelerates", "i8"),
+        ("masses_at_joints", EFFECT, MAX_EFFECTS),  # of both those that depend on the acceleration
+        ("masses_at_platform", EFFECT, MAX_EFFECTS),
         ("ball_joints", "f8", 4),  # as in `Inside`
         ("bristle", "f8", 3),
         ("distance", "f8", 3),
@@ -69,6 +69,8 @@ SCRATCH = np.dtype(
         ("own", "f8", 3),  # N m of the effects
         ("shared", "f8", 3),
         ("more", "f8", 3),
+        ("added", "f8", (3, 3)),  # kg m^2 of effects that reach all joints, of the step's start
+        ("added_own", "f8", 3),  # of the joints' own
         ("right_link", "f8", 3),  # torque left over for acceleration
         ("right_motor", "f8", 3),
         ("contact", "f8", (2, 3)),  # stiffness and damping of flanks that are closed
@@ -93,21 +95,21 @@ SCRATCH = np.dtype(
 
 
 @njit(cache=True)
-def _own(f, s, motor, motor_dot, seconds, torque):
+def _own(f, s, effects, motor, motor_dot, seconds, torque):
     for i in range(3):
         torque[i] = 0.0
     effects_kernel(
-        f.at_joints, f.model, f.gear_ratio, f.rho_2[0], motor, motor_dot, s.guess, s.way, s.load, seconds, s.position,
+        effects, f.model, f.gear_ratio, f.rho_2[0], motor, motor_dot, s.guess, s.way, s.load, seconds, s.position,
         s.work, torque,
     )  # fmt: skip
 
 
 @njit(cache=True)
-def _shared(f, s, link, link_dot, seconds, torque):
+def _shared(f, s, effects, link, link_dot, seconds, torque):
     for i in range(3):
         torque[i] = 0.0
     effects_kernel(
-        f.at_platform, f.model, f.gear_ratio, f.rho_2[0], link, link_dot, s.guess, s.way, s.load, seconds, s.position,
+        effects, f.model, f.gear_ratio, f.rho_2[0], link, link_dot, s.guess, s.way, s.load, seconds, s.position,
         s.work, torque,
     )  # fmt: skip
 
@@ -166,8 +168,8 @@ def _evaluate(f, s, state, torque, seconds, step, implicit):
         s.way[i] = math.tanh(motor_dot[i] / f.transition)
         for axis in range(3):
             acceleration[axis] += column[i, axis] * lever[i] * s.guess[i]
-    _own(f, s, motor, motor_dot, seconds, s.own)
-    _shared(f, s, link, link_dot, seconds, s.shared)
+    _own(f, s, f.at_joints, motor, motor_dot, seconds, s.own)
+    _shared(f, s, f.at_platform, link, link_dot, seconds, s.shared)
     if implicit:
         _steepness(f, s, motor, motor_dot, seconds)
     for i in range(3):
@@ -175,31 +177,17 @@ def _evaluate(f, s, state, torque, seconds, step, implicit):
         s.right_motor[i] = push - f.bristle[i] * (bristle[i] - s.way[i])
         s.right_link[i] = -s.bias[i] - s.shared[i]
         s.inertia[i] = f.motor[i]
-    if f.joints_accelerate != 0:
-        for i in range(3):
-            s.guess[i] += 1.0
-        _own(f, s, motor, motor_dot, seconds, s.more)
-        for i in range(3):
-            s.guess[i] -= 1.0
-            step_up = s.more[i] - s.own[i]
-            s.right_motor[i] += step_up * s.guess[i]
-            if f.motor[i] > 0.0:
-                s.inertia[i] += step_up
-            else:
-                s.mass[i, i] += step_up
-    if f.platform_accelerates != 0:
+    if implicit:
+        _added(f, s, state, seconds)
+    for i in range(3):
+        s.right_motor[i] += s.added_own[i] * s.guess[i]
+        if f.motor[i] > 0.0:
+            s.inertia[i] += s.added_own[i]
+        else:
+            s.mass[i, i] += s.added_own[i]
         for j in range(3):
-            s.guess[j] += 1.0
-            for axis in range(3):
-                acceleration[axis] += column[j, axis] * lever[j]
-            _shared(f, s, link, link_dot, seconds, s.more)
-            s.guess[j] -= 1.0
-            for axis in range(3):
-                acceleration[axis] -= column[j, axis] * lever[j]
-            for i in range(3):
-                step_up = s.more[i] - s.shared[i]
-                s.mass[i, j] += step_up
-                s.right_link[i] += step_up * s.guess[j]
+            s.mass[i, j] += s.added[i, j]
+            s.right_link[i] += s.added[i, j] * s.guess[j]
     if f.ball_joints[0] + f.ball_joints[1] + f.ball_joints[2] + f.ball_joints[3] > 0.0:
         for i in range(3):
             s.more[i] = 0.0
@@ -219,6 +207,33 @@ def _evaluate(f, s, state, torque, seconds, step, implicit):
 
 
 @njit(cache=True)
+def _added(f, s, state, seconds):
+    """s.added, s.added_own: inertia of effects that depend on the acceleration, by one rad/s^2 more of it."""
+    link, link_dot, motor, motor_dot = state[0], state[1], state[2], state[3]
+    column, lever, acceleration = s.work[1], s.work[4, 0], s.work[4, 2]
+    if f.masses_at_joints[0].number >= 0:
+        _own(f, s, f.masses_at_joints, motor, motor_dot, seconds, s.added_own)
+        for i in range(3):
+            s.guess[i] += 1.0
+        _own(f, s, f.masses_at_joints, motor, motor_dot, seconds, s.more)
+        for i in range(3):
+            s.guess[i] -= 1.0
+            s.added_own[i] = s.more[i] - s.added_own[i]
+    if f.masses_at_platform[0].number >= 0:
+        _shared(f, s, f.masses_at_platform, link, link_dot, seconds, s.side)
+        for j in range(3):
+            s.guess[j] += 1.0
+            for axis in range(3):
+                acceleration[axis] += column[j, axis] * lever[j]
+            _shared(f, s, f.masses_at_platform, link, link_dot, seconds, s.more)
+            s.guess[j] -= 1.0
+            for axis in range(3):
+                acceleration[axis] -= column[j, axis] * lever[j]
+            for i in range(3):
+                s.added[i, j] = s.more[i] - s.side[i]
+
+
+@njit(cache=True)
 def _steepness(f, s, motor, motor_dot, seconds):
     """s.steep: secant of everything that turns with the direction of motion."""
     slow = False
@@ -228,7 +243,7 @@ def _steepness(f, s, motor, motor_dot, seconds):
     if slow:
         for i in range(3):
             s.way[i] += 1.0
-        _own(f, s, motor, motor_dot, seconds, s.more)
+        _own(f, s, f.at_joints, motor, motor_dot, seconds, s.more)
         for i in range(3):
             s.way[i] -= 1.0
             s.steep[i] += s.more[i] - s.own[i]
