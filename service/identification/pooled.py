@@ -29,7 +29,7 @@ from service.model.mechanism import mechanism_of
 from service.model.parameters import Parameters, Quantity, base_parameters
 from service.model.ripple import standing_out
 from service.model.scene import Base, Recording
-from service.model.signals import Band, resolved_hz
+from service.model.signals import Band, lowpass, resolved_hz
 from service.model.torque import predict
 
 START_TRANSITION = 0.002  # rad/s
@@ -122,16 +122,18 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, np.ndarray]:
     first = solver.fit(problem, _start(problem), iterations=2).hypothesis
     left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first.base)]
     noise = np.minimum(noise, white_noise(recordings, left))
-    wider = Band.of(period, max(band.cutoff_hz, _ripple_hz(recordings, left)))
+    above = [values - lowpass(values, period, band.cutoff_hz) for values in left]
+    wider = Band.of(period, max(band.cutoff_hz, _ripple_hz(recordings, above)))
     if wider.cutoff_hz > band.cutoff_hz:
         problem, share = Problem.of(recordings, wider, problem.sigma), wider.white_share**0.5
     return replace(problem, sigma=np.maximum(noise, 1e-9) * share), noise
 
 
-def _ripple_hz(recordings: Sequence[Recording], left: Sequence[np.ndarray]) -> float:
-    """How far a band has to reach for the ripple over motor turns that stands out of (N, n) what a model leaves."""
+def _ripple_hz(recordings: Sequence[Recording], above: Sequence[np.ndarray]) -> float:
+    """How far a band has to reach for the ripple over motor turns that stands out of (N, n) what a model leaves above
+    the band that there is."""
     highest = 0.0
-    for recording, values in zip(recordings, left, strict=True):
+    for recording, values in zip(recordings, above, strict=True):
         segment = recording.segment
         turns = recording.mechanism.gear_ratio * segment.theta / (2 * np.pi)
         for joint, moving in enumerate(segment.moving.T):
@@ -250,6 +252,14 @@ def fit(problem: Problem, noise: np.ndarray, nominal: np.ndarray) -> Plain:
         worst = int(np.argmax(np.where(vague, relative, 0.0)))
         reasons[known[worst].name] = f"these logs leave it open by {100 * relative[worst]:.0f} %"
         held[worst] = True
+    low = np.array([parameter.low for parameter in known])
+    while (below := ~held & (values < low)).any():
+        worst = int(np.argmax(np.where(below, (low - values) / np.maximum(error, 1e-300), 0.0)))
+        reasons[known[worst].name] = "these logs ask for less of it than there can be"
+        held[worst], fallback[worst] = True, low[worst]
+        values = _solve(total_left, total_right, held, fallback)
+        error = _jackknife(left, right, held, fallback)
+        relative = error / np.maximum(np.abs(values), scale)
     base = fitted.hypothesis.base
     k, n = len(base.rigid), len(base.viscous)
     rigid, viscous, coulomb = np.split(values, [k, k + n])

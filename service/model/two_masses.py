@@ -75,6 +75,9 @@ def relative_motion(
     motor = motor_share * float(np.mean(whole))
     link = np.maximum(whole - motor, 0.02 * whole)
     mean = float(np.mean(link))
+    if mean <= 0.0:  # a base model that found no inertia has no link that could swing
+        still = np.zeros(len(whole))
+        return Relative(still, still, still, motor, 0.0, 0.0)
     stiffness = mean * (2 * np.pi * natural_hz) ** 2
     damping = float(2 * damping_ratio * np.sqrt(stiffness * mean))
     acceleration = np.ascontiguousarray(scene.segment.theta_ddot[:, joint])
