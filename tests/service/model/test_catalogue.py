@@ -36,7 +36,7 @@ STATED = {
     "load_dependent_friction": ("per_joint own_joint directional", {"mu": ("", 0.0, INF)}, [], INF, INF, ""),
     "nonlinear_viscous_friction": (
         "per_joint own_joint own_shapes directional",
-        {"f": ("N m (s/rad)^p", -INF, INF), "p": ("", 0.2, 4.0)},
+        {"f": ("N m (s/rad)^p", 0.0, INF), "p": ("", 0.2, 4.0)},
         [],
         INF,
         INF,
@@ -79,7 +79,7 @@ STATED = {
         INF,
         "delta",
     ),
-    "rotor_inertia": ("per_joint own_joint", {"delta_i": ("kg m^2", -INF, INF)}, [], INF, INF, ""),
+    "rotor_inertia": ("per_joint own_joint", {"delta_i": ("kg m^2", 0.0, INF)}, [], INF, INF, ""),
     "arm_mass": ("per_joint own_joint", {"delta_m": ("kg", -INF, INF)}, [], INF, INF, "delta"),
     "tool_mass": ("", {"delta_m": ("kg", -INF, INF)}, [], INF, INF, "delta"),
     "base_tilt": ("", {"about_x": ("rad", -INF, INF), "about_y": ("rad", -INF, INF)}, [], 0.35, INF, "delta"),
