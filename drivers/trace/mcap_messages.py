@@ -24,8 +24,8 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, McapRecord, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 from numba import njit
 
@@ -77,7 +77,7 @@ def read_summary(stream: IO[bytes], path: Path) -> Summary | None:
     if not 0 <= size - start <= MAX_SUMMARY_BYTES:
         raise StorageError(f"{path}: a summary from byte {start} of {size}, at most {MAX_SUMMARY_BYTES} bytes are read")
     stream.seek(start)
-    reader = StreamReader(io.BytesIO(stream.read()), skip_magic=True, record_size_limit=size - start)
+    reader = StreamReader(io.BytesIO(stream.read()), skip_magic=True, emit_chunks=True, record_size_limit=size - start)
     summary = Summary()
     try:
         for record in reader.records:
@@ -163,6 +163,35 @@ def _unzstd(data: bytes, size: int) -> bytes:
         raise StorageError(f"a damaged chunk: {error}") from error
 
 
+def read_records(stream: IO[bytes], path: Path) -> Iterator[McapRecord]:
+    """All records of the data, those of chunks among them.
+
+    Raises:
+        StorageError: the file is damaged, or unpacks to more than its size allows.
+    """
+    for block, room in _blocks(stream, path):
+        data = _unpacked(block, room, path)
+        plain = Chunk(
+            compression="",
+            data=data,
+            message_start_time=0,
+            message_end_time=0,
+            uncompressed_crc=0,
+            uncompressed_size=len(data),
+        )
+        try:
+            yield from breakup_chunk(plain)
+        except LIBRARY_ERRORS as error:
+            raise StorageError(f"{path}: a damaged chunk: {error}") from error
+
+
+def _unpacked(block: Chunk | bytes, room: int, path: Path) -> bytes:
+    try:
+        return block if isinstance(block, bytes) else unpack(block, room)
+    except StorageError as error:
+        raise StorageError(f"{path}: {error}") from error
+
+
 def _blocks(stream: IO[bytes], path: Path) -> Iterator[tuple[Chunk | bytes, int]]:
     """Chunks with what they may unpack to, and messages outside of chunks, up to the end of the data."""
     size = stream.seek(0, io.SEEK_END)
@@ -194,12 +223,7 @@ def _blocks(stream: IO[bytes], path: Path) -> Iterator[tuple[Chunk | bytes, int]
 
 
 def _select(block: tuple[Chunk | bytes, int], path: Path, wanted: Sequence[Wanted]) -> list[tuple[Messages, int]]:
-    packed, room = block
-    try:
-        records = packed if isinstance(packed, bytes) else unpack(packed, room)
-    except StorageError as error:
-        raise StorageError(f"{path}: {error}") from error
-    data = np.frombuffer(records, np.uint8)
+    data = np.frombuffer(_unpacked(*block, path), np.uint8)
     chosen = []
     for _, ids, size in wanted:
         most = len(data) // (_RECORD.size + _MESSAGE_HEAD + size)

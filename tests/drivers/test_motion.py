@@ -40,7 +40,7 @@ from drivers.motion import Planner
 from schemas.robot import load_robot
 from service.estimator.estimator import Estimator
 robot = load_robot("d3-1200")
-Planner(robot, 4e-3).pick_and_place(np.random.default_rng(0), 1.0, masses=(1.0,), speed=0.5)
+Planner(robot, 4e-3).pick_and_place(np.random.default_rng(0), 3.0, masses=(1.0,), speed=0.5)
 Estimator(robot, 4e-3)
 assert "mujoco" not in sys.modules and not any(name.startswith("drivers.plant") for name in sys.modules)
 """

@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers.ethercat import cia402
 from drivers.ethercat.cia402 import scales
-from drivers.ethercat.eni import MappedObject, Network, read_eni, slave_objects
+from drivers.ethercat.eni import MAX_COMMANDS, MappedObject, Network, read_eni, slave_objects
 from schemas.errors import RobotError
 from schemas.robot import JointDrive, Robot
 
@@ -20,7 +20,6 @@ REQUIRED = (cia402.POSITION_ACTUAL, cia402.TORQUE_ACTUAL)
 STATUS, POSITION, VELOCITY, TORQUE, MODE_DISPLAY = range(len(INPUTS))
 CONTROL, TARGET_POSITION, TARGET_TORQUE, TORQUE_OFFSET, MODE = range(len(OUTPUTS))
 NOT_MAPPED = -1
-MAX_COUNTERS = 64  # cyclic commands of an ENI whose working counter is known
 
 OBJECTS = (3, len(INPUTS))  # shape of one cycle's values: joint, object
 
@@ -37,7 +36,7 @@ LAYOUT = np.dtype(
     [
         ("inputs", _WAY),  # of INPUTS
         ("outputs", _WAY),  # of OUTPUTS
-        ("counters", _COUNTER, MAX_COUNTERS),  # working counters that an ENI demands, command 0 behind the last
+        ("counters", _COUNTER, MAX_COMMANDS),  # working counters that an ENI demands, command 0 behind the last
         ("zero_counts", "i8", 3),
         ("radians_per_count", "f8", 3),
         ("torque_nm_per_mille", "f8", 3),
@@ -73,8 +72,6 @@ def make_layout(robot: Robot) -> np.ndarray:
         layout[way]["signed"] = [kind.kind == "i" for kind in types]
     commands = () if network is None else network.commands
     counters = [(c.command, c.address, c.working_counter) for c in commands if c.working_counter is not None]
-    if len(counters) > MAX_COUNTERS:
-        raise RobotError(f"drive.eni: {len(counters)} cyclic commands with a working counter, {MAX_COUNTERS} are read")
     layout["counters"][0, : len(counters)] = counters
     layout["zero_counts"] = [scale.zero_counts for scale in scaling]
     layout["radians_per_count"] = [scale.radians_per_count for scale in scaling]

@@ -45,6 +45,8 @@ def expected_kernel(command, address, least, counter, declared, seen):
     That one some times in a row: a single one may be a corrupted frame's, and would be missed ever after.
     """
     for known in declared:
+        if known.command == 0:
+            break
         if known.command == command and known.address == address:
             return known.expected
     for known in seen:

@@ -11,11 +11,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from mcap.reader import make_reader
+from mcap.records import Message
 
-from drivers.trace.mcap_messages import LIBRARY_ERRORS
+from drivers.trace.mcap_messages import read_records, read_summary
 from drivers.trace.tables import Table
-from schemas.errors import TraceError
+from schemas.errors import StorageError, TraceError
 from schemas.files import opened
 from schemas.messages import NANOSECONDS
 
@@ -87,8 +87,7 @@ def _from_sqlite(path: Path) -> list[bytes]:
 def _from_mcap(path: Path) -> list[bytes]:
     try:
         with opened(path, TraceError) as stream:
-            reader = make_reader(stream)
-            summary = reader.get_summary()
+            summary = read_summary(stream, path)
             if summary is None:
                 raise TraceError(f"{path}: the MCAP summary is missing (its writer was killed?)")
             kinds = {
@@ -97,9 +96,15 @@ def _from_mcap(path: Path) -> list[bytes]:
                 if channel.schema_id in summary.schemas
             }
             topic = _one(kinds, path)
-            return [message.data for _, _, message in reader.iter_messages([topic], log_time_order=False)]
-    except LIBRARY_ERRORS as error:
-        raise TraceError(f"{path}: not a whole MCAP file: {error}") from error
+            channels = {channel.id for channel in summary.channels.values() if channel.topic == topic}
+            stream.seek(0)
+            return [
+                record.data
+                for record in read_records(stream, path)
+                if isinstance(record, Message) and record.channel_id in channels
+            ]
+    except StorageError as error:
+        raise TraceError(str(error)) from error
 
 
 def _one(kinds: dict[str, str], path: Path) -> str:

@@ -41,7 +41,7 @@ print(peak, time.process_time() - begin)
 MB = 1 << 20
 
 
-def mcap(records: list[McapRecord]) -> bytes:
+def mcap(records: list[McapRecord], summary: list[McapRecord] | None = None) -> bytes:
     builder = RecordBuilder()
     for record in [Header("ros2", "test"), *records, DataEnd(0)]:
         record.write(builder)
@@ -49,7 +49,7 @@ def mcap(records: list[McapRecord]) -> bytes:
     start = len(data)
     schema = Schema(id=1, name=SAMPLE.schema_name, encoding="ros2msg", data=SAMPLE.schema_text.encode())
     channel = Channel(id=1, topic="deltatwin/d3/sample", message_encoding="cdr", metadata={}, schema_id=1)
-    for record in [schema, channel, Footer(start, 0, 0)]:
+    for record in [schema, channel, *(summary or []), Footer(start, 0, 0)]:
         record.write(builder)
     return data + builder.end() + b"\x89MCAP0\r\n"
 
@@ -100,6 +100,9 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes], str]] = {
     ),
     "lz4 chunk": (
         "a.mcap", lambda: mcap([chunk(lz4.frame.compress(bytes(1024 * MB)), 100, "lz4")]), "claims 100 bytes has more",
+    ),
+    "chunk among the summary": (
+        "a.mcap", lambda: mcap([], [chunk(b"no zstd", 4 << 30, "zstd")]), "no messages on",
     ),
     "record": ("a.mcap", lambda: mcap([]).replace(b"\x0f\x04", b"\x0f\xff\xff\xff\xff", 1), "a damaged summary"),
     "brackets": ("a.toml", lambda: b"a = " + b"[" * 3000 + b"]" * 3000, "more than 12 deep"),
