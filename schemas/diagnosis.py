@@ -22,21 +22,31 @@ class Online(_Section):
 
 CautionCode = Literal[
     "too_little_motion", "joints_at_rest", "one_way", "one_run", "beyond_any_robot", "several_arms", "runs_differ",
-    "much_is_left",
+    "much_is_left", "other_joints", "sine_of_angle", "closed_loop", "noise_coloured", "noise_unknown", "at_limit",
+    "drives", "left_open", "no_shrink", "no_shrink_on",
+]  # fmt: skip
+Advice = Literal[
+    "record_runs", "record_all_joints", "record_reversals", "record_more", "check_description", "check_runs",
+    "check_base", "measure_torque", "measure_noise",
 ]  # fmt: skip
 
 
 class Caution(_Section):
     """What this data cannot say. joints from 1, those it is about; advice: what to record or to check.
 
-    effect: that would be beyond any robot's. share: of the torque's rms that is left.
+    effect: that it is about. quantity: of the effect, at its limit. share: of the torque's rms that is left, of what is
+    left that follows something, or the shrink that is too little. run: the log kept out that does not shrink. gain: of
+    the loop, torque for position error.
     """
 
     code: CautionCode
     joints: list[int] = []
-    advice: Literal["record_runs", "record_all_joints", "record_reversals", "check_description", "check_runs"]
+    advice: Advice
     effect: str | None = None
+    quantity: str | None = None
     share: float | None = None
+    run: str | None = None
+    gain: float | None = None
 
 
 class Estimate(_Section):
@@ -65,12 +75,35 @@ class NamedEffect(_Section):
 
 
 class Ranked(_Section):
-    """A candidate, named or not."""
+    """A candidate, named or not. shrink: of the rms on data left out, over what stood before it."""
 
     name: str
     joints: list[int]
     probability: float
     after_nm: float
+    shrink: float
+
+
+class Follows(_Section):
+    """Something that the gap left in a joint (from 1) follows and the model of the joint does not know.
+
+    other: the joint whose motion it is. share: of what is left above the noise, on data left out.
+    """
+
+    joint: int
+    what: Literal["motion", "sine_of_angle", "position_error"]
+    other: int | None
+    share: float
+
+
+class Moved(_Section):
+    """A parameter of the base model, with its standard error, before and after; an error of 0 is not known."""
+
+    before: float
+    before_error: float
+    after: float
+    after_error: float
+    unit: str
 
 
 class Gap(_Section):
@@ -193,7 +226,8 @@ class Diagnosis(_Section):
     """Where the gap lies, which effect causes it, how far it shrinks.
 
     plain: parameters of the base model fitted without effects. base: refitted together with the effects. tests: the
-    correction on logs given for that alone. given: effects that the description carried already.
+    correction on logs given for that alone. given: effects that the description carried already. follows: what is left
+    follows, strongest first. moved: base parameters from the baseline's, where one is given.
     """
 
     schema_: Literal["deltatwin.diagnosis/2"] = Field("deltatwin.diagnosis/2", alias="schema")
@@ -211,3 +245,5 @@ class Diagnosis(_Section):
     gap: Gap
     tests: list[Unseen] = []
     given: list[str]
+    follows: list[Follows] = []
+    moved: dict[str, Moved] = {}

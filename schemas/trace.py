@@ -64,8 +64,8 @@ class Trace:
 
     @property
     def name(self) -> str:
-        """File name without its endings."""
-        return self.path.name.split(".")[0]
+        """File name without its ending."""
+        return Path(self.path.name.removesuffix(".gz")).stem
 
     @property
     def period(self) -> float:

@@ -93,7 +93,7 @@ def _stamps(trace: Trace, rows: Rows) -> Iterator[Finding]:
             lost = np.maximum(lost, counted[gap - 1] - 1)
         yield Finding(
             SampleFlag.GAP_BEFORE,
-            f"{len(gap)} gaps, {int(lost.sum())} cycles of {period * 1e3:.6g} ms missing: before {rows.name(gap)} "
+            f"{len(gap)} gaps, {lost.sum():.9g} cycles of {period * 1e3:.6g} ms missing: before {rows.name(gap)} "
             f"(longest {ahead[gap - 1].max() * 1e3:.6g} ms)",
             gap,
         )

@@ -51,7 +51,7 @@ def command(
     recorded = list(reading(traces, description, columns, "reading"))
     tests = list(reading(test or [], description, columns, "reading"))
     with console.status("starting") as status:
-        findings = diagnose(description, recorded, known, status.update, reference)
+        findings = diagnose(description, recorded, known, status.update, reference, tests)
         status.update("writing the report")
         result = document(findings, tests)
         write_text(out / "diagnosis.json", result.model_dump_json(indent=1, by_alias=True))

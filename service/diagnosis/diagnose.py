@@ -8,14 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from schemas.axes import Description
-from schemas.diagnosis import Verdict
+from schemas.diagnosis import Caution, Follows, Verdict
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
-from service.diagnosis.evidence.cautions import doubts_of, limits_of
+from service.diagnosis.evidence.cautions import base_doubts, doubts_of, faults_of, limits_of, loops_of, noise_of
+from service.diagnosis.evidence.earned import earned
+from service.diagnosis.evidence.follows import follows
+from service.diagnosis.evidence.unseen import kept_out
 from service.diagnosis.findings import Findings
 from service.diagnosis.fit.orders import more_orders
-from service.diagnosis.fit.selection import Selection, score, search
+from service.diagnosis.fit.selection import Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import Split
@@ -29,6 +32,7 @@ from service.model.signals import segments, thin
 # What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
 # smoothing of the motion costs another two.
 WITHIN_NOISE = 1.06
+WITHIN_COLOURED = 1.25  # the same where it is read from the noise's colour above the band
 
 
 def diagnose(
@@ -37,11 +41,13 @@ def diagnose(
     effects: Sequence[Effect],
     progress: Callable[[str], None] = lambda _: None,
     baseline: Description | None = None,
+    tests: Sequence[Trace] = (),
 ) -> Findings:
     """Find out which effects the traces of `robot` support.
 
     Effects that the description or the baseline carries already are part of the model and not found again. baseline:
-    the description whose gap counts as "before"; default: the plain model refitted, as `identify` does.
+    the description whose gap counts as "before"; default: the plain model refitted, as `identify` does. tests: logs
+    kept out of everything, on which a name has to shrink the gap too.
 
     Raises:
         RobotError: the baseline is of another robot.
@@ -58,32 +64,52 @@ def diagnose(
     if not any(recording.segment.moving.any() for recording in recordings):
         raise DataError(f"{traces[0].path}: no joint moves")
     progress("fitting the base model")
-    problem, noise = pooled.problem_of(recordings)
+    problem, floor = pooled.problem_of(recordings)
     split = Split.of(problem)
-    plain = score(pooled.fit(problem, noise, pooled.nominal_of(robot)).fitted, split)
+    plain = score(pooled.fit(problem, floor.sample, pooled.nominal_of(robot)).fitted, split)
     given = _given(robot, baseline)
     timed = Hypothesis(plain.hypothesis.base, given)
     if given:
         plain = score(fit(problem, timed), split)
-    offer = limits_of(problem)
+    offer = limits_of(problem, loops_of(problem, traces))
     selection = search(problem, split, timed, effects if offer.enough else (), progress, offer.allows, more_orders)
     progress("checking on data left out")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
-    limit = WITHIN_NOISE * _floor(problem, reversal)
-    doubts = doubts_of(problem, selection, limit) if offer.enough else []
+    coloured = bool((floor.coloured | floor.unknown).any())
+    limit = (WITHIN_COLOURED if coloured else WITHIN_NOISE) * _floor(problem, reversal)
+    angular = all(trace.angular for trace in traces)
+
+    def followed(scored: Scored) -> list[Follows]:
+        return follows(problem, split, scored.residuals, traces, angular)
+
+    doubts: list[Caution] = []
+    if offer.enough:
+        none, best = selection.none, selection.best
+        before = followed(none)
+        doubts = base_doubts(problem, before, before if best is none else followed(best), none, best)
+        doubts = doubts or doubts_of(problem, selection, limit)
+    fallen = faults_of(selection)
     if doubts:
-        selection = replace(selection, best=selection.none, path=[])
+        selection = replace(selection, best=selection.none, path=_untaken(selection))
+    else:
+        selection, fell = earned(problem, split, selection, len(given), [kept_out(problem, log) for log in tests])
+        fallen += fell
     after = statistics.nested(selection, split, problem.count)
     errors = statistics.standard_errors(selection.best.fitted, split)
-    before, reference = plain.residuals, plain.hypothesis
+    gap, reference = plain.residuals, plain.hypothesis
     if baseline is not None:
         reference = hypothesis_of(baseline)
-        before = evaluate(problem, reference).residuals
+        gap = evaluate(problem, reference).residuals
     verdict = _verdict(problem, selection, given, after, limit)
     return Findings(
-        robot, problem, split, plain, reference, selection, given, before, after, noise, reversal, errors, verdict,
-        limit, [*offer.cautions, *doubts],
+        robot, problem, split, plain, reference, selection, given, gap, after, floor.sample, reversal, errors, verdict,
+        limit, [*noise_of(floor), *offer.cautions, *doubts, *fallen], followed(selection.best), baseline,
     )  # fmt: skip
+
+
+def _untaken(selection: Selection) -> list[tuple[list[Scored], Scored | None]]:
+    """The first round of a search as if nothing had been taken: what came nearest."""
+    return [(tried, None) for tried, _ in selection.path[:1]]
 
 
 def _given(robot: Description, baseline: Description | None) -> tuple[Term, ...]:

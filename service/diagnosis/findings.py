@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.axes import Description
-from schemas.diagnosis import Caution, Verdict
+from schemas.diagnosis import Caution, Follows, Verdict
 from service.diagnosis.fit.selection import Scored, Selection
 from service.identification.fit import Problem
 from service.identification.folds import Split
@@ -18,11 +18,12 @@ from service.model.hypothesis import Hypothesis, Term
 class Findings:
     """Everything the documents need. Residuals are in units of `problem.sigma`.
 
-    plain: the model that `identify` writes. reference: the one whose gap is "before". given: effects that the
-    description carried already. before, after: residuals (R,) a recording on data left out, of the reference and of the
-    corrected model, the latter left out of selection too. noise: (n,) N m a sample. reversal: (n,) N m in the band.
-    errors: as `statistics.standard_errors` of the corrected model. limit: rms up to which what is left is noise.
-    cannot_tell: what this data cannot say.
+    plain: the model that `identify` writes. baseline: the description given as one. reference: the model whose gap is
+    "before". given: effects that the description carried already. before, after: residuals (R,) a recording on data
+    left out, of the reference and of the corrected model, the latter left out of selection too. noise: (n,) N m a
+    sample. reversal: (n,) N m in the band. errors: as `statistics.standard_errors` of the corrected model. limit: rms
+    up to which what is left is noise. cannot_tell: what this data cannot say. follows: what the corrected model's gap
+    still follows.
     """
 
     robot: Description
@@ -40,6 +41,8 @@ class Findings:
     verdict: Verdict
     limit: float
     cannot_tell: list[Caution]
+    follows: list[Follows]
+    baseline: Description | None
 
     @property
     def best(self) -> Scored:

@@ -52,7 +52,7 @@ def identify_axes(axes: Axes, traces: Sequence[Trace]) -> Identification:
             f"{names}: too little motion, {np.max(seconds):.1f} s of an axis, at least {least:.0f} s needed"
         )
     problem, noise = pooled.problem_of(recordings)
-    fit = pooled.fit(problem, noise, pooled.nominal_of(axes))
+    fit = pooled.fit(problem, noise.sample, pooled.nominal_of(axes))
     identified = axes_identified(
         axes,
         {estimate.name: (estimate.value, estimate.std_error) for estimate in fit.estimates},

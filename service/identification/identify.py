@@ -47,7 +47,7 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = 
     _enough(trajectories)
     recordings = [replace(part, trace=number) for number, log in enumerate(trajectories) for part in log.recordings]
     problem, noise = pooled.problem_of(recordings)
-    fit = pooled.fit(problem, noise, pooled.nominal_of(robot))
+    fit = pooled.fit(problem, noise.sample, pooled.nominal_of(robot))
     transition = fit.fitted.hypothesis.base.transition
     warnings = checks.check_fit(trajectories, fit, pack(robot).moving_mass)
     if method == "paper":

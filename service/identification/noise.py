@@ -1,16 +1,58 @@
-"""How much of the torque is noise: its white level, read where the mechanism is quiet."""
+"""How much of the torque is noise: its level, read where the mechanism is quiet, and its colour."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from scipy.optimize import nnls
 
 from service.model.scene import Recording
-from service.model.signals import NOISE_HZ
+from service.model.signals import NOISE_HZ, Band
 
 WINDOW = 128  # samples
 CLIP = 3.0  # standard deviations of a window's variance
+BANDS = 5  # between the analysis band and half the sample rate, in which the colour is read
+COLOURED = 1.25  # rms of the lowest of these over the highest: white noise on robots of all kinds stays below 1.1
+MEMORY = 4.0  # most that the density may rise further below the lowest of them: beyond, the colour is not known
+LEAST_SHARE = 1e-3  # of the torque's rms in the band: no drive measures better than that
+UNKNOWN_SHARE = 1e-2  # the same where noise cannot be read at all: no model of a machine is better than that
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Noise of n joints, N m rms. sample: of one sample. band: of it in the analysis band.
+
+    coloured: read from its colour, with more in the band than white noise has; unknown: smoothed, computed or constant
+    torque, of which the floor is a guess (`UNKNOWN_SHARE`). Both (n,) bool.
+    """
+
+    sample: np.ndarray
+    band: np.ndarray
+    coloured: np.ndarray
+    unknown: np.ndarray
+
+
+def floor(recordings: Sequence[Recording], residuals: Sequence[np.ndarray], band: Band) -> Floor:
+    """The noise floor of `recordings`. residuals: (N, n) N m of a first fit; the torque itself may be quieter."""
+    white = np.minimum(white_noise(recordings), white_noise(recordings, residuals))
+    step = _steps(recordings) / 12**0.5
+    sample = np.maximum(white, step)
+    torques = [recording.segment.torque for recording in recordings]
+    levels = np.minimum(_profile(recordings, torques, band), _profile(recordings, residuals, band))
+    torque = np.concatenate([band(recording.segment.torque) for recording in recordings]).std(axis=0)
+    share = band.white_share**0.5
+    rms = sample * share
+    coloured = levels[:, 0] > COLOURED * np.maximum(levels[:, -1], step)
+    known = np.ones(len(rms), bool)
+    for joint in np.flatnonzero(coloured):
+        inside, known[joint] = _extrapolated(levels[joint], band)
+        rms[joint] = max(rms[joint], inside) if known[joint] else rms[joint]
+    unknown = ~known | (rms < LEAST_SHARE * torque)
+    rms = np.maximum(rms, np.where(unknown, UNKNOWN_SHARE, LEAST_SHARE) * torque)
+    return Floor(np.maximum(sample, 1e-9), np.maximum(rms, 1e-9), coloured & ~unknown, unknown)
 
 
 def white_noise(recordings: Sequence[Recording], residuals: Sequence[np.ndarray] | None = None) -> np.ndarray:
@@ -21,30 +63,76 @@ def white_noise(recordings: Sequence[Recording], residuals: Sequence[np.ndarray]
     is one: it is quieter. Assumes that the noise is white: a drive that filters its torque has less above than below.
     """
     signals = [r.segment.torque for r in recordings] if residuals is None else residuals
-    levels = []
-    freedom = 1.0
+    period = recordings[0].segment.period
+    return _levels(recordings, signals, [(min(NOISE_HZ, 0.25 / period), np.inf)])[:, 0]
+
+
+def _profile(recordings: Sequence[Recording], residuals: Sequence[np.ndarray], band: Band) -> np.ndarray:
+    """(n, BANDS) rms a sample that white noise of the density in each band above the analysis band would have."""
+    return _levels(recordings, residuals, list(pairwise(_edges(band))))
+
+
+def _edges(band: Band) -> np.ndarray:
+    return np.geomspace(1.2 * band.cutoff_hz, 0.5 / band.period, BANDS + 1)
+
+
+def _levels(
+    recordings: Sequence[Recording], signals: Sequence[np.ndarray], bands: Sequence[tuple[float, float]]
+) -> np.ndarray:
+    """(n, bands) rms a sample in each band of frequencies, Hz, of the windows that agree with the quietest."""
+    powers, frequency = [], np.zeros(0)
     for recording, values in zip(recordings, signals, strict=True):
         count = len(values) // WINDOW
         if not count:
             continue
         windows = values[: count * WINDOW].reshape(count, WINDOW, -1)
         taper = np.hanning(WINDOW)[:, None]
-        # a straight line out of each window, so that what leaks from below does not count
+        # the mean out of each window, so that what leaks from below does not count
         windows = windows - windows.mean(axis=1, keepdims=True)
-        power = np.abs(np.fft.rfft(windows * taper, axis=1)) ** 2 / np.sum(taper**2)
+        powers.append(np.abs(np.fft.rfft(windows * taper, axis=1)) ** 2 / np.sum(taper**2))
         frequency = np.fft.rfftfreq(WINDOW, recording.segment.period)
-        high = frequency >= min(NOISE_HZ, 0.25 / recording.segment.period)
-        freedom = float(high.sum()) * 2 / 1.5  # neighbouring bins of a Hann window are correlated
-        levels.append(power[:, high].mean(axis=1))
-    variance = np.concatenate(levels)
-    return np.sqrt(np.array([_quiet(column, freedom) for column in variance.T]))
+    if not powers:
+        return np.zeros((signals[0].shape[1], len(bands)))
+    power, result = np.concatenate(powers), []
+    for low, high in bands:
+        inside = (frequency >= low) & (frequency < high)
+        freedom = float(inside.sum()) * 2 / 1.5  # neighbouring bins of a Hann window are correlated
+        result.append([_quiet(column, freedom) for column in power[:, inside].mean(axis=1).T])
+    return np.sqrt(np.array(result).T)
+
+
+def _extrapolated(levels: np.ndarray, band: Band) -> tuple[float, bool]:
+    """Rms in the analysis band of noise with these levels above it, white and of first order together; and whether the
+    levels say what is below them."""
+    middle = np.sqrt(np.array([low * high for low, high in pairwise(_edges(band))]))
+    density, best = levels**2, (np.inf, 1.0, np.zeros(2))
+    for corner in np.geomspace(0.2 * band.cutoff_hz, 0.5 / band.period, 60):
+        shape = np.stack([np.ones(BANDS), 1.0 / (1.0 + (middle / corner) ** 2)], axis=1)
+        weight, left = nnls(shape / density[:, None], np.ones(BANDS))
+        best = min(best, (float(left), float(corner), weight), key=lambda item: item[0])
+    _, corner, weight = best
+    frequency, passed = band.passes
+    inside = weight[0] + weight[1] / (1.0 + (frequency / corner) ** 2)
+    return float(np.sqrt(np.mean(inside * passed))), bool(inside[0] < MEMORY * density[0])
+
+
+def _steps(recordings: Sequence[Recording]) -> np.ndarray:
+    """(n,) N m between neighbouring values of the torque, where it comes in steps."""
+    torque = np.concatenate([recording.segment.torque for recording in recordings])
+    steps = []
+    for column in torque.T:
+        values = np.unique(column)
+        apart = np.diff(values)
+        apart = apart[apart > 1e-9 * np.ptp(values)]  # less is rounding
+        steps.append(float(apart.min()) if 0 < len(apart) < 0.2 * len(column) else 0.0)
+    return np.array(steps)
 
 
 def _quiet(levels: np.ndarray, freedom: float) -> float:
     """Mean of the windows that agree with the quietest fifth."""
     spread = np.sqrt(2.0 / freedom)
     ordered = np.sort(levels)
-    mean = float(np.mean(ordered[: max(1, len(ordered) // 5)])) / (1.0 - 1.4 * spread)
+    mean = float(np.mean(ordered[: max(1, len(ordered) // 5)])) / max(1.0 - 1.4 * spread, 0.1)
     for _ in range(20):
         kept = ordered[ordered < mean * (1.0 + CLIP * spread)]
         following = float(np.mean(kept)) if len(kept) else mean

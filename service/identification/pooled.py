@@ -23,7 +23,7 @@ from schemas.errors import DataError
 from service.identification import fit as solver
 from service.identification.fit import Problem
 from service.identification.folds import Split, block_loss, held_out
-from service.identification.noise import white_noise
+from service.identification.noise import Floor, floor, white_noise
 from service.model.hypothesis import Hypothesis
 from service.model.mechanism import mechanism_of
 from service.model.parameters import Parameters, Quantity, base_parameters
@@ -103,8 +103,8 @@ class Plain:
         return _rms(self.problem, [r - parameters.widened(t, count) @ change for r, t in pairs])
 
 
-def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, np.ndarray]:
-    """The problem in units of the noise, which is read from the residual of a first fit; and the noise, (n,) N m.
+def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:
+    """The problem in units of the noise, which is read from the residual of a first fit; and the noise.
 
     Raises:
         DataError: logs of several rates, naming them.
@@ -121,12 +121,12 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, np.ndarray]:
     problem = Problem.of(recordings, band, np.maximum(noise, 1e-9) * share)
     first = solver.fit(problem, _start(problem), iterations=2).hypothesis
     left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first.base)]
-    noise = np.minimum(noise, white_noise(recordings, left))
     above = [values - lowpass(values, period, band.cutoff_hz) for values in left]
     wider = Band.of(period, max(band.cutoff_hz, _ripple_hz(recordings, above)))
     if wider.cutoff_hz > band.cutoff_hz:
-        problem, share = Problem.of(recordings, wider, problem.sigma), wider.white_share**0.5
-    return replace(problem, sigma=np.maximum(noise, 1e-9) * share), noise
+        problem = Problem.of(recordings, wider, problem.sigma)
+    found = floor(recordings, left, problem.band)
+    return replace(problem, sigma=found.band), found
 
 
 def _ripple_hz(recordings: Sequence[Recording], above: Sequence[np.ndarray]) -> float:

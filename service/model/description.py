@@ -117,6 +117,20 @@ def base_of_axes(axes: Axes) -> Base:
     )
 
 
+def base_errors(robot: Description) -> np.ndarray:
+    """(P,) standard errors of the base parameters that a description carries, as in `base_parameters`; 0: not known."""
+    if robot.identified is None:
+        return np.zeros(len(base_parameters(mechanism_of(robot))))
+    known = robot.identified.model_dump()
+    for figure in known.values():
+        if isinstance(figure, dict):
+            value, error = figure["value"], figure["std_error"]
+            figure["value"] = (error or [0.0] * len(value)) if isinstance(value, list) else error
+    errors = robot.model_copy(update={"identified": type(robot.identified).model_validate(known)})
+    base = base_of_axes(errors) if isinstance(errors, Axes) else base_of(errors.identified)
+    return np.concatenate([base.rigid, base.viscous, base.coulomb])
+
+
 def hypothesis_of(robot: Description) -> Hypothesis:
     """Base model and effects of a description.
 

@@ -375,8 +375,13 @@ class Band:
         return result.reshape(-1, *values.shape[1:])
 
     @cached_property
+    def passes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frequencies, Hz, evenly up to half the sample rate, and the share of a signal's power there that passes."""
+        sections = butter(ANALYSIS_ORDER, 2.0 * self.cutoff_hz * self.period, output="sos")
+        frequency, response = freqz_sos(sections, worN=8192, fs=1.0 / self.period)
+        return frequency, np.abs(response) ** 4
+
+    @property
     def white_share(self) -> float:
         """Share of a white signal's power that passes."""
-        sections = butter(ANALYSIS_ORDER, 2.0 * self.cutoff_hz * self.period, output="sos")
-        _, response = freqz_sos(sections, worN=8192)
-        return float(np.mean(np.abs(response) ** 4))
+        return float(np.mean(self.passes[1]))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from schemas.axes import Description
-from schemas.diagnosis import Diagnosis, Estimate, Gap, NamedEffect, Online, Ranked
+from schemas.diagnosis import Diagnosis, Estimate, Gap, Moved, NamedEffect, Online, Ranked
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.rivals import Contest, confusable, contests
@@ -16,9 +16,9 @@ from service.diagnosis.evidence.where import where, without
 from service.diagnosis.findings import Findings
 from service.estimator.effects import carried
 from service.identification.folds import block_loss
-from service.model.description import described, digits, in_units_of
+from service.model.description import base_errors, described, digits, in_units_of
 from service.model.effects.base import Effect
-from service.model.parameters import Parameters, shown_parameters
+from service.model.parameters import Parameters, base_parameters, shown_parameters
 
 Z95 = 1.96
 
@@ -72,7 +72,28 @@ def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
         ),
         tests=[unseen(findings, trace) for trace in tests],
         given=[term.effect.name for term in findings.given],
+        follows=findings.follows,
+        moved=_moved(findings),
     )
+
+
+def _moved(findings: Findings) -> dict[str, Moved]:
+    """The base parameters of the baseline beside those refitted, where a baseline was given."""
+    if findings.baseline is None:
+        return {}
+    known = base_parameters(findings.problem.recordings[0].mechanism)
+    before, after = (Parameters(h).values for h in (findings.reference, findings.best.hypothesis))
+    errors = base_errors(findings.baseline)
+    return {
+        one.name: Moved(
+            before=digits(before[index]),
+            before_error=digits(errors[index]),
+            after=digits(after[index]),
+            after_error=digits(findings.errors[index]),
+            unit=in_units_of(findings.robot, one.unit),
+        )
+        for index, one in enumerate(known)
+    }
 
 
 def _estimate(value: float, error: float, unit: str) -> Estimate:
@@ -138,6 +159,7 @@ def _ranking(findings: Findings, rounds: list[Contest]) -> list[Ranked]:
                 joints=[joint + 1 for joint in scored.hypothesis.terms[-1].joints],
                 probability=round(probability, 4),
                 after_nm=digits(level * (scored.loss / count) ** 0.5),
+                shrink=round(1.0 - (scored.loss / contest.before.loss) ** 0.5, 4),
             )
             known = best.get(entry.name)
             if known is None or entry.probability > known.probability:

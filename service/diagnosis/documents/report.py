@@ -23,6 +23,7 @@ COLOURS = {"before": "#b0b7c3", "after": "#1f6feb", "noise": "#d0d7de"}
 EFFECTS = ("#1f6feb", "#2da44e", "#8250df", "#bf8700")
 BINS = 24
 MOST_POINTS = 5000  # a line
+WINDOW = 512  # samples of a spectrum, where a run has as many
 
 
 def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
@@ -224,9 +225,10 @@ def _spectrum(findings: Findings) -> go.Figure:
 
 def _density(findings: Findings, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
     total, weight, frequency = 0.0, 0, np.zeros(0)
+    window = min(WINDOW, max(len(recording.segment.time) for recording in findings.problem.recordings))
     for recording in findings.problem.recordings:
         residual = recording.segment.torque - predict(Scene(recording, hypothesis.base), hypothesis)
-        if len(residual) >= 512:
-            frequency, density = welch(residual, 1.0 / recording.segment.period, nperseg=512, axis=0)
+        if len(residual) >= window:
+            frequency, density = welch(residual, 1.0 / recording.segment.period, nperseg=window, axis=0)
             total, weight = total + density * len(residual), weight + len(residual)
     return np.round(frequency[1:], 2), np.sqrt(np.asarray(total)[1:] / max(weight, 1))

@@ -9,6 +9,7 @@ from schemas.diagnosis import Burst, Caution, Diagnosis, Estimate, NamedEffect, 
 VERDICTS = {
     "within_noise": "What is left between model and robot is within the noise of the torque signal.",
     "explained": "The named effects explain the gap: what they leave is within the noise of the torque signal.",
+    "hardly": "The gap was hardly above the noise of the torque signal; the named effects take it there.",
     "partly_explained": "The named effects explain part of the gap; what remains has structure that none explains.",
     "unexplained": "There is structure in the gap, and no effect in the catalogue explains it.",
 }  # fmt: skip
@@ -23,16 +24,41 @@ CAUTIONS = {
     "several_arms": "Several arms at once would have to be far from the described geometry: cannot be told apart on "
     "this data.",
     "runs_differ": "Each run fits alone, but not all together: cannot be told apart on this data.",
-    "much_is_left": "What is left is {share:.0%} of the torque itself, more than effects of the catalogue would leave: "
-    "cannot be told apart on this data.",
+    "much_is_left": "What is left is {share:.0%} of the torque itself, more than effects of the catalogue "
+    "would leave: cannot be told apart on this data.",
+    "other_joints": "The base model is wrong first: {share:.0%} of the gap in joint {first} follows the motion of "
+    "joint {last}, which it knows nothing of. No effect is named on a wrong base.",
+    "sine_of_angle": "The base model is wrong first: {share:.0%} of the gap in joint {first} follows the sine of its "
+    "angle, as a weight does. No effect is named on a wrong base.",
+    "closed_loop": "The torque of joint {joints} is the controller's answer to its position error ({gain:.3g} N m per "
+    "rad, or N per m, without lag): it was not measured. A delay or filter of the torque, the torque constant, and "
+    "what lies between command and shaft (back-EMF looks like viscous friction) cannot be known from it.",
+    "noise_coloured": "The noise of joint {joints} has a memory: there is more of it in the band than white noise of "
+    "its level would have. The floor is read from its colour and is good to about 20 %.",
+    "noise_unknown": "The torque of joint {joints} shows no noise of its own (smoothed or computed?): its floor is not "
+    "known, 1 % of the torque stands in for it.",
+    "at_limit": "What comes nearest is {effect}{where}, but with {quantity} at the end of what it can be: no finding.",
+    "drives": "What comes nearest is {effect}{where}, but as friction that would drive the joint: no finding.",
+    "left_open": "{Effect}{where} fits, but no quantity of it is told from nothing: not named.",
+    "no_shrink": "{Effect}{where} fits, but the gap on data left out does not shrink by it ({share:.0%}): not named.",
+    "no_shrink_on": "{Effect}{where} fits, but on {run}, kept out of everything, the gap does not shrink by it "
+    "({share:.0%}): not named.",
 }
-NO_NAMES = CAUTIONS.keys() - {"one_way", "one_run"}  # with these no effect is told from others
+# with these no effect is told from others
+NO_NAMES = {
+    "too_little_motion", "joints_at_rest", "beyond_any_robot", "several_arms", "runs_differ", "much_is_left",
+    "other_joints", "sine_of_angle",
+}  # fmt: skip
 ADVICE = {
     "record_runs": "Record three or more runs of 5 s: picks, a multisine and a slow sweep with reversals.",
     "record_all_joints": "Record runs in which all joints move.",
     "record_reversals": "Record runs with reversals.",
     "check_description": "Check the description (lengths, gear ratio, order and sign of joints).",
     "check_runs": "Check that all runs are of one robot with one tool, in one state.",
+    "check_base": "Check the base model: kind, gravity, coupling between joints, order and sign of columns.",
+    "record_more": "Record more of the motion that shows it, and what else changed between the runs.",
+    "measure_torque": "Log the drive's measured current beside the command.",
+    "measure_noise": "Log the torque unfiltered, or a stretch at rest with the drives on.",
 }
 ONLINE = {
     "present_sample": "carried by the online model, from the present sample",
@@ -41,6 +67,10 @@ ONLINE = {
     "no_online_form": "offline only: the online model does without it",
 }
 MOST_TOLD = 6  # events
+MOST_NEAR = 3  # candidates told where none is named
+HARDLY = 0.1  # shrink below which there was hardly a gap
+WORSE = 1.05  # gap on data left out, after over before, from which the correction is said to do harm
+Z95 = 1.96
 LEAST_CONCENTRATED = 0.2  # of the gap in one regime
 
 
@@ -48,21 +78,23 @@ def paragraphs(document: Diagnosis) -> list[list[str]]:
     """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next."""
     open_ = [caution(one) for one in document.cannot_tell if one.code in NO_NAMES]
     unasked = document.verdict == "unexplained" and not document.effects and bool(open_)
-    verdict = open_ if unasked else [VERDICTS[document.verdict]]
+    verdict = open_ if unasked else [VERDICTS[_said(document)]]
     effects = [_effect(effect) for effect in document.effects]
-    if document.effects:
+    before, after = _rms(document.gap.before_nm), _rms(document.gap.after_nm)
+    if document.effects or after > WORSE * before:
         left_out = "runs" if len(document.traces) > 2 else "stretches"
         gap = Shrunk.model_validate(document.gap.model_dump(include=set(Shrunk.model_fields)))
-        effects.append(
-            f"On {left_out} used neither to fit nor to choose, the gap goes {_goes(gap, document.gap.unit)}."
-        )
+        line = f"On {left_out} used neither to fit nor to choose, the gap goes {_goes(gap, document.gap.unit)}"
+        effects.append(line + (": what was fitted to the other runs does not carry over." if after > before else "."))
+    if not document.effects and document.verdict == "unexplained":
+        effects += _nearest(document)
     tests = [line for test in document.tests for line in _unseen(test, document.gap.unit)]
     remaining = _remaining(document) if document.verdict in ("unexplained", "partly_explained") else []
     settles = dict.fromkeys(e.settles for e in document.effects if e.confusable_with or e.probability < 0.9)
     advice = [caution(one) for one in document.cannot_tell if caution(one) not in verdict]
     advice += [f"To be sure, record {settle}." for settle in settles]
     given = [f"{name.replace('_', ' ')} is in the description already." for name in document.given]
-    groups = [verdict, _joints(document), effects, tests, remaining, advice + given]
+    groups = [verdict, _joints(document), effects, _moved(document), tests, remaining, advice + given]
     return [group for group in groups if group]
 
 
@@ -73,9 +105,12 @@ def sentences(document: Diagnosis) -> list[str]:
 
 def caution(found: Caution) -> str:
     """What cannot be told, and what to record or to check."""
+    joints, effect = ", ".join(map(str, found.joints)), (found.effect or "").replace("_", " ")
     said = CAUTIONS[found.code].format(
-        joints=", ".join(map(str, found.joints)), effect=(found.effect or "").replace("_", " "), share=found.share
-    )
+        joints=joints, effect=effect, Effect=effect.capitalize(), where=f" in joint {joints}" if joints else "",
+        first=found.joints[0] if found.joints else "", last=found.joints[-1] if found.joints else "",
+        share=found.share, gain=found.gain, run=found.run, quantity=(found.quantity or "").replace("_", " "),
+    )  # fmt: skip
     return f"{said} {ADVICE[found.advice]}"
 
 
@@ -92,6 +127,47 @@ def _joints(document: Diagnosis) -> list[str]:
             line += " " + _concentrated(entry.before[0])
         lines.append(line)
     return lines
+
+
+def _said(document: Diagnosis) -> str:
+    """The verdict, in the words of the figures."""
+    hardly = document.verdict == "explained" and document.gap.shrink < HARDLY
+    return "hardly" if hardly else document.verdict
+
+
+def _nearest(document: Diagnosis) -> list[str]:
+    """Where no name is earned: what came nearest, on data left out."""
+    near = sorted((one for one in document.ranking if one.shrink > 0), key=lambda one: -one.shrink)[:MOST_NEAR]
+    if not near:
+        return []
+    told = ", ".join(f"{_placed(one.name, one.joints)} ({100 * one.shrink:.0f} %)" for one in near)
+    return [f"Nearest of the catalogue, with what the gap on data left out shrinks by each: {told}."]
+
+
+def _placed(name: str, joints: list[int]) -> str:
+    return name.replace("_", " ") + (f" in joint {', '.join(map(str, joints))}" if joints else "")
+
+
+def _follows(document: Diagnosis) -> list[str]:
+    what = {"sine_of_angle": "the sine of its angle", "position_error": "the position error"}
+    return [
+        f"{100 * one.share:.0f} % of what is left in joint {one.joint} follows "
+        f"{what.get(one.what, f'the motion of joint {one.other}')}."
+        for one in document.follows[:MOST_TOLD]
+    ]
+
+
+def _moved(document: Diagnosis) -> list[str]:
+    """Base parameters against the baseline's."""
+    lines = [
+        f"{name}: {_number(one.before, one.before_error)} -> {_number(one.after, one.after_error)} {one.unit}".rstrip()
+        for name, one in document.moved.items()
+    ]
+    return ["Base parameters, baseline -> refitted:", *lines] if lines else []
+
+
+def _number(value: float, error: float) -> str:
+    return f"{value:.4g}" + (f" ± {Z95 * error:.2g}" if error else "")
 
 
 def _rms(values: list[float]) -> float:
@@ -175,6 +251,7 @@ def _remaining(document: Diagnosis) -> list[str]:
             if bands and bands.share > 0:
                 line += f" {100 * bands.share:.0f} % of it lies at {bands.from_hz:g} to {bands.to_hz:g} Hz."
             lines.append(line)
+    lines += _follows(document)
     if document.where.bursts:
         lines.append(_bursts(document.where.bursts, document.where.bursts_rhythm_s))
     if document.where.worst_runs:

@@ -1,14 +1,20 @@
-"""What the data cannot support, said instead of a confident name."""
+"""What the data cannot support, said instead of a confident name. First of all: is the base model right, is the loop
+open, is the noise known?"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from schemas.diagnosis import Caution
-from service.diagnosis.fit.selection import Selection
-from service.identification.fit import Problem, fit
+from schemas.diagnosis import Caution, Follows
+from schemas.trace import Trace
+from service.diagnosis.evidence import statistics
+from service.diagnosis.evidence.follows import position_error
+from service.diagnosis.fit.selection import Scored, Selection
+from service.identification.fit import Problem, fit, solve
+from service.identification.noise import Floor
 from service.model.effects.base import Effect
 
 LEAST_TIME = 3.0  # s of motion of a joint
@@ -17,26 +23,35 @@ WRONG_MODEL = 0.10  # rms left, of the torque's own rms: a description that leav
 FOREIGN = 0.7  # of what is left that runs shed when each is fitted alone: they are not of one robot
 FOREIGN_LEFT = 2.0  # times the noise that has to be left for that question to arise
 CARRIES_OVER = 0.6  # of the gap above the noise that effects remove on runs left out: then they are no accident
+EXCUSED = 0.95  # the same, from which effects may leave more than `WRONG_MODEL`: it is little of the gap
+FOLLOWS = 0.3  # of the gap above the noise that follows what the base model lacks: then the base is wrong, not a part
+AS_GOOD = 0.05  # of the same by which an effect has to do better than that
+LOOP = 0.98  # of the torque's variance that position error and speeds explain: it is what the controller makes of them
+LOOP_ALONE = 0.25  # of what speed leaves of it that is left at most when the error is known
 
 
 @dataclass(frozen=True)
 class Offer:
-    """What may be looked for. still: joints that hardly move. one_way: without reversals. enough: any at all."""
+    """What may be looked for. still: joints that hardly move. one_way: without reversals. closed: joints whose torque
+    is the controller's answer to their position error. enough: any at all."""
 
     still: frozenset[int]
     one_way: frozenset[int]
+    closed: frozenset[int]
     enough: bool
     cautions: list[Caution]
 
     def allows(self, effect: Effect, joint: int) -> bool:
-        """Whether `effect` may be looked for on `joint`."""
+        """Whether `effect` may be looked for on `joint`. Where torque was not measured, nothing was done to it."""
+        if effect.measured and (joint in self.closed or (self.closed and not effect.per_joint)):
+            return False
         if not effect.per_joint:
             return not self.still
         return joint not in self.still and not (joint in self.one_way and effect.directional)
 
 
-def limits_of(problem: Problem) -> Offer:
-    """Joints at rest, joints without reversals, too little motion."""
+def limits_of(problem: Problem, loops: dict[int, float] | None = None) -> Offer:
+    """Joints at rest, joints without reversals, too little motion. loops: gains of closed loops, by joint."""
     joints = len(problem.sigma)
     forward, backward = np.zeros(joints), np.zeros(joints)
     for recording in problem.recordings:
@@ -57,7 +72,92 @@ def limits_of(problem: Problem) -> Offer:
         cautions.append(Caution(code="one_way", joints=[joint + 1], advice="record_reversals"))
     if enough and len({recording.trace for recording in problem.recordings}) == 1:
         cautions.append(Caution(code="one_run", advice="record_runs"))
-    return Offer(still, one_way, enough, cautions)
+    for joint, gain in sorted((loops or {}).items()):
+        cautions.append(Caution(code="closed_loop", joints=[joint + 1], gain=gain, advice="measure_torque"))
+    return Offer(still, one_way, frozenset(loops or ()), enough, cautions)
+
+
+def loops_of(problem: Problem, traces: Sequence[Trace]) -> dict[int, float]:
+    """Gain, N m/rad or N/m, of each joint (from 0) whose torque the controller makes of its position error at once.
+
+    Such a torque shows the controller: a delay, viscous friction and inertia trade places in it.
+    """
+    if any(trace.position_command is None for trace in traces):
+        return {}
+    loops = {}
+    for joint in range(len(problem.sigma)):
+        columns, torque = [], []
+        for number, recording in enumerate(problem.recordings):
+            error = position_error(problem, number, traces)[:, joint]
+            speed = recording.segment.theta_dot[:, joint]
+            seen = np.stack([error, np.gradient(error, recording.segment.period), speed, np.ones_like(speed)], axis=1)
+            rows = problem.rows[number][:, joint]
+            columns.append(problem.band(seen)[rows])
+            torque.append(problem.target[number][rows, joint])
+        basis, wanted = np.concatenate(columns), np.concatenate(torque)
+        if len(wanted) < 50 or not np.ptp(basis[:, 0]) > 0:
+            continue
+        weight, left = _least_squares(basis, wanted)
+        _, without = _least_squares(basis[:, 2:], wanted)
+        if left < (1.0 - LOOP) * float(np.var(wanted)) and left < LOOP_ALONE * without and abs(weight[0]) > 0:
+            loops[joint] = float(f"{weight[0]:.4g}")
+    return loops
+
+
+def _least_squares(basis: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, float]:
+    """Weights, and the mean square that they leave."""
+    weight = solve(basis.T @ basis, basis.T @ wanted)
+    return weight, float(np.mean((wanted - basis @ weight) ** 2))
+
+
+def noise_of(floor: Floor) -> list[Caution]:
+    """What there is to say of a noise floor that is not simply read."""
+    cautions = []
+    for code, which in (("noise_coloured", floor.coloured), ("noise_unknown", floor.unknown)):
+        if which.any():
+            joints = (np.flatnonzero(which) + 1).tolist()
+            cautions.append(Caution.model_validate({"code": code, "joints": joints, "advice": "measure_noise"}))
+    return cautions
+
+
+def faults_of(selection: Selection) -> list[Caution]:
+    """Said of what would have been named next and cannot be."""
+    fault = selection.fault
+    if fault is None:
+        return []
+    joints, name = [joint + 1 for joint in fault.term.joints], fault.term.effect.name
+    quantity = fault.quantity or None
+    return [Caution(code=fault.code, joints=joints, effect=name, quantity=quantity, advice="check_base")]
+
+
+def base_doubts(
+    problem: Problem, before: Sequence[Follows], after: Sequence[Follows], none: Scored, best: Scored
+) -> list[Caution]:
+    """Whether the gap belongs to a base model that lacks something: other joints, a weight.
+
+    before, after: what the gap follows under the base model and with the effects. However much a stand-in removes: what
+    the gap follows as well without it is not its doing. A Delta's base knows its other joints, and its effects follow
+    them too.
+    """
+    if problem.recordings[0].mechanism.kind == "delta":
+        return []
+    levels = [statistics.rms_per_joint(problem, scored.residuals) / problem.sigma for scored in (none, best)]
+    above = [np.maximum(level**2 - 1.0, 1e-9) for level in levels]
+    removed = 1.0 - above[1] / above[0]
+    cautions = {}
+    for found, level, least in (
+        (before, levels[0], np.maximum(removed - AS_GOOD, FOLLOWS)),
+        (after, levels[1], np.full(len(removed), FOLLOWS)),
+    ):
+        for one in found:
+            place = one.joint - 1
+            if one.what == "position_error" or level[place] < FOREIGN_LEFT or one.share < least[place]:
+                continue
+            code = "other_joints" if one.what == "motion" else "sine_of_angle"
+            joints = [one.joint] if one.other is None else [one.joint, one.other]
+            caution = Caution(code=code, joints=joints, share=one.share, advice="check_base")
+            cautions.setdefault((code, one.joint), caution)
+    return list(cautions.values())
 
 
 def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caution]:
@@ -73,9 +173,10 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caut
             return [Caution(code="several_arms", joints=which, advice="check_description")]
     left = best.loss / problem.count
     gap = selection.none.loss / problem.count
-    if left**0.5 <= max(limit, FOREIGN_LEFT) or gap - left > CARRIES_OVER * (gap - 1.0):
+    if left**0.5 <= max(limit, FOREIGN_LEFT):
         return []
-    if len({recording.trace for recording in problem.recordings}) > 1:
+    accident = gap - left <= CARRIES_OVER * (gap - 1.0)
+    if accident and len({recording.trace for recording in problem.recordings}) > 1:
         alone = _alone(problem, selection)
         if left - alone > FOREIGN * (left - 1.0):
             return [Caution(code="runs_differ", advice="check_runs")]
@@ -85,7 +186,7 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caut
     )
     noise = float(np.mean(problem.sigma**2))
     share = (left * noise / (torque / problem.count)) ** 0.5
-    if share > WRONG_MODEL:
+    if share > WRONG_MODEL and gap - left <= EXCUSED * (gap - 1.0):
         return [Caution(code="much_is_left", share=round(share, 4), advice="check_description")]
     return []
 

@@ -15,8 +15,9 @@ SAME_SHARE = 0.95  # of an effect's gain: a rival that reaches it does the same 
 
 @dataclass(frozen=True)
 class Contest:
-    """One round of the search: each hypothesis's effect with its probability, and that of adding none."""
+    """One round of the search: each hypothesis's effect with its probability, and that of adding none to `before`."""
 
+    before: Scored
     candidates: list[tuple[Scored, float]]
     none: float
 
@@ -36,7 +37,7 @@ def contests(selection: Selection, split: Split, rows: int, seed: int = 0) -> li
         loss[-1] -= LEAST_GAIN * rows  # an addition has to be worth it
         loss[sizes > sizes[0]] += SIMPLER_SHARE * max(parent.loss - tried[0].loss, 0.0)  # as the search weighs them
         wins = np.bincount(np.argmin(loss, axis=0), minlength=len(hypotheses)) / DRAWS
-        result.append(Contest(list(zip(tried, wins[:-1].tolist(), strict=True)), float(wins[-1])))
+        result.append(Contest(parent, list(zip(tried, wins[:-1].tolist(), strict=True)), float(wins[-1])))
         if taken is not None:
             parent = selection.after(taken)
     return result

@@ -18,20 +18,27 @@ DRAWS = 2000
 
 
 def standard_errors(fitted: Fit, split: Split) -> np.ndarray:
-    """(P,) in the order of `Parameters`, zero for what the fit does not move.
+    """(P,) in the order of `Parameters`, zero for what the fit does not move; at a limit as if there were none.
 
     Blocks of the residual count as independent, samples in a block do not: the residual may be coloured.
     """
-    tangents = [tangent[:, fitted.inside] for tangent in fitted.tangents]
+    inside, everything = fitted.inside, np.ones(len(fitted.inside), bool)
+    error = np.where(inside, _errors(fitted, split, inside), _errors(fitted, split, everything))
+    return Parameters(fitted.hypothesis).spread(error)
+
+
+def _errors(fitted: Fit, split: Split, moved: np.ndarray) -> np.ndarray:
+    """(F,) with the parameters `moved` (F,) free."""
+    tangents = [tangent[:, moved] for tangent in fitted.tangents]
     gram = np.asarray(sum(t.T @ t for t in tangents))
     inverse = solve(gram, np.eye(len(gram)))
     score = np.zeros((split.blocks, len(gram)))
     for tangent, residual, block in zip(tangents, fitted.residuals, split.block, strict=True):
         np.add.at(score, block, tangent * residual[:, None])
     covariance = inverse @ (score.T @ score) @ inverse
-    error = np.zeros(len(fitted.inside))
-    error[fitted.inside] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return Parameters(fitted.hypothesis).spread(error)
+    error = np.zeros(len(moved))
+    error[moved] = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return error
 
 
 def reversal_noise(problem: Problem, coulomb: np.ndarray) -> np.ndarray:

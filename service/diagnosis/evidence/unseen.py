@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from schemas.robot import Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.findings import Findings
-from service.identification.events import bursts, events_of, outside, rhythm
+from service.identification.events import Event, bursts, events_of, outside, rhythm
 from service.identification.fit import Problem, evaluate
 from service.identification.folds import Split
 from service.model.description import described, digits
@@ -24,24 +25,35 @@ from service.rollout.gap import has_windows, rollout
 from service.rollout.robot import left_out
 
 
+def kept_out(known: Problem, trace: Trace) -> Problem:
+    """A log as rows to compare, in the units of `known`, which it had no part in.
+
+    Raises:
+        TraceError: no usable part, naming the file.
+    """
+    mechanism = known.recordings[0].mechanism
+    parts = [Recording(thin(part), mechanism, 0, trace.name) for part in segments(trace)]
+    return Problem.of(parts, Band.of(parts[0].segment.period, known.band.cutoff_hz), known.sigma)
+
+
+def without_events(problem: Problem, found: Sequence[Event]) -> Problem:
+    """The rows that no event touches."""
+    rows = [
+        rows & outside(part.name, part.segment.time[:: problem.band.step], found)[:, None]
+        for part, rows in zip(problem.recordings, problem.rows, strict=True)
+    ]
+    return replace(problem, rows=rows)
+
+
 def unseen(findings: Findings, trace: Trace) -> Unseen:
     """The models of `findings`, as they stand, on `trace`.
 
     Raises:
         TraceError: no usable part, naming the file. PoseError: positions that are no pose of the robot.
     """
-    known, corrected = findings.problem, findings.best.hypothesis
-    mechanism = known.recordings[0].mechanism
-    parts = [Recording(thin(part), mechanism, 0, trace.name) for part in segments(trace)]
-    problem = Problem.of(parts, Band.of(parts[0].segment.period, known.band.cutoff_hz), known.sigma)
+    problem, corrected = kept_out(findings.problem, trace), findings.best.hypothesis
     found = events_of(problem, evaluate(problem, corrected).residuals)
-    calm = replace(
-        problem,
-        rows=[
-            rows & outside(part.name, part.segment.time[:: problem.band.step], found)[:, None]
-            for part, rows in zip(parts, problem.rows, strict=True)
-        ],
-    )
+    calm = without_events(problem, found)
     return Unseen(
         trace=trace.name,
         whole=_shrunk(problem, findings.reference, corrected),

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service.diagnosis.fit.sound import Fault, fault_of
 from service.identification.fit import THREADS, Fit, Problem, fit, solve, within
 from service.identification.folds import Split, block_loss, held_out
 from service.model.effects.base import Effect, on_joint
@@ -30,6 +31,7 @@ SIMPLER_SHARE = 0.02  # of a gain that a hypothesis with fewer parameters may la
 TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
 ROUGH_PROMISE = 0.7  # of the cost: a rough effect that does not get below it is not refined
 ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its shapes, where slopes mislead
+HARM = 0.95  # of the loss on data left out that is left without the timing: then it is not of the plant
 SPREAD_GAIN = 40.0  # squared residual, in units of the noise, that shapes of their own must be worth
 ROUGH_JOINT_SHARE = 0.3  # the same where the grid only comes near
 JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
@@ -79,8 +81,8 @@ def score(fitted: Fit, split: Split) -> Scored:
 
 
 class Regressors:
-    """All candidates' regressors in the band, kept from round to round: only effects on the measured torque alter them
-    so much that it would show in the ranking.
+    """All candidates' regressors in the band, kept from round to round: only a delay or a filter of the torque alters
+    them so much that it would show in the ranking.
 
     low: (C,) least that each amplitude can be.
     """
@@ -98,16 +100,16 @@ class Regressors:
                     self.index[effect, joint, shape] = len(low) + np.arange(len(own))
                     low += own
         self.low = np.array(low)
-        self.seen: tuple[Term, ...] | None = None
+        self.seen: list[Effect] | None = None
         self.columns: list[np.ndarray] = []
         self.grams: list[np.ndarray] = []
 
     def along(self, hypothesis: Hypothesis) -> None:
         """Fill columns, (R, C) a recording, and grams, (C, C) a fold, as `hypothesis` sees them."""
-        measured = tuple(term for term in hypothesis.terms if term.effect.measured)
-        if self.seen is not None and [t.effect for t in measured] == [t.effect for t in self.seen]:
+        bent = [term.effect for term in hypothesis.terms if term.effect.measured and not term.effect.amplitudes]
+        if bent == self.seen:
             return
-        self.seen, split = measured, self.split
+        self.seen, split = bent, self.split
         scenes = self.problem.scenes(hypothesis.base)
         self.columns = list(
             THREADS.map(lambda n, scene: self._columns(n, scene, hypothesis), range(len(scenes)), scenes)
@@ -222,8 +224,22 @@ class Dictionary:
                 for candidate in [Candidate(effect, option, shape)]
             ]
             if scored:
-                result.append(_prefer_single(scored, self.nothing))
+                found = _prefer_single(scored, self.nothing)
+                if len(found[1].joints) > 1 and self._dead(found[1]):  # the others make up for what one cannot be
+                    found = min((item for item in scored if len(item[1].joints) == 1), key=lambda item: item[0])
+                result.append(found)
         return sorted(result, key=lambda item: item[0])
+
+    def _dead(self, candidate: Candidate) -> bool:
+        """Whether all data together leave nothing of an effect on one of its joints."""
+        total = np.asarray(sum(self.left_out))
+        chosen = [self.index[candidate.effect, joint, candidate.shape] for joint in candidate.joints]
+        every = np.concatenate(chosen)
+        low = self.low[every]
+        weight = within(total[np.ix_(every, every)], total[every, -1], low, np.full(len(every), np.inf))
+        parts = np.split(np.isfinite(low) & (weight <= low), len(chosen))
+        bounded = np.split(np.isfinite(low), len(chosen))
+        return any(b.any() and part[b].all() for part, b in zip(parts, bounded, strict=True))
 
     def _size(self, candidate: Candidate) -> int:
         return sum(len(self.index[candidate.effect, joint, candidate.shape]) for joint in candidate.joints or (0,))
@@ -274,13 +290,15 @@ class Selection:
     """How the search went. none: the base model. best: with the effects found.
 
     path: a round each, the hypotheses fitted and the one taken (None where none was worth it).
-    trimmed: a hypothesis taken -> what was left of it after the backward check.
+    trimmed: a hypothesis taken -> what was left of it after the backward check. fault: of the hypothesis that would
+    have been taken next and cannot be.
     """
 
     none: Scored
     best: Scored
     path: list[tuple[list[Scored], Scored | None]]
     trimmed: dict[int, Scored]
+    fault: Fault | None = None
 
     def after(self, taken: Scored) -> Scored:
         """What a hypothesis taken became."""
@@ -302,9 +320,14 @@ def search(
     """
     given = len(start.terms)
     rows = problem.count
-    none = best = score(fit(problem, start), split)
+    none = score(fit(problem, start), split)
+    if start.fits_timing:  # within a sample; it must not do harm on data left out
+        still = score(fit(problem, replace(start, timed=False), iterations=2), split)
+        none = still if still.loss < HARM * none.loss else none
+    best = none
     path: list[tuple[list[Scored], Scored | None]] = []
     trimmed: dict[int, Scored] = {}
+    fault: Fault | None = None
     regressors = Regressors(problem, split, effects, start.base)
     for _ in range(MOST_EFFECTS if effects else 0):
         progress("weighing the catalogue")
@@ -317,8 +340,8 @@ def search(
             exact.append(score(fit_added(problem, best.hypothesis, candidate.term()), split))
         if not exact:
             break
-        exact = simplest_first(exact, best)
-        if not worth(exact[0].blocks, best.blocks, none.blocks, rows):
+        exact, fault = _sound_first(problem, simplest_first(exact, best), best, none, given)
+        if fault is not None or not worth(exact[0].blocks, best.blocks, none.blocks, rows):
             path.append((exact, None))
             break
         path.append((exact, exact[0]))
@@ -326,7 +349,24 @@ def search(
         best = trimmed[id(exact[0])] = grow(problem, split, best)
         if best.loss / rows < 1.0 + LEAST_GAIN:
             break
-    return Selection(none, best, path, trimmed)
+    return Selection(none, best, path, trimmed, fault)
+
+
+def _sound_first(
+    problem: Problem, ordered: list[Scored], without: Scored, none: Scored, given: int
+) -> tuple[list[Scored], Fault | None]:
+    """What cannot be is out. Where it leads and nothing that can be is as good, that is its fault: what comes next
+    would stand in for something that is not in the catalogue."""
+    faults = [fault_of(problem, scored.hypothesis, given) for scored in ordered]
+    sound = [scored for scored, fault in zip(ordered, faults, strict=True) if fault is None]
+    lead = ordered[0]
+    if faults[0] is None:
+        return sound, None
+    gain = without.loss - lead.loss
+    near = [s for s in sound if s.loss - lead.loss < JOINT_SHARE * gain or z_score(s.blocks, lead.blocks) < TOLD_APART]
+    if near:
+        return [near[0], *(scored for scored in sound if scored is not near[0])], None
+    return sound or ordered, faults[0] if worth(lead.blocks, without.blocks, none.blocks, problem.count) else None
 
 
 def simplest_first(tried: list[Scored], without: Scored) -> list[Scored]:

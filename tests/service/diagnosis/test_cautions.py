@@ -46,6 +46,15 @@ def test_without_reversals_friction_is_not_looked_for():
     assert [(one.code, one.joints) for one in offer.cautions] == [("one_way", [1]), ("one_run", [])]
 
 
+def test_of_a_torque_that_was_not_measured_nothing_is_said_to_be_done_to_it():
+    offer = limits_of(motion(SWING, SWING, SWING), {0: 40.0})
+    assert not offer.allows(EFFECTS["torque_delay"], 0)
+    assert not offer.allows(EFFECTS["torque_scale"], 0)
+    assert offer.allows(EFFECTS["torque_scale"], 1)
+    assert offer.allows(EFFECTS["joint_spring"], 0)
+    assert ("closed_loop", [1], 40.0) in [(one.code, one.joints, one.gain) for one in offer.cautions]
+
+
 def test_a_short_log_is_too_little():
     offer = limits_of(motion(*[SWING[:200]] * 3))
     assert not offer.enough

@@ -106,3 +106,15 @@ def test_noise_is_no_reason_to_doubt():
     made = problem(runs, [run.torque + 0.3 * random.standard_normal(run.torque.shape) for run in runs])
     best = selection.score(fit(made, Hypothesis(BASE)), Split.of(made))
     assert cautions.doubts_of(made, Selection(best, best, [], {}), LIMIT) == []
+
+
+@pytest.mark.parametrize(("gap", "told"), [(3.0, True), (60.0, False)])
+def test_a_good_stand_in_does_not_excuse_what_it_leaves_unless_that_is_little_of_the_gap(gap, told):
+    """Effects that remove 80 % of a gap leave 12 % of the torque; the same of a gap of which 99 % is gone."""
+    made, none = loud(20.0)
+    left = none.loss / made.count
+    small = INJECTED["cogging"].term("cogging")
+    best = stub(hypothesis=Hypothesis(BASE, (small,)), loss=left * made.count)
+    before = stub(hypothesis=Hypothesis(BASE), loss=gap * left * made.count)
+    codes = [one.code for one in cautions.doubts_of(made, Selection(before, best, [], {}), LIMIT)]
+    assert ("much_is_left" in codes) == told

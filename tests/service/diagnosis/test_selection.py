@@ -296,3 +296,23 @@ def test_two_effects_are_both_found():
     assert found.after(taken).names == taken.names
     assert evaluate(logs, found.best.hypothesis).cost / logs.count == pytest.approx(1.0, abs=0.06)
     assert isinstance(logs.scenes(BASE)[0], Scene)
+
+
+def test_what_the_other_folds_leave_open_does_not_run_away_on_the_one_left_out():
+    """A column that only the last run knows: its weight from noise would be anything, its reach says how far."""
+    random = np.random.default_rng(11)
+    size = [1e-4, 1e-4, 10.0]
+    columns = [np.column_stack([random.standard_normal(200), s * random.standard_normal(200)]) for s in size]
+    target = [c @ [1.0, 0.0] + 0.1 * random.standard_normal(200) for c in columns]
+    split = split_of(3, 200, 4)
+    free = scored(columns, target, split)
+    assert free.loss > 1e4
+    fitted = replace(free.fitted, reach=(np.array([-np.inf, -0.01]), np.array([np.inf, 0.01])))
+    assert selection.score(fitted, split).loss < 1.5 * fitted.cost  # (0.01 * 10)^2 a row on top of 0.1^2
+
+
+def test_the_reach_of_the_timing_is_a_quarter_of_a_sample():
+    low, high = fit(logs_of("cogging"), Hypothesis(BASE), iterations=0).reach
+    assert low[10] == pytest.approx(-0.25e-3)
+    assert high[10] == pytest.approx(0.25e-3)
+    assert (high[:9] == np.inf).all()

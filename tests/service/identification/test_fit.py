@@ -92,7 +92,7 @@ def test_what_stands_at_a_limit_or_is_rough_does_not_move():
     low, high = parameters.limits(logs.recordings[0].mechanism, 1e-3)
     assert (low[9], high[9]) == (2e-4, 2e-2)
     assert (low[10], high[10]) == (-2.5e-4, 2.5e-4)
-    assert (low[11], high[11]) == (3.0, 300.0)
+    assert (low[11], high[11]) == (0.3, 300.0)
     assert low[:9].tolist() == [0.0] * 9
     assert np.isinf(high[:9]).all()
 

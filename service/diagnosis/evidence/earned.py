@@ -1,0 +1,124 @@
+"""Whether a name has earned it: what it explains has to shrink on data left out, and on logs kept out of everything.
+
+A stand-in fits the runs that it was fitted to as well as the truth does. What it cannot do is carry over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from schemas.diagnosis import Caution
+from service.diagnosis.evidence import statistics
+from service.diagnosis.evidence.unseen import without_events
+from service.diagnosis.fit.selection import LEAST_GAIN, Scored, Selection, score
+from service.identification.events import events_of
+from service.identification.fit import Problem, evaluate, fit
+from service.identification.folds import Split, block_loss
+from service.model.effects.base import Effect
+from service.model.hypothesis import Hypothesis, Term
+from service.model.parameters import Parameters
+
+LEAST_SHRINK = 0.015  # of the rms on data left out that a name has to be worth, and its interval above zero
+Z95 = 1.96
+OPEN = 0.5  # standard error over value of a shape without amplitudes, from which it is open whether there is any
+
+
+def earned(
+    problem: Problem, split: Split, selection: Selection, given: int, kept_out: Sequence[Problem]
+) -> tuple[Selection, list[Caution]]:
+    """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on."""
+    fallen: list[Caution] = []
+    best = selection.best
+    while True:
+        effects = list(dict.fromkeys(term.effect for term in best.hypothesis.terms[given:]))
+        for effect in effects:
+            without = _without(problem, split, selection, best, effect)
+            caution = _open(best, split, effect) or _carries_over(problem, split, best, without, effect, kept_out)
+            if caution is not None:
+                fallen.append(caution)
+                best = without
+                break
+        else:
+            break
+    if not fallen:
+        return selection, []
+    return _cut(selection, best), fallen
+
+
+def _without(problem: Problem, split: Split, selection: Selection, best: Scored, effect: Effect) -> Scored:
+    """The hypothesis refitted without one effect."""
+    terms = tuple(term for term in best.hypothesis.terms if term.effect is not effect)
+    if len(terms) == len(selection.none.hypothesis.terms):
+        return selection.none
+    return score(fit(problem, replace(best.hypothesis, terms=terms)), split)
+
+
+def _cut(selection: Selection, best: Scored) -> Selection:
+    """The search as if it had stopped before the first effect that is not in `best`."""
+    names, path = set(best.names), []
+    for tried, taken in selection.path:
+        if taken is None or not set(taken.names) <= names:
+            path.append((tried, None))
+            break
+        path.append((tried, taken))
+    return replace(selection, best=best, path=path)
+
+
+def _open(best: Scored, split: Split, effect: Effect) -> Caution | None:
+    """Said of an effect none of whose quantities is told from nothing."""
+    parameters, errors = Parameters(best.hypothesis), statistics.standard_errors(best.fitted, split)
+    for term, mine in zip(best.hypothesis.terms, parameters.terms, strict=True):
+        if term.effect is effect:
+            values, error = parameters.values[mine], errors[mine]
+            if term.amplitude.size:
+                count = term.amplitude.size
+                told = np.abs(values[:count]) > Z95 * error[:count]
+            else:
+                told = error[:1] < OPEN * np.abs(values[:1])
+            if told.any():
+                return None
+    return _fell("left_open", effect, best)
+
+
+def _carries_over(
+    problem: Problem, split: Split, best: Scored, without: Scored, effect: Effect, kept_out: Sequence[Problem]
+) -> Caution | None:
+    """Said of an effect that does not shrink the gap on data left out, or not on a log where it would have to."""
+    shrink = statistics.shrink(
+        statistics.pooled_squares(problem, without.residuals, split),
+        statistics.pooled_squares(problem, best.residuals, split),
+    )
+    if shrink.low <= 0 or shrink.value < LEAST_SHRINK:
+        return _fell("no_shrink", effect, best, share=shrink.value)
+    for other in kept_out:
+        shrunk = shrink_on(other, without.hypothesis, best.hypothesis)
+        if shrunk is not None and shrunk.low <= 0:
+            return _fell("no_shrink_on", effect, best, share=shrunk.value, run=other.recordings[0].name)
+    return None
+
+
+def shrink_on(other: Problem, without: Hypothesis, best: Hypothesis) -> statistics.Shrink | None:
+    """How the gap of another log shrinks, outside events, by what `best` adds; None where that moves nothing there."""
+    calm = without_events(other, events_of(other, evaluate(other, best).residuals))
+    other = calm if calm.count > 0.3 * other.count else other
+    split = Split.of(other)
+    before, after = (evaluate(other, hypothesis).residuals for hypothesis in (without, best))
+    moved = sum(float(((b - a) ** 2).sum()) for b, a in zip(before, after, strict=True))
+    if moved < LEAST_GAIN * other.count:
+        return None
+    return statistics.shrink(block_loss(before, split), block_loss(after, split))
+
+
+def _fell(code: str, effect: Effect, best: Scored, share: float | None = None, run: str | None = None) -> Caution:
+    joints = sorted({joint + 1 for term in _terms(best, effect) for joint in term.joints})
+    rounded = None if share is None else round(share, 4)
+    return Caution.model_validate(
+        {"code": code, "effect": effect.name, "joints": joints, "share": rounded, "run": run, "advice": "record_more"}
+    )
+
+
+def _terms(best: Scored, effect: Effect) -> list[Term]:
+    return [term for term in best.hypothesis.terms if term.effect is effect]

@@ -1,0 +1,110 @@
+"""What a residual follows that the base model of its joint does not know: the motion of other joints, the sine of its
+own angle, the position error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from schemas.diagnosis import Follows
+from schemas.trace import Trace
+from service.identification.fit import Problem, solve
+from service.identification.folds import Split
+from service.model.friction import mean_direction
+
+What = Literal["motion", "sine_of_angle", "position_error"]
+LEAST_SHARE = 0.05  # of the energy above the noise that is worth telling
+
+
+def follows(
+    problem: Problem, split: Split, residuals: Sequence[np.ndarray], traces: Sequence[Trace], angular: bool
+) -> list[Follows]:
+    """What residuals (R,) a recording, in units of the noise, follow, strongest first; each share on data left out.
+
+    traces: that the recordings are of, for their position commands. angular: the axes turn.
+    """
+    found: list[Follows] = []
+    joints = len(problem.sigma)
+    for joint in range(joints):
+        values = [r[j == joint] for r, j in zip(residuals, problem.joints_of_rows, strict=True)]
+        fold = [f[j == joint] for f, j in zip(split.fold, problem.joints_of_rows, strict=True)]
+        count = sum(map(len, values))
+        energy = sum(float(v @ v) for v in values)
+        if count < 50 or energy < 1.2 * count:
+            continue
+        for what, other, columns in _groups(problem, joint, traces, angular):
+            share = _share(columns, values, fold, split.folds, energy - count)
+            if share > LEAST_SHARE:
+                found.append(Follows(joint=joint + 1, what=what, other=other, share=round(share, 4)))
+    return sorted(found, key=lambda one: -one.share)
+
+
+def _groups(
+    problem: Problem, joint: int, traces: Sequence[Trace], angular: bool
+) -> list[tuple[What, int | None, list[np.ndarray]]]:
+    """(what, joint it is of, columns (R, C) a recording) of everything that is asked."""
+    groups: list[tuple[What, int | None, list[np.ndarray]]] = []
+    for other in range(len(problem.sigma)):
+        if other != joint:
+            groups.append(("motion", other + 1, [_motion(problem, n, joint, other) for n in _numbers(problem)]))
+    if angular:
+        groups.append(("sine_of_angle", None, [_sine(problem, n, joint) for n in _numbers(problem)]))
+    if all(trace.position_command is not None for trace in traces):
+        errors = [_error(problem, n, joint, traces) for n in _numbers(problem)]
+        if any(np.ptp(error[:, 0]) > 0 for error in errors if len(error)):
+            groups.append(("position_error", None, errors))
+    return groups
+
+
+def _numbers(problem: Problem) -> range:
+    return range(len(problem.recordings))
+
+
+def _rows(problem: Problem, number: int, joint: int, columns: np.ndarray) -> np.ndarray:
+    """(R, C + 1) of (N, C), in the band, with a constant."""
+    chosen = problem.band(columns)[problem.rows[number][:, joint]]
+    return np.concatenate([chosen, np.ones((len(chosen), 1))], axis=1)
+
+
+def _motion(problem: Problem, number: int, joint: int, other: int) -> np.ndarray:
+    segment = problem.recordings[number].segment
+    direction = mean_direction(segment.theta_dot[:, [other]], 0.01)[:, 0]
+    columns = [segment.theta_ddot[:, other], segment.theta_dot[:, other], direction]
+    return _rows(problem, number, joint, np.stack(columns, axis=1))
+
+
+def _sine(problem: Problem, number: int, joint: int) -> np.ndarray:
+    theta = problem.recordings[number].segment.theta[:, joint]
+    return _rows(problem, number, joint, np.stack([np.sin(theta), np.cos(theta)], axis=1))
+
+
+def _error(problem: Problem, number: int, joint: int, traces: Sequence[Trace]) -> np.ndarray:
+    return _rows(problem, number, joint, position_error(problem, number, traces)[:, [joint]])
+
+
+def position_error(problem: Problem, number: int, traces: Sequence[Trace]) -> np.ndarray:
+    """(N, n) commanded minus measured position of a recording; zero where there is no command."""
+    recording = problem.recordings[number]
+    command = traces[recording.trace].position_command
+    rows = recording.segment.rows
+    assert command is not None
+    return np.nan_to_num(command[rows] - traces[recording.trace].position[rows])
+
+
+def _share(
+    columns: list[np.ndarray], values: list[np.ndarray], fold: list[np.ndarray], folds: int, above: float
+) -> float:
+    """Of the energy `above` the noise that columns take away on folds left out, beyond what a constant does."""
+    kept = 0.0
+    for number in range(folds):
+        fitted = []
+        for part in (slice(None), slice(-1, None)):
+            train = [(c[f != number, part], v[f != number]) for c, v, f in zip(columns, values, fold, strict=True)]
+            out = [(c[f == number, part], v[f == number]) for c, v, f in zip(columns, values, fold, strict=True)]
+            weight = solve(np.asarray(sum(c.T @ c for c, _ in train)), np.asarray(sum(c.T @ v for c, v in train)))
+            fitted.append(sum(float(((v - c @ weight) ** 2).sum()) for c, v in out))
+        kept += fitted[1] - fitted[0]
+    return float(np.clip(kept / max(above, 1e-9), 0.0, 1.0))

@@ -1,0 +1,66 @@
+"""What a fitted effect must not be: at the end of what was searched, or friction that drives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from service.identification.fit import Problem
+from service.model.hypothesis import Hypothesis, Term
+from service.model.scene import Scene
+
+AT_LIMIT = 1e-6  # of a shape's range: so near to its end it stands there
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Why an effect at work in a hypothesis cannot be. quantity: the one at its limit."""
+
+    code: Literal["at_limit", "drives", "beyond_any_robot"]
+    term: Term
+    quantity: str = ""
+
+
+def fault_of(problem: Problem, hypothesis: Hypothesis, given: int) -> Fault | None:
+    """The first effect of `hypothesis` beyond the `given` ones that cannot be what it is called, None if all can."""
+    mechanism = problem.recordings[0].mechanism
+    for term in hypothesis.terms[given:]:
+        # of a Delta it says that the geometry is wrong, and with it all that was found before
+        if mechanism.kind != "delta" and term.effect.size(mechanism, term.amplitude) > term.effect.beyond:
+            return Fault("beyond_any_robot", term)
+        if any(_nothing_of(term, place) for place in range(len(term.amplitude))):
+            return Fault("at_limit", term, next(iter(term.effect.amplitudes)))
+        for (name, shape), value in zip(term.effect.shapes.items(), term.shape, strict=True):
+            near = AT_LIMIT * (shape.high - shape.low)
+            at_end = min(value - shape.low, shape.high - value) <= near
+            if at_end and not shape.fixed and not shape.minor:
+                return Fault("at_limit", term, name)
+    rubbing = [term for term in hypothesis.terms if term.effect.dissipates]
+    for term in hypothesis.terms[given:] if rubbing else ():
+        if term.effect.dissipates and any(_drives(problem, hypothesis, rubbing, joint) for joint in term.joints):
+            return Fault("drives", term)
+    return None
+
+
+def _nothing_of(term: Term, place: int) -> bool:
+    """Whether none is left of an effect on one of its places: all that cannot be less than a limit stands there."""
+    low = np.array([amplitude.low for amplitude in term.effect.amplitudes.values()])
+    bounded = np.isfinite(low)
+    return bool(bounded.any() and (term.amplitude[place, bounded] <= low[bounded]).all())
+
+
+def _drives(problem: Problem, hypothesis: Hypothesis, rubbing: list[Term], joint: int) -> bool:
+    """Whether friction of `joint` puts energy into its motion, in the mean over one direction."""
+    work = np.zeros(2)
+    for scene in (Scene(recording, hypothesis.base) for recording in problem.recordings):
+        speed = scene.segment.theta_dot[:, joint]
+        torque = hypothesis.base.viscous[joint] * speed + hypothesis.base.coulomb[joint] * scene.direction[:, joint]
+        for term in rubbing:
+            for place, other in enumerate(term.joints):
+                if other == joint:
+                    torque = torque + term.effect.torque(scene, joint, term.amplitude[place], term.shape)[:, joint]
+        power = torque * speed * scene.segment.moving[:, joint]
+        work += power[speed > 0].sum(), power[speed < 0].sum()
+    return bool((work < 0).any())

@@ -1,0 +1,122 @@
+"""Is the base right, is the loop open, is the noise known? Asked before any effect is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from schemas.axes import Axes, Axis
+from schemas.trace import Trace
+from service.diagnosis.documents.text import sentences
+from service.identification.noise import floor
+from tests.service.subject import CATALOGUE, EFFECTS, Recording, diagnose, document, segments
+from tests.service.world import PERIOD, course, problem, sines, way
+
+SECONDS = 5.0
+
+
+def two_axes(seed: int, coupling: float, weight: float = 0.0, noise: float = 0.05) -> Trace:
+    """Two axes of 0.5 kg m^2; `coupling` kg m^2 of the first in the second, `weight` N m on the second."""
+    time = np.arange(round(SECONDS / PERIOD)) * PERIOD
+    theta, speed, acceleration = (signal[:, :2] for signal in sines(seed, 0.8)(time))
+    random = np.random.default_rng([seed, 3])
+    torque = 0.5 * acceleration + 0.4 * speed + 0.6 * way(speed)
+    torque[:, 1] += coupling * acceleration[:, 0] + weight * np.sin(theta[:, 1])
+    torque += noise * random.standard_normal(torque.shape)
+    return Trace(Path(f"run_{seed}.csv"), time, theta + 1e-7 * random.standard_normal(theta.shape), torque)
+
+
+def axes(**keys) -> Axes:
+    return Axes(name="two", kind="axes", axis=[Axis(**keys), Axis(**keys)])
+
+
+def told(robot: Axes, traces: list[Trace], names: tuple[str, ...] | None = None):
+    effects = CATALOGUE if names is None else [EFFECTS[name] for name in names]
+    return document.document(diagnose.diagnose(robot, traces, effects))
+
+
+def test_an_axis_that_feels_another_is_a_wrong_base_and_no_effect():
+    found = told(axes(), [two_axes(seed, 0.3) for seed in (1, 2, 3)])
+    assert found.effects == []
+    assert ("other_joints", [2, 1]) in [(one.code, one.joints) for one in found.cannot_tell]
+    first = found.follows[0]
+    assert (first.joint, first.what, first.other) == (2, "motion", 1)
+    assert first.share > 0.8
+    assert "follows the motion of joint 1" in " ".join(sentences(found))
+
+
+def test_axes_that_do_not_feel_each_other_have_no_such_doubt():
+    found = told(axes(), [two_axes(seed, 0.0) for seed in (1, 2, 3)], ("cogging", "torque_offset"))
+    assert found.verdict == "within_noise"
+    assert found.follows == []
+    assert {one.code for one in found.cannot_tell} == set()
+
+
+def answered(seed: int, delay: int = 0) -> Trace:
+    """One axis on a spring drive: torque is 40 N m/rad times the position error, `delay` samples later."""
+    made = two_axes(seed, 0.0, noise=0.0)
+    error = made.torque / 40.0
+    command = made.position + np.roll(error, -delay, axis=0)
+    return Trace(made.path, made.time, made.position, made.torque, position_command=command)
+
+
+def test_torque_that_answers_the_position_error_is_a_closed_loop():
+    found = told(axes(), [answered(seed) for seed in (1, 2, 3)], ("torque_delay", "torque_filter", "torque_scale"))
+    loops = [one for one in found.cannot_tell if one.code == "closed_loop"]
+    assert [one.joints for one in loops] == [[1], [2]]
+    assert [one.gain for one in loops] == pytest.approx([40.0, 40.0], rel=0.01)
+    assert "cannot be known" in " ".join(sentences(found))
+
+
+def recordings(made: list[Trace]) -> list[Recording]:
+    from service.model.mechanism import mechanism_of
+
+    return [Recording(part, mechanism_of(axes()), n, t.name) for n, t in enumerate(made) for part in segments(t)]
+
+
+def noises(kind: str, level: float) -> tuple[list[Recording], list[np.ndarray]]:
+    random, made = np.random.default_rng(8), recordings([two_axes(seed, 0.0, noise=0.0) for seed in (1, 2)])
+    values = [level * random.standard_normal(part.segment.torque.shape) for part in made]
+    if kind == "coloured":
+        keep = np.exp(-1.0 / 3.0)  # 3 ms of memory
+        values = [np.asarray(lfilter([np.sqrt(1 - keep**2)], [1, -keep], v, axis=0)) for v in values]
+    for part, value in zip(made, values, strict=True):
+        part.segment.torque[:] = part.segment.torque + value
+    return made, values
+
+
+@pytest.mark.parametrize("kind", ["white", "coloured"])
+def test_the_floor_in_the_band_whatever_the_noises_colour(kind):
+    made, values = noises(kind, 0.2)
+    band = problem([course(1, 1.0)], [course(1, 1.0).torque]).band
+    found = floor(made, values, band)
+    truth = np.concatenate([band(value)[20:-20] for value in values]).std(axis=0)
+    np.testing.assert_allclose(found.band, truth, rtol=0.1)
+    assert found.coloured.tolist() == [kind == "coloured"] * 2
+    assert not found.unknown.any()
+
+
+def test_smooth_torque_has_no_floor_to_be_read_and_that_is_said():
+    made, values = noises("white", 1e-9)
+    band = problem([course(1, 1.0)], [course(1, 1.0).torque]).band
+    found = floor(made, values, band)
+    torque = np.concatenate([band(part.segment.torque) for part in made]).std(axis=0)
+    np.testing.assert_allclose(found.band, 0.01 * torque, rtol=1e-6)
+    assert found.unknown.all()
+    result = told(axes(), [two_axes(seed, 0.0, noise=0.0) for seed in (1, 2, 3)], ("torque_offset",))
+    assert [one.code for one in result.cannot_tell] == ["noise_unknown"]
+    assert "shows no noise of its own" in " ".join(sentences(result))
+    ratio = np.array(result.gap.before_nm) / np.array(result.gap.noise_floor_nm)
+    assert (ratio < 10).all()
+
+
+def test_steps_are_a_floor():
+    made, values = noises("white", 1e-9)
+    for part in made:
+        part.segment.torque[:] = 0.05 * np.rint(part.segment.torque / 0.05)
+    band = problem([course(1, 1.0)], [course(1, 1.0).torque]).band
+    found = floor(made, values, band)
+    assert (found.sample >= 0.05 / 12**0.5 * (1 - 1e-9)).all()

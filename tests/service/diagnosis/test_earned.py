@@ -1,0 +1,89 @@
+"""A name falls when what it explains does not carry over: runs left out, a log kept out, quantities left open."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from schemas.diagnosis import Caution
+from service.diagnosis.evidence.earned import earned
+from tests.service.injected import reports
+from tests.service.subject import EFFECTS, Hypothesis, Problem, Selection, Split, Term, fit, selection
+from tests.service.world import BASE, course, problem
+
+SECONDS, NOISE = 4.0, 0.3
+
+
+def logs(seeds: tuple[int, ...], *names: str) -> Problem:
+    """Runs with these effects, each put in by other code."""
+    runs = [course(seed, SECONDS) for seed in seeds]
+    random = np.random.default_rng([*seeds, 1])
+    torques = [
+        r.torque + sum(reports(n, s, SECONDS) - r.torque for n in names) for r, s in zip(runs, seeds, strict=True)
+    ]
+    return problem(runs, [torque + NOISE * random.standard_normal(torque.shape) for torque in torques])
+
+
+def chosen(made: Problem, *terms: Term) -> Selection:
+    """A search that took these terms in one step."""
+    split = Split.of(made)
+    none = selection.score(fit(made, Hypothesis(BASE)), split)
+    best = selection.score(fit(made, Hypothesis(BASE, terms)), split)
+    return Selection(none, best, [([best], best)], {})
+
+
+def codes(found: list[Caution]) -> list[tuple[str, str | None, str | None]]:
+    return [(one.code, one.effect, one.run) for one in found]
+
+
+SPRING = Term(EFFECTS["joint_spring"], (0,), np.zeros((1, 2)), ())
+RIPPLE = Term(EFFECTS["cogging"], (1,), np.zeros((1, 2)), (2.0,))
+DELAY = Term(EFFECTS["torque_delay"], (), np.zeros((1, 0)), (0.0005,))
+
+
+def test_a_name_that_shrinks_the_gap_everywhere_stands():
+    made = logs((1, 2, 3), "joint_spring")
+    found = chosen(made, SPRING)
+    kept, fallen = earned(made, Split.of(made), found, 0, [logs((4,), "joint_spring")])
+    assert kept is found
+    assert fallen == []
+
+
+def test_a_name_that_shrinks_nothing_falls_and_the_others_stay():
+    made = logs((1, 2, 3), "joint_spring")
+    kept, fallen = earned(made, Split.of(made), chosen(made, SPRING, RIPPLE), 0, [])
+    assert kept.best.names == ("joint_spring",)
+    assert [one.effect for one in fallen] == ["cogging"]
+    assert fallen[0].code in ("no_shrink", "left_open")
+    assert kept.path[-1][1] is None  # nothing was taken there
+
+
+def test_a_name_that_a_log_kept_out_does_not_bear_out_falls_by_that_logs_name():
+    made, other = logs((1, 2, 3), "joint_spring"), logs((4,))
+    kept, fallen = earned(made, Split.of(made), chosen(made, SPRING), 0, [other])
+    assert kept.best.names == ()
+    assert codes(fallen) == [("no_shrink_on", "joint_spring", "run_0")]
+    assert fallen[0].share is not None
+    assert fallen[0].share < 0
+
+
+def test_a_log_kept_out_that_does_not_show_it_says_nothing():
+    made = logs((1, 2, 3), "cogging")
+    slow = problem([course(4, SECONDS, 1e-3)], [course(4, SECONDS, 1e-3).torque])
+    assert len(earned(made, Split.of(made), chosen(made, RIPPLE), 0, [slow])[1]) == 0
+
+
+def test_a_delay_that_may_as_well_be_none_is_left_open():
+    """Runs of noise alone: whatever shift fits best has no sign."""
+    made = logs((1, 2, 3))
+    kept, fallen = earned(made, Split.of(made), chosen(made, DELAY), 0, [])
+    assert kept.best.names == ()
+    assert fallen[0].effect == "torque_delay"
+
+
+@pytest.mark.parametrize("given", [0, 1])
+def test_what_the_description_says_does_not_have_to_earn_it(given):
+    made = logs((1, 2, 3))
+    kept, fallen = earned(made, Split.of(made), chosen(made, RIPPLE), given, [])
+    assert len(fallen) == 1 - given
+    assert kept.best.names == ("cogging",) * given
