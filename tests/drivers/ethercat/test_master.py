@@ -84,7 +84,7 @@ def nothing(*_: object) -> np.ndarray:
 @functools.cache
 def plan(folder: Path) -> Trajectory:
     planner = Planner(load_robot(folder / "robot.toml"), PERIOD)
-    return planner.pick_and_place(np.random.default_rng(1), 1.5, (1.5,), speed=0.3)
+    return planner.pick_and_place(np.random.default_rng(1), 2.5, (1.5,), speed=0.3)
 
 
 def run(

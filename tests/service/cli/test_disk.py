@@ -22,9 +22,9 @@ from tests.service.monitor.test_recording import SAMPLE, WALL_NS, filled
 PEER = Path(__file__).with_name("disk_peer.py")
 OLD = "what stood here before"
 WRITING = {  # command line, and the file or folder of {disk} that it writes; {in} holds inputs
-    "convert-csv": ("convert {in}/log.csv {disk}/old.csv", "old.csv"),
-    "convert-gzip": ("convert {in}/log.csv {disk}/old.csv.gz", "old.csv.gz"),
-    "convert-mcap": ("convert {in}/log.csv {disk}/old.mcap", "old.mcap"),
+    "convert-csv": ("convert --overwrite {in}/log.csv {disk}/old.csv", "old.csv"),
+    "convert-gzip": ("convert --overwrite {in}/log.csv {disk}/old.csv.gz", "old.csv.gz"),
+    "convert-mcap": ("convert --overwrite {in}/log.csv {disk}/old.mcap", "old.mcap"),
     "recover": ("recover {in}/run.mcap {disk}/new.mcap", None),
     "identify": (f"identify {LOG} --robot {ROBOT} --out {{disk}}/old.toml", "old.toml"),
     "simulate": ("simulate --robot d3-1200 --duration 0.5 --motion slow --out {disk}/old.csv", "old.csv"),

@@ -90,7 +90,8 @@ def test_convert_stopped_half_way_leaves_the_old_file(tmp_path: Path, stop: sign
     motion = np.sin(time_s)[:, None] * [0.5, 0.6, 0.7]
     write_trace(Trace(Path("made"), time_s, motion, motion), tmp_path / "long.csv")
     (tmp_path / "out.mcap").write_bytes(b"old")
-    command = [sys.executable, "-c", "from service.cli.main import main; main()", "convert", "long.csv", "out.mcap"]
+    command = [sys.executable, "-c", "from service.cli.main import main; main()"]
+    command += ["convert", "--overwrite", "long.csv", "out.mcap"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     part = tmp_path / ".part-out.mcap"
     while not (part.exists() and part.stat().st_size > 0) and process.poll() is None:
