@@ -5,6 +5,7 @@ uv run python -m tests.bench.bench_rollout
 
 from __future__ import annotations
 
+import argparse
 import time
 
 import numpy as np
@@ -51,6 +52,7 @@ def speed(robot: Robot) -> float:
 
 def main() -> None:
     """Print both and what is asked."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     for name, robot in (("base model", identified()), ("whole catalogue", whole())):
         print(f"{name}: {speed(robot):.0f} times real time at {1 / PERIOD:.0f} Hz (bound {BOUND:g})")
 
