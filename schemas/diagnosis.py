@@ -50,21 +50,30 @@ class Caution(_Section):
 
 
 class Estimate(_Section):
-    """One parameter with its 95 % interval."""
+    """One parameter with its 95 % interval, which is a point where the value is fixed. meaning: in words."""
 
     value: float
     unit: str
     ci95: tuple[float, float]
+    meaning: str = ""
+
+    @property
+    def fixed(self) -> bool:
+        """Whether nothing was estimated."""
+        return self.ci95[0] == self.ci95[1]
 
 
 class NamedEffect(_Section):
     """An effect that the data support. joints count from 1, empty where the effect sits on no single joint.
 
     probability: share of block-bootstrap draws of the data in which it, and no rival or nothing, predicts best.
-    gap_share: of the gap's energy above the noise that it removes on data left out.
+    gap_share: of the gap's energy above the noise that it removes on data left out. title: the name in words of the
+    plant. means: what it means and what to do.
     """
 
     name: str
+    title: str = ""
+    means: str = ""
     joints: list[int]
     probability: float
     parameters: dict[str, Estimate]
@@ -107,13 +116,17 @@ class Moved(_Section):
 
 
 class Gap(_Section):
-    """Rms a joint on runs left out of fitting and selection, in the analysis band. unit: N m, N for linear axes."""
+    """Rms a joint on runs left out of fitting and selection, in the analysis band. unit: N m, N for linear axes.
+
+    torque_nm: rms of the recorded torque on the same samples.
+    """
 
     unit: str
     before_nm: list[float]
     after_nm: list[float]
     noise_floor_nm: list[float]
     reversal_nm: list[float]
+    torque_nm: list[float] = []
     shrink: float
     shrink_ci95: tuple[float, float]
     shrink_of_explainable: float | None
@@ -222,6 +235,14 @@ class Unseen(_Section):
     simulated: Simulated | None = None
 
 
+class Made(_Section):
+    """When, by which version of deltatwin, from what: SHA-256 of each input file by its name."""
+
+    at: str
+    version: str
+    inputs: dict[str, str]
+
+
 class Diagnosis(_Section):
     """Where the gap lies, which effect causes it, how far it shrinks.
 
@@ -231,6 +252,7 @@ class Diagnosis(_Section):
     """
 
     schema_: Literal["deltatwin.diagnosis/2"] = Field("deltatwin.diagnosis/2", alias="schema")
+    made: Made | None = None
     robot: str
     traces: list[str]
     verdict: Verdict

@@ -38,7 +38,7 @@ def command(
     from schemas.robot import save_robot
     from service.cli.output import console as result_console
     from service.diagnosis.diagnose import diagnose
-    from service.diagnosis.documents.document import corrected, document
+    from service.diagnosis.documents.document import corrected, document, made_from
     from service.diagnosis.documents.report import write_report
     from service.diagnosis.documents.text import paragraphs
     from service.model.effects import catalogue
@@ -53,7 +53,14 @@ def command(
     with console.status("starting") as status:
         findings = diagnose(description, recorded, known, status.update, reference, tests)
         status.update("writing the report")
-        result = document(findings, tests)
+        sources = [
+            *traces,
+            robot,
+            *filter(None, (baseline, effects)),
+            *(test or []),
+            *([Path(columns)] if columns else []),
+        ]
+        result = document(findings, tests, made_from(sources))
         write_text(out / "diagnosis.json", result.model_dump_json(indent=1, by_alias=True))
         fixed = corrected(findings)
         if isinstance(fixed, Axes):

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 
 from schemas.axes import Description
-from schemas.diagnosis import Diagnosis, Estimate, Gap, Moved, NamedEffect, Online, Ranked
+from schemas.diagnosis import Diagnosis, Estimate, Gap, Made, Moved, NamedEffect, Online, Ranked
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.rivals import Contest, confusable, contests
@@ -28,7 +32,18 @@ def corrected(findings: Findings) -> Description:
     return described(findings.robot, findings.best.hypothesis, findings.errors, findings.noise)
 
 
-def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
+def made_from(paths: Iterable[Path]) -> Made:
+    """Now, from the files among `paths` and in the folders among them."""
+    files = [file for path in paths for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
+    inputs = {}
+    for path in files:
+        if path.is_file():
+            with path.open("rb") as stream:
+                inputs[path.name] = hashlib.file_digest(stream, "sha256").hexdigest()
+    return Made(at=datetime.now(UTC).isoformat(timespec="seconds"), version=version("deltatwin"), inputs=inputs)
+
+
+def document(findings: Findings, tests: Sequence[Trace] = (), made: Made | None = None) -> Diagnosis:
     """`diagnosis.json`. tests: logs to try the correction on, kept out of everything else."""
     problem, split = findings.problem, findings.split
     rounds = contests(findings.selection, split, problem.count)
@@ -45,6 +60,7 @@ def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
     plain, best = (Parameters(scored.hypothesis).values for scored in (findings.plain, findings.best))
     return Diagnosis(
         schema="deltatwin.diagnosis/2",
+        made=made,
         robot=findings.robot.name,
         traces=sorted({recording.name for recording in problem.recordings}),
         verdict=findings.verdict,
@@ -65,6 +81,7 @@ def document(findings: Findings, tests: Sequence[Trace] = ()) -> Diagnosis:
             after_nm=[digits(v) for v in after],
             noise_floor_nm=[digits(v) for v in problem.sigma],
             reversal_nm=[digits(v) for v in findings.reversal],
+            torque_nm=[digits(v) for v in _torque(findings)],
             shrink=shrink.value,
             shrink_ci95=(shrink.low, shrink.high),
             shrink_of_explainable=min(1.0, removed / explainable) if explainable > 0.05 * floor_energy else None,
@@ -96,8 +113,26 @@ def _moved(findings: Findings) -> dict[str, Moved]:
     }
 
 
-def _estimate(value: float, error: float, unit: str) -> Estimate:
-    return Estimate(value=digits(value), unit=unit, ci95=(digits(value - Z95 * error), digits(value + Z95 * error)))
+def _torque(findings: Findings) -> np.ndarray:
+    """(n,) rms of the recorded torque on the samples that are compared."""
+    problem = findings.problem
+    square, count = np.zeros(len(problem.sigma)), np.zeros(len(problem.sigma))
+    for recording, rows in zip(problem.recordings, problem.rows, strict=True):
+        square += np.sum(np.where(rows, recording.segment.torque[:: problem.band.step] ** 2, 0.0), axis=0)
+        count += rows.sum(axis=0)
+    return np.sqrt(square / np.maximum(count, 1))
+
+
+def _estimate(value: float, error: float, unit: str, meaning: str = "") -> Estimate:
+    interval = (digits(value - Z95 * error), digits(value + Z95 * error))
+    return Estimate(value=digits(value), unit=unit, ci95=interval, meaning=meaning)
+
+
+def _meaning(effect: Effect, parameter: str, suffix: str) -> str:
+    """Of a parameter, named as in `parameters_of`, with the joint where there are several."""
+    quantities = {**effect.amplitudes, **effect.shapes}
+    name, _, joint = (parameter, "", suffix[1:]) if parameter in quantities else parameter.rpartition("_")
+    return quantities[name].meaning + (f", joint {joint.partition('_')[0]}" if joint[:1].isdigit() else "")
 
 
 def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
@@ -114,7 +149,8 @@ def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
         if sum(other.joints == term.joints for other in others) > 1:
             suffix += f"_{term.shape[0]:.4g}"
         for known, value, error in zip(every.of_terms[number], every.values[mine], findings.errors[mine], strict=True):
-            estimate = _estimate(value, error, in_units_of(findings.robot, known.unit))
+            unit, meaning = in_units_of(findings.robot, known.unit), _meaning(term.effect, known.name, suffix)
+            estimate = _estimate(value, error, unit, meaning)
             parameters.setdefault(term.effect, {})[known.name + suffix] = estimate
         joints.setdefault(term.effect, [])
         joints[term.effect] += [joint + 1 for joint in term.joints if joint + 1 not in joints[term.effect]]
@@ -126,6 +162,8 @@ def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
         result.append(
             NamedEffect(
                 name=effect.name,
+                title=effect.in_words,
+                means=effect.means,
                 joints=joints[effect],
                 probability=round(probability, 4),
                 parameters=found,

@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 from scipy.signal import welch
 
 from schemas.diagnosis import Diagnosis
-from service.diagnosis.documents.text import ONLINE, paragraphs
+from service.diagnosis.documents.text import ONLINE, answer, in_words, paragraphs
 from service.diagnosis.evidence.where import Rows
 from service.diagnosis.findings import Findings
 from service.model.description import in_units_of
@@ -22,13 +22,15 @@ from service.pages import write_page
 COLOURS = {"before": "#b0b7c3", "after": "#1f6feb", "noise": "#d0d7de"}
 EFFECTS = ("#1f6feb", "#2da44e", "#8250df", "#bf8700")
 BINS = 24
+MOST_NAMES = 12  # on the time axis
 MOST_POINTS = 5000  # a line
 WINDOW = 512  # samples of a spectrum, where a run has as many
 
 
 def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
     """Write the report of a diagnosis."""
-    verdict, *rest = paragraphs(document)
+    _, *rest = paragraphs(document)
+    levels = _levels(document)
     plots = {
         "Gap over time, before and after": _over_time(findings),
         "What the gap is made of": _budget(document),
@@ -38,35 +40,78 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
         "Which effect": _ranking(document),
         "Spectrum of what is left": _spectrum(findings),
     }
-    for figure in plots.values():
+    for figure in (levels, *plots.values()):
         if figure is not None:
             figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 40, "b": 45}, font_size=12)
-    write_page("diagnosis", path, document=document, verdict=verdict, paragraphs=rest, plots=plots, said=ONLINE)
+    write_page(
+        "diagnosis", path, document=document, answer=answer(document), levels=levels, paragraphs=rest, plots=plots,
+        said=ONLINE, in_words=in_words,
+    )  # fmt: skip
+
+
+def _levels(document: Diagnosis) -> go.Figure:
+    """The gap of each joint before and after."""
+    figure, gap = go.Figure(), document.gap
+    for name, values in (("before", gap.before_nm), ("after", gap.after_nm)):
+        figure.add_bar(
+            x=[f"joint {joint + 1}" for joint in range(len(values))], y=values, name=name, marker_color=COLOURS[name],
+            text=[f"{value:.3g}" for value in values], textposition="outside", cliponaxis=False,
+        )  # fmt: skip
+    figure.update_yaxes(title_text=f"rms gap, {gap.unit}", range=[0, 1.18 * max(*gap.before_nm, *gap.after_nm, 1e-9)])
+    figure.update_layout(height=240, legend={"orientation": "h", "y": 1.25})
+    return figure
 
 
 def _over_time(findings: Findings) -> go.Figure:
     problem, n, unit = findings.problem, len(findings.problem.sigma), in_units_of(findings.robot, "N m")
     figure = make_subplots(rows=n, cols=1, shared_xaxes=True, vertical_spacing=0.04)
     joints = problem.joints_of_rows
+    shifts, starts, total = _one_after_another(findings)
     for name, residuals in (("before", findings.before), ("after", findings.after)):
         for joint in range(n):
-            time, value = [], []
+            time, value, own = [], [], []
             for index, recording in enumerate(problem.recordings):
                 clock = recording.segment.time[:: problem.band.step][problem.rows[index][:, joint]]
                 gap = np.flatnonzero(np.diff(clock) > 3 * problem.band.period * problem.band.step) + 1
                 errors = residuals[index][joints[index] == joint] * problem.sigma[joint]
                 clock, errors, gap = _thinned(clock, errors, gap, -(-problem.count // n // MOST_POINTS))
-                time += [np.insert(clock, gap, np.nan), [np.nan]]
+                time += [np.insert(clock + shifts[index], gap, np.nan), [np.nan]]
+                own += [np.insert(clock, gap, np.nan), [np.nan]]
                 value += [np.insert(errors, gap, np.nan), [np.nan]]
             trace = go.Scatter(
                 x=np.round(np.concatenate(time), 3), y=np.round(np.concatenate(value), 4), name=name,
                 line={"width": 1, "color": COLOURS[name]}, legendgroup=name, showlegend=joint == 0,
+                customdata=np.round(np.concatenate(own), 3), hovertemplate="%{customdata} s: %{y}",
             )  # fmt: skip
             figure.add_trace(trace, row=joint + 1, col=1)
             figure.update_yaxes(title_text=f"joint {joint + 1}, {unit}", row=joint + 1, col=1)
-    figure.update_xaxes(title_text="time on the log's clock, s", row=n, col=1)
+    if len(starts) > 1:
+        shown = list(starts)[:: -(-len(starts) // MOST_NAMES)]
+        figure.update_xaxes(
+            tickvals=[starts[name] for name in shown], ticktext=shown, gridcolor="#8c959f", range=[-0.01 * total, total]
+        )
+        figure.update_xaxes(title_text="log, each from its beginning; its own time under the pointer", row=n, col=1)
+    else:
+        figure.update_xaxes(title_text=f"time in {next(iter(starts))}, s", row=n, col=1)
     figure.update_layout(height=190 * n + 60, legend={"orientation": "h", "y": 1.06})
     return figure
+
+
+def _one_after_another(findings: Findings) -> tuple[list[float], dict[str, float], float]:
+    """s to add to the clock of each recording so that logs follow each other, where each log then begins, and the end.
+    A log alone keeps its clock."""
+    spans: dict[str, list[float]] = {}
+    for recording in findings.problem.recordings:
+        clock = recording.segment.time
+        span = spans.setdefault(recording.name, [clock[0], clock[-1]])
+        span[:] = min(span[0], clock[0]), max(span[1], clock[-1])
+    if len(spans) == 1:
+        return [0.0] * len(findings.problem.recordings), {name: span[0] for name, span in spans.items()}, 0.0
+    starts, at = {}, 0.0
+    for name, (first, last) in spans.items():
+        starts[name] = at
+        at += last - first
+    return [starts[r.name] - spans[r.name][0] for r in findings.problem.recordings], starts, at
 
 
 def _thinned(
@@ -216,8 +261,8 @@ def _spectrum(findings: Findings) -> go.Figure:
     for joint in range(n):
         level = findings.noise[joint] ** 2 * 2 * findings.problem.band.period
         figure.add_hline(y=float(np.sqrt(level)), line_dash="dot", line_color="#59636e", row=1, col=joint + 1)  # pyright: ignore[reportArgumentType]
-    figure.update_xaxes(type="log", title_text="Hz")
-    figure.update_yaxes(type="log")
+    figure.update_xaxes(type="log", title_text="Hz", dtick=1)
+    figure.update_yaxes(type="log", dtick="D2")
     figure.update_yaxes(title_text=f"{in_units_of(findings.robot, 'N m')} / √Hz", col=1)
     figure.update_layout(height=340, legend={"orientation": "h", "y": 1.2})
     return figure

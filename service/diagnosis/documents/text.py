@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from schemas.diagnosis import Burst, Caution, Diagnosis, Estimate, NamedEffect, Regime, Shrunk, Simulated, Unseen
 
@@ -74,11 +75,99 @@ Z95 = 1.96
 LEAST_CONCENTRATED = 0.2  # of the gap in one regime
 
 
-def paragraphs(document: Diagnosis) -> list[list[str]]:
-    """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next."""
+@dataclass(frozen=True)
+class Cause:
+    """A named effect: in words with its place, how sure that is, how much there is, what it means and what to do."""
+
+    what: str
+    surety: str
+    how_much: list[str]
+    means: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The diagnosis in one look. check: what to check first where no cause is named, or the data cannot say."""
+
+    causes: list[Cause]
+    gap: str
+    verdict: list[str]
+    check: list[str]
+
+
+def answer(document: Diagnosis) -> Answer:
+    """What a plant engineer wants to know first."""
+    before, after = _rms(document.gap.before_nm), _rms(document.gap.after_nm)
+    torque = _rms(document.gap.torque_nm) if document.gap.torque_nm else 0.0
+
+    def level(value: float) -> str:
+        share = f" ({100 * value / torque:.2g} % of the torque's rms)" if torque else ""
+        return f"{value:.3g} {document.gap.unit}{share}"
+
+    causes = [
+        Cause(
+            effect.title + (f", joint {', '.join(map(str, effect.joints))}" if effect.joints else ""),
+            f"{100 * effect.probability:.0f} % sure.{_confusable(effect)}",
+            _how_much(effect),
+            effect.means,
+        )
+        for effect in document.effects
+    ]
+    check = [ADVICE[one.advice] for one in document.cannot_tell] + _settling(document)
+    if not causes and document.verdict != "within_noise":
+        check = check or [ADVICE["check_description"], ADVICE["record_more"]]
+    gap = f"{level(before)} → {level(after)}" if causes else level(before)
+    return Answer(causes, gap, _verdict(document), list(dict.fromkeys(check))[:MOST_NEAR])
+
+
+def _settling(document: Diagnosis) -> list[str]:
+    settles = dict.fromkeys(e.settles for e in document.effects if e.confusable_with or e.probability < 0.9)
+    return [f"To be sure, record {settle}." for settle in settles]
+
+
+def _how_much(effect: NamedEffect) -> list[str]:
+    """What was estimated of it; a cosine and a sine as one amplitude."""
+    found = {key: one for key, one in effect.parameters.items() if not one.fixed}
+    lines = []
+    for key, one in found.items():
+        partner = found.get(key.replace("cosine", "sine", 1)) if key.startswith("cosine") else None
+        if key.startswith("sine") and key.replace("sine", "cosine", 1) in found:
+            continue
+        if partner:
+            value = math.hypot(one.value, partner.value)
+            half = math.hypot(one.value * _half(one), partner.value * _half(partner)) / max(value, 1e-300)
+            meaning = one.meaning.replace("cosine part of the amplitude", "amplitude").replace(
+                "cosine part", "amplitude"
+            )
+            one = Estimate(value=value, unit=one.unit, ci95=(value - half, value + half), meaning=meaning)
+        lines.append(f"{in_words(key, one)}: {_value(one)}{_degrees(one)}")
+    more = len(lines) - MOST_TOLD
+    return lines[:MOST_TOLD] + ([f"and {more} more, below"] if more > 0 else [])
+
+
+def in_words(key: str, estimate: Estimate) -> str:
+    """What a parameter is."""
+    return estimate.meaning or key.replace("_", " ")
+
+
+def _degrees(estimate: Estimate) -> str:
+    return f" ({math.degrees(estimate.value):.2g}°)" if estimate.unit == "rad" else ""
+
+
+def _half(estimate: Estimate) -> float:
+    return (estimate.ci95[1] - estimate.ci95[0]) / 2
+
+
+def _verdict(document: Diagnosis) -> list[str]:
+    """The verdict's sentence, or why there is none."""
     open_ = [caution(one) for one in document.cannot_tell if one.code in NO_NAMES]
     unasked = document.verdict == "unexplained" and not document.effects and bool(open_)
-    verdict = open_ if unasked else [VERDICTS[_said(document)]]
+    return open_ if unasked else [VERDICTS[_said(document)]]
+
+
+def paragraphs(document: Diagnosis) -> list[list[str]]:
+    """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next."""
+    verdict = _verdict(document)
     effects = [_effect(effect) for effect in document.effects]
     before, after = _rms(document.gap.before_nm), _rms(document.gap.after_nm)
     if document.effects or after > WORSE * before:
@@ -90,9 +179,7 @@ def paragraphs(document: Diagnosis) -> list[list[str]]:
         effects += _nearest(document)
     tests = [line for test in document.tests for line in _unseen(test, document.gap.unit)]
     remaining = _remaining(document) if document.verdict in ("unexplained", "partly_explained") else []
-    settles = dict.fromkeys(e.settles for e in document.effects if e.confusable_with or e.probability < 0.9)
-    advice = [caution(one) for one in document.cannot_tell if caution(one) not in verdict]
-    advice += [f"To be sure, record {settle}." for settle in settles]
+    advice = [caution(one) for one in document.cannot_tell if caution(one) not in verdict] + _settling(document)
     given = [f"{name.replace('_', ' ')} is in the description already." for name in document.given]
     groups = [verdict, _joints(document), effects, _moved(document), tests, remaining, advice + given]
     return [group for group in groups if group]
@@ -182,19 +269,23 @@ def _concentrated(regime: Regime) -> str:
 
 def _effect(effect: NamedEffect) -> str:
     name = effect.name.replace("_", " ")
-    parameters = ", ".join(f"{key} = {_value(estimate)}" for key, estimate in effect.parameters.items())
+    parameters = ", ".join(
+        f"{in_words(key, estimate)} = {_value(estimate)}" for key, estimate in effect.parameters.items()
+    )
     place = f" in joint {', '.join(map(str, effect.joints))}" if effect.joints else ""
     line = f"Most likely {name}{place} ({100 * effect.probability:.0f} %): {parameters}."
     line += f" It makes up {100 * effect.gap_share:.0f} % of the gap above the noise."
-    if effect.confusable_with:
-        others = " or ".join(other.replace("_", " ") for other in effect.confusable_with)
-        line += f" On this data it cannot be told from {others}."
-    return line
+    return line + _confusable(effect)
+
+
+def _confusable(effect: NamedEffect) -> str:
+    others = " or ".join(other.replace("_", " ") for other in effect.confusable_with)
+    return f" On this data it cannot be told from {others}." if others else ""
 
 
 def _value(estimate: Estimate) -> str:
     """Value and half its interval to the same decimal, which is the first or second that the interval touches."""
-    half = (estimate.ci95[1] - estimate.ci95[0]) / 2
+    half = _half(estimate)
     unit = f" {estimate.unit}" if estimate.unit else ""
     if half <= 0:
         return f"{estimate.value:.3g}{unit}"

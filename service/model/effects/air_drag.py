@@ -28,6 +28,11 @@ def _online(effect, now, i):
 class AirDrag(Effect):
     c: Amplitude = Amplitude("N s^2/m^2", "drag force at 1 m/s", low=0.0)
     name = "air_drag"
+    title = "Air drag of the platform"
+    means = (
+        "The air resists fast moves. A property of the machine: take it over into the model; check for covers "
+        "or hoses that catch air."
+    )
     online = staticmethod(_online)
     per_joint = False
     own_joint = False

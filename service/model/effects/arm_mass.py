@@ -28,6 +28,11 @@ def _online(effect, now, i):
 class ArmMass(Effect):
     delta_m: Amplitude = Amplitude("kg", "mass of this active link above the others'")
     name = "arm_mass"
+    title = "One arm is heavier or lighter than the others"
+    means = (
+        "Weigh this arm or look for what is mounted on it (cable, sensor, another spare part), then correct "
+        "the description."
+    )
     accelerates = True
     online = staticmethod(_online)
     kinds = frozenset({"delta"})

@@ -26,6 +26,11 @@ class AsymmetricFriction(Effect):
     delta_c: Amplitude = Amplitude("N m", "half the difference of the Coulomb levels, forward minus backward")
     delta_v: Amplitude = Amplitude("N m s/rad", "half the difference of the viscous levels, forward minus backward")
     name = "asymmetric_friction"
+    title = "Friction differs between the two directions"
+    means = (
+        "Look at the preload and the seal of this joint's gear, and at a brake that drags. A constant offset "
+        "of the torque sensor or drive looks the same: compare at rest with the brake closed."
+    )
     same = frozenset({"torque_offset"})
     directional = True
     dissipates = True

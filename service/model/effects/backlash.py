@@ -32,6 +32,11 @@ class Backlash(Effect):
         "", "share of the joint's inertia on the motor side", (0.1, 0.2, 0.35, 0.55), 0.02, 0.9, minor=True
     )
     name = "backlash"
+    title = "Lost motion in the gear (backlash)"
+    means = (
+        "Wear or lost preload of the gear, or a loose coupling or clamp: check play by hand with the drive "
+        "on, readjust or replace. Until then keep braking torque from changing sign where accuracy counts."
+    )
     directional = True
     own_joint = False
     rough = True

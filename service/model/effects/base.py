@@ -110,7 +110,8 @@ class Shape:
 class Effect(ABC):
     """One unmodelled effect. Fields of a subclass are its quantities, in the order of the documents.
 
-    name: as in the catalogue. per_joint: sits on single joints. own_joint: adds torque to no other joint than its own.
+    name: as in the catalogue. title: the same in words of the plant. means: what it means and what to do.
+    per_joint: sits on single joints. own_joint: adds torque to no other joint than its own.
     measured: alters the reported torque instead of adding to it. rough: its torque is no smooth function of its shapes,
     so they are kept when a part of the data is left out. own_shapes: each joint may have shapes of its own.
     repeats: may be at work more than once on a joint. kinds:
@@ -125,6 +126,8 @@ class Effect(ABC):
     """
 
     name: ClassVar[str]
+    title: ClassVar[str] = ""
+    means: ClassVar[str] = ""
     per_joint: ClassVar[bool] = True
     own_joint: ClassVar[bool] = True
     measured: ClassVar[bool] = False
@@ -141,6 +144,11 @@ class Effect(ABC):
     beyond: ClassVar[float] = math.inf
     beyond_together: ClassVar[float] = math.inf
     online: ClassVar[Callable[..., float] | None] = None
+
+    @property
+    def in_words(self) -> str:
+        """The title, or the name where there is none."""
+        return self.title or self.name.replace("_", " ").capitalize()
 
     @property
     def amplitudes(self) -> dict[str, Amplitude]:

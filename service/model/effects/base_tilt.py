@@ -30,6 +30,8 @@ class BaseTilt(Effect):
     about_x: Amplitude = Amplitude("rad", "tilt about the base's x axis")
     about_y: Amplitude = Amplitude("rad", "tilt about the base's y axis")
     name = "base_tilt"
+    title = "The base is not level"
+    means = "Put a level on the base frame and shim it, or enter the tilt in the description."
     beyond = 0.35
     online = staticmethod(_online)
     per_joint = False

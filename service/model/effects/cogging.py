@@ -34,6 +34,11 @@ class Cogging(Effect):
     sine: Amplitude = Amplitude("N m", "sine part of the amplitude, joint side")
     order: Shape = Shape("", "periods a motor turn", COGGING_ORDERS, 0.5, MOST_ORDER, most_step=0.05)
     name = "cogging"
+    title = "Torque ripple over the motor turn (cogging)"
+    means = (
+        "Pole or slot ripple of the motor or a current sensor out of adjustment: redo the drive's current "
+        "calibration, or let the drive compensate these orders."
+    )
     repeats = True
     online = staticmethod(_online)
     settles = "a slow constant-speed sweep of this joint over several motor turns"

@@ -21,6 +21,11 @@ class EncoderEccentricity(Effect):
     sine: Amplitude = Amplitude("rad", "sine part, true minus measured angle, joint side")
     order: Shape = Shape("", "periods a motor turn", (1, 2, 3, 4), 0.5, 20.0)
     name = "encoder_eccentricity"
+    title = "The encoder runs out of centre"
+    means = (
+        "The measured angle wobbles over a turn: check how the encoder disc or magnet is seated, recalibrate "
+        "or replace it."
+    )
     beyond = 0.05
     own_joint = False
     settles = "a constant-speed sweep of this joint at medium speed"

@@ -29,6 +29,8 @@ class HoseSpring(Effect):
     force_y: Amplitude = Amplitude("N", "-k y_0")
     force_z: Amplitude = Amplitude("N", "-k z_0")
     name = "hose_spring"
+    title = "A hose or cable pulls at the platform"
+    means = "Give the hose more slack or guide it otherwise; if it must stay, take it over into the model."
     online = staticmethod(_online)
     per_joint = False
     own_joint = False

@@ -27,6 +27,11 @@ class JointElasticity(Effect):
         "", "share of the joint's inertia on the motor side", (0.13, 0.35), 0.02, 0.9, minor=True
     )
     name = "joint_elasticity"
+    title = "The drive train yields (elastic gear or coupling)"
+    means = (
+        "Check clamps, coupling and belt tension; if the stiffness is by design, use smoother acceleration or "
+        "take it over into the model."
+    )
     own_joint = False
     rough = True
     settles = "fast moves with jumps in acceleration"

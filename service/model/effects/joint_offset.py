@@ -21,6 +21,8 @@ STEP = 1e-4  # m or rad, of the central difference
 class JointOffset(Effect):
     error: Amplitude = Amplitude("rad", "true minus measured angle")
     name = "joint_offset"
+    title = "The joint's zero is off"
+    means = "Home this joint again against its mark or gauge and enter the new zero."
     beyond_together = 0.05
     beyond = 0.3
     own_joint = False

@@ -26,6 +26,8 @@ class JointSpring(Effect):
     k: Amplitude = Amplitude("N m/rad", "stiffness", low=0.0)
     preload: Amplitude = Amplitude("N m", "torque at angle zero, -k theta_0")
     name = "joint_spring"
+    title = "Something springs back at the joint"
+    means = "A balancing spring, a stiff cable or a rubber stop: enter it in the model, or free the cable."
     directional = True
     online = staticmethod(_online)
     settles = "a slow sweep over the whole angle of this joint alone"

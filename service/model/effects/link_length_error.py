@@ -22,6 +22,8 @@ STEP = 1e-4  # m or rad, of the central difference
 class LinkLengthError(Effect):
     error: Amplitude = Amplitude("m", "true minus described length")
     name = "link_length_error"
+    title = "An arm's length differs from the description"
+    means = "Measure this arm between its axes and correct the description."
     beyond_together = 0.05
     beyond = 0.2
     own_joint = False

@@ -25,6 +25,11 @@ def _online(effect, now, i):
 class LoadDependentFriction(Effect):
     mu: Amplitude = Amplitude("", "friction torque per torque through the gear", low=0.0)
     name = "load_dependent_friction"
+    title = "Gear friction grows with load"
+    means = (
+        "The gear loses part of the torque that it carries: check its oil and efficiency class; take it over "
+        "into the model."
+    )
     dissipates = True
     directional = True
     online = staticmethod(_online)

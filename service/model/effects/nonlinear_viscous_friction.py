@@ -26,6 +26,8 @@ class NonlinearViscousFriction(Effect):
     f: Amplitude = Amplitude("N m (s/rad)^p", "coefficient", low=0.0)
     p: Shape = Shape("", "exponent of speed", (0.35, 0.6, 1.5, 2.0, 3.0), 0.2, 4.0)
     name = "nonlinear_viscous_friction"
+    title = "Friction is not proportional to speed"
+    means = "Mostly grease or seals: check the kind and amount of grease; take it over into the model."
     dissipates = True
     directional = True
     online = staticmethod(_online)

@@ -24,6 +24,8 @@ class PassiveJointFriction(Effect):
     viscous_elbow: Amplitude = Amplitude("N m s/rad", "viscous friction at the elbow", low=0.0)
     viscous_platform: Amplitude = Amplitude("N m s/rad", "viscous friction at the platform", low=0.0)
     name = "passive_joint_friction"
+    title = "Friction in the forearms' ball joints"
+    means = "Clean or replace the ball joints' shells and check the tension of their springs."
     per_joint = False
     own_joint = False
     kinds = frozenset({"delta"})

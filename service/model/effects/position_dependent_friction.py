@@ -29,6 +29,8 @@ class PositionDependentFriction(Effect):
     sine: Amplitude = Amplitude("N m", "sine part of the amplitude")
     order: Shape = Shape("", "periods a turn of the joint", (1, 2, 3, 4, 5, 6, 8, 10, 12), 0.5, 40.0)
     name = "position_dependent_friction"
+    title = "Friction varies over the joint's angle"
+    means = "A tight spot: look for a bent shaft, a misaligned or worn gear, or a cable that rubs at these angles."
     dissipates = True
     directional = True
     online = staticmethod(_online)

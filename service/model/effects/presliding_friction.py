@@ -40,6 +40,11 @@ class PreslidingFriction(Effect):
     f: Amplitude = Amplitude("N m", "part of the Coulomb friction that builds up over the distance", low=0.0)
     distance: Shape = Shape("rad", "displacement of the build-up", geometric(3e-4, 0.1, 8), 2e-4, 0.3)
     name = "presliding_friction"
+    title = "Friction builds up over a small distance"
+    means = (
+        "Bearings, seals and grease yield before they slip: normal for the gear; take it over into the model "
+        "where small reversals matter."
+    )
     directional = True
     own_shapes = True
     settles = "small reversals (0.001 to 0.05 rad) about several angles"

@@ -25,6 +25,11 @@ def _online(effect, now, i):
 class RotorInertia(Effect):
     delta_i: Amplitude = Amplitude("kg m^2", "inertia of this joint above the others', joint side", low=0.0)
     name = "rotor_inertia"
+    title = "One drive has more inertia than the others"
+    means = (
+        "Check motor and gear type of this joint (another spare part, a brake or a coupling mounted) and "
+        "correct the description."
+    )
     accelerates = True
     online = staticmethod(_online)
     settles = "fast moves of this joint beside slow ones over the same angles"

@@ -27,6 +27,8 @@ class StribeckFriction(Effect):
     f_s: Amplitude = Amplitude("N m", "breakaway friction above the Coulomb level", low=0.0)
     v_s: Shape = Shape("rad/s", "speed at which it has fallen to 37 %", geometric(0.01, 1.0, 9), 0.005, 2.0)
     name = "stribeck_friction"
+    title = "More friction at low speed (sticking)"
+    means = "Grease or preload of the gear: relubricate, check the seals; expect stick-slip in slow moves until then."
     dissipates = True
     directional = True
     online = staticmethod(_online)

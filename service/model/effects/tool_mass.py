@@ -26,6 +26,8 @@ def _online(effect, now, i):
 class ToolMass(Effect):
     delta_m: Amplitude = Amplitude("kg", "mass at the platform beyond the description")
     name = "tool_mass"
+    title = "The tool's mass differs from the description"
+    means = "Weigh tool, gripper and what hangs on it, then correct the mass in the description."
     accelerates = True
     online = staticmethod(_online)
     per_joint = False

@@ -23,6 +23,8 @@ class TorqueDelay(Effect):
         "s", "by which torque is later than position", (-0.003, -0.0015, 0.0008, 0.0015, 0.003, 0.006), -0.02, 0.02
     )
     name = "torque_delay"
+    title = "Torque and position are not of the same instant"
+    means = "A matter of the log, not of the machine: correct the delay of the torque channel in drive or recorder."
     takes_timing = True
     per_joint = False
     own_joint = False

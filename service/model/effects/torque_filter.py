@@ -22,6 +22,11 @@ CUTOFFS = (1.0, 1.8, 3.0, 5.0, 8.0, 15.0, 25.0, 40.0, 70.0, 120.0)  # the lowest
 class TorqueFilter(Effect):
     cutoff: Shape = Shape("Hz", "cut-off frequency", CUTOFFS, 0.3, 300.0)
     name = "torque_filter"
+    title = "The drive reports a smoothed torque"
+    means = (
+        "A matter of the log, not of the machine: set the filter of the reported torque shorter, or log the "
+        "unfiltered current."
+    )
     per_joint = False
     own_joint = False
     measured = True

@@ -25,6 +25,11 @@ def _online(effect, now, i):
 class TorqueOffset(Effect):
     offset: Amplitude = Amplitude("N m", "reported minus true torque")
     name = "torque_offset"
+    title = "The reported torque has a constant offset"
+    means = (
+        "Zero the drive's current measurement. Friction that differs between directions looks the same: "
+        "compare at rest with the brake closed."
+    )
     same = frozenset({"asymmetric_friction"})
     directional = True
     online = staticmethod(_online)

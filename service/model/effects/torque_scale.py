@@ -19,6 +19,8 @@ from service.model.scene import Scene
 class TorqueScale(Effect):
     epsilon: Amplitude = Amplitude("", "reported over true torque, minus one", low=-1.0)
     name = "torque_scale"
+    title = "The reported torque is scaled wrong"
+    means = "Check torque constant, rated torque and gear ratio of this joint in drive and column mapping."
     beyond = 0.5
     measured = True
     settles = "fast moves with a known mass at the platform"

@@ -27,6 +27,8 @@ class WarmupFriction(Effect):
     f: Amplitude = Amplitude("N m s/rad", "viscous friction of the cold gear above the warm one", low=0.0)
     tau: Shape = Shape("s", "time constant of the warm-up", (3.0, 8.0, 20.0, 50.0, 150.0, 600.0), 1.0, 3600.0)
     name = "warmup_friction"
+    title = "Friction falls while the gear warms up"
+    means = "Cold grease: run the machine warm before accurate work, or use a grease for lower temperature."
     dissipates = True
     online = staticmethod(_online)
     settles = "one path, cold and after half an hour of running, on one clock"

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
-import subprocess
-from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +10,7 @@ import pytest
 
 from schemas.errors import StorageError
 from service.experiment.pictures import Figure, Line, Page, Panel, Table, write_page
-
-# Every pair of texts of a plot whose boxes cover each other by more than a pixel each way, and every console error.
-LOOK = """
-<script>
-const errors=[];addEventListener('error',e=>errors.push(String(e.message)));
-addEventListener('load',()=>setTimeout(()=>{
-  const boxes=[...document.querySelectorAll('svg text')].filter(t=>t.textContent.trim())
-    .map(t=>[t.textContent,t.getBoundingClientRect()]).filter(([,b])=>b.width&&b.height);
-  const over=[];
-  boxes.forEach(([a,p],i)=>boxes.slice(i+1).forEach(([b,q])=>{
-    if(Math.min(p.right,q.right)-Math.max(p.left,q.left)>1&&Math.min(p.bottom,q.bottom)-Math.max(p.top,q.top)>1)
-      over.push([a,b]);}));
-  const told=document.createElement('pre');told.id='told';
-  told.textContent=JSON.stringify({errors,over,texts:boxes.length});document.body.append(told);
-},1000));
-</script>
-"""
+from tests.service.pages.browser import looked_at
 
 
 @pytest.fixture
@@ -59,21 +39,9 @@ def test_foreign_text_stays_text_and_nothing_is_fetched(page: Page, tmp_path: Pa
 
 
 def test_no_text_lies_over_text(page: Page, tmp_path: Path) -> None:
-    browser = shutil.which("chromium")
-    if browser is None:
-        pytest.skip("chromium is not installed")
     path = tmp_path / "page.html"
     write_page(page, path)
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace("<body>", f"{LOOK}<body>", 1), encoding="utf-8")
-    done = subprocess.run(
-        [browser, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}",
-         "--window-size=1200,2000", "--virtual-time-budget=10000", "--dump-dom", path.as_uri()],
-        capture_output=True, text=True, timeout=240, check=True,
-    )  # fmt: skip
-    found = re.search(r'<pre id="told">(.*?)</pre>', done.stdout, re.DOTALL)
-    assert found, done.stderr[-500:]
-    told = json.loads(unescape(found[1]))
+    told = looked_at(path)
     assert told["texts"] > 20  # the plots are drawn
     assert told["errors"] == []
     assert told["over"] == []

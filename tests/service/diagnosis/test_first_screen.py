@@ -1,0 +1,77 @@
+"""The first screen of the report: what, where, how much, what to do, in words; the page as a browser draws it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+
+import pytest
+
+from schemas.diagnosis import Estimate
+from service.diagnosis.documents.document import made_from
+from service.diagnosis.documents.report import write_report
+from service.diagnosis.documents.text import ADVICE, answer
+from service.model.effects import CATALOGUE
+from tests.service.pages.browser import looked_at
+from tests.service.subject import document
+
+
+def test_every_effect_says_what_it_is_and_what_to_do():
+    for effect in CATALOGUE:
+        assert effect.title, effect.name
+        assert effect.means.endswith("."), effect.name
+        assert "_" not in effect.title + effect.means, effect.name
+    assert len({effect.title for effect in CATALOGUE}) == len(CATALOGUE)
+
+
+def test_the_box_says_what_where_how_much_and_what_to_do(findings):
+    found = document.document(findings)
+    said = answer(found)
+    assert [cause.what for cause in said.causes] == [
+        "More friction at low speed (sticking), joint 1, 2, 3", "Torque ripple over the motor turn (cogging), joint 2",
+    ]  # fmt: skip
+    assert said.causes[0].how_much[0].startswith("breakaway friction above the Coulomb level, joint 1: ")
+    assert said.causes[0].how_much[0].endswith(" N m")
+    assert said.causes[0].surety.endswith("cannot be told from cogging.")
+    assert said.check == ["To be sure, record a slow sweep with reversals, 0.005 to 1 rad/s."]
+    assert "relubricate" in said.causes[0].means
+    cosine, sine = (found.effects[1].parameters[name].value for name in ("cosine", "sine"))
+    amplitude = re.match(r"amplitude, joint side: ([\d.]+) ± [\d.]+ N m$", said.causes[1].how_much[0])
+    assert amplitude
+    assert float(amplitude[1]) == pytest.approx((cosine**2 + sine**2) ** 0.5, rel=0.05)
+    shares = [float(share) for share in re.findall(r"\(([\d.]+) % of the torque", said.gap)]
+    before = sum(value**2 for value in found.gap.before_nm) / sum(value**2 for value in found.gap.torque_nm)
+    assert shares[0] == pytest.approx(100 * before**0.5, rel=0.06)
+    assert shares[1] < shares[0]
+
+
+def test_where_no_name_is_earned_the_box_says_what_to_check(findings):
+    nothing = document.document(findings).model_copy(update={"effects": [], "verdict": "unexplained"})
+    said = answer(nothing)
+    assert said.causes == []
+    assert said.check == [ADVICE["check_description"], ADVICE["record_more"]]
+    assert answer(nothing.model_copy(update={"verdict": "within_noise"})).check == []
+
+
+def test_a_fixed_value_has_no_interval():
+    assert Estimate(value=120.0, unit="Hz", ci95=(120.0, 120.0)).fixed
+    assert not Estimate(value=120.0, unit="Hz", ci95=(119.0, 121.0)).fixed
+
+
+def test_the_page_is_drawn_without_error_and_no_text_lies_over_text(findings, tmp_path: Path):
+    source = tmp_path / "log.csv"
+    source.write_bytes(b"time_s\n")
+    made = made_from([source, Path("d3-1200")])
+    assert made.inputs == {"log.csv": hashlib.sha256(b"time_s\n").hexdigest()}
+    write_report(findings, document.document(findings, made=made), tmp_path / "report.html")
+    text = re.sub(r"<(script|style).*?</\1>", "", (tmp_path / "report.html").read_text("utf-8"), flags=re.DOTALL)
+    assert made.inputs["log.csv"][:12] in text
+    assert made.version in text
+    box = re.search(r'<section class="verdict">(.*?)<h2>', text, re.DOTALL)
+    assert box
+    assert "_" not in re.sub(r"<[^>]*>", "", box[1])
+    told = looked_at(tmp_path / "report.html")
+    assert told["texts"] > 50
+    assert told["errors"] == []
+    assert told["over"] == []

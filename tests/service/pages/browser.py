@@ -1,0 +1,48 @@
+"""A page looked at in a real browser."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+# Every pair of texts of a plot whose boxes cover each other by more than a pixel each way, and every console error.
+LOOK = """
+<script>
+const errors=[];addEventListener('error',e=>errors.push(String(e.message)));
+addEventListener('load',()=>setTimeout(()=>{
+  const boxes=[...document.querySelectorAll('svg text')].filter(t=>t.textContent.trim())
+    .map(t=>[t.textContent,t.getBoundingClientRect()]).filter(([,b])=>b.width&&b.height);
+  const over=[];
+  boxes.forEach(([a,p],i)=>boxes.slice(i+1).forEach(([b,q])=>{
+    if(Math.min(p.right,q.right)-Math.max(p.left,q.left)>1&&Math.min(p.bottom,q.bottom)-Math.max(p.top,q.top)>1)
+      over.push([a,b]);}));
+  const told=document.createElement('pre');told.id='told';
+  told.textContent=JSON.stringify({errors,over,texts:boxes.length});document.body.append(told);
+},1000));
+</script>
+"""
+
+
+def looked_at(path: Path) -> dict[str, Any]:
+    """`errors` of the console, pairs of texts `over` each other, number of `texts` in plots. Skips without chromium."""
+    browser = shutil.which("chromium")
+    if browser is None:
+        pytest.skip("chromium is not installed")
+    text = path.read_text(encoding="utf-8")
+    seen = path.with_name("looked_at.html")
+    seen.write_text(text.replace("<body>", f"{LOOK}<body>", 1), encoding="utf-8")
+    done = subprocess.run(
+        [browser, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={path.parent / 'profile'}",
+         "--window-size=1200,2000", "--virtual-time-budget=10000", "--dump-dom", seen.as_uri()],
+        capture_output=True, text=True, timeout=240, check=True,
+    )  # fmt: skip
+    found = re.search(r'<pre id="told">(.*?)</pre>', done.stdout, re.DOTALL)
+    assert found, done.stderr[-500:]
+    return json.loads(unescape(found[1]))
