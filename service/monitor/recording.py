@@ -12,9 +12,13 @@ from schemas.errors import StorageError
 from schemas.keys import topic_key
 from schemas.messages import TOPICS, stamp_ns
 
+WAITING = 600  # batches of health, ten minutes at one a second
+
 
 class Recording:
-    """An MCAP file with a channel for every topic of `robot`. Log time is sending, publish time bus time.
+    """An MCAP file with a channel for every topic of `robot`. Log time is sending, publish time bus time: of the
+    samples' clock on every topic, so health, which is stamped in wall time, is put beside the sample sent before it.
+    Health from before the first sample waits for that, `WAITING` messages at most.
 
     What `flush` has returned from survives the death of the process; a file without its end is repaired by `recover`.
     """
@@ -23,6 +27,8 @@ class Recording:
         """Raises StorageError: the file exists or cannot be made."""
         self.path = path
         self.written = 0
+        self._bus_less_sending: int | None = None  # ns, of the newest sample
+        self._waiting: list[tuple[np.ndarray, np.ndarray]] = []  # health from before the first sample
         try:
             self._stream = path.open("xb")
         except OSError as error:
@@ -40,8 +46,28 @@ class Recording:
         Raises:
             StorageError: the disk refuses.
         """
+        stamps = stamp_ns(records)
+        if topic == "sample" and len(records):
+            self._bus_less_sending = int(stamps[-1]) - int(log_ns[-1])
+            self._write_waiting()
+        elif topic == "health":
+            if self._bus_less_sending is None:
+                self._waiting.append((records, log_ns))
+                if len(self._waiting) > WAITING:
+                    self._write_waiting()
+                return
+            stamps = log_ns + self._bus_less_sending
+        self._append(topic, records, log_ns, stamps)
+
+    def _write_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        shift = self._bus_less_sending
+        for records, log_ns in waiting:
+            self._append("health", records, log_ns, stamp_ns(records) if shift is None else log_ns + shift)
+
+    def _append(self, topic: str, records: np.ndarray, log_ns: np.ndarray, publish_ns: np.ndarray) -> None:
         channel, size, data = self._channels[topic], records.itemsize, records.tobytes()
-        times = zip(log_ns.tolist(), np.maximum(stamp_ns(records), 0).tolist(), strict=True)
+        times = zip(log_ns.tolist(), np.maximum(publish_ns, 0).tolist(), strict=True)
         sequences = records["sequence"].astype(np.uint32).tolist()
         try:
             for i, (log, stamp) in enumerate(times):
@@ -78,6 +104,7 @@ class Recording:
         Raises:
             StorageError: the disk refuses.
         """
+        self._write_waiting()
         try:
             self._writer.finish()
             self._stream.close()

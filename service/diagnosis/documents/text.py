@@ -107,7 +107,7 @@ def answer(document: Diagnosis) -> Answer:
     causes = [
         Cause(
             effect.title + (f", joint {', '.join(map(str, effect.joints))}" if effect.joints else ""),
-            f"{100 * effect.probability:.0f} % sure.{_confusable(effect)}",
+            f"Best of all candidates in {100 * effect.probability:.0f} % of the resampled data.{_confusable(effect)}",
             _how_much(effect),
             effect.means,
         )

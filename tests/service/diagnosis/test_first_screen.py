@@ -33,7 +33,7 @@ def test_the_box_says_what_where_how_much_and_what_to_do(findings):
     ]  # fmt: skip
     assert said.causes[0].how_much[0].startswith("breakaway friction above the Coulomb level, joint 1: ")
     assert said.causes[0].how_much[0].endswith(" N m")
-    assert said.causes[0].surety.endswith("cannot be told from cogging.")
+    assert said.causes[0].surety.endswith("of the resampled data. On this data it cannot be told from cogging.")
     assert said.check == ["To be sure, record a slow sweep with reversals, 0.005 to 1 rad/s."]
     assert "relubricate" in said.causes[0].means
     cosine, sine = (found.effects[1].parameters[name].value for name in ("cosine", "sine"))

@@ -73,12 +73,33 @@ def test_every_field_of_every_message_decodes_as_ros2(run: Path) -> None:
             record = TOPICS[topic].decode(raw.data)
             counts[topic] += 1
             assert raw.log_time >= WALL_NS
-            assert raw.publish_time == decoded.stamp.sec * 1_000_000_000 + decoded.stamp.nanosec
+            if topic != "health":  # put on the samples' clock
+                assert raw.publish_time == decoded.stamp.sec * 1_000_000_000 + decoded.stamp.nanosec
             assert raw.sequence == decoded.sequence
             for name in record.dtype.names[1:]:  # pyright: ignore[reportOptionalSubscript]
                 if not name.startswith("stamp_"):
                     assert np.array_equal(record[name], getattr(decoded, name)), (topic, name)
     assert counts == {topic: PER_FLUSH * FLUSHES if topic == "sample" else FLUSHES for topic in TOPICS}
+
+
+def test_health_is_on_the_clock_of_the_samples(tmp_path: Path) -> None:
+    """Data at 0 to 2 s, replayed now: health from before the first sample on as well; without samples its own stamp."""
+    for replayed, expected in ((True, [0, 480, 980]), (False, [77, 577, 1077])):
+        path = tmp_path / f"{replayed}.mcap"
+        recording = Recording(path, "bench")
+        for number, ms in enumerate((80, 580, 1080)):
+            sent = np.array([WALL_NS + ms * 1_000_000])
+            health = filled(TOPICS["health"], 1, number)
+            set_stamp(health, sent - 3_000_000)
+            recording.write("health", health, sent)
+            if replayed:
+                sample = filled(SAMPLE, 1, ms - 80)  # stamped with its number in ms, sent 20 ms after health
+                recording.write("sample", sample, sent + 20_000_000)
+        recording.close()
+        with path.open("rb") as stream:
+            found = [m.publish_time for _, c, m in make_reader(stream).iter_messages() if c.topic.endswith("health")]
+        start = 0 if replayed else WALL_NS
+        assert found == [start + ms * 1_000_000 for ms in expected]
 
 
 def test_samples_come_back_bit_for_bit_and_as_a_trace(run: Path) -> None:
