@@ -44,6 +44,8 @@ CAUTIONS = {
     "no_shrink": "{Effect}{where} fits, but the gap on data left out does not shrink by it ({share:.0%}): not named.",
     "no_shrink_on": "{Effect}{where} fits, but on {run}, kept out of everything, the gap does not shrink by it "
     "({share:.0%}): not named.",
+    "varies": "{Effect}{where} fits, but {run} alone asks for a figure {share:.0%} off that of all runs together: what "
+    "stands behind it is something else, not named.",
 }
 # with these no effect is told from others
 NO_NAMES = {

@@ -38,6 +38,7 @@ def codes(found: list[Caution]) -> list[tuple[str, str | None, str | None]]:
 
 SPRING = Term(EFFECTS["joint_spring"], (0,), np.zeros((1, 2)), ())
 RIPPLE = Term(EFFECTS["cogging"], (1,), np.zeros((1, 2)), (2.0,))
+OFFSET = Term(EFFECTS["torque_offset"], (1,), np.zeros((1, 1)), ())
 DELAY = Term(EFFECTS["torque_delay"], (), np.zeros((1, 0)), (0.0005,))
 
 
@@ -79,6 +80,20 @@ def test_a_delay_that_may_as_well_be_none_is_left_open():
     kept, fallen = earned(made, Split.of(made), chosen(made, DELAY), 0, [])
     assert kept.best.names == ()
     assert fallen[0].effect == "torque_delay"
+
+
+@pytest.mark.parametrize(("offsets", "stands"), [((2.0, 2.0, 2.0), True), ((2.0, 2.1, 0.9), False)])
+def test_a_figure_that_changes_from_run_to_run_is_a_stand_in(offsets, stands):
+    runs = [course(seed, SECONDS) for seed in (1, 2, 3)]
+    random = np.random.default_rng(5)
+    pushed = [
+        run.torque + [0.0, offset, 0.0] + NOISE * random.standard_normal(run.torque.shape)
+        for run, offset in zip(runs, offsets, strict=True)
+    ]
+    made = problem(runs, pushed)
+    kept, fallen = earned(made, Split.of(made), chosen(made, OFFSET), 0, [])
+    assert kept.best.names == (("torque_offset",) if stands else ())
+    assert codes(fallen) == ([] if stands else [("varies", "torque_offset", "run_2")])
 
 
 @pytest.mark.parametrize("given", [0, 1])

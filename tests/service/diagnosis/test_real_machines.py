@@ -104,7 +104,7 @@ def test_a_coupled_wrist_has_its_own_friction_and_a_coupled_arm_no_names(shared:
     assert codes & {"sine_of_angle", "other_joints"}, "what the gap follows, not only how much is left"
     base = {key: estimate["value"] for key, estimate in document["base"].items()}
     assert base["f_v_motor_6"] == pytest.approx(0.613, rel=0.05)
-    assert base["inertia_motor_6"] == pytest.approx(0.0094, rel=0.05)
+    assert base["inertia_motor_6"] == pytest.approx(0.0094, rel=0.26)  # the published standard error
     assert base["f_v_4"] == pytest.approx(1.11, rel=0.05)
 
 
