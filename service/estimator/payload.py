@@ -63,7 +63,7 @@ OUTLYING = 0.3  # of the scatter of a single block, which noise alone makes thre
 TORQUE_SHARE = 0.025
 # Trusted when one standard deviation is below share * mass + floor.
 TRUST_SHARE, TRUST_FLOOR = 0.1, 0.025  # -, kg
-# A mass below nothing shows a bias that other masses have too; it is remembered for this long.
+# A mass below nothing, or of nothing, shows a bias that other masses have too; it is remembered for this long.
 SHORTFALL_TIME = 30.0  # s
 # It counts where a mass is this sure, and shows for this long, by more than this: a release is not seen at once.
 SHORTFALL_STD, SETTLING_TIME, SHORTFALL_FLOOR = 0.1, 0.3, 0.02  # kg, s, kg
@@ -109,9 +109,10 @@ STATE = np.dtype(
         ("raw_information", "f8"),  # information without inflation
         ("excess", "f8"),  # of the blocks' scatter over the noise, over BIAS_TIME
         ("leverage", "f8"),  # kg^-2, what a block says of the mass, over the same
+        ("judged", "f8"),  # share of BIAS_TIME that the two have been averaged over so far
         ("bias", "f8"),  # kg^2, variance of what the model's error does to a mass for good
-        ("below_for", "f8"),  # s
-        ("shortfall", "f8"),  # kg, how far below nothing masses have been of late
+        ("wrong_for", "f8"),  # s
+        ("shortfall", "f8"),  # kg, how far below nothing masses have been of late, or off it where nothing hung
         ("in_block", "i8"),
         ("clock", "i8"),  # samples taken
         ("ended", "i8", BLOCKS),  # when each block did
@@ -341,6 +342,7 @@ def _scatter(settings, state):
         share = settings.block_size * settings.period / BIAS_TIME
         state.excess += share * (max(0.0, state.blocks[oldest] - 1.0) - state.excess)
         state.leverage += share * (leverage - state.leverage)
+        state.judged += share * (1.0 - state.judged)
         state.blocks[state.block], state.ended[state.block] = own, state.clock
         if state.active > 1:
             _look_again(state)
@@ -432,15 +434,21 @@ def _conclude(settings, state):
     # what was learnt while the model fitted says less once it no longer does
     worse = max(1.0, state.inflation * state.information[0, 0] / state.raw_information)
     state.shortfall *= settings.remember
-    lacking = settings.model_error + max(state.excess, (state.inflation - 1.0) / COLOUR)
-    state.bias = BIAS_SHARE * BIAS_SHARE * lacking / state.leverage if state.leverage > 0.0 else 0.0
+    state.bias = 0.0
+    if state.leverage > 0.0:  # averages that are not full yet are judged by what is in them
+        lacking = settings.model_error + max(state.excess / state.judged, (state.inflation - 1.0) / COLOUR)
+        state.bias = BIAS_SHARE * BIAS_SHARE * lacking * state.judged / state.leverage
     std_dev = math.sqrt(worse * inverse[0, 0] + doubt + state.bias)
-    below = -mass - CONTRADICTION * std_dev - SHORTFALL_FLOOR
-    lasting = std_dev < SHORTFALL_STD and below > state.shortfall
-    state.below_for = state.below_for + settings.period if lasting else 0.0
-    if state.below_for > SETTLING_TIME:
-        state.shortfall += settings.period / SETTLING_TIME * (below - state.shortfall)
-    std_dev = math.hypot(std_dev, state.shortfall)
+    known_empty = state.gripper == OPEN
+    contradicted = known_empty and mass > EMPTY_SIGMAS * std_dev + SMALLEST_CHANGE
+    # what hangs on nothing is an error too, whichever way
+    empty = known_empty or (state.gripper == UNKNOWN and state.load < SMALLEST_CHANGE and mass < SMALLEST_CHANGE)
+    wrong = (abs(mass) if empty else -mass) - CONTRADICTION * std_dev - SHORTFALL_FLOOR
+    lasting = std_dev < SHORTFALL_STD and wrong > state.shortfall
+    state.wrong_for = state.wrong_for + settings.period if lasting else 0.0
+    if state.wrong_for > (0.0 if known_empty else SETTLING_TIME):
+        state.shortfall += settings.period / SETTLING_TIME * (wrong - state.shortfall)
+    std_dev = math.hypot(std_dev, max(state.shortfall, wrong) if empty else state.shortfall)
     trusted = std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR and state.inflation < FOREIGN
     state.quiet += 1
     state.burst = max(0.0, state.burst - EVENT_RATE * settings.period)
@@ -449,11 +457,10 @@ def _conclude(settings, state):
         trusted = False
         std_dev = max(std_dev, abs(mass - min(max(mass, 0.0), settings.max_payload)))
     held = min(max(mass, 0.0), settings.max_payload)
-    if state.gripper == OPEN:
-        if mass > EMPTY_SIGMAS * std_dev + SMALLEST_CHANGE:  # the gripper says one thing, the torque another
-            trusted, std_dev = False, max(std_dev, held)
-        else:
-            trusted, held, std_dev = True, 0.0, 0.0
+    if contradicted:  # the gripper says one thing, the torque another
+        trusted, std_dev = False, max(std_dev, held)
+    elif known_empty:
+        trusted, held, std_dev = True, 0.0, 0.0
     event = PayloadEvent.NONE.value
     if state.last_event == PayloadEvent.RELEASE.value and state.quiet < WINDOW * settings.bin_size:
         state.load = min(state.load, held)  # the rest of a release is no second one

@@ -131,6 +131,21 @@ def test_an_open_gripper_holds_nothing(robot, make):
     assert trusted >= 0.75, "all but the 150 ms after each change"
 
 
+@pytest.mark.parametrize("known_gripper", [True, False], ids=["gripper known", "gripper unknown"])
+@pytest.mark.parametrize("error", [-0.05, 0.05], ids=["light", "heavy"])
+def test_what_an_empty_move_shows_as_mass_counts_in_the_error_of_every_mass(robot, make, error, known_gripper):
+    """A platform (or tool) that is not what the description says: every mass is off by the difference."""
+    wrong = robot.model_copy(update={"mass": robot.mass.model_copy(update={"platform": robot.mass.platform + error})})
+    known = make(9.0, payload=carried, noise=0.25)
+    if known_gripper:
+        held = carried(stamp_ns(known.samples) * 1e-9) > 0
+        known.samples["gripper"] = np.where(held, Gripper.CLOSED, Gripper.OPEN)
+    payload, time = weigh(wrong, known.samples)
+    inside, trusted = covered(payload, time, carried(time))
+    assert inside >= 0.95
+    assert trusted >= 0.6, "50 g are no reason to say nothing"
+
+
 def test_a_load_on_an_open_gripper_is_not_trusted(robot, make):
     known = make(2.0, payload=lambda t: 2.0 * np.ones_like(t), noise=0.25)
     known.samples["gripper"] = Gripper.OPEN

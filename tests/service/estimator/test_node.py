@@ -1,0 +1,43 @@
+"""The estimator behind a bus: what its health says."""
+
+import time
+
+import numpy as np
+import pytest
+
+from drivers.bus import LINK_S, open_bus
+from schemas.messages import HealthFlag, Role
+from service.estimator.estimator import Estimator
+from service.estimator.node import Node
+
+
+@pytest.mark.parametrize(("share", "drifted"), [(0.1, False), (0.5, True)], ids=["within", "beyond"])
+def test_health_says_that_friction_is_not_what_was_identified(bus_folder, robot, make, until, share, drifted):
+    """The description allows 30 %; the flag is in the health that others hear, with the friction that it is about."""
+    known = make(3.0, noise=0.25)
+    found = robot.identified
+    way = np.clip(known.theta_dot / 0.01, -1, 1)
+    known.samples["torque"] += share * (
+        found.viscous_friction_nms.value * known.theta_dot + found.coulomb_friction_nm.value * way
+    )
+    Estimator(robot, 1e-3).warm_up()
+    with open_bus(robot.name, Role.PLAYER) as player, open_bus(robot.name, Role.ESTIMATOR) as bus:
+        health, told = player.subscribe("health"), player.subscribe("friction")
+        publisher = player.publisher("sample")
+        node = Node(robot, bus, HealthFlag(0))
+        until(lambda: publisher.heard and Role.ESTIMATOR in player.alive)
+        time.sleep(LINK_S)
+        for record in known.samples:
+            publisher.put(record.tobytes())
+            node.step()
+        node.report()
+        said, friction = [], []
+
+        def heard() -> bool:
+            said.extend(health.take()[0])
+            friction.extend(told.take()[0])
+            return bool(said and friction) and said[-1]["received"] == len(known.samples)
+
+        until(heard)
+    assert (friction[-1]["drift"] > robot.limits.friction_drift).any() == drifted
+    assert (HealthFlag.FRICTION_DRIFT in HealthFlag(int(said[-1]["flags"]))) == drifted
