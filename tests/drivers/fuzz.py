@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import gzip
 import io
+import json
 import random
 import re
 import resource
 import signal
+import sqlite3
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,6 +22,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import scipy.io
 from mcap.writer import CompressionType, Writer
 
 from drivers.ethercat.eni import read_eni
@@ -27,6 +31,7 @@ from drivers.plant.truth import load_truth
 from drivers.trace import read_trace
 from drivers.trace.capture_survey import survey_capture
 from drivers.trace.survey import survey
+from drivers.trace.tables import read_table
 from schemas.axes import load_description
 from schemas.columns import Columns, load_columns
 from schemas.errors import DeltatwinError
@@ -38,6 +43,7 @@ from service.monitor.readback import read_recording
 from service.monitor.recover import recover
 from tests.drivers.ethercat import wire
 from tests.drivers.ethercat.test_eni import ENI, with_eni
+from tests.drivers.trace.test_tables import joint_state
 
 SECONDS = 5.0  # that reading one file may take
 BYTES = 1 << 30  # more memory than before that it may take
@@ -135,13 +141,108 @@ def _toml() -> list[bytes]:
     return [path.read_bytes() for path in files] + [axes, identified + effect]
 
 
+NAMES = ["t", "q1", "q2", "q3", "m1", "m2", "m3"]
+TABLE = Columns.model_validate({"time": "t", "position": "q{joint}", "torque": "m{joint}"})
+TIME = np.arange(20) / 500
+BLOCK = np.column_stack([TIME, *(np.sin(40 * TIME + k) for k in range(6))])
+
+
+def _saved(save: Callable[..., object], *arguments: object, **named: object) -> bytes:
+    stream = io.BytesIO()
+    save(stream, *arguments, **named)
+    return stream.getvalue()
+
+
+def _npz() -> list[bytes]:
+    named = dict(zip(NAMES, BLOCK.T, strict=True))
+    return [
+        _saved(np.savez, **named),
+        _saved(np.savez_compressed, **named, rate=500.0),
+        _saved(np.savez, t=TIME, log=BLOCK),
+    ]
+
+
+def _mat() -> list[bytes]:
+    named = dict(zip(NAMES, BLOCK.T, strict=True))
+    date = b"MATLAB 5.0 MAT-file".ljust(116)  # stands where the date of saving does
+    return [
+        date + _saved(scipy.io.savemat, named)[116:],
+        date + _saved(scipy.io.savemat, {"log": named, "note": "text"}, do_compression=True)[116:],
+        date + _saved(scipy.io.savemat, {"log": named})[116:],
+        _saved(scipy.io.savemat, named, format="4"),
+    ]
+
+
+def _json() -> list[bytes]:
+    records = [dict(zip(NAMES, row, strict=True)) | {"on": True} for row in BLOCK.tolist()]
+    lists = {name: BLOCK[:, k].tolist() for k, name in enumerate(NAMES)}
+    return [json.dumps(one).encode() for one in (records, {"robot": "d3", "entries": records}, lists)] + [
+        "\n".join(map(json.dumps, records)).encode()
+    ]
+
+
+def _kuka() -> list[bytes]:
+    """Headers; `case.r64` beside them holds the numbers."""
+    header = ["DIAEXTENDED  {@:ENGLISH}", "#BEGINGLOBALHEADER", "1,WINDOWS", "#ENDGLOBALHEADER"]
+    header += ["#BEGINCHANNELHEADER", "200,t", "202,s", "210,IMPLIZIT", "220,20", "240,0", "241,0.002"]
+    header += ["#ENDCHANNELHEADER"]
+    for k, name in enumerate(NAMES[1:], 1):
+        header += ["#BEGINCHANNELHEADER", f"200,{name}", "202,°", "210,EXPLIZIT", "211,case.r64", "213,BLOCK"]
+        header += ["214,REAL64", "220,20", f"221,{k}", "240,0", "241,1", "#ENDCHANNELHEADER"]
+    return ["\r\n".join(header).encode("latin-1")]
+
+
+def _codesys() -> tuple[list[bytes], list[bytes]]:
+    lines = ["[key]; [value]", "Version; 0x03050000", "Name; Application.Trace", "Flags; 32"]
+    xml = '<Trace><C><Single Name="MicroSeconds" Type="bool">True</Single></C><TraceData><TraceRecord>'
+    stamps = [round(t * 1e6) for t in TIME]
+    for k, name in enumerate(NAMES[1:]):
+        values = BLOCK[:, k + 1].tolist()
+        lines += [f"{k}.Variable; PLC.{name}", f"{k}.GraphColor; 4278190080", f"{k}.Data; "]
+        lines += [f"; {stamp}; {value!r}" for stamp, value in zip(stamps, values, strict=True)]
+        xml += (
+            f'<TraceVariable VarName="PLC.{name}" Type="System.Double"><Values>{",".join(map(repr, values))}</Values>'
+        )
+        xml += f"<Timestamps>{','.join(map(str, stamps))}</Timestamps></TraceVariable>"
+    xml += "</TraceRecord></TraceData></Trace>"
+    return ["\n".join(lines).encode()], [xml.encode(), xml.encode("utf-16")]
+
+
+def _db3(folder: Path) -> list[bytes]:
+    bag = sqlite3.connect(folder / "bag.db3")
+    bag.execute("PRAGMA page_size = 512")
+    bag.execute("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
+    bag.execute("CREATE TABLE messages(id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB)")
+    bag.execute("INSERT INTO topics VALUES (2, '/joint_states', 'sensor_msgs/msg/JointState', 'cdr')")
+    for k, row in enumerate(BLOCK):
+        bag.execute("INSERT INTO messages VALUES (?, 2, ?, ?)", (k, k, joint_state(row)))
+    bag.commit()
+    bag.close()
+    return [(folder / "bag.db3").read_bytes()]
+
+
+def _bag() -> list[bytes]:
+    made = []
+    for kind in (CompressionType.NONE, CompressionType.ZSTD):
+        stream = io.BytesIO()
+        writer = Writer(stream, compression=kind, chunk_size=1000)
+        writer.start(profile="ros2", library="fuzz")
+        schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        for k, row in enumerate(BLOCK):
+            writer.add_message(channel, k, joint_state(row), k)
+        writer.finish()
+        made.append(stream.getvalue())
+    return made
+
+
 @cache
 def corpus() -> dict[str, list[bytes]]:
     """Small whole files by format."""
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         pcaps, pcapngs = _captures(Path(folder))
+        db3 = _db3(Path(folder))
+    codesys_text, codesys_xml = _codesys()
     return {
         "csv": _csv(),
         "mcap": _mcap(),
@@ -149,6 +250,15 @@ def corpus() -> dict[str, list[bytes]]:
         "pcapng": pcapngs,
         "eni": [ENI.encode(), f'<?xml version="1.0" encoding="utf-8"?>{ENI}'.encode()],
         "toml": _toml(),
+        "npy": [_saved(np.save, BLOCK), _saved(np.save, BLOCK.T.astype(">f4"))],
+        "npz": _npz(),
+        "mat": _mat(),
+        "json": _json(),
+        "kuka": _kuka(),
+        "codesys": codesys_text,
+        "trace": codesys_xml,
+        "db3": db3,
+        "bag": _bag(),
     }
 
 
@@ -253,6 +363,15 @@ def _read_toml(path: Path) -> None:
     )  # fmt: skip
 
 
+def _read_table(path: Path) -> None:
+    _each(lambda: read_table(path), lambda: read_trace(path, ROBOT, TABLE))
+
+
+def _read_kuka(path: Path) -> None:
+    BLOCK[:, 1:].astype("<f8").tofile(path.with_name("case.r64"))
+    _read_table(path)
+
+
 def _each(*readers: Callable[[], object]) -> None:
     for reader in readers:
         try:
@@ -269,6 +388,15 @@ ENDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "pcapng": (".pcapng", _read_capture),
     "eni": (".xml", _read_eni),
     "toml": (".toml", _read_toml),
+    "npy": (".npy", _read_table),
+    "npz": (".npz", _read_table),
+    "mat": (".mat", _read_table),
+    "json": (".json", _read_table),
+    "kuka": (".dat", _read_kuka),
+    "codesys": (".csv", _read_table),
+    "trace": (".trace", _read_table),
+    "db3": (".db3", _read_table),
+    "bag": (".mcap", _read_table),
 }
 
 
@@ -325,7 +453,8 @@ def finding(kind: str, data: bytes, folder: Path) -> str:
         import traceback
 
         frames = traceback.extract_tb(error.__traceback__)
-        where = next(f for f in reversed(frames) if "/tests/" not in f.filename and "site-packages" not in f.filename)
+        ours = (f for f in reversed(frames) if "/tests/" not in f.filename and "site-packages" not in f.filename)
+        where = next(ours, frames[-1])
         return f"{type(error).__name__} at {Path(where.filename).name}:{where.lineno}: {str(error)[:200]}"
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak) << 10
     return f"{grown >> 20} MiB of memory" if grown > BYTES else ""

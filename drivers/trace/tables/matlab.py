@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,11 @@ from schemas.errors import TraceError
 from schemas.files import MAX_LOG_BYTES, most_unpacked, read_bytes
 
 DEEPEST = 4  # structures in each other
+# Data elements of a level 5 MAT-file, of MathWorks' "MAT-File Format"
+MATRIX, COMPRESSED = 14, 15
+VALUES = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18}
+HOLDS_MATRICES = {1, 2, 3}  # array classes: cell, structure, object
+DEEPEST_ELEMENT = 40
 
 
 def read(path: Path) -> Table:
@@ -27,6 +33,8 @@ def read(path: Path) -> Table:
         raise TraceError(f"{path}: a MATLAB 7.3 file (HDF5); in MATLAB: save('{path.stem}.mat', ..., '-v7')")
     limit = most_unpacked(len(raw))
     try:
+        if order := {b"IM": "<", b"MI": ">"}.get(raw[126:128]):
+            _check_elements(raw, 128, order, {MATRIX, COMPRESSED}, limit, 0)
         claimed = sum(8 * int(np.prod(shape, dtype=float)) for _, shape, _ in scipy.io.whosmat(path))
         if claimed > limit:
             raise TraceError(f"{path}: {claimed} bytes of arrays in it, at most {limit} are read")
@@ -37,10 +45,35 @@ def read(path: Path) -> Table:
                 columns |= _columns(name, value, 0)
     except TraceError:
         raise
-    except (ValueError, TypeError, OSError, EOFError, KeyError, zlib.error, MemoryError, NotImplementedError,
-            IndexError, OverflowError, AttributeError, UnicodeError) as error:  # fmt: skip
-        raise TraceError(f"{path}: not a MATLAB file: {type(error).__name__}: {error}") from error
+    except Exception as error:  # SciPy raises whatever comes of damaged bytes, an UnboundLocalError too
+        raise TraceError(f"{path}: not a MATLAB file: {type(error).__name__}: {ascii(str(error))[:200]}") from error
     return Table(path, "MATLAB .mat", same_length(columns, path))
+
+
+def _check_elements(raw: bytes, at: int, order: str, allowed: set[int], limit: int, depth: int) -> None:
+    """SciPy crashes the process on data of an unknown type.
+
+    Raises:
+        ValueError: an element of no type that can stand there, or longer than what holds it.
+    """
+    if depth > DEEPEST_ELEMENT:
+        raise ValueError("elements too deep in each other")
+    while at + 8 <= len(raw):
+        kind, size = struct.unpack_from(f"{order}II", raw, at)
+        begin = at + 8
+        if kind >> 16:  # a small element: size, type and up to four bytes
+            kind, size, begin = kind & 0xFFFF, kind >> 16, at + 4
+        if kind not in allowed or begin + size > len(raw) or (begin == at + 4 and size > 4):
+            raise ValueError(f"element of type {kind} and {size} bytes at byte {at}")
+        if kind == COMPRESSED:
+            inner = zlib.decompressobj().decompress(raw[begin : begin + size], limit)
+            _check_elements(inner, 0, order, {MATRIX}, limit, depth + 1)
+        elif kind == MATRIX and size:
+            inner = raw[begin : begin + size]
+            array_class = struct.unpack_from(f"{order}I", inner.ljust(12, b"\0"), 8)[0] & 0xFF
+            held = VALUES | {MATRIX} if array_class in HOLDS_MATRICES else VALUES
+            _check_elements(inner, 0, order, held, limit, depth + 1)
+        at = at + 8 if begin == at + 4 else begin + size + (-size % 8 if kind != COMPRESSED else 0)
 
 
 def _columns(name: str, value: Any, depth: int) -> dict[str, np.ndarray]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tokenize
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +31,8 @@ def read(path: Path) -> Table:
             for name, array in arrays.items():
                 if array.dtype.kind in "biuf" and array.ndim in (1, 2) and array.size <= MAX_LOG_BYTES // 8:
                     columns |= spread(name, array)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError, MemoryError, OverflowError) as error:
+    except (ValueError, OSError, EOFError, KeyError, MemoryError, OverflowError, SyntaxError, NotImplementedError,
+            RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError) as error:  # fmt: skip
         raise TraceError(f"{path}: not a {kind} of numbers: {error}") from error
     return Table(path, kind, same_length(columns, path))
 
@@ -40,7 +43,8 @@ def _archive(path: Path) -> dict[str, np.ndarray]:
     if unpacked > (limit := most_unpacked(path.stat().st_size)):
         raise TraceError(f"{path}: unpacks to {unpacked} bytes, at most {limit} are read")
     with np.load(path, allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+        found = {name: arrays[name] for name in arrays.files}
+    return {name: array for name, array in found.items() if isinstance(array, np.ndarray)}  # bytes: no array in it
 
 
 def same_length(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:

@@ -252,6 +252,17 @@ def test_damaged_files_are_one_line_that_names_them(tmp_path: Path, name: str, d
     assert "\n" not in str(told.value)
 
 
+def test_mat_with_data_of_no_type_is_refused_before_scipy_crashes(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "log.mat", {"t": TIME})
+    data = bytearray((tmp_path / "log.mat").read_bytes())
+    at = data.index(struct.pack("<II", 9, 8 * len(TIME)))
+    for kind in (8, 14, 200):
+        data[at] = kind
+        (tmp_path / "log.mat").write_bytes(data)
+        with pytest.raises(TraceError, match=rf"log\.mat: .*element of type {kind} and 2400 bytes"):
+            read_table(tmp_path / "log.mat")
+
+
 def test_matlab_7_3_says_how_to_save_it(tmp_path: Path) -> None:
     (tmp_path / "log.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(600))
     with pytest.raises(TraceError, match=r"save\('log\.mat', \.\.\., '-v7'\)"):
