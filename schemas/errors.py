@@ -1,16 +1,13 @@
 """The one error tree. Every message names the file, key, row or value that is wrong; the CLI prints it as one line."""
 
-import unicodedata
-
 LONGEST = 2000  # characters of a message; what a file holds may be of any length
-_UNSEEN = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # control, format (it turns text around), half a character, line ends
 
 
 def printable(text: str) -> str:
     """`text` as one line that no terminal obeys: what it may hold comes from files that anybody wrote."""
     if len(text) > LONGEST:
         text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
-    return "".join(_escaped(c) if unicodedata.category(c) in _UNSEEN else c for c in text)
+    return "".join(c if c.isprintable() else _escaped(c) for c in text)
 
 
 def _escaped(character: str) -> str:
