@@ -379,7 +379,7 @@ class Band:
         """Frequencies, Hz, evenly up to half the sample rate, and the share of a signal's power there that passes."""
         sections = butter(ANALYSIS_ORDER, 2.0 * self.cutoff_hz * self.period, output="sos")
         frequency, response = freqz_sos(sections, worN=8192, fs=1.0 / self.period)
-        return frequency, np.abs(response) ** 4
+        return np.asarray(frequency), np.abs(response) ** 4
 
     @property
     def white_share(self) -> float:

@@ -41,7 +41,7 @@ def speed(robot: Robot) -> float:
     low = rows.astype(int)
     joint = np.arange(3)[None, None]
     torque = seen.torque[low, joint] + (rows - low) * (seen.torque[low + 1, joint] - seen.torque[low, joint])
-    spent = []
+    spent, angle = [], np.empty((1, 1, 3))
     for _ in range(ROUNDS + 1):
         begin = time.thread_time()
         angle = simulate(seen, seen.start[at], torque, part.time[at], PERIOD)

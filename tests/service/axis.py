@@ -33,8 +33,9 @@ class Axis:
     def scene(self) -> Scene:
         """As effects see it."""
         torque = INERTIA * self.motion[2] + LOAD + 0.6 * self.motion[1] + self.extra
-        signals = (values[:, None] for values in (*self.motion, torque, np.abs(self.motion[1]) > 0.02))
-        part = Segment(np.arange(len(self.time)), self.time, PERIOD, *signals)
+        theta, theta_dot, theta_ddot, torque = (values[:, None] for values in (*self.motion, torque))
+        moving = np.abs(theta_dot) > 0.02
+        part = Segment(np.arange(len(self.time)), self.time, PERIOD, theta, theta_dot, theta_ddot, torque, moving)
         return Scene(Recording(part, AXIS, 0, "axis"), SINGLE)
 
 
