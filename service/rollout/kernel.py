@@ -95,21 +95,12 @@ SCRATCH = np.dtype(
 
 
 @njit(cache=True)
-def _own(f, s, effects, motor, motor_dot, seconds, torque):
+def _effects(f, s, effects, theta, theta_dot, seconds, torque):
+    """torque (3,): of `effects` on motors or links, whose angles and speeds these are, at s.guess and s.way."""
     for i in range(3):
         torque[i] = 0.0
     effects_kernel(
-        effects, f.model, f.gear_ratio, f.rho_2[0], motor, motor_dot, s.guess, s.way, s.load, seconds, s.position,
-        s.work, torque,
-    )  # fmt: skip
-
-
-@njit(cache=True)
-def _shared(f, s, effects, link, link_dot, seconds, torque):
-    for i in range(3):
-        torque[i] = 0.0
-    effects_kernel(
-        effects, f.model, f.gear_ratio, f.rho_2[0], link, link_dot, s.guess, s.way, s.load, seconds, s.position,
+        effects, f.model, f.gear_ratio, f.rho_2[0], theta, theta_dot, s.guess, s.way, s.load, seconds, s.position,
         s.work, torque,
     )  # fmt: skip
 
@@ -168,8 +159,8 @@ def _evaluate(f, s, state, torque, seconds, step, implicit):
         s.way[i] = math.tanh(motor_dot[i] / f.transition)
         for axis in range(3):
             acceleration[axis] += column[i, axis] * lever[i] * s.guess[i]
-    _own(f, s, f.at_joints, motor, motor_dot, seconds, s.own)
-    _shared(f, s, f.at_platform, link, link_dot, seconds, s.shared)
+    _effects(f, s, f.at_joints, motor, motor_dot, seconds, s.own)
+    _effects(f, s, f.at_platform, link, link_dot, seconds, s.shared)
     if implicit:
         _steepness(f, s, motor, motor_dot, seconds)
     for i in range(3):
@@ -212,20 +203,20 @@ def _added(f, s, state, seconds):
     link, link_dot, motor, motor_dot = state[0], state[1], state[2], state[3]
     column, lever, acceleration = s.work[1], s.work[4, 0], s.work[4, 2]
     if f.masses_at_joints[0].number >= 0:
-        _own(f, s, f.masses_at_joints, motor, motor_dot, seconds, s.added_own)
+        _effects(f, s, f.masses_at_joints, motor, motor_dot, seconds, s.added_own)
         for i in range(3):
             s.guess[i] += 1.0
-        _own(f, s, f.masses_at_joints, motor, motor_dot, seconds, s.more)
+        _effects(f, s, f.masses_at_joints, motor, motor_dot, seconds, s.more)
         for i in range(3):
             s.guess[i] -= 1.0
             s.added_own[i] = s.more[i] - s.added_own[i]
     if f.masses_at_platform[0].number >= 0:
-        _shared(f, s, f.masses_at_platform, link, link_dot, seconds, s.side)
+        _effects(f, s, f.masses_at_platform, link, link_dot, seconds, s.side)
         for j in range(3):
             s.guess[j] += 1.0
             for axis in range(3):
                 acceleration[axis] += column[j, axis] * lever[j]
-            _shared(f, s, f.masses_at_platform, link, link_dot, seconds, s.more)
+            _effects(f, s, f.masses_at_platform, link, link_dot, seconds, s.more)
             s.guess[j] -= 1.0
             for axis in range(3):
                 acceleration[axis] -= column[j, axis] * lever[j]
@@ -243,7 +234,7 @@ def _steepness(f, s, motor, motor_dot, seconds):
     if slow:
         for i in range(3):
             s.way[i] += 1.0
-        _own(f, s, f.at_joints, motor, motor_dot, seconds, s.more)
+        _effects(f, s, f.at_joints, motor, motor_dot, seconds, s.more)
         for i in range(3):
             s.way[i] -= 1.0
             s.steep[i] += s.more[i] - s.own[i]
