@@ -50,14 +50,7 @@ def _rows(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
 def held_out(fitted: Fit, split: Split) -> list[np.ndarray]:
     """Residuals (R,) a recording, each fold predicted by parameters from the other folds (linear in the refit, within
     reach of the slopes: what one fold left open may not run away on the next)."""
-    grams, moments = [], []
-    for number in range(split.folds):
-        parts = [
-            (t[f == number], r[f == number])
-            for t, r, f in zip(fitted.moving, fitted.residuals, split.fold, strict=True)
-        ]
-        grams.append(np.asarray(sum(t.T @ t for t, _ in parts)))
-        moments.append(np.asarray(sum(t.T @ r for t, r in parts)))
+    grams, moments = normal_equations(fitted.moving, fitted.residuals, split)
     gram, moment = sum(grams), sum(moments)
     result = [residual.copy() for residual in fitted.residuals]
     for number in range(split.folds):
@@ -66,6 +59,18 @@ def held_out(fitted: Fit, split: Split) -> list[np.ndarray]:
             out = fold == number
             residual[out] -= slope[out] @ step
     return result
+
+
+def normal_equations(
+    tangents: Sequence[np.ndarray], residuals: Sequence[np.ndarray], split: Split
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Gram matrix (P, P) and moment (P,) of each fold, of tangents (R, P) and residuals (R,) a recording."""
+    grams, moments = [], []
+    for number in range(split.folds):
+        parts = [(t[f == number], r[f == number]) for t, r, f in zip(tangents, residuals, split.fold, strict=True)]
+        grams.append(np.asarray(sum(t.T @ t for t, _ in parts)))
+        moments.append(np.asarray(sum(t.T @ r for t, r in parts)))
+    return grams, moments
 
 
 def block_loss(residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:

@@ -17,7 +17,7 @@ from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.selection import LEAST_GAIN, Scored, Selection, score
 from service.identification.events import events_of
 from service.identification.fit import Problem, evaluate, fit, solve
-from service.identification.folds import Split, block_loss
+from service.identification.folds import Split, block_loss, normal_equations
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
 from service.model.parameters import Parameters
@@ -101,15 +101,9 @@ def _varies(problem: Problem, split: Split, best: Scored, effect: Effect) -> Cau
     for term, places in zip(best.hypothesis.terms, parameters.terms, strict=True):
         mine[places] = term.effect is effect
     values, columns = parameters.values[mine & parameters.free], mine[parameters.free]
-    fitted = best.fitted
-    grams, steps = [], []
-    for number in range(split.folds):
-        parts = [
-            (tangent[fold == number][:, columns], residual[fold == number])
-            for tangent, residual, fold in zip(fitted.tangents, fitted.residuals, split.fold, strict=True)
-        ]
-        grams.append(np.asarray(sum(t.T @ t for t, _ in parts)))
-        steps.append(solve(grams[-1], np.asarray(sum(t.T @ r for t, r in parts))))
+    tangents = [tangent[:, columns] for tangent in best.fitted.tangents]
+    grams, moments = normal_equations(tangents, best.fitted.residuals, split)
+    steps = [solve(gram, moment) for gram, moment in zip(grams, moments, strict=True)]
     weights = np.array([values @ gram @ values for gram in grams])
     changes = np.sqrt(
         [step @ gram @ step for step, gram in zip(steps, grams, strict=True)] / np.maximum(weights, 1e-300)

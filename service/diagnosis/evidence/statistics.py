@@ -9,7 +9,7 @@ import numpy as np
 
 from service.diagnosis.fit.selection import TOLD_APART, Scored, Selection, worth, z_score
 from service.identification.fit import Fit, Problem, solve
-from service.identification.folds import Split, block_loss
+from service.identification.folds import Split, block_loss, normal_equations
 from service.model.parameters import Parameters
 
 # A reversal's place between two samples is known to about this share of the sample time.
@@ -91,9 +91,7 @@ def nested(selection: Selection, split: Split, rows: int) -> list[np.ndarray]:
 def _inner(scored: Scored, split: Split, out: int) -> np.ndarray:
     """Block losses with `out` neither trained on nor counted, every other fold left out in turn."""
     fitted = scored.fitted
-    pairs = list(zip(fitted.moving, fitted.residuals, split.fold, strict=True))
-    grams = [np.asarray(sum(t[f == k].T @ t[f == k] for t, _, f in pairs)) for k in range(split.folds)]
-    moments = [np.asarray(sum(t[f == k].T @ r[f == k] for t, r, f in pairs)) for k in range(split.folds)]
+    grams, moments = normal_equations(fitted.moving, fitted.residuals, split)
     residuals = [r.copy() for r in fitted.residuals]
     for fold in range(split.folds):
         train = [k for k in range(split.folds) if k not in (fold, out)]
