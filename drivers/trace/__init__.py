@@ -23,10 +23,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from drivers.trace.tables import READERS
-from schemas.axes import Axes, Description, no_axes
+from schemas.axes import Description, no_axes
 from schemas.columns import Columns, load_columns
 from schemas.errors import TraceError
 from schemas.files import opened, whole
+from schemas.machine import Machine
 from schemas.trace import Trace
 
 MAPPINGS = Path(__file__).parent / "mappings"
@@ -47,10 +48,10 @@ def read_trace(path: str | Path, robot: Description | None = None, columns: Colu
     """
     path = Path(path)
     trace = _read(path, robot, columns)
-    if isinstance(robot, Axes):
+    if isinstance(robot, Machine):
         found = trace.position.shape[1]
-        if found != len(robot.axis):
-            raise TraceError(f"{path}: {found} axes, {robot.name} is described with {len(robot.axis)}")
+        if found != robot.count:
+            raise TraceError(f"{path}: {found} axes, {robot.name} is described with {robot.count}")
         if trace.angular != robot.angular:
             raise TraceError(
                 f"{path}: {'no' if trace.angular else 'an'} axis in m, {robot.name} is described otherwise"
@@ -66,7 +67,7 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
         from drivers.trace.capture import read_capture
 
         return read_capture(path, robot)
-    if isinstance(robot, Axes):
+    if isinstance(robot, Machine):
         fallback = find_columns(robot.mapping) if robot.mapping else None
     else:
         fallback = robot.columns if robot else None

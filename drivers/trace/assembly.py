@@ -10,9 +10,10 @@ import numpy as np
 import polars as pl
 
 from drivers.trace.quality import Rows, check
-from schemas.axes import Axes, Description
+from schemas.axes import Description
 from schemas.columns import CHANNELS, EXTRAS, TIME_UNITS, Columns, GripperColumn, PositionColumn, TorqueColumn
 from schemas.errors import TraceError
+from schemas.machine import Machine
 from schemas.messages import Gripper, SampleFlag
 from schemas.trace import Finding, Trace
 
@@ -169,7 +170,7 @@ def assemble(
             arrays[channel.name] = values
         else:
             arrays.setdefault(channel.name, np.empty((len(rows), joints)))[:, channel.joint] = values
-    if isinstance(robot, Axes) and robot.coupling is not None and joints == len(robot.axis):
+    if isinstance(robot, Machine) and robot.coupling is not None and joints == robot.count:
         for name in CHANNELS:
             own = [c.column for c in channels if c.name == name and not isinstance(c.column, GripperColumn)]
             if own:
@@ -235,20 +236,21 @@ def _signed(values: np.ndarray, bits: int | None) -> np.ndarray:
 def _gear_ratio(robot: Description | None, joint: int) -> float | None:
     if robot is None:
         return None
-    if isinstance(robot, Axes):
-        return robot.axis[joint].gear_ratio if joint < len(robot.axis) else None
+    if isinstance(robot, Machine):
+        return robot.gear_ratios[joint] if joint < robot.count else None
     if joint == FOURTH:
         return None  # `drive` is of the arms
     own = robot.drive.joint[joint].gear_ratio if robot.drive.joint else None
     return own or robot.drive.gear_ratio
 
 
-def _uncouple(arrays: dict[str, np.ndarray], name: str, sides: set[str], axes: Axes, path: Path) -> None:
+def _uncouple(arrays: dict[str, np.ndarray], name: str, sides: set[str], machine: Machine, path: Path) -> None:
     """Bring a channel of all motors to the joints, in place; one that is the joints' already stays."""
     if len(sides) > 1:
-        raise TraceError(f"{path}: {name}: side is motor for some joints; {axes.name} has a coupling, give it for all")
+        reason = f"{machine.name} has a coupling, give it for all"
+        raise TraceError(f"{path}: {name}: side is motor for some joints; {reason}")
     if sides == {"motor"}:
-        turn = axes.motors if "torque" in name else np.linalg.inv(axes.motors).T
+        turn = machine.motors if "torque" in name else np.linalg.inv(machine.motors).T
         arrays[name] = arrays[name] @ turn
 
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import median_filter
 
-from schemas.axes import Axes, Description
+from schemas.axes import Description
 from schemas.errors import TraceError
+from schemas.machine import Machine
 from schemas.messages import SampleFlag
 from schemas.robot import Geometry
 from schemas.trace import Finding, Trace
@@ -140,7 +141,7 @@ def _jumps(trace: Trace, rows: Rows) -> Iterator[Finding]:
 
 
 def _range(trace: Trace, rows: Rows, robot: Description | None) -> Iterator[Finding]:
-    if not trace.angular or isinstance(robot, Axes) or (robot is None and trace.position.shape[1] != 3):
+    if not trace.angular or isinstance(robot, Machine) or (robot is None and trace.position.shape[1] != 3):
         return
     low, high = robot.geometry.joint_range_rad if robot else Geometry.model_fields["joint_range_rad"].default
     for joint in range(trace.position.shape[1]):

@@ -33,8 +33,9 @@ def command(
 
     Example: deltatwin diagnose fit_*.csv --robot corrected.toml --out again --effects rubber_stop.py
     """
-    from schemas.axes import Axes, load_description, save_axes
+    from schemas.axes import load_description, save_axes
     from schemas.files import make_folder, write_text
+    from schemas.machine import Machine
     from schemas.robot import save_robot
     from service.cli.output import console as result_console
     from service.diagnosis.diagnose import diagnose
@@ -63,7 +64,7 @@ def command(
         result = document(findings, tests, made_from(sources))
         write_text(out / "diagnosis.json", result.model_dump_json(indent=1, by_alias=True))
         fixed = corrected(findings)
-        if isinstance(fixed, Axes):
+        if isinstance(fixed, Machine):
             save_axes(fixed, out / "corrected.toml")
         else:
             save_robot(fixed, out / "corrected.toml", template=robot)

@@ -39,13 +39,14 @@ def command(
 
     Example: deltatwin evaluate test_*.csv --robot identified.toml --predictions predicted/
     """
-    from schemas.axes import Axes, load_description
+    from schemas.axes import load_description
     from schemas.errors import TraceError
+    from schemas.machine import Machine
     from service.cli.output import console as result_console
     from service.identification.evaluation import evaluate
 
     description = load_description(robot, effects)
-    unit = "N" if isinstance(description, Axes) and description.linear else "N m"
+    unit = "N" if isinstance(description, Machine) and description.linear else "N m"
     targets = [predictions / _csv_name(path) for path in traces] if predictions else []
     for number, target in enumerate(targets):
         if target in targets[:number]:

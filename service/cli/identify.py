@@ -38,9 +38,10 @@ def command(
     import json as json_library
     from dataclasses import asdict
 
-    from schemas.axes import Axes, load_description, save_axes
+    from schemas.axes import load_description, save_axes
     from schemas.errors import RobotError
     from schemas.files import make_folder
+    from schemas.machine import Machine
     from schemas.robot import save_robot
     from service.cli.output import console as result_console
     from service.cli.reading import reading
@@ -54,7 +55,7 @@ def command(
     make_folder(out.parent)
     description = load_description(robot)
     logs = reading(traces, description, columns, "reading")
-    if isinstance(description, Axes):
+    if isinstance(description, Machine):
         if method == "paper":
             raise RobotError(f"{robot}: --method paper: the paper's method is for a Delta robot")
         result = identify_axes(description, list(logs))

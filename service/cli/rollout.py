@@ -73,15 +73,16 @@ def _robots(paths: list[Path], effects: Path | None) -> dict[str, Robot]:
     Raises:
         DataError: a description of axes, or of another robot than the first.
     """
-    from schemas.axes import Axes, load_description
+    from schemas.axes import load_description
     from schemas.errors import DataError
+    from schemas.machine import Machine
     from service.rollout.gap import PLAIN, plain
 
     robots: dict[str, Robot] = {}
     for path in paths:
         description = load_description(path, effects)
-        if isinstance(description, Axes):
-            raise DataError(f'{path}: kind = "axes": rollout simulates Delta robots')
+        if isinstance(description, Machine):
+            raise DataError(f'{path}: kind = "{description.kind}": rollout simulates Delta robots')
         if not robots:
             robots[PLAIN] = plain(description)
         for key in ("geometry", "mass", "drive"):

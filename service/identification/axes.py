@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.axes import Axes
+from schemas.chain import Chain
 from schemas.errors import DataError
 from schemas.trace import Trace
 from service.identification import checks, pooled
@@ -19,19 +20,19 @@ from service.model.parameters import base_parameters
 from service.model.scene import Recording
 from service.model.signals import segments, thin
 
-BLOCKS_A_PARAMETER = 2
+BLOCKS_A_PARAMETER = {"axes": 2, "chain": 1}  # a mass shows in the torque of several joints of an arm
 
 
 @dataclass(frozen=True)
 class Identification:
     """axes: the description with what was found. fit: numbers and verdicts. warnings: what a user has to know."""
 
-    axes: Axes
+    axes: Axes | Chain
     fit: Plain
     warnings: tuple[str, ...]
 
 
-def identify_axes(axes: Axes, traces: Sequence[Trace]) -> Identification:
+def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification:
     """Fit axes to traces by pooled least squares.
 
     Raises:
@@ -45,7 +46,7 @@ def identify_axes(axes: Axes, traces: Sequence[Trace]) -> Identification:
         for part in segments(trace)
     ]
     seconds = sum(r.segment.period * r.segment.moving.sum(axis=0) for r in recordings)
-    least = BLOCKS_A_PARAMETER * BLOCK * len(base_parameters(mechanism)) / mechanism.joints
+    least = BLOCKS_A_PARAMETER[mechanism.kind] * BLOCK * len(base_parameters(mechanism)) / mechanism.joints
     if np.max(seconds) < least:
         names = ", ".join(trace.path.name for trace in traces)
         raise DataError(

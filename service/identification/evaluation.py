@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas.axes import Axes, Description
+from schemas.axes import Description
+from schemas.machine import Machine
 from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.trace import Trace
@@ -74,7 +75,7 @@ def evaluate(robot: Description, trace: Trace) -> Evaluation:
     torque = predict_along(robot, trace, along)
     errors = {name: error_in_band(trace, along, values) for name, values in torque.items()}
     carried = None
-    if not isinstance(robot, Axes) and robot.identified is not None:
+    if not isinstance(robot, Machine) and robot.identified is not None:
         carried = _carried(robot, trace, along)
     if carried is not None:
         errors[WITH_PAYLOAD] = error_in_band(trace, along, torque[FULL] + carried)

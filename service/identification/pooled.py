@@ -18,8 +18,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from schemas.axes import Axes, Description
+from schemas.axes import Description
 from schemas.errors import DataError
+from schemas.robot import Robot
 from service.identification import fit as solver
 from service.identification.fit import Problem
 from service.identification.folds import Split, block_loss, held_out
@@ -146,9 +147,9 @@ def _ripple_hz(recordings: Sequence[Recording], above: Sequence[np.ndarray]) -> 
 
 def _start(problem: Problem) -> Hypothesis:
     mechanism = problem.recordings[0].mechanism
-    k, n = len(mechanism.coefficients), len(mechanism.frictions)
+    n = len(mechanism.frictions)
     transition = START_TRANSITION if mechanism.kind == "delta" else np.full(n, START_TRANSITION)
-    return Hypothesis(Base(np.zeros(k), np.zeros(n), np.zeros(n), transition), timed=False)
+    return Hypothesis(Base(mechanism.start, np.zeros(n), np.zeros(n), transition), timed=False)
 
 
 def _base(problem: Problem) -> solver.Fit:
@@ -209,7 +210,7 @@ def _wants(fitted: solver.Fit, split: Split, columns: np.ndarray) -> bool:
 def nominal_of(robot: Description) -> np.ndarray:
     """(P,) values of the description, which stand where the data cannot tell; NaN where it has none."""
     nominal = np.full(len(base_parameters(mechanism_of(robot))), np.nan)
-    if not isinstance(robot, Axes):
+    if isinstance(robot, Robot):
         nominal[:3] = 1.0, 1.0, robot.mass.passive_link
     return nominal
 
@@ -225,7 +226,9 @@ def fit(problem: Problem, noise: np.ndarray, nominal: np.ndarray) -> Plain:
     filled = np.einsum("bpp->b", left) > 0
     left, right = left[filled], right[filled]
     total_left, total_right = left.sum(axis=0), right.sum(axis=0)
-    fallback, scale = np.nan_to_num(nominal), _scale(problem, fitted, nominal)
+    start = problem.recordings[0].mechanism.start
+    fallback = np.where(np.isnan(nominal), np.pad(start, (0, count - len(start))), nominal)
+    scale = _scale(problem, fitted, nominal)
     reasons = _structure(problem)
     held = np.array([reasons.get(parameter.name, "").endswith("never moves") for parameter in known])
     held |= np.diag(total_left) == 0
@@ -306,16 +309,17 @@ def _normal_equations(
 
 
 def _solve(left: np.ndarray, right: np.ndarray, held: np.ndarray, nominal: np.ndarray) -> np.ndarray:
-    """(..., P): least-squares solution with the `held` parameters at their `nominal` values."""
+    """(..., P): least-squares solution with the `held` parameters at their `nominal` values, and what the data do not
+    tell of the others as near to theirs as can be."""
     free = np.flatnonzero(~held)
     result = np.broadcast_to(nominal, right.shape).copy()
     if len(free):
-        known = right - left @ np.where(held, nominal, 0.0)
+        known = right - left @ nominal
         scale = np.sqrt(np.einsum("...pp->...p", left)[..., free])
         scale = np.where(scale > 0, scale, 1.0)
         scaled = left[..., free[:, None], free] / (scale[..., :, None] * scale[..., None, :])
         solved = np.linalg.pinv(scaled, rcond=1e-10, hermitian=True) @ (known[..., free] / scale)[..., None]
-        result[..., free] = solved[..., 0] / scale
+        result[..., free] += solved[..., 0] / scale
     return result
 
 

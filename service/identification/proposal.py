@@ -13,9 +13,10 @@ import numpy as np
 
 from drivers.trace.quality import ANY_JOINT, MAX_SPEED
 from drivers.trace.tables import Table
-from schemas.axes import Axes, Description
+from schemas.axes import Description
 from schemas.columns import CHANNELS
 from schemas.errors import DataError, TraceError
+from schemas.machine import Machine
 from schemas.messages import SampleFlag
 from schemas.robot import Robot
 from schemas.trace import Trace
@@ -72,7 +73,7 @@ def propose(table: Table, robot: Description | None, told: Told) -> Proposal:
         DataError: it cannot be told which columns are meant, or how far apart its rows are in time, naming the option
             that says so.
     """
-    joints = None if robot is None else len(robot.axis) if isinstance(robot, Axes) else 3
+    joints = None if robot is None else robot.count if isinstance(robot, Machine) else 3
     channels = guess(table, joints)
     channels = replace(
         channels,
@@ -101,7 +102,7 @@ def propose(table: Table, robot: Description | None, told: Told) -> Proposal:
         position, signs, torque, torque_signs = best.position, best.signs, best.torque, best.torque_signs
         reasons += best.reasons
         doubts += best.doubts
-    elif isinstance(robot, Axes):
+    elif isinstance(robot, Machine):
         torque_signs = _by_axes(table, channels, rate, position, reasons, doubts)
     else:
         doubts.append("without --robot signs and the side of the gear cannot be checked")
@@ -189,7 +190,7 @@ class _Units:
         if said is not None:
             reasons.append(f"positions are {said}: " + ("told" if told.position_unit else "it stands there"))
             return self._sides({"unit": said}, SCALES[said])
-        if isinstance(robot, Axes) and robot.linear:
+        if isinstance(robot, Machine) and robot.linear:
             unit = "mm" if np.nanmax(np.abs(self._values)) > 10 else "m"
             doubts.append(f"positions taken as {unit}, by their range")
             return [{"unit": unit}]
@@ -214,13 +215,13 @@ class _Units:
             return [entry]
         farthest = float(np.nanmax(np.abs(self._values))) * scale
         motor = entry | {"side": "motor"}
-        if isinstance(self._robot, Axes):
+        if isinstance(self._robot, Machine):
             return [entry]  # an axis may turn as far as it likes
         return [entry] * (farthest <= ANY_JOINT) + [motor] * (farthest / self._gear <= ANY_JOINT) or [entry]
 
     def torque(self, reasons: list[str], doubts: list[str]) -> dict[str, Any]:
         """Without a scale where it takes a constant that nobody has said."""
-        linear = isinstance(self._robot, Axes) and self._robot.linear
+        linear = isinstance(self._robot, Machine) and self._robot.linear
         self.torque_said = True
         if self._told.torque_unit is not None:
             unit, factor = self._told.torque_unit
@@ -248,8 +249,8 @@ class _Units:
 
 
 def _gear(robot: Description | None) -> float:
-    if isinstance(robot, Axes):
-        return robot.axis[0].gear_ratio
+    if isinstance(robot, Machine):
+        return robot.gear_ratios[0]
     return robot.drive.gear_ratio if robot else 1.0
 
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from schemas.axes import Axes, AxesIdentified, Description
+from schemas.chain import Chain, ChainIdentified
 from schemas.errors import RobotError
+from schemas.machine import Machine
 from schemas.robot import Effect as EffectEntry
-from schemas.robot import EffectParameter, Identified, JointParameter, Parameter
+from schemas.robot import EffectParameter, Identified, JointParameter, Parameter, Robot
 from service.model.effects import by_name, catalogue
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
-from service.model.mechanism import DecoupledAxes, mechanism_of
+from service.model.mechanism import Mechanism, mechanism_of
 from service.model.parameters import Parameters, base_parameters, parameters_of
 from service.model.scene import Base, Recording, Scene
 from service.model.signals import Segment
@@ -33,7 +34,7 @@ def entry(term: Term, errors: np.ndarray, robot: Description) -> EffectEntry:
 
 def in_units_of(robot: Description, unit: str) -> str:
     """A unit of angle and torque as that of the description's axes."""
-    if isinstance(robot, Axes) and robot.linear:
+    if isinstance(robot, Machine) and robot.linear:
         return unit.replace("kg m^2", "kg").replace("N m", "N").replace("rad", "m")
     return unit
 
@@ -59,7 +60,7 @@ def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -
     if effect is None:
         hint = f"nor in {robot.effects_file}" if robot.effects_file else "give the file that has it with --effects"
         raise RobotError(f"{at}: not in the catalogue; {hint}")
-    count = len(robot.axis) if isinstance(robot, Axes) else 3
+    count = robot.count if isinstance(robot, Machine) else 3
     if any(joint > count for joint in entry_.joints):
         raise RobotError(f"{at}: joints {entry_.joints}, there are 1 to {count}")
     joints = tuple(joint - 1 for joint in entry_.joints) if effect.per_joint else ()
@@ -89,32 +90,60 @@ def base_of(identified: Identified | None) -> Base:
     )
 
 
-def base_of_axes(axes: Axes) -> Base:
-    """The base model that a description of axes carries; without one nothing is known but that they move."""
-    mechanism, known = DecoupledAxes.of(axes), axes.identified
+def base_of_axes(machine: Axes | Chain) -> Base:
+    """The base model that a description of axes or of an arm carries; without one nothing is known but that they move,
+    and what a URDF says.
+
+    Raises:
+        RobotError: a coefficient of the arm is missing or none of its; a transition is missing.
+    """
+    mechanism, known = mechanism_of(machine), machine.identified
     if known is None:
         zero = np.zeros(len(mechanism.frictions))
-        return Base(np.zeros(len(mechanism.coefficients)), zero, zero)
-    shared = axes.shared_motors
+        return Base(mechanism.start, zero, zero)
+    shared = machine.shared_motors
 
-    def some(values: JointParameter | None, which: Sequence[int]) -> list[float]:
-        return [0.0 if values is None else values.value[number] for number in which]
+    def with_motors(values: JointParameter, motors: JointParameter | None) -> np.ndarray:
+        return np.array(values.value + [0.0 if motors is None else motors.value[number] for number in shared])
 
-    weights = some(known.gravity_sin, mechanism.weighs) + some(known.gravity_cos, mechanism.weighs)
-    rigid = known.inertia.value + known.offset.value + weights + some(known.motor_inertia, shared)
     transition = known.friction_transition
     if isinstance(transition, list) and len(transition) != len(mechanism.frictions):
         raise RobotError(
-            f"robot {axes.name}: identified.friction_transition has {len(transition)} values, one or "
+            f"robot {machine.name}: identified.friction_transition has {len(transition)} values, one or "
             f"{len(mechanism.frictions)} are needed: {', '.join(mechanism.frictions)}"
         )
     return Base(
-        np.array(rigid),
-        np.array(known.viscous_friction.value + some(known.motor_viscous_friction, shared)),
-        np.array(known.coulomb_friction.value + some(known.motor_coulomb_friction, shared)),
+        _rigid(machine, mechanism),
+        with_motors(known.viscous_friction, known.motor_viscous_friction),
+        with_motors(known.coulomb_friction, known.motor_coulomb_friction),
         np.array(transition) if isinstance(transition, list) else transition,
         known.torque_timing_s,
     )
+
+
+def _rigid(machine: Axes | Chain, mechanism: Mechanism) -> np.ndarray:
+    """(k,) coefficients of a description that has them."""
+    if isinstance(machine, Chain):
+        found = {} if machine.identified is None else machine.identified.rigid
+        for name in mechanism.coefficients:
+            if name not in found:
+                raise RobotError(f"robot {machine.name}: identified.rigid: {name!r} is missing")
+        for name in found:
+            if name not in mechanism.coefficients and machine.masses == "identified":
+                raise RobotError(f"robot {machine.name}: identified.rigid: {machine.urdf} has no {name!r} to be told")
+        return np.array([found[name].value for name in mechanism.coefficients])
+    known = machine.identified
+    assert known is not None
+    groups = {
+        "inertia": known.inertia, "offset": known.offset, "gravity_sin": known.gravity_sin,
+        "gravity_cos": known.gravity_cos, "inertia_motor": known.motor_inertia,
+    }  # fmt: skip
+    values = []
+    for name in mechanism.coefficients:
+        group, _, number = name.rpartition("_")
+        of_joints = groups[group]
+        values.append(0.0 if of_joints is None else of_joints.value[int(number) - 1])
+    return np.array(values)
 
 
 def base_errors(robot: Description) -> np.ndarray:
@@ -122,12 +151,12 @@ def base_errors(robot: Description) -> np.ndarray:
     if robot.identified is None:
         return np.zeros(len(base_parameters(mechanism_of(robot))))
     known = robot.identified.model_dump()
-    for figure in known.values():
-        if isinstance(figure, dict):
+    for figure in (*known.values(), *known.get("rigid", {}).values()):
+        if isinstance(figure, dict) and "value" in figure:
             value, error = figure["value"], figure["std_error"]
             figure["value"] = (error or [0.0] * len(value)) if isinstance(value, list) else error
     errors = robot.model_copy(update={"identified": type(robot.identified).model_validate(known)})
-    base = base_of_axes(errors) if isinstance(errors, Axes) else base_of(errors.identified)
+    base = base_of(errors.identified) if isinstance(errors, Robot) else base_of_axes(errors)
     return np.concatenate([base.rigid, base.viscous, base.coulomb])
 
 
@@ -137,7 +166,7 @@ def hypothesis_of(robot: Description) -> Hypothesis:
     Raises:
         RobotError: an effect that is not known, or not described in full.
     """
-    base = base_of_axes(robot) if isinstance(robot, Axes) else base_of(robot.identified)
+    base = base_of(robot.identified) if isinstance(robot, Robot) else base_of_axes(robot)
     return Hypothesis(base, terms_of(robot))
 
 
@@ -150,8 +179,8 @@ def described(robot: Description, hypothesis: Hypothesis, errors: np.ndarray, no
         return JointParameter(value=_digits(parameters.values[part]), std_error=_digits(errors[part]))
 
     timing = digits(hypothesis.base.timing)
-    identified: AxesIdentified | Identified
-    if isinstance(robot, Axes):
+    identified: AxesIdentified | ChainIdentified | Identified
+    if isinstance(robot, Machine):
         known = base_parameters(mechanism_of(robot))
         identified = axes_identified(
             robot,
@@ -179,11 +208,11 @@ def described(robot: Description, hypothesis: Hypothesis, errors: np.ndarray, no
 
 
 def axes_identified(
-    axes: Axes, figures: dict[str, tuple[float, float]], base: Base, verdicts: dict[str, str] | None = None
-) -> AxesIdentified:
-    """The `[identified]` section of axes. figures: name as in `base_parameters` -> value, standard error; what a
-    coefficient does not stand for on an axis is zero."""
-    count = range(1, len(axes.axis) + 1)
+    machine: Axes | Chain, figures: dict[str, tuple[float, float]], base: Base, verdicts: dict[str, str] | None = None
+) -> AxesIdentified | ChainIdentified:
+    """The `[identified]` section of axes or of an arm. figures: name as in `base_parameters` -> value, standard error;
+    what a coefficient does not stand for on a joint is zero."""
+    count = range(1, machine.count + 1)
 
     def joints(name: str) -> JointParameter | None:
         keys = [name.format(number) for number in count]
@@ -194,20 +223,34 @@ def axes_identified(
         return JointParameter.model_validate({"value": _digits(values), "std_error": _digits(errors), "verdict": told})
 
     transition = base.transition
+    friction = {
+        "viscous_friction": joints("f_v_{}"),
+        "coulomb_friction": joints("f_c_{}"),
+        "motor_viscous_friction": joints("f_v_motor_{}"),
+        "motor_coulomb_friction": joints("f_c_motor_{}"),
+        "friction_transition": _digits(transition) if isinstance(transition, np.ndarray) else digits(transition),
+        "torque_timing_s": digits(base.timing),
+    }
+    if isinstance(machine, Chain):
+        given = {} if machine.identified is None or machine.masses == "identified" else machine.identified.rigid
+        told = verdicts or {}
+        rigid = {
+            name: Parameter.model_validate(
+                {"value": digits(value), "std_error": digits(error), "verdict": told.get(name, "identifiable")}
+            )
+            for name, (value, error) in figures.items()
+            if not name.startswith(("f_v_", "f_c_"))
+        }
+        return ChainIdentified.model_validate({"rigid": given | rigid} | friction)
     return AxesIdentified.model_validate(
         {
             "inertia": joints("inertia_{}"),
             "offset": joints("offset_{}"),
             "gravity_sin": joints("gravity_sin_{}"),
             "gravity_cos": joints("gravity_cos_{}"),
-            "viscous_friction": joints("f_v_{}"),
-            "coulomb_friction": joints("f_c_{}"),
             "motor_inertia": joints("inertia_motor_{}"),
-            "motor_viscous_friction": joints("f_v_motor_{}"),
-            "motor_coulomb_friction": joints("f_c_motor_{}"),
-            "friction_transition": _digits(transition) if isinstance(transition, np.ndarray) else digits(transition),
-            "torque_timing_s": digits(base.timing),
         }
+        | friction
     )
 
 

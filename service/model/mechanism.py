@@ -14,7 +14,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from schemas.axes import Axes, Description
+from schemas.chain import Chain
 from schemas.robot import Robot
+from service.model.arm import UNITS, Arm, Reduction
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
 from service.model.kinematics import jacobian, motion
 from service.model.nominal import DeltaModel, pack
@@ -42,7 +44,8 @@ class Mechanism(Protocol):
     """n joints with k identified coefficients, by name.
 
     frictions: what rubs, F of them, the joints' own first. rows: (F, n), share of each joint's speed in the speed of
-    each. optional: coefficients that stand or fall together, and fall where the data do not want them.
+    each. optional: coefficients that stand or fall together, and fall where the data do not want them. start: (k,)
+    coefficients as described, zero where they are not; they stand where the data do not tell.
     """
 
     @property
@@ -59,6 +62,8 @@ class Mechanism(Protocol):
     def rows(self) -> np.ndarray: ...
     @property
     def optional(self) -> Sequence[tuple[str, ...]]: ...
+    @property
+    def start(self) -> np.ndarray: ...
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid: ...
 
@@ -88,6 +93,7 @@ class Delta:
     frictions = ("1", "2", "3")
     rows = np.eye(3)
     optional = ()
+    start = np.zeros(3)  # a Delta's description is asked for by name, see `pooled.nominal_of`
     coefficients = {  # noqa: RUF012 - a constant of the class
         "rho_1": Coefficient(""),
         "rho_2": Coefficient(""),
@@ -145,23 +151,12 @@ class Delta:
 
 
 @dataclass(frozen=True)
-class DecoupledAxes:
-    """n axes that do not feel each other but through their motors: inertia, a constant load and a weight each.
-
-    weighs: axes whose weight turns with them. motors: row i, how far motor i turns for a turn of each axis; one that
-    turns with several has inertia and friction of its own.
-    """
+class _Servos:
+    """n joints with a motor each. motors: row i, how far motor i turns for a turn of each joint; one that turns with
+    several has inertia and friction of its own."""
 
     gear_ratio: np.ndarray
-    weighs: tuple[int, ...] = ()
     motors: np.ndarray | None = None
-    kind = "axes"
-
-    @classmethod
-    def of(cls, axes: Axes) -> DecoupledAxes:
-        """The mechanism of a description."""
-        weighs = tuple(number for number, axis in enumerate(axes.axis) if axis.weighs)
-        return cls(np.array([axis.gear_ratio for axis in axes.axis]), weighs, axes.motors)
 
     @property
     def joints(self) -> int:
@@ -170,19 +165,44 @@ class DecoupledAxes:
 
     @cached_property
     def shared(self) -> dict[str, np.ndarray]:
-        """Motors that turn with several axes, by name."""
+        """Motors that turn with several joints, by name."""
         rows = () if self.motors is None else enumerate(self.motors, start=1)
         return {f"motor_{number}": row for number, row in rows if np.count_nonzero(row) > 1}
 
     @property
     def frictions(self) -> tuple[str, ...]:
-        """The axes, and the motors that turn with several."""
-        return (*(str(axis + 1) for axis in range(self.joints)), *self.shared)
+        """The joints, and the motors that turn with several."""
+        return (*(str(joint + 1) for joint in range(self.joints)), *self.shared)
 
     @property
     def rows(self) -> np.ndarray:
         """(F, n)."""
         return np.stack([*np.eye(self.joints), *self.shared.values()])
+
+    def _rotors(self, theta_ddot: np.ndarray) -> np.ndarray:
+        """(N, n, F): torque per kg m^2 of what turns with each joint, and with each motor of several."""
+        return np.stack([(theta_ddot @ row)[:, None] * row for row in self.rows], axis=-1)
+
+    def _ones(self, count: int) -> np.ndarray:
+        """(count, n, n): a torque of 1 N m on each joint."""
+        return np.broadcast_to(np.eye(self.joints), (count, self.joints, self.joints))
+
+
+@dataclass(frozen=True)
+class DecoupledAxes(_Servos):
+    """n axes that do not feel each other but through their motors: inertia, a constant load and a weight each.
+
+    weighs: axes whose weight turns with them.
+    """
+
+    weighs: tuple[int, ...] = ()
+    kind = "axes"
+
+    @classmethod
+    def of(cls, axes: Axes) -> DecoupledAxes:
+        """The mechanism of a description."""
+        weighs = tuple(number for number, axis in enumerate(axes.axis) if axis.weighs)
+        return cls(np.array(axes.gear_ratios), axes.motors, weighs)
 
     @property
     def coefficients(self) -> dict[str, Coefficient]:
@@ -199,17 +219,103 @@ class DecoupledAxes:
         """Weights, axis by axis."""
         return [(f"gravity_sin_{j + 1}", f"gravity_cos_{j + 1}") for j in self.weighs]
 
+    @property
+    def start(self) -> np.ndarray:
+        """Nothing is described."""
+        return np.zeros(len(self.coefficients))
+
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, n) motions."""
-        eye = np.eye(self.joints)
         weighs = list(self.weighs)
-        angle, own = theta[:, None, weighs], eye[:, weighs]
-        columns = [theta_ddot[..., None] * eye, np.broadcast_to(eye, (len(theta), *eye.shape))]
-        columns += [np.sin(angle) * own, np.cos(angle) * own]
-        columns += [(theta_ddot @ row)[:, None, None] * row[:, None] for row in self.shared.values()]
+        angle, own = theta[:, None, weighs], np.eye(self.joints)[:, weighs]
+        inertia, shared = np.split(self._rotors(theta_ddot), [self.joints], axis=-1)
+        columns = [inertia, self._ones(len(theta)), np.sin(angle) * own, np.cos(angle) * own, shared]
         return Rigid(np.zeros(theta.shape), np.concatenate(columns, axis=-1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SerialArm(_Servos):
+    """An arm by its URDF: what motion can tell of its links' masses, rotors, constant loads and a payload.
+
+    A coefficient `Izz_2` is that of link 2 about its joint with whatever goes along with it in every motion (base
+    parameters). known: (10 n,) weights that are not asked for. asked: whether those of the links are. payload: (10 n,)
+    that a kilogram of an unknown payload adds, where there is one.
+    """
+
+    arm: Arm
+    known: np.ndarray
+    asked: bool = True
+    payload: np.ndarray | None = None
+    optional = ()
+    kind = "chain"
+
+    @classmethod
+    def of(cls, chain: Chain) -> SerialArm:
+        """The mechanism of a description.
+
+        Raises:
+            RobotError: Pinocchio is missing, or does not build the arm.
+        """
+        arm, load = Arm(chain.arm, chain.joints, chain.gravity_mps2), chain.payload
+        asked = chain.masses == "identified"
+        found = {} if chain.identified is None else chain.identified.rigid
+        known = np.zeros(len(arm.weights)) if asked or any(name in found for name in arm.names) else arm.weights.copy()
+        if not asked:
+            for place, name in enumerate(arm.names):
+                known[place] = found[name].value if name in found else known[place]
+        kilogram = None
+        if load is not None:
+            kilogram = arm.mass_on(load.frame, load.centre_m)
+            if load.mass_kg is not None:
+                known, kilogram = known + load.mass_kg * kilogram, None
+        gear = np.array(chain.gear_ratios)
+        return cls(gear_ratio=gear, motors=chain.motors, arm=arm, known=known, asked=asked, payload=kilogram)
+
+    @cached_property
+    def _candidates(self) -> dict[str, Coefficient]:
+        """All that could be asked for, by name."""
+        names: dict[str, Coefficient] = {}
+        if self.asked:
+            names = {name: Coefficient(UNITS.get(name.split("_")[0], "kg m^2"), -np.inf) for name in self.arm.names}
+        elif self.payload is not None:
+            names = {"payload": Coefficient("kg")}
+        names |= {f"rotor_{j + 1}": Coefficient("kg m^2") for j in range(self.joints)}
+        names |= {f"inertia_{motor}": Coefficient("kg m^2") for motor in self.shared}
+        return names | {f"offset_{j + 1}": Coefficient("N m", -np.inf) for j in range(self.joints)}
+
+    def _columns(self, links: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
+        """(N, n, p) of the candidates. links: (N, n, 10 n)."""
+        first = [links] if self.asked else [] if self.payload is None else [(links @ self.payload)[..., None]]
+        return np.concatenate([*first, self._rotors(theta_ddot), self._ones(len(links))], axis=-1)
+
+    @cached_property
+    def _reduction(self) -> Reduction:
+        poses = self.arm.poses()
+        columns = self._columns(self.arm.columns(*poses), poses[2])
+        return Reduction.of(columns.reshape(-1, columns.shape[-1]))
+
+    @property
+    def coefficients(self) -> dict[str, Coefficient]:
+        """Those of the candidates that motion tells."""
+        names = list(self._candidates.items())
+        return dict(names[place] for place in self._reduction.kept)
+
+    @property
+    def start(self) -> np.ndarray:
+        """What the URDF says of the links, as far as they are asked for."""
+        described = np.zeros(len(self._candidates))
+        if self.asked:
+            described[: len(self.arm.weights)] = self.arm.weights
+        return self._reduction.shares @ described
+
+    def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
+        """Torque of (N, n) motions."""
+        links = self.arm.columns(theta, theta_dot, theta_ddot)
+        return Rigid(links @ self.known, self._columns(links, theta_ddot)[..., self._reduction.kept])
 
 
 def mechanism_of(robot: Description) -> Mechanism:
     """The mechanism of a description; effects it names are not in it."""
+    if isinstance(robot, Chain):
+        return SerialArm.of(robot)
     return DecoupledAxes.of(robot) if isinstance(robot, Axes) else Delta.of(robot)

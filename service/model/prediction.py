@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.axes import Axes, Description
+from schemas.chain import Chain
 from schemas.errors import DataError, PoseError, TraceError
+from schemas.machine import Machine
 from schemas.trace import Trace
 from service.model.description import hypothesis_of, torque_along
 from service.model.friction import mean_direction
@@ -16,6 +18,7 @@ from service.model.signals import Segment, between, lowpass, segments, usable
 
 MODELS = ("M_KH", "M_Id", "M_Id+F", "full")  # each a superset of the one before; full adds forearm and effects
 FULL = MODELS[-1]
+URDF = "URDF"  # of an arm: its masses without friction
 TEXTBOOK = np.array([1.0, 1.0, 0.0])  # rho_1, rho_2 and forearm of M_KH
 
 
@@ -83,12 +86,14 @@ def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, 
     except PoseError as error:
         raise TraceError(f"{trace.path}: {error}") from error
     result = {}
-    if not isinstance(robot, Axes):
+    if isinstance(robot, Chain):
+        result[URDF] = rigid.torque(mechanism.start)
+    if not isinstance(robot, Machine):
         result["M_KH"] = rigid.torque(TEXTBOOK)
     if robot.identified is not None:
         hypothesis = hypothesis_of(robot)
         base = hypothesis.base
-        coefficients = base.rigid if isinstance(robot, Axes) else base.rigid * TEXTBOOK
+        coefficients = base.rigid if isinstance(robot, Machine) else base.rigid * TEXTBOOK
         result["M_Id"] = rigid.torque(coefficients)
         sliding = along.theta_dot @ mechanism.rows.T
         friction = base.viscous * sliding + base.coulomb * mean_direction(sliding, base.transition)

@@ -134,7 +134,7 @@ class Effect(ABC):
     rough: ClassVar[bool] = False
     own_shapes: ClassVar[bool] = False
     repeats: ClassVar[bool] = False
-    kinds: ClassVar[frozenset[str]] = frozenset({"delta", "axes"})
+    kinds: ClassVar[frozenset[str]] = frozenset({"delta", "axes", "chain"})
     settles: ClassVar[str]
     directional: ClassVar[bool] = False
     dissipates: ClassVar[bool] = False

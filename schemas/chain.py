@@ -1,0 +1,88 @@
+"""Description of a serial arm by its URDF: a TOML file with `kind = "chain"`, for logs of real arms.
+
+name = "ur10"
+kind = "chain"
+urdf = "ur10.urdf"                # beside this file
+joints = ["pan", "lift", "elbow"] # joints of the URDF, in the order of the log
+held = ["finger"]                 # joints that stood still at their zero
+columns = "ur10_columns.toml"
+gear_ratio = 101                  # motor turns a joint turn, for ripple orders: one, or one a joint
+masses = "known"                  # those of the URDF, or of [identified]; default: to be identified
+gravity_mps2 = [0.0, 0.0, -9.81]  # in the URDF's base frame; on the ceiling [0.0, 0.0, 9.81]
+coupling = [[1, 0], [1, 1]]       # as of axes
+payload = { frame = "tool0", mass_kg = 1.5, centre_m = [0.0, 0.0, 0.05] }  # without mass_kg: to be identified
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from schemas.columns import MAX_JOINTS
+from schemas.machine import Friction, Machine, Section
+from schemas.robot import NotNegative, Parameter, Positive, Three
+from schemas.urdf import Urdf
+
+Names = Annotated[list[str], Field(max_length=MAX_JOINTS)]
+
+
+class Payload(Section):
+    """A mass on a link of the URDF. centre_m: of its gravity, in the link's frame."""
+
+    frame: str
+    mass_kg: NotNegative | None = None
+    centre_m: Three = Field([0.0, 0.0, 0.0])
+
+
+class ChainIdentified(Friction):
+    """rigid: masses as far as motion tells them (base parameters), rotor inertias and constant loads, by name."""
+
+    rigid: dict[str, Parameter]
+
+
+class Chain(Machine):
+    """A serial arm."""
+
+    kind: Literal["chain"]
+    urdf: str
+    joints: Annotated[Names, Field(min_length=1)]
+    held: Names = Field([])
+    gear_ratio: Positive | list[Positive] = 1.0
+    masses: Literal["identified", "known"] = "identified"
+    gravity_mps2: Three = Field([0.0, 0.0, -9.81])
+    payload: Payload | None = None
+    identified: ChainIdentified | None = None
+    _arm: Urdf | None = PrivateAttr(None)
+
+    @model_validator(mode="after")
+    def _for_each_joint(self) -> Chain:
+        for name in self.joints:
+            if (self.joints + self.held).count(name) > 1:
+                raise ValueError(f"joints: {name!r} is named twice")
+        if isinstance(self.gear_ratio, list) and len(self.gear_ratio) != self.count:
+            raise ValueError(f"gear_ratio: {len(self.gear_ratio)} values for {self.count} joints")
+        if self.payload is not None and self.payload.mass_kg is None and self.masses == "identified":
+            raise ValueError(
+                'payload: its mass cannot be told from that of the link it sits on: give mass_kg, or masses = "known"'
+            )
+        self._check(self.identified)
+        return self
+
+    @property
+    def count(self) -> int:
+        return len(self.joints)
+
+    @property
+    def gear_ratios(self) -> list[float]:
+        return self.gear_ratio if isinstance(self.gear_ratio, list) else [self.gear_ratio] * self.count
+
+    @property
+    def files(self) -> dict[str, str]:
+        return super().files | {"urdf": str(self._folder / self.urdf)}
+
+    @property
+    def arm(self) -> Urdf:
+        """The URDF."""
+        assert self._arm is not None, "read by load_axes"
+        return self._arm

@@ -1,0 +1,98 @@
+"""What descriptions of anything but a Delta have in common: n servo joints, each with a position and a torque in the
+log, and motors that may turn with several of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, PrivateAttr
+
+from schemas.robot import Effect, JointParameter, NotNegative, Positive, RobotName, check_joints
+
+MOST_COUPLED = 1e6  # condition of a coupling matrix
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Friction(Section):
+    """viscous x_dot + coulomb sign x_dot, SI, a number a joint, and the same of each motor that turns with several.
+
+    friction_transition: one for all, or one a joint and then one such motor.
+    """
+
+    viscous_friction: JointParameter
+    coulomb_friction: JointParameter
+    motor_viscous_friction: JointParameter | None = None
+    motor_coulomb_friction: JointParameter | None = None
+    friction_transition: NotNegative | list[Positive] = 0.0
+    torque_timing_s: float = 0.0
+
+
+class Machine(Section):
+    """n servo joints. coupling: row i, how far motor i, behind its gear, turns for a turn of each joint; default: its
+    own."""
+
+    name: RobotName
+    columns: str | None = None
+    coupling: list[list[float]] | None = None
+    effect: list[Effect] = []
+    _folder: Path = PrivateAttr(Path())
+    _effects_file: Path | None = PrivateAttr(None)
+
+    @property
+    def count(self) -> int:
+        """n."""
+        raise NotImplementedError
+
+    @property
+    def gear_ratios(self) -> list[float]:
+        """Motor turns a joint turn, a number a joint."""
+        raise NotImplementedError
+
+    @property
+    def linear(self) -> bool:
+        """Metres and newtons, on all joints."""
+        return False
+
+    @property
+    def angular(self) -> bool:
+        """Radians and newton metres, on all joints."""
+        return not self.linear
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Files beside the description that it names, by key, as found from here."""
+        beside = self._folder / (self.columns or "")
+        return {"columns": str(beside)} if beside.is_file() else {}
+
+    @property
+    def effects_file(self) -> Path | None:
+        """Python file with effects of the user's own that `effect` may name."""
+        return self._effects_file
+
+    @property
+    def motors(self) -> np.ndarray:
+        """(n, n): row i, how far motor i turns, behind its gear, for a turn of each joint."""
+        return np.eye(self.count) if self.coupling is None else np.array(self.coupling, float)
+
+    @property
+    def shared_motors(self) -> list[int]:
+        """Motors, from 0, that turn with several joints."""
+        return [int(i) for i in np.flatnonzero(np.count_nonzero(self.motors, axis=1) > 1)]
+
+    @property
+    def mapping(self) -> str | None:
+        """`columns`, a file as found from here."""
+        return self.files.get("columns", self.columns)
+
+    def _check(self, identified: BaseModel | None) -> None:
+        count = self.count
+        check_joints(identified, self.effect, count)
+        if self.coupling is not None:
+            if [len(row) for row in self.coupling] != [count] * count:
+                raise ValueError(f"coupling: {count} rows of {count} numbers are needed, a motor each")
+            if np.linalg.cond(self.motors) > MOST_COUPLED:
+                raise ValueError(f"coupling: {self.coupling}: the motors do not tell where every joint is")

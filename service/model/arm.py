@@ -1,0 +1,129 @@
+"""A serial arm by Pinocchio (extra `chain`): joint torque per unit of every link's mass, first and second moments, and
+which combinations of them motion can tell.
+
+Source: Gautier, Numerical calculation of the base inertial parameters of robots, 1991; Carpentier et al., The Pinocchio
+C++ library, 2019 (doi 10.1109/SII.2019.8700380).
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from schemas.errors import RobotError
+from schemas.urdf import Urdf
+
+A_LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # Pinocchio's order, about the joint's frame
+UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m"}  # the rest kg m^2
+# What stands for a combination is the first of it: what turns, before what weighs.
+FIRST = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
+DEPENDENT = 1e-4  # of a column's length that the columns before it leave: angles in a URDF are written to four digits
+NOTHING = 1e-6  # of the longest column: what an angle written to six digits makes of none at all
+POSES = 400  # random, that tell dependent columns
+SPEED, ACCELERATION = 3.0, 10.0  # rad/s, rad/s^2, of them
+
+
+def pinocchio(asks: str) -> Any:
+    """The library.
+
+    Raises:
+        RobotError: it is not installed; `asks` says what for.
+    """
+    try:
+        return importlib.import_module("pinocchio")
+    except ImportError as cause:
+        raise RobotError(
+            f"{asks}: Pinocchio is not installed ({cause}): pip install 'deltatwin[chain]' (not on Windows)"
+        ) from cause
+
+
+class Arm:
+    """An arm of n joints that turn, logged in the order of `joints`.
+
+    names: (10 n) of what its links weigh, `Izz_2`, in the order of `FIRST`. weights: (10 n,) as the URDF has them, SI.
+    """
+
+    def __init__(self, urdf: Urdf, joints: Sequence[str], gravity: Sequence[float]) -> None:
+        library = pinocchio(str(urdf.path))
+        try:
+            self._model = library.buildModelFromXML(urdf.text)
+        except (ValueError, RuntimeError) as cause:
+            raise RobotError(f"{urdf.path}: not a URDF that Pinocchio builds: {cause}") from cause
+        self._model.gravity.linear = np.array(gravity)
+        self._library, self._urdf = library, urdf
+        identifiers = [self._model.getJointId(name) for name in joints]
+        self._order = np.array([self._model.joints[number].idx_v for number in identifiers])
+        # (10 n,) where the URDF's body of each joint stands among Pinocchio's columns
+        own = [A_LINK.index(name) for name in FIRST]
+        self._columns = np.concatenate([10 * (number - 1) + np.array(own) for number in identifiers])
+        self.names = tuple(f"{name}_{joint}" for joint in range(1, len(joints) + 1) for name in FIRST)
+        self.weights = self._parameters([inertia.toDynamicParameters() for inertia in self._model.inertias[1:]])
+
+    @property
+    def joints(self) -> int:
+        """n."""
+        return len(self._order)
+
+    def _parameters(self, bodies: Sequence[np.ndarray]) -> np.ndarray:
+        return np.concatenate(bodies)[self._columns]
+
+    def mass_on(self, frame: str, centre: Sequence[float]) -> np.ndarray:
+        """(10 n,): what a kilogram with its centre at (3,) m in the frame of a link adds to the weights."""
+        found = self._model.frames[self._model.getFrameId(frame)]
+        bodies = [np.zeros(10) for _ in range(self._model.njoints - 1)]
+        if found.parentJoint:
+            at = found.placement.act(np.array(centre, float))
+            bodies[found.parentJoint - 1] = self._library.Inertia(1.0, at, np.zeros((3, 3))).toDynamicParameters()
+        return self._parameters(bodies)
+
+    def columns(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
+        """(N, n, 10 n): torque along (N, n) motions, N m per unit of each weight."""
+        data, compute = self._model.createData(), self._library.computeJointTorqueRegressor
+        motions = np.empty((3, *theta.shape))
+        motions[:, :, self._order] = theta, theta_dot, theta_ddot
+        result = np.empty((len(theta), self.joints, len(self._columns)))
+        for row in range(len(theta)):
+            result[row] = compute(self._model, data, *motions[:, row])[np.ix_(self._order, self._columns)]
+        return result
+
+    def poses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(POSES, n) of motions that show all that can be told: any pose within the limits, any speed."""
+        draw = np.random.default_rng(0)
+        low, high = np.clip(np.array(self._urdf.limits).T, -math.pi, math.pi)
+        size = (POSES, self.joints)
+        return (
+            draw.uniform(np.minimum(low, high), np.maximum(low, high), size),
+            draw.uniform(-SPEED, SPEED, size),
+            draw.uniform(-ACCELERATION, ACCELERATION, size),
+        )
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Columns that motion tells from those before them. kept: (b,) indices. shares: (b, p), by which a value of each of
+    p columns is part of what is found in the place of the kept ones."""
+
+    kept: np.ndarray
+    shares: np.ndarray
+
+    @classmethod
+    def of(cls, columns: np.ndarray) -> Reduction:
+        """Of (R, p) columns, in order."""
+        basis = np.zeros((len(columns), 0))
+        kept, longest = [], np.linalg.norm(columns, axis=0).max()
+        for number, column in enumerate(columns.T):
+            size = np.linalg.norm(column)
+            rest = column - basis @ (basis.T @ column)
+            rest -= basis @ (basis.T @ rest)  # once more: the first leaves rounding of the size that is asked for
+            left = np.linalg.norm(rest)
+            if left > max(DEPENDENT * size, NOTHING * longest):
+                kept.append(number)
+                basis = np.column_stack([basis, rest / left])
+        chosen = columns[:, kept]
+        shares = np.linalg.lstsq(chosen, columns, rcond=None)[0]
+        return cls(np.array(kept, int), np.where(np.abs(shares) < DEPENDENT, 0.0, shares))

@@ -1,0 +1,94 @@
+"""An arm of known truth, by MuJoCo: its masses, friction, rotor and payload from logs, through the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from schemas.axes import load_axes
+from schemas.chain import Chain, ChainIdentified
+from service.cli.main import app
+from service.model.mechanism import SerialArm
+from tests.service import arm
+
+pytest.importorskip("pinocchio")
+
+
+def run(command: str, *words: object) -> str:
+    result = CliRunner().invoke(app, [command, *map(str, words)], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def identified(path: Path) -> ChainIdentified:
+    description = load_axes(path)
+    assert isinstance(description, Chain)
+    assert description.identified is not None
+    return description.identified
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with three logs and what `identify` writes of two, from a URDF whose masses are wrong."""
+    folder = tmp_path_factory.mktemp("arm")
+    wrong = arm.URDF.replace('mass value="3"', 'mass value="5"').replace('mass value="1.5"', 'mass value="0.5"')
+    arm.write(folder, wrong)
+    logs = [arm.record(folder / f"log_{seed}.csv", seed) for seed in range(3)]
+    run("identify", *logs[:2], "--robot", folder / "small.toml", "--out", folder / "identified.toml")
+    return folder
+
+
+def test_masses_friction_and_rotor_are_recovered(bench: Path, tmp_path: Path) -> None:
+    found, true = identified(bench / "identified.toml"), load_axes(arm.write(tmp_path))
+    assert isinstance(true, Chain)
+    mechanism = SerialArm.of(true)
+    expected = dict(zip(mechanism.coefficients, mechanism.start, strict=True))
+    expected |= {f"offset_{j + 1}": value for j, value in enumerate(arm.OFFSET)} | {"rotor_3": arm.ROTOR[2]}
+    assert found.rigid.keys() == expected.keys()
+    for name, value in expected.items():
+        assert found.rigid[name].value == pytest.approx(value, abs=max(0.01, 4 * found.rigid[name].std_error)), name
+    for name in ("mx_2", "mx_3", "Izz_2", "Izz_3"):
+        assert found.rigid[name].value == pytest.approx(expected[name], rel=0.03), name
+    assert found.viscous_friction.value == pytest.approx(arm.VISCOUS, rel=0.05)
+    assert found.coulomb_friction.value == pytest.approx(arm.COULOMB, rel=0.05)
+
+
+def test_a_log_kept_out_is_predicted(bench: Path) -> None:
+    shown = json.loads(run("evaluate", bench / "log_2.csv", "--robot", bench / "identified.toml", "--json"))["models"]
+    assert max(shown["full"]["rms_nm"]) < 0.08, "torque of 2 to 15 N m, reversals between samples"
+    assert min(shown["URDF"]["rms_nm"]) > 0.5, "wrong masses, no friction"
+
+
+def test_an_effect_sits_on_a_joint_of_an_arm(bench: Path, tmp_path: Path) -> None:
+    """Friction that grows as the joint moves slowly, on joint 2: named there and nowhere else."""
+    logs = []
+    for seed in range(2):
+        speed = arm.motion(seed)[1][1][:, 1]
+        stuck = np.zeros((len(speed), 3))
+        stuck[:, 1] = 1.2 * np.sign(speed) * np.exp(-((speed / 0.3) ** 2))
+        logs.append(arm.record(tmp_path / f"log_{seed}.csv", seed, stuck))
+    run("diagnose", *logs, "--robot", bench / "small.toml", "--out", tmp_path / "out")
+    document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    (effect,) = document["effects"]
+    assert (effect["name"], effect["joints"]) == ("stribeck_friction", [2])
+    again = run("evaluate", logs[0], "--robot", tmp_path / "out" / "corrected.toml", "--json")
+    assert max(json.loads(again)["models"]["full"]["rms_nm"]) < 0.08
+
+
+def test_a_payload_is_weighed_by_an_arm_that_is_known(bench: Path, tmp_path: Path) -> None:
+    """0.8 kg on the tool: the same arm with a heavier tool, its masses those that were identified without."""
+    text = (bench / "identified.toml").read_text()
+    loaded = bench / "loaded.toml"
+    loaded.write_text('masses = "known"\npayload = { frame = "tool" }\n' + text)
+    true = arm.URDF.replace(
+        '<link name="tool"/>', arm.LINK.format(name="tool", xyz="0 0 0", mass=0.8, ixx=5e-3, iyy=5e-3, izz=5e-3)
+    )
+    log = arm.record(tmp_path / "loaded.csv", 4, arm.torque(*arm.motion(4)[1], true) - arm.torque(*arm.motion(4)[1]))
+    run("identify", log, "--robot", loaded, "--out", bench / "weighed.toml")
+    found = identified(bench / "weighed.toml").rigid
+    assert found["payload"].value == pytest.approx(0.8, abs=0.03)
+    assert found["mx_2"].value == identified(bench / "identified.toml").rigid["mx_2"].value

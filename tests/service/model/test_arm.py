@@ -1,0 +1,101 @@
+"""The arm of a URDF against MuJoCo, which knows nothing of it but the file."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from schemas.axes import load_axes
+from schemas.chain import Chain
+from schemas.errors import RobotError
+from service.model.mechanism import SerialArm
+from tests.service import arm
+
+pytest.importorskip("pinocchio")
+DRAW = np.random.default_rng(5)
+MOTION = DRAW.uniform(-1.5, 1.5, (3, 40, 3)) * np.array([1.0, 2.0, 5.0])[:, None, None]
+
+
+def mechanism(folder: Path, more: str = "") -> SerialArm:
+    description = load_axes(arm.write(folder, more=more))
+    assert isinstance(description, Chain)
+    return SerialArm.of(description)
+
+
+def test_the_torque_is_that_of_another_engine(tmp_path: Path) -> None:
+    expected = arm.torque(*MOTION)
+    assert np.ptp(expected) > 10
+    found = mechanism(tmp_path)
+    np.testing.assert_allclose(found.rigid(*MOTION).torque(found.start), expected, atol=2e-5)
+    known = mechanism(tmp_path, 'masses = "known"\n')
+    np.testing.assert_allclose(known.rigid(*MOTION).torque(known.start), expected, atol=2e-5)
+
+
+def test_joints_come_in_the_order_of_the_log(tmp_path: Path) -> None:
+    path = arm.write(tmp_path)
+    path.write_text(path.read_text().replace('"j1", "j2", "j3"', '"j3", "j1", "j2"'))
+    description = load_axes(path)
+    assert isinstance(description, Chain)
+    turned = SerialArm.of(description)
+    order = [2, 0, 1]
+    found = turned.rigid(*MOTION[:, :, order]).torque(turned.start)
+    np.testing.assert_allclose(found, arm.torque(*MOTION)[:, order], atol=2e-5)
+
+
+def test_what_motion_cannot_tell_is_not_asked(tmp_path: Path) -> None:
+    """Columns are independent, and what was left out changes no torque that cannot be given by the others."""
+    found = mechanism(tmp_path)
+    columns = found.rigid(*MOTION).columns.reshape(120, -1)
+    assert np.linalg.matrix_rank(columns) == len(found.coefficients) == columns.shape[1]
+    assert not {"m_1", "mz_1", "Ixx_1", "m_3", "rotor_1"} & found.coefficients.keys()
+    everything = found.arm.columns(*MOTION).reshape(120, -1)
+    assert np.linalg.matrix_rank(np.hstack([columns, everything]), tol=1e-4) == columns.shape[1]
+
+
+def test_a_payload_is_a_mass_on_a_frame(tmp_path: Path) -> None:
+    """1.5 kg at 4 cm before the tool: by the work that its weight and its acceleration ask for."""
+    more = 'masses = "known"\npayload = { frame = "tool", centre_m = [0.04, 0.0, 0.0]'
+    asked = mechanism(tmp_path, more + " }\n")
+    column = asked.rigid(*MOTION).columns[..., list(asked.coefficients).index("payload")]
+    theta, theta_dot, theta_ddot = MOTION
+
+    def place(time: float) -> np.ndarray:
+        angle = theta + theta_dot * time + theta_ddot * time**2 / 2
+        return np.array([_tool(row) for row in angle])
+
+    step = 1e-3
+    acceleration = (place(step) - 2 * place(0.0) + place(-step)) / step**2 + [0, 0, 9.81]
+    for joint in range(3):
+        moved = theta.copy()
+        moved[:, joint] += 1e-6
+        slope = (np.array([_tool(row) for row in moved]) - place(0.0)) / 1e-6
+        np.testing.assert_allclose(column[:, joint], (slope * acceleration).sum(axis=1), atol=2e-3)
+    given = mechanism(tmp_path, more + ", mass_kg = 1.5 }\n")
+    known = given.rigid(*MOTION).known - mechanism(tmp_path, 'masses = "known"\n').rigid(*MOTION).known
+    np.testing.assert_allclose(known, 1.5 * column, atol=1e-9)
+
+
+def _tool(angle: np.ndarray) -> np.ndarray:
+    """Where a point 4 cm before the tool is, m, by hand."""
+
+    def about(axis: str, angle: float) -> np.ndarray:
+        c, s = math.cos(angle), math.sin(angle)
+        return np.array(
+            {"x": [[1, 0, 0], [0, c, -s], [0, s, c]], "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]]}.get(
+                axis, [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+            )
+        )
+
+    point = about("z", -angle[2]) @ [0.29, 0, 0.05]
+    point = about("z", angle[1]) @ (np.array([0.3, 0, 0]) + about("y", 0.4) @ point)
+    return np.array([0, 0, 0.2]) + about("z", angle[0]) @ (np.array([0.05, 0, 0.1]) + about("x", 1.5707963) @ point)
+
+
+def test_without_pinocchio_one_line_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pinocchio", None)
+    with pytest.raises(RobotError, match=r"small.urdf: Pinocchio is not installed .*pip install 'deltatwin\[chain\]'"):
+        mechanism(tmp_path)
