@@ -45,6 +45,7 @@ class SampleFlag(enum.IntFlag):
     COMMAND_JUMP = 512  # the command moved further in one cycle than the joint can: not differentiated
     LIMITED = 1024  # of a feed-forward: the torque or its slope was held at its bound
     FADING = 2048  # of a feed-forward: no usable motion, the last torque is on its way to zero
+    FRICTION_HELD = 4096  # of a feed-forward: what was learnt of friction, which is in it, is held at its bound
 
 
 class Gripper(enum.IntEnum):

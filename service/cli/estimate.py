@@ -18,6 +18,9 @@ def command(
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
     effects: OwnEffects = None,
+    keep: Annotated[
+        Path | None, typer.Option(help="File in which friction as it was learnt outlives a restart", metavar="FILE")
+    ] = None,
 ) -> None:
     """Answer every sample on the bus with feed-forward torque, payload mass and model errors, until Ctrl-C.
 
@@ -32,6 +35,7 @@ def command(
     from service.cli.signals import terminate_as_interrupt
     from service.estimator.effects import carried
     from service.estimator.estimator import Estimator
+    from service.estimator.keep import Keeper
     from service.estimator.node import run
     from service.model.description import terms_of
 
@@ -44,12 +48,13 @@ def command(
     left_out = [term.effect.name for term in terms_of(description) if not carried(term.effect)]
     if left_out:
         typer.echo(f"{robot}: the online model does not carry {', '.join(left_out)}", err=True)
+    keeper = None if keep is None else Keeper(keep, description)
     check_free(description.name, Role.ESTIMATOR)
     Estimator(description, 1e-3).warm_up()  # before anybody can hear that the role is alive
     realtime = go_realtime("estimate")
     with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure) as bus:
         typer.echo(f"estimating for {description.name}; Ctrl-C ends it", err=True)
         try:
-            run(description, bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
+            run(description, bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME, keeper=keeper)
         except KeyboardInterrupt:
             typer.echo("estimate: stopped", err=True)

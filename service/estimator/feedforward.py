@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from schemas.messages import FeedforwardSource, SampleFlag
+from service.estimator import friction
 from service.estimator.effects import effects_kernel
 from service.estimator.stream import COMMAND_ACCELERATION, SETTLE_TIME, coast_cycles
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, terms_kernel
@@ -18,6 +19,7 @@ REFERENCE_AHEAD = 8  # cycles, planned motion further ahead is not for the next 
 REFERENCE_DISTANCE = 0.3  # rad, beyond what a joint moves until then: a plan for another place than the robot's
 
 _LIMITED, _FADING = SampleFlag.LIMITED.value, SampleFlag.FADING.value
+_FRICTION_HELD = SampleFlag.FRICTION_HELD.value
 _COMMAND_RANGE, _COMMAND_JUMP = SampleFlag.COMMAND_OUT_OF_RANGE.value, SampleFlag.COMMAND_JUMP.value
 _ESTIMATE, _COMMAND = FeedforwardSource.ESTIMATE.value, FeedforwardSource.COMMAND.value
 _REFERENCE, _NONE = FeedforwardSource.REFERENCE.value, FeedforwardSource.NONE.value
@@ -31,6 +33,8 @@ def feedforward_kernel(settings, state, sample, passed, out):
     seconds = passed * settings.period
     if ready:
         flags |= _within_bounds(settings, state, seconds, out)
+        if state.payload.friction.held != 0:
+            flags |= _FRICTION_HELD
     else:
         source = _NONE
         flags |= _fade(settings, state, seconds, out)
@@ -126,7 +130,8 @@ def plan_kernel(steps):
 
 @njit(cache=True)
 def _for_motion(settings, state, sample):
-    """state.wanted (3,) N m: the torque for state.trajectory with the payload; False where there is no pose for it."""
+    """state.wanted (3,) N m: the torque for state.trajectory with payload and friction of now; False where there is no
+    pose for it."""
     motion = state.trajectory
     status = terms_kernel(settings.model, motion[0], motion[1], motion[2], state.position, state.work, state.terms)
     if status != REACHED:
@@ -135,7 +140,7 @@ def _for_motion(settings, state, sample):
     mass = usable_mass(state)
     finite = True
     for i in range(3):
-        state.wanted[i] = state.full[i] + mass * load_kernel(settings, state, i)
+        state.wanted[i] = state.full[i] + mass * load_kernel(settings, state, i) + _learnt_friction(settings, state, i)
         finite &= math.isfinite(state.wanted[i])
     return finite
 
@@ -163,6 +168,14 @@ def dry_and_viscous(settings, state, i):
 
 
 @njit(cache=True)
+def _learnt_friction(settings, state, i):
+    """Reported torque on joint i, N m, of what friction surely is beside the identified one."""
+    sure, first = state.payload.friction.sure, friction.PARTS * i
+    dry, viscous, offset = sure[first], sure[first + 1], sure[first + 2]
+    return settings.scale[i] * (dry * state.way[i] + viscous * state.trajectory[1, i]) + offset
+
+
+@njit(cache=True)
 def grey_kernel(settings, terms, i):
     """M_Id of joint i, N m."""
     return settings.rho[0, i] * terms[INERTIA, i] + settings.rho[1, i] * terms[GRAVITY, i] + terms[PLATFORM, i]
@@ -187,7 +200,8 @@ def _within_bounds(settings, state, seconds, out):
     Coulomb friction, which is a step by nature."""
     flags = 0
     for i in range(3):
-        reversal = settings.scale[i] * settings.coulomb[i] * abs(state.way[i] - state.way_before[i])
+        dry = settings.coulomb[i] + state.payload.friction.sure[friction.PARTS * i]
+        reversal = settings.scale[i] * dry * abs(state.way[i] - state.way_before[i])
         step = max(settings.slope * seconds, reversal)
         low, high = max(-settings.peak, state.torque[i] - step), min(settings.peak, state.torque[i] + step)
         torque = min(max(state.wanted[i], low), high)

@@ -4,6 +4,8 @@ Per joint i the torque residual of a sample is r_i = m_p phi_i + x_i delta_i + n
 The payload is eliminated sample by sample: only the part of the residuals at right angles to phi, in the metric of the
 noise, is looked at, so what hangs on the gripper, and when it was picked, need not be known. What is left is linear
 least squares in nine numbers, with slow forgetting and the identified values as the prior.
+
+The feed-forward torque reckons with what is sure of it alone: friction made up for that is not there drives the joint.
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ STATE = np.dtype(
         ("block_information", "f8", (COUNT, COUNT)),
         ("block_moment", "f8", COUNT),
         ("delta", "f8", COUNT),  # joint by joint
+        ("sure", "f8", COUNT),  # of it, what is beyond one standard deviation
+        ("held", "i8"),  # whether one of them is held at its bound
         ("covariance", "f8", (COUNT, COUNT)),
         ("root", "f8", (COUNT, COUNT)),  # scratch
         ("column", "f8", COUNT),  # scratch
@@ -48,6 +52,15 @@ def start(state: np.ndarray, prior: np.ndarray) -> None:
     """Nothing is known but the prior (9,)."""
     state[:] = np.zeros((), STATE)
     state["covariance"] = np.diag(prior**2)
+
+
+def aged(information: np.ndarray, moment: np.ndarray, prior: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Information (9, 9) and moment (9,) of a departure that comes back to none, of which `share` is left: its mean
+    shrinks by that, and its covariance grows towards that of the prior (9,), a Gauss-Markov process."""
+    known = np.diag(1.0 / prior**2)
+    covariance = np.linalg.inv(information + known)
+    later = np.linalg.inv(share**2 * covariance + (1.0 - share**2) * np.diag(prior**2))
+    return later - known, later @ (share * (covariance @ moment))
 
 
 def learnt(state: np.void) -> tuple[np.ndarray, np.ndarray]:
@@ -112,8 +125,9 @@ def learn_kernel(state, prior, forgetting, inflation):
 
 @njit(cache=True)
 def _solve(state, prior):
-    """delta and covariance from the information, by Cholesky; the prior weighs in undiminished."""
+    """What is known of friction from the information, by Cholesky; the prior weighs in undiminished."""
     root, column = state.root, state.column
+    state.held = 0
     for a in range(COUNT):
         for b in range(a + 1):
             total = state.information[a, b]
@@ -139,5 +153,9 @@ def _solve(state, prior):
         for a in range(COUNT):
             if b == COUNT:
                 state.delta[a] = max(-BOUND * prior[a], min(BOUND * prior[a], column[a]))
+                state.held |= state.delta[a] != column[a]
             else:
                 state.covariance[a, b] = column[a]
+    for a in range(COUNT):
+        beyond = max(0.0, abs(state.delta[a]) - np.sqrt(max(state.covariance[a, a], 0.0)))
+        state.sure[a] = np.copysign(beyond, state.delta[a])

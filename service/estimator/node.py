@@ -14,6 +14,7 @@ from schemas.errors import DataError
 from schemas.messages import REFERENCE, SAMPLE, SEQUENCE_BYTES, HealthFlag, SampleFlag
 from schemas.robot import Robot
 from service.estimator.estimator import PERIOD_SAMPLES, Estimator, Rate, rate_of
+from service.estimator.keep import Keeper
 
 REPORT_PERIOD = 1e-3  # s, shortest between two payload or error messages; nobody steers by them, and they cost as much
 STALE_CYCLES = 20  # without a sample the input is stale ...
@@ -27,8 +28,8 @@ _INVALID = int(SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE | SampleFlag.JU
 class Node:
     """One estimator behind one bus; `step` does what came in since the last call."""
 
-    def __init__(self, robot: Robot, bus: Bus, flags: HealthFlag) -> None:
-        self._robot = robot
+    def __init__(self, robot: Robot, bus: Bus, flags: HealthFlag, keeper: Keeper | None = None) -> None:
+        self._robot, self._keeper = robot, keeper
         self._samples, self._references = bus.subscribe("sample"), bus.subscribe("reference", capacity=1024)
         self._put = {topic: bus.publisher(topic).put for topic in ("feedforward", "payload", "error", "friction")}
         self.health, self._flags = Health(bus, flags), flags
@@ -100,6 +101,8 @@ class Node:
 
     def _start(self, rate: Rate) -> None:
         self._estimator = Estimator(self._robot, *rate)
+        if self._keeper is not None:
+            print(f"estimate: {self._keeper.begin(self._estimator)}", file=sys.stderr)
         self._every = max(1, round(REPORT_PERIOD / rate.period))
 
     def _answer(self, estimator: Estimator, message: bytes, came: int) -> None:
@@ -124,6 +127,8 @@ class Node:
         self._recent.clear()  # read the rate anew
         if self._estimator is not None and not self._silent:
             self._tell_friction(self._estimator)
+            if self._keeper is not None:
+                self._keeper.note(self._estimator)
         self.health.publish(
             received=self._received,
             published=self._published,
@@ -133,6 +138,15 @@ class Node:
             rejected=self._samples.rejected + self._references.rejected,
             invalid=self._invalid,
         )
+
+    def close(self) -> None:
+        """Keep what was learnt, if that was asked for.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        if self._keeper is not None and self._estimator is not None:
+            self._keeper.close(self._estimator)
 
     def _follow_rate(self, estimator: Estimator) -> None:
         """Start anew when two readings in a row agree on another rate than that of `estimator`."""
@@ -162,12 +176,23 @@ def _close(one: float, other: float, relative: float) -> bool:
     return abs(one / other - 1) <= relative
 
 
-def run(robot: Robot, bus: Bus, flags: HealthFlag, stopped: Callable[[], bool] = lambda: False) -> None:
-    """Answer samples until `stopped` or Ctrl-C."""
-    node = Node(robot, bus, flags)
+def run(
+    robot: Robot,
+    bus: Bus,
+    flags: HealthFlag,
+    stopped: Callable[[], bool] = lambda: False,
+    keeper: Keeper | None = None,
+) -> None:
+    """Answer samples until `stopped` or Ctrl-C.
+
+    Raises:
+        StorageError: what was learnt cannot be kept.
+    """
+    node = Node(robot, bus, flags, keeper)
     with node.health:
         try:
             while not stopped():
                 node.step()
         finally:
             node.report()
+            node.close()

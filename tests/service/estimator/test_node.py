@@ -8,12 +8,14 @@ import pytest
 from drivers.bus import LINK_S, open_bus
 from schemas.messages import HealthFlag, Role
 from service.estimator.estimator import Estimator
+from service.estimator.keep import Keeper
 from service.estimator.node import Node
 
 
 @pytest.mark.parametrize(("share", "drifted"), [(0.1, False), (0.5, True)], ids=["within", "beyond"])
-def test_health_says_that_friction_is_not_what_was_identified(bus_folder, robot, make, until, share, drifted):
-    """The description allows 30 %; the flag is in the health that others hear, with the friction that it is about."""
+def test_health_says_that_friction_is_not_what_was_identified(bus_folder, tmp_path, robot, make, until, share, drifted):
+    """The description allows 30 %; the flag is in the health that others hear, with the friction that it is about,
+    which is kept."""
     known = make(3.0, noise=0.25)
     found = robot.identified
     way = np.clip(known.theta_dot / 0.01, -1, 1)
@@ -24,7 +26,7 @@ def test_health_says_that_friction_is_not_what_was_identified(bus_folder, robot,
     with open_bus(robot.name, Role.PLAYER) as player, open_bus(robot.name, Role.ESTIMATOR) as bus:
         health, told = player.subscribe("health"), player.subscribe("friction")
         publisher = player.publisher("sample")
-        node = Node(robot, bus, HealthFlag(0))
+        node = Node(robot, bus, HealthFlag(0), Keeper(tmp_path / "friction.json", robot))
         until(lambda: publisher.heard and Role.ESTIMATOR in player.alive)
         time.sleep(LINK_S)
         for record in known.samples:
@@ -39,5 +41,7 @@ def test_health_says_that_friction_is_not_what_was_identified(bus_folder, robot,
             return bool(said and friction) and said[-1]["received"] == len(known.samples)
 
         until(heard)
+        node.close()
+    assert "counted 100%" in Keeper(tmp_path / "friction.json", robot).begin(Estimator(robot, 1e-3))
     assert (friction[-1]["drift"] > robot.limits.friction_drift).any() == drifted
     assert (HealthFlag.FRICTION_DRIFT in HealthFlag(int(said[-1]["flags"]))) == drifted

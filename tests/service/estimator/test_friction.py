@@ -1,0 +1,164 @@
+"""Friction that follows the machine: in the feed-forward torque, and from one run to the next."""
+
+import json
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from schemas.errors import StorageError
+from schemas.messages import SampleFlag
+from service.estimator import friction
+from service.estimator.estimator import Estimator
+from service.estimator.keep import Keeper
+from tests.known import PERIOD
+
+LATE = slice(3000, None)  # samples
+
+
+def rubbed(robot, known):
+    """Identified friction (N, 3) N m of a motion."""
+    found, way = robot.identified, np.clip(known.theta_dot / 0.01, -1, 1)
+    return found.viscous_friction_nms.value * known.theta_dot + found.coulomb_friction_nm.value * way
+
+
+def ran(robot, make, share, noise=0.25):
+    """An estimator behind 5 s of a gear whose friction is more by `share`, its answers, and the torque that it took."""
+    known = make(5.0)
+    true = known.samples["torque"] + share * rubbed(robot, known)
+    known.samples["torque"] = true + np.random.default_rng(3).normal(0.0, noise, true.shape)
+    estimator = Estimator(robot, PERIOD)
+    return estimator, estimator.run(known.samples).feedforward, true
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.parametrize("share", [0.3, -0.3], ids=["cold", "warm"])
+def test_feedforward_is_for_the_friction_of_now(robot, make, share):
+    _, plain, of_model = ran(robot, make, 0.0)
+    _, answers, true = ran(robot, make, share)
+    missed = rms(answers["torque"] - true)
+    assert rms(answers["torque"][LATE] - true[LATE]) < rms(plain["torque"][LATE] - of_model[LATE]) + 0.3 * rms(
+        (true - of_model)[LATE]
+    ), f"{missed:.3g} N m"
+    assert not (answers["flags"] & SampleFlag.FRICTION_HELD).any()
+
+
+def test_friction_that_is_not_there_is_not_fed_forward(robot, make):
+    """At most what the noise makes sure of by chance."""
+    estimator, _, _ = ran(robot, make, 0.0)
+    assert np.abs(estimator.state["payload"]["friction"]["sure"]).max() < 0.05
+
+
+def test_no_gear_rubs_that_much_more(robot, make):
+    """What no drift of a gear explains is fed forward to its bound, and said to be there."""
+    estimator, answers, _ = ran(robot, make, 0.7)
+    learnt = estimator.state["payload"]["friction"]
+    prior = friction.drift(
+        np.array(robot.identified.viscous_friction_nms.value), np.array(robot.identified.coulomb_friction_nm.value)
+    )
+    assert (np.abs(learnt["sure"]) <= friction.BOUND * prior).all()
+    assert (answers["flags"][LATE] & SampleFlag.FRICTION_HELD).any()
+
+
+@pytest.fixture
+def kept(robot, make, tmp_path):
+    """The file of a robot whose gears rub 30 % more."""
+    estimator, _, _ = ran(robot, make, 0.3)
+    path = tmp_path / "friction.json"
+    Keeper(path, robot).close(estimator)
+    return path, estimator
+
+
+def departure(estimator):
+    return friction.learnt(estimator.state["payload"]["friction"])[0]
+
+
+def after_a_restart(robot, make, path):
+    """A new estimator with what was kept, as soon as a joint has moved a little, and what was said."""
+    estimator = Estimator(robot, PERIOD)
+    said = Keeper(path, robot).begin(estimator)
+    known = make(0.2, noise=0.25)
+    known.samples["torque"] += 0.3 * rubbed(robot, known)
+    estimator.run(known.samples)
+    return estimator, said
+
+
+def change(path, **fields):
+    path.write_text(json.dumps(json.loads(path.read_text()) | fields))
+
+
+def ago(**time):
+    return (datetime.now(UTC) - timedelta(**time)).isoformat()
+
+
+def test_friction_outlives_a_restart(robot, make, kept):
+    path, before = kept
+    estimator, said = after_a_restart(robot, make, path)
+    np.testing.assert_allclose(departure(estimator), departure(before), atol=0.1)
+    assert "counted 100%" in said
+    anew, _ = after_a_restart(robot, make, path.with_name("none.json"))
+    assert rms(departure(anew) - departure(before)) > 3 * rms(departure(estimator) - departure(before))
+
+
+def test_what_was_learnt_yesterday_says_little_of_a_cold_gear(robot, make, kept):
+    path, _ = kept
+    change(path, written_at=ago(hours=12))
+    estimator, said = after_a_restart(robot, make, path)
+    anew, _ = after_a_restart(robot, make, path.with_name("none.json"))
+    assert "counted 0%" in said
+    np.testing.assert_allclose(departure(estimator), departure(anew), atol=0.02)
+
+
+def test_what_was_learnt_at_another_rate_is_not_used(robot, kept):
+    path, _ = kept
+    estimator = Estimator(robot, 5e-4)
+    assert "period_s 0.001" in Keeper(path, robot).begin(estimator)
+    assert not estimator.state["payload"]["friction"]["information"].any()
+
+
+SKEW = np.eye(9)
+SKEW[0, 1] = 0.5
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"robot": "other"}, "robot: kept for 'other', this is"),
+        ({"description": "0" * 64}, "description: kept for another"),
+        ({"written_at": ago(days=-1)}, "written_at: "),
+        ({"information": SKEW.tolist()}, "information: not symmetric"),
+        ({"information": (-np.eye(9)).tolist()}, "information: not positive"),
+        ({"moment": [float("nan")] * 9}, "moment.0: "),
+        ({"moment": [0.0] * 8}, "moment: "),
+        ({"schema": "deltatwin.friction/9"}, "schema: "),
+        ({"period_s": 0.0}, "period_s: "),
+        ({"more": 1}, "more: unknown key"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else None,
+)
+def test_a_file_that_is_not_this_robots_is_refused(robot, kept, fields, said):
+    path, _ = kept
+    change(path, **fields)
+    before = path.read_bytes()
+    with pytest.raises(StorageError) as error:
+        Keeper(path, robot)
+    assert str(error.value).startswith(f"{path}: {said}")
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"{", b"name = 'd3'", b"\xff", b"[" * 60_000, b" " * 70_000])
+def test_a_file_that_is_something_else_is_refused(robot, tmp_path, content):
+    path = tmp_path / "identified.toml"
+    path.write_bytes(content)
+    with pytest.raises(StorageError, match=str(path)):
+        Keeper(path, robot)
+
+
+def test_another_identification_makes_another_departure(robot, kept):
+    path, _ = kept
+    identified = robot.identified.model_copy(update={"friction_transition_radps": 0.123})
+    with pytest.raises(StorageError, match="description"):
+        Keeper(path, robot.model_copy(update={"identified": identified}))
