@@ -144,6 +144,14 @@ class JointDrive(_Section):
         return self
 
 
+class GripperInput(_Section):
+    """Where the gripper's switch or vacuum sensor is wired to: one of a drive's digital inputs, a bit of 0x60FD."""
+
+    joint: Annotated[int, Field(ge=1, le=3)]  # whose drive has it, and maps 0x60FD among its inputs
+    bit: Annotated[int, Field(ge=0, le=31)]  # CiA 402 leaves 16 to 31 to the maker
+    closed: Literal[0, 1] = 1  # its value where the gripper may hold something
+
+
 class Drive(_Section):
     """What stands between the bus and the joint. `joint`: one drive a joint, in joint order, where a bus is decoded."""
 
@@ -151,6 +159,7 @@ class Drive(_Section):
     position_resolution_rad: Positive = 2.4e-7  # one encoder count at the joint; a 20-bit encoder behind a 25:1 gear
     eni: str | None = None  # ENI file that maps the process data, relative to the robot description
     joint: Annotated[list[JointDrive], Field(max_length=3)] = []
+    gripper: GripperInput | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Drive:

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from schemas.errors import RobotError
+from schemas.messages import Gripper
 from schemas.robot import Drive
 
 CONTROLWORD = 0x6040
@@ -22,6 +23,7 @@ TARGET_TORQUE = 0x6071
 TORQUE_ACTUAL = 0x6077
 TARGET_POSITION = 0x607A
 TORQUE_OFFSET = 0x60B2
+DIGITAL_INPUTS = 0x60FD
 
 OBJECTS = {
     0x603F: np.dtype("<u2"),  # error code
@@ -46,7 +48,7 @@ OBJECTS = {
     0x60E0: np.dtype("<u2"),  # positive torque limit
     0x60E1: np.dtype("<u2"),  # negative torque limit
     0x60F4: np.dtype("<i4"),  # following error
-    0x60FD: np.dtype("<u4"),  # digital inputs
+    DIGITAL_INPUTS: np.dtype("<u4"),
     0x60FE: np.dtype("<u4"),  # digital outputs
     0x60FF: np.dtype("<i4"),  # target velocity
 }
@@ -140,6 +142,12 @@ def drive_state(statusword: np.ndarray | int) -> np.ndarray:
 def joint_angle(counts, zero_counts, radians_per_count):
     """Joint angle, rad, of 0x6064 or 0x607A, one int64 or an array. The object wraps at 2^32, and so does this."""
     return (((counts - zero_counts + 2**31) & 0xFFFFFFFF) - 2**31) * radians_per_count
+
+
+@njit(cache=True)
+def gripper_state(digital_inputs, bit, closed):
+    """`Gripper` that 0x60FD says."""
+    return Gripper.CLOSED.value if (digital_inputs >> bit) & 1 == closed else Gripper.OPEN.value
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ class Declaration:
         self._velocity: list[np.ndarray] = []
 
     def add(self, samples: np.ndarray, raw: np.ndarray) -> None:
-        """(N,) records of SAMPLE and their (N, 3, 5) inputs in drive units."""
+        """(N,) records of SAMPLE and their (N, 3, 6) inputs in drive units."""
         room = AT_MOST - self._kept
         if room > 0 and len(samples):
             self._samples.append(samples[:room].copy())
@@ -88,7 +88,7 @@ class FirstMotion:
         self._found: list[str] = []
 
     def add(self, sample: np.ndarray, raw: np.ndarray) -> None:
-        """(1,) record of SAMPLE and its (1, 3, 5) inputs in drive units."""
+        """(1,) record of SAMPLE and its (1, 3, 6) inputs in drive units."""
         if self._count < WINDOW:
             self._samples[self._count], self._raw[self._count] = sample[0], raw[0]
             self._count += 1

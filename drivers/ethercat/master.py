@@ -131,6 +131,9 @@ class Master:
         pdos = joint_pdos(robot)
         self.scale = _side_by_side(cia402.scales(robot.drive))
         self._axes = [_Axis(rx, tx) for rx, tx in pdos]
+        self._gripper = robot.drive.gripper
+        if self._gripper is not None:
+            self._axes[self._gripper.joint - 1].tx.require(cia402.DIGITAL_INPUTS)
         self._interface, self._robot = interface, robot.name
         self._limits, self._range = robot.limits, robot.geometry.joint_range_rad
         self._period_ns = round(period * NANOSECONDS)
@@ -370,6 +373,9 @@ class Master:
             self._states[number] = _STATES[values[status] & 0x7F]
             counts.append(values[position])
             torques.append(values[torque])
+            if self._gripper is not None and number == self._gripper.joint - 1:
+                (place,) = axis.tx.places(cia402.DIGITAL_INPUTS)
+                sample["gripper"] = cia402.gripper_state(values[place], self._gripper.bit, self._gripper.closed)
         sample["position"] = self.scale.position(np.array(counts))
         sample["torque"] = self.scale.torque(np.array(torques))
 

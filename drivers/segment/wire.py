@@ -76,6 +76,7 @@ class _Station:
             cia402.VELOCITY_ACTUAL,
             cia402.TORQUE_ACTUAL,
             cia402.MODE_DISPLAY,
+            cia402.DIGITAL_INPUTS,
         )
         self._report = tx.blank()
         self.gripping = False
@@ -107,6 +108,7 @@ class _Station:
             min(max(speed, -(2**31)), 2**31 - 1),
             min(max(per_mille, -32768), 32767),
             drive.mode,
+            GRIPPER if self.gripping else 0,  # a switch on the gripper, wired to the input of the same number
         )
         for place, value in zip(self._tx_places, values, strict=True):
             if place >= 0:

@@ -38,7 +38,7 @@ class CaptureReader:
         self._seen: dict[tuple[int, int, int], int] = {}
 
     def blocks(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """(M,) records of SAMPLE and (M, 3, 5) int64 of their INPUTS in drive units, some at a time.
+        """(M,) records of SAMPLE and (M, 3, 6) int64 of their INPUTS in drive units, some at a time.
 
         Raises:
             TraceError: the file is no capture, or gives no sample; it says why.

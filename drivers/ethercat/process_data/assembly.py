@@ -13,12 +13,12 @@ from drivers.ethercat.cia402 import DriveState, Mode
 from drivers.ethercat.frames import DC_SYSTEM_TIME, Command, Kind, find_datagrams, u16, u32
 from drivers.ethercat.process_data.clock import distributed_clock_kernel, interval_kernel, stamp_kernel
 from drivers.ethercat.process_data.layout import (
-    INPUTS,
+    DIGITAL_INPUTS,
+    INPUT_SHAPE,
     LAYOUT,
     MODE,
     MODE_DISPLAY,
     NOT_MAPPED,
-    OBJECTS,
     POSITION,
     STATUS,
     TARGET_POSITION,
@@ -28,7 +28,7 @@ from drivers.ethercat.process_data.layout import (
 )  # fmt: skip
 from drivers.ethercat.process_data.passes import came_again, expected_kernel, is_returned, note_sent, on_its_way
 from drivers.ethercat.process_data.state import DISTRIBUTED_CLOCK, NEVER, STATE, new_state
-from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag
+from schemas.messages import NANOSECONDS, SAMPLE, Gripper, SampleFlag
 
 FRAME_BYTES = 2048  # more than an Ethernet frame with tags
 
@@ -79,7 +79,7 @@ def _joints_within(address, length, way):
 
 @njit(cache=True)
 def _drive_flags(layout, inputs, counts):
-    """Flags of the drives' states in the cycle in the making. inputs: (3, 5) values."""
+    """Flags of the drives' states in the cycle in the making. inputs: values of INPUT_SHAPE."""
     enabled, fault = True, False
     for joint in range(3):
         if layout.inputs.place[joint, STATUS] != NOT_MAPPED:
@@ -145,6 +145,12 @@ def _emit(time, layout, state, sample, raw):
             outputs[joint, TORQUE_OFFSET],
             have_outputs[joint, TORQUE_OFFSET],
         )
+    gripper = layout.gripper_joint
+    if gripper != NOT_MAPPED and fault != _COUNTER_ZERO:
+        word = inputs[gripper, DIGITAL_INPUTS]
+        sample.gripper = cia402.gripper_state(word, layout.gripper_bit, layout.gripper_closed)
+    else:
+        sample.gripper = Gripper.UNKNOWN.value
     sample.flags = flags
     raw[:] = inputs
     counts.samples += 1
@@ -262,7 +268,7 @@ def _complete(way, have):
 def frame_kernel(data, offset, length, time, port, flags, layout, state, sample, raw):
     """Take one frame, at data[offset : offset + length]; whether it ends a cycle, whose sample is then in `sample`.
 
-    raw: (3, 5) int64, takes the INPUTS of that sample as they stood in the frame.
+    raw: int64 of INPUT_SHAPE, takes the INPUTS of that sample as they stood in the frame.
     """
     counts = state.counts
     if flags & _NOT_BELIEVED:
@@ -298,7 +304,7 @@ def assemble(data, offset, length, time, port, flags, layouts, states, samples, 
     """Samples of the cycles that end in these frames; how many.
 
     data, offset, length, time, port, flags: as in `capture.Frames`, N frames. layouts, states: (1,) records of LAYOUT
-    and STATE. samples: at least N records of SAMPLE. raw: at least (N, 3, 5) int64.
+    and STATE. samples: at least N records of SAMPLE. raw: int64, at least N of INPUT_SHAPE.
     """
     layout, state, made = layouts[0], states[0], 0
     for n in range(len(offset)):
@@ -318,7 +324,7 @@ ONE_FRAME = np.dtype(
         ("time", "i8"),  # ns
         ("port", "i8"),
         ("sample", SAMPLE.dtype),
-        ("raw", "i8", OBJECTS),
+        ("raw", "i8", INPUT_SHAPE),
     ],
     align=True,
 )
@@ -342,9 +348,9 @@ class Assembler:
     state: np.ndarray = field(default_factory=new_state)
 
     def samples(self, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
-        """(M,) records of SAMPLE and (M, 3, 5) int64 of their INPUTS in drive units, from N frames, M <= N."""
+        """(M,) records of SAMPLE and (M, 3, 6) int64 of their INPUTS in drive units, from N frames, M <= N."""
         records = SAMPLE.empty(len(frames))
-        raw = np.empty((len(frames), 3, len(INPUTS)), np.int64)
+        raw = np.empty((len(frames), *INPUT_SHAPE), np.int64)
         made = assemble(
             frames.data, frames.offset, frames.length, frames.time, frames.port, frames.flags,
             self.layout, self.state, records, raw,

@@ -12,34 +12,43 @@ from schemas.robot import JointDrive, Robot
 
 INPUTS = (
     cia402.STATUSWORD, cia402.POSITION_ACTUAL, cia402.VELOCITY_ACTUAL, cia402.TORQUE_ACTUAL, cia402.MODE_DISPLAY,
+    cia402.DIGITAL_INPUTS,
 )  # fmt: skip
 OUTPUTS = (
     cia402.CONTROLWORD, cia402.TARGET_POSITION, cia402.TARGET_TORQUE, cia402.TORQUE_OFFSET, cia402.MODE_OF_OPERATION,
 )  # fmt: skip
 REQUIRED = (cia402.POSITION_ACTUAL, cia402.TORQUE_ACTUAL)
-STATUS, POSITION, VELOCITY, TORQUE, MODE_DISPLAY = range(len(INPUTS))
+STATUS, POSITION, VELOCITY, TORQUE, MODE_DISPLAY, DIGITAL_INPUTS = range(len(INPUTS))
 CONTROL, TARGET_POSITION, TARGET_TORQUE, TORQUE_OFFSET, MODE = range(len(OUTPUTS))
 NOT_MAPPED = -1
 
-OBJECTS = (3, len(INPUTS))  # shape of one cycle's values: joint, object
+# shapes of one cycle's values: joint, object
+INPUT_SHAPE, OUTPUT_SHAPE = (3, len(INPUTS)), (3, len(OUTPUTS))
 
-_WAY = np.dtype(
-    [
-        ("place", "i8", OBJECTS),  # logical byte address, NOT_MAPPED where there is none
-        ("size", "i8", len(INPUTS)),  # bytes
-        ("signed", "i8", len(INPUTS)),
-    ],
-    align=True,
-)
+
+def _way(shape: tuple[int, int]) -> np.dtype:
+    return np.dtype(
+        [
+            ("place", "i8", shape),  # logical byte address, NOT_MAPPED where there is none
+            ("size", "i8", shape[1]),  # bytes
+            ("signed", "i8", shape[1]),
+        ],
+        align=True,
+    )
+
+
 _COUNTER = np.dtype([("command", "i8"), ("address", "i8"), ("expected", "i8")], align=True)
 LAYOUT = np.dtype(
     [
-        ("inputs", _WAY),  # of INPUTS
-        ("outputs", _WAY),  # of OUTPUTS
+        ("inputs", _way(INPUT_SHAPE)),
+        ("outputs", _way(OUTPUT_SHAPE)),
         ("counters", _COUNTER, MAX_COMMANDS),  # working counters that an ENI demands, command 0 behind the last
         ("zero_counts", "i8", 3),
         ("radians_per_count", "f8", 3),
         ("torque_nm_per_mille", "f8", 3),
+        ("gripper_joint", "i8"),  # whose digital inputs tell of the gripper, NOT_MAPPED where none do
+        ("gripper_bit", "i8"),
+        ("gripper_closed", "i8"),  # its value there
         ("shared", "i8"),  # whether inputs and outputs share logical addresses
     ],
     align=True,
@@ -56,16 +65,25 @@ def make_layout(robot: Robot) -> np.ndarray:
     network = read_eni(robot.folder / robot.drive.eni) if robot.drive.eni else None
     layout = np.zeros(1, LAYOUT)
     inputs, outputs = (layout[way]["place"][0] for way in ("inputs", "outputs"))
-    inputs[:] = outputs[:] = NOT_MAPPED
+    inputs[:] = outputs[:] = layout["gripper_joint"] = NOT_MAPPED
+    gripper = robot.drive.gripper
     for joint, drive in enumerate(robot.drive.joint):
         mapped_inputs, mapped_outputs = _mapped(drive, joint, network)
         for row, known, mapped in ((inputs[joint], INPUTS, mapped_inputs), (outputs[joint], OUTPUTS, mapped_outputs)):
             for mapped_object in mapped:
-                if mapped_object.index in known:
+                told = mapped_object.index != cia402.DIGITAL_INPUTS or (gripper and gripper.joint == joint + 1)
+                if mapped_object.index in known and told:
                     row[known.index(mapped_object.index)] = _byte_address(mapped_object, joint)
         for index in REQUIRED:
             if inputs[joint, INPUTS.index(index)] == NOT_MAPPED:
                 raise RobotError(f"drive.joint.{joint}.inputs: {index:#06x} is not mapped, a sample needs it")
+    if gripper is not None:
+        if inputs[gripper.joint - 1, DIGITAL_INPUTS] == NOT_MAPPED:
+            raise RobotError(
+                f"drive.gripper.joint: {gripper.joint}, but drive.joint.{gripper.joint - 1}.inputs maps no 0x60FD"
+            )
+        layout["gripper_joint"], layout["gripper_bit"] = gripper.joint - 1, gripper.bit
+        layout["gripper_closed"] = gripper.closed
     for way, indexes in (("inputs", INPUTS), ("outputs", OUTPUTS)):
         types = [cia402.OBJECTS[index] for index in indexes]
         layout[way]["size"] = [kind.itemsize for kind in types]
@@ -81,7 +99,7 @@ def make_layout(robot: Robot) -> np.ndarray:
 
 
 def mapped_inputs(layout: np.ndarray) -> np.ndarray:
-    """(3, 5) whether a drive maps each of INPUTS."""
+    """INPUT_SHAPE: whether a drive maps each of INPUTS."""
     return layout["inputs"]["place"][0] != NOT_MAPPED
 
 

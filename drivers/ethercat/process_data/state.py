@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.ethercat.process_data.layout import OBJECTS
+from drivers.ethercat.process_data.layout import INPUT_SHAPE, OUTPUT_SHAPE
 
 INTERVALS = 64  # cycles whose median step is the cycle time
 NEVER = -(1 << 62)
@@ -71,13 +71,13 @@ STATE = np.dtype(
         ("clock", CLOCK),
         ("passes", _PASSES),
         ("intervals", "i8", INTERVALS),  # ns
-        ("raw_inputs", "i8", OBJECTS),  # of the cycle in the making
-        ("have_inputs", "i8", OBJECTS),
-        ("last_inputs", "i8", OBJECTS),  # of the cycle before
-        ("raw_outputs", "i8", OBJECTS),
-        ("have_outputs", "i8", OBJECTS),
-        ("sent_outputs", "i8", (256, *OBJECTS)),  # by datagram index
-        ("outputs_at", "i8", (256, *OBJECTS)),  # ns, when they were sent, NEVER once they came back
+        ("raw_inputs", "i8", INPUT_SHAPE),  # of the cycle in the making
+        ("have_inputs", "i8", INPUT_SHAPE),
+        ("last_inputs", "i8", INPUT_SHAPE),  # of the cycle before
+        ("raw_outputs", "i8", OUTPUT_SHAPE),
+        ("have_outputs", "i8", OUTPUT_SHAPE),
+        ("sent_outputs", "i8", (256, *OUTPUT_SHAPE)),  # by datagram index
+        ("outputs_at", "i8", (256, *OUTPUT_SHAPE)),  # ns, when they were sent, NEVER once they came back
         ("sent_at", "i8", 256),  # ns, by datagram index: when a frame was sent, NEVER once it came back
         ("counters", _SEEN, 16),  # highest working counter seen; a higher one, how often in a row
         ("ports", _PORT, 256),  # answered frames, silent frames, highest working counter

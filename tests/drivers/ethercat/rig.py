@@ -20,7 +20,7 @@ from schemas.robot import Robot, load_robot
 DELTATWIN = str(Path(sys.executable).with_name("deltatwin"))
 NEAR, FAR = "bus0", "seg0"
 OUTPUTS = ("0x6040", "0x607A", "0x6071", "0x6060", "0x60B2", "0x60FE")
-INPUTS = ("0x6041", "0x6064", "0x606C", "0x6077", "0x6061")
+INPUTS = ("0x6041", "0x6064", "0x606C", "0x6077", "0x6061", "0x60FD")
 _CLONE_NEWNET = 0x40000000
 
 _BODY = """
@@ -36,6 +36,7 @@ passive_link = 0.5
 platform = 1.0
 [drive]
 gear_ratio = 10.0
+gripper = { joint = 1, bit = 16 }
 [identified]
 viscous_friction_nms = { value = [1.0, 1.2, 0.8] }
 coulomb_friction_nm = { value = [2.0, 1.5, 2.5] }
@@ -51,7 +52,7 @@ torque_noise_nm = [0.1, 0.1, 0.1]
 def description(outputs: tuple[str, ...] = OUTPUTS, inputs: tuple[str, ...] = INPUTS) -> str:
     """A robot description whose drives differ in sign, zero and torque unit."""
     sizes = {"0x6040": 2, "0x607A": 4, "0x6071": 2, "0x6060": 1, "0x60B2": 2, "0x60FE": 4}
-    sizes |= {"0x6041": 2, "0x6064": 4, "0x606C": 4, "0x6077": 2, "0x6061": 1}
+    sizes |= {"0x6041": 2, "0x6064": 4, "0x606C": 4, "0x6077": 2, "0x6061": 1, "0x60FD": 4}
     out, back = sum(sizes[name] for name in outputs), sum(sizes[name] for name in inputs)
     text = _BODY
     for number, (sign, zero, rated) in enumerate(((1, 1000, 2.4), (-1, -70_000, 2.4), (1, 2_147_000_000, 3.0))):

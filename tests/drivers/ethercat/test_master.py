@@ -24,7 +24,7 @@ from drivers.segment.wire import INPUT_DELAY_CYCLES
 from drivers.trace import read_trace
 from replay.clock import wait_until
 from schemas.errors import BusError
-from schemas.messages import SAMPLE, SampleFlag
+from schemas.messages import SAMPLE, Gripper, SampleFlag
 from schemas.robot import Robot, load_robot
 from tests.drivers.ethercat import rig
 
@@ -107,6 +107,10 @@ def test_samples_are_the_plants_own_trace(space: rig.Namespace, robot: Robot, fi
         samples = space.call(lambda: run(robot))
     finally:
         said = segment.stop()
+    closed = samples["gripper"] == Gripper.CLOSED
+    held = plan(robot.folder).payloads
+    assert np.count_nonzero(closed) == pytest.approx(sum(p.release - p.pick for p in held) / PERIOD, rel=0.05)
+    assert np.count_nonzero(np.diff(closed)) == 2 * len(held)
     own = read_trace(files / "own.mcap")
     assert f"{len(own)} cycles in operation" in said
     good = samples[samples["flags"] & SampleFlag.BUS_FAULT == 0]

@@ -14,15 +14,19 @@ from drivers.ethercat.capture import Capture
 from drivers.ethercat.cia402 import Control, DriveState, Mode, drive_state
 from drivers.ethercat.frames import AL_CONTROL, AL_STATUS, DC_SYSTEM_TIME, FMMU, AlState, Command
 from drivers.ethercat.pdo import GRIPPER, Pdo, joint_pdos
+from drivers.ethercat.process_data.assembly import Assembler
+from drivers.ethercat.process_data.layout import make_layout
 from drivers.plant.plant import Plant
 from drivers.segment.esc import AL_STATUS_CODE, DL_STATUS, STATION_ADDRESS, SYNC_MANAGER, Code
 from drivers.segment.sii import INPUT_ADDRESS, INPUT_CONTROL, OUTPUT_ADDRESS, OUTPUT_CONTROL
 from drivers.segment.wire import INPUT_DELAY_CYCLES, Segment
-from schemas.messages import SampleFlag, stamp_ns
+from schemas.errors import RobotError
+from schemas.messages import Gripper, SampleFlag, stamp_ns
+from schemas.robot import GripperInput
 from service.model import kinematics
 from service.model.nominal import pack
 from tests.drivers.ethercat import rig
-from tests.drivers.ethercat.wire import datagram, frame
+from tests.drivers.ethercat.wire import datagram, frame, pcap
 
 PERIOD = 1e-3
 STATIONS = (0x1001, 0x1002, 0x1003)
@@ -38,6 +42,7 @@ class Bench:
         self.plant = Plant(robot, period=PERIOD)
         self.segment = Segment(self.pdos, self.scales, self.plant)
         self.outputs = [rx.blank() for rx, _ in self.pdos]
+        self.passed: list[tuple[int, bytes]] = []  # frames as an analyzer would see them, both ways, and when, ns
         for number, address in enumerate(STATIONS):
             self.access(Command.APWR, -number & 0xFFFF, STATION_ADDRESS, struct.pack("<H", address))
 
@@ -55,6 +60,8 @@ class Bench:
         """(data, working counter) of each datagram of a frame that came back."""
         buffer = bytearray(frame(*datagrams))
         assert self.segment.exchange(buffer, len(buffer))
+        now = len(self.passed) // 2 * round(PERIOD * 1e9)
+        self.passed += [(now, frame(*datagrams)), (now + 20_000, bytes(buffer))]
         self.segment.proceed()
         answers, at = [], 16
         for content, _ in datagrams:
@@ -374,10 +381,40 @@ def test_the_gripper_lifts_the_product(bench: Bench, tmp_path: Path) -> None:
     np.testing.assert_allclose((loaded - empty).sum(), 1.5 * 9.81 * along, rtol=0.01)
 
 
+@pytest.mark.parametrize("closed", [0, 1])
+def test_the_tap_reads_the_gripper_off_a_digital_input(bench: Bench, tmp_path: Path, closed: int) -> None:
+    """From the frames alone: the switch follows the valve, a cycle of the drive behind."""
+    bench.operate()
+    bench.passed.clear()
+    for grip in (0, GRIPPER, 0):
+        bench.put(0x60FE, [grip, 0, 0])
+        for _ in range(50):
+            bench.cycle()
+    path = pcap(tmp_path / "a.pcap", bench.passed, nanoseconds=True)
+    robot = rig.robot(tmp_path)
+    gripper = GripperInput.model_validate({"joint": 1, "bit": 16, "closed": closed})
+    drive = robot.drive.model_copy(update={"gripper": gripper})
+    assembler = Assembler(make_layout(robot.model_copy(update={"drive": drive})))
+    samples = np.concatenate([assembler.samples(frames)[0] for frames in Capture(path).blocks()])
+    is_closed = samples["gripper"] == (Gripper.CLOSED if closed else Gripper.OPEN)
+    assert len(samples) == 150
+    assert (samples["gripper"] != Gripper.UNKNOWN).all()
+    np.testing.assert_allclose(np.flatnonzero(np.diff(is_closed)) + 1, [50, 100], atol=INPUT_DELAY_CYCLES + 1)
+    unsaid = Assembler(make_layout(robot.model_copy(update={"drive": drive.model_copy(update={"gripper": None})})))
+    blind = np.concatenate([unsaid.samples(frames)[0] for frames in Capture(path).blocks()])
+    assert (blind["gripper"] == Gripper.UNKNOWN).all()
+
+
+def test_a_gripper_on_a_drive_that_maps_no_digital_inputs(tmp_path: Path) -> None:
+    says = "^drive.gripper.joint: 1, but drive.joint.0.inputs maps no 0x60FD$"
+    with pytest.raises(RobotError, match=says):
+        make_layout(rig.robot(tmp_path, inputs=rig.INPUTS[:-1]))
+
+
 def test_damaged_frames_do_no_harm(bench: Bench) -> None:
     bench.operate()
     random = np.random.default_rng(5)
-    good = frame(datagram(Command.LRW, 0, bytes(84)), datagram(Command.FRMW, 0x0910_1001, bytes(8)))
+    good = frame(datagram(Command.LRW, 0, bytes(96)), datagram(Command.FRMW, 0x0910_1001, bytes(8)))
     for _ in range(3000):
         size = int(random.integers(14, len(good) + 1))
         buffer = bytearray(good[:size])
