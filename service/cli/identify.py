@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from schemas.axes import Description
+    from service.identification.calibration import Figure
     from service.identification.pooled import Estimate, Plain
 
 
@@ -28,15 +29,22 @@ def command(
         Literal["pooled", "paper"],
         typer.Option(help="pooled: weighted least squares over all traces; paper: grid and mean over traces"),
     ] = "pooled",
+    carried: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KG:TRACE",
+            help="Log in which a known load hangs throughout, as 3.0:log.csv; fixes torque constants and platform mass",
+        ),
+    ] = None,
     json: AsJson = False,
     columns: ColumnsFrom = None,
 ) -> None:
     """Identify inertia, gravity, forearm and friction, with standard errors and a verdict for each.
 
-    Example: deltatwin identify fit_*.csv --robot robot.toml --out identified.toml
+    Example: deltatwin identify fit_*.csv --robot robot.toml --out identified.toml --carried 3.0:loaded.csv
     """
     import json as json_library
-    from dataclasses import asdict
+    from dataclasses import asdict, replace
 
     from schemas.axes import load_description, save_axes
     from schemas.errors import RobotError
@@ -46,6 +54,7 @@ def command(
     from service.cli.output import console as result_console
     from service.cli.reading import reading
     from service.identification.axes import identify_axes
+    from service.identification.calibration import calibrate
     from service.identification.identify import identify
     from service.identification.regression import summarise
     from service.model.description import in_units_of
@@ -54,28 +63,65 @@ def command(
     console = result_console()
     make_folder(out.parent)
     description = load_description(robot)
+    loads = [_load(text) for text in carried or ()]
     logs = reading(traces, description, columns, "reading")
+    figures: Sequence[Figure] = ()
     if isinstance(description, Machine):
+        if loads:
+            raise RobotError(f"{robot}: --carried: a load hangs on the platform of a Delta robot")
         if method == "paper":
             raise RobotError(f"{robot}: --method paper: the paper's method is for a Delta robot")
         result = identify_axes(description, list(logs))
         save_axes(result.axes, out)
     else:
+        found = None
+        if loads:
+            logs = list(logs)
+            heavy = list(reading([path for _, path in loads], description, columns, "reading"))
+            found = calibrate(description, logs, [(mass, log) for (mass, _), log in zip(loads, heavy, strict=True)])
+            description, figures, logs = found.robot, found.figures, map(found.true, logs)
         model = pack(description)
         result = identify(description, [summarise(model, trace) for trace in logs], method)
+        if found is not None:
+            result = replace(result, robot=found.carried(result.robot), warnings=(*found.warnings, *result.warnings))
         save_robot(result.robot, out, template=robot)
     if json:
         parameters = [
             asdict(estimate) | {"unit": in_units_of(description, estimate.unit)} for estimate in result.fit.estimates
         ]
         document = {"schema": "deltatwin.identification/1", "parameters": parameters, "warnings": list(result.warnings)}
+        if figures:
+            document["calibration"] = [asdict(figure) for figure in figures]
         typer.echo(json_library.dumps(document | {"out": str(out)}, indent=1, default=float))
         return
     console.print(_parameters(result.fit.estimates, description))
+    if figures:
+        console.print(_calibrated(figures))
     console.print(_residuals(result.fit, [path.name for path in traces], description))
     for warning in result.warnings:
         console.print(f"warning: {warning}", highlight=False, markup=False, style="yellow", soft_wrap=True)
     console.print(f"wrote {out}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _load(text: str) -> tuple[float, Path]:
+    """Mass and trace of a --carried."""
+    mass, _, path = text.partition(":")
+    try:
+        if not path:
+            raise ValueError
+        return float(mass), Path(path)
+    except ValueError:
+        raise typer.BadParameter(f"--carried {text}: write mass in kg and trace, as 3.0:log.csv") from None
+
+
+def _calibrated(figures: Sequence[Figure]) -> Table:
+    from rich.table import Table
+
+    table = Table("", "value", "std. error", "unit", "", title="by the known load")
+    for figure in figures:
+        put = "put right" if figure.changed else "left as described"
+        table.add_row(figure.name, f"{figure.value:.4f}", f"{figure.std_error:.4f}", figure.unit, put)
+    return table
 
 
 def _parameters(estimates: Sequence[Estimate], robot: Description) -> Table:

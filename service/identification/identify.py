@@ -52,6 +52,7 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = 
     warnings = checks.check_fit(trajectories, fit, pack(robot).moving_mass)
     if method == "paper":
         fit, transition = paper.refit(trajectories, fit), 0.0
+        warnings = [*warnings, *paper.edges(trajectories)]
     estimates = fit.estimates
     identified = Identified(
         method=method,

@@ -44,6 +44,7 @@ from service.model.signals import segments
 
 GRID = 200  # points a side
 RHO_RANGE = (0.0, 5.0)
+WIDENINGS = 8  # times that the range doubles at most, where the best point lies at its upper end
 REFINEMENTS = 1  # finer grids, each over the neighbours of the best point before: 2.5e-4 in the end
 
 
@@ -142,20 +143,52 @@ def six_sums(gram: np.ndarray) -> np.ndarray:
 
 
 def grid(sums: np.ndarray) -> tuple[float, float]:
-    """(rho_1, rho_2) of least RMS error on a grid of `GRID` points a side, refined round the best one."""
+    """(rho_1, rho_2) of least RMS error on a grid of `GRID` points a side, refined round the best one.
+
+    A grid whose upper edge has the best point is widened; below its lower edge there is no inertia and no mass.
+    """
     low, high = np.full(2, RHO_RANGE[0]), np.full(2, RHO_RANGE[1])
-    best = np.zeros(2)
-    for _ in range(1 + REFINEMENTS):
-        rho_1, rho_2 = np.linspace(low, high, GRID).T
-        square = (
-            sums[2, 2]
-            + (sums[0, 0] * rho_1**2 - 2.0 * sums[0, 2] * rho_1)[:, None]
-            + sums[1, 1] * rho_2**2
-            - 2.0 * sums[1, 2] * rho_2
-            + 2.0 * sums[0, 1] * np.outer(rho_1, rho_2)
-        )
-        first, second = np.unravel_index(np.argmin(square), square.shape)
-        best = np.array([rho_1[first], rho_2[second]])
+    best = _best(sums, low, high)
+    for _ in range(WIDENINGS):
+        if (best < high).all():
+            break
+        high = np.where(best < high, high, 2.0 * high)
+        best = _best(sums, low, high)
+    for _ in range(REFINEMENTS):
         step = (high - low) / (GRID - 1)
-        low, high = best - step, best + step
+        low, high = np.maximum(best - step, RHO_RANGE[0]), best + step
+        best = _best(sums, low, high)
     return float(best[0]), float(best[1])
+
+
+def _best(sums: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(2,) the point of least RMS error on the grid between `low` and `high` (2,)."""
+    rho_1, rho_2 = np.linspace(low, high, GRID).T
+    square = (
+        sums[2, 2]
+        + (sums[0, 0] * rho_1**2 - 2.0 * sums[0, 2] * rho_1)[:, None]
+        + sums[1, 1] * rho_2**2
+        - 2.0 * sums[1, 2] * rho_2
+        + 2.0 * sums[0, 1] * np.outer(rho_1, rho_2)
+    )
+    first, second = np.unravel_index(np.argmin(square), square.shape)
+    return np.array([rho_1[first], rho_2[second]])
+
+
+def edges(trajectories: Sequence[Trajectory]) -> list[str]:
+    """Warnings about trajectories whose best point lay at an edge of the grid."""
+    warnings = []
+    for trajectory in trajectories:
+        found = grid(six_sums(trajectory.gram.sum(axis=0)))
+        for name, value in zip(("rho_1", "rho_2"), found, strict=True):
+            if value > RHO_RANGE[1]:
+                warnings.append(
+                    f"{trajectory.name}: {name} = {value:.3g} lies beyond the grid's edge of {RHO_RANGE[1]:g}, which "
+                    "was widened; are the masses in the description right?"
+                )
+            elif value <= RHO_RANGE[0]:
+                warnings.append(
+                    f"{trajectory.name}: {name} lies at the grid's lower edge, {RHO_RANGE[0]:g}: this motion asks for "
+                    "less than nothing of it"
+                )
+    return warnings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -74,3 +75,19 @@ def test_grid_soaks_up_what_the_model_lacks(robot: Robot, record: Record) -> Non
     assert paper_fit.robot.identified.forearm_inertia_kg.value == 0.0
     assert abs(paper_fit.fit.values[0] - truth.rho_1) > 10 * abs(pooled_fit.fit.values[0] - truth.rho_1)
     assert np.all(paper_fit.fit.held_out > pooled_fit.fit.held_out)
+
+
+def test_a_grid_whose_edge_is_hit_is_widened_and_says_so(robot: Robot, record: Record) -> None:
+    """An inertia seven times, and a gravity eleven times, what the description says."""
+    truth = Truth(rho_1=7.0, rho_2=11.0, forearm=0.0, viscous=np.zeros(3), coulomb=np.zeros(3), noise=0.1)
+    trajectory = summarise(pack(robot), record(4, truth))
+    assert np.allclose(paper.means([trajectory])[0][:2], [7.0, 11.0], atol=0.01)
+    warnings = paper.edges([trajectory])
+    assert [re.match(r"log_4\.csv: (rho_\d) = ", line)[1] for line in warnings] == ["rho_1", "rho_2"]  # pyright: ignore[reportOptionalSubscript]
+    assert paper.edges([summarise(pack(robot), record(4))]) == []
+
+
+def test_a_motion_that_asks_for_less_than_no_inertia_is_named(robot: Robot, record: Record) -> None:
+    trajectory = summarise(pack(robot), record(4, Truth(rho_1=-0.5)))
+    (warning,) = paper.edges([trajectory])
+    assert warning.startswith("log_4.csv: rho_1 lies at the grid's lower edge, 0")

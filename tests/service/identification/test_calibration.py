@@ -1,0 +1,118 @@
+"""Logs with a known load: torque constants and the platform's mass come out, and only where they are wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from schemas.errors import DataError
+from schemas.robot import Robot
+from schemas.trace import Trace
+from service.identification.calibration import Calibration, calibrate
+from service.identification.identify import identify
+from service.identification.regression import summarise
+from service.model.description import torque_along
+from service.model.nominal import pack
+from service.model.signals import smooth
+from tests.service.identification.conftest import Truth, multisine, synthesise
+
+SECONDS = 6.0
+EMPTY = (1, 2, 3)
+
+
+def logs(robot: Robot, extra: float = 0.0, scale=(1.0, 1.0, 1.0), load: float = 3.0) -> tuple[list[Trace], Trace]:
+    """Three empty logs and one with `load` kg, of a robot whose platform is `extra` kg heavier than described and whose
+    drives report `scale` times the true torque."""
+    mass = robot.mass.model_copy(update={"platform": robot.mass.platform + extra})
+    model = pack(robot.model_copy(update={"mass": mass}))
+
+    def one(seed: int, payload: float) -> Trace:
+        motion = multisine(seed, SECONDS, 2.0, 1e-3)
+        made = synthesise(model, seed, Truth(payload=payload), motion, 1e-3)
+        return replace(made, torque=made.torque * np.array(scale))
+
+    return [one(seed, 0.0) for seed in EMPTY], one(9, load)
+
+
+@pytest.fixture(scope="module")
+def found(robot: Robot) -> tuple[Calibration, list[Trace], Trace]:
+    empty, loaded = logs(robot, 0.15, (1.05, 0.96, 1.0))
+    return calibrate(robot, empty, [(3.0, loaded)]), empty, loaded
+
+
+def test_torque_constants_and_platform_are_put_right(found: tuple[Calibration, list[Trace], Trace]) -> None:
+    calibration, _, _ = found
+    assert np.allclose(calibration.scale[:2], [1.05, 0.96], atol=0.004)
+    assert calibration.scale[2] == 1.0, "within its error of what is declared: left alone"
+    assert calibration.robot.mass.platform == pytest.approx(1.45, abs=0.02)
+    truth = [1.05, 0.96, 1.0, 1.45]
+    for figure, true in zip(calibration.figures, truth, strict=True):
+        assert abs(figure.value - true) < 4 * figure.std_error
+        assert figure.std_error < 0.01
+    assert [figure.changed for figure in calibration.figures] == [True, True, False, True]
+    said = " ".join(calibration.warnings)
+    assert all(
+        words in said for words in ("joint 1: the drive reports 1.05", "joint 2: the drive", "mass.platform: 1.4")
+    )
+    assert "joint 3" not in said
+
+
+def test_the_description_carries_what_was_found(robot: Robot, found: tuple[Calibration, list[Trace], Trace]) -> None:
+    """It says what the drives report, joint by joint."""
+    calibration, empty, _ = found
+    model = pack(calibration.robot)
+    result = identify(calibration.robot, [summarise(model, calibration.true(log)) for log in empty])
+    assert np.allclose(result.fit.values[:2], [Truth().rho_1, Truth().rho_2], rtol=0.02)
+    description = calibration.carried(result.robot)
+    (effect,) = description.effect
+    assert (effect.name, effect.joints) == ("torque_scale", [1, 2])
+    motion, inner = smooth(empty[0].position, 1e-3), slice(200, -200)
+
+    def left(description: Robot) -> np.ndarray:
+        return (empty[0].torque - torque_along(description, empty[0].time, *motion))[inner].std(axis=0)
+
+    noise = 0.3 * np.array([1.05, 0.96, 1.0])
+    assert (left(description) < 1.3 * noise).all(), "what is left is noise and reversals"
+    assert (left(result.robot)[:2] > 1.5 * left(description)[:2]).all()
+
+
+def test_what_is_as_described_is_left_alone(robot: Robot) -> None:
+    empty, loaded = logs(robot)
+    calibration = calibrate(robot, empty, [(3.0, loaded)])
+    assert calibration.scale.tolist() == [1.0, 1.0, 1.0]
+    assert calibration.robot == robot
+    assert calibration.effect is None
+    assert calibration.warnings == ()
+
+
+def test_a_load_too_light_to_tell_changes_nothing(robot: Robot) -> None:
+    empty, loaded = logs(robot, 0.0, (1.05, 1.05, 1.05), load=0.005)
+    calibration = calibrate(robot, empty, [(0.005, loaded)])
+    assert calibration.scale.tolist() == [1.0, 1.0, 1.0]
+    assert len([line for line in calibration.warnings if "leaves its torque constant open" in line]) == 3
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        (1.5, r"log_9\.csv \(1\.5 kg\): joint \d would report"),
+        (0.0, "0 kg carried"),
+        (float("nan"), "nan kg carried"),
+        (60.0, "60 kg carried"),
+    ],
+)
+def test_a_load_that_is_not_what_it_is_said_to_be(robot: Robot, said: float, words: str) -> None:
+    empty, loaded = logs(robot)
+    with pytest.raises(DataError, match=words):
+        calibrate(robot, empty, [(said, loaded)])
+
+
+def test_a_log_that_is_loaded_in_part_is_refused(robot: Robot) -> None:
+    empty, loaded = logs(robot)
+    bare = logs(robot, load=0.0)[1]
+    half = len(bare.torque) // 2
+    torque = np.concatenate([bare.torque[:half], loaded.torque[half:]])
+    with pytest.raises(DataError, match=r"log_9\.csv: with 3 kg on the platform"):
+        calibrate(robot, empty, [(3.0, replace(loaded, torque=torque))])
