@@ -332,7 +332,7 @@ def find_workspace(geometry: DeltaModel) -> Workspace:
                 return False
         return True
 
-    radii = np.linspace(0.02, 1.0, 99) * geometry.passive_length
+    radii = np.linspace(0.02, 1.0, 99) * geometry.passive_length.min()
     fits = [radius for radius in radii if comfortable(radius)]
     if not fits:
         raise DataError(f"no workspace: no comfortable pose between z = {bottom:.3f} m and {top:.3f} m")
@@ -342,7 +342,7 @@ def find_workspace(geometry: DeltaModel) -> Workspace:
 def _comfortable(geometry: DeltaModel, theta: np.ndarray, platform: np.ndarray) -> bool:
     """Whether poses, joint angles (N, 3) rad and platform (N, 3) m, are within what joints and ball joints allow."""
     lateral = np.abs(platform[:, 1:2] * geometry.azimuth_cos - platform[:, 0:1] * geometry.azimuth_sin)
-    steep = lateral.max() > geometry.passive_length * math.sin(STEEPEST)
+    steep = (lateral > geometry.passive_length * math.sin(STEEPEST)).any()
     return not steep and theta.min() >= WIDEST[0] and theta.max() <= WIDEST[1]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomlkit
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
 from schemas.columns import Columns
 from schemas.errors import RobotError
@@ -25,6 +25,24 @@ NotNegative = Annotated[float, Field(ge=0)]
 Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
+def _vector(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return value
+    if not 0 < value < math.inf:
+        raise ValueError(f"must be greater than 0, or a vector [x, y, z] in the base frame (got {value})")
+    return [0.0, 0.0, -float(value)]
+
+
+def _pulling(value: list[float]) -> list[float]:
+    if not any(value):
+        raise ValueError(f"must pull somewhere (got {value})")
+    return value
+
+
+# A number stands for as much down the z axis, of a robot that hangs level.
+Gravity = Annotated[Three, BeforeValidator(_vector), AfterValidator(_pulling)]
+
+
 class Geometry(_Section):
     """Lengths in metres, azimuths in degrees. Frame: origin at the base centre, z up, the platform works at z < 0."""
 
@@ -34,6 +52,8 @@ class Geometry(_Section):
     platform_radius: Positive
     arm_angles_deg: Three = [0.0, 120.0, 240.0]
     active_link_length_error: Three = [0.0, 0.0, 0.0]  # true minus nominal per arm, found by `diagnose`
+    passive_link_length_error: Three = [0.0, 0.0, 0.0]  # the same of the forearms
+    base_radius_error: Three = [0.0, 0.0, 0.0]  # the same of the joints' distance from the axis, less the platform's
     joint_offset_rad: Three = [0.0, 0.0, 0.0]  # true minus measured angle per joint, found by `diagnose`
     joint_range_rad: Annotated[list[float], Field(min_length=2, max_length=2)] = [-1.6, 2.2]
 
@@ -274,7 +294,7 @@ class Robot(_Section):
 
     name: RobotName
     kind: Literal["delta"] = "delta"
-    gravity_mps2: Positive = 9.81
+    gravity_mps2: Gravity = [0.0, 0.0, -9.81]  # in the base frame: [-9.81, 0, 0] with the x axis up a wall
     geometry: Geometry
     mass: Mass
     drive: Drive = Drive()

@@ -5,7 +5,7 @@ Three things a Delta robot's data can contradict:
 * The torque against the acceleration: the mass matrix is positive definite, so in a regression of a joint's torque on
   all accelerations, friction and gravity its own acceleration has a positive coefficient. Else a torque sign is wrong.
 * The torque against gravity: what hangs on a joint pulls it down, which is positive, so the drive holds it with a
-  negative torque. Else the joint's sign is wrong, or something else carries the arm.
+  negative torque. Else the joint's sign is wrong, or something else carries the arm. Not asked of a robot on a wall.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ SPEED_TOLERANCE = 0.05  # of the speed's scale
 CLEAR_SHARE = 0.05  # of the torque's variance that the own acceleration must explain before its sign is judged
 CLEAR_SIGMAS = 10.0
 GRAVITY_SHARE = 0.2  # of the torque's rms that a load in the wrong direction must reach
+HANGS = 0.8  # share of gravity along -z from which every arm is pulled down
 
 
 class Declaration:
@@ -37,6 +38,7 @@ class Declaration:
 
     def __init__(self, robot: Robot) -> None:
         self._scales = scales(robot.drive)
+        self._hangs = -robot.gravity_mps2[2] > HANGS * float(np.linalg.norm(robot.gravity_mps2))
         self._kept = 0
         self._samples: list[np.ndarray] = []
         self._velocity: list[np.ndarray] = []
@@ -70,7 +72,8 @@ class Declaration:
         for joint, scale in enumerate(self._scales):
             name = f"joint {joint + 1}"
             found += _judge_speed(name, scale, speed[:, joint], velocity[:, joint])
-            found += _judge_torque(name, joint, position, speed, acceleration, samples["torque"][:, joint])
+            torque = samples["torque"][:, joint]
+            found += _judge_torque(name, joint, position, speed, acceleration, torque, self._hangs)
         return found
 
 
@@ -139,7 +142,13 @@ def _judge_speed(name: str, scale: Scale, speed: np.ndarray, units: np.ndarray) 
 
 
 def _judge_torque(
-    name: str, joint: int, position: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, torque: np.ndarray
+    name: str,
+    joint: int,
+    position: np.ndarray,
+    speed: np.ndarray,
+    acceleration: np.ndarray,
+    torque: np.ndarray,
+    hangs: bool,
 ) -> list[str]:
     own = acceleration[:, joint]
     angle, rate = position[:, joint], speed[:, joint]
@@ -162,7 +171,7 @@ def _judge_torque(
             "positive): torque_sign or sign is declared wrong"
         )
     load = float(np.mean(torque - inertia * own))
-    if load > GRAVITY_SHARE * float(np.sqrt(np.mean(torque**2))) and np.mean(np.cos(angle)) > 0.2:
+    if hangs and load > GRAVITY_SHARE * float(np.sqrt(np.mean(torque**2))) and np.mean(np.cos(angle)) > 0.2:
         found.append(
             f"{name}: on average the drive pushes the arm down with {load:.3g} N m, where gravity has to be held: "
             "sign is declared wrong, unless a spring or a counterweight carries the arm"

@@ -105,12 +105,12 @@ def true_geometry(truth: PlantTruth) -> DeltaModel:
         azimuth_sin=np.sin(azimuth),
         joint_offset=zero,
         active_length=np.array(truth.active_link_length_m),
-        passive_length=truth.passive_link_length_m,
-        radius=truth.base_radius_m - truth.platform_radius_m,
+        passive_length=np.array(truth.passive_link_length_m),
+        radius=np.array(truth.base_radius_m) - truth.platform_radius_m,
         inertia=zero,
-        gravity_torque=zero,
+        link_mass=0.0,
         moving_mass=0.0,
-        gravity=0.0,
+        gravity=zero,
     )
 
 
@@ -140,14 +140,14 @@ def close(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
     coordinates[:, mechanism.platform] = platform
     for i in range(3):
         cosine, sine = geometry.azimuth_cos[i], geometry.azimuth_sin[i]
-        radial = cosine * platform[:, 0] + sine * platform[:, 1] - geometry.radius
+        radial = cosine * platform[:, 0] + sine * platform[:, 1] - geometry.radius[i]
         radial = radial - geometry.active_length[i] * np.cos(theta[:, i])
         lateral = -sine * platform[:, 0] + cosine * platform[:, 1]
         vertical = platform[:, 2] + geometry.active_length[i] * np.sin(theta[:, i])
         swing = np.unwrap(np.arctan2(-vertical, radial)) - theta[:, i]
         for rod in range(2):
             coordinates[:, mechanism.arm[i] + 1 + 2 * rod] = swing
-            coordinates[:, mechanism.arm[i] + 2 + 2 * rod] = np.arcsin(lateral / geometry.passive_length)
+            coordinates[:, mechanism.arm[i] + 2 + 2 * rod] = np.arcsin(lateral / geometry.passive_length[i])
     return coordinates
 
 
@@ -265,7 +265,7 @@ def _add_arm(upper: mujoco.MjsBody, design: Design, i: int, step: float) -> None
     about_centre = max(truth.active_link_inertia_kgm2[i] - mass * centre**2, THIN)
     arm = _add_body(upper, f"arm{i}", mass, [centre, 0, 0], [THIN, about_centre, about_centre], **_place(truth, i))
     _hinge(arm, f"arm{i}", step).armature = 0.0 if design.split[i] else truth.rotor_inertia_kgm2[i]
-    rod_mass, rod_length = truth.forearm_kg[i] / 2, truth.passive_link_length_m
+    rod_mass, rod_length = truth.forearm_kg[i] / 2, truth.passive_link_length_m[i]
     across = rod_mass * rod_length**2 / 12
     for number, side in enumerate(SIDES):
         middle, inertia = [rod_length / 2, 0, 0], [THIN, across, across]
@@ -293,8 +293,8 @@ def _add_body(
 
 def _place(truth: PlantTruth, i: int) -> dict[str, list[float]]:
     """Of a joint's axis on the base."""
-    azimuth = math.radians(truth.arm_angles_deg[i])
-    pos = [truth.base_radius_m * math.cos(azimuth), truth.base_radius_m * math.sin(azimuth), 0.0]
+    azimuth, radius = math.radians(truth.arm_angles_deg[i]), truth.base_radius_m[i]
+    pos = [radius * math.cos(azimuth), radius * math.sin(azimuth), 0.0]
     return {"pos": pos, "quat": [math.cos(azimuth / 2), 0.0, 0.0, math.sin(azimuth / 2)]}
 
 

@@ -36,8 +36,8 @@ class PlantTruth(BaseModel):
     gravity_mps2: PerJoint  # vector in the base frame
     # geometry
     active_link_length_m: PositivePerJoint
-    passive_link_length_m: Positive
-    base_radius_m: Positive
+    passive_link_length_m: PositivePerJoint
+    base_radius_m: PositivePerJoint  # of the joints' axes
     platform_radius_m: Positive
     arm_angles_deg: PerJoint
     joint_offset_rad: PerJoint = [0.0, 0.0, 0.0]  # true minus measured angle
@@ -71,10 +71,10 @@ class PlantTruth(BaseModel):
         geometry, mass = robot.geometry, robot.mass
         length = [geometry.active_link_length + error for error in geometry.active_link_length_error]
         return cls(
-            gravity_mps2=[0.0, 0.0, -robot.gravity_mps2],
+            gravity_mps2=robot.gravity_mps2,
             active_link_length_m=length,
-            passive_link_length_m=geometry.passive_link_length,
-            base_radius_m=geometry.base_radius,
+            passive_link_length_m=[geometry.passive_link_length + e for e in geometry.passive_link_length_error],
+            base_radius_m=[geometry.base_radius + error for error in geometry.base_radius_error],
             platform_radius_m=geometry.platform_radius,
             arm_angles_deg=geometry.arm_angles_deg,
             joint_offset_rad=geometry.joint_offset_rad,

@@ -16,8 +16,9 @@ from schemas.errors import RobotError
 from schemas.robot import Robot
 from service.model.description import terms_of
 from service.model.effects import CATALOGUE
-from service.model.effects.base import Correction, Effect, Instant
-from service.model.hypothesis import Term
+from service.model.effects.base import Effect, Instant
+from service.model.hypothesis import Term, correction_of
+from service.model.nominal import pack
 
 MAX_EFFECTS = 12
 _AMPLITUDES, _SHAPES = 4, 2
@@ -65,25 +66,14 @@ def pack_effects(terms: Sequence[Term]) -> np.ndarray:
 
 
 def corrected(robot: Robot) -> tuple[Robot, np.ndarray, np.ndarray]:
-    """`robot` with the geometry its effects say it has; (3,) true over drawn length of its active links; (3,) reported
-    over true torque.
+    """`robot` with the geometry and gravity its effects say it has; (3,) true over drawn length of its active links;
+    (3,) reported over true torque.
 
     Raises:
         RobotError: an effect that is not known, or not described in full.
     """
-    correction = Correction()
-    for term in terms_of(robot):
-        for place, amplitude in zip(term.places, term.amplitude, strict=True):
-            term.effect.correct(correction, place, amplitude)
-    geometry = robot.geometry
-    drawn = geometry.active_link_length + np.array(geometry.active_link_length_error)
-    errors = {
-        "active_link_length_error": (np.array(geometry.active_link_length_error) + correction.length).tolist(),
-        "joint_offset_rad": (np.array(geometry.joint_offset_rad) + correction.offset).tolist(),
-    }
-    ratio = (drawn + correction.length) / drawn
-    update = {"geometry": geometry.model_copy(update=errors)}
-    return robot.model_copy(update=update), ratio, correction.scale
+    correction, drawn = correction_of(terms_of(robot)), pack(robot).active_length
+    return correction.geometry(robot), (drawn + correction.length) / drawn, correction.scale
 
 
 def _dispatcher():
@@ -106,7 +96,7 @@ _online = _dispatcher()
 
 @njit(cache=True)
 def effects_kernel(
-    effects, model, gear_ratio, rho_2, theta, theta_dot, theta_ddot, way, load, seconds, position, work, torque
+    effects, model, gear_ratio, theta, theta_dot, theta_ddot, way, load, seconds, position, work, torque
 ):
     """Add the effects' torque to `torque` (3,), N m, which holds the base model's.
 
@@ -114,7 +104,7 @@ def effects_kernel(
     position, work: as the terms kernel left them for this motion.
     """
     now = Instant(
-        model, gear_ratio, rho_2, theta, theta_dot, theta_ddot, way, load, seconds, position,
+        model, gear_ratio, theta, theta_dot, theta_ddot, way, load, seconds, position,
         work[4, 1], work[4, 2], work[1], work[2], work[4, 0],
     )  # fmt: skip
     for n in range(MAX_EFFECTS):

@@ -154,7 +154,7 @@ def torque_kernel(settings, state, seconds):
         state.way[i] = direction(motion[1, i], settings.transition)
         state.full[i] = state.load[i] + dry_and_viscous(settings, state, i)
     effects_kernel(
-        settings.effect, settings.model, settings.gear_ratio, settings.rho[1, 0], motion[0], motion[1], motion[2],
+        settings.effect, settings.model, settings.gear_ratio, motion[0], motion[1], motion[2],
         state.way, state.load, max(0.0, seconds), state.position, state.work, state.full,
     )  # fmt: skip
     for i in range(3):

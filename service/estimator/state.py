@@ -18,9 +18,10 @@ from service.model.nominal import DeltaModel, pack
 # Per sample, when `identify` has not measured it.
 DEFAULT_TORQUE_NOISE = 0.5  # N m
 
-MODEL = np.dtype([(name, "f8", (3,)) if name in (
-    "azimuth_cos", "azimuth_sin", "joint_offset", "active_length", "inertia", "gravity_torque"
-) else (name, "f8") for name in DeltaModel._fields], align=True)  # fmt: skip
+MODEL = np.dtype(
+    [(name, "f8") if name in ("link_mass", "moving_mass") else (name, "f8", 3) for name in DeltaModel._fields],
+    align=True,
+)
 
 SETTINGS = np.dtype(
     [

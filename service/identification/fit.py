@@ -11,7 +11,7 @@ import numpy as np
 
 from service.model.hypothesis import Hypothesis
 from service.model.parameters import Parameters
-from service.model.scene import Base, Recording, Scene
+from service.model.scene import Recording, Scene
 from service.model.signals import Band
 from service.model.torque import tangent
 
@@ -43,9 +43,9 @@ class Problem:
             problem.rows.append(recording.segment.moving[:: band.step])
         return problem
 
-    def scenes(self, base: Base) -> list[Scene]:
-        """The recordings seen from `base`."""
-        return [Scene(recording, base) for recording in self.recordings]
+    def scenes(self, hypothesis: Hypothesis) -> list[Scene]:
+        """The recordings seen from where `hypothesis` stands."""
+        return [hypothesis.seen(recording) for recording in self.recordings]
 
     @property
     def count(self) -> int:
@@ -100,7 +100,7 @@ def evaluate(problem: Problem, hypothesis: Hypothesis) -> Fit:
         prediction, slope = tangent(scene, hypothesis, problem.band)
         return problem.select(index, problem.target[index] - prediction), problem.select(index, slope)
 
-    parts = list(THREADS.map(one, range(len(problem.recordings)), problem.scenes(hypothesis.base)))
+    parts = list(THREADS.map(one, range(len(problem.recordings)), problem.scenes(hypothesis)))
     residuals, tangents = [residual for residual, _ in parts], [slope for _, slope in parts]
     parameters = Parameters(hypothesis)
     mechanism, period = problem.recordings[0].mechanism, problem.band.period

@@ -123,7 +123,7 @@ def recursion(
     """
     model = pack(robot)
     platform = kinematics.motion(model, along.theta, along.theta_dot, along.theta_ddot)
-    x = platform.acceleration + [0.0, 0.0, robot.gravity_mps2]
+    x = platform.acceleration - model.gravity
     jacobian = kinematics.jacobian(model, along.theta)
     y = np.linalg.solve(np.swapaxes(jacobian, 1, 2), (trace.torque - torque)[..., None])[..., 0]
     y[~along.measured] = np.nan

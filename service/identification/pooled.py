@@ -121,7 +121,7 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:
     noise, share = white_noise(recordings), band.white_share**0.5
     problem = Problem.of(recordings, band, np.maximum(noise, 1e-9) * share)
     first = solver.fit(problem, _start(problem), iterations=2).hypothesis
-    left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first.base)]
+    left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first)]
     above = [values - lowpass(values, period, band.cutoff_hz) for values in left]
     wider = Band.of(period, max(band.cutoff_hz, _ripple_hz(recordings, above)))
     if wider.cutoff_hz > band.cutoff_hz:

@@ -80,7 +80,7 @@ def _blocks(model: DeltaModel, recording: Recording) -> np.ndarray:
     count = len(segment.time)
     columns = np.empty((count, 3, COLUMNS))
     columns[:, :, :WEIGHT_COLUMN] = regressors(recording)
-    columns[:, :, WEIGHT_COLUMN] = model.gravity * jacobian(model, segment.theta)[:, 2]
+    columns[:, :, WEIGHT_COLUMN] = -model.gravity @ jacobian(model, segment.theta)
     columns[:, :, :TORQUE_COLUMN] = lowpass(columns[:, :, :TORQUE_COLUMN], segment.period)
     columns[:, :, TORQUE_COLUMN:ONE_COLUMN] = lowpass(segment.torque, segment.period)[:, None, :]
     columns[:, :, ONE_COLUMN] = 1.0

@@ -17,7 +17,7 @@ from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
 from service.model.mechanism import Mechanism, mechanism_of
 from service.model.parameters import Parameters, base_parameters, parameters_of
-from service.model.scene import Base, Recording, Scene
+from service.model.scene import Base, Recording
 from service.model.signals import Segment
 from service.model.torque import predict
 
@@ -276,4 +276,4 @@ def torque_along(
         np.arange(len(time)), time, period, theta, theta_dot, theta_ddot, still, np.ones(theta.shape, bool)
     )
     recording = Recording(segment, mechanism_of(robot), 0, robot.name)
-    return predict(Scene(recording, hypothesis.base), hypothesis)
+    return predict(hypothesis.seen(recording), hypothesis)

@@ -41,14 +41,15 @@ def terms_kernel(model, theta, theta_dot, theta_ddot, position, work, terms):
             )
             total[axis] += swing[i, axis]
     for i in range(3):
-        load = rod = own = 0.0
+        load = rod = own = weight = 0.0
         for axis in range(3):
             slope = column[i, axis] * lever[i]  # J[axis, i]
-            load += slope * (acceleration[axis] + (model.gravity if axis == 2 else 0.0))
+            load += slope * (acceleration[axis] - model.gravity[axis])
             rod += slope * total[axis]
+            weight += elbow[i, axis] * model.gravity[axis]
             own += elbow[i, axis] * swing[i, axis]
         terms[INERTIA, i] = model.inertia[i] * theta_ddot[i]
-        terms[GRAVITY, i] = -model.gravity_torque[i] * np.cos(theta[i] + model.joint_offset[i])
+        terms[GRAVITY, i] = -model.link_mass * weight
         terms[PLATFORM, i] = model.moving_mass * load
         terms[FOREARM, i] = -(rod - own) / 6.0
         terms[PAYLOAD, i] = load

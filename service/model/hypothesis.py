@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from service.model.effects.base import Effect
-from service.model.scene import Base
+from service.model.nominal import Correction, leaning
+from service.model.scene import Base, Recording, Scene
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,22 @@ class Hypothesis:
     terms: tuple[Term, ...] = ()
     timed: bool = True
 
+    def seen(self, recording: Recording) -> Scene:
+        """A recording from this operating point."""
+        if recording.mechanism.kind != "delta":
+            return Scene(recording, self.base)
+        return Scene(recording, self.base, leaning(recording.delta.model.gravity, correction_of(self.terms).tilt))
+
     @property
     def fits_timing(self) -> bool:
         """A delay effect takes the place of the timing within a sample."""
         return self.timed and not any(term.effect.takes_timing for term in self.terms)
+
+
+def correction_of(terms: Sequence[Term]) -> Correction:
+    """What effects change in the model itself."""
+    correction = Correction()
+    for term in terms:
+        for place, amplitude in zip(term.places, term.amplitude, strict=True):
+            term.effect.correct(correction, place, amplitude)
+    return correction

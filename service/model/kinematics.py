@@ -36,8 +36,8 @@ class PlatformMotion(NamedTuple):
 def pose_kernel(model, theta, position, forearm, column, work):
     """Forward kinematics and Jacobian of one pose.
 
-    The platform is where three spheres of radius l2 round the elbows meet: below the circumcentre of the elbows, on the
-    normal of their plane.
+    The platform is where three spheres of the forearms' lengths round the elbows meet: below their radical centre in
+    the elbows' plane (with equal forearms the elbows' circumcentre), on the normal.
 
     theta: (3,) measured angles. Filled: position (3,); forearm (3, 3), row i is s_i; column (3, 3), row i is
     (s_j x s_k) / det A, so p_dot = sum_i column_i (s_i . p_dot) and J[:, i] = -k_ii column_i. work: (3, 3).
@@ -45,7 +45,7 @@ def pose_kernel(model, theta, position, forearm, column, work):
     """
     for i in range(3):
         angle = theta[i] + model.joint_offset[i]
-        reach = model.radius + model.active_length[i] * math.cos(angle)
+        reach = model.radius[i] + model.active_length[i] * math.cos(angle)
         work[i, 0] = reach * model.azimuth_cos[i]
         work[i, 1] = reach * model.azimuth_sin[i]
         work[i, 2] = -model.active_length[i] * math.sin(angle)
@@ -53,7 +53,9 @@ def pose_kernel(model, theta, position, forearm, column, work):
     bx, by, bz = work[2, 0] - work[0, 0], work[2, 1] - work[0, 1], work[2, 2] - work[0, 2]
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     aa, bb, nn = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz, nx * nx + ny * ny + nz * nz
-    length = model.passive_length
+    length = model.passive_length[0]
+    aa += length * length - model.passive_length[1] * model.passive_length[1]
+    bb += length * length - model.passive_length[2] * model.passive_length[2]
     if not nn > (1e-9 * length * length) ** 2:  # also when NaN
         return SINGULAR
     ox = ((ny * az - nz * ay) * bb + (by * nz - bz * ny) * aa) / (2.0 * nn)
@@ -130,8 +132,8 @@ def inverse_kernel(model, position, theta):
     for i in range(3):
         u = position[0] * model.azimuth_cos[i] + position[1] * model.azimuth_sin[i]
         square = position[0] ** 2 + position[1] ** 2 + position[2] ** 2
-        l1, r = model.active_length[i], model.radius
-        n = 2.0 * r * u - square - l1 * l1 + model.passive_length**2 - r * r
+        l1, l2, r = model.active_length[i], model.passive_length[i], model.radius[i]
+        n = 2.0 * r * u - square - l1 * l1 + l2 * l2 - r * r
         # eq. (1) reads (r - u) cos theta + z sin theta = n / (2 l1); of its two solutions the one with k_ii < 0 has
         # its elbow outward
         cosine = n / (2.0 * l1 * math.hypot(r - u, position[2]))

@@ -19,7 +19,7 @@ from schemas.robot import Robot
 from service.model.arm import UNITS, Arm, Reduction
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
 from service.model.kinematics import jacobian, motion
-from service.model.nominal import DeltaModel, pack
+from service.model.nominal import Correction, DeltaModel, pack
 
 
 class Rigid(NamedTuple):
@@ -114,20 +114,18 @@ class Delta:
         """(N, 3) N m per kg at the platform."""
         return torque_terms(self.model, theta, theta_dot, theta_ddot)[:, PAYLOAD]
 
-    def altered(self, length_error: np.ndarray, joint_offset: np.ndarray) -> Delta:
-        """The same robot with active links longer by (3,) m and joint zeros moved by (3,) rad."""
-        model = self.model
-        length = model.active_length + length_error
-        ratio = length / model.active_length
-        return Delta(
-            model._replace(
-                active_length=length,
-                joint_offset=model.joint_offset + joint_offset,
-                inertia=model.inertia * ratio**2,
-                gravity_torque=model.gravity_torque * ratio,
-            ),
-            self.gear_ratio,
-        )
+    def altered(
+        self, correction: Correction, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray
+    ) -> Rigid:
+        """Torque of (N, 3) motions with another geometry."""
+        altered = Delta(correction.altered(self.model), self.gear_ratio)
+        known, columns = altered.rigid(theta, theta_dot, theta_ddot)
+        # rho_1 and rho_2 also stand for rotor and gear: a longer link changes its own share of inertia and not theirs
+        ratio = self.model.active_length / altered.model.active_length
+        for column, power in ((0, 2), (1, 1)):
+            known = known + (1.0 - ratio**power) * columns[..., column]
+            columns[..., column] *= ratio**power
+        return Rigid(known, columns)
 
     def arms(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Arms:
         """Kinematics of (N, 3) motions."""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from service.model.friction import mean_direction
 from service.model.mechanism import Arms, Delta, Mechanism, Rigid
+from service.model.nominal import Correction
 from service.model.signals import Segment
 
 ANGLE_STEP, SPEED_STEP = 1e-5, 1e-3  # rad, rad/s, of the finite differences of the rigid torque
+GEOMETRY_STEP = 5e-4  # m or rad, of the same by lengths and angles of the arms
 
 Moved = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
@@ -77,23 +79,50 @@ class Recording:
         motion = self.segment
         return self._slope(1.0, lambda step: (motion.theta, motion.theta_dot, motion.theta_ddot + step))
 
+    def by_geometry(self, part: str, arm: int) -> tuple[np.ndarray, np.ndarray]:
+        """(N, n, k + 1) twice: slope of each column and, last, of the known torque by a part of `Correction` at an arm,
+        m or rad, and the slope of that."""
+        if (part, arm) not in self._by_geometry:
+            motion = self.segment.theta, self.segment.theta_dot, self.segment.theta_ddot
+            step = GEOMETRY_STEP * np.eye(3)[arm]
+            above, below = (
+                _stacked(self.delta.altered(Correction(**{part: way * step}), *motion)) for way in (1.0, -1.0)
+            )
+            middle = _stacked(self.rigid)
+            self._by_geometry[part, arm] = (
+                (above - below) / (2 * GEOMETRY_STEP),
+                (above - 2 * middle + below) / GEOMETRY_STEP**2,
+            )
+        return self._by_geometry[part, arm]
+
+    @cached_property
+    def _by_geometry(self) -> dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]:
+        return {}
+
     def _slope(self, size: float, moved: Moved) -> np.ndarray:
         slopes = []
         for joint in range(self.mechanism.joints):
             step = np.zeros(self.mechanism.joints)
             step[joint] = size
             above, below = self.mechanism.rigid(*moved(step)), self.mechanism.rigid(*moved(-step))
-            columns = np.concatenate([above.columns - below.columns, (above.known - below.known)[..., None]], axis=-1)
-            slopes.append(columns / (2 * size))
+            slopes.append((_stacked(above) - _stacked(below)) / (2 * size))
         return np.stack(slopes, axis=-1)
+
+
+def _stacked(rigid: Rigid) -> np.ndarray:
+    return np.concatenate([rigid.columns, rigid.known[..., None]], axis=-1)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A recording seen from an operating point: `base` is where products of parameters are linearised."""
+    """A recording seen from an operating point: `base` is where products of parameters are linearised.
+
+    lean: (3,) m/s^2 of gravity beside the description's, which masses beside it feel too.
+    """
 
     recording: Recording
     base: Base
+    lean: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @property
     def segment(self) -> Segment:
@@ -180,18 +209,11 @@ class Scene:
         force = np.broadcast_to(force, (len(self.time), 3))
         return np.einsum("nai,na->ni", self.arms.jacobian, force)
 
-    def altered(self, length_error: np.ndarray, joint_offset: np.ndarray) -> np.ndarray:
-        """(N, 3) N m: change of the rigid torque with active links longer by (3,) m and zeros moved by (3,) rad."""
-        motion, plain = self.segment, self.recording.rigid
-        altered = self.delta.altered(length_error, joint_offset)
-        rigid = altered.rigid(motion.theta, motion.theta_dot, motion.theta_ddot)
-        # rho_1 and rho_2 also stand for rotor and gear: a longer link changes its own share of inertia and not theirs
-        ratio = altered.model.active_length / self.delta.model.active_length
-        change = rigid.known - plain.known + (rigid.columns - plain.columns) @ self.base.rigid
-        for column, power in ((0, 2), (1, 1)):
-            longer = (1.0 - self.base.rigid[column]) * (1.0 - ratio**-power)
-            change += longer * rigid.columns[..., column]
-        return change
+    def by_geometry(self, part: str, arm: int) -> tuple[np.ndarray, np.ndarray]:
+        """(N, 3) twice: first and second slope of the rigid torque by a part of `Correction` at an arm, m or rad."""
+        weights = np.append(self.base.rigid, 1.0)
+        first, second = self.recording.by_geometry(part, arm)
+        return first @ weights, second @ weights
 
     def perturbed(self, joint: int, angle: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """(N, n) N m: first-order change of the base torque when `joint` moves differently.

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.model.effects.base import Effect, on_joint
+from service.model.effects.base import on_joint
 from service.model.friction import mean_direction
 from service.model.hypothesis import Hypothesis, Term
 from service.model.scene import Scene
@@ -65,7 +65,7 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
                 elif term.effect.own_joint:
                     columns = on_joint(term.effect.regressors(scene, place, term.shape), place, n)
                 else:
-                    columns = _by_amplitude(scene, term, place, amplitude)
+                    columns = term.effect.slopes(scene, place, amplitude, term.shape)
                 at_joint.append(columns)
                 count += columns.shape[-1]
         for index in np.flatnonzero([not shape.fixed for shape in term.effect.shapes.values()]):
@@ -83,15 +83,6 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
         columns[..., index + 1] = values
     columns = band(columns)
     return columns[..., 0], columns[..., 1:]
-
-
-def _by_amplitude(scene: Scene, term: Term, place: int, amplitude: np.ndarray) -> np.ndarray:
-    if type(term.effect).torque is Effect.torque:
-        return term.effect.regressors(scene, place, term.shape)
-    step = 1e-4
-    above = term.effect.torque(scene, place, amplitude + step, term.shape)
-    below = term.effect.torque(scene, place, amplitude - step, term.shape)
-    return ((above - below) / (2 * step))[..., None]
 
 
 def _moved(hypothesis: Hypothesis, term: Term, index: int) -> tuple[Hypothesis, float]:

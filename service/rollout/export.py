@@ -3,7 +3,7 @@
 The forearm term of mass m_f is that of uniform rods of m_f; what point masses the base model has beyond them goes to
 platform and active link, so that rho_1, rho_2 and forearm come out as they were identified:
 
-    platform = M - 3/2 m_f,   about the joint: rho_1 I - m_f/2 l1^2,   first moment: rho_2 G/g - m_f/2 l1
+    platform = M - 3/2 m_f,   about the joint: rho_1 I - m_f/2 l1^2,   first moment: rho_2 (m1/2 + m2) l1 - m_f/2 l1
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -69,7 +69,7 @@ def to_mjcf(robot: Robot) -> Export:
     inertia = (
         rho_1 * model.inertia - forearm / 2 * length**2 + more * length**2 / 3 + amount("rotor_inertia", "delta_i")
     )
-    moment = rho_2 * model.gravity_torque / model.gravity - forearm / 2 * length + more * length / 2
+    moment = (rho_2 * model.link_mass * length) - forearm / 2 * length + more * length / 2
     platform = model.moving_mass - 1.5 * forearm + float(amount("tool_mass", "delta_m")[0])
     if platform <= 0 or (inertia <= 0).any():
         raise RobotError(
@@ -82,11 +82,8 @@ def to_mjcf(robot: Robot) -> Export:
     if (link <= 0).any():
         raise RobotError(f"robot {robot.name}: so much of a joint's inertia on the motor leaves none for its link")
     mass = np.maximum(drawn, 2 * moment**2 / link)  # turning about a fixed axis, only moment and inertia are felt
-    about_x, about_y = amount("base_tilt", "about_x")[0], amount("base_tilt", "about_y")[0]
-    truth = PlantTruth.nominal(robot).model_copy(
+    truth = PlantTruth.nominal(changed).model_copy(
         update={
-            "gravity_mps2": [model.gravity * about_y, -model.gravity * about_x, -model.gravity],
-            "active_link_length_m": length.tolist(),
             "active_link_kg": mass.tolist(),
             "active_link_centre_m": (moment / mass).tolist(),
             "active_link_inertia_kgm2": link.tolist(),
@@ -253,7 +250,8 @@ _DRAG = """        velocity = [float(data.qvel[dof]) for dof in self.platform]
 """
 _IN_THE_MODEL = {
     "rotor_inertia", "arm_mass", "tool_mass", "base_tilt", "joint_spring", "hose_spring", "link_length_error",
-    "joint_offset", "joint_elasticity", "backlash", "torque_scale", "torque_offset",
+    "forearm_length_error", "base_radius_error", "azimuth_error", "joint_offset", "joint_elasticity", "backlash",
+    "torque_scale", "torque_offset",
 }  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from service.model.description import hypothesis_of
 from service.model.dynamics import REST_SPEED
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel
-from service.model.scene import Recording, Scene
+from service.model.scene import Recording
 from service.model.signals import EDGE, Segment, segments, smooth
 from service.model.torque import predict
 from service.rollout.kernel import LONGEST_STEP, SCRATCH, run_kernel
@@ -254,7 +254,7 @@ def noise_of(robot: Robot, trace: Trace, segment: Segment) -> tuple[np.ndarray, 
     """White noise a sample of torque, (3,) N m, and of the angle, (3,) rad: what the motion's smoother takes away."""
     recording = Recording(segment, Delta.of(robot), 0, trace.name)
     hypothesis = hypothesis_of(robot)
-    left = segment.torque - predict(Scene(recording, hypothesis.base), hypothesis)
+    left = segment.torque - predict(hypothesis.seen(recording), hypothesis)
     torque = np.minimum(white_noise([recording]), white_noise([recording], [left]))
     white = np.random.default_rng(SEED).standard_normal((4096, 1))
     share = float(np.std(white - smooth(white, segment.period)[0]))

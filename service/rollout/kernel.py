@@ -100,7 +100,7 @@ def _effects(f, s, effects, theta, theta_dot, seconds, torque):
     for i in range(3):
         torque[i] = 0.0
     effects_kernel(
-        effects, f.model, f.gear_ratio, f.rho_2[0], theta, theta_dot, s.guess, s.way, s.load, seconds, s.position,
+        effects, f.model, f.gear_ratio, theta, theta_dot, s.guess, s.way, s.load, seconds, s.position,
         s.work, torque,
     )  # fmt: skip
 
@@ -110,12 +110,12 @@ def _ball_joints(f, s, link_dot, torque):
     """Add the ball joints' friction, as `passive_joint_friction` has it: by virtual power of the forearms' turning."""
     column, elbow, lever, velocity = s.work[1], s.work[2], s.work[4, 0], s.work[4, 1]
     forearm = s.work[0]
-    over = 1.0 / f.model.passive_length**2
     smooth = max(f.transition, 1e-3)
     turn, per, swing = s.turning[0], s.turning[1], s.turning[2]
     for arm in range(3):
         axle_x, axle_y = -f.model.azimuth_sin[arm], f.model.azimuth_cos[arm]
         x, y, z = forearm[arm, 0], forearm[arm, 1], forearm[arm, 2]
+        over = 1.0 / f.model.passive_length[arm] ** 2
         for axis in range(3):
             swing[axis] = velocity[axis] - elbow[arm, axis] * link_dot[arm]
         turn[0] = (y * swing[2] - z * swing[1]) * over

@@ -132,11 +132,12 @@ class NumpyEstimator:
         elbow = (model.radius + l1 * cosine)[:, None] * self.azimuth - (l1 * sine)[:, None] * down
         slope = -(l1 * sine)[:, None] * self.azimuth - (l1 * cosine)[:, None] * down
         bend = -(l1 * cosine)[:, None] * self.azimuth + (l1 * sine)[:, None] * down
-        # the platform: p = elbow_0 + w with |w| = l2 and equal distance to the other two
+        # the platform: p = elbow_0 + w with |w| a forearm, and so from the other two
         a, b = elbow[1] - elbow[0], elbow[2] - elbow[0]
         normal = np.cross(a, b)
-        centre = (np.cross(normal, a) * (b @ b) + np.cross(b, normal) * (a @ a)) / (2 * normal @ normal)
-        drop = np.sqrt((model.passive_length**2 - centre @ centre) / (normal @ normal))
+        aa, bb = np.array([a @ a, b @ b]) + model.passive_length[0] ** 2 - model.passive_length[1:] ** 2
+        centre = (np.cross(normal, a) * bb + np.cross(b, normal) * aa) / (2 * normal @ normal)
+        drop = np.sqrt((model.passive_length[0] ** 2 - centre @ centre) / (normal @ normal))
         position = elbow[0] + centre - np.sign(normal[2]) * drop * normal
         forearm = position - elbow
         lever = np.einsum("ia,ia->i", forearm, slope)
@@ -146,10 +147,10 @@ class NumpyEstimator:
         right = lever * theta_ddot + np.einsum("ia,ia->i", forearm, bend) * theta_dot**2 - (swing**2).sum(axis=1)
         acceleration = np.linalg.solve(forearm, right)
         rod = acceleration - slope * theta_ddot[:, None] - bend * (theta_dot**2)[:, None]
-        load = jacobian.T @ (acceleration + model.gravity * down)
+        load = jacobian.T @ (acceleration - model.gravity)
         return (
             model.inertia * theta_ddot,
-            -model.gravity_torque * cosine,
+            -model.link_mass * slope @ model.gravity,
             model.moving_mass * load,
             -(jacobian.T @ rod.sum(axis=0) - np.einsum("ia,ia->i", slope, rod)) / 6,
             self.viscous * theta_dot + self.coulomb * np.clip(theta_dot / REST_SPEED, -1, 1),

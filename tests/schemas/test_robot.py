@@ -76,6 +76,9 @@ ONE, TWO = (f"\n[identified]\ntorque_noise_nm = {{value = {v}}}\n#" for v in ([1
         ("0.86", "nan", r"geometry\.passive_link_length: .*\(got nan\)"),
         ("9.81", "inf", r"gravity_mps2: .*\(got inf\)"),
         ("9.81", "-9.81", r"gravity_mps2: .*greater than 0.*\(got -9\.81\)"),
+        ("9.81", "[0, 9.81]", r"gravity_mps2: .*at least 3 items.*\(got \[0, 9\.81\]\)"),
+        ("9.81", "[0, 0, 0.0]", r"gravity_mps2: must pull somewhere"),
+        ("9.81", "true", r"gravity_mps2: .*list.*\(got True\)"),
         ("platform = 1.4", "platform = 0", r"mass\.platform: .*greater than 0.*\(got 0\)"),
         ("active_link = 2.6", "active_link = -2.6", r"mass\.active_link: .*greater than or equal to 0.*\(got -2\.6\)"),
         ("gear_ratio = 5", "gear_ratio = 0", r"drive\.gear_ratio: .*greater than 0.*\(got 0\)"),
@@ -199,7 +202,9 @@ def test_a_save_drops_what_the_robot_no_longer_has(tmp_path: Path) -> None:
 
 def test_a_value_put_back_to_its_default_is_saved(tmp_path: Path) -> None:
     robot = load(tmp_path, TEXT)
-    plain = robot.model_copy(update={"gravity_mps2": 9.81, "drive": robot.drive.model_copy(update={"gear_ratio": 1.0})})
+    plain = robot.model_copy(
+        update={"gravity_mps2": [0.0, 0.0, -9.81], "drive": robot.drive.model_copy(update={"gear_ratio": 1.0})}
+    )
     save_robot(plain, tmp_path / "s.toml", template=tmp_path / "r.toml")
     assert load_robot(tmp_path / "s.toml") == plain
 

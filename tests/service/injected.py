@@ -229,6 +229,13 @@ INJECTED: dict[str, Injected] = {
     "link_length_error": Injected(
         (2,), [[0.008]], (), lambda run, _: built(mechanics.LinkLengthError([0.0, 0.0, 0.008]), run)
     ),
+    "forearm_length_error": Injected(
+        (0,), [[-0.006]], (), lambda run, _: built(mechanics.ForearmLengthError([-0.006, 0.0, 0.0]), run)
+    ),
+    "base_radius_error": Injected(
+        (1,), [[0.012]], (), lambda run, _: built(mechanics.BaseRadiusError([0.0, 0.012, 0.0]), run)
+    ),
+    "azimuth_error": Injected((2,), [[0.03]], (), lambda run, _: built(mechanics.AzimuthError([0.0, 0.0, 0.03]), run)),
     "joint_offset": Injected((0,), [[-0.03]], (), lambda run, _: built(mechanics.JointOffset([-0.03, 0.0, 0.0]), run)),
     "torque_scale": Injected((0,), [[0.05]], (), lambda run, _: driven(sensing.TorqueScale([0.05, 0.0, 0.0]), run)),
     "torque_offset": Injected((1,), [[0.9]], (), lambda run, _: driven(sensing.TorqueOffset([0.0, 0.9, 0.0]), run)),

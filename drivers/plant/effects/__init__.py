@@ -30,6 +30,9 @@ CATALOGUE: dict[str, type[Effect]] = {
     "hose_spring": mechanics.HoseSpring,
     "air_drag": mechanics.AirDrag,
     "link_length_error": mechanics.LinkLengthError,
+    "forearm_length_error": mechanics.ForearmLengthError,
+    "base_radius_error": mechanics.BaseRadiusError,
+    "azimuth_error": mechanics.AzimuthError,
     "joint_offset": mechanics.JointOffset,
     "joint_elasticity": transmission.JointElasticity,
     "backlash": transmission.Backlash,
@@ -40,7 +43,7 @@ CATALOGUE: dict[str, type[Effect]] = {
     "cogging": sensing.Cogging,
     "encoder_eccentricity": sensing.EncoderEccentricity,
 }
-# forearm_inertia, the catalogue's 26th, is in every plant: its forearms are rods
+# forearm_inertia, the catalogue's last, is in every plant: its forearms are rods
 
 OUTSIDE: dict[str, type[Effect]] = {
     "contact_rail": outside.ContactRail,

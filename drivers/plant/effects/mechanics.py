@@ -99,11 +99,11 @@ class BaseTilt(Effect):
         return cls(float(angle * math.cos(way)), float(angle * math.sin(way)))
 
     def shape(self, design: Design) -> Design:
-        g = -design.truth.gravity_mps2[2]
+        x, y, z = design.truth.gravity_mps2
         a, b = self.about_x_rad, self.about_y_rad
         # gravity seen from a base turned about x by a, then about y by b
-        down = [g * math.cos(a) * math.sin(b), -g * math.sin(a), -g * math.cos(a) * math.cos(b)]
-        return design.change(gravity_mps2=down)
+        y, z = math.cos(a) * y + math.sin(a) * z, math.cos(a) * z - math.sin(a) * y
+        return design.change(gravity_mps2=[math.cos(b) * x - math.sin(b) * z, y, math.sin(b) * x + math.cos(b) * z])
 
 
 @dataclass
@@ -129,6 +129,61 @@ class LinkLengthError(Effect):
             active_link_centre_m=(ratio * truth.active_link_centre_m).tolist(),
             active_link_inertia_kgm2=(ratio**2 * truth.active_link_inertia_kgm2).tolist(),
         )
+
+
+@dataclass
+class ForearmLengthError(Effect):
+    """A forearm's rods are longer or shorter than drawn, of the same mass."""
+
+    length_m: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * signed(rng, 0.004, 0.008)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.length_m)
+
+    def shape(self, design: Design) -> Design:
+        return design.change(passive_link_length_m=_plus(design.truth.passive_link_length_m, self.length_m))
+
+
+@dataclass
+class BaseRadiusError(Effect):
+    """A joint's axis is farther from the base's centre than drawn, or nearer."""
+
+    radius_m: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * signed(rng, 0.004, 0.008)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.radius_m)
+
+    def shape(self, design: Design) -> Design:
+        return design.change(base_radius_m=_plus(design.truth.base_radius_m, self.radius_m))
+
+
+@dataclass
+class AzimuthError(Effect):
+    """An arm is mounted at another angle round the base than drawn, and its feet on the platform with it."""
+
+    azimuth_rad: list[float]
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(on_one(rng, severity * signed(rng, 0.008, 0.02)))
+
+    @property
+    def joints(self) -> list[int]:
+        return touched(self.azimuth_rad)
+
+    def shape(self, design: Design) -> Design:
+        turned = [math.degrees(angle) for angle in self.azimuth_rad]
+        return design.change(arm_angles_deg=_plus(design.truth.arm_angles_deg, turned))
 
 
 @dataclass
@@ -177,7 +232,7 @@ class HoseSpring(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        way, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m
+        way, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
         radius = rng.uniform(0.2, 0.35) * depth
         point = [float(radius * math.cos(way)), float(radius * math.sin(way)), float(-rng.uniform(0.3, 0.5) * depth)]
         return cls(float(severity * rng.uniform(10.0, 22.0)), point)

@@ -145,7 +145,7 @@ class HoseJerk(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        way, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m
+        way, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
         radius = 0.25 * depth
         point = [float(radius * math.cos(way)), float(radius * math.sin(way)), -0.4 * depth]
         return cls(float(severity * rng.uniform(120.0, 300.0)), float(rng.uniform(0.42, 0.50) * depth), point)
@@ -211,7 +211,7 @@ class Magnet(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        way, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m
+        way, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
         radius = rng.uniform(0.1, 0.25) * depth
         point = [float(radius * math.cos(way)), float(radius * math.sin(way)), float(-rng.uniform(0.85, 0.95) * depth)]
         return cls(float(severity * signed(rng, 20.0, 40.0)), float(rng.uniform(0.05, 0.09)), point)

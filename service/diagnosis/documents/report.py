@@ -15,7 +15,6 @@ from service.diagnosis.evidence.where import Rows
 from service.diagnosis.findings import Findings
 from service.model.description import in_units_of
 from service.model.hypothesis import Hypothesis
-from service.model.scene import Scene
 from service.model.torque import predict
 from service.pages import write_page
 
@@ -272,7 +271,7 @@ def _density(findings: Findings, hypothesis: Hypothesis) -> tuple[np.ndarray, np
     total, weight, frequency = 0.0, 0, np.zeros(0)
     window = min(WINDOW, max(len(recording.segment.time) for recording in findings.problem.recordings))
     for recording in findings.problem.recordings:
-        residual = recording.segment.torque - predict(Scene(recording, hypothesis.base), hypothesis)
+        residual = recording.segment.torque - predict(hypothesis.seen(recording), hypothesis)
         if len(residual) >= window:
             frequency, density = welch(residual, 1.0 / recording.segment.period, nperseg=window, axis=0)
             total, weight = total + density * len(residual), weight + len(residual)

@@ -17,7 +17,6 @@ from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis
 from service.model.mechanism import Delta
 from service.model.parameters import Parameters
-from service.model.scene import Scene
 
 REVERSAL_SPEED = 0.1  # rad/s: nearer than this to zero is a reversal
 ANGLE_BINS = 10
@@ -44,7 +43,7 @@ class Rows:
         platforms: list[np.ndarray] = []
         for index, recording in enumerate(problem.recordings):
             segment, step = recording.segment, problem.band.step
-            scene = Scene(recording, hypothesis.base)
+            scene = hypothesis.seen(recording)
             clock = np.repeat((segment.time - segment.time[0])[:, None], scene.joints, axis=1)
             states = (segment.theta, segment.theta_dot, segment.theta_ddot, scene.load, clock)
             for part, state in zip(parts, states, strict=True):

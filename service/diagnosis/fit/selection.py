@@ -17,7 +17,7 @@ from service.identification.fit import THREADS, Fit, Problem, fit, solve, within
 from service.identification.folds import Split, block_loss, held_out
 from service.model.effects.base import Effect, on_joint
 from service.model.hypothesis import Hypothesis, Term
-from service.model.scene import Base, Scene
+from service.model.scene import Scene
 from service.model.torque import reported
 
 SHORTLIST = 5  # candidates fitted exactly a step
@@ -87,11 +87,11 @@ class Regressors:
     low: (C,) least that each amplitude can be.
     """
 
-    def __init__(self, problem: Problem, split: Split, effects: Iterable[Effect], base: Base):
+    def __init__(self, problem: Problem, split: Split, effects: Iterable[Effect], start: Hypothesis):
         self.problem, self.split = problem, split
         self.effects = [e for e in effects if problem.recordings[0].mechanism.kind in e.kinds]
         self.index: dict[tuple[Effect, int, tuple[float, ...]], np.ndarray] = {}
-        scenes, low = problem.scenes(base), []
+        scenes, low = problem.scenes(start), []
         for effect in self.effects:
             shapes = dict.fromkeys(shape for scene in scenes for shape in effect.grid(scene))
             for joint in range(scenes[0].joints) if effect.per_joint else (0,):
@@ -110,7 +110,7 @@ class Regressors:
         if bent == self.seen:
             return
         self.seen, split = bent, self.split
-        scenes = self.problem.scenes(hypothesis.base)
+        scenes = self.problem.scenes(hypothesis)
         self.columns = list(
             THREADS.map(lambda n, scene: self._columns(n, scene, hypothesis), range(len(scenes)), scenes)
         )
@@ -328,7 +328,7 @@ def search(
     path: list[tuple[list[Scored], Scored | None]] = []
     trimmed: dict[int, Scored] = {}
     fault: Fault | None = None
-    regressors = Regressors(problem, split, effects, start.base)
+    regressors = Regressors(problem, split, effects, start)
     for _ in range(MOST_EFFECTS if effects else 0):
         progress("weighing the catalogue")
         dictionary = Dictionary(regressors, best.fitted)

@@ -9,7 +9,6 @@ import numpy as np
 
 from service.identification.fit import Problem
 from service.model.hypothesis import Hypothesis, Term
-from service.model.scene import Scene
 
 AT_LIMIT = 1e-6  # of a shape's range: so near to its end it stands there
 
@@ -54,7 +53,7 @@ def _nothing_of(term: Term, place: int) -> bool:
 def _drives(problem: Problem, hypothesis: Hypothesis, rubbing: list[Term], joint: int) -> bool:
     """Whether friction of `joint` puts energy into its motion, in the mean over one direction."""
     work = np.zeros(2)
-    for scene in (Scene(recording, hypothesis.base) for recording in problem.recordings):
+    for scene in (hypothesis.seen(recording) for recording in problem.recordings):
         speed = scene.segment.theta_dot[:, joint]
         torque = hypothesis.base.viscous[joint] * speed + hypothesis.base.coulomb[joint] * scene.direction[:, joint]
         for term in rubbing:

@@ -1,13 +1,13 @@
 """Mass of one active link: inertia and gravity together.
 
-Physics: a uniform link of mass dm adds dm l1^2/3 theta_ddot - dm g l1/2 cos theta.
+Physics: a uniform link of mass dm adds dm l1^2/3 theta_ddot - dm g . d/2, d = dJ'/dtheta: where the robot hangs level
+-dm g l1/2 cos theta.
 Implementation: one regressor a joint.
 Limitations: the same on all joints is in rho_1 and rho_2 of the base model and leaves no gap.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,8 @@ from service.model.scene import Scene
 
 @njit(cache=True)
 def _online(effect, now, i):
-    length = now.model.active_length[i]
-    weight = now.model.gravity * length / 2.0 * math.cos(now.theta[i] + now.model.joint_offset[i])
+    length, g = now.model.active_length[i], now.model.gravity
+    weight = (now.elbow[i, 0] * g[0] + now.elbow[i, 1] * g[1] + now.elbow[i, 2] * g[2]) / 2.0
     return effect.amplitude[i, 0] * (length * length / 3.0 * now.theta_ddot[i] - weight)
 
 
@@ -41,7 +41,5 @@ class ArmMass(Effect):
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
         model, motion = scene.delta.model, scene.segment
-        length = model.active_length[joint]
-        angle = motion.theta[:, joint] + model.joint_offset[joint]
-        inertia = length**2 / 3 * motion.theta_ddot[:, joint]
-        return (inertia - model.gravity * length / 2 * np.cos(angle))[:, None]
+        inertia = model.active_length[joint] ** 2 / 3 * motion.theta_ddot[:, joint]
+        return (inertia - scene.arms.slope[:, joint] @ (model.gravity + scene.lean) / 2)[:, None]

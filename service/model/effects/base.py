@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 
 from service.model.mechanism import Mechanism
+from service.model.nominal import Correction
 from service.model.scene import Scene
 
 
@@ -30,7 +31,6 @@ class Instant(NamedTuple):
 
     model: Any
     gear_ratio: float
-    rho_2: float
     theta: np.ndarray
     theta_dot: np.ndarray
     theta_ddot: np.ndarray
@@ -49,16 +49,6 @@ class Instant(NamedTuple):
 def at_platform(now, i, x, y, z):
     """Torque of joint i, N m, that holds a force x, y, z, N, acting from the platform on its surroundings."""
     return now.lever[i] * (now.column[i, 0] * x + now.column[i, 1] * y + now.column[i, 2] * z)
-
-
-@dataclass(frozen=True)
-class Correction:
-    """What effects change in the online model itself, (3,) each: length of the active links m, zeros of the joints rad,
-    reported over true torque."""
-
-    length: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    scale: np.ndarray = field(default_factory=lambda: np.ones(3))
 
 
 @dataclass(frozen=True)
@@ -173,8 +163,8 @@ class Effect(ABC):
         return float(np.abs(amplitude).max(initial=0.0))
 
     def correct(self, correction: Correction, joint: int, amplitude: np.ndarray) -> None:  # noqa: B027 - most do not
-        """Put the effect, with amplitudes (k,) on `joint`, into the online model's settings; only where it changes them
-        instead of adding a torque."""
+        """Put the effect, with amplitudes (k,) on `joint`, into what is corrected of the online model; only where it
+        adds no torque instead."""
 
     def put_inside(  # noqa: B027 - most do not
         self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
@@ -195,6 +185,17 @@ class Effect(ABC):
         columns = self.regressors(scene, joint, shape)
         torque = columns @ amplitude if self.amplitudes else columns[..., 0]
         return on_joint(torque, joint, scene.joints) if self.own_joint else torque
+
+    def slopes(self, scene: Scene, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> np.ndarray:
+        """Slope (N, n, k) of `torque` by each amplitude; only of effects that reach several joints."""
+        if type(self).torque is Effect.torque:
+            return self.regressors(scene, joint, shape)
+        steps = 1e-4 * np.eye(len(amplitude))
+        columns = [
+            self.torque(scene, joint, amplitude + step, shape) - self.torque(scene, joint, amplitude - step, shape)
+            for step in steps
+        ]
+        return np.stack(columns, axis=-1) / 2e-4
 
     def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
         """What is reported of a true joint torque (..., n); only where `measured`."""

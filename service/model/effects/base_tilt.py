@@ -1,8 +1,9 @@
 """The base is not level.
 
 Physics: gravity leans by two small angles, on every mass.
-Implementation: torque per rad about x and about y, linear in the angles, with rho_2 on the active links.
-Limitations: small angles; a turn about z does nothing.
+Implementation: torque per rad, linear in the angles, with rho_2 on the active links; masses that other effects add feel
+it as a product at the operating point.
+Limitations: small angles; a turn about gravity's own direction does nothing.
 """
 
 from __future__ import annotations
@@ -10,19 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from service.model.effects.base import Amplitude, Effect, at_platform
+from service.model.effects.base import Amplitude, Effect
+from service.model.nominal import Correction, leaning
 from service.model.scene import Scene
-
-
-@njit(cache=True)
-def _online(effect, now, i):
-    # gravity leans by two small angles: its reaction is g (-y, x, 1)
-    gx, gy = -effect.amplitude[0, 1] * now.model.gravity, effect.amplitude[0, 0] * now.model.gravity
-    link = now.rho_2 * now.model.gravity_torque[i] / (now.model.gravity * now.model.active_length[i])
-    platform = now.model.moving_mass * at_platform(now, i, gx, gy, 0.0)
-    return platform + link * (now.elbow[i, 0] * gx + now.elbow[i, 1] * gy)
 
 
 @dataclass(frozen=True)
@@ -33,7 +25,6 @@ class BaseTilt(Effect):
     title = "The base is not level"
     means = "Put a level on the base frame and shim it, or enter the tilt in the description."
     beyond = 0.35
-    online = staticmethod(_online)
     per_joint = False
     own_joint = False
     kinds = frozenset({"delta"})
@@ -41,11 +32,14 @@ class BaseTilt(Effect):
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 2)."""
-        model, arms = scene.delta.model, scene.arms
-        # In base axes gravity is R' (0, 0, -g): tilting by (x, y) makes the upward reaction g (-y, x, 1).
-        link_mass = scene.base.rigid[1] * model.gravity_torque / (model.gravity * model.active_length)
+        model = scene.delta.model
+        link_mass = scene.base.rigid[1] * model.link_mass
         columns = []
-        for upward in (np.array([0.0, 1.0, 0.0]), np.array([-1.0, 0.0, 0.0])):
-            reaction = model.gravity * upward
-            columns.append(model.moving_mass * scene.at_platform(reaction) + link_mass * (arms.slope @ reaction))
+        for tilt in np.eye(2):
+            lean = leaning(model.gravity, tilt)
+            columns.append(-model.moving_mass * scene.at_platform(lean) - link_mass * (scene.arms.slope @ lean))
         return np.stack(columns, axis=-1)
+
+    def correct(self, correction: Correction, joint: int, amplitude: np.ndarray) -> None:
+        """Another gravity."""
+        correction.tilt[:] += amplitude

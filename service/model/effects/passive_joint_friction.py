@@ -34,12 +34,14 @@ class PassiveJointFriction(Effect):
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 4)."""
         arms, theta_dot = scene.arms, scene.segment.theta_dot
-        length2 = scene.delta.model.passive_length**2
+        length2 = scene.delta.model.passive_length[:, None] ** 2
         swing_per_joint = np.repeat(arms.jacobian[:, None], 3, axis=1)  # (N, arm, axis, joint)
         for arm in range(3):
             swing_per_joint[:, arm, :, arm] -= arms.slope[:, arm]
         turn = np.cross(arms.forearm, arms.swing) / length2
-        turn_per_joint = np.cross(arms.forearm[..., None], swing_per_joint, axisa=2, axisb=2, axisc=2) / length2
+        turn_per_joint = (
+            np.cross(arms.forearm[..., None], swing_per_joint, axisa=2, axisb=2, axisc=2) / length2[..., None]
+        )
         bend = turn - arms.axle * theta_dot[..., None]
         bend_per_joint = turn_per_joint.copy()
         for arm in range(3):

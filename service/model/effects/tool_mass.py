@@ -1,6 +1,6 @@
 """Mass at the platform.
 
-Physics: T = dm J' (p_ddot + g).
+Physics: T = dm J' (p_ddot - g).
 Implementation: the payload term of the model.
 Limitations: with one tool all the time part of it hides in rho_1 and rho_2.
 """
@@ -19,7 +19,8 @@ from service.model.scene import Scene
 @njit(cache=True)
 def _online(effect, now, i):
     a = now.acceleration
-    return effect.amplitude[0, 0] * at_platform(now, i, a[0], a[1], a[2] + now.model.gravity)
+    g = now.model.gravity
+    return effect.amplitude[0, 0] * at_platform(now, i, a[0] - g[0], a[1] - g[1], a[2] - g[2])
 
 
 @dataclass(frozen=True)
@@ -38,4 +39,5 @@ class ToolMass(Effect):
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 1)."""
         motion = scene.segment
-        return scene.delta.payload(motion.theta, motion.theta_dot, motion.theta_ddot)[..., None]
+        held = scene.delta.payload(motion.theta, motion.theta_dot, motion.theta_ddot)
+        return (held - scene.at_platform(scene.lean))[..., None]

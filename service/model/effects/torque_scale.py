@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Correction, Effect
+from service.model.effects.base import Amplitude, Effect
+from service.model.nominal import Correction
 from service.model.scene import Scene
 
 

@@ -72,6 +72,17 @@ def test_inverse_dynamics_predict_the_torque_over_the_whole_workspace(name: str,
     assert platform[:, 2].max() > space.top - 0.1 * (space.top - space.bottom)
 
 
+@pytest.mark.parametrize("gravity", [[-9.81, 0.0, 0.0], [0.0, 0.0, 9.81]], ids=["wall", "upside down"])
+def test_inverse_dynamics_predict_the_torque_however_the_base_is_mounted(gravity: list[float], robot: Robot) -> None:
+    turned = robot.model_copy(update={"gravity_mps2": gravity})
+    run = Planner(turned, 1e-3).multisine(np.random.default_rng(3), 2.0)
+    trace = simulate(Plant(turned, PlantTruth.nominal(turned)), run)
+    motion, inner = differentiated(trace.position, trace.period), slice(10, -10)
+    left = trace.torque - prediction(turned, motion, forearm=True)
+    assert rms(left[inner]) < 1e-3 * rms(trace.torque)
+    assert rms((trace.torque - prediction(robot, motion, forearm=True))[inner]) > 0.1 * rms(trace.torque)
+
+
 def test_payload_is_a_mass_at_the_platform(robot: Robot, planner: Planner, ideal: Plant) -> None:
     run = planner.pick_and_place(np.random.default_rng(1), 4.0, (3.8, 1.2))
     trace = simulate(ideal, run)

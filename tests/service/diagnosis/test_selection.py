@@ -96,8 +96,8 @@ def test_the_dictionarys_loss_is_that_of_least_squares(name):
     )
     fitted = fit(logs, base)
     effect = EFFECTS[name]
-    dictionary = Dictionary(Regressors(logs, split, [effect, EFFECTS["torque_offset"]], BASE), fitted)
-    here = logs.scenes(fitted.hypothesis.base)
+    dictionary = Dictionary(Regressors(logs, split, [effect, EFFECTS["torque_offset"]], base), fitted)
+    here = logs.scenes(fitted.hypothesis)
     assert dictionary.nothing == pytest.approx(sum(r @ r for r in left_out(fitted.moving, fitted.residuals)), rel=1e-6)
     for joints in [(1,), (0, 1, 2)] if effect.per_joint else [()]:
         shape = effect.grid(here[0])[-1]
@@ -119,7 +119,7 @@ def test_the_ranking_puts_the_true_effect_first_and_leaves_out_what_is_not_offer
     split = Split.of(logs)
     fitted = fit(logs, Hypothesis(BASE))
     effects = [EFFECTS[n] for n in ("cogging", "joint_spring", "tool_mass", "air_drag")]
-    dictionary = Dictionary(Regressors(logs, split, effects, BASE), fitted)
+    dictionary = Dictionary(Regressors(logs, split, effects, Hypothesis(BASE)), fitted)
     ranking = dictionary.ranking((), 3, lambda effect, joint: True)
     assert ranking[0][1].effect is EFFECTS["joint_spring"]
     assert ranking[0][1].joints == (0,)
@@ -138,14 +138,15 @@ def test_the_ranking_puts_the_true_effect_first_and_leaves_out_what_is_not_offer
 
 def test_one_joint_is_preferred_to_all_unless_the_others_gain():
     loads = logs_of("load_dependent_friction")
+    start = Hypothesis(BASE)
     ranking = Dictionary(
-        Regressors(loads, Split.of(loads), [EFFECTS["load_dependent_friction"]], BASE), fit(loads, Hypothesis(BASE))
+        Regressors(loads, Split.of(loads), [EFFECTS["load_dependent_friction"]], start), fit(loads, start)
     ).ranking((), 3, lambda effect, joint: True)
     assert ranking[0][1].joints == (0, 1, 2)
     one = logs_of("cogging")
-    ranking = Dictionary(
-        Regressors(one, Split.of(one), [EFFECTS["cogging"]], BASE), fit(one, Hypothesis(BASE))
-    ).ranking((), 3, lambda effect, joint: True)
+    ranking = Dictionary(Regressors(one, Split.of(one), [EFFECTS["cogging"]], start), fit(one, start)).ranking(
+        (), 3, lambda effect, joint: True
+    )
     assert ranking[0][1].joints == (1,)
 
 
@@ -295,7 +296,7 @@ def test_two_effects_are_both_found():
     assert taken is not None
     assert found.after(taken).names == taken.names
     assert evaluate(logs, found.best.hypothesis).cost / logs.count == pytest.approx(1.0, abs=0.06)
-    assert isinstance(logs.scenes(BASE)[0], Scene)
+    assert isinstance(logs.scenes(Hypothesis(BASE))[0], Scene)
 
 
 def test_what_the_other_folds_leave_open_does_not_run_away_on_the_one_left_out():

@@ -69,7 +69,7 @@ def test_residuals_are_target_less_prediction_in_units_of_the_noise():
     logs = replace(problem(runs, [runs[0].torque + noise]), sigma=np.array([0.1, 0.2, 0.5]))
     term = INJECTED["air_drag"].term("air_drag")
     hypothesis = Hypothesis(BASE, (term,))
-    (scene,) = logs.scenes(BASE)
+    (scene,) = logs.scenes(Hypothesis(BASE))
     difference = logs.band(runs[0].torque + noise - predict(scene, hypothesis)) / [0.1, 0.2, 0.5]
     expected = np.concatenate([difference[logs.rows[0][:, j], j] for j in range(3)])
     found = evaluate(logs, hypothesis)

@@ -18,6 +18,8 @@ def robot() -> Robot:
             platform_radius=0.05,
             arm_angles_deg=[5.0, 118.0, 247.0],
             active_link_length_error=[0.0, 0.004, -0.006],
+            passive_link_length_error=[0.003, -0.005, 0.0],
+            base_radius_error=[-0.004, 0.0, 0.006],
             joint_offset_rad=[0.01, 0.0, -0.02],
         ),
         mass=Mass(active_link=2.7, passive_link=0.55, platform=1.3),

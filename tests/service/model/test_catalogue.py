@@ -101,6 +101,9 @@ STATED = {
     ),
     "air_drag": ("", {"c": ("N s^2/m^2", 0.0, INF)}, [], INF, INF, "delta"),
     "link_length_error": ("per_joint", {"error": ("m", -INF, INF)}, [], 0.2, 0.05, "delta"),
+    "forearm_length_error": ("per_joint", {"error": ("m", -INF, INF)}, [], 0.1, 0.05, "delta"),
+    "base_radius_error": ("per_joint", {"error": ("m", -INF, INF)}, [], 0.1, 0.05, "delta"),
+    "azimuth_error": ("per_joint", {"error": ("rad", -INF, INF)}, [], 0.3, 0.1, "delta"),
     "joint_offset": ("per_joint", {"error": ("rad", -INF, INF)}, [], 0.3, 0.05, "delta"),
     "joint_elasticity": (
         "per_joint rough",
@@ -195,7 +198,7 @@ def test_an_effect_is_what_is_stated(name):
     assert list(found) == list(quantities), "the order of the documents"
     assert sorted(effect.same) == same
     assert (effect.beyond, effect.beyond_together) == (beyond, together)
-    assert effect.kinds == (frozenset({"delta"}) if kind else frozenset({"delta", "axes"}))
+    assert effect.kinds == (frozenset({"delta"}) if kind else frozenset({"delta", "axes", "chain"}))
     assert effect.settles
 
 

@@ -30,8 +30,12 @@ def energies(model, robot, q, q_dot, *, exact):
     kinetic = 0.5 * m0 * w @ w + 0.5 * (m1 / 3 * l1**2 * q_dot**2).sum()
     for arm in u:
         kinetic += mf / 6 * (arm @ arm + arm @ w + w @ w) if exact else mf / 4 * (arm @ arm + w @ w)
-    elbow_z, z = -l1 * np.sin(angle), kinematics.forward(model, q)[2]
-    potential = model.gravity * (m0 * z + (m1 / 2 * elbow_z).sum() + (mf / 2 * (elbow_z + z)).sum())
+    reach = model.radius + l1 * np.cos(angle)
+    elbow = np.stack([reach * model.azimuth_cos, reach * model.azimuth_sin, -l1 * np.sin(angle)], 1)
+    axle = np.stack([model.radius * model.azimuth_cos, model.radius * model.azimuth_sin, np.zeros(3)], 1)
+    platform = kinematics.forward(model, q)
+    moment = m0 * platform + m1 * (axle + elbow).sum(0) / 2 + mf / 2 * (elbow + platform).sum(0)
+    potential = -model.gravity @ moment
     return kinetic, potential
 
 
@@ -40,8 +44,11 @@ def model_torque(model, robot, q, q_dot, q_ddot, *, exact):
     return terms[INERTIA] + terms[GRAVITY] + terms[PLATFORM] + exact * robot.mass.passive_link * terms[FOREARM]
 
 
-@pytest.mark.parametrize("exact", [False, True], ids=["two points", "rod"])
-def test_torque_is_the_lagrangian_derivative(model, robot, poses, exact):
+@pytest.mark.parametrize(
+    ("exact", "gravity"), [(False, [0.0, 0.0, -9.81]), (True, [-7.0, 5.0, 3.0])], ids=["two points", "rod, leaning"]
+)
+def test_torque_is_the_lagrangian_derivative(model, robot, poses, exact, gravity):
+    model = model._replace(gravity=np.array(gravity))
     random = np.random.default_rng(5)
     for q in poses[:20]:
         q_dot, q_ddot = random.normal(0, 4, 3), random.normal(0, 60, 3)

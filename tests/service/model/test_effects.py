@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from service.model.effects.geometry import GeometryError
 from tests.service.injected import BY_TWO_MASSES, INJECTED, reports
 from tests.service.subject import (
     EFFECTS,
@@ -48,7 +49,7 @@ def test_regressors_are_the_slope_of_its_torque(name):
     effect, here = EFFECTS[name], scene(course(1, 0.4))
     injected = INJECTED[name]
     joint, shape = (injected.joints or (0,))[-1], injected.shape
-    linear = name not in ("link_length_error", "joint_offset")
+    linear = not isinstance(effect, GeometryError)
     amplitude = np.array(injected.amplitude[-1]) * linear  # a linearisation holds at zero
     step = 1e-3 * np.abs(injected.amplitude[-1])
     columns = effect.regressors(here, joint, shape)
@@ -119,6 +120,6 @@ def test_tangents_are_slopes_of_the_prediction(names):
 def approximate(term: Term) -> list[float]:
     """How far each slope of a term may be off, amplitudes before shapes."""
     name = term.effect.name
-    amplitude = {"link_length_error": 1e-4, "joint_offset": 1e-4, "torque_scale": 0.06}.get(name, 1e-6)
+    amplitude = {"torque_scale": 0.06}.get(name, 1e-6)
     shape = 0.13 if name in ("cogging", "encoder_eccentricity") else 0.03
     return [amplitude] * term.amplitude.size + [shape] * len(term.shape)

@@ -87,21 +87,21 @@ def test_unreachable_and_singular_poses_are_errors_with_the_pose(model):
 
 
 def test_forearms_in_one_plane_are_singular(model):
-    flat = model._replace(passive_length=1.0, active_length=np.full(3, 0.9), joint_offset=np.zeros(3))
+    flat = model._replace(passive_length=np.ones(3), active_length=np.full(3, 0.9), joint_offset=np.zeros(3))
     azimuth = np.radians([0.0, 120.0, 240.0])
-    flat = flat._replace(azimuth_cos=np.cos(azimuth), azimuth_sin=np.sin(azimuth), radius=0.1)
+    flat = flat._replace(azimuth_cos=np.cos(azimuth), azimuth_sin=np.sin(azimuth), radius=np.full(3, 0.1))
     with pytest.raises(PoseError, match="singular pose"):
         kinematics.forward(flat, np.zeros(3))  # elbows exactly one forearm from the axis
 
 
 def test_a_stretched_arm_has_no_joint_velocity(model):
     straight = model._replace(joint_offset=np.zeros(3))
-    reach = straight.active_length[0] + straight.passive_length
+    reach = straight.active_length[0] + straight.passive_length[0]
     # base pivot of arm 1 plus a straight arm at 1 rad
     position = np.array(
         [
-            (straight.radius + reach * np.cos(1.0)) * straight.azimuth_cos[0],
-            (straight.radius + reach * np.cos(1.0)) * straight.azimuth_sin[0],
+            (straight.radius[0] + reach * np.cos(1.0)) * straight.azimuth_cos[0],
+            (straight.radius[0] + reach * np.cos(1.0)) * straight.azimuth_sin[0],
             -reach * np.sin(1.0) + 1e-9,
         ]
     )

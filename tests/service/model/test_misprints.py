@@ -73,11 +73,11 @@ def test_a_k_V_and_G_as_printed_are_exact_in_another_frame(model, robot, pose):
         q = q + model.joint_offset
         height = -kinematics.forward(model, q - model.joint_offset)[2]
         links = (m1 / 2 + m2) * (l1 * np.sin(q)).sum()
-        return model.gravity * (links + (3 * m2 + robot.mass.platform) * height)
+        return -model.gravity[2] * (links + (3 * m2 + robot.mass.platform) * height)
 
     step = 1e-6 * np.eye(3)
     slope = np.array([(energy(theta + e) - energy(theta - e)) / 2e-6 for e in step])
-    gravity = (m1 / 2 + m2) * model.gravity * l1 * np.cos(angle)  # G as printed
+    gravity = (m1 / 2 + m2) * -model.gravity[2] * l1 * np.cos(angle)  # G as printed
     static = torque_terms(model, theta, np.zeros(3), np.zeros(3))
     assert np.allclose(slope, gravity - static[PLATFORM], atol=1e-7)  # and the platform's weight the other way too
 
@@ -100,7 +100,7 @@ def test_potential_energy_and_gravity_torque(model, robot, pose):
     def energy(q, sign):
         height = sign * model.active_length * np.sin(q + model.joint_offset)  # elbow
         z0 = kinematics.forward(model, q)[2]
-        return model.gravity * (m1 / 2 * height.sum() + m2 * (3 * z0 + height.sum()) + m0 * z0)
+        return -model.gravity[2] * (m1 / 2 * height.sum() + m2 * (3 * z0 + height.sum()) + m0 * z0)
 
     def slope(sign):
         step = 1e-6
@@ -138,7 +138,7 @@ def test_payload_is_one_scalar_in_three_rows(model, poses):
     k = np.diag(model.active_length * ((u - model.radius) * np.sin(angle) + position[2] * np.cos(angle)))
     terms = torque_terms(model, theta, theta_dot, theta_ddot)
     y = -a @ np.linalg.inv(k) @ (2.5 * terms[PAYLOAD])
-    x = kinematics.motion(model, theta, theta_dot, theta_ddot).acceleration + [0, 0, model.gravity]
+    x = kinematics.motion(model, theta, theta_dot, theta_ddot).acceleration + [0, 0, -model.gravity[2]]
     assert np.allclose(y / x, 2.5)
 
 

@@ -36,6 +36,9 @@ INJECTED: dict[str, tuple[list[int], dict[str, float]]] = {
     "hose_spring": ([], {"k": 30.0, "force_x": 4.0, "force_y": -6.0, "force_z": 9.0}),
     "air_drag": ([], {"c": 2.0}),
     "link_length_error": ([2], {"error": 0.012}),
+    "forearm_length_error": ([1], {"error": -0.015}),
+    "base_radius_error": ([3], {"error": 0.012}),
+    "azimuth_error": ([2], {"error": 0.03}),
     "joint_offset": ([1], {"error": 0.03}),
     "joint_elasticity": ([2], {"natural_hz": 9.0, "damping_ratio": 0.1, "motor_share": 0.3}),
     "backlash": ([1], {"half": 0.004, "contact_hz": 120.0, "contact_damping": 2.0, "motor_share": 0.3}),
@@ -128,8 +131,9 @@ def test_energy_is_kept_without_friction():
     _, mass = forward_dynamics(seen.model, BASE.rigid, theta, theta_dot, theta)
     kinetic = 0.5 * np.einsum("ni,nij,nj->n", theta_dot, mass, theta_dot)
     height = kinematics.forward(seen.model, theta)[:, 2]
-    links = -BASE.rigid[1] * np.sum(seen.model.gravity_torque * np.sin(theta), axis=1)
-    energy = kinetic + seen.model.moving_mass * ROBOT.gravity_mps2 * height + links - theta @ held
+    g = -ROBOT.gravity_mps2[2]
+    links = -BASE.rigid[1] * np.sum(seen.model.link_mass * g * seen.model.active_length * np.sin(theta), axis=1)
+    energy = kinetic + seen.model.moving_mass * g * height + links - theta @ held
     assert np.abs(theta - theta[0]).max() > 1.0
     assert np.ptp(energy) < 1e-6 * kinetic.max()
 

@@ -1,0 +1,25 @@
+"""An arm is mounted at another azimuth than described.
+
+Physics: its plane is turned about the base's axis, at base and platform alike.
+Implementation: as in `geometry`.
+Limitations: all arms turned alike are a turned base, which no torque shows where gravity is along the axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from service.model.effects.base import Amplitude
+from service.model.effects.geometry import GeometryError
+
+
+@dataclass(frozen=True)
+class AzimuthError(GeometryError):
+    error: Amplitude = Amplitude("rad", "true minus described azimuth")
+    name = "azimuth_error"
+    title = "An arm is mounted at another angle round the base"
+    means = "Measure the angles between the arms round the base's axis and correct the description."
+    part = "azimuth"
+    beyond_together = 0.1
+    beyond = 0.3
+    settles = "fast moves to all sides of the workspace"
