@@ -23,8 +23,11 @@ GRIP = 0.06  # s that the platform stands while a payload is gripped or let go
 HOME = 0.15  # rad, all joints: where slow and multisine runs start and end
 STEEPEST = math.radians(40)  # of a forearm out of the plane of its arm: what ball joints allow
 WIDEST = (-0.85, 1.4)  # rad, joint angles that the work space may ask for
+LONGEST_MOVE = 20.0  # s
 DRIVE_ACCELERATION = 400.0  # rad/s^2 at which drives for pick-and-place throw links and platform about
 TORQUE_GRID = 5e-3  # s between the instants at which the torque limit is checked
+SLACK = 1.005  # of a limit, that a motion read from a file may be above it: the way between its points is a spline
+REST = 0.01  # rad/s
 
 
 class Payload(NamedTuple):
@@ -77,8 +80,7 @@ class Planner:
 
     def __init__(self, robot: Robot, period: float, limits: MotionLimits | None = None):
         self.period = period
-        # the rest is for friction, a payload and the feedback
-        self.limits = limits or MotionLimits(torque=0.6 * peak_torque(robot))
+        self.limits = limits or limits_of(robot)
         self.geometry: DeltaModel = pack(robot)
         self.forearm_kg = robot.mass.passive_link
         self.range = robot.geometry.joint_range_rad
@@ -150,6 +152,27 @@ class Planner:
             ]
         )
         return self._largest(_even(_windowed(wave, window), rng), speed)
+
+    def swing(
+        self, duration: float, frequency: float, weight: np.ndarray, phase: np.ndarray, middle: np.ndarray, share: float
+    ) -> Trajectory:
+        """Sines round `middle`, from rest and back, as large as `share` of the limits allows.
+
+        frequency: Hz of the first harmonic. weight, phase: (3, H), rad, of the harmonics of each joint, the weights as
+        speeds. middle: (3,) beside the weights over the frequency, how far the joints swing away from `HOME`.
+        """
+        time = self._clock(duration)
+        omega = 2 * math.pi * frequency * np.arange(1, weight.shape[1] + 1)
+        argument = omega[:, None] * time + phase[..., None]
+        wave = np.stack(
+            [
+                ((weight / omega)[..., None] * omega[:, None] ** n * np.sin(argument + n * math.pi / 2)).sum(axis=1).T
+                for n in range(3)
+            ]
+        )
+        wave[0] += middle / omega[0]
+        window = _window(time, duration, min(0.5, duration / 4))
+        return self._largest(_windowed(wave, window), share, what="swing")
 
     def slow(self, rng: np.random.Generator, duration: float) -> Trajectory:
         """A slow sweep of every joint with reversals, below 1.3 rad/s, to show friction and gravity."""
@@ -257,6 +280,8 @@ class Planner:
                 break
             # torque and acceleration go with the square of the time; a little less than full, so that it settles
             length *= math.sqrt(over / 0.985)
+            if length > LONGEST_MOVE:
+                raise DataError(f"a move from here to there takes more than {LONGEST_MOVE:g} s within these limits")
             path = self._gate_in(start, end, lift, length)
         return path
 
@@ -275,7 +300,42 @@ class Planner:
     def _joint(self, platform: kinematics.PlatformMotion, payloads: tuple[Payload, ...]) -> Trajectory:
         return Trajectory(self.period, *kinematics.inverse_motion(self.geometry, platform), payloads)
 
-    def _largest(self, wave: np.ndarray, share: float, limits: MotionLimits | None = None) -> Trajectory:
+    def check(self, motion: Trajectory, name: str) -> None:
+        """See that a motion from elsewhere is one that this planner could have made.
+
+        Raises:
+            DataError: naming the first joint, instant, value and limit that is not kept, or an end that is not at rest.
+            PoseError: a pose out of reach.
+        """
+        low, high = self.range
+        torque = self.torque(motion.position, motion.velocity, motion.acceleration)
+        for values, least, most, unit in (
+            (motion.position, low, high, "rad"),
+            (motion.velocity, -self.limits.speed, self.limits.speed, "rad/s"),
+            (motion.acceleration, -self.limits.acceleration, self.limits.acceleration, "rad/s^2"),
+            (torque, -self.limits.torque, self.limits.torque, "N m"),
+        ):
+            middle, half = (least + most) / 2, (most - least) / 2
+            if (beyond := ~(np.abs(values - middle) <= SLACK * half)).any():
+                row, joint = np.argwhere(beyond)[0]
+                raise DataError(
+                    f"{name}: joint {joint + 1} at {row * self.period:.3f} s: {values[row, joint]:.4g} {unit}, "
+                    f"must be {least:.4g} to {most:.4g} {unit}"
+                )
+        for row in range(0, len(motion.position), max(1, round(TORQUE_GRID / self.period))):
+            pose = motion.position[row : row + 1]
+            if not _comfortable(self.geometry, pose, kinematics.forward(self.geometry, pose)):
+                raise DataError(f"{name}: at {row * self.period:.3f} s outside the workspace")
+        for row, ending in ((0, "starts"), (-1, "ends")):
+            joint = int(np.abs(motion.velocity[row]).argmax())
+            if abs(motion.velocity[row, joint]) > REST:
+                raise DataError(
+                    f"{name}: joint {joint + 1} {ending} at {motion.velocity[row, joint]:.3g} rad/s, not at rest"
+                )
+
+    def _largest(
+        self, wave: np.ndarray, share: float, limits: MotionLimits | None = None, what: str = "multisine"
+    ) -> Trajectory:
         """Joint motion `HOME + scale wave` with the largest scale that stays in limits and workspace."""
 
         def at(scale: float) -> Trajectory:
@@ -296,7 +356,15 @@ class Planner:
             return self.excess(motion, share, limits)
 
         top = float(np.abs(wave[0]).max())
-        return at(_fullest(excess, 1e-3 / top, 1.5 / top, "multisine"))
+        return at(_fullest(excess, 1e-3 / top, 1.5 / top, what))
+
+
+def limits_of(robot: Robot) -> MotionLimits:
+    """What a motion of `robot` stays within, unless other limits are given; the torque without friction."""
+    peak = robot.limits.peak_torque_nm or math.inf
+    speed = min(MotionLimits.speed, robot.limits.joint_speed_radps)
+    # the rest is for friction, a payload and the feedback
+    return MotionLimits(speed=speed, torque=0.6 * min(peak, peak_torque(robot)))
 
 
 def peak_torque(robot: Robot) -> float:

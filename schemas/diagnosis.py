@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from schemas.robot import Effect
+
 Verdict = Literal["within_noise", "explained", "partly_explained", "unexplained"]
 
 
@@ -90,6 +92,17 @@ class Ranked(_Section):
     joints: list[int]
     probability: float
     after_nm: float
+    shrink: float
+
+
+class Rival(_Section):
+    """What came into question where the data decide least: all effects of a model, as a description carries them.
+
+    probability, shrink: as in `Ranked`, of the last of them.
+    """
+
+    effects: list[Effect]
+    probability: float
     shrink: float
 
 
@@ -248,7 +261,8 @@ class Diagnosis(_Section):
 
     plain: parameters of the base model fitted without effects. base: refitted together with the effects. tests: the
     correction on logs given for that alone. given: effects that the description carried already. follows: what is left
-    follows, strongest first. moved: base parameters from the baseline's, where one is given.
+    follows, strongest first. moved: base parameters from the baseline's, where one is given. rivals: what a motion that
+    settles it has to tell apart, best first.
     """
 
     schema_: Literal["deltatwin.diagnosis/2"] = Field("deltatwin.diagnosis/2", alias="schema")
@@ -269,3 +283,4 @@ class Diagnosis(_Section):
     given: list[str]
     follows: list[Follows] = []
     moved: dict[str, Moved] = {}
+    rivals: list[Rival] = []

@@ -46,6 +46,10 @@ def command(
         ),
     ] = Source.CYCLE,
     rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second (Hz).")] = 1000.0,
+    motion: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Motion to run instead of the pick-and-place, as `plan-motion` writes it."),
+    ] = None,
     duration: Annotated[float, typer.Option(min=1.0, help="Length of the pick-and-place (s).")] = 30.0,
     speed: Annotated[float, typer.Option(min=0.05, max=1.0, help="Share of the acceleration limits to use.")] = 0.5,
     carry: Annotated[bool, typer.Option(help="Grip a product on every way there (digital output 0x60FE).")] = True,
@@ -57,12 +61,13 @@ def command(
     insecure: Insecure = False,
     effects: OwnEffects = None,
 ) -> None:
-    """Bring three CiA 402 drives into operation, run a pick-and-place and stop them again.
+    """Bring three CiA 402 drives into operation, run a pick-and-place or a motion from a file and stop them again.
 
     Cyclic synchronous position mode; tau_FF goes out as torque offset 0x60B2 in the drive's unit, within the peak and
     slope of the description's `limits`, and fades to zero within their torque_fade_s where nothing fresh comes. Over
     the bus the planned motion goes out as `reference`, and only answers to it count. `health` is published in every
-    mode. Ctrl-C stops the drives.
+    mode. Ctrl-C stops the drives. A motion from a file is refused where it breaks a limit of speed, acceleration,
+    torque, joint range or workspace, or does not start and end at rest; it carries nothing.
 
     Example: deltatwin master eth1 --robot d3.toml --duration 60
     """
@@ -92,11 +97,17 @@ def command(
 
     period = 1 / rate
     peak, slope = bounds_of(description)
-    motion = Planner(description, period).pick_and_place(
-        np.random.default_rng(seed), duration, masses=(1.0,) if carry else (), speed=speed
-    )
+    planner = Planner(description, period)
+    if motion is None:
+        planned = planner.pick_and_place(
+            np.random.default_rng(seed), duration, masses=(1.0,) if carry else (), speed=speed
+        )
+    else:
+        from drivers.motion_file import read_motion
+
+        planned = read_motion(motion, description, planner)
     with ExitStack() as stack:
-        show = stack.enter_context(counting(f"master {interface}", len(motion)))
+        show = stack.enter_context(counting(f"master {interface}", len(planned)))
         torque: InCycle | OverBus | None = None
         if feedforward is Source.CYCLE:
             torque = InCycle(Estimator(description, period))
@@ -114,7 +125,7 @@ def command(
             torque = OverBus(bus, peak, period)
         done, interrupted = 0, False
         with Master(interface, description, period, wait_until) as master:
-            plan = course(master.operate(), motion)
+            plan = course(master.operate(), planned)
             limit = peak if max_torque is None else min(peak, max_torque)
             offset = OffsetRamp(master.scale, limit, slope, description.limits.torque_fade_s, period)
             typer.echo(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,13 +17,7 @@ if TYPE_CHECKING:
     from schemas.robot import Robot
 
 
-class MotionKind(StrEnum):
-    """Motions that `drivers.motion.Planner` plans."""
-
-    PICK = "pick"
-    MULTISINE = "multisine"
-    BOUND = "bound"
-    SLOW = "slow"
+KINDS = ("pick", "multisine", "bound", "slow")  # of motions that `drivers.motion.Planner` plans
 
 
 def command(
@@ -32,9 +25,13 @@ def command(
         Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML), or one that comes along: d3-1200.")
     ],
     motion: Annotated[
-        MotionKind,
-        typer.Option(help="pick: between two conveyors; multisine: excites all; bound: workspace rim; slow: sweep."),
-    ] = MotionKind.PICK,
+        str,
+        typer.Option(
+            metavar="|".join((*KINDS, "FILE")),
+            help="pick: between two conveyors; multisine: excites all; bound: workspace rim; slow: sweep; or a motion "
+            "from a file, as `plan-motion` writes it.",
+        ),
+    ] = "pick",
     out: Annotated[Path | None, typer.Option(help="Trace to write (.csv, .csv.gz, .mcap).")] = None,
     picks: Annotated[
         Path | None, typer.Option(help="CSV to write of what was carried when, as `payload` takes it.")
@@ -75,14 +72,17 @@ def command(
     import numpy as np
 
     from drivers.motion import MotionLimits, Planner
+    from drivers.motion_file import read_motion
     from schemas.errors import DataError
     from schemas.files import check_folder
     from schemas.robot import load_robot
 
     if out is None and not live:
         raise typer.BadParameter("say where to write the trace (--out), or run --live", param_hint="--out")
-    if payload and motion is not MotionKind.PICK:
-        raise typer.BadParameter(f"only `pick` carries a payload, not `{motion.value}`", param_hint="--payload")
+    if motion not in KINDS and not Path(motion).suffix:
+        raise typer.BadParameter(f"{motion!r} is none of {', '.join(KINDS)} and no file", param_hint="--motion")
+    if payload and motion != "pick":
+        raise typer.BadParameter(f"only `pick` carries a payload, not `{motion}`", param_hint="--payload")
     for path in (out, picks):
         if path is not None:
             check_folder(path.parent)
@@ -93,7 +93,10 @@ def command(
     planner.limits = MotionLimits(**(vars(planner.limits) | {key: value for key, value in given.items() if value}))
     if planner.limits.torque > plant.truth.peak_torque_nm:
         raise DataError(f"--max-torque {max_torque} N m: the drives give {plant.truth.peak_torque_nm:.6g} N m at most")
-    planned = _plan(planner, motion, np.random.default_rng([seed, 1]), duration, tuple(payload or ()), speed)
+    if motion in KINDS:
+        planned = _plan(planner, motion, np.random.default_rng([seed, 1]), duration, tuple(payload or ()), speed)
+    else:
+        planned = read_motion(Path(motion), description, planner)
     if live:
         _live(description, plant, planner.closed(planned), loop, out, zenoh_config, insecure)
     else:
@@ -120,17 +123,17 @@ def make_plant(robot: Robot, truth: str | None, period: float, seed: int) -> tup
 
 def _plan(
     planner: Planner,
-    kind: MotionKind,
+    kind: str,
     rng: np.random.Generator,
     duration: float,
     masses: tuple[float, ...],
     speed: float,
 ) -> Trajectory:
-    if kind is MotionKind.PICK:
+    if kind == "pick":
         return planner.pick_and_place(rng, duration, masses, speed)
-    if kind is MotionKind.MULTISINE:
+    if kind == "multisine":
         return planner.multisine(rng, duration, speed)
-    if kind is MotionKind.BOUND:
+    if kind == "bound":
         return planner.bound(rng, duration, speed)
     return planner.slow(rng, duration)
 

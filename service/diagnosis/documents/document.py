@@ -10,17 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.axes import Description
-from schemas.diagnosis import Diagnosis, Estimate, Gap, Made, Moved, NamedEffect, Online, Ranked
+from schemas.axes import Axes, Description
+from schemas.diagnosis import Diagnosis, Estimate, Gap, Made, Moved, NamedEffect, Online, Ranked, Rival
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
-from service.diagnosis.evidence.rivals import Contest, confusable, contests
+from service.diagnosis.evidence.rivals import Contest, confusable, contests, undecided
 from service.diagnosis.evidence.unseen import unseen
 from service.diagnosis.evidence.where import where, without
 from service.diagnosis.findings import Findings
 from service.estimator.effects import carried
 from service.identification.folds import block_loss
-from service.model.description import base_errors, described, digits, in_units_of
+from service.model.description import base_errors, described, digits, entry, in_units_of
 from service.model.effects.base import Effect
 from service.model.parameters import Parameters, base_parameters, shown_parameters
 
@@ -91,6 +91,7 @@ def document(findings: Findings, tests: Sequence[Trace] = (), made: Made | None 
         given=[term.effect.name for term in findings.given],
         follows=findings.follows,
         moved=_moved(findings),
+        rivals=_rivals(findings, rounds),
     )
 
 
@@ -203,6 +204,21 @@ def _ranking(findings: Findings, rounds: list[Contest]) -> list[Ranked]:
             if known is None or entry.probability > known.probability:
                 best[entry.name] = entry
     return sorted(best.values(), key=lambda entry: (-entry.probability, entry.after_nm))
+
+
+def _rivals(findings: Findings, rounds: list[Contest]) -> list[Rival]:
+    """The candidates of the round that is decided least, as far as the gap shrinks by them."""
+    contest = undecided(findings.selection, rounds)
+    if contest is None or isinstance(findings.robot, Axes):  # motions are planned for a Delta
+        return []
+    found = []
+    for scored, probability in contest.candidates:
+        shrink = 1.0 - (scored.loss / contest.before.loss) ** 0.5
+        terms = scored.hypothesis.terms
+        if shrink > 0:
+            effects = [entry(term, np.zeros(term.amplitude.size + len(term.shape)), findings.robot) for term in terms]
+            found.append(Rival(effects=effects, probability=round(probability, 4), shrink=round(shrink, 4)))
+    return sorted(found, key=lambda rival: -rival.shrink)
 
 
 def _none(findings: Findings, rounds: list[Contest]) -> float:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from schemas.diagnosis import Burst, Caution, Diagnosis, Estimate, NamedEffect, Regime, Shrunk, Simulated, Unseen
+from service.diagnosis.evidence.rivals import SURE
 
 VERDICTS = {
     "within_noise": "What is left between model and robot is within the noise of the torque signal.",
@@ -69,6 +70,7 @@ ONLINE = {
     "of_the_measurement": "offline only: of the reported torque, not of the robot",
     "no_online_form": "offline only: the online model does without it",
 }
+PLANNED = "deltatwin plan-motion --diagnosis FOLDER makes the run that tells apart what came into question here."
 MOST_TOLD = 6  # events
 MOST_NEAR = 3  # candidates told where none is named
 HARDLY = 0.1  # shrink below which there was hardly a gap
@@ -123,8 +125,12 @@ def answer(document: Diagnosis) -> Answer:
 
 
 def _settling(document: Diagnosis) -> list[str]:
-    settles = dict.fromkeys(e.settles for e in document.effects if e.confusable_with or e.probability < 0.9)
-    return [f"To be sure, record {settle}." for settle in settles]
+    settles = dict.fromkeys(e.settles for e in document.effects if e.confusable_with or e.probability < SURE)
+    lines = [f"To be sure, record {settle}." for settle in settles]
+    open_ = document.verdict in ("unexplained", "partly_explained") and not document.effects
+    if len(document.rivals) > 1 and (settles or open_):
+        lines.append(PLANNED)
+    return lines
 
 
 def _how_much(effect: NamedEffect) -> list[str]:

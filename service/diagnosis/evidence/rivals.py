@@ -10,6 +10,7 @@ from service.diagnosis.fit.selection import LEAST_GAIN, SIMPLER_SHARE, TOLD_APAR
 from service.identification.folds import Split
 
 DRAWS = 1000
+SURE = 0.9  # probability from which a name is not asked about again
 SAME_SHARE = 0.95  # of an effect's gain: a rival that reaches it does the same on this data
 
 
@@ -41,6 +42,16 @@ def contests(selection: Selection, split: Split, rows: int, seed: int = 0) -> li
         if taken is not None:
             parent = selection.after(taken)
     return result
+
+
+def undecided(selection: Selection, rounds: list[Contest]) -> Contest | None:
+    """The first round whose winner others might be as well; where there is none, the first of all."""
+    for contest, (_, taken) in zip(rounds, selection.path, strict=True):
+        if taken is not None:
+            name = taken.names[-1]
+            if contest.probability(name) < SURE or confusable(selection, name):
+                return contest
+    return rounds[0] if rounds else None
 
 
 def confusable(selection: Selection, name: str) -> list[str]:

@@ -1,0 +1,56 @@
+"""A planned motion as a file: joint and platform position at the controller's rate, and the torque it should take.
+
+The file is a trace as well: `replay` plays it, with the torque that was expected.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from scipy.interpolate import make_interp_spline
+
+from drivers.motion import Planner, Trajectory
+from drivers.trace import read_trace
+from schemas.errors import DataError
+from schemas.files import write_text
+from schemas.robot import Robot
+from service.model import kinematics
+
+DECIMALS = 12  # the way is differentiated twice
+
+
+def write_motion(motion: Trajectory, torque: np.ndarray, planner: Planner, path: Path) -> None:
+    """Write `motion` and the torque (N + 1, 3) N m expected along it.
+
+    Raises:
+        StorageError: the file cannot be written.
+    """
+    platform = kinematics.forward(planner.geometry, motion.position)
+    columns = {"time_s": np.arange(len(motion.position)) * motion.period}
+    columns |= {f"position_{joint + 1}_rad": motion.position[:, joint] for joint in range(3)}
+    columns |= {f"torque_{joint + 1}_nm": torque[:, joint] for joint in range(3)}
+    columns |= {f"platform_{axis}_m": platform[:, number] for number, axis in enumerate("xyz")}
+    write_text(path, pl.DataFrame(columns).write_csv(float_precision=DECIMALS))
+
+
+def read_motion(path: Path, robot: Robot, planner: Planner) -> Trajectory:
+    """The motion of a file, at the planner's period, checked against its limits.
+
+    Raises:
+        TraceError: the file cannot be read. DataError: a row is flagged, or the motion breaks a limit.
+    """
+    trace = read_trace(path, robot)
+    if trace.flags.any():
+        row = int(np.flatnonzero(trace.flags)[0])
+        said = trace.findings[0].message if trace.findings else "flagged"
+        raise DataError(f"{path}: row {row + 1}: a motion to run has no faults: {said}")
+    count = int((trace.time[-1] - trace.time[0]) / planner.period + 1e-6)
+    time = np.minimum(trace.time[0] + np.arange(count + 1) * planner.period, trace.time[-1])
+    if len(trace) < 6 or count < 2:
+        raise DataError(f"{path}: {len(trace)} rows make no motion")
+    way = make_interp_spline(trace.time, trace.position, k=5)
+    motion = Trajectory(planner.period, way(time), way(time, 1), way(time, 2))
+    planner.check(motion, str(path))
+    return motion

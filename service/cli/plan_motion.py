@@ -1,0 +1,227 @@
+"""`deltatwin plan-motion`: the run that tells apart what a diagnosis could not, or that identifies best."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.cli.reading import AsJson, OwnEffects
+
+if TYPE_CHECKING:
+    from drivers.motion import Planner, Trajectory
+    from schemas.diagnosis import Diagnosis
+    from schemas.robot import Robot
+    from service.planning.question import Apart, Figures, Pair
+
+NOISE_SHARE = 0.005  # of the torque limit, where no noise is known
+MOST_TOLD = 6  # pairs
+
+
+class Purpose(enum.StrEnum):
+    """What a run is for."""
+
+    DIAGNOSE = "diagnose"
+    IDENTIFY = "identify"
+
+
+def command(
+    robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML), with its limits")],
+    out: Annotated[Path, typer.Option(help="Motion to write (.csv): what `simulate`, `master` and `replay` run")],
+    diagnosis: Annotated[Path | None, typer.Option(help="Folder that `diagnose` wrote")] = None,
+    purpose: Annotated[
+        Purpose, typer.Option("--for", help="diagnose: tell its rivals apart; identify: base parameters.")
+    ] = Purpose.DIAGNOSE,
+    duration: Annotated[float, typer.Option(min=5.0, max=15.0, help="Length of the run (s)")] = 10.0,
+    rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz)")] = 1000.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the search: same seed, same motion")] = 0,
+    max_speed: Annotated[float | None, typer.Option(min=0.01, help="Joint speed limit (rad/s)")] = None,
+    max_acceleration: Annotated[float | None, typer.Option(min=0.1, help="Joint acceleration limit (rad/s^2)")] = None,
+    max_torque: Annotated[
+        float | None, typer.Option(min=0.1, help="Joint torque limit, without friction (N m)")
+    ] = None,
+    effects: OwnEffects = None,
+    json: AsJson = False,
+) -> None:
+    """Plan the run that settles what these logs left open, and say what it is expected to show.
+
+    Inside the workspace of the description and within its limits of speed, acceleration and torque, empty, from rest to
+    rest. What it shows is over the noise of the torque: whatever else the robot does besides the rivals comes on top.
+
+    Example: deltatwin plan-motion --robot r.toml --diagnosis diag --out motion.csv
+
+    Example: deltatwin plan-motion --robot r.toml --for identify --out motion.csv
+    """
+    import time
+    from json import dumps
+
+    import numpy as np
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from drivers.motion import MotionLimits, Planner, limits_of
+    from drivers.motion_file import write_motion
+    from schemas.errors import DataError
+    from schemas.files import check_folder
+    from schemas.robot import load_robot
+    from service.estimator.bounds import bounds_of
+    from service.planning.plan import at_rate, evaluations, plan
+    from service.planning.question import PERIOD, Apart, expected
+
+    check_folder(out.parent)
+    description = load_robot(robot, effects)
+    given = {"speed": max_speed, "acceleration": max_acceleration, "torque": max_torque}
+    limits = MotionLimits(**(vars(limits_of(description)) | {key: value for key, value in given.items() if value}))
+    if limits.speed > (most := description.limits.joint_speed_radps):
+        raise DataError(
+            f"--max-speed {limits.speed:g} rad/s: limits.joint_speed_radps of {description.name} is {most:g}"
+        )
+    planner = Planner(description, PERIOD, limits)
+    if purpose is Purpose.DIAGNOSE:
+        if diagnosis is None:
+            raise typer.BadParameter(
+                "say which diagnosis left something open, or --for identify", param_hint="--diagnosis"
+            )
+        known, found = _diagnosed(diagnosis, description, effects)
+        question = _apart(known, found, diagnosis)
+        carried = found.rivals[0].effects
+    else:
+        known = description
+        question = _figures(known, limits.torque)
+        carried = known.effect
+    begin = time.perf_counter()
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("planning", total=evaluations(duration))
+        motion = plan(planner, question, duration, lambda: progress.advance(task), seed)
+    spent = time.perf_counter() - begin
+    shown = question.shown(motion, whole=True)
+    sent = at_rate(motion, 1.0 / rate)
+    planner.period = sent.period
+    planner.check(sent, str(out))
+    torque = expected(known, carried, sent)
+    peak = bounds_of(description).peak_nm
+    if np.abs(torque).max() > peak:
+        raise DataError(
+            f"with its friction the motion would take {np.abs(torque).max():.4g} N m, the drives give {peak:.4g} N m: "
+            f"plan with less than --max-torque {limits.torque:.4g}"
+        )
+    write_motion(sent, torque, planner, out)
+    if isinstance(question, Apart):
+        pairs = question.learned(shown)
+        lines = _told(pairs)
+        result = {"pairs": [vars(pair) for pair in pairs]}
+    else:
+        learned = question.learned(shown)
+        lines = [
+            f"After this run, by torque noise of {', '.join(f'{s:.2g}' for s in question.view.sigma)} N m in the band:"
+        ]
+        lines += [f"  {name} ± {error:.2g} {unit}".rstrip() for name, (error, unit) in learned.items()]
+        result = {"std_errors": {name: error for name, (error, _) in learned.items()}}
+    if json:
+        typer.echo(dumps({"motion": str(out), "duration_s": sent.duration, "planned_in_s": round(spent, 1)} | result))
+        return
+    typer.echo("\n".join(lines))
+    typer.echo(f"planned in {spent:.0f} s: {out}, {_used(sent, planner)}")
+
+
+def _diagnosed(folder: Path, robot: Robot, effects: Path | None) -> tuple[Robot, Diagnosis]:
+    """The corrected description and the document of a diagnosis of `robot`.
+
+    Raises:
+        DataError: it is of another robot, or what is there is no diagnosis. RobotError: it left no corrected.toml.
+    """
+    from pydantic import ValidationError
+
+    from schemas.diagnosis import Diagnosis
+    from schemas.errors import DataError
+    from schemas.files import MIB, read_bytes
+    from schemas.robot import load_robot
+
+    path = folder / "diagnosis.json"
+    try:
+        found = Diagnosis.model_validate_json(read_bytes(path, 64 * MIB, DataError))
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "file"
+        raise DataError(f"{path}: {where}: {first['msg']}: not what diagnose writes") from error
+    if found.robot != robot.name:
+        raise DataError(f"{path}: a diagnosis of robot {found.robot!r}, not of {robot.name!r}")
+    corrected = load_robot(folder / "corrected.toml", effects)
+    for key in ("geometry", "mass", "drive"):
+        if getattr(corrected, key) != getattr(robot, key):
+            raise DataError(f"{folder / 'corrected.toml'}: its [{key}] is not that of robot {robot.name!r}")
+    return corrected, found
+
+
+def _apart(known: Robot, found: Diagnosis, folder: Path) -> Apart:
+    """
+    Raises:
+        DataError: there are no two rivals. RobotError: a rival that is not known.
+    """
+    import numpy as np
+
+    from schemas.errors import DataError
+    from service.model.description import terms_of
+    from service.planning.question import Apart, View
+
+    rivals = []
+    for rival in found.rivals:
+        carrying = known.model_copy(update={"effect": rival.effects})
+        carrying._effects_file = known.effects_file
+        rivals.append(terms_of(carrying))
+    question = Apart(View.of(known, np.array(found.gap.noise_floor_nm), found.gap.band_hz), rivals)
+    if not question.pairs:
+        raise DataError(
+            f"{folder}: nothing came into question that a motion could tell apart "
+            f"({len(rivals)} candidate{'' if len(rivals) == 1 else 's'}); --for identify plans a run all the same"
+        )
+    return question
+
+
+def _figures(known: Robot, torque: float) -> Figures:
+    """torque: N m, limit, by which the noise is assumed where the description has none."""
+    import numpy as np
+
+    from service.planning.question import Figures, View
+
+    noise = known.identified.torque_noise_nm if known.identified else None
+    view = View.of(known, np.array(noise.value) if noise else np.full(3, NOISE_SHARE * torque))
+    return Figures(replace(view, sigma=view.sigma * view.band.white_share**0.5))
+
+
+def _told(pairs: list[Pair]) -> list[str]:
+    """What the run is expected to show, and what not."""
+    told = [
+        f"After this run {pair.one} and {pair.other} differ by {pair.errors:.0f} standard errors."
+        for pair in pairs
+        if pair.told
+    ]
+    more = len(told) - MOST_TOLD
+    lines = told[:MOST_TOLD] + ([f"... and {more} more pairs by more."] if more > 0 else [])
+    return lines + [
+        f"No run within these limits was found to tell {pair.one} from {pair.other} ({pair.errors:.1f})."
+        for pair in pairs
+        if not pair.told
+    ]
+
+
+def _used(motion: Trajectory, planner: Planner) -> str:
+    """How much of the limits a motion takes."""
+    import numpy as np
+
+    limits = planner.limits
+    torque = planner.torque(motion.position, motion.velocity, motion.acceleration)
+    used = (
+        f"{np.abs(values).max():.3g} of {limit:.3g} {unit}"
+        for values, limit, unit in (
+            (motion.velocity, limits.speed, "rad/s"),
+            (motion.acceleration, limits.acceleration, "rad/s^2"),
+            (torque, limits.torque, "N m"),
+        )
+    )
+    return f"{motion.duration:.1f} s at {1 / motion.period:.0f} Hz, up to {', '.join(used)}"

@@ -1,0 +1,1 @@
+"""Which motion settles it? A run to make, from what a diagnosis left open."""
