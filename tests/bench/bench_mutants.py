@@ -3,8 +3,9 @@
 The tests of a room run once as they are; what each test calls is written down. Then every mutant is put to the tests
 that call the changed function, the fastest first. A change in the body of a Python function is made in a fork of this
 process; any other (a kernel, a constant of a module) in a temporary copy of the tree by a process of its own. Killed: a
-test fails or does not end in time, or the code cannot be imported. Survivors are listed; `equivalent.txt` beside this
-file lists the changes that no test can see, with the reason.
+test fails, or the code cannot be imported. Late: many times the CPU time that the tests take as they are. A run that
+tells neither (no test, wrong usage, an error of pytest's own) ends the bench. Survivors are listed; `equivalent.txt`
+beside this file lists the changes that no test can see, with the reason.
 """
 
 from __future__ import annotations
@@ -14,18 +15,20 @@ import contextlib
 import functools
 import gc
 import io
+import json
 import os
 import random
 import re
+import resource
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+import traceback
 import types
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -37,7 +40,12 @@ ROOT = Path(__file__).parents[2]
 ROOMS = ("model", "estimator", "identification", "diagnosis")
 EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 PAGES = ("blindpage.py", "report.py")  # pictures and prose, looked at in tests/service/pages
-LEAST_TIME, TIMES = 120.0, 4.0  # s, and times as long as the tests take on the code as it is
+LEAST_TIME, TIMES = 200.0, 4.0  # s of CPU, kernels compiled anew included, and times what the tests take as they are
+WAIT = 600  # s a test may take by the clock
+QUICK = 1.0  # s, fixtures included: a test that is put before all others, whatever file it is in
+PYTEST = ("-x", "-q", "-p", "no:cacheprovider", f"--timeout={WAIT}", "--tb=line")
+PASSED, FAILED, LATE, UNUSED, BROKEN = "SURVIVED", "killed", "late", "UNUSED", "broken"
+_UNUSED, _BROKEN = 77, 78  # exit codes of a fork
 
 
 def sites(room: str) -> list[Mutant]:
@@ -54,57 +62,87 @@ def copy(to: Path) -> None:
         if source.is_dir():
             shutil.copytree(source, to / name, ignore=shutil.ignore_patterns("__pycache__"))
         else:
-            shutil.copy(source, to / name)
+            shutil.copy2(source, to / name)
+    if (ROOT.parent / "shared").is_dir():
+        (to.parent / "shared").symlink_to(ROOT.parent / "shared")
 
 
-def apart(tree: Path, arguments: Sequence[str], limit: float) -> int:
-    """Exit code (-1 out of time) of pytest in a copy of the tree."""
-    known = {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": str(tree / ".kernels")}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", f"--rootdir={tree}", *arguments]
-    try:
-        done = subprocess.run(command, cwd=tree, timeout=limit, capture_output=True, env={**os.environ, **known})
-    except subprocess.TimeoutExpired:
-        return -1
-    return done.returncode
+def verdict(code: int, said: str) -> str:
+    """What an exit code means; negative: ended by that signal."""
+    if code == 0:
+        return PASSED
+    if code == pytest.ExitCode.TESTS_FAILED:
+        return LATE if "from pytest-timeout" in said else FAILED
+    if code == -signal.SIGXCPU:
+        return LATE
+    if code == pytest.ExitCode.INTERRUPTED and "error" in said and "during collection" in said:
+        return FAILED
+    if code == pytest.ExitCode.USAGE_ERROR and "ImportError while loading conftest" in said:
+        return FAILED
+    return FAILED if code < 0 else UNUSED if code == _UNUSED else BROKEN
 
 
-def here(mutant: Mutant, arguments: Sequence[str], limit: float) -> int:
-    """Exit code (-1 out of time) of pytest in a fork of this process with one function changed."""
-    child = os.fork()
-    if not child:
-        signal.alarm(int(limit))
-        with open(os.devnull, "w") as nothing:
-            os.dup2(nothing.fileno(), 1)
-            os.dup2(nothing.fileno(), 2)
-        try:
-            change(mutant)
-            code = int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", *arguments]))
-            code = 0 if code == pytest.ExitCode.NO_TESTS_COLLECTED else code
-        except BaseException:
-            code = 1
-        os._exit(code)
-    _, status = os.waitpid(child, 0)
-    return -1 if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)
+def apart(tree: Path, kernels: Path, tests: Sequence[str], limit: float) -> tuple[str, str]:
+    """Verdict and words of pytest in a copy of the tree. limit: s of CPU."""
+    known = {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": str(kernels)}
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", f"--rootdir={tree}", *PYTEST, *tests],
+        cwd=tree, env={**os.environ, **known}, preexec_fn=lambda: _bound(limit),
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False,
+    )  # fmt: skip
+    return verdict(done.returncode, done.stdout), done.stdout
 
 
-def change(mutant: Mutant) -> None:
-    """Give the live function the mutant's code, and forget what was kept of its results."""
+def here(work: Callable[[], int], limit: float) -> tuple[str, str]:
+    """Verdict and words of `work`, which answers with an exit code, in a fork of this process. limit: s of CPU."""
+    with tempfile.TemporaryFile("w+") as words:
+        child = os.fork()
+        if not child:
+            code = _BROKEN
+            try:
+                os.setsid()
+                _bound(limit)
+                os.dup2(words.fileno(), 1)
+                os.dup2(words.fileno(), 2)
+                code = work()
+            except BaseException:
+                traceback.print_exc()
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+        _, status = os.waitpid(child, 0)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)  # what a test started and did not end
+        words.seek(0)
+        said = words.read()
+    return verdict(os.waitstatus_to_exitcode(status), said), said
+
+
+def _bound(limit: float) -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit) + 5))
+
+
+def changed(mutant: Mutant, tests: Sequence[str]) -> int:
+    """Exit code of the tests with one function of this process changed."""
+    if not change(mutant):
+        return _UNUSED
+    return int(pytest.main([*PYTEST, *tests]))
+
+
+def change(mutant: Mutant) -> bool:
+    """Give the live function the mutant's code, and forget what was kept of its results; whether there is one."""
     path = str(ROOT / mutant.file)
     tree = compile(mutant.of((ROOT / mutant.file).read_text()), path, "exec")
     (code,) = (c for c in _codes(tree) if c.co_qualname == mutant.outer)
-    changed = 0
+    found = False
     for kept in gc.get_objects():
         if isinstance(kept, types.FunctionType) and kept.__code__.co_filename == path:
             if kept.__code__.co_qualname == mutant.outer:
                 kept.__code__ = code
-                changed += 1
-        elif isinstance(kept, functools._lru_cache_wrapper) and kept.__module__.startswith("service"):
+                found = True
+        elif isinstance(kept, functools._lru_cache_wrapper) and kept.__module__.startswith(("service", "tests")):
             kept.cache_clear()
-    assert changed, "the function is not in use"
-    pool = ThreadPoolExecutor(2)  # threads do not live through a fork
-    for module in list(sys.modules.values()):
-        if isinstance(getattr(module, "THREADS", None), ThreadPoolExecutor):
-            module.THREADS = pool  # pyright: ignore[reportAttributeAccessIssue]
+    return found
 
 
 def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
@@ -117,30 +155,58 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
 def survey(room: str) -> dict[str, dict]:
     """Test -> seconds and the functions (file:line) of `service` it calls, on the code as it is.
 
+    The tests are imported into this process, and run in a fork of it, as they are for every mutant: what was run could
+    have started threads, and threads do not live through a fork.
+
     Raises:
         SystemExit: the tests fail as they are.
     """
-    started = time.monotonic()
+    folder = f"tests/service/{room}"
     with contextlib.redirect_stdout(io.StringIO()) as text:
-        code = pytest.main(
-            ["-x", "-q", "-p", "no:cacheprovider", "--timeout=3000", f"tests/service/{room}"], plugins=[watch]
-        )
+        code = pytest.main(["-q", "--collect-only", "-p", "no:cacheprovider", folder])
     if code:
-        sys.exit(f"the tests of {room} fail as they are:\n{text.getvalue()[-3000:]}")
-    print(f"{room}: its tests take {time.monotonic() - started:.0f} s", flush=True)
-    return watch.tests
+        sys.exit(f"the tests of {room} cannot be collected:\n{text.getvalue()[-3000:]}")
+    with tempfile.TemporaryDirectory() as place:
+        seen = Path(place) / "survey.json"
+
+        def run() -> int:
+            code = pytest.main([*PYTEST, folder], plugins=[watch])
+            seen.write_text(json.dumps(watch.tests))
+            return int(code)
+
+        word, said = here(run, 3600.0)
+        if word != PASSED:
+            sys.exit(f"the tests of {room} fail as they are:\n{said[-3000:]}")
+        tests = json.loads(seen.read_text())
+    print(f"{room}: {len(tests)} tests take {sum(test['seconds'] for test in tests.values()):.0f} s", flush=True)
+    return tests
 
 
 def order(mutant: Mutant, tests: dict[str, dict]) -> list[str]:
-    """Tests that call the function of a mutant, fastest first; of its file where that cannot be seen, else all."""
-    ranked = sorted(tests, key=lambda name: tests[name]["seconds"])
-    mine = [n for n in ranked if f"{mutant.file}:{mutant.function}" in tests[n]["calls"]]
-    if not mine or mutant.compiled or mutant.function == 0:
-        near = [n for n in ranked if any(call.startswith(f"{mutant.file}:") for call in tests[n]["calls"])]
-        mine = [*mine, *(n for n in near if n not in mine)]
-        if mutant.compiled:
-            mine += [n for n in ranked if n not in mine]
-    return mine or ranked
+    """Tests that call the function of a mutant; of its file where that cannot be seen, else all. Quick ones first, the
+    others file by file, so that what a file makes for its tests is made once."""
+    mine = {n for n in tests if f"{mutant.file}:{mutant.function}" in tests[n]["calls"]}
+    near = {n for n in tests if any(call.startswith(f"{mutant.file}:") for call in tests[n]["calls"])}
+    groups = [mine, near, set(tests)] if mutant.compiled else [mine, near] if not mutant.function else [mine]
+    result: list[str] = []
+    for group in groups:
+        result += _ranked(group.difference(result), tests)
+    return result or _ranked(set(tests), tests)
+
+
+def _ranked(names: set[str], tests: dict[str, dict]) -> list[str]:
+    seconds = {name: tests[name]["seconds"] for name in names}
+    files: dict[str, float] = {}
+    for name in names:
+        file = name.split("::")[0]
+        files[file] = max(files.get(file, 0.0), seconds[name])
+
+    def key(name: str) -> tuple[bool, float, str, float]:
+        slow = seconds[name] > QUICK
+        file = name.split("::")[0]
+        return slow, files[file] * slow, file * slow, seconds[name]
+
+    return sorted(names, key=key)
 
 
 def users(tree: Path, file: str) -> set[Path]:
@@ -157,47 +223,61 @@ def users(tree: Path, file: str) -> set[Path]:
     return found
 
 
-def forget(tree: Path, file: str) -> None:
-    """Throw away the compiled kernels of `file` and its users."""
-    stale = {(path.parent.name, path.stem) for path in users(tree, file)}
-    for kernel in (tree / ".kernels").rglob("*.nb?"):
-        if (kernel.parent.name.rsplit("_", 1)[0], kernel.name.split(".")[0]) in stale:
-            kernel.unlink()
+@contextlib.contextmanager
+def written(mutant: Mutant, tree: Path, kernels: Path) -> Iterator[Path]:
+    """The mutant in the file of the tree; a folder of compiled kernels without those of the file and its users."""
+    file = tree / mutant.file
+    source, stamp = file.read_text(), file.stat()
+    stale = {(path.parent.name, path.stem) for path in users(tree, mutant.file)}
+    with tempfile.TemporaryDirectory(dir=kernels.parent) as place:
+        kept = Path(place) / "kernels"
+        shutil.copytree(kernels, kept, copy_function=os.link)  # Numba replaces files, it does not write into them
+        for kernel in kept.rglob("*.nb?"):
+            if (kernel.parent.name.rsplit("_", 1)[0], kernel.name.split(".")[0]) in stale:
+                kernel.unlink()
+        file.write_text(mutant.of(source))
+        try:
+            yield kept
+        finally:
+            file.write_text(source)
+            os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))  # Numba goes by it
 
 
-def room_of(room: str, count: int, seed: int) -> tuple[int, int]:
+def room_of(room: str, count: int, seed: int, only: set[int]) -> tuple[int, int]:
     """Killed and tried of a room, told one by one."""
     known = {line.split(" # ")[0].strip() for line in EQUIVALENT.read_text().splitlines() if " # " in line}
     every = sites(room)
     chosen = random.Random(f"{room} {seed}").sample(every, min(count, len(every)))
+    picked = [(n, m) for n, m in enumerate(chosen, 1) if n in only or not only]
     tests = survey(room)
-    print(f"{room}: {len(every)} mutants, {len(chosen)} tried", flush=True)
+    print(f"{room}: {len(every)} mutants, {len(picked)} tried", flush=True)
     killed = tried = 0
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-        tree = Path(folder)
-        copy(tree)
-        for number, mutant in enumerate(chosen, 1):
+        tree, kernels = Path(folder) / "tree", Path(folder) / "kernels"
+        if any(mutant.compiled or not mutant.outer for _, mutant in picked):
+            copy(tree)
+            word, said = apart(tree, kernels, [f"tests/service/{room}"], 3600.0)
+            if word != PASSED:
+                sys.exit(f"the tests of {room} fail as they are in a copy of the tree:\n{said[-3000:]}")
+        for number, mutant in picked:
             place = f"{mutant.file}:{mutant.line} {mutant.what}"
             if mutant.key in known:
                 print(f"{number:4d} equivalent {place}", flush=True)
                 continue
             names = order(mutant, tests)
-            limit = max(LEAST_TIME, TIMES * sum(tests[name]["seconds"] for name in names))
+            limit = LEAST_TIME + TIMES * sum(tests[name]["seconds"] for name in names)
             started = time.monotonic()
             if mutant.outer and not mutant.compiled:
-                code = here(mutant, names, limit)
+                word, said = here(functools.partial(changed, mutant, names), limit)
             else:
-                changed = tree / mutant.file
-                original = changed.read_text()
-                changed.write_text(mutant.of(original))
-                forget(tree, mutant.file)
-                code = apart(tree, names, limit)
-                changed.write_text(original)
-                forget(tree, mutant.file)
+                with written(mutant, tree, kernels) as compiled:
+                    word, said = apart(tree, compiled, names, limit)
+            if word == BROKEN:
+                sys.exit(f"{place}: the tests could not be run:\n{said[-3000:]}")
             tried += 1
-            killed += code != 0
-            word = {0: "SURVIVED", -1: "late"}.get(code, "killed")
-            print(f"{number:4d} {word:10s} {time.monotonic() - started:5.0f} s  {place}", flush=True)
+            killed += word in (FAILED, LATE)
+            by = re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+            print(f"{number:4d} {word:10s} {time.monotonic() - started:5.0f} s  {place}", *by[:1], flush=True)
     return killed, tried
 
 
@@ -207,8 +287,9 @@ def main() -> None:
     parser.add_argument("--room", choices=ROOMS, action="append", help="default: all four")
     parser.add_argument("--count", type=int, default=60, help="mutants a room")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", type=int, nargs="+", default=[], metavar="NUMBER", help="these of them")
     asked = parser.parse_args()
-    result = {room: room_of(room, asked.count, asked.seed) for room in asked.room or ROOMS}
+    result = {room: room_of(room, asked.count, asked.seed, set(asked.only)) for room in asked.room or ROOMS}
     for room, (killed, tried) in result.items():
         print(f"{room}: {killed} of {tried} killed, {100 * killed / max(tried, 1):.0f} %")
 
