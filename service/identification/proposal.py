@@ -99,7 +99,8 @@ def propose(table: Table, robot: Description | None, told: Told) -> Proposal:
             told_by = f"positions are {_named(best.position)}: the fit leaves {100 * best.share:.2g} % of the torque"
             clear = best.share < CLEAR * min(others)
             (reasons if clear else doubts).append(f"{told_by}, read otherwise {100 * min(others):.2g} %")
-        position, signs, torque, torque_signs = best.position, best.signs, best.torque, best.torque_signs
+        position, signs, torque_signs = best.position, best.signs, best.torque_signs
+        torque = _complete(best.torque, table)
         reasons += best.reasons
         doubts += best.doubts
     elif isinstance(robot, Machine):
@@ -338,13 +339,15 @@ def _by_delta(
     reasons: list[str] = []
     doubts: list[str] = []
     if not ranked:
-        doubts.append(f"read as {_named(position)} the positions are no poses of {robot.name}: zero or geometry?")
-        return _Reading(np.inf, position, plain, _without_fit(torque, table), plain, reasons, doubts)
+        doubts.append(
+            f"read as {_named(position)} the positions are no poses of {robot.name}, or hardly move: zero or geometry?"
+        )
+        return _Reading(np.inf, position, plain, torque, plain, reasons, doubts)
     share, signs, fit = ranked[0]
     line = f"with these readings the robot's equations leave {100 * share:.2g} % of the torque"
     if share > HOPELESS:
         doubts.append(f"{line}: signs and gear side cannot be told from this log")
-        return _Reading(share, position, plain, _without_fit(torque, table), plain, reasons, doubts)
+        return _Reading(share, position, plain, torque, plain, reasons, doubts)
     second = ranked[1][0] if len(ranked) > 1 else np.inf
     if share > CLEAR * second:
         doubts.append(f"{line}, with other signs of the positions {100 * second:.2g} %: signs are not certain")
@@ -353,7 +356,7 @@ def _by_delta(
     if fit.order != (0, 1, 2):
         order = ", ".join(str(k + 1) for k in fit.order)
         doubts.append(f"the torques fit better in the order {order}: cables swapped? --torque says it otherwise")
-        return _Reading(share, position, plain, _without_fit(torque, table), plain, reasons, doubts)
+        return _Reading(share, position, plain, torque, plain, reasons, doubts)
     for what, which in (("torque", fit.signs), ("position", signs)):
         turned = ", ".join(str(j + 1) for j in range(3) if which[j] < 0)
         if turned:
@@ -379,11 +382,11 @@ def _named(position: Mapping[str, Any]) -> str:
     return f"{position['unit']} of the {'motor' if position.get('side') == 'motor' else 'joint'}"
 
 
-def _without_fit(torque: Mapping[str, Any], table: Table) -> dict[str, Any]:
-    """The torque as it is said to be, where the equations tell nothing.
+def _complete(torque: Mapping[str, Any], table: Table) -> dict[str, Any]:
+    """The torque as the likeliest reading has it.
 
     Raises:
-        DataError: its unit takes a constant that nobody has said.
+        DataError: its unit takes a constant that nobody has said and the equations do not tell.
     """
     if None in torque.values():
         raise DataError(f"{table.path}: torques are {torque['unit']}: how many N m each? say --torque-unit")

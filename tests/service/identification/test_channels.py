@@ -1,0 +1,183 @@
+"""Which column of a foreign table is what: tables made here, by the names and numbers that controllers write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.trace.tables import Table
+from service.identification.channels import (
+    POSITION_UNITS,
+    TORQUE_UNITS,
+    guess,
+    rate_hz,
+    said_unit,
+    time_unit,
+    tokens,
+)
+
+ROWS = 400
+STAMPS = np.arange(ROWS) * 1e-3  # s
+
+
+def smooth(number: int) -> np.ndarray:
+    return np.sin(2 * np.pi * (1 + 0.3 * number) * STAMPS + number)
+
+
+def rough(number: int) -> np.ndarray:
+    return smooth(number) + 0.3 * np.random.default_rng(number).standard_normal(ROWS)
+
+
+def table(names: str, clock: np.ndarray | None = STAMPS, **said) -> Table:
+    """A column a name, separated by commas; the first is the clock, if there is one."""
+    columns = {name.strip(): smooth(k) if k % 2 else rough(k) for k, name in enumerate(names.split(","), 1)}
+    if clock is not None:
+        columns[next(iter(columns))] = clock
+    return Table(Path(said.pop("path", "log.csv")), said.pop("kind", "text"), columns, **said)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("axis0.actPos", ["axis", "0", "act", "pos"]),
+        ("A1 Winkel [°]", ["a", "1", "winkel", "°"]),
+        ("MotorTRQ_12", ["motor", "trq", "12"]),
+        ("IqActual%", ["iq", "actual", "%"]),
+    ],
+)
+def test_names_fall_into_words(name: str, words: list[str]) -> None:
+    assert tokens(name) == words
+
+
+@pytest.mark.parametrize(
+    ("names", "position", "torque", "commands"),
+    [
+        ("t,q1,q2,tau1,tau2", "q1,q2", "tau1,tau2", ("", "")),
+        ("Zeit,Winkel 2,Winkel 1,Moment 2,Moment 1", "Winkel 1,Winkel 2", "Moment 1,Moment 2", ("", "")),
+        ("time,pos_a,set_pos_a,effort_a,effort_ref_a", "pos_a", "effort_a", ("set_pos_a", "effort_ref_a")),
+        ("time,pos,vel,acc,torque,status,following error", "pos", "torque", ("", "")),
+        ("time,a [deg],b [Nm]", "a [deg]", "b [Nm]", ("", "")),
+        ("time,qm,qg,vir", "qm", "vir", ("qg", "")),
+        ("time,goal,position,load", "position", "load", ("goal", "")),
+        ("time,joint m,joint torque,joint angle", "joint angle", "joint m,joint torque", None),
+    ],
+)  # fmt: skip
+def test_names_tell_what_a_column_is(names: str, position: str, torque: str, commands: tuple[str, str] | None) -> None:
+    found = guess(table(names), None)
+    assert found.time == names.split(",")[0]
+    assert list(found.position) == position.split(",")
+    if commands is None:  # another number of torques than of positions: which is meant is not said
+        assert list(found.torque) == []
+        return
+    assert list(found.torque) == torque.split(",")
+    assert [",".join(found.position_command), ",".join(found.torque_command)] == list(commands)
+    assert found.reasons == ["columns are told by their names"]
+
+
+@pytest.mark.parametrize(
+    ("names", "ordered"),
+    [
+        ("pos 3,pos 1,pos 2", "pos 1,pos 2,pos 3"),
+        ("pos3 of 16,pos1 of 16,pos2 of 16", "pos1 of 16,pos2 of 16,pos3 of 16"),
+        ("pos 7,pos 1,pos 2", "pos 7,pos 1,pos 2"),  # not one after the other: as they stand
+        ("pos 1,pos 1 b,pos 0", "pos 1,pos 1 b,pos 0"),
+    ],
+)
+def test_joints_are_in_the_order_of_their_numbers(names: str, ordered: str) -> None:
+    torques = ",".join(f"torque {k}" for k in range(names.count(",") + 1))
+    assert list(guess(table(f"t,{names},{torques}"), None).position) == ordered.split(",")
+
+
+def test_only_as_many_as_the_robot_has_are_taken() -> None:
+    made = table("t,pos1,pos2,torque1,torque2")
+    assert list(guess(made, 2).torque) == ["torque1", "torque2"]
+    assert list(guess(made, 3).torque) == []
+
+
+def test_a_column_that_never_changes_is_no_channel() -> None:
+    made = table("t,pos1,pos2,torque1,torque2")
+    still = Table(made.path, made.kind, {**made.columns, "pos3": np.full(ROWS, 2.0), "torque3": np.full(ROWS, np.nan)})
+    assert list(guess(still, 2).position) == ["pos1", "pos2"]
+
+
+@pytest.mark.parametrize("order", ["abxy", "xyab", "axby"])
+def test_where_names_say_nothing_the_smoother_half_are_positions(order: str) -> None:
+    columns = {"clock": STAMPS} | {letter: smooth(k) if letter in "ab" else rough(k) for k, letter in enumerate(order)}
+    found = guess(Table(Path("log.csv"), "text", columns), 2)
+    assert (list(found.position), list(found.torque)) == (["a", "b"], ["x", "y"])
+    assert "smoother" in found.reasons[0]
+
+
+@pytest.mark.parametrize(("order", "joints"), [("axyb", 2), ("abxy", 3), ("abx", None)])
+def test_a_layout_that_nobody_writes_is_not_guessed(order: str, joints: int | None) -> None:
+    columns = {"clock": STAMPS} | {letter: smooth(k) if letter in "ab" else rough(k) for k, letter in enumerate(order)}
+    assert list(guess(Table(Path("log.csv"), "text", columns), joints).position) == []
+
+
+def test_the_clock_is_named_or_the_first_column_if_that_rises() -> None:
+    other = {"u": smooth(1), "v": rough(2)}
+    assert guess(Table(Path("a"), "text", {**other, "stamp": STAMPS}), 1).time == "stamp"
+    assert guess(Table(Path("a"), "text", {"x0": STAMPS, **other}), 1).time == "x0"
+    assert guess(Table(Path("a"), "text", {**other, "x0": STAMPS}), 1).time is None
+    assert guess(Table(Path("a"), "text", {"x0": STAMPS, **other}, layout={"beside": ["b.csv"]}), 1).time is None
+    assert guess(Table(Path("a"), "text", {"when": STAMPS[::-1], **other}), 1).time is None
+    jumps = STAMPS.copy()
+    jumps[::50] -= 1.0  # 2 % of the steps: a counter that starts anew, no clock
+    assert guess(Table(Path("a"), "text", {"time": jumps, **other}), 1).time is None
+    held = np.repeat(STAMPS[::20], 20)[:ROWS]
+    assert guess(Table(Path("a"), "text", {"time": held, **other}), 1).time is None
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "unit", "said"),
+    [
+        ("Zeit [us]", 1000.0, "us", True),
+        ("t_ms", 1.0, "ms", True),
+        ("t [µs]", 250.0, "us", True),
+        ("time", 0.001, "s", False),
+        ("time", 1.0, "ms", False),
+        ("time", 250.0, "us", False),
+        ("time", 1e6, "ns", False),
+    ],
+)
+def test_a_clocks_unit_is_said_or_gives_a_rate_that_logs_have(name: str, step: float, unit: str, said: bool) -> None:
+    made = Table(Path("a"), "text", {name: np.arange(ROWS) * step})
+    assert time_unit(made, name) == (unit, said)
+    seconds = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit] * step
+    assert rate_hz(made, name) == pytest.approx(1 / seconds)
+
+
+def test_the_files_own_unit_goes_first() -> None:
+    made = Table(Path("a"), "text", {"t_ms": STAMPS}, {"t_ms": "s"})
+    assert time_unit(made, "t_ms") == ("s", True)
+    assert (
+        said_unit(Table(Path("a"), "t", {"pos [deg]": STAMPS}, {"pos [deg]": "rad"}), "pos [deg]", POSITION_UNITS)
+        == "rad"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "known", "unit"),
+    [
+        ("angle (deg)", POSITION_UNITS, "deg"),
+        ("angle deg 1", POSITION_UNITS, "deg"),
+        ("deg of freedom 1", POSITION_UNITS, None),  # too far from the end to be a unit
+        ("axis m", POSITION_UNITS, None),
+        ("axis [m]", POSITION_UNITS, "m"),
+        ("load a", TORQUE_UNITS, None),
+        ("torque ‰", TORQUE_UNITS, "permille"),
+        ("torque Nm", TORQUE_UNITS, "N m"),
+    ],
+)  # fmt: skip
+def test_a_unit_stands_in_brackets_or_at_the_end_of_a_name(name: str, known: dict[str, str], unit: str | None) -> None:
+    assert said_unit(Table(Path("a"), "text", {name: STAMPS}), name, known) == unit
+
+
+def test_files_side_by_side_say_what_they_hold_by_their_names() -> None:
+    columns = {"J1": smooth(1), "J2": smooth(2), "curr:J1": rough(1), "curr:J2": rough(2)}
+    made = Table(Path("pos_read.csv"), "text", columns, layout={"beside": ["curr.csv"]})
+    found = guess(made, 2)
+    assert (list(found.position), list(found.torque)) == (["J1", "J2"], ["curr:J1", "curr:J2"])
+    assert found.time is None
