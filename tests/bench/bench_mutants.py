@@ -37,7 +37,13 @@ from tests.bench import survey as watch
 from tests.bench.mutate import Mutant, mutants
 
 ROOT = Path(__file__).parents[2]
-ROOMS = ("model", "estimator", "identification", "diagnosis")
+STORED_RUN = "tests/replay/test_reference.py"  # what the whole estimator said of a log
+TESTS = {
+    "model": ["tests/service/model"],
+    "estimator": ["tests/service/estimator", STORED_RUN],
+    "identification": ["tests/service/identification"],
+    "diagnosis": ["tests/service/diagnosis"],
+}
 EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 PAGES = ("blindpage.py", "report.py")  # pictures and prose, looked at in tests/service/pages
 LEAST_TIME, TIMES = 200.0, 4.0  # s of CPU, kernels compiled anew included, and times what the tests take as they are
@@ -161,16 +167,15 @@ def survey(room: str) -> dict[str, dict]:
     Raises:
         SystemExit: the tests fail as they are.
     """
-    folder = f"tests/service/{room}"
     with contextlib.redirect_stdout(io.StringIO()) as text:
-        code = pytest.main(["-q", "--collect-only", "-p", "no:cacheprovider", folder])
+        code = pytest.main(["-q", "--collect-only", "-p", "no:cacheprovider", *TESTS[room]])
     if code:
         sys.exit(f"the tests of {room} cannot be collected:\n{text.getvalue()[-3000:]}")
     with tempfile.TemporaryDirectory() as place:
         seen = Path(place) / "survey.json"
 
         def run() -> int:
-            code = pytest.main([*PYTEST, folder], plugins=[watch])
+            code = pytest.main([*PYTEST, *TESTS[room]], plugins=[watch])
             seen.write_text(json.dumps(watch.tests))
             return int(code)
 
@@ -256,7 +261,7 @@ def room_of(room: str, count: int, seed: int, only: set[int]) -> tuple[int, int]
         tree, kernels = Path(folder) / "tree", Path(folder) / "kernels"
         if any(mutant.compiled or not mutant.outer for _, mutant in picked):
             copy(tree)
-            word, said = apart(tree, kernels, [f"tests/service/{room}"], 3600.0)
+            word, said = apart(tree, kernels, TESTS[room], 3600.0)
             if word != PASSED:
                 sys.exit(f"the tests of {room} fail as they are in a copy of the tree:\n{said[-3000:]}")
         for number, mutant in picked:
@@ -284,12 +289,12 @@ def room_of(room: str, count: int, seed: int, only: set[int]) -> tuple[int, int]
 def main() -> None:
     """The rooms asked for, one after the other."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--room", choices=ROOMS, action="append", help="default: all four")
+    parser.add_argument("--room", choices=TESTS, action="append", help="default: all four")
     parser.add_argument("--count", type=int, default=60, help="mutants a room")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="+", default=[], metavar="NUMBER", help="these of them")
     asked = parser.parse_args()
-    result = {room: room_of(room, asked.count, asked.seed, set(asked.only)) for room in asked.room or ROOMS}
+    result = {room: room_of(room, asked.count, asked.seed, set(asked.only)) for room in asked.room or TESTS}
     for room, (killed, tried) in result.items():
         print(f"{room}: {killed} of {tried} killed, {100 * killed / max(tried, 1):.0f} %")
 

@@ -13,7 +13,7 @@ from schemas.robot import load_robot
 from service.estimator.recursion import fixed_forgetting
 from service.identification.evaluation import WITH_PAYLOAD, evaluate
 from service.identification.identify import identify
-from service.identification.payload import Pick, course, picks, read_truth, score
+from service.identification.payload import Course, Pick, course, levels, picks, read_truth, score, settled
 from service.identification.regression import summarise
 from service.model.nominal import pack
 from service.model.prediction import FULL
@@ -41,8 +41,14 @@ def identified(plain, fits):
 
 
 @pytest.fixture(scope="module")
-def scores(cases):
-    return [score(course(robot, trace), pick) for robot, _, logs in cases for trace, truth in logs for pick in truth]
+def courses(cases):
+    """The payload over each pick trace, with its truth."""
+    return [(course(robot, trace), truth) for robot, _, logs in cases for trace, truth in logs]
+
+
+@pytest.fixture(scope="module")
+def scores(courses):
+    return [score(found, pick) for found, truth in courses for pick in truth]
 
 
 def test_payload_is_found_within_the_same_move(scores):
@@ -54,12 +60,11 @@ def test_payload_is_found_within_the_same_move(scores):
     assert np.mean(heavy <= 0.04) >= 0.95
 
 
-def test_every_pick_is_seen_once_and_free_motion_holds_none(cases):
-    for robot, fits, logs in cases:
-        for trace, truth in logs:
-            found = course(robot, trace)
-            assert len(picks(found)) == len(truth)
-            assert np.count_nonzero(found.event == PayloadEvent.RELEASE) == len(truth)
+def test_every_pick_is_seen_once_and_free_motion_holds_none(cases, courses):
+    for found, truth in courses:
+        assert len(picks(found)) == len(truth)
+        assert np.count_nonzero(found.event == PayloadEvent.RELEASE) == len(truth)
+    for robot, fits, _ in cases:
         for trace in fits:
             assert not course(robot, trace).event.any()
 
@@ -86,8 +91,65 @@ def test_the_papers_recursion_finds_a_constant_mass():
     assert fixed_forgetting(y, x, 0.99)[-1] == pytest.approx(2.5, abs=0.1)
 
 
-def test_a_truth_file_that_is_none_is_named_with_its_line(tmp_path: Path):
+TIME = np.arange(1000) * 0.01
+TRUTH = Pick(2.0, 4.0, 2.0)
+
+
+def seen() -> Course:
+    """A pick of 2 kg seen 50 ms late, off by 0.3 kg for 200 ms and by 90 g after; one of 1 kg that never ends."""
+    mass, event, trusted = np.zeros(1000), np.zeros(1000, int), np.zeros(1000, bool)
+    mass[205:410], mass[205:220], mass[700:] = 2.09, 2.3, 1.0
+    event[[205, 410, 700]] = PayloadEvent.PICK, PayloadEvent.RELEASE, PayloadEvent.PICK
+    trusted[300:410] = True
+    recursion = np.where((TIME >= 2.0) & (TIME < 4.0), 2.0 + 0.05 * (TIME - 3.0), 0.0)
+    return Course(TIME, mass, np.full(1000, 0.02), trusted, event, recursion)
+
+
+def test_picks_and_levels_are_what_lies_between_events():
+    first, last = picks(seen())
+    assert (first.begin, first.end, first.mass) == pytest.approx((2.05, 4.09, 2.09))
+    assert (last.begin, last.end, last.mass) == pytest.approx((7.0, 9.99, 1.0))
+    one, empty, two = levels(seen())
+    assert (one.begin, one.end, one.mass, one.std_dev) == pytest.approx((2.05, 4.09, 2.09, 0.02))
+    assert (one.event, empty.event, two.event) == (PayloadEvent.PICK, PayloadEvent.RELEASE, PayloadEvent.PICK)
+    assert one.trusted == pytest.approx(110 / 205)
+    assert (empty.begin, empty.end, empty.mass, empty.trusted) == pytest.approx((4.1, 6.99, 0.0, 0.0))
+    rising = Course(TIME, TIME, TIME, TIME > 0, seen().event, TIME)
+    assert levels(rising)[0].mass == pytest.approx(np.median(TIME[205 + 102 : 410])), "the later half counts"
+
+
+def test_a_pick_is_scored_by_its_delays_and_its_last_mass():
+    found = score(seen(), TRUTH)
+    assert (found.seen, found.released, found.settled) == pytest.approx((0.05, 0.1, 0.2))
+    assert (found.mass, found.mass_recursion) == pytest.approx((2.09, 2.0495))
+    assert found.settled_recursion == 0.0
+    missed = score(seen(), Pick(4.5, 5.5, 2.0))
+    assert np.isnan([missed.seen, missed.released, missed.settled]).all()
+    late = score(seen(), Pick(3.0, 3.9, 2.09))  # the release comes within as long as the pick lasted, no later
+    assert late.released == pytest.approx(0.2)
+    assert np.isnan(score(seen(), Pick(3.8, 3.9, 2.09)).released)
+
+
+@pytest.mark.parametrize(("mass", "bound"), [(4.0, 0.2), (1.0, 0.05), (0.3, 0.05)])
+def test_settled_is_within_the_larger_bound_to_the_end(mass, bound):
+    """5 % or 50 g."""
+    truth = Pick(2.0, 4.0, mass)
+    off = np.where(TIME < 2.5, 1.0, 0.0)
+    assert settled(TIME, mass + 0.99 * bound + off, truth) == pytest.approx(0.5)
+    assert settled(TIME, mass - 0.99 * bound - off, truth) == pytest.approx(0.5)
+    assert np.isnan(settled(TIME, mass + 1.01 * bound + off, truth))
+    assert settled(TIME, np.full(1000, mass), truth) == 0.0
+    at_the_end = np.where(TIME > 3.985, mass + 1.0, mass)
+    assert np.isnan(settled(TIME, at_the_end, truth))
+
+
+def test_a_truth_file_is_read_and_one_that_is_none_is_named_with_its_line(tmp_path: Path):
     path = tmp_path / "truth.csv"
+    path.write_text("from_s,until_s,mass_kg\n0.1,0.5,1.5\n0.7,0.9,2\n")
+    assert read_truth(path) == [Pick(0.1, 0.5, 1.5), Pick(0.7, 0.9, 2.0)]
+    path.write_text("from_s,until_s,mass_kg\n0.1,0.5,1.5\n0.1,nan,1.5\n")
+    with pytest.raises(TraceError, match=r"truth.csv:3: wanted"):
+        read_truth(path)
     path.write_text("from_s,until_s,mass_kg\n0.1,0.5,heavy\n")
     with pytest.raises(TraceError, match=r"truth.csv:2: wanted from_s, until_s, mass_kg as numbers"):
         read_truth(path)

@@ -27,8 +27,8 @@ def geared(robot: Robot) -> Robot:
 
 @pytest.fixture(scope="module")
 def log(record: Callable[..., Trace]) -> Trace:
-    """Four seconds of a robot that carries nothing; 3 s are enough to tell the rest of this file from another."""
-    return record(3, seconds=4.0)
+    """Two seconds of a robot that carries nothing."""
+    return record(3, seconds=2.0)
 
 
 def written(
@@ -69,7 +69,7 @@ def test_units_and_side_of_the_positions(geared: Robot, log: Trace, degrees: boo
     assert ("positions are deg: it stands there" in found.reasons) == says
 
 
-@pytest.mark.parametrize("turn", [(1, -1, 1), (-1, -1, 1)])
+@pytest.mark.parametrize("turn", [(1, -1, -1)])
 @pytest.mark.parametrize("where", ["position", "torque"])
 def test_signs(geared: Robot, log: Trace, where: str, turn: tuple[int, ...]) -> None:
     found = propose(written(log, **{where: turn}), geared, Told())
