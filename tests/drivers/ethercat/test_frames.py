@@ -16,7 +16,7 @@ from schemas.errors import TraceError
 from schemas.robot import load_robot
 from tests.drivers.ethercat.wire import datagram, frame
 
-MUTANTS = 100_000
+MUTANTS = 30_000
 
 
 def frames_of(*packets: bytes) -> Frames:
@@ -48,8 +48,13 @@ def mutants(folder: Path, count: int) -> Frames:
     return frames_of(*packets)
 
 
-def test_mutated_frames_are_decoded_within_their_own_bytes(shared: Path) -> None:
-    frames = mutants(shared / "captures", MUTANTS)
+@pytest.fixture(scope="module")
+def mutated(shared: Path) -> Frames:
+    return mutants(shared / "captures", MUTANTS)
+
+
+def test_mutated_frames_are_decoded_within_their_own_bytes(mutated: Frames) -> None:
+    frames = mutated
     datagrams, kinds = decode(frames)
 
     assert len(kinds) == MUTANTS
@@ -64,11 +69,10 @@ def test_mutated_frames_are_decoded_within_their_own_bytes(shared: Path) -> None
     assert np.isin(datagrams["frame"][~whole], np.flatnonzero(kinds == Kind.CUT)).all()
 
 
-def test_mutated_frames_give_samples_or_none_but_no_crash(shared: Path) -> None:
-    frames = mutants(shared / "captures", MUTANTS)
+def test_mutated_frames_give_samples_or_none_but_no_crash(mutated: Frames) -> None:
     robot = load_robot(Path(__file__).parent / "robots" / "own_three_drives.toml")
-    samples, raw = Assembler(make_layout(robot)).samples(frames)
-    Survey().add(frames)
+    samples, raw = Assembler(make_layout(robot)).samples(mutated)
+    Survey().add(mutated)
 
     assert 1000 < len(samples) < MUTANTS  # many mutants leave the process data readable
     assert len(raw) == len(samples)

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from schemas.axes import Axes, Axis
 from schemas.trace import Trace
 from service.diagnosis.documents.text import sentences
-from service.identification.noise import floor
-from tests.service.subject import CATALOGUE, EFFECTS, Recording, diagnose, document, segments
-from tests.service.world import PERIOD, course, problem, sines, way
+from tests.service.subject import CATALOGUE, EFFECTS, diagnose, document
+from tests.service.world import PERIOD, sines, way
 
 SECONDS = 5.0
 
@@ -71,52 +69,9 @@ def test_torque_that_answers_the_position_error_is_a_closed_loop():
     assert "cannot be known" in " ".join(sentences(found))
 
 
-def recordings(made: list[Trace]) -> list[Recording]:
-    from service.model.mechanism import mechanism_of
-
-    return [Recording(part, mechanism_of(axes()), n, t.name) for n, t in enumerate(made) for part in segments(t)]
-
-
-def noises(kind: str, level: float) -> tuple[list[Recording], list[np.ndarray]]:
-    random, made = np.random.default_rng(8), recordings([two_axes(seed, 0.0, noise=0.0) for seed in (1, 2)])
-    values = [level * random.standard_normal(part.segment.torque.shape) for part in made]
-    if kind == "coloured":
-        keep = np.exp(-1.0 / 3.0)  # 3 ms of memory
-        values = [np.asarray(lfilter([np.sqrt(1 - keep**2)], [1, -keep], v, axis=0)) for v in values]
-    for part, value in zip(made, values, strict=True):
-        part.segment.torque[:] = part.segment.torque + value
-    return made, values
-
-
-@pytest.mark.parametrize("kind", ["white", "coloured"])
-def test_the_floor_in_the_band_whatever_the_noises_colour(kind):
-    made, values = noises(kind, 0.2)
-    band = problem([course(1, 1.0)], [course(1, 1.0).torque]).band
-    found = floor(made, values, band)
-    truth = np.concatenate([band(value)[20:-20] for value in values]).std(axis=0)
-    np.testing.assert_allclose(found.band, truth, rtol=0.1)
-    assert found.coloured.tolist() == [kind == "coloured"] * 2
-    assert not found.unknown.any()
-
-
 def test_smooth_torque_has_no_floor_to_be_read_and_that_is_said():
-    made, values = noises("white", 1e-9)
-    band = problem([course(1, 1.0)], [course(1, 1.0).torque]).band
-    found = floor(made, values, band)
-    torque = np.concatenate([band(part.segment.torque) for part in made]).std(axis=0)
-    np.testing.assert_allclose(found.band, 0.01 * torque, rtol=1e-6)
-    assert found.unknown.all()
     result = told(axes(), [two_axes(seed, 0.0, noise=0.0) for seed in (1, 2, 3)], ("torque_offset",))
     assert [one.code for one in result.cannot_tell] == ["noise_unknown"]
     assert "shows no noise of its own" in " ".join(sentences(result))
     ratio = np.array(result.gap.before_nm) / np.array(result.gap.noise_floor_nm)
     assert (ratio < 10).all()
-
-
-def test_steps_are_a_floor():
-    made, values = noises("white", 1e-9)
-    for part in made:
-        part.segment.torque[:] = 0.05 * np.rint(part.segment.torque / 0.05)
-    band = problem([course(1, 1.0)], [course(1, 1.0).torque]).band
-    found = floor(made, values, band)
-    assert (found.sample >= 0.05 / 12**0.5 * (1 - 1e-9)).all()

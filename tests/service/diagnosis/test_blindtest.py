@@ -43,6 +43,18 @@ def sealed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.fixture(scope="module")
+def answered(sealed: Path) -> list[dict[str, Any]]:
+    """Both cases answered, and which files were opened for the second."""
+    global OPENED
+    first = blindtest.answer(sealed / "cases" / "case_000")
+    sys.addaudithook(_listen)
+    OPENED = []
+    second = blindtest.answer(sealed / "cases" / "case_001")
+    opened, OPENED = OPENED, None
+    return [first, second, {"opened": [path for path in opened if path.startswith(str(sealed))]}]
+
+
 @pytest.fixture
 def blind(sealed: Path, tmp_path: Path) -> Path:
     """A copy to work on."""
@@ -62,15 +74,10 @@ def _listen(event: str, arguments: tuple[Any, ...]) -> None:
         OPENED.append(str(arguments[0]))
 
 
-def test_the_diagnosis_reads_no_more_than_its_case(blind: Path) -> None:
-    global OPENED
-    sys.addaudithook(_listen)
-    OPENED = []
-    with_key = blindtest.answer(blind / "cases" / "case_001")
-    opened, OPENED = OPENED, None
-    mine = [path for path in opened if path.startswith(str(blind))]
-    assert {Path(path).parent for path in mine} == {blind / "cases" / "case_001"}
-    assert len(set(mine)) == 5  # description, three logs to fit, one to test
+def test_the_diagnosis_reads_no_more_than_its_case(sealed: Path, blind: Path, answered: list[dict[str, Any]]) -> None:
+    _, with_key, heard = answered
+    assert {Path(path).parent for path in heard["opened"]} == {sealed / "cases" / "case_001"}
+    assert len(set(heard["opened"])) == 5  # description, three logs to fit, one to test
     (blind / "sealed_key.json").unlink()
     shutil.move(blind / "cases" / "case_001", blind / "alone")
     alone = blindtest.answer(blind / "alone")
@@ -85,20 +92,17 @@ def test_a_key_that_was_changed_is_refused(blind: Path) -> None:
         blindtest.unseal(blind)
 
 
-def test_backends_agree_and_stay_on_this_host(blind: Path, tmp_path: Path) -> None:
+def test_backends_agree_and_stay_on_this_host(blind: Path, answered: list[dict[str, Any]]) -> None:
     psutil = pytest.importorskip("psutil", reason="needs dask[distributed], of the dev dependencies")
     pytest.importorskip("distributed", reason="needs dask[distributed], of the dev dependencies")
-    shutil.copytree(blind, tmp_path / "dask")
-    with blindtest.backend("loky", 1, None):
-        by_loky = blindtest.answers(blind, lambda: None)
     with blindtest.backend("dask", 1, None):
         own = psutil.Process()
         family = [own, *own.children(recursive=True)]
         listening = [c.laddr.ip for p in family for c in p.net_connections("tcp") if c.status == psutil.CONN_LISTEN]
-        by_dask = blindtest.answers(tmp_path / "dask", lambda: None)
+        by_dask = blindtest.answers(blind, lambda: None)
     assert set(listening) == {"127.0.0.1"}
-    assert without_times(by_loky) == without_times(by_dask)
-    assert [[effect["name"] for effect in row["named"]] for row in by_loky] == [[], ["stribeck_friction"]]
+    assert without_times(by_dask) == without_times(answered[:2])
+    assert [[effect["name"] for effect in row["named"]] for row in by_dask] == [[], ["stribeck_friction"]]
 
 
 def row(case: int, named: list[tuple[str, list[int]]], verdict: str, claimed: float, shrink: float) -> dict[str, Any]:
@@ -173,8 +177,8 @@ def test_the_table_counts_right() -> None:
     }  # fmt: skip
 
 
-def test_an_interrupted_run_goes_on_and_finishes_once(blind: Path) -> None:
-    done = blindtest.answer(blind / "cases" / "case_000")
+def test_an_interrupted_run_goes_on_and_finishes_once(blind: Path, answered: list[dict[str, Any]]) -> None:
+    done, by_hand, _ = answered
     (blind / "answers").mkdir()
     kept = blind / "answers" / "case_000.json"
     kept.write_text(json.dumps(done | {"seconds": 1234.5}))  # as the run before left it
@@ -184,6 +188,7 @@ def test_an_interrupted_run_goes_on_and_finishes_once(blind: Path) -> None:
     assert result.exit_code == 3  # the time kept from the run before misses its bound
     results = json.loads((blind / "results.json").read_text())
     assert [answer["seconds"] == 1234.5 for answer in results["rows"]] == [True, False]
+    assert [effect["name"] for effect in by_hand["named"]] == [e["name"] for e in results["rows"][1]["named"]], "loky"
     assert results["summary"]["right_first"] == results["summary"]["null_clean"] == 1.0
     assert np.isclose(results["summary"]["extra_per_case"], 0.0)
     page = (blind / "blindtest.html").read_text()

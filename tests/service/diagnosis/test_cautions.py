@@ -14,7 +14,6 @@ from schemas.errors import DataError, RobotError
 from schemas.robot import load_robot
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
-from service.diagnosis.documents.text import sentences
 from service.diagnosis.evidence.cautions import limits_of
 from service.model.effects import CATALOGUE, by_name, catalogue
 
@@ -69,25 +68,6 @@ def logs(shared):
         return robot, [read_trace(path, robot) for path in sorted(folder.glob("fit_*.csv"))]
 
     return of
-
-
-def test_runs_of_two_robots_are_not_explained_by_an_effect(logs):
-    robot, mine = logs("case_000")
-    _, theirs = logs("case_007", robot)
-    result = document(diagnose(robot, [*mine[1:3], *theirs[1:3]], CATALOGUE))
-    assert result.effects == []
-    assert result.verdict == "unexplained"
-    assert any("not all together" in line or "Check the description" in line for line in sentences(result))
-
-
-def test_a_grossly_wrong_geometry_is_no_effect(logs):
-    robot, traces = logs("case_000")
-    geometry = robot.geometry.model_copy(update={"passive_link_length": 0.62, "base_radius": 0.30})
-    wrong = robot.model_copy(update={"geometry": geometry})
-    result = document(diagnose(wrong, traces[1:3], CATALOGUE))
-    assert result.verdict == "unexplained"
-    assert result.effects == []
-    assert "check_description" in [one.advice for one in result.cannot_tell]
 
 
 def test_commands_are_not_needed_and_one_run_is_said_to_be_one(logs):

@@ -19,7 +19,6 @@ from service.model.prediction import error_in_band, motion, predict_along
     [
         ("case_000", None, [], None, 0.0, 0.0),
         ("case_004", "torque_delay", [], "delay", 0.003, 2e-4),
-        ("case_007", "torque_scale", [1], "epsilon", 0.03, 1e-3),
     ],
 )
 def test_names_what_was_put_in(shared, tmp_path, case, name, joints, parameter, truth, tolerance):

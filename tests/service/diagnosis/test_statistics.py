@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tests.service.diagnosis.toy import scored, split_of
 from tests.service.injected import INJECTED, reports
@@ -28,9 +29,8 @@ DRAWS = 200
 def coloured(random: np.random.Generator, count: int, rows: int, keep: float) -> np.ndarray:
     """(count, rows) of unit variance, each sample remembering `keep` of the one before."""
     values = random.standard_normal((count, rows))
-    for k in range(1, rows):
-        values[:, k] = keep * values[:, k - 1] + np.sqrt(1 - keep**2) * values[:, k]
-    return values
+    values[:, 0] /= np.sqrt(1 - keep**2)
+    return np.asarray(lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], values))
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8], ids=["white", "coloured"])

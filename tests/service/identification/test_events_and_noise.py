@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-from tests.service.subject import events, noise
-from tests.service.world import PERIOD, course, problem
+from schemas.trace import Trace
+from tests.service.subject import Band, DecoupledAxes, Recording, events, noise, segments
+from tests.service.world import PERIOD, course, problem, sines, way
 
 STEP = 5e-3  # s, rows of the analysis band
 
@@ -48,7 +51,7 @@ def test_nothing_below_the_floor_is_an_event():
 
 def test_near_stretches_are_one_and_the_end_of_a_stretch_of_rows_ends_it():
     assert len(events.events([knocked(quiet("b", 0, 2), 3.0, 3.1)], FLOOR)) == 1
-    assert len(events.events([knocked(quiet("b", 0, 2), 3.0, 3.4)], FLOOR)) == 2
+    assert len(events.events([knocked(quiet("b", 0, 2), 3.0, 3.19)], FLOOR)) == 2  # 90 ms without
     run = quiet("b", 0, 2)
     gone = (run.time < 3.0) | (run.time > 3.3)
     # a step over a pause in the rows is two stretches with another mean, no event
@@ -68,6 +71,12 @@ def test_what_an_event_touches_is_left_out_with_a_margin():
     time = np.array([1.96, 1.98, 2.2, 2.52, 2.54])
     assert events.outside("a", time, [event]).tolist() == [True, False, False, False, True]
     assert events.outside("b", time, [event]).all()
+
+
+def test_rows_too_far_apart_show_nothing_fast():
+    """Ten a second: no level over 60 ms can be taken of them."""
+    time = 0.1 * np.arange(100)
+    assert events.events([events.Run("a", 0, time, np.where(np.arange(100) == 40, 50.0, 0.1))], FLOOR) == []
 
 
 def beats(moments) -> list[events.Event]:
@@ -136,3 +145,52 @@ def test_a_part_too_short_for_a_window_has_no_say():
     logs = problem([course(1, 4.0), course(2, 0.3)], [course(1, 4.0).torque, course(2, 0.3).torque])
     values = [0.3 * random.standard_normal((4000, 3)), 9.0 * random.standard_normal((100, 3))]
     np.testing.assert_allclose(noise.white_noise(logs.recordings, values), 0.3, rtol=0.05)
+
+
+def test_where_no_part_is_long_enough_no_noise_is_claimed():
+    logs = problem([course(2, 0.3)], [course(2, 0.3).torque])
+    assert noise.white_noise(logs.recordings, [np.ones((100, 3))]).tolist() == [0.0] * 3
+
+
+def noisy(level: float, coloured: bool = False):
+    """Two logs of two axes with noise of `level` N m, the noise, and the analysis band; coloured: 3 ms of memory."""
+    random, made, values = np.random.default_rng(8), [], []
+    for seed in (1, 2):
+        time = np.arange(5000) * PERIOD
+        theta, speed, acceleration = (signal[:, :2] for signal in sines(seed, 0.8)(time))
+        torque = 0.5 * acceleration + 0.4 * speed + 0.6 * way(speed)
+        (part,) = segments(Trace(Path(f"run_{seed}"), time, theta, torque))
+        made.append(Recording(part, DecoupledAxes(np.ones(2)), seed, f"run_{seed}"))
+        values.append(level * random.standard_normal(torque.shape))
+    if coloured:
+        keep = np.exp(-1.0 / 3.0)
+        values = [np.asarray(lfilter([np.sqrt(1 - keep**2)], [1, -keep], value, axis=0)) for value in values]
+    for part, value in zip(made, values, strict=True):
+        part.segment.torque[:] = part.segment.torque + value
+    return made, values, Band.of(PERIOD)
+
+
+@pytest.mark.parametrize("coloured", [False, True], ids=["white", "coloured"])
+def test_the_floor_in_the_band_whatever_the_noises_colour(coloured):
+    made, values, band = noisy(0.2, coloured)
+    found = noise.floor(made, values, band)
+    truth = np.concatenate([band(value)[20:-20] for value in values]).std(axis=0)
+    np.testing.assert_allclose(found.band, truth, rtol=0.1)
+    assert found.coloured.tolist() == [coloured] * 2
+    assert not found.unknown.any()
+
+
+def test_smooth_torque_has_no_floor_to_be_read():
+    made, values, band = noisy(1e-9)
+    found = noise.floor(made, values, band)
+    torque = np.concatenate([band(part.segment.torque) for part in made]).std(axis=0)
+    np.testing.assert_allclose(found.band, 0.01 * torque, rtol=1e-6)
+    assert found.unknown.all()
+
+
+def test_steps_are_a_floor():
+    made, values, band = noisy(1e-9)
+    for part in made:
+        part.segment.torque[:] = 0.05 * np.rint(part.segment.torque / 0.05)
+    found = noise.floor(made, values, band)
+    assert (found.sample >= 0.05 / 12**0.5 * (1 - 1e-9)).all()

@@ -71,8 +71,9 @@ def test_units_and_side_of_the_positions(geared: Robot, log: Trace, degrees: boo
 
 @pytest.mark.parametrize("turn", [(1, -1, -1)])
 @pytest.mark.parametrize("where", ["position", "torque"])
-def test_signs(geared: Robot, log: Trace, where: str, turn: tuple[int, ...]) -> None:
-    found = propose(written(log, **{where: turn}), geared, Told())
+def test_signs(geared: Robot, log: Trace, where: str, turn: tuple[float, ...]) -> None:
+    position, torque = (turn, 1.0) if where == "position" else (1.0, turn)
+    found = propose(written(log, position, torque), geared, Told())
     other = "torque" if where == "position" else "position"
     assert [e.get("sign", 1) for e in entries(found, where)] == list(turn)
     assert [e.get("sign", 1) for e in entries(found, other)] == [1, 1, 1]
@@ -189,10 +190,12 @@ AXIS = Axes.model_validate({"name": "slide", "kind": "axes", "axis": [{"unit": "
 def slide(force: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray], scale: float = 1.0) -> Table:
     """A slide on sines; force (N,) of position, speed, acceleration."""
     time = np.arange(4000) * 1e-3
-    waves = [(0.2, 6.0), (0.02, 19.0)]
-    x = sum(size * np.sin(rate * time) for size, rate in waves)
-    v = sum(size * rate * np.cos(rate * time) for size, rate in waves)
-    a = -sum(size * rate**2 * np.sin(rate * time) for size, rate in waves)
+    size, rate = np.array([0.2, 0.02])[:, None], np.array([6.0, 19.0])[:, None]
+    wave = rate * time
+    x, v, a = (
+        np.sum(part, axis=0)
+        for part in (size * np.sin(wave), size * rate * np.cos(wave), -size * rate**2 * np.sin(wave))
+    )
     return Table(Path("slide.csv"), "text", {"t": time, "pos": scale * x, "force": force(x, v, a)})
 
 
