@@ -25,6 +25,7 @@ def start(*arguments: str, path: str | None = None) -> subprocess.CompletedProce
 @pytest.mark.parametrize("bench", BENCHES)
 def test_starts(bench: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(sys, "argv", [bench, "--help"])
+    monkeypatch.delitem(sys.modules, f"tests.bench.{bench}", raising=False)  # another bench may have imported it
     with pytest.raises(SystemExit) as end:
         runpy.run_module(f"tests.bench.{bench}", run_name="__main__")
     assert end.value.code == 0

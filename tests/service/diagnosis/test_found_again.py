@@ -22,7 +22,7 @@ from tests.service.subject import (
 )
 from tests.service.world import BASE, COULOMB, PERIOD, course, problem
 
-SECONDS = 2.0
+SECONDS = 3.0
 RUNS = (1, 2, 3)
 STARTS = (0.0, 9.0, 40.0)  # s since power-on
 NOISE = 0.2  # N m a sample

@@ -79,6 +79,13 @@ def test_rows_too_far_apart_show_nothing_fast():
     assert events.events([events.Run("a", 0, time, np.where(np.arange(100) == 40, 50.0, 0.1))], FLOOR) == []
 
 
+def test_a_knock_on_one_row_of_twenty_a_second_is_as_long_as_the_mean_taken_out():
+    """0.12 s are two rows, 0.06 s one: the row and its neighbour stand out, no third."""
+    time = 0.049 * np.arange(100)
+    (event,) = events.events([events.Run("a", 0, time, np.where(np.arange(100) == 40, 50.0, 0.1))], FLOOR)
+    assert (event.start, event.end) == pytest.approx((40 * 0.049, 41 * 0.049))
+
+
 def beats(moments) -> list[events.Event]:
     return [events.Event("a", 0, float(m) - 0.01, float(m) + 0.01, 1.0) for m in moments]
 

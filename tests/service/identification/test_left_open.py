@@ -21,7 +21,7 @@ def swing(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Angle, speed, acceleration (N,) of three sines, the fastest of 0.1 of `size`."""
     waves = [np.array([(1j * rate) ** n * part * np.exp(1j * rate * TIME) for n in range(3)])
              for part, rate in ((0.7, 1.3), (0.2, 4.4), (0.1, 11.9))]  # fmt: skip
-    angle, speed, acceleration = size * sum(waves).imag  # pyright: ignore[reportAttributeAccessIssue]
+    angle, speed, acceleration = size * np.sum(waves, axis=0).imag
     return angle, speed, acceleration
 
 
