@@ -5,7 +5,7 @@ it, so any start order and any restart works, and no pair is linked twice. Nothi
 user brings a Zenoh configuration. Real-time privileges have to be taken before `open_bus` (`replay.realtime`), because
 the threads of the session inherit them.
 
-What a subscriber that stops reading can do: the kernel and Zenoh buffer about 280 messages for it (70 ms at 4 kHz).
+What a subscriber that stops reading can do: the kernel and Zenoh buffer about 460 messages for it (0.11 s at 4 kHz).
 When they are full a publisher waits `PATIENCE_S` of drivers/peer.py once, then passes that subscriber over, without
 waiting, for as long as it takes nothing. The others miss nothing, link and session stay, and the subscriber, should it
 come back, sees the hole in the sequence. (Blocking publishers would close the link instead and lose all until it is up
@@ -31,7 +31,7 @@ from types import TracebackType
 import numpy as np
 import zenoh
 
-from drivers.peer import peer_settings
+from drivers.peer import THREADS, peer_settings
 from drivers.security.check import check, find_files
 from schemas.errors import BusError, RoleTakenError
 from schemas.keys import liveliness_key, topic_key
@@ -374,7 +374,7 @@ class Bus:
                 topic_key(self.robot, topic),
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.REAL_TIME,
-                express=True,
+                express=False,
             )
         )
 
@@ -429,6 +429,7 @@ def open_bus(robot: str, role: Role, zenoh_config: Path | None = None, insecure:
         for note in check(config, zenoh_config, robot, role, insecure):
             print(note, file=sys.stderr)
     lock = _hold(folder / f"{robot}.{role.name.lower()}.pid", robot, role)
+    os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # read when the first session opens
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:

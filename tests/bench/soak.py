@@ -124,8 +124,8 @@ class Soak:
         now = time.monotonic()
         span, self._at = now - self._at, now
         cells = [f"{minute:g}"]
-        for name, process in self.processes.items():
-            used = usage(process.pid)
+        for name in ROLES:
+            used = usage(self.processes[name].pid)
             share = 100 * (used.cpu - self._before[name].cpu) / span
             cells += [f"{used.resident:.1f}", str(used.descriptors), f"{share:.0f}"]
             self._before[name] = used

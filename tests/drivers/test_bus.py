@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import signal
 import subprocess
 import sys
@@ -211,6 +212,26 @@ def test_full_inbox_keeps_the_newest_and_leaves_a_hole(bus_folder: Path, until) 
         assert counter.newest == 2999
         assert counter.lost == 2999 - sum(map(len, records)) >= 2900
         assert counter.repeated == counter.out_of_order == 0
+
+
+def test_what_waits_in_an_inbox_takes_little_more_than_its_bytes(bus_folder: Path, until) -> None:
+    """Zenoh keeps the whole buffer that a message was read into as long as the message waits."""
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+    payloads = numbered(0, 3000)
+    with open_bus("bench", Role.MONITOR) as bus, open_bus("bench", Role.PLAYER) as player:
+        inbox, publisher = bus.subscribe("sample"), player.publisher("sample")
+        until(lambda: publisher.heard)
+        before = resident()
+        for payload in payloads:
+            publisher.put(payload)
+            time.sleep(0.0002)
+        time.sleep(0.2)
+        grown = resident() - before
+        assert len(inbox.take()[0]) > 2500
+    assert grown < 3000 * 4096
 
 
 def test_wait_ends_with_a_message_at_its_limit_or_with_an_interrupt(bus_folder: Path, until) -> None:

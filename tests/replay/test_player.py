@@ -90,7 +90,7 @@ def test_start_and_stop_cut_the_trace() -> None:
 def test_first_samples_keep_their_distance() -> None:
     instants: list[int] = []
     play(schedule(trace(20, 200.0)), lambda _: instants.append(time.monotonic_ns()), None, lambda _: None)
-    assert np.all(np.array(instants) - instants[0] >= np.arange(20) * 5_000_000 - 4_000_000)
+    assert instants[-1] - instants[0] > 19 * 5_000_000 / 2 - 10_000_000  # were the first held up, the rest would hurry
 
 
 def test_held_up_samples_are_counted_and_follow_in_order_at_twice_the_rate_at_most() -> None:
