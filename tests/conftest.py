@@ -11,6 +11,12 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+# What watches the clock, on interfaces, sockets and roles: one after the other when tests run on several workers.
+ON_THE_CLOCK = (
+    "tests/drivers/ethercat", "tests/drivers/test_", "tests/drivers/plant/test_live.py", "tests/replay",
+    "tests/service/test_", "tests/service/monitor", "tests/service/cli/test_demo.py",
+    "tests/service/experiment/test_closed_loop.py",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -53,6 +59,14 @@ def until() -> Callable[[Callable[[], bool]], None]:
             time.sleep(0.01)
 
     return wait
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Which tests `--dist loadgroup` keeps on one worker: those of a file, which share what they make, and all that
+    watch the clock."""
+    for item in items:
+        path = item.path.relative_to(REPOSITORY).as_posix()
+        item.add_marker(pytest.mark.xdist_group("clock" if path.startswith(ON_THE_CLOCK) else path))
 
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
