@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from drivers.plant.effects import mechanics
+from drivers.plant.mechanism import Design
 from service.model.effects.geometry import GeometryError
 from tests.service.injected import BY_TWO_MASSES, INJECTED, reports
 from tests.service.subject import (
     EFFECTS,
+    Delta,
     Hypothesis,
     Parameters,
+    Recording,
     Scene,
     Term,
     added,
@@ -18,7 +23,7 @@ from tests.service.subject import (
     reported,
     tangent,
 )
-from tests.service.world import BASE, course, problem, scene
+from tests.service.world import BASE, ROBOT, TRUTH, course, problem, rigid_torque, scene, segment
 
 SECONDS = 3.0
 
@@ -42,6 +47,31 @@ def test_its_torque_is_that_of_the_independent_effect(name):
     if term.effect.own_joint and term.joints:
         spared = [joint for joint in range(3) if joint not in injected.joints]
         assert not found[:, spared].any()
+
+
+def test_masses_found_beside_a_tilt_lean_with_it():
+    run = course(1, 0.6)
+    terms = tuple(INJECTED[name].term(name) for name in ("base_tilt", "tool_mass", "arm_mass"))
+    tilt, tool, arm = mechanics.BaseTilt(0.03, -0.04), mechanics.ToolMass(0.3), mechanics.ArmMass([0.0, 0.0, 0.4])
+    changed = arm.shape(tool.shape(Design(TRUTH)))
+    product = rigid_torque(tilt.shape(changed), run.motion) - rigid_torque(changed, run.motion)
+    product -= rigid_torque(tilt.shape(Design(TRUTH)), run.motion) - rigid_torque(Design(TRUTH), run.motion)
+    here = scene(run)
+    seen = Hypothesis(BASE, terms).seen(here.recording)
+    found = sum(added(seen, term) - added(here, term) for term in terms)
+    assert np.sqrt(np.mean((found - product) ** 2)) < 0.03 * np.sqrt(np.mean(product**2))  # of small angles
+
+
+def test_a_base_on_a_wall_tilts_about_its_level_axes():
+    run, wall = course(1, 0.6), [-9.81, 0.0, 0.0]
+    robot = ROBOT.model_copy(update={"gravity_mps2": wall})
+    here = Scene(Recording(segment(run), Delta.of(robot), 0, "wall"), BASE)
+    found = EFFECTS["base_tilt"].torque(here, 0, np.array([0.02, -0.03]), ())
+    # the base's x axis came to lie along -z, its y axis stayed
+    leaning = Rotation.from_rotvec([0.0, -0.03, -0.02]).inv().apply(wall)
+    truth = rigid_torque(Design(TRUTH).change(gravity_mps2=leaning.tolist()), run.motion)
+    truth -= rigid_torque(Design(TRUTH).change(gravity_mps2=wall), run.motion)
+    assert np.sqrt(np.mean((found - truth) ** 2)) < 0.03 * np.sqrt(np.mean(truth**2))
 
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if EFFECTS[name].amplitudes])
