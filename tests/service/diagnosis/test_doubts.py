@@ -81,9 +81,9 @@ def test_what_is_left_of_a_wrong_description_is_told_as_a_share_of_the_torque():
     assert share > 0.10
 
 
-def test_runs_of_two_robots_fit_alone_but_not_together():
-    runs = [course(seed, 2.0) for seed in SEEDS]
-    other = [runs[0].torque, 1.3 * runs[1].torque]
+def test_runs_of_several_robots_fit_alone_but_not_together():
+    runs = [course(seed, 2.0) for seed in (*SEEDS, 3)]
+    other = [scale * run.torque for run, scale in zip(runs, (1.0, 1.3, 0.8), strict=True)]
     random = np.random.default_rng(0)
     made = problem(runs, [torque + 0.3 * random.standard_normal(torque.shape) for torque in other])
     together = fit(made, Hypothesis(BASE))

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from schemas.diagnosis import Estimate
+from schemas.diagnosis import Estimate, Simulated
 from service.diagnosis.documents.document import made_from
 from service.diagnosis.documents.report import write_report
-from service.diagnosis.documents.text import ADVICE, answer
+from service.diagnosis.documents.text import ADVICE, _forward, answer, sentences
 from service.model.effects import CATALOGUE
 from tests.service.pages.browser import looked_at
 from tests.service.subject import document
@@ -52,6 +52,26 @@ def test_where_no_name_is_earned_the_box_says_what_to_check(findings):
     assert said.causes == []
     assert said.check == [ADVICE["check_description"], ADVICE["record_more"]]
     assert answer(nothing.model_copy(update={"verdict": "within_noise"})).check == []
+
+
+def test_a_gap_hardly_above_the_noise_is_said_to_be_one(findings):
+    found = document.document(findings)
+    gap = found.gap.model_copy(update={"shrink": 0.09})
+    assert "hardly above the noise" not in " ".join(sentences(found))
+    assert "hardly above the noise" in " ".join(sentences(found.model_copy(update={"gap": gap})))
+    partly = found.model_copy(update={"gap": gap, "verdict": "partly_explained"})
+    assert "hardly above the noise" not in " ".join(sentences(partly))
+
+
+def test_the_simulators_error_is_told_in_millimetres_or_that_it_left_the_workspace():
+    found = Simulated(
+        horizon_s=0.2, windows=9, path_mm=80.0, platform_before_mm=None, platform_after_mm=0.153,
+        platform_floor_mm=0.07, joint_before_mrad=[1.0] * 3, joint_after_mrad=[1.0] * 3, left_out=["torque_delay"],
+    )  # fmt: skip
+    said = _forward(found)
+    assert "from beyond the workspace to 0.15 mm; noise alone gives 0.07 mm" in said
+    assert "In the simulator without torque delay, " in said
+    assert "after 0.2 s" in said
 
 
 def test_a_fixed_value_has_no_interval():

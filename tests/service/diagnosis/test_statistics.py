@@ -16,12 +16,13 @@ from tests.service.subject import (
     Parameters,
     Selection,
     Split,
+    document,
     evaluate,
     evidence,
     selection,
     statistics,
 )
-from tests.service.world import BASE, course, problem
+from tests.service.world import BASE, course, problem, stub
 
 DRAWS = 200
 
@@ -253,6 +254,12 @@ def test_squares_are_summed_by_joint_and_block():
     block = np.concatenate(split.block)
     squares = [((whole * logs.sigma[joints])[block == b] ** 2).sum() for b in range(split.blocks)]
     np.testing.assert_allclose(statistics.pooled_squares(logs, residuals, split), squares)
+    few = np.zeros((4, 3), bool)  # one row of joint 1, none of joint 2, two of joint 3
+    few[[0, 1, 2], [0, 2, 2]] = True
+    rms = statistics.rms_per_joint(
+        replace(logs, recordings=logs.recordings[:1], rows=[few]), [np.array([3.0, 1.0, 7.0])]
+    )
+    np.testing.assert_allclose(rms, [0.3, 0.0, 0.4 * 5.0])
 
 
 def test_where_a_terms_parameters_stand():
@@ -261,3 +268,22 @@ def test_where_a_terms_parameters_stand():
     for number, term in enumerate(terms):
         here = known.values[known.free][known.columns(number)]
         np.testing.assert_array_equal(here, np.concatenate([term.amplitude.ravel(), term.shape]))
+
+
+def test_of_later_rounds_only_what_was_named_is_ranked():
+    """A rival that lost in a later round was held against a model that has the first name already."""
+
+    def one(loss: float, *names: str):
+        return stub(names=names, loss=loss, hypothesis=stub(terms=[stub(joints=(1,))]))
+
+    rounds = [
+        stub(candidates=[(one(50.0, "a"), 0.9), (one(80.0, "c"), 0.1)], before=stub(loss=100.0)),
+        stub(candidates=[(one(20.0, "a", "b"), 0.8), (one(30.0, "a", "d"), 0.2)], before=stub(loss=50.0)),
+    ]
+    named = [stub(effect=stub(name=name)) for name in ("a", "b")]
+    found = stub(problem=stub(count=100, sigma=np.ones(3)), best=stub(hypothesis=stub(terms=named)))
+    ranked = document._ranking(found, rounds)
+    assert [(one.name, one.joints, one.probability) for one in ranked] == [
+        ("a", [2], 0.9), ("b", [2], 0.8), ("c", [2], 0.1),
+    ]  # fmt: skip
+    assert [one.shrink for one in ranked] == pytest.approx([1 - (0.5) ** 0.5, 1 - (0.4) ** 0.5, 1 - 0.8**0.5], abs=1e-4)

@@ -9,6 +9,7 @@ import pytest
 
 from schemas.diagnosis import Regime
 from tests.service.subject import Hypothesis, evaluate, fit, selection, where
+from tests.service.world import BASE, course, problem
 
 
 def test_the_budget_adds_up_to_the_gap_of_the_base_model(findings):
@@ -69,6 +70,14 @@ def test_every_row_has_its_state(findings, rows):
     np.testing.assert_allclose(rows.clock[mine], (first.time[:: problem.band.step] - first.time[0])[keep])
     assert rows.platform.shape == (len(rows.joint), 3)
     assert len(rows.joint) == problem.count
+
+
+def test_the_clock_counts_from_each_runs_own_start():
+    runs = [course(1, 1.0), course(2, 1.0)]
+    logs = problem(runs, [run.torque for run in runs], starts=[40.0, 70.0])
+    clock = where.Rows.of(logs, Hypothesis(BASE)).clock
+    assert 0.0 < clock.min() < 0.2
+    assert 0.8 < clock.max() < 1.0
 
 
 def told(findings, rows, mask: np.ndarray) -> dict[str, Regime]:
