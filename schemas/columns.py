@@ -164,6 +164,13 @@ class Columns(_Entry):
             raise ValueError(f"decimal {self.decimal!r} is also the separator")
         if self.data_line is not None and self.data_line <= self.header_line:
             raise ValueError(f"data_line {self.data_line} is not behind header_line {self.header_line}")
+        places: dict[str, str] = {}
+        for role in CHANNELS:
+            for joint, entry in enumerate(self.channel(role), start=1):
+                place = f"{role} of joint {joint}"
+                if entry.name in places:
+                    raise ValueError(f"column {entry.name!r} is named twice: {places[entry.name]} and {place}")
+                places[entry.name] = place
         counts = {name: len(self.channel(name)) for name in CHANNELS if self.channel(name)}
         if len({*counts.values()}) > 1 or not (self.position and self.torque):
             raise ValueError(f"as many position as torque columns are needed, commands as many or none: {counts}")

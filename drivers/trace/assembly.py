@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+from scipy.ndimage import median_filter
 
 from drivers.trace.quality import Rows, check
 from schemas.axes import Description
@@ -18,6 +19,7 @@ from schemas.messages import Gripper, SampleFlag
 from schemas.trace import Finding, Trace
 
 COUNTED = -1  # index of the stamps where the table has none and `time.rate_hz` says how far apart its rows are
+STAYS = 3  # rows that a reading is off by its width until it is taken for wrapped, not for a glitch
 FOURTH = 3  # number of the joint behind the three of a Delta
 MOST_NAMED = 20  # columns of a file listed in a message
 
@@ -152,6 +154,7 @@ def assemble(
         column, raw = channel.column, table[str(channel.index)].to_numpy()
         if not isinstance(column, GripperColumn):
             raw = _signed(raw, column.bits)
+            _refuse_wraps(raw, channel, lines, path)
         if channel.times_index is not None:
             raw = raw * table[str(channel.times_index)].to_numpy()
         own = stamps[channel.time_index]
@@ -231,6 +234,31 @@ def _signed(values: np.ndarray, bits: int | None) -> np.ndarray:
     if bits is None:
         return values
     return np.where(values >= 2.0 ** (bits - 1), values - 2.0**bits, values)
+
+
+def _refuse_wraps(raw: np.ndarray, channel: Channel, lines: Rows, path: Path) -> None:
+    """
+    Raises:
+        TraceError: whole numbers that step by 2^16 or 2^32 and stay there.
+    """
+    known = np.flatnonzero(np.isfinite(raw))
+    values = raw[known]
+    if len(values) < STAYS + 2 or np.ptp(values) < 0.9 * 2.0**16 or np.any(values != np.round(values)):
+        return
+    step = np.diff(values)
+    beside = step - median_filter(step, size=5, mode="nearest")
+    for bits in (16, 32):
+        wraps = np.abs(np.abs(beside) - 2.0**bits) < 0.05 * 2.0**bits
+        away = np.concatenate([[0], np.cumsum(np.where(wraps, np.sign(beside), 0.0))])
+        usual = np.median(away)
+        stays = np.convolve(away != usual, np.ones(STAYS), "valid") == STAYS
+        if stays.any():
+            at = np.flatnonzero(wraps) + 1
+            remedy = f"bits = {bits}" if isinstance(channel.column, TorqueColumn) else "count its turns on first"
+            raise TraceError(
+                f"{path}: {channel.label} steps by 2^{bits} {len(at)} times ({lines.name(known[at])}): a reading of "
+                f"{bits} bits that wraps: {remedy}"
+            )
 
 
 def _gear_ratio(robot: Description | None, joint: int) -> float | None:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from schemas.axes import Description
+from schemas.chain import Chain
 from schemas.errors import TraceError
 from schemas.machine import Machine
 from schemas.messages import SampleFlag
@@ -22,6 +23,7 @@ MAX_ACCELERATION = 1e4  # rad/s^2 or m/s^2; fast Delta robots reach about 2e3 ra
 NOISE_SIGMAS = 15.0  # a jump stands this far out of the velocity's own noise
 ANY_JOINT = np.pi  # rad; no joint of a Delta turns further, whatever its robot's range
 UNUSABLE_SHARE = 0.1  # of all samples beyond ANY_JOINT: the unit is wrong, not the sample
+BEYOND_LIMITS = 1.2  # times the span of a URDF's limits, which are often drawn narrower than the stops
 SHOWN = 5  # rows named in a message
 
 
@@ -114,7 +116,17 @@ def _values(trace: Trace, rows: Rows) -> Iterator[Finding]:
             if len(bad):
                 what = f"{name} of joint {joint + 1}: {len(bad)} values missing or not finite"
                 yield Finding(flag, f"{what}: {rows.name(bad)} ({values[bad[0], joint]})", bad)
+    yield from _commanded(trace)
     yield from _jumps(trace, rows)
+
+
+def _commanded(trace: Trace) -> Iterator[Finding]:
+    if trace.torque_command is None:
+        return
+    for joint, (torque, command) in enumerate(zip(trace.torque.T, trace.torque_command.T, strict=True), start=1):
+        if np.ptp(torque) > 0 and np.array_equal(torque, command):
+            message = f"torque of joint {joint} is its torque_command to the last digit: it was not measured"
+            yield Finding(SampleFlag(0), message, np.zeros(0, np.intp))
 
 
 def _jumps(trace: Trace, rows: Rows) -> Iterator[Finding]:
@@ -140,7 +152,25 @@ def _jumps(trace: Trace, rows: Rows) -> Iterator[Finding]:
             )
 
 
+def _spans(trace: Trace, chain: Chain) -> None:
+    """
+    Raises:
+        TraceError: a joint moves further than its URDF lets it between any two ends.
+    """
+    for joint, (low, high) in enumerate(chain.arm.limits):
+        least, most = np.nanmin(trace.position[:, joint]), np.nanmax(trace.position[:, joint])
+        if most - least > BEYOND_LIMITS * (high - low):
+            degrees = np.radians(most - least) <= high - low
+            hint = "degrees for radians" if degrees else "a wrong unit or gear ratio"
+            raise TraceError(
+                f"{trace.path}: position of joint {joint + 1} goes from {least:.4g} to {most:.4g} rad, joint "
+                f"{chain.joints[joint]!r} of {chain.urdf} from {low:.4g} to {high:.4g} rad: {hint}?"
+            )
+
+
 def _range(trace: Trace, rows: Rows, robot: Description | None) -> Iterator[Finding]:
+    if isinstance(robot, Chain):
+        _spans(trace, robot)
     if not trace.angular or isinstance(robot, Machine) or (robot is None and trace.position.shape[1] != 3):
         return
     low, high = robot.geometry.joint_range_rad if robot else Geometry.model_fields["joint_range_rad"].default

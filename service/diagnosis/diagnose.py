@@ -13,7 +13,7 @@ from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.cautions import base_doubts, doubts_of, faults_of, limits_of, loops_of, noise_of
-from service.diagnosis.evidence.earned import earned
+from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.evidence.follows import follows
 from service.diagnosis.evidence.unseen import kept_out
 from service.diagnosis.findings import Findings
@@ -22,6 +22,7 @@ from service.diagnosis.fit.selection import Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import Split
+from service.identification.units import refuse_degrees
 from service.model.description import hypothesis_of
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
@@ -66,7 +67,9 @@ def diagnose(
     progress("fitting the base model")
     problem, floor = pooled.problem_of(recordings)
     split = Split.of(problem)
-    plain = score(pooled.fit(problem, floor.sample, pooled.nominal_of(robot)).fitted, split)
+    base = pooled.fit(problem, floor.sample, pooled.nominal_of(robot))
+    refuse_degrees(base, ", ".join(trace.path.name for trace in traces))
+    plain = score(base.fitted, split)
     given = _given(robot, baseline)
     timed = Hypothesis(plain.hypothesis.base, given)
     if given:
@@ -95,6 +98,11 @@ def diagnose(
         selection, fell = earned(problem, split, selection, len(given), [kept_out(problem, log) for log in tests])
         fallen += fell
     after = statistics.nested(selection, split, problem.count)
+    vague = bool(floor.unknown.any()) and _left(problem, after) > limit
+    selection, fell = together(problem, split, selection, after, len(given), vague)
+    if fell:
+        after = selection.none.residuals
+        fallen += fell
     errors = statistics.standard_errors(selection.best.fitted, split)
     gap, reference = plain.residuals, plain.hypothesis
     if baseline is not None:
@@ -127,11 +135,15 @@ def _given(robot: Description, baseline: Description | None) -> tuple[Term, ...]
 def _verdict(
     problem: Problem, selection: Selection, given: tuple[Term, ...], after: list[np.ndarray], limit: float
 ) -> Verdict:
-    count = problem.count
-    left = (float(sum(r @ r for r in after)) / count) ** 0.5
+    left = _left(problem, after)
     if len(selection.best.hypothesis.terms) == len(given):
         return "within_noise" if left <= limit else "unexplained"
     return "explained" if left <= limit else "partly_explained"
+
+
+def _left(problem: Problem, residuals: Sequence[np.ndarray]) -> float:
+    """Rms, in units of the noise."""
+    return (float(sum(r @ r for r in residuals)) / problem.count) ** 0.5
 
 
 def _floor(problem: Problem, reversal: np.ndarray) -> float:

@@ -14,6 +14,7 @@ from schemas.trace import Trace
 from service.identification import checks, pooled
 from service.identification.folds import BLOCK
 from service.identification.pooled import Plain
+from service.identification.units import refuse_degrees
 from service.model.description import axes_identified
 from service.model.mechanism import mechanism_of
 from service.model.parameters import base_parameters
@@ -54,6 +55,7 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
         )
     problem, noise = pooled.problem_of(recordings)
     fit = pooled.fit(problem, noise.sample, pooled.nominal_of(axes))
+    refuse_degrees(fit, ", ".join(trace.path.name for trace in traces))
     identified = axes_identified(
         axes,
         {estimate.name: (estimate.value, estimate.std_error) for estimate in fit.estimates},
@@ -73,6 +75,14 @@ def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
         warnings.append(
             f"{name}: the model leaves {100 * share.max():.0f} % of the torque of axis {axis + 1} unexplained; wrong "
             "units, gear, coupling? `deltatwin diagnose` tells more"
+        )
+    together, alone = np.sum(fit.residual**2), np.sum(fit.alone**2)
+    noise = len(traces) * np.sum(fit.noise_floor**2)
+    if together > checks.FOREIGN_LEFT**2 * noise and together - alone > checks.FOREIGN_TOGETHER * (together - noise):
+        worst = int(np.argmax(np.sum(fit.residual**2 - fit.alone**2, axis=1)))
+        warnings.append(
+            f"the logs fit one by one and not together, {traces[worst].path.name} least of all "
+            f"({np.sqrt(alone / together):.0%} is left of what is left together): of two robots, or two loads?"
         )
     if len(traces) == 1:
         warnings.append(f"{name}: a single trajectory cannot be held out, nothing shows how far the fit carries")

@@ -35,6 +35,8 @@ FOREIGN_SHARE = 0.4  # of one log's torque, by the fit to the others: no effect 
 BETTER = 0.5
 # A log is foreign when the fit to the others leaves this many times what it leaves of the middle one of the others.
 FOREIGN = 3.0
+# Logs that shed this share of what is left above the noise when each is fitted alone are not of one robot.
+FOREIGN_TOGETHER, FOREIGN_LEFT = 0.7, 2.0  # the second: times the noise that has to be left for the question to arise
 PAYLOAD = 0.15  # kg against the other logs
 STEADY = 0.7  # mean over rms of a log's masses: friction errors ask for weight in both directions, a payload in one
 ALIKE = 0.999  # cosine between the information of two trajectories

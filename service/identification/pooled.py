@@ -68,7 +68,8 @@ class Plain:
     estimates: in the order of `base_parameters`. fitted: residuals and tangents at them. noise: (n,) N m white rms a
     sample. held_out: (T, n) rms of the residual of each log under the fit to the others, N m in the
     analysis band, NaN for a single log. residual: (T, n) the same under the fit to all. torque: (T, n) rms. without:
-    (T, P) values from the other logs (from all, for a single one).
+    (T, P) values from the other logs (from all, for a single one). alone: (T, n) as residual, each log under a fit of
+    its own.
     """
 
     problem: Problem
@@ -79,6 +80,7 @@ class Plain:
     residual: np.ndarray
     torque: np.ndarray
     without: np.ndarray
+    alone: np.ndarray
 
     @property
     def values(self) -> np.ndarray:
@@ -120,7 +122,7 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:
     band = Band.of(period, resolved_hz([recording.segment for recording in recordings]))
     noise, share = white_noise(recordings), band.white_share**0.5
     problem = Problem.of(recordings, band, np.maximum(noise, 1e-9) * share)
-    first = solver.fit(problem, _start(problem), iterations=2).hypothesis
+    first = solver.fit(problem, start(problem), iterations=2).hypothesis
     left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first)]
     above = [values - lowpass(values, period, band.cutoff_hz) for values in left]
     wider = Band.of(period, max(band.cutoff_hz, _ripple_hz(recordings, above)))
@@ -145,7 +147,8 @@ def _ripple_hz(recordings: Sequence[Recording], above: Sequence[np.ndarray]) -> 
     return highest
 
 
-def _start(problem: Problem) -> Hypothesis:
+def start(problem: Problem) -> Hypothesis:
+    """The base model as far as it is described, before anything is fitted."""
     mechanism = problem.recordings[0].mechanism
     n = len(mechanism.frictions)
     transition = START_TRANSITION if mechanism.kind == "delta" else np.full(n, START_TRANSITION)
@@ -154,7 +157,7 @@ def _start(problem: Problem) -> Hypothesis:
 
 def _base(problem: Problem) -> solver.Fit:
     """The base model at its optimum, optional coefficients left out where data left out do not want them."""
-    fitted = solver.fit(problem, _start(problem))
+    fitted = solver.fit(problem, start(problem))
     mechanism = problem.recordings[0].mechanism
     if mechanism.kind == "delta":
         return fitted
@@ -189,8 +192,8 @@ def _turning(problem: Problem, fitted: solver.Fit) -> solver.Fit:
         rest = [r - t @ step for r, t in zip(trial.residuals, tangents, strict=True)]
         left.append(np.sum(_rms(problem, rest) ** 2, axis=0))
     best = np.argmin(np.array(left) @ (rows.T != 0), axis=0)
-    start = np.array([np.asarray(widths[choice])[place] for place, choice in enumerate(best)])
-    moved = solver.fit(problem, replace(fitted.hypothesis, base=replace(base, transition=start)))
+    suits = np.array([np.asarray(widths[choice])[place] for place, choice in enumerate(best)])
+    moved = solver.fit(problem, replace(fitted.hypothesis, base=replace(base, transition=suits)))
     return moved if moved.cost < fitted.cost else fitted
 
 
@@ -226,8 +229,8 @@ def fit(problem: Problem, noise: np.ndarray, nominal: np.ndarray) -> Plain:
     filled = np.einsum("bpp->b", left) > 0
     left, right = left[filled], right[filled]
     total_left, total_right = left.sum(axis=0), right.sum(axis=0)
-    start = problem.recordings[0].mechanism.start
-    fallback = np.where(np.isnan(nominal), np.pad(start, (0, count - len(start))), nominal)
+    described = problem.recordings[0].mechanism.start
+    fallback = np.where(np.isnan(nominal), np.pad(described, (0, count - len(described))), nominal)
     scale = _scale(problem, fitted, nominal)
     reasons = _structure(problem)
     held = np.array([reasons.get(parameter.name, "").endswith("never moves") for parameter in known])
@@ -286,10 +289,12 @@ def fit(problem: Problem, noise: np.ndarray, nominal: np.ndarray) -> Plain:
         _rms(problem, plain.residuals),
         _rms(problem, [problem.select(i, target) for i, target in enumerate(problem.target)]),
         without,
+        np.full((len(left), n), np.nan),
     )
     if alone:
-        return result
-    return replace(result, held_out=np.array([result.left(others)[t] for t, others in enumerate(without)]))
+        return replace(result, alone=result.residual)
+    own = np.array([result.left(values)[t] for t, values in enumerate(_solve(left, right, held, fallback))])
+    return replace(result, alone=own, held_out=np.array([result.left(others)[t] for t, others in enumerate(without)]))
 
 
 def _normal_equations(

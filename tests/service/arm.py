@@ -40,7 +40,7 @@ def write(folder: Path, urdf: str = URDF, more: str = "") -> Path:
     return folder / "small.toml"
 
 
-def torque(theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, urdf: str = URDF) -> np.ndarray:
+def torque(theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, *, urdf: str = URDF) -> np.ndarray:
     """(N, 3) N m that MuJoCo says the joints of the URDF need, the finger at its zero."""
     model = mujoco.MjModel.from_xml_string(urdf)
     data = mujoco.MjData(model)
@@ -71,13 +71,19 @@ def motion(seed: int) -> tuple[np.ndarray, list[np.ndarray]]:
     return time, signals
 
 
-def record(path: Path, seed: int, more: np.ndarray | float = 0.0) -> Path:
-    """A log in our own CSV. more: N m beside what the URDF, friction and rotors ask for."""
+def record(
+    path: Path, seed: int, more: np.ndarray | float = 0.0, urdf: str = URDF, share: float = 1.0, unit: float = 1.0
+) -> Path:
+    """A log in our own CSV. more: N m beside what the URDF, friction and rotors ask for. share: of the motion. unit:
+    rad, of the logged positions."""
     time, signals = motion(seed)
-    needed = torque(*signals) + signals[2] * ROTOR + signals[1] * VISCOUS + np.sign(signals[1]) * COULOMB + OFFSET
+    signals = [share * signal for signal in signals]
+    needed = (
+        torque(*signals, urdf=urdf) + signals[2] * ROTOR + signals[1] * VISCOUS + np.sign(signals[1]) * COULOMB + OFFSET
+    )
     needed = needed + more + np.random.default_rng(seed + 50).normal(0, NOISE, needed.shape)
     header = "time_s," + ",".join(
         f"{name}_{j}_{unit}" for name, unit in (("position", "rad"), ("torque", "nm")) for j in (1, 2, 3)
     )
-    np.savetxt(path, np.column_stack([time, signals[0], needed]), "%.10g", ",", header=header, comments="")
+    np.savetxt(path, np.column_stack([time, signals[0] / unit, needed]), "%.10g", ",", header=header, comments="")
     return path

@@ -62,7 +62,7 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
     if head[0].strip() == CODESYS_CSV:
         return read_codesys(path, raw.decode(encoding, "replace"))
     found = dict(layout) if layout else _layout(head, path) | ({"encoding": encoding} if encoding != "utf-8" else {})
-    columns = Columns.model_validate({**found, "position": "-", "torque": "-"})
+    columns = Columns.model_validate({**found, "position": "-", "torque": "--"})
     units = _units(head, columns)
     names, cells = read_cells(raw, columns, path)
     values: dict[str, np.ndarray] = {}

@@ -13,6 +13,7 @@ from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.follows import position_error
 from service.diagnosis.fit.selection import Scored, Selection
+from service.identification.checks import FOREIGN_LEFT, FOREIGN_TOGETHER
 from service.identification.fit import Problem, fit, solve
 from service.identification.noise import Floor
 from service.model.effects.base import Effect
@@ -20,8 +21,6 @@ from service.model.effects.base import Effect
 LEAST_TIME = 3.0  # s of motion of a joint
 LEAST_SHARE = 0.02  # of the time that a joint moves in its rarer direction
 WRONG_MODEL = 0.10  # rms left, of the torque's own rms: a description that leaves more is wrong somewhere
-FOREIGN = 0.7  # of what is left that runs shed when each is fitted alone: they are not of one robot
-FOREIGN_LEFT = 2.0  # times the noise that has to be left for that question to arise
 CARRIES_OVER = 0.6  # of the gap above the noise that effects remove on runs left out: then they are no accident
 EXCUSED = 0.95  # the same, from which effects may leave more than `WRONG_MODEL`: it is little of the gap
 FOLLOWS = 0.3  # of the gap above the noise that follows what the base model lacks: then the base is wrong, not a part
@@ -178,7 +177,7 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caut
     accident = gap - left <= CARRIES_OVER * (gap - 1.0)
     if accident and len({recording.trace for recording in problem.recordings}) > 1:
         alone = _alone(problem, selection)
-        if left - alone > FOREIGN * (left - 1.0):
+        if left - alone > FOREIGN_TOGETHER * (left - 1.0):
             return [Caution(code="runs_differ", advice="check_runs")]
     torque = sum(
         float(((target[rows] - np.mean(target[rows])) ** 2).sum())

@@ -24,6 +24,7 @@ from service.model.parameters import Parameters
 
 LEAST_SHRINK = 0.015  # of the rms on data left out that a name has to be worth, and its interval above zero
 MOST_CHANGE = 0.25  # of an effect's figures from run to run; true ones of ten labelled cases stay within 0.07
+LEAST_UNKNOWN = 0.1  # the same of all names together where the noise is not known and what is left is far above it
 LEAST_PART = 0.1  # of what tells an effect's figures that a run has to hold to be asked for its own
 Z95 = 1.96
 OPEN = 0.5  # standard error over value of a shape without amplitudes, from which it is open whether there is any
@@ -53,6 +54,23 @@ def earned(
     if not fallen:
         return selection, []
     return _cut(selection, best), fallen
+
+
+def together(
+    problem: Problem, split: Split, selection: Selection, after: Sequence[np.ndarray], given: int, vague: bool
+) -> tuple[Selection, list[Caution]]:
+    """The selection, or none of its names where all of them leave the gap as it is on stretches that nothing was chosen
+    by: each stretch would have another name. after: residuals of these stretches. vague: the noise is not known, and
+    more is left than it could be."""
+    names = list(dict.fromkeys(term.effect for term in selection.best.hypothesis.terms[given:]))
+    shrink = statistics.shrink(
+        statistics.pooled_squares(problem, selection.none.residuals, split),
+        statistics.pooled_squares(problem, after, split),
+    )
+    if not names or (shrink.low > 0 and shrink.value >= (LEAST_UNKNOWN if vague else 0.0)):
+        return selection, []
+    fallen = [_fell("no_shrink", effect, selection.best, share=shrink.value) for effect in names]
+    return _cut(selection, selection.none), fallen
 
 
 def _without(problem: Problem, split: Split, selection: Selection, best: Scored, effect: Effect) -> Scored:

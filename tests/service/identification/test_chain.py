@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from schemas.axes import load_axes
 from schemas.chain import Chain, ChainIdentified
+from schemas.errors import DataError
 from service.cli.main import app
 from service.model.mechanism import SerialArm
 from tests.service import arm
@@ -87,8 +88,40 @@ def test_a_payload_is_weighed_by_an_arm_that_is_known(bench: Path, tmp_path: Pat
     true = arm.URDF.replace(
         '<link name="tool"/>', arm.LINK.format(name="tool", xyz="0 0 0", mass=0.8, ixx=5e-3, iyy=5e-3, izz=5e-3)
     )
-    log = arm.record(tmp_path / "loaded.csv", 4, arm.torque(*arm.motion(4)[1], true) - arm.torque(*arm.motion(4)[1]))
+    log = arm.record(tmp_path / "loaded.csv", 4, urdf=true)
     run("identify", log, "--robot", loaded, "--out", bench / "weighed.toml")
     found = identified(bench / "weighed.toml").rigid
     assert found["payload"].value == pytest.approx(0.8, abs=0.03)
     assert found["mx_2"].value == identified(bench / "identified.toml").rigid["mx_2"].value
+
+
+def test_degrees_that_are_called_radians(bench: Path, tmp_path: Path) -> None:
+    """Three degrees to either side look like three radians, which the limits allow."""
+    log = arm.record(tmp_path / "small.csv", 1, share=0.04, unit=np.pi / 180)
+    arguments = ["identify", log, "--robot", bench / "small.toml", "--out", tmp_path / "out.toml"]
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert isinstance(result.exception, DataError)
+    assert "small.csv: the arm's torque fits positions in degrees, not in rad" in str(result.exception)
+
+
+def test_a_joint_that_never_moves_and_logs_of_two_arms(bench: Path, tmp_path: Path) -> None:
+    heavy = arm.URDF.replace('mass value="3"', 'mass value="6"')
+    logs = [bench / "log_0.csv", arm.record(tmp_path / "theirs.csv", 6, urdf=heavy)]
+    told = run("identify", *logs, "--robot", bench / "small.toml", "--out", tmp_path / "two.toml")
+    assert "the logs fit one by one and not together" in " ".join(told.split())
+    own = run(
+        "identify",
+        bench / "log_0.csv",
+        bench / "log_1.csv",
+        "--robot",
+        bench / "small.toml",
+        "--out",
+        tmp_path / "one.toml",
+    )
+    assert "one by one" not in own
+    text = (tmp_path / "theirs.csv").read_text().splitlines()
+    table = np.array([line.split(",") for line in text[1:]], float)
+    table[:, 3] = 0.1
+    np.savetxt(tmp_path / "still.csv", table, "%.10g", ",", header=text[0], comments="")
+    told = run("identify", tmp_path / "still.csv", "--robot", bench / "small.toml", "--out", tmp_path / "still.toml")
+    assert "joint 3 never moves" in " ".join(told.split())

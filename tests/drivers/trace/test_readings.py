@@ -1,0 +1,92 @@
+"""Readings that are something else than they are called: one line, before anything is computed from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.trace import find_columns, read_trace
+from schemas.axes import Axes, load_axes
+from schemas.errors import TraceError
+from tests.service import arm
+
+COLUMNS = """joints = 3
+time = "t"
+position = { name = "q{joint}", unit = "counts", counts_per_rev = 65536 }
+torque = { name = "y{joint}", unit = "permille", rated = 2.0 }
+"""
+
+
+def table(folder: Path, position: np.ndarray, torque: np.ndarray, columns: str = COLUMNS) -> Path:
+    (folder / "columns.toml").write_text(columns)
+    values = np.column_stack([np.arange(len(position)) * 1e-3, np.round(position), np.round(torque)])
+    np.savetxt(folder / "log.csv", values, "%.10g", ",", header="t,q1,q2,q3,y1,y2,y3", comments="")
+    return folder / "log.csv"
+
+
+def waves() -> tuple[np.ndarray, np.ndarray]:
+    """Counts and per mille of a slow swing."""
+    phase = np.arange(2000)[:, None] * 2 * np.pi / 1000 + np.arange(3)
+    return 9000 * np.sin(phase), 400 * np.cos(phase)
+
+
+def test_sixteen_bits_that_wrap(tmp_path: Path) -> None:
+    position, torque = waves()
+    log = table(tmp_path, position, np.where(torque < 0, np.round(torque) + 65536, torque))
+    with pytest.raises(TraceError, match=r"log.csv: torque_1 \('y1'\) steps by 2\^16 4 times .*line.*: bits = 16"):
+        read_trace(log, columns=find_columns(tmp_path / "columns.toml"))
+    signed = COLUMNS.replace("rated = 2.0", "rated = 2.0, bits = 16")
+    table(tmp_path, position, np.where(torque < 0, np.round(torque) + 65536, torque), signed)
+    trace = read_trace(log, columns=find_columns(tmp_path / "columns.toml"))
+    np.testing.assert_allclose(trace.torque, np.round(torque) * 2e-3)
+    log = table(tmp_path, (position + 28e3 + 32768) % 65536 - 32768, torque)
+    with pytest.raises(TraceError, match=r"position_1 \('q1'\) steps by 2\^16 .*count its turns on first"):
+        read_trace(log, columns=find_columns(tmp_path / "columns.toml"))
+
+
+def test_a_fast_motor_does_not_wrap(tmp_path: Path) -> None:
+    """65 536 counts in a millisecond, steadily, and one sample that is off by as many."""
+    position, torque = waves()
+    position = position + np.arange(len(position))[:, None] * 65536.0
+    position[700, 1] += 65536
+    fine = COLUMNS.replace("65536 }", "16777216 }")
+    log = table(tmp_path, position, torque, fine)
+    axes = Axes.model_validate({"name": "fast", "kind": "axes", "axis": [{}] * 3})
+    trace = read_trace(log, axes, find_columns(tmp_path / "columns.toml"))
+    assert len(trace) == 2000
+
+
+def test_a_column_named_twice(tmp_path: Path) -> None:
+    twice = COLUMNS.replace('"y{joint}"', '"q{joint}"')
+    log = table(tmp_path, *waves(), twice)
+    with pytest.raises(TraceError, match="column 'q1' is named twice: position of joint 1 and torque of joint 1"):
+        read_trace(log, columns=find_columns(tmp_path / "columns.toml"))
+
+
+def test_torque_that_is_a_command(tmp_path: Path) -> None:
+    log = arm.record(tmp_path / "log.csv", 1)
+    header, *lines = log.read_text().splitlines()
+    header += "".join(f",torque_command_{j}_nm" for j in (1, 2, 3))
+    rows = [[*line.split(","), "0.5", *line.split(",")[5:]] for line in lines]
+    log.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n")
+    told = [finding.message for finding in read_trace(log, load_axes(arm.write(tmp_path))).findings]
+    assert told == [f"torque of joint {j} is its torque_command to the last digit: it was not measured" for j in (2, 3)]
+
+
+def test_a_log_that_the_urdf_does_not_fit(tmp_path: Path) -> None:
+    robot = load_axes(arm.write(tmp_path))
+    log = arm.record(tmp_path / "log.csv", 1, unit=np.pi / 180)
+    with pytest.raises(
+        TraceError, match=r"log.csv: position of joint 1 .* 'j1' of small.urdf .*: degrees for radians\?"
+    ):
+        read_trace(log, robot)
+    with pytest.raises(TraceError, match=r"log.csv: 3 axes, small is described with 2"):
+        read_trace(arm.record(tmp_path / "log.csv", 1), load_axes(_two(tmp_path)))
+
+
+def _two(folder: Path) -> Path:
+    path = arm.write(folder)
+    path.write_text(path.read_text().replace(', "j3"', "").replace('["grip"', '["j3", "grip"'))
+    return path
