@@ -21,7 +21,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from schemas.columns import MAX_JOINTS
 from schemas.machine import Friction, Machine, Section
-from schemas.robot import NotNegative, Parameter, Positive, Three
+from schemas.robot import Gravity, NotNegative, Parameter, Positive, Three
 from schemas.urdf import Urdf
 
 Names = Annotated[list[str], Field(max_length=MAX_JOINTS)]
@@ -50,7 +50,7 @@ class Chain(Machine):
     held: Names = Field([])
     gear_ratio: Positive | list[Positive] = 1.0
     masses: Literal["identified", "known"] = "identified"
-    gravity_mps2: Three = Field([0.0, 0.0, -9.81])
+    gravity_mps2: Gravity = Field([0.0, 0.0, -9.81])
     payload: Payload | None = None
     identified: ChainIdentified | None = None
     _arm: Urdf | None = PrivateAttr(None)

@@ -67,9 +67,8 @@ def diagnose(
     progress("fitting the base model")
     problem, floor = pooled.problem_of(recordings)
     split = Split.of(problem)
-    base = pooled.fit(problem, floor.sample, pooled.nominal_of(robot))
-    refuse_degrees(base, ", ".join(trace.path.name for trace in traces))
-    plain = score(base.fitted, split)
+    refuse_degrees(problem, ", ".join(trace.path.name for trace in traces))
+    plain = score(pooled.fit(problem, floor.sample, pooled.nominal_of(robot)).fitted, split)
     given = _given(robot, baseline)
     timed = Hypothesis(plain.hypothesis.base, given)
     if given:

@@ -54,8 +54,8 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
             f"{names}: too little motion, {np.max(seconds):.1f} s of an axis, at least {least:.0f} s needed"
         )
     problem, noise = pooled.problem_of(recordings)
+    refuse_degrees(problem, ", ".join(trace.path.name for trace in traces))
     fit = pooled.fit(problem, noise.sample, pooled.nominal_of(axes))
-    refuse_degrees(fit, ", ".join(trace.path.name for trace in traces))
     identified = axes_identified(
         axes,
         {estimate.name: (estimate.value, estimate.std_error) for estimate in fit.estimates},

@@ -1,49 +1,49 @@
-"""Whether positions that are called radians are degrees: of a small motion every angle is one that a joint can have."""
+"""Whether positions that are called radians are degrees: of a small motion every angle is one that a joint can have,
+and masses of a 57th explain the torque. The masses of the URDF tell."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from schemas.errors import DataError
 from service.identification import fit as solver
-from service.identification.checks import FOREIGN_LEFT
 from service.identification.fit import Problem
-from service.identification.pooled import Plain, start
+from service.identification.pooled import start
+from service.model.mechanism import SerialArm
+from service.model.scene import Recording
 
 CLEAR = 0.25  # of the squared residual that is left at most when read as degrees
 
 
-def refuse_degrees(plain: Plain, files: str) -> None:
+def refuse_degrees(problem: Problem, files: str) -> None:
     """
     Raises:
-        DataError: the arm's torque fits positions that are taken for degrees, and not as they are.
+        DataError: with the masses of its URDF the arm's torque fits positions in degrees, and not in radians.
     """
-    problem = plain.problem
-    if problem.recordings[0].mechanism.kind != "chain" or not _suspect(plain):
+    mechanism = problem.recordings[0].mechanism
+    if not isinstance(mechanism, SerialArm):
         return
-    scaled = [
-        replace(
-            recording,
-            segment=replace(
-                recording.segment,
-                theta=np.radians(recording.segment.theta),
-                theta_dot=np.radians(recording.segment.theta_dot),
-                theta_ddot=np.radians(recording.segment.theta_ddot),
-            ),
-        )
-        for recording in problem.recordings
-    ]
-    smaller = Problem(scaled, problem.band, problem.sigma, problem.target, problem.rows)
-    costs = [solver.fit(one, start(one), iterations=2).cost for one in (problem, smaller)]
-    if costs[1] < CLEAR * costs[0]:
-        share = 100 * (costs[1] / costs[0]) ** 0.5
+    described = replace(mechanism, asked=False, known=mechanism.arm.weights)
+    given = [replace(recording, mechanism=described) for recording in problem.recordings]
+    radians, degrees = (_left(problem, one) for one in (given, [_as_degrees(recording) for recording in given]))
+    if degrees < CLEAR * radians:
+        share = (degrees / radians) ** 0.5
         raise DataError(
-            f"{files}: the arm's torque fits positions in degrees, not in rad: {share:.0f} % of what is left in rad; "
-            'say unit = "deg" in the mapping'
+            f"{files}: with the masses of the URDF the torque fits positions in degrees, not in rad ({share:.0%} is "
+            'left of what is left in rad): say unit = "deg" in the mapping'
         )
 
 
-def _suspect(plain: Plain) -> bool:
-    return bool(np.mean(plain.residual**2 / plain.noise_floor**2) > FOREIGN_LEFT**2)
+def _as_degrees(recording: Recording) -> Recording:
+    segment = recording.segment
+    angles = {name: np.radians(getattr(segment, name)) for name in ("theta", "theta_dot", "theta_ddot")}
+    return replace(recording, segment=replace(segment, **angles))
+
+
+def _left(problem: Problem, recordings: Sequence[Recording]) -> float:
+    """Squared residual of friction, rotors and constant loads alone."""
+    one = Problem(recordings, problem.band, problem.sigma, problem.target, problem.rows)
+    return solver.fit(one, start(one), iterations=2).cost

@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from schemas.axes import load_axes
+from drivers.trace import read_trace
+from schemas.axes import load_axes, save_axes
 from schemas.chain import Chain, ChainIdentified
 from schemas.errors import DataError
 from service.cli.main import app
+from service.diagnosis.diagnose import diagnose
+from service.diagnosis.documents.document import corrected, document
+from service.model.effects import catalogue
 from service.model.mechanism import SerialArm
 from tests.service import arm
 
@@ -72,11 +76,16 @@ def test_an_effect_sits_on_a_joint_of_an_arm(bench: Path, tmp_path: Path) -> Non
         stuck = np.zeros((len(speed), 3))
         stuck[:, 1] = 1.2 * np.sign(speed) * np.exp(-((speed / 0.3) ** 2))
         logs.append(arm.record(tmp_path / f"log_{seed}.csv", seed, stuck))
-    run("diagnose", *logs, "--robot", bench / "small.toml", "--out", tmp_path / "out")
-    document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    (effect,) = document["effects"]
-    assert (effect["name"], effect["joints"]) == ("stribeck_friction", [2])
-    again = run("evaluate", logs[0], "--robot", tmp_path / "out" / "corrected.toml", "--json")
+    robot = load_axes(bench / "small.toml")
+    asked = ("stribeck_friction", "joint_spring", "nonlinear_viscous_friction")
+    effects = [effect for effect in catalogue() if effect.name in asked]
+    findings = diagnose(robot, [read_trace(log, robot) for log in logs], effects)
+    (effect,) = document(findings).effects
+    assert (effect.name, effect.joints) == ("stribeck_friction", [2])
+    fixed = corrected(findings)
+    assert isinstance(fixed, Chain)
+    save_axes(fixed, tmp_path / "corrected.toml")
+    again = run("evaluate", logs[0], "--robot", tmp_path / "corrected.toml", "--json")
     assert max(json.loads(again)["models"]["full"]["rms_nm"]) < 0.08
 
 
@@ -101,7 +110,7 @@ def test_degrees_that_are_called_radians(bench: Path, tmp_path: Path) -> None:
     arguments = ["identify", log, "--robot", bench / "small.toml", "--out", tmp_path / "out.toml"]
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert isinstance(result.exception, DataError)
-    assert "small.csv: the arm's torque fits positions in degrees, not in rad" in str(result.exception)
+    assert "small.csv: with the masses of the URDF the torque fits positions in degrees" in str(result.exception)
 
 
 def test_a_joint_that_never_moves_and_logs_of_two_arms(bench: Path, tmp_path: Path) -> None:
