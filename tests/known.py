@@ -48,7 +48,8 @@ class Known:
 
 @pytest.fixture(scope="session")
 def make(robot: Robot) -> Callable[..., Known]:
-    """Sinusoidal joint motion; payload mass as a function of time; noise in the torque, counts in the position."""
+    """Sinusoidal joint motion, `pace` times as fast; payload mass as a function of time; noise in the torque, counts in
+    the position."""
 
     def known(
         seconds: float = 2.0,
@@ -57,9 +58,10 @@ def make(robot: Robot) -> Callable[..., Known]:
         noise: float = 0.0,
         seed: int = 1,
         period: float = PERIOD,
+        pace: float = 1.0,
     ) -> Known:
         time = np.arange(round(seconds / period)) * period
-        rate = 2 * np.pi * np.array([1.1, 1.6, 2.1])
+        rate = 2 * np.pi * np.array([1.1, 1.6, 2.1]) * pace
         wave = rate * time[:, None] + [0.0, 1.0, 2.0]
         theta = 0.4 + 0.35 * np.sin(wave)
         theta_dot, theta_ddot = 0.35 * rate * np.cos(wave), -0.35 * rate**2 * np.sin(wave)

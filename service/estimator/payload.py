@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 
 from schemas.messages import Gripper, PayloadEvent
-from service.estimator import friction
+from service.estimator import friction, slow
 
 BIN_TIME = 0.002  # s, resolution of an onset
 WINDOW = 150  # bins, how far back an onset is looked for
@@ -119,6 +119,7 @@ STATE = np.dtype(
         ("fresh", "i8"),  # blocks since the last change, as far as they are kept
         ("sums", "f8", (BLOCKS, 3, COLUMN + LOADS)),  # of each block, a joint: weight, residual and loads times weight
         ("friction", friction.STATE),
+        ("slow", slow.STATE),
         # scratch: sums since an onset and before it, of all loads and of the mass alone
         ("since_information", "f8", (LOADS, LOADS)),
         ("since_moment", "f8", LOADS),
@@ -138,6 +139,8 @@ STATE = np.dtype(
         ("column", "f8", (3, LOADS)),  # of this sample: what each load does, phi N m/kg and swing N m/(kg m)
         ("residual", "f8", 3),  # of this sample, N m, measured minus predicted without payload
         ("weight", "f8", 3),  # of this sample, (N m)^-2, 0 where a joint has nothing to say
+        ("slow_weight", "f8", 3),  # the same of a joint too slow for Coulomb's law
+        ("remains", "f8", 3),  # of the residual, learnt friction taken off
         ("gripper", "i8"),  # of this sample, schemas.messages.Gripper
         ("gripper_before", "i8"),
         ("mass", "f8"),  # kg
@@ -236,6 +239,10 @@ def payload_kernel(settings, state):
         state.moment[p] = state.moment[p] * settings.forgetting + gained
         state.bin_moment[head, p] += gained
     state.raw_information = _prior(0) + (state.raw_information - _prior(0)) * settings.forgetting + raw
+    if raw > 0.0:
+        slow.fast_kernel(state.slow)
+    elif state.active == 1:
+        _weigh_slowly(settings, state)
     state.in_bin += 1
     if state.in_bin >= settings.bin_size:
         state.in_bin = 0
@@ -254,6 +261,28 @@ def payload_kernel(settings, state):
 
 
 @njit(cache=True)
+def _weigh_slowly(settings, state):
+    """Where nothing moves fast: take what gravity says for all that is known of the mass."""
+    for i in range(3):
+        first = friction.PARTS * i
+        state.known[i] = settings.prior[first]
+        state.remains[i] = state.residual[i]
+        for a in range(friction.PARTS):
+            state.remains[i] -= state.shape[i, a] * state.friction.delta[first + a]
+        state.slow_weight[i] *= settings.worth
+    told = slow.slow_kernel(
+        state.slow, state.column, state.remains, state.shape[:, 0], state.slow_weight, settings.period, state.known,
+        state.mass, state.std_dev * state.std_dev, PRIOR_STD * PRIOR_STD,
+    )  # fmt: skip
+    if told:
+        state.information[0, 0] = 1.0 / state.slow.variance
+        state.moment[0] = state.slow.mass / state.slow.variance
+        state.raw_information = state.information[0, 0] * state.inflation
+        for a in range(friction.COUNT):
+            state.drag[0, a] = 0.0
+
+
+@njit(cache=True)
 def _grip(state):
     """The gripper opened or closed: what hangs on it is another from here on."""
     if state.gripper_before != UNKNOWN and state.gripper != UNKNOWN:
@@ -269,6 +298,7 @@ def _grip(state):
             state.moment[p] = 0.0
             state.drag[p] = 0.0
         state.raw_information = _prior(0)
+        slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
     state.gripper_before = state.gripper
 
 

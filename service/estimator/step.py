@@ -55,10 +55,10 @@ from service.estimator.stream import (
     restart_cycles,
 )  # fmt: skip
 from service.estimator.turning import swing_kernel, turn_kernel
-from service.model.dynamics import GRAVITY, INERTIA, PLATFORM, terms_kernel
+from service.model.dynamics import GRAVITY, INERTIA, PLATFORM, REST_SPEED, terms_kernel
 from service.model.kinematics import REACHED
 
-# Presliding and Stribeck effects live below this speed: the payload does not look at a joint there.
+# Presliding and Stribeck effects live below this speed: the payload looks at a joint there where nothing is faster.
 REVERSAL_SPEED = 0.05  # rad/s
 
 _CDR = np.frombuffer(CDR_LITTLE_ENDIAN, np.uint8).copy()
@@ -151,7 +151,9 @@ def lagged_kernel(settings, state, payload_out, error_out):
                 abs(terms[INERTIA, i]) + abs(terms[GRAVITY, i]) + abs(terms[PLATFORM, i]) + abs(friction)
             )
             # a resting joint's friction can be anything within Coulomb's bounds, the same for as long as it rests
-            weighed.weight[i] = 1.0 / (settings.variance[i] + doubt * doubt) if speed > REVERSAL_SPEED else 0.0
+            weight = 1.0 / (settings.variance[i] + doubt * doubt)
+            weighed.weight[i] = weight if speed > REVERSAL_SPEED else 0.0
+            weighed.slow_weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
         weighed.gripper = past.gripper
         event = payload_kernel(settings.payload, weighed)
         load = usable_mass(state)
