@@ -8,9 +8,10 @@ integrators taking over the torque that was, so that nothing jumps.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -91,12 +92,14 @@ def run_live(
     pace: Callable[[int], int],
     *,
     loops: int = 1,
+    changes: Mapping[int, Plant] = MappingProxyType({}),
     realtime: bool = False,
     progress: Callable[[int], object] = lambda cycle: None,
     stop: Callable[[int], bool] = lambda cycle: False,
 ) -> LiveRun:
     """Run `motion` `loops` times (0: until Ctrl-C; it has to end where it starts) at the period of `plant`.
 
+    changes: cycle -> the plant that goes on from there.
     pace: waits for a deadline, ns of CLOCK_MONOTONIC, and says how late it is (`replay.clock.wait_until`). stop: asked
     every cycle whether to end. Ctrl-C ends the run; the newest `REMEMBERED` cycles come back.
     """
@@ -110,6 +113,8 @@ def run_live(
     sample, reference = SAMPLE.empty(1), REFERENCE.empty(1)
     rows = np.zeros(min(loops * count, REMEMBERED) if loops else REMEMBERED, _CYCLE)
     done = late_count = 0
+    for changed in changes.values():
+        changed.warm_up()
     plant.set_payload(0.0)
     plant.reset(motion.position[0])
     plant.warm_up()
@@ -122,6 +127,9 @@ def run_live(
                 k = cycle % count
                 late = pace(start + cycle * period_ns)
                 late_count += late > period_ns
+                if cycle in changes:
+                    changes[cycle].adopt(plant)
+                    plant = changes[cycle]
                 fed_before, fed = fed, intake.at(cycle)
                 if (fed is None) != (fed_before is None):
                     plant.take_over(fed_before, fed)

@@ -19,6 +19,7 @@ from drivers.plant.mechanism import (
     build,
     centre_pose,
     close,
+    dependence,
     holding_torque,
     reflected_inertia,
 )
@@ -62,7 +63,7 @@ class Plant:
 
     Attributes read by effects: time s (since power-on); theta, theta_dot (3,) of the links; motor, motor_dot (3,);
     platform, platform_dot (3,) m; load (3,) N m, torque last passed through the gears; payload kg; rng. They follow the
-    physics: copy what has to last.
+    physics: copy what has to last. robot, described: what it was made of, before effects.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class Plant:
         seed: int = 0,
     ):
         truth = truth or PlantTruth.nominal(robot)
+        self.robot, self.described = robot, truth
         design = Design(truth)
         for effect in effects:
             design = effect.shape(design)
@@ -138,6 +140,28 @@ class Plant:
         self.drive: ServoState = rest(holding)
         self._observe()
         self.reading = self.motor - self.offset
+        for effect in self.effects:
+            effect.start(self)
+        self._set_friction()
+
+    def adopt(self, other: Plant) -> None:
+        """Go on where `other`, a plant of the same robot with other effects, is in its motion, between two cycles.
+
+        Links, rotors and drives keep angle, speed and torque; effects begin anew.
+        """
+        link, mechanism = other.theta.copy(), self.mechanism
+        slope = dependence(mechanism, link[None])[0]
+        mujoco.mj_resetData(mechanism.model, self.data)
+        self.data.qpos[:] = close(mechanism, link)[0]
+        self.data.qvel[:] = slope @ other.theta_dot
+        self.data.qpos[mechanism.motor], self.data.qvel[mechanism.motor] = other.motor, other.motor_dot
+        self.set_payload(other.payload)
+        mujoco.mj_forward(mechanism.model, self.data)
+        self.time, self.load, self.torque = other.time, other.load.copy(), other.torque.copy()
+        self.drive = ServoState(*(state.copy() for state in other.drive))
+        self.rng, self._encoder_rng, self._encoder_noise = other.rng, other._encoder_rng, other._encoder_noise
+        self._observe()
+        self.reading = other.reading.copy()
         for effect in self.effects:
             effect.start(self)
         self._set_friction()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -31,10 +32,12 @@ def simulate(
     name: str = "simulated",
     feedforward: np.ndarray | None = None,
     progress: Callable[[int], None] = lambda cycle: None,
+    changes: Mapping[int, Plant] = MappingProxyType({}),
 ) -> Trace:
     """Take `plant` from rest at the start of `motion` to its end; the trace begins at the plant's time.
 
-    feedforward: (N, 3) N m that the drives add. progress: called with the number of every cycle.
+    feedforward: (N, 3) N m that the drives add. progress: called with the number of every cycle. changes: cycle -> the
+    plant that goes on from there.
 
     Raises:
         DataError: the motion tears the mechanism apart.
@@ -47,6 +50,9 @@ def simulate(
     position, torque, command = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
     nothing = np.zeros(3)
     for k in range(count):
+        if k in changes:
+            changes[k].adopt(plant)
+            plant = changes[k]
         carrier.apply(plant, k)
         measured = plant.latch(
             Target(motion.position[k], motion.velocity[k]),

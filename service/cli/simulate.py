@@ -57,6 +57,14 @@ def command(
         bool, typer.Option("--live", help="Run in real time on Zenoh, taking feed-forward torque.")
     ] = False,
     loop: Annotated[int, typer.Option(min=0, help="Live: times to run the motion; 0: until Ctrl-C.")] = 0,
+    later: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[=VALUE]@SECONDS",
+            help="Effect that comes on while the robot runs, as stribeck_friction@60s; VALUE: its first figure, SI. "
+            "May be repeated.",
+        ),
+    ] = None,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
 ) -> None:
@@ -68,11 +76,15 @@ def command(
     Example: deltatwin simulate --robot d3-1200 --motion pick --payload 3.8 --duration 20 --out pick.csv
 
     Example: deltatwin simulate --robot d3-1200 --live --payload 1 --payload 3.8
+
+    Example: deltatwin simulate --robot d3-1200 --live --later stribeck_friction@60s
     """
     import numpy as np
 
     from drivers.motion import MotionLimits, Planner
     from drivers.motion_file import read_motion
+    from drivers.plant.later import changes
+    from drivers.plant.later import later as read_later
     from schemas.errors import DataError
     from schemas.files import check_folder
     from schemas.robot import load_robot
@@ -93,15 +105,21 @@ def command(
     planner.limits = MotionLimits(**(vars(planner.limits) | {key: value for key, value in given.items() if value}))
     if planner.limits.torque > plant.truth.peak_torque_nm:
         raise DataError(f"--max-torque {max_torque} N m: the drives give {plant.truth.peak_torque_nm:.6g} N m at most")
+    coming = [read_later(text, plant.described, seed) for text in later or ()]
     if motion in KINDS:
         planned = _plan(planner, motion, np.random.default_rng([seed, 1]), duration, tuple(payload or ()), speed)
     else:
         planned = read_motion(Path(motion), description, planner)
+    for one in coming:
+        if not live and one.at >= planned.duration:
+            raise DataError(f"--later {one.name}@{one.at:g}s: the motion ends at {planned.duration:.3g} s")
+        typer.echo(f"later {one.in_words}", err=True)
+    made = changes(plant, seed, coming)
     if live:
-        _live(description, plant, planner.closed(planned), loop, out, zenoh_config, insecure)
+        _live(description, plant, planner.closed(planned), loop, made, out, zenoh_config, insecure)
     else:
         assert out is not None
-        _offline(description, plant, planned, out)
+        _offline(description, plant, planned, made, out)
         if picks is not None:
             _write_picks(planned, picks)
     typer.echo(f"simulated {description.name}, {which}; workspace {_workspace(planner)}")
@@ -138,7 +156,7 @@ def _plan(
     return planner.slow(rng, duration)
 
 
-def _offline(robot: Robot, plant: Plant, motion: Trajectory, out: Path) -> None:
+def _offline(robot: Robot, plant: Plant, motion: Trajectory, changes: dict[int, Plant], out: Path) -> None:
     from rich.console import Console
     from rich.progress import Progress
 
@@ -148,7 +166,12 @@ def _offline(robot: Robot, plant: Plant, motion: Trajectory, out: Path) -> None:
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(f"simulate {robot.name}", total=len(motion))
-        trace = simulate(plant, motion, progress=lambda k: None if k % 200 else progress.update(task, completed=k))
+        trace = simulate(
+            plant,
+            motion,
+            progress=lambda k: None if k % 200 else progress.update(task, completed=k),
+            changes=changes,
+        )
     write_trace(trace, out, robot.name)
     typer.echo(f"{out}: {len(trace)} samples at {1 / plant.period:.6g} Hz, {motion.duration:.3f} s")
     for load in motion.payloads:
@@ -167,6 +190,7 @@ def _live(
     plant: Plant,
     motion: Trajectory,
     loops: int,
+    changes: dict[int, Plant],
     out: Path | None,
     zenoh_config: Path | None,
     insecure: bool,
@@ -186,7 +210,7 @@ def _live(
     with counting(f"live {robot.name}", len(motion) * loops) as show:
         realtime = go_realtime("simulate")
         with open_bus(robot.name, Role.ROBOT, zenoh_config, insecure) as bus:
-            run = run_live(plant, motion, bus, Pacer(), loops=loops, realtime=realtime, progress=show)
+            run = run_live(plant, motion, bus, Pacer(), loops=loops, changes=changes, realtime=realtime, progress=show)
     if not len(run.trace):
         return
     assert run.trace.position_command is not None
