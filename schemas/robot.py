@@ -205,6 +205,17 @@ class Limits(_Section):
     friction_drift: Positive = 0.3  # share of the identified friction beyond which health says that it has changed
 
 
+class Servo(_Section):
+    """The drives' cascade, joint side, a figure a joint; `service/rollout/servo.py` has its law."""
+
+    position_gain_ps: Three  # 1/s
+    velocity_gain_nms: Three  # N m for a rad/s
+    integral_time_s: Three = [0.0, 0.0, 0.0]  # of the velocity control; 0: none
+    velocity_feedforward: Three = [1.0, 1.0, 1.0]  # share of the commanded speed
+    acceleration_feedforward_kgm2: Three = [0.0, 0.0, 0.0]
+    peak_torque_nm: Positive | None = None  # default: that of `limits`
+
+
 class FourthAxis(_Section):
     """The axis that turns the gripper, driven from the base through a telescopic shaft; its angle is `position_4_rad`.
 
@@ -299,6 +310,7 @@ class Robot(_Section):
     mass: Mass
     drive: Drive = Drive()
     limits: Limits = Limits()
+    servo: Servo | None = None
     fourth_axis: FourthAxis | None = None
     columns: Columns | None = None
     identified: Identified | None = None

@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from schemas.robot import Servo
+
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -15,7 +17,8 @@ class Reached(_Section):
     """Rms of simulated less measured motion of one robot over the windows that stayed in the workspace.
 
     joint_mrad, platform_mm: at the horizon. growth_mm: of the platform, at the document's `times_s`. ran_away: windows
-    that left the workspace. left_out: effects of the description that the simulation does without.
+    that left the workspace. left_out: effects of the description that the simulation does without. torque_nm: rms over
+    the windows, where commands went in.
     """
 
     robot: str
@@ -24,6 +27,7 @@ class Reached(_Section):
     growth_mm: list[float | None]
     ran_away: int
     left_out: list[str]
+    torque_nm: list[float | None] = []
 
 
 class RegimeReached(_Section):
@@ -36,7 +40,9 @@ class RegimeReached(_Section):
 
 
 class RolloutDocument(_Section):
-    """Simulated robots under recorded torque. floor: what torque noise and start state make of the last robot alone.
+    """Simulated robots under recorded torque, or under recorded commands through the drives of `servo`.
+
+    floor: what torque noise and start state make of the last robot alone.
 
     path_mm: rms way of the measured platform. seconds: of the logs; used_s: in windows.
     """
@@ -52,3 +58,4 @@ class RolloutDocument(_Section):
     robots: list[Reached]
     floor: Reached
     regimes: list[RegimeReached]
+    servo: Servo | None = None

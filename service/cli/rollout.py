@@ -25,6 +25,12 @@ def command(
         ),
     ],
     horizon: Annotated[float, typer.Option(help="Length of a window, s")] = 0.2,
+    commands: Annotated[
+        bool,
+        typer.Option(
+            "--commands", help="Put the recorded position commands in, through [servo] or the drives that the logs show"
+        ),
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for rollout.json and rollout.html")] = None,
     effects: OwnEffects = None,
     columns: ColumnsFrom = None,
@@ -32,7 +38,8 @@ def command(
 ) -> None:
     """Simulate the robot under the recorded torque and say how far its motion is from the measured one.
 
-    Each window of a log starts in the measured state; from there on only torque goes in. Beside each description
+    Each window of a log starts in the measured state; from there on only torque goes in; or, with --commands, only the
+    position commands, and the torque of the simulated drives is compared too. Beside each description
     stand the same robot as it was drawn up (plain), and the floor: what the noise of torque and start state alone
     makes of the last one.
 
@@ -49,8 +56,9 @@ def command(
     console, progress = result_console(), Console(stderr=True)
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
     with progress.status("simulating") as status:
-        found = rollout(robots, recorded, horizon, lambda what: status.update(f"simulating {what}"))
-    check_sign(list(robots.values())[-1], recorded, found)
+        found = rollout(robots, recorded, horizon, lambda what: status.update(f"simulating {what}"), commands)
+    if not commands:
+        check_sign(list(robots.values())[-1], recorded, found)
     result = document(found, robots, [trace.name for trace in recorded])
     if out is not None:
         make_folder(out)
@@ -100,10 +108,13 @@ def _table(result: RolloutDocument) -> Table:
         "robot", "joint 1, mrad", "joint 2, mrad", "joint 3, mrad", "platform, mm",
         title=f"simulated less measured after {1e3 * result.horizon_s:.0f} ms, rms of {result.windows} windows",
     )  # fmt: skip
+    if result.servo is not None:
+        table.add_column("torque, rms N m, joint 1, 2, 3")
     for column in table.columns[1:]:
         column.justify = "right"
     for robot in (*result.robots, result.floor):
-        table.add_row(robot.robot, *map(_figure, robot.joint_mrad), _figure(robot.platform_mm))
+        torque = [", ".join(map(_figure, robot.torque_nm))] if robot.torque_nm else []
+        table.add_row(robot.robot, *map(_figure, robot.joint_mrad), _figure(robot.platform_mm), *torque)
     return table
 
 

@@ -26,7 +26,7 @@ SHARE = (0.03, 1.0)  # of the limits
 FARTHEST = 0.7  # of a swing, that its middle may be off
 SLOPE = 2.0  # power of the order that harmonics fall with, at most
 ROUNDS = 2
-MEMBERS, GENERATIONS = 16, 4  # of the population
+MEMBERS, GENERATIONS = 12, 3  # of the population
 
 # A stretch is a point of the unit cube: frequency, share, slope, size of each joint, its middle, its phases.
 DIMENSIONS = 3 + 2 * 3 + 3 * HARMONICS

@@ -23,7 +23,8 @@ def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) ->
     """The document of a rollout of `robots` over `traces`."""
     samples = found.floor.platform.shape[1]
     rows = np.unique(np.linspace(0, samples - 1, TIMES).round().astype(int))
-    shown = [reached(course, rows, left_out(robots[course.name])) for course in found.courses]
+    driven = found.servo is not None
+    shown = [reached(course, rows, left_out(robots[course.name]), driven) for course in found.courses]
     return RolloutDocument(
         schema="deltatwin.rollout/1",
         traces=list(traces),
@@ -34,13 +35,16 @@ def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) ->
         path_mm=found.floor.path_mm,
         times_s=[round(float(row * found.period), 6) for row in rows],
         robots=shown,
-        floor=reached(found.floor, rows),
+        floor=reached(found.floor, rows, torque=driven),
         regimes=_regimes(found),
+        servo=found.servo,
     )
 
 
-def reached(course: Course, rows: Sequence[int] | np.ndarray = (), without: Sequence[str] = ()) -> Reached:
-    """A course's figures. rows: samples at which to tell its growth. without: effects left out."""
+def reached(
+    course: Course, rows: Sequence[int] | np.ndarray = (), without: Sequence[str] = (), torque: bool = False
+) -> Reached:
+    """A course's figures. rows: samples at which to tell its growth. without: effects left out. torque: that too."""
     return Reached(
         robot=course.name,
         joint_mrad=_numbers(course.joint_mrad),
@@ -48,6 +52,7 @@ def reached(course: Course, rows: Sequence[int] | np.ndarray = (), without: Sequ
         growth_mm=_numbers(course.growth_mm[list(rows)]),
         ran_away=int(np.sum(~course.good)),
         left_out=list(without),
+        torque_nm=_numbers(course.torque_nm) if torque else [],
     )
 
 
@@ -97,6 +102,14 @@ def sentences(result: RolloutDocument) -> list[str]:
         )
     elif shown:
         lines.append(f"In the simulator the platform is off by {shown[0].platform_mm:.3g} mm after {horizon}.")
+    if result.servo is not None:
+        gains, speeds = (
+            ", ".join(f"{value:.3g}" for value in values)
+            for values in (result.servo.position_gain_ps, result.servo.velocity_gain_nms)
+        )
+        lines.append(
+            f"Commands went in, through drives of position gain {gains} 1/s, velocity gain {speeds} N m s/rad."
+        )
     if result.floor.platform_mm is not None:
         lines.append(
             f"Torque noise and start state alone give {result.floor.platform_mm:.3g} mm; "

@@ -14,8 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from schemas.errors import DataError, PoseError, TraceError
-from schemas.robot import Robot
+from schemas.robot import Robot, Servo
 from schemas.trace import Trace
+from service.estimator.bounds import bounds_of
 from service.identification.noise import white_noise
 from service.identification.pooled import SAME_RATE
 from service.model import kinematics
@@ -28,6 +29,7 @@ from service.model.signals import EDGE, Segment, segments, smooth
 from service.model.torque import predict
 from service.rollout.kernel import LONGEST_STEP, SCRATCH, run_kernel
 from service.rollout.robot import Stretch, stretch
+from service.rollout.servo import Gains, commands_of, follow, gains_of, identified
 
 HORIZON = 0.2  # s
 SHORTEST, LONGEST = 0.01, 5.0  # s of horizon that make sense
@@ -41,13 +43,20 @@ TURNED = 0.5  # share of the error that is left with the torque turned round, if
 
 @dataclass(frozen=True)
 class Course:
-    """One robot over W windows of S samples: angles (W, S, 3) rad and platform (W, S, 3) m, both simulated less
-    measured; NaN from where a run left the workspace. path: (W, S) m that the measured platform is from its start."""
+    """One robot over W windows of S samples: angles (W, S, 3) rad, platform (W, S, 3) m and torque (W, S, 3) N m, each
+    simulated less measured; NaN from where a run left the workspace. path: (W, S) m that the measured platform is from
+    its start."""
 
     name: str
     angle: np.ndarray
     platform: np.ndarray
     path: np.ndarray
+    torque: np.ndarray
+
+    @property
+    def torque_nm(self) -> np.ndarray:
+        """(3,) rms over the windows."""
+        return rms(self.torque[self.good].reshape(-1, 3))
 
     @property
     def good(self) -> np.ndarray:
@@ -76,11 +85,36 @@ class Course:
 
 
 @dataclass(frozen=True)
+class Windows:
+    """W windows of a part: first samples (W,), and how many samples each has. command: (N, 3, 3) of the part and gains
+    of the drives that follow it; None where the recorded torque drives the robot."""
+
+    segment: Segment
+    starts: np.ndarray
+    samples: int
+    command: np.ndarray | None = None
+    gains: Gains | None = None
+
+    def cut(self, values: np.ndarray) -> np.ndarray:
+        """(W, S, ...) of (N, ...)."""
+        return values[self.starts[:, None] + np.arange(self.samples)]
+
+    def run(self, seen: Stretch, start: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Angles rad and torque N m, (W, S, 3) each, from `start` (W, 5, 3). torque: (N, 3) N m, of which the drives
+        take the first in a window."""
+        part, clock, period = self.cut(torque), self.segment.time[self.starts], self.segment.period
+        if self.command is None or self.gains is None:
+            return simulate(seen, start, part, clock, period), part
+        return follow(seen, self.gains, start, self.cut(self.command), part[:, 0], clock, period)
+
+
+@dataclass(frozen=True)
 class Rollout:
     """Robots against logs. period, horizon: s. courses: one a robot, in the order given. floor: of the last of them.
 
     regime: (W, 3) index into `REGIMES` of each window for each joint. runs: (W,) log of each. seconds: of the logs;
-    used: in windows, which leave out faults, the ends and what rests.
+    used: in windows, which leave out faults, the ends and what rests. servo: of the drives,
+    where commands went in.
     """
 
     period: float
@@ -91,6 +125,7 @@ class Rollout:
     runs: tuple[str, ...]
     seconds: float
     used: float
+    servo: Servo | None = None
 
 
 def rms(values: np.ndarray) -> np.ndarray:
@@ -108,11 +143,16 @@ def rollout(
     traces: Sequence[Trace],
     horizon: float = HORIZON,
     progress: Callable[[str], None] = lambda _: None,
+    commands: bool = False,
 ) -> Rollout:
     """Simulate the robots, by name, over `traces`; the floor is the last one's. progress: told what is at hand.
 
+    commands: the recorded position commands go in, not the torque, through the drives that the last robot's description
+    has in [servo], or else those that the logs show.
+
     Raises:
-        DataError: the horizon makes no sense, no window of it moves, or logs of several rates.
+        DataError: the horizon makes no sense, no window of it moves, or logs of several rates; without commands, or
+            with torque that does not follow them.
         TraceError: a trace without a usable part, or with positions that are no pose, naming the file.
         RobotError: an effect that is not known.
     """
@@ -121,6 +161,11 @@ def rollout(
     count = sum(map(len, windows))
     if not count:
         raise DataError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves")
+    servo, given = None, list(robots.values())[-1]
+    if commands:
+        servo = given.servo or identified(
+            [(trace, segment, stretch(given, segment, trace.position[segment.rows])) for trace, segment in parts]
+        )
     courses, floor = [], None
     for name, robot in robots.items():
         last = name == list(robots)[-1]
@@ -131,9 +176,13 @@ def rollout(
             progress(f"{name}, {trace.name}")
             try:
                 seen = stretch(robot, segment, trace.position[segment.rows])
-                of_parts.append(_course(name, seen, segment, starts, samples))
+                cut = Windows(segment, starts, samples)
+                if servo is not None:
+                    gains = gains_of(servo, bounds_of(given).peak_nm)
+                    cut = replace(cut, command=commands_of(trace, segment), gains=gains)
+                of_parts.append(_course(name, seen, cut))
                 if last:
-                    of_floor.append(_floor(robot, seen, trace, segment, starts, samples))
+                    of_floor.append(_floor(robot, seen, trace, cut))
             except PoseError as error:
                 raise TraceError(f"{trace.path}: {error}") from error
         courses.append(_joined(name, of_parts))
@@ -145,7 +194,7 @@ def rollout(
     )
     runs = tuple(trace.name for (trace, _), starts in zip(parts, windows, strict=True) for _ in starts)
     seconds = float(sum(len(trace) * period for trace in traces))
-    return Rollout(period, (samples - 1) * period, tuple(courses), floor, regime, runs, seconds, count * horizon)
+    return Rollout(period, (samples - 1) * period, tuple(courses), floor, regime, runs, seconds, count * horizon, servo)
 
 
 def has_windows(traces: Sequence[Trace], horizon: float = HORIZON) -> bool:
@@ -200,18 +249,13 @@ def simulate(seen: Stretch, start: np.ndarray, torque: np.ndarray, clock: np.nda
     return seen.measured(motor)
 
 
-def _cut(values: np.ndarray, starts: np.ndarray, samples: int) -> np.ndarray:
-    """(W, S, ...) of (N, ...)."""
-    return values[starts[:, None] + np.arange(samples)]
+def _course(name: str, seen: Stretch, windows: Windows) -> Course:
+    angle, torque = windows.run(seen, seen.start[windows.starts], seen.torque)
+    off = torque - windows.cut(seen.torque)
+    return _compared(name, seen.model, angle, windows.cut(windows.segment.theta), off)
 
 
-def _course(name: str, seen: Stretch, segment: Segment, starts: np.ndarray, samples: int) -> Course:
-    torque = _cut(seen.torque, starts, samples)
-    angle = simulate(seen, seen.start[starts], torque, segment.time[starts], segment.period)
-    return _compared(name, seen.model, angle, _cut(segment.theta, starts, samples))
-
-
-def _compared(name: str, model: DeltaModel, angle: np.ndarray, measured: np.ndarray) -> Course:
+def _compared(name: str, model: DeltaModel, angle: np.ndarray, measured: np.ndarray, torque: np.ndarray) -> Course:
     reference = kinematics.forward(model, measured.reshape(-1, 3)).reshape(measured.shape)
     platform = np.full(angle.shape, np.nan)
     good = np.isfinite(angle[..., 0])
@@ -222,16 +266,15 @@ def _compared(name: str, model: DeltaModel, angle: np.ndarray, measured: np.ndar
         except PoseError:
             angle[w] = np.nan
     path = np.linalg.norm(reference - reference[:, :1], axis=2)
-    return Course(name, angle - measured, platform - reference, path)
+    return Course(name, angle - measured, platform - reference, path, torque)
 
 
-def _floor(robot: Robot, seen: Stretch, trace: Trace, segment: Segment, starts: np.ndarray, samples: int) -> Course:
+def _floor(robot: Robot, seen: Stretch, trace: Trace, windows: Windows) -> Course:
     """Runs of the same robot with noise over torque and start state, less the run without."""
     rng = np.random.default_rng(SEED)
+    segment, starts = windows.segment, windows.starts
     torque_noise, angle_noise = noise_of(robot, trace, segment)
-    torque = _cut(seen.torque, starts, samples)
-    clock = segment.time[starts]
-    clean = simulate(seen, seen.start[starts], torque, clock, segment.period)
+    clean, pushed = windows.run(seen, seen.start[starts], seen.torque)
     draws = []
     for _ in range(DRAWS):
         noise = torque_noise * rng.standard_normal(segment.torque.shape)
@@ -240,14 +283,15 @@ def _floor(robot: Robot, seen: Stretch, trace: Trace, segment: Segment, starts: 
         start = seen.start[starts].copy()
         for row, error in ((0, angle), (1, speed), (2, angle), (3, speed)):
             start[:, row] += error[starts]
-        moved = simulate(seen, start, _cut(disturbed.torque, starts, samples), clock, segment.period)
-        draws.append(_compared("floor", seen.model, moved, clean))
+        moved, driven = windows.run(seen, start, disturbed.torque)
+        seen_off = driven - pushed if windows.gains is None else driven - pushed + windows.cut(noise)
+        draws.append(_compared("floor", seen.model, moved, clean, seen_off))
     # window by window, as the other courses are
-    angle, platform, path = (
+    angle, platform, path, torque = (
         np.stack([getattr(draw, part) for draw in draws], axis=1).reshape(-1, *getattr(draws[0], part).shape[1:])
-        for part in ("angle", "platform", "path")
+        for part in ("angle", "platform", "path", "torque")
     )
-    return Course("floor", angle, platform, path)
+    return Course("floor", angle, platform, path, torque)
 
 
 def noise_of(robot: Robot, trace: Trace, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
@@ -269,6 +313,7 @@ def _joined(name: str, courses: Sequence[Course]) -> Course:
         np.concatenate([course.angle for course in courses]),
         np.concatenate([course.platform for course in courses]),
         np.concatenate([course.path for course in courses]),
+        np.concatenate([course.torque for course in courses]),
     )
 
 
@@ -290,7 +335,7 @@ def check_sign(robot: Robot, traces: Sequence[Trace], found: Rollout) -> None:
             if len(starts):
                 other = replace(segment, torque=segment.torque * signs)
                 seen = stretch(robot, other, trace.position[segment.rows])
-                turned.append(_course("", seen, other, starts, samples))
+                turned.append(_course("", seen, Windows(other, starts, samples)))
         left = _typical(_joined("", turned))
         if left < TURNED * error:
             best, error = signs, left

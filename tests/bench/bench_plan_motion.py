@@ -1,8 +1,8 @@
 """A planned run on cases that production alone leaves open: is the right name found with it, and with a random one?
 
-Random robots with one effect make two runs of pick-and-place. Where the diagnosis of these names nothing, or first
-something else, a run is planned from it, made on the same plant after the others, and the diagnosis repeated with it;
-beside that, the same with a random multisine of the same length.
+Random robots with one effect make three runs of one pick-and-place. Where the diagnosis of these names nothing, or
+first something else, a run is planned from it, made on the same plant after the others, and the diagnosis repeated
+with it; beside that, the same with a random multisine of the same length.
 
 uv run python -m tests.bench.bench_plan_motion --cases 30 --seed 1
 """
@@ -23,7 +23,7 @@ from drivers.plant.cases import PAUSE, PERIOD, random_case
 from drivers.plant.effects import CATALOGUE, EFFECTS
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
-from schemas.errors import DeltatwinError
+from schemas.errors import DataError, DeltatwinError
 from schemas.robot import Robot, save_robot
 from schemas.trace import Trace
 from service.cli.main import app
@@ -33,8 +33,8 @@ from service.diagnosis.documents.document import corrected, document
 from service.model.effects import CATALOGUE as KNOWN
 
 BOUND = 0.9
-RUNS = 2
-RUN, PLANNED = 4.0, 10.0  # s
+RUNS = 3
+RUN, PLANNED = 3.0, 10.0  # s
 SEVERITY = (0.25, 1.0)
 STRAY = 0.3  # rad from the command: the drives lost it
 
@@ -52,8 +52,8 @@ class Case:
         effect = EFFECTS[self.name].draw(rng, self.truth, severity)
         self.plant = Plant(self.robot, self.truth, (effect,), PERIOD, seed)
         self.planner = Planner(self.robot, PERIOD)
-        picks = [self.planner.pick_and_place(rng, RUN, speed=rng.uniform(0.7, 1.0)) for _ in range(RUNS)]
-        self.production = [self.run(motion, f"pick_{number}") for number, motion in enumerate(picks)]
+        pick = self.planner.pick_and_place(rng, RUN, speed=rng.uniform(0.3, 0.7))
+        self.production = [self.run(pick, f"pick_{number}") for number in range(RUNS)]
         self.after = self.plant.time
         self.random = self.planner.multisine(rng, PLANNED)
 
@@ -89,16 +89,15 @@ def one(case: Case, folder: Path, seed: int) -> tuple[str, str, str, float] | No
     save_robot(fixed, folder / "corrected.toml")
     (folder / "diagnosis.json").write_text(document(findings).model_dump_json(by_alias=True))
     begin = time.perf_counter()
-    arguments = ["plan-motion", "--robot", "robot.toml", "--diagnosis", ".", "--out", "motion.csv"]
-    arguments = [str(folder / word) if word in ("robot.toml", ".", "motion.csv") else word for word in arguments]
-    done = CliRunner().invoke(app, [*arguments, "--seed", str(seed)])
-    spent = time.perf_counter() - begin
-    if done.exception:
+    arguments = ["plan-motion", "--robot", str(folder / "robot.toml"), "--out", str(folder / "motion.csv")]
+    arguments += ["--seed", str(seed)]
+    done = CliRunner().invoke(app, [*arguments, "--diagnosis", str(folder)])
+    if isinstance(done.exception, DataError):  # nothing came into question: as it advises
         print(f"    {done.exception}", flush=True)
-        planned = "no plan"
-    else:
-        print("    " + "    ".join(done.output.splitlines(keepends=True)), end="", flush=True)
-        planned = case.extra(read_motion(folder / "motion.csv", case.robot, case.planner))
+        done = CliRunner().invoke(app, [*arguments, "--for", "identify"], catch_exceptions=False)
+    spent = time.perf_counter() - begin
+    print("    " + "    ".join(done.output.splitlines(keepends=True)), end="", flush=True)
+    planned = case.extra(read_motion(folder / "motion.csv", case.robot, case.planner))
     return alone, planned, case.extra(case.random), spent
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from schemas.axes import Axes, Description
+from schemas.axes import Description
 from schemas.diagnosis import Diagnosis, Estimate, Gap, Made, Moved, NamedEffect, Online, Ranked, Rival
+from schemas.robot import Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.rivals import Contest, confusable, contests, undecided
@@ -209,7 +210,7 @@ def _ranking(findings: Findings, rounds: list[Contest]) -> list[Ranked]:
 def _rivals(findings: Findings, rounds: list[Contest]) -> list[Rival]:
     """The candidates of the round that is decided least, as far as the gap shrinks by them."""
     contest = undecided(findings.selection, rounds)
-    if contest is None or isinstance(findings.robot, Axes):  # motions are planned for a Delta
+    if contest is None or not isinstance(findings.robot, Robot):  # motions are planned for a Delta
         return []
     found = []
     for scored, probability in contest.candidates:

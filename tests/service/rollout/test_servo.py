@@ -1,0 +1,89 @@
+"""Commands in: the drives found in a log of MuJoCo's closed loop, and the simulated robot that follows with them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.motion import MotionLimits, Planner
+from drivers.plant.plant import Plant
+from drivers.plant.simulate import simulate
+from schemas.errors import DataError
+from schemas.robot import Robot, Servo
+from schemas.trace import Trace
+from service.rollout.document import document
+from service.rollout.gap import PLAIN, plain, rollout
+from tests.service.subject import Hypothesis, described
+from tests.service.world import BASE, COULOMB, PERIOD, ROBOT, TRANSITION, TRUTH, VISCOUS
+
+HERTZ, SPEED_HERTZ = 8.0, 30.0
+
+
+@pytest.fixture(scope="module")
+def plant() -> Plant:
+    truth = TRUTH.model_copy(
+        update={
+            "coulomb_friction_nm": COULOMB.tolist(),
+            "viscous_friction_nms": VISCOUS.tolist(),
+            "creep_radps": TRANSITION,
+            "torque_noise_nm": [0.3] * 3,
+            "encoder_counts_per_turn": float(2**20),
+            "position_bandwidth_hz": HERTZ,
+            "velocity_bandwidth_hz": SPEED_HERTZ,
+            "integral_time_s": 0.05,
+            "peak_torque_nm": 250.0,
+        }
+    )
+    return Plant(ROBOT, truth, (), PERIOD, 1)
+
+
+@pytest.fixture(scope="module")
+def trace(plant: Plant) -> Trace:
+    planner = Planner(ROBOT, PERIOD, MotionLimits(speed=8.0, acceleration=200.0, torque=80.0))
+    return simulate(plant, planner.multisine(np.random.default_rng(2), 2.0), "log")
+
+
+def known() -> Robot:
+    carrying = described(ROBOT, Hypothesis(BASE), np.zeros(11), np.full(3, 0.3))
+    assert isinstance(carrying, Robot)
+    return carrying
+
+
+def test_the_drives_are_found_and_the_known_robot_follows_as_the_real_one_does(plant: Plant, trace: Trace) -> None:
+    robots = {PLAIN: plain(ROBOT), "known": known()}
+    found = rollout(robots, [trace], commands=True)
+    servo = found.servo
+    assert servo is not None
+    np.testing.assert_allclose(servo.velocity_gain_nms, plant.tuning.velocity_gain, rtol=0.1)
+    np.testing.assert_allclose(servo.position_gain_ps, 2 * np.pi * HERTZ, rtol=0.15)
+    np.testing.assert_allclose(servo.velocity_feedforward, 1.0, atol=0.05)
+    drawn, followed = found.courses
+    assert followed.good.all()
+    assert followed.platform_mm < 0.3 * drawn.platform_mm
+    assert (followed.torque_nm < 0.5 * drawn.torque_nm).all()
+    made = document(found, robots, ["log"])
+    assert made.servo == servo
+    assert len(made.robots[-1].torque_nm) == len(made.floor.torque_nm) == 3
+
+
+def test_described_drives_are_taken_as_they_are(trace: Trace) -> None:
+    soft = Servo(position_gain_ps=[5.0] * 3, velocity_gain_nms=[2.0] * 3)
+    robots = {"soft": known().model_copy(update={"servo": soft})}
+    found = rollout(robots, [trace], commands=True)
+    assert found.servo == soft
+    assert found.courses[0].platform_mm > 1.0  # drives as weak as these do not hold the course
+
+
+def test_a_log_without_commands_or_whose_torque_does_not_follow_them_is_refused(trace: Trace) -> None:
+    robots = {"known": known()}
+    with pytest.raises(DataError, match="log: holds no position commands"):
+        rollout(robots, [replace(trace, position_command=None)], commands=True)
+    assert trace.position_command is not None
+    holed = trace.position_command.copy()
+    holed[700, 1] = np.nan
+    with pytest.raises(DataError, match="row 701: no position command of joint 2"):
+        rollout(robots, [replace(trace, position_command=holed)], commands=True)
+    with pytest.raises(DataError, match=r"torque of joint 1 does not follow .* describe the drives in \[servo\]"):
+        rollout(robots, [replace(trace, position_command=trace.position.copy())], commands=True)
