@@ -79,7 +79,7 @@ def identified(parts: Sequence[tuple[Trace, Segment, Stretch]]) -> Servo:
         columns, targets = [], []
         for trace, segment, seen in parts:
             command = commands_of(trace, segment)[:, :, joint]
-            lag, slip = command[:, 0] * 1.01 - segment.theta[:, joint], command[:, 1] - segment.theta_dot[:, joint]
+            lag, slip = command[:, 0] - segment.theta[:, joint], command[:, 1] - segment.theta_dot[:, joint]
             rows = [slip, lag, np.cumsum(lag) * segment.period, command[:, 1], command[:, 2], seen.torque[:, joint]]
             band = Band.of(segment.period)
             kept = band(np.stack(rows, axis=1))[segment.moving[:: band.step, joint]]
