@@ -86,7 +86,7 @@ class NumpyEstimator:
             answer["source"] = 1
             answer["torque"] = (
                 self.rho_1 * inertia + self.rho_2 * gravity + platform + self.forearm * forearm + friction
-                + mass * load
+                + mass * load + self.learnt_friction(self.commanded.state[:, 1])
             )  # fmt: skip
         else:
             answer["source"] = 3
@@ -156,6 +156,11 @@ class NumpyEstimator:
             self.viscous * theta_dot + self.coulomb * np.clip(theta_dot / REST_SPEED, -1, 1),
             load,
         )
+
+    def learnt_friction(self, theta_dot: np.ndarray) -> np.ndarray:
+        """(3,) N m, what is sure of it beside the identified."""
+        dry, viscous, offset = self.weighed[0]["friction"]["sure"].reshape(3, 3).T
+        return dry * np.clip(theta_dot / REST_SPEED, -1, 1) + viscous * theta_dot + offset
 
     def mass(self) -> float:
         now = self.weighed[0]
