@@ -96,9 +96,9 @@ class Planner:
         """
         space = self.workspace
         height = space.top - space.bottom
-        way = rng.uniform(0, 2 * math.pi)
-        cross = np.array([math.cos(way), math.sin(way), 0.0])
-        along = np.array([-math.sin(way), math.cos(way), 0.0])
+        heading = rng.uniform(0, 2 * math.pi)
+        cross = np.array([math.cos(heading), math.sin(heading), 0.0])
+        along = np.array([-math.sin(heading), math.cos(heading), 0.0])
 
         def place(side: float) -> np.ndarray:
             point = (

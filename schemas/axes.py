@@ -24,13 +24,13 @@ from schemas.chain import Chain
 from schemas.columns import MAX_JOINTS
 from schemas.errors import RobotError
 from schemas.files import write_text
-from schemas.machine import Friction, Machine, Section
+from schemas.machine import JointFriction, Machine
 from schemas.robot import JointParameter, Positive, Robot, load_robot, toml_item
-from schemas.toml import read_toml, validate
+from schemas.toml import TomlTable, read_toml, validate
 from schemas.urdf import read_urdf
 
 
-class Axis(Section):
+class Axis(TomlTable):
     """One axis. gear_ratio: motor turns an axis turn, for ripple orders. gravity: whether its weight changes with its
     angle; what does not change is its constant load."""
 
@@ -50,7 +50,7 @@ class Axis(Section):
         return self.unit == "rad" and self.gravity is not False
 
 
-class AxesIdentified(Friction):
+class AxesIdentified(JointFriction):
     """torque = inertia x_ddot + friction + offset + sin sin x + cos cos x, SI, a number an axis; and inertia of each
     motor that turns with several axes."""
 

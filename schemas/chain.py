@@ -20,14 +20,15 @@ from typing import Annotated, Literal
 from pydantic import Field, PrivateAttr, model_validator
 
 from schemas.columns import MAX_JOINTS
-from schemas.machine import Friction, Machine, Section
+from schemas.machine import JointFriction, Machine
 from schemas.robot import Gravity, NotNegative, Parameter, Positive, Three
+from schemas.toml import TomlTable
 from schemas.urdf import Urdf
 
 Names = Annotated[list[str], Field(max_length=MAX_JOINTS)]
 
 
-class Payload(Section):
+class CarriedMass(TomlTable):
     """A mass on a link of the URDF. centre_m: of its gravity, in the link's frame."""
 
     frame: str
@@ -35,7 +36,7 @@ class Payload(Section):
     centre_m: Three = Field([0.0, 0.0, 0.0])
 
 
-class ChainIdentified(Friction):
+class ChainIdentified(JointFriction):
     """rigid: masses as far as motion tells them (base parameters), rotor inertias and constant loads, by name."""
 
     rigid: dict[str, Parameter]
@@ -51,7 +52,7 @@ class Chain(Machine):
     gear_ratio: Positive | list[Positive] = 1.0
     masses: Literal["identified", "known"] = "identified"
     gravity_mps2: Gravity = Field([0.0, 0.0, -9.81])
-    payload: Payload | None = None
+    payload: CarriedMass | None = None
     identified: ChainIdentified | None = None
     _arm: Urdf | None = PrivateAttr(None)
 

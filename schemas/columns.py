@@ -18,10 +18,10 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from schemas.errors import TraceError
-from schemas.toml import read_toml, validate
+from schemas.toml import TomlTable, read_toml, validate
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -32,11 +32,7 @@ _LISTED = Field(max_length=MAX_JOINTS)
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class TimeColumn(_Entry):
+class TimeColumn(TomlTable):
     """The stamps. Where the name occurs several times, each channel has the nearest one to its left (TwinCAT Scope)."""
 
     name: str = "time_s"
@@ -44,7 +40,7 @@ class TimeColumn(_Entry):
     rate_hz: Positive | None = None  # of a table without stamps: its rows are 1/rate_hz s apart
 
 
-class _Channel(_Entry):
+class _Channel(TomlTable):
     name: str
     time: str | None = None  # name of this channel's own time column, same unit as `Columns.time`
 
@@ -104,7 +100,7 @@ class TorqueColumn(_JointChannel):
         return self.constant or 1.0
 
 
-class RowFilter(_Entry):
+class RowFilter(TomlTable):
     """Rows that count: those with `equals` in the column `name`. The others are left out, and that is told."""
 
     name: str
@@ -139,7 +135,7 @@ def _text_encoding(name: str) -> str:
     return name
 
 
-class Columns(_Entry):
+class Columns(TomlTable):
     """A table's layout and the meaning of its columns. Defaults: our own CSV. Lines count from 1, as editors do."""
 
     separator: Annotated[str, Field(pattern=r"^[\t !#$%&*,/:;<=>?@^_|~]$")] = ","

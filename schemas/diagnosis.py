@@ -6,16 +6,18 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from schemas.robot import Effect
+from schemas.robot import EffectEntry
 
 Verdict = Literal["within_noise", "explained", "partly_explained", "unexplained"]
 
 
-class _Section(BaseModel):
+class DocumentPart(BaseModel):
+    """A table of a document that we write; a figure may be NaN where there is none."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Online(_Section):
+class Online(DocumentPart):
     """Whether the online model carries an effect: from the present sample, or in its settings; or why it does not."""
 
     carried: bool
@@ -33,7 +35,7 @@ Advice = Literal[
 ]  # fmt: skip
 
 
-class Caution(_Section):
+class Caution(DocumentPart):
     """What this data cannot say. joints from 1, those it is about; advice: what to record or to check.
 
     effect: that it is about. quantity: of the effect, at its limit. share: of the torque's rms that is left, of what is
@@ -51,7 +53,7 @@ class Caution(_Section):
     gain: float | None = None
 
 
-class Estimate(_Section):
+class Estimate(DocumentPart):
     """One parameter with its 95 % interval, which is a point where the value is fixed. meaning: in words."""
 
     value: float
@@ -65,7 +67,7 @@ class Estimate(_Section):
         return self.ci95[0] == self.ci95[1]
 
 
-class NamedEffect(_Section):
+class NamedEffect(DocumentPart):
     """An effect that the data support. joints count from 1, empty where the effect sits on no single joint.
 
     probability: share of block-bootstrap draws of the data in which it, and no rival or nothing, predicts best.
@@ -85,7 +87,7 @@ class NamedEffect(_Section):
     online: Online
 
 
-class Ranked(_Section):
+class Ranked(DocumentPart):
     """A candidate, named or not. shrink: of the rms on data left out, over what stood before it."""
 
     name: str
@@ -95,18 +97,18 @@ class Ranked(_Section):
     shrink: float
 
 
-class Rival(_Section):
+class Rival(DocumentPart):
     """What came into question where the data decide least: all effects of a model, as a description carries them.
 
     probability, shrink: as in `Ranked`, of the last of them.
     """
 
-    effects: list[Effect]
+    effects: list[EffectEntry]
     probability: float
     shrink: float
 
 
-class Follows(_Section):
+class Follows(DocumentPart):
     """Something that the gap left in a joint (from 1) follows and the model of the joint does not know.
 
     other: the joint whose motion it is. share: of what is left above the noise, on data left out.
@@ -118,7 +120,7 @@ class Follows(_Section):
     share: float
 
 
-class Moved(_Section):
+class Moved(DocumentPart):
     """A parameter of the base model, with its standard error, before and after; an error of 0 is not known."""
 
     before: float
@@ -128,7 +130,7 @@ class Moved(_Section):
     unit: str
 
 
-class Gap(_Section):
+class Gap(DocumentPart):
     """Rms a joint on runs left out of fitting and selection, in the analysis band. unit: N m, N for linear axes.
 
     torque_nm: rms of the recorded torque on the same samples.
@@ -146,7 +148,7 @@ class Gap(_Section):
     band_hz: float
 
 
-class Regime(_Section):
+class Regime(DocumentPart):
     """A kind of motion, by name: its share of a joint's gap above the noise, and of the time."""
 
     regime: str
@@ -154,7 +156,7 @@ class Regime(_Section):
     of_time: float
 
 
-class FrequencyShare(_Section):
+class FrequencyShare(DocumentPart):
     """Share of a joint's gap above the noise between two frequencies."""
 
     from_hz: float
@@ -162,7 +164,7 @@ class FrequencyShare(_Section):
     share: float
 
 
-class JointWhere(_Section):
+class JointWhere(DocumentPart):
     """Where the gap of one joint (from 1) lies. rows: compared. budget_nm2: mean square by cause, adding up to that of
     the base model's gap. Regimes come strongest concentration first."""
 
@@ -175,14 +177,14 @@ class JointWhere(_Section):
     spectrum_after: list[FrequencyShare]
 
 
-class RunLevel(_Section):
+class RunLevel(DocumentPart):
     """What is left in one run, over the noise."""
 
     run: str
     after_over_noise: float
 
 
-class Burst(_Section):
+class Burst(DocumentPart):
     """A stretch in which the gap of a joint (from 1) stands far above the rest: an event, not a property.
 
     over_noise: its rms, slow parts taken out, over the noise floor.
@@ -195,7 +197,7 @@ class Burst(_Section):
     over_noise: float
 
 
-class Where(_Section):
+class Where(DocumentPart):
     """Where the gap lies. Runs come worst first, bursts strongest; bursts_rhythm_s: the period that most keep."""
 
     joints: list[JointWhere]
@@ -205,7 +207,7 @@ class Where(_Section):
     bursts_rhythm_s: float | None
 
 
-class Shrunk(_Section):
+class Shrunk(DocumentPart):
     """Rms a joint by the model before and after, in the analysis band."""
 
     before_nm: list[float]
@@ -214,7 +216,7 @@ class Shrunk(_Section):
     shrink_ci95: tuple[float, float]
 
 
-class Simulated(_Section):
+class Simulated(DocumentPart):
     """The models before and after, simulated under the recorded torque: rms error after the horizon.
 
     path_mm: rms way of the measured platform in that time. floor: torque noise and start state alone. None: the
@@ -232,7 +234,7 @@ class Simulated(_Section):
     left_out: list[str]
 
 
-class Unseen(_Section):
+class Unseen(DocumentPart):
     """A log kept out of everything. bursts: of the corrected model's gap there, and the period in s that most keep.
 
     simulated: where the robot is a Delta that moves. outside: without the bursts, where there are any. outside_share:
@@ -248,7 +250,7 @@ class Unseen(_Section):
     simulated: Simulated | None = None
 
 
-class Made(_Section):
+class Provenance(DocumentPart):
     """When, by which version of deltatwin, from what: SHA-256 of each input file by its name."""
 
     at: str
@@ -256,7 +258,7 @@ class Made(_Section):
     inputs: dict[str, str]
 
 
-class Diagnosis(_Section):
+class Diagnosis(DocumentPart):
     """Where the gap lies, which effect causes it, how far it shrinks.
 
     plain: parameters of the base model fitted without effects. base: refitted together with the effects. tests: the
@@ -266,7 +268,7 @@ class Diagnosis(_Section):
     """
 
     schema_: Literal["deltatwin.diagnosis/2"] = Field("deltatwin.diagnosis/2", alias="schema")
-    made: Made | None = None
+    made: Provenance | None = None
     robot: str
     traces: list[str]
     verdict: Verdict

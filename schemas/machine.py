@@ -6,18 +6,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, PrivateAttr
+from pydantic import BaseModel, PrivateAttr
 
-from schemas.robot import Effect, JointParameter, NotNegative, Positive, RobotName, check_joints
+from schemas.robot import EffectEntry, JointParameter, NotNegative, Positive, RobotName, check_joints
+from schemas.toml import TomlTable
 
 MOST_COUPLED = 1e6  # condition of a coupling matrix
 
 
-class Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Friction(Section):
+class JointFriction(TomlTable):
     """viscous x_dot + coulomb sign x_dot, SI, a number a joint, and the same of each motor that turns with several.
 
     friction_transition: one for all, or one a joint and then one such motor.
@@ -31,14 +28,14 @@ class Friction(Section):
     torque_timing_s: float = 0.0
 
 
-class Machine(Section):
+class Machine(TomlTable):
     """n servo joints. coupling: row i, how far motor i, behind its gear, turns for a turn of each joint; default: its
     own."""
 
     name: RobotName
     columns: str | None = None
     coupling: list[list[float]] | None = None
-    effect: list[Effect] = []
+    effect: list[EffectEntry] = []
     _folder: Path = PrivateAttr(Path())
     _effects_file: Path | None = PrivateAttr(None)
 

@@ -7,18 +7,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomlkit
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PrivateAttr, model_validator
 
 from schemas.columns import Columns
 from schemas.errors import RobotError
 from schemas.files import make_folder, write_text
 from schemas.keys import check_robot_name
-from schemas.toml import read_toml, validate
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
+from schemas.toml import TomlTable, read_toml, validate
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -43,7 +38,7 @@ def _pulling(value: list[float]) -> list[float]:
 Gravity = Annotated[Three, BeforeValidator(_vector), AfterValidator(_pulling)]
 
 
-class Geometry(_Section):
+class Geometry(TomlTable):
     """Lengths in metres, azimuths in degrees. Frame: origin at the base centre, z up, the platform works at z < 0."""
 
     active_link_length: Positive
@@ -76,7 +71,7 @@ class Geometry(_Section):
         return self
 
 
-class Mass(_Section):
+class Mass(TomlTable):
     """Masses in kilograms. `passive_link` is one forearm, both rods together."""
 
     active_link: NotNegative
@@ -84,7 +79,7 @@ class Mass(_Section):
     platform: Positive
 
 
-class RatedTorque(_Section):
+class RatedTorque(TomlTable):
     """0x6077 counts per mille of the motor's rated torque, 0x6076, N m."""
 
     reference: Literal["rated_torque"]
@@ -96,7 +91,7 @@ class RatedTorque(_Section):
         return self.rated_torque_nm
 
 
-class StandstillTorque(_Section):
+class StandstillTorque(TomlTable):
     """0x6077 counts per mille of the motor's standstill (stall) torque, N m."""
 
     reference: Literal["standstill_torque"]
@@ -108,7 +103,7 @@ class StandstillTorque(_Section):
         return self.standstill_torque_nm
 
 
-class RatedCurrent(_Section):
+class RatedCurrent(TomlTable):
     """0x6077 counts per mille of a rated current, A, which a torque constant, N m/A, turns into torque.
 
     Each of the two says whether it means the rms or the peak of the sinusoidal phase current.
@@ -128,7 +123,7 @@ class RatedCurrent(_Section):
         return self.rated_current_a * self.torque_constant_nmpa * per_form
 
 
-class JointDrive(_Section):
+class JointDrive(TomlTable):
     """One drive on the bus and the joint behind it: scaling, and where its objects lie in the process data.
 
     joint angle = sign (counts - zero_counts) / counts_per_turn / gear_ratio, in turns.
@@ -164,7 +159,7 @@ class JointDrive(_Section):
         return self
 
 
-class GripperInput(_Section):
+class GripperInput(TomlTable):
     """Where the gripper's switch or vacuum sensor is wired to: one of a drive's digital inputs, a bit of 0x60FD."""
 
     joint: Annotated[int, Field(ge=1, le=3)]  # whose drive has it, and maps 0x60FD among its inputs
@@ -172,7 +167,7 @@ class GripperInput(_Section):
     closed: Literal[0, 1] = 1  # its value where the gripper may hold something
 
 
-class Drive(_Section):
+class Drive(TomlTable):
     """What stands between the bus and the joint. `joint`: one drive a joint, in joint order, where a bus is decoded."""
 
     gear_ratio: Positive = 1.0
@@ -191,7 +186,7 @@ class Drive(_Section):
         return self
 
 
-class Limits(_Section):
+class Limits(TomlTable):
     """What the joints and the gripper can bear. Joint side, the same for all three joints.
 
     No feed-forward leaves the estimator or reaches a drive beyond these, whatever comes in.
@@ -205,7 +200,7 @@ class Limits(_Section):
     friction_drift: Positive = 0.3  # share of the identified friction beyond which health says that it has changed
 
 
-class Servo(_Section):
+class Servo(TomlTable):
     """The drives' cascade, joint side, a figure a joint; `service/rollout/servo.py` has its law."""
 
     position_gain_ps: Three  # 1/s
@@ -216,7 +211,7 @@ class Servo(_Section):
     peak_torque_nm: Positive | None = None  # default: that of `limits`
 
 
-class FourthAxis(_Section):
+class FourthAxis(TomlTable):
     """The axis that turns the gripper, driven from the base through a telescopic shaft; its angle is `position_4_rad`.
 
     Of these the three arms feel the shaft's mass alone: what turns about the axis the parallelograms hold.
@@ -228,7 +223,7 @@ class FourthAxis(_Section):
     coulomb_friction_nm: NotNegative = 0.0
 
 
-class Parameter(_Section):
+class Parameter(TomlTable):
     """One identified number with its standard error in the same unit, and whether the data could tell it."""
 
     value: float
@@ -236,7 +231,7 @@ class Parameter(_Section):
     verdict: Literal["identifiable", "weak", "not identifiable"] = "identifiable"
 
 
-class JointParameter(_Section):
+class JointParameter(TomlTable):
     """The same for one number a joint."""
 
     value: list[float]
@@ -244,7 +239,7 @@ class JointParameter(_Section):
     verdict: list[Literal["identifiable", "weak", "not identifiable"]] = []
 
 
-def check_joints(identified: BaseModel | None, effects: list[Effect], count: int) -> None:
+def check_joints(identified: BaseModel | None, effects: list[EffectEntry], count: int) -> None:
     """
     Raises:
         ValueError: a number a joint is not there for each of `count` joints, or an effect is on another joint.
@@ -259,7 +254,7 @@ def check_joints(identified: BaseModel | None, effects: list[Effect], count: int
             raise ValueError(f"effect {effect.name}: joint {max(effect.joints)} of {count}")
 
 
-class Identified(_Section):
+class Identified(TomlTable):
     """What `identify` found. Absent terms are zero (friction, forearm) or one (rho)."""
 
     method: Literal["pooled", "paper"] = "pooled"
@@ -276,7 +271,7 @@ class Identified(_Section):
     torque_timing_s: float = 0.0  # torque sampled later than position by this fraction of a sample
 
 
-class Effect(_Section):
+class EffectEntry(TomlTable):
     """One unmodelled effect that `diagnose` named. Parameters as name -> {value, unit, std_error}."""
 
     name: str
@@ -284,7 +279,7 @@ class Effect(_Section):
     parameters: dict[str, EffectParameter]
 
 
-class EffectParameter(_Section):
+class EffectParameter(TomlTable):
     value: float
     unit: str = ""
     std_error: NotNegative = 0.0
@@ -300,7 +295,7 @@ def _robot_name(name: str) -> str:
 RobotName = Annotated[str, AfterValidator(_robot_name)]
 
 
-class Robot(_Section):
+class Robot(TomlTable):
     """A Delta robot with three actuated joints."""
 
     name: RobotName
@@ -314,7 +309,7 @@ class Robot(_Section):
     fourth_axis: FourthAxis | None = None
     columns: Columns | None = None
     identified: Identified | None = None
-    effect: list[Effect] = []
+    effect: list[EffectEntry] = []
     _folder: Path = PrivateAttr(Path())
     _effects_file: Path | None = PrivateAttr(None)
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from schemas.diagnosis import DocumentPart
 from schemas.robot import Servo
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Reached(_Section):
+class Reached(DocumentPart):
     """Rms of simulated less measured motion of one robot over the windows that stayed in the workspace.
 
     joint_mrad, platform_mm: at the horizon. growth_mm: of the platform, at the document's `times_s`. ran_away: windows
@@ -30,7 +27,7 @@ class Reached(_Section):
     torque_nm: list[float | None] = []
 
 
-class RegimeReached(_Section):
+class RegimeReached(DocumentPart):
     """Rms of a joint (from 1), mrad at the horizon, over the windows of one kind of its motion; one figure a robot."""
 
     joint: int
@@ -39,7 +36,7 @@ class RegimeReached(_Section):
     joint_mrad: dict[str, float | None]
 
 
-class RolloutDocument(_Section):
+class RolloutDocument(DocumentPart):
     """Simulated robots under recorded torque, or under recorded commands through the drives of `servo`.
 
     floor: what torque noise and start state make of the last robot alone.

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from schemas.errors import DeltatwinError
 from schemas.files import read_bytes
@@ -18,6 +18,12 @@ _QUOTED = re.compile(
     r'"""(?:\\.|[^\\])*?"""|"(?:\\.|[^"\\\n])*+"|' r"'''.*?'''|'[^'\n]*+'|#[^\n]*+", re.DOTALL
 )  # strings and comments
 _LONG_KEY = re.compile(rf"(?<![\w+:-])(?:[\w+:-]++[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
+
+
+class TomlTable(BaseModel):
+    """A table of a file that a user writes: no key that is not known, no figure that is none."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def read_toml(path: Path, error: type[DeltatwinError]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.bus import Bus
-from drivers.ethercat.course import Course
+from drivers.ethercat.setpoints import Setpoints
 from schemas.messages import NANOSECONDS, REFERENCE, FeedforwardSource, SampleFlag, set_stamp, stamp_ns
 from service.estimator.estimator import Estimator
 
@@ -22,7 +22,7 @@ FRESH_CYCLES = LEAD + 3  # from question to use; an answer that is late by up to
 _NUMBERS = 1 << 64
 
 
-def nothing(sample: np.ndarray, course: Course, number: int) -> np.ndarray | None:
+def nothing(sample: np.ndarray, setpoints: Setpoints, number: int) -> np.ndarray | None:
     """No feed-forward, and none wanted."""
     return np.zeros(3)
 
@@ -36,10 +36,10 @@ class InCycle:
         self._payload: np.void | None = None
         estimator.warm_up()
 
-    def __call__(self, sample: np.ndarray, course: Course, number: int) -> np.ndarray | None:
+    def __call__(self, sample: np.ndarray, setpoints: Setpoints, number: int) -> np.ndarray | None:
         reference = self._reference
         reference["sequence"] = sample["sequence"][0] + 1
-        _plan(reference, course, number)
+        _plan(reference, setpoints, number)
         self._estimator.plan(reference)
         estimator = self._estimator
         estimator.step(sample.tobytes())
@@ -93,7 +93,7 @@ class OverBus:
         self.refused = {"invalid": 0, "repeated": 0, "rejected": 0}
         self._used = self._unanswered = 0
 
-    def __call__(self, sample: np.ndarray, course: Course, number: int) -> np.ndarray | None:
+    def __call__(self, sample: np.ndarray, setpoints: Setpoints, number: int) -> np.ndarray | None:
         records, _ = self._answers.take()
         for record in records:
             self._hear(record)
@@ -102,7 +102,7 @@ class OverBus:
         now = time.monotonic_ns()
         torque = self._freshest(number, now)
         if self._offset is not None:
-            self._ask(sample, course, number, now)
+            self._ask(sample, setpoints, number, now)
         if torque is not None:
             self._used += 1
         elif self._used:
@@ -134,13 +134,13 @@ class OverBus:
         answered = [question for question in self._asked.values() if question.torque is not None]
         return min(answered, key=lambda question: abs(question.cycle - number)).torque if answered else None
 
-    def _ask(self, sample: np.ndarray, course: Course, number: int, now: int) -> None:
+    def _ask(self, sample: np.ndarray, setpoints: Setpoints, number: int, now: int) -> None:
         assert self._offset is not None
         cycle, reference = number + LEAD, self._reference
         target = (self._offset + cycle + 1) % _NUMBERS  # the command goes out with the frame after that cycle's
         set_stamp(reference[0], int(stamp_ns(sample)[0]) + (LEAD + 1) * self._period_ns)
         reference["sequence"] = target
-        _plan(reference[0], course, min(cycle, len(course) - 1))  # the last one stands still
+        _plan(reference[0], setpoints, min(cycle, len(setpoints) - 1))  # the last one stands still
         self._asked[target] = _Question(cycle, now)
         self._put(reference.tobytes())
         self.published += 1
@@ -165,11 +165,11 @@ class OverBus:
         )
 
 
-def _plan(reference: np.void, course: Course, number: int) -> None:
-    """Write the motion that cycle `number` of the course ends with."""
-    reference["position"] = course.position[number]
-    reference["velocity"] = course.velocity[number]
-    reference["acceleration"] = course.acceleration[number]
+def _plan(reference: np.void, setpoints: Setpoints, number: int) -> None:
+    """Write the motion that cycle `number` of the setpoints ends with."""
+    reference["position"] = setpoints.position[number]
+    reference["velocity"] = setpoints.velocity[number]
+    reference["acceleration"] = setpoints.acceleration[number]
 
 
 def _for_the_plan(answer: np.void) -> bool:

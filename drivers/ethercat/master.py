@@ -24,9 +24,9 @@ import pysoem
 from drivers.ethercat import cia402
 from drivers.ethercat.bus_clock import BusClock
 from drivers.ethercat.cia402 import Control, DriveState, Mode, Scale, drive_state
-from drivers.ethercat.course import Course
 from drivers.ethercat.interface import check_interface
 from drivers.ethercat.pdo import DIGITAL_OUTPUTS, GRIPPER, Pdo, joint_pdos
+from drivers.ethercat.setpoints import Setpoints
 from schemas.errors import BusError
 from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag, set_stamp
 from schemas.robot import Robot
@@ -82,8 +82,8 @@ class _Axis:
         return self.outputs[place] if place >= 0 else 0
 
 
-Feedforward = Callable[[np.ndarray, Course, int], np.ndarray | None]
-"""(1,) record of SAMPLE, the course, the number of its coming cycle; gives tau_FF (3,) N m, None where it has none."""
+Feedforward = Callable[[np.ndarray, Setpoints, int], np.ndarray | None]
+"""(1,) record of SAMPLE, setpoints, the number of the coming cycle; gives tau_FF (3,) N m, None where it has none."""
 
 
 class OffsetRamp:
@@ -425,18 +425,18 @@ class Master:
         return f"{self._interface}: the drives are not in operation"
 
 
-def follow(master: Master, course: Course, feedforward: Feedforward, offset: OffsetRamp) -> Iterator[np.ndarray]:
-    """Take drives in operation through `course`.
+def follow(master: Master, setpoints: Setpoints, feedforward: Feedforward, offset: OffsetRamp) -> Iterator[np.ndarray]:
+    """Take drives in operation through `setpoints`.
 
     Yields the (1,) record of SAMPLE of each cycle, good until the next one, once the next command is ready.
 
     Raises:
         BusError: the bus failed or a drive left operation.
     """
-    for number, (position, grip) in enumerate(zip(course.position, course.grip.tolist(), strict=True)):
+    for number, (position, grip) in enumerate(zip(setpoints.position, setpoints.grip.tolist(), strict=True)):
         sample = master.cycle()
         master.check_operation()
-        master.command(position, offset.step(feedforward(sample, course, number)), grip)
+        master.command(position, offset.step(feedforward(sample, setpoints, number)), grip)
         yield sample
 
 

@@ -202,7 +202,7 @@ class Tap:
         self._record, self._raw = self._frame["sample"], self._frame["raw"]
         self._states = np.full(3, DriveState.UNKNOWN, np.uint16)
         self._standing = HealthFlag(0)  # of the process: real time, declaration
-        self._told = _Told(self.assembler)
+        self._reported = _Reported(self.assembler)
         self._declaration = FirstMotion(robot)
         assemble_one(self._frame)  # a frame of no bytes: the kernel is compiled before the bus is looked at
 
@@ -217,7 +217,7 @@ class Tap:
         view, counts, flags = frame["data"][0].data, counts_of(self.assembler.state), self._record["flags"]
         self._standing = health.flags
         self._source.start()
-        self._told.sample_ns = time.monotonic_ns()
+        self._reported.sample_ns = time.monotonic_ns()
         health.time_one(0)
         self._tell(health)  # what is called for the first time is slow
         while not self._source.ended:
@@ -229,7 +229,7 @@ class Tap:
                     put(self._record.tobytes())
                     health.time_one(self._source.age(got[1]))
                     self._declaration.add(self._record, self._raw)
-                    self._told.sample_ns, self._told.faulty = now, flags[0] & _FAULT != 0
+                    self._reported.sample_ns, self._reported.faulty = now, flags[0] & _FAULT != 0
                     if counts[_SAMPLES] == count:
                         break
                 elif now < health.due_ns + OVERDUE_NS and counts[_MISSING] <= MISSING_CYCLES:
@@ -237,25 +237,25 @@ class Tap:
             self._judge(health, now)
             if health.due:
                 self._tell(health)
-            elif now >= self._told.said_ns + SAY_NS:
+            elif now >= self._reported.said_ns + SAY_NS:
                 self._say_changes()
         self._tell(health, ended=True)
 
     def _judge(self, health: Health, now: int) -> None:
         """What stands now; a change is published at once."""
-        told, counts = self._told, counts_of(self.assembler.state)
+        reported, counts = self._reported, counts_of(self.assembler.state)
         missing = counts[_MISSING] > MISSING_CYCLES
         troubles = int(counts.take(_TROUBLE_COUNTS).sum())
-        if troubles > told.troubles:
-            told.trouble_ns = now
-        told.troubles = troubles
+        if troubles > reported.troubles:
+            reported.trouble_ns = now
+        reported.troubles = troubles
         period = self.assembler.period_ns
         limit = max(STOPPED_CYCLES * period, STOPPED_NS) if period else SILENT_NS
-        told.quiet = now - told.sample_ns > limit
+        reported.quiet = now - reported.sample_ns > limit
         standing = int(self._standing)
-        if told.faulty or missing or now < told.trouble_ns + FAULT_NS:
+        if reported.faulty or missing or now < reported.trouble_ns + FAULT_NS:
             standing |= _BUS_FAULT
-        if told.quiet:
+        if reported.quiet:
             standing |= _STALE_INPUT
         if standing != health.flags:
             health.flags = HealthFlag(standing)
@@ -279,10 +279,10 @@ class Tap:
         self._say_changes()
 
     def _say_changes(self) -> None:
-        news, told = self.assembler.count, self._told
-        fresh = {name: news(name) - told.counts[name] for name in told.counts}
-        told.counts = {name: news(name) for name in told.counts}
-        told.said_ns = time.monotonic_ns()
+        news, reported = self.assembler.count, self._reported
+        fresh = {name: news(name) - reported.counts[name] for name in reported.counts}
+        reported.counts = {name: news(name) for name in reported.counts}
+        reported.said_ns = time.monotonic_ns()
         troubles = [f"{fresh[name]} {text}" for name, text in _TROUBLES.items() if fresh[name] > 0]
         if troubles:
             self._say(f"{self._source.name}: {', '.join(troubles)}")
@@ -295,13 +295,15 @@ class Tap:
             for joint in np.flatnonzero(mapped & (states != self._states)):
                 self._say(f"joint {joint + 1}: {DriveState(int(states[joint])).name.lower().replace('_', ' ')}")
             self._states = states
-        if told.quiet and not told.quiet_said:
+        if reported.quiet and not reported.quiet_said:
             if news("missing") > MISSING_CYCLES:
                 why = "frames with process data go out, but none comes back"
             else:
                 why = "the frames have stopped" if news("samples") else "no process data of this robot"
-            self._say(f"{self._source.name}: no sample for {(told.said_ns - told.sample_ns) / 1e6:.0f} ms: {why}")
-        told.quiet_said = told.quiet
+            self._say(
+                f"{self._source.name}: no sample for {(reported.said_ns - reported.sample_ns) / 1e6:.0f} ms: {why}"
+            )
+        reported.quiet_said = reported.quiet
 
 
 _FAULT = SampleFlag.BUS_FAULT.value
@@ -321,7 +323,7 @@ _SAMPLES, _MISSING = _NAMES.index("samples"), _NAMES.index("missing")
 _TROUBLE_COUNTS = np.array([_NAMES.index(name) for name in _TROUBLES if name != "pauses"])
 
 
-class _Told:
+class _Reported:
     """What is known of the bus now, and what of it the user knows already."""
 
     def __init__(self, assembler: Assembler) -> None:

@@ -20,8 +20,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
 from drivers.motion import MotionLimits, Planner, Trajectory
-from drivers.plant.effects import CATALOGUE, EFFECTS, Effect
-from drivers.plant.mechanism import Design, Mechanism, build, required_torque
+from drivers.plant.effects import CATALOGUE, EFFECTS, PlantEffect
+from drivers.plant.mechanism import CompiledMechanism, Design, build, required_torque
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
 from drivers.plant.truth import PlantTruth
@@ -118,7 +118,7 @@ def simulate_case(
         DataError: the drives cannot hold the robot with these effects, drawn five times.
     """
     case = random_case(seed)
-    drawn: tuple[Effect, ...] = ()
+    drawn: tuple[PlantEffect, ...] = ()
     traces: list[Trace] = []
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, 1, attempt])
@@ -147,7 +147,7 @@ def simulate_case(
     }
 
 
-def run_case(case: Case, effects: tuple[Effect, ...], seed: int) -> list[Trace]:
+def run_case(case: Case, effects: tuple[PlantEffect, ...], seed: int) -> list[Trace]:
     """The logs of `case` with `effects` at work, on one plant from power-on.
 
     Raises:
@@ -186,7 +186,7 @@ def plain_gap(case: Case, traces: Sequence[Trace]) -> float:
     return (squares / count) ** 0.5
 
 
-def _regression(mechanism: Mechanism, creep: float, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
+def _regression(mechanism: CompiledMechanism, creep: float, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
     """Basis (M, 8) and target (M,) of the plain model over the moving samples of all joints."""
     rate = 1 / trace.period
     position = _low_pass(trace.position, 120.0, rate)
@@ -233,7 +233,7 @@ def _kind(effects: Sequence[str]) -> str:
     return "catalogue" if len(effects) == 1 else "pair"
 
 
-def _parameters(effect: Effect) -> dict[str, Any]:
+def _parameters(effect: PlantEffect) -> dict[str, Any]:
     return {field.name: getattr(effect, field.name) for field in dataclasses.fields(effect) if field.init}
 
 

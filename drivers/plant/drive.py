@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from drivers.plant.truth import PlantTruth
+
 VELOCITY_FILTER_HZ = 400.0  # of the speed error, which the drive makes from its encoder
 
 
@@ -24,6 +26,19 @@ class Tuning(NamedTuple):
     peak_torque: float  # N m
     filter: float  # share of a new speed error that the filter takes over
     step: float  # s
+    resolution: float  # rad, of the encoders at the joint; 0: none
+
+
+class Cycle(NamedTuple):
+    """What the drives are told for a cycle of `period` s: motion at both ends and feed-forward. All (3,) rad, rad/s,
+    N m."""
+
+    period: float
+    start: np.ndarray
+    start_dot: np.ndarray
+    end: np.ndarray
+    end_dot: np.ndarray
+    feedforward: np.ndarray
 
 
 class ServoState(NamedTuple):
@@ -34,17 +49,17 @@ class ServoState(NamedTuple):
     integral: np.ndarray  # N m
 
 
-def tune(
-    inertia: np.ndarray, position_hz: float, velocity_hz: float, integral_time: float, peak: float, step: float
-) -> Tuning:
+def tune(inertia: np.ndarray, truth: PlantTruth, step: float) -> Tuning:
     """Gains for joints of `inertia` (3,) kg m^2 from the bandwidths of the two loops."""
+    counts = truth.encoder_counts_per_turn
     return Tuning(
-        position_gain=2 * math.pi * position_hz,
-        velocity_gain=2 * math.pi * velocity_hz * np.asarray(inertia, float),
-        integral_time=integral_time,
-        peak_torque=peak,
+        position_gain=2 * math.pi * truth.position_bandwidth_hz,
+        velocity_gain=2 * math.pi * truth.velocity_bandwidth_hz * np.asarray(inertia, float),
+        integral_time=truth.integral_time_s,
+        peak_torque=truth.peak_torque_nm,
         filter=1 - math.exp(-2 * math.pi * VELOCITY_FILTER_HZ * step),
         step=step,
+        resolution=2 * math.pi / (counts * truth.gear_ratio) if counts else 0.0,
     )
 
 
@@ -54,20 +69,21 @@ def rest(torque: np.ndarray) -> ServoState:
 
 
 @njit(cache=True)
-def interpolate(share, period, start, start_dot, end, end_dot, position):
-    """Cubic through position and velocity at both ends of a cycle of `period` s, at `share` 0..1 of it."""
+def interpolate(cycle, share, position):
+    """Cubic through position and velocity at both ends of a cycle, at `share` 0..1 of it."""
     a = share * share * (3.0 - 2.0 * share)
-    b = share * (1.0 - share) * (1.0 - share) * period
-    c = -share * share * (1.0 - share) * period
+    b = share * (1.0 - share) * (1.0 - share) * cycle.period
+    c = -share * share * (1.0 - share) * cycle.period
     for i in range(3):
-        position[i] = start[i] + a * (end[i] - start[i]) + b * start_dot[i] + c * end_dot[i]
+        distance = cycle.end[i] - cycle.start[i]
+        position[i] = cycle.start[i] + a * distance + b * cycle.start_dot[i] + c * cycle.end_dot[i]
 
 
 @njit(cache=True)
-def read_kernel(position, noise, resolution, reading):
-    """What the encoders give for `position` (3,) rad: with `noise` (3,) rad, in steps of `resolution` rad (0: none)."""
+def read_kernel(position, resolution, reading):
+    """What encoders in steps of `resolution` rad (0: none) give for `position` (3,) rad."""
     for i in range(3):
-        reading[i] = position[i] + noise[i]
+        reading[i] = position[i]
         if resolution > 0.0:
             reading[i] = np.rint(reading[i] / resolution) * resolution
 
@@ -91,14 +107,12 @@ def drive_kernel(tuning, state, reading, target, feedforward, torque):
 
 
 @njit(cache=True)
-def control_kernel(
-    tuning, state, share, period, start, start_dot, end, end_dot, feedforward, position, noise, resolution,
-    target, reading, torque,
-):  # fmt: skip
-    """Encoders, interpolation and drives of one pass; fills target (3,), reading (3,) rad and torque (3,) N m."""
-    read_kernel(position, noise, resolution, reading)
-    interpolate(share, period, start, start_dot, end, end_dot, target)
-    drive_kernel(tuning, state, reading, target, feedforward, torque)
+def control_kernel(tuning, state, cycle, share, position, target, reading, torque):
+    """Encoders, interpolation and drives of one pass at `share` of a Cycle, the motors at `position` (3,) rad with the
+    encoders' noise in it. Fills target, reading (3,) rad and torque (3,) N m."""
+    read_kernel(position, tuning.resolution, reading)
+    interpolate(cycle, share, target)
+    drive_kernel(tuning, state, reading, target, cycle.feedforward, torque)
 
 
 @njit(cache=True)

@@ -85,7 +85,7 @@ class Design:
         return replace(self, half_gap=tuple(a + b for a, b in zip(self.half_gap, half_gap, strict=True)))
 
 
-class Mechanism(NamedTuple):
+class CompiledMechanism(NamedTuple):
     """A compiled model and where its coordinates lie."""
 
     model: mujoco.MjModel
@@ -114,7 +114,7 @@ def true_geometry(truth: PlantTruth) -> DeltaModel:
     )
 
 
-def build(design: Design, step: float) -> Mechanism:
+def build(design: Design, step: float) -> CompiledMechanism:
     """Compile `design` for an integration step of `step` s."""
     truth = design.truth
     model = specify(design, step).compile()
@@ -122,10 +122,10 @@ def build(design: Design, step: float) -> Mechanism:
     arm = np.array([address[f"arm{i}"] for i in range(3)])
     motor = np.array([address.get(f"motor{i}", arm[i]) for i in range(3)])
     platform = np.array([address[axis] for axis in "xyz"])
-    return Mechanism(model, true_geometry(truth), arm, motor, platform, model.body("platform").id)
+    return CompiledMechanism(model, true_geometry(truth), arm, motor, platform, model.body("platform").id)
 
 
-def close(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
+def close(mechanism: CompiledMechanism, theta: np.ndarray) -> np.ndarray:
     """All coordinates (N, nq) of closed poses with the links at `theta` (N, 3) rad, rotors with them.
 
     Raises:
@@ -151,7 +151,7 @@ def close(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
     return coordinates
 
 
-def dependence(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
+def dependence(mechanism: CompiledMechanism, theta: np.ndarray) -> np.ndarray:
     """d coordinates / d theta on the closed chain, (N, nv, 3), by central differences of `close`."""
     delta = 1e-5
     columns = []
@@ -163,7 +163,7 @@ def dependence(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
 
 
 def required_torque(
-    mechanism: Mechanism, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray
+    mechanism: CompiledMechanism, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray
 ) -> np.ndarray:
     """Joint torque (N, 3) N m that a motion of the closed chain takes, exactly: MuJoCo's inverse dynamics of the open
     tree, virtual work over the loops. Friction in the joints is not in it.
@@ -201,13 +201,13 @@ def required_torque(
     return np.einsum("nki,nk->ni", partial, open_tree)
 
 
-def holding_torque(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
+def holding_torque(mechanism: CompiledMechanism, theta: np.ndarray) -> np.ndarray:
     """Joint torque (3,) N m that holds the links at `theta` (3,) rad."""
     zero = np.zeros((1, 3))
     return required_torque(mechanism, theta[None], zero, zero)[0]
 
 
-def reflected_inertia(mechanism: Mechanism, theta: np.ndarray) -> np.ndarray:
+def reflected_inertia(mechanism: CompiledMechanism, theta: np.ndarray) -> np.ndarray:
     """Diagonal (3,) kg m^2 of the joint-space inertia of the closed chain at `theta` (3,) rad."""
     three = np.repeat(theta[None], 3, axis=0)
     still = np.zeros((3, 3))

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from drivers.plant.drive import ServoState, control_kernel, creep_kernel, rest, tune
-from drivers.plant.effects import Effect
+from drivers.plant.drive import Cycle, ServoState, control_kernel, creep_kernel, rest, tune
+from drivers.plant.effects import PlantEffect
 from drivers.plant.mechanism import (
     Design,
     build,
@@ -70,7 +70,7 @@ class Plant:
         self,
         robot: Robot,
         truth: PlantTruth | None = None,
-        effects: tuple[Effect, ...] = (),
+        effects: tuple[PlantEffect, ...] = (),
         period: float = 1e-3,
         seed: int = 0,
     ):
@@ -95,17 +95,8 @@ class Plant:
         rotor = np.array(self.truth.rotor_inertia_kgm2)
         self._damping = 2 * np.array(design.drive_damping_ratio) * np.sqrt(self._stiffness * rotor)
         inertia = reflected_inertia(self.mechanism, centre_pose(self.truth))
-        self.tuning = tune(
-            inertia,
-            self.truth.position_bandwidth_hz,
-            self.truth.velocity_bandwidth_hz,
-            self.truth.integral_time_s,
-            self.truth.peak_torque_nm,
-            self.step,
-        )
+        self.tuning = tune(inertia, self.truth, self.step)
         self.offset = np.array(self.truth.joint_offset_rad)
-        counts = self.truth.encoder_counts_per_turn
-        self.resolution = 2 * math.pi / (counts * self.truth.gear_ratio) if counts else 0.0
         self.noise = np.array(self.truth.torque_noise_nm)
         self._coulomb = np.array(self.truth.coulomb_friction_nm)
         self._viscous = np.array(self.truth.viscous_friction_nms)
@@ -178,8 +169,8 @@ class Plant:
 
     def latch(self, now: Target, end: Target, feedforward: np.ndarray | None = None) -> Measured:
         """Start a cycle that is commanded to go from `now` to `end` with `feedforward` (3,) N m added by the drives."""
-        self._now, self._end = now, end
-        self._feedforward = np.zeros(3) if feedforward is None else feedforward
+        feedforward = np.zeros(3) if feedforward is None else feedforward
+        self._cycle = Cycle(self.period, now.position, now.velocity, end.position, end.velocity, feedforward)
         self._control(0)
         reported = self.motor_command.copy()
         for effect in self._on_report:
@@ -254,9 +245,8 @@ class Plant:
             noise = next(self._encoder_noise)
         self.reading, self.motor_command = np.empty(3), np.empty(3)
         control_kernel(
-            self.tuning, self.drive, k / self.steps, self.period,
-            self._now.position, self._now.velocity, self._end.position, self._end.velocity,
-            self._feedforward, position, noise, self.resolution, self._target, self.reading, self.motor_command,
+            self.tuning, self.drive, self._cycle, k / self.steps, position + noise,
+            self._target, self.reading, self.motor_command,
         )  # fmt: skip
 
     def _set_friction(self) -> None:
@@ -322,5 +312,5 @@ def _stride(address: np.ndarray) -> slice:
     return slice(int(address[0]), int(address[-1]) + 1, every)
 
 
-def _overriding(effects: tuple[Effect, ...], hook: str) -> tuple[Effect, ...]:
-    return tuple(effect for effect in effects if getattr(type(effect), hook) is not getattr(Effect, hook))
+def _overriding(effects: tuple[PlantEffect, ...], hook: str) -> tuple[PlantEffect, ...]:
+    return tuple(effect for effect in effects if getattr(type(effect), hook) is not getattr(PlantEffect, hook))

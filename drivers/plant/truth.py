@@ -9,12 +9,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from drivers.motion import peak_torque
 from schemas.errors import RobotError
 from schemas.robot import Robot
-from schemas.toml import read_toml, validate
+from schemas.toml import TomlTable, read_toml, validate
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -28,10 +28,8 @@ ROD_SPACING = 0.1  # m between the two rods of a forearm; of no effect on the to
 POSITION_BANDWIDTH, VELOCITY_BANDWIDTH, INTEGRAL_TIME = 8.0, 30.0, 0.05  # Hz, Hz, s
 
 
-class PlantTruth(BaseModel):
+class PlantTruth(TomlTable):
     """Everything the physics is made of. Joint side, SI, one entry an arm where three."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     gravity_mps2: PerJoint  # vector in the base frame
     # geometry

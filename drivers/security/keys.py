@@ -68,7 +68,7 @@ class Host:
 
 
 @dataclass(frozen=True)
-class Made:
+class WrittenKeys:
     """What `make_keys` wrote."""
 
     folders: list[Path]  # one a host
@@ -116,7 +116,7 @@ def make_keys(
     source: Role = Role.TAP,
     valid: datetime.timedelta = ROLE_VALID,
     now: datetime.datetime | None = None,
-) -> Made:
+) -> WrittenKeys:
     """Write keys, certificates and configurations for `hosts` to `out`, signed by the CA in it or by a new one.
 
     `source` is the one role that may write samples; the other sources get no keys. `robot` None: for every robot.
@@ -155,7 +155,9 @@ def make_keys(
                 )
     except OSError as error:
         raise StorageError(f"{error.filename or out}: {error.strerror}") from error
-    return Made([out / host.folder for host in hosts], roles, until, authority.not_valid_after_utc, is_new, replaced)
+    return WrittenKeys(
+        [out / host.folder for host in hosts], roles, until, authority.not_valid_after_utc, is_new, replaced
+    )
 
 
 def _heading(host: Host, robot: str | None, role: Role, source: Role, until: datetime.datetime) -> str:

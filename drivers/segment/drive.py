@@ -22,7 +22,7 @@ _TRANSITIONS = {
 _FAULTED = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
 
 
-class Drive:
+class SimulatedDrive:
     """State of one drive: what it is told on the bus, in the drive's units, turned into what its loops are told, in SI.
 
     The loops themselves run in the plant. While the drive is not enabled its brake holds the joint at `target`.

@@ -23,7 +23,7 @@ from drivers.ethercat.frames import ETHERTYPE, AlState, Command
 from drivers.ethercat.interface import open_interface
 from drivers.ethercat.pdo import DIGITAL_OUTPUTS, GRIPPER, Pdo
 from drivers.plant.plant import Plant, Target
-from drivers.segment.drive import Drive
+from drivers.segment.drive import SimulatedDrive
 from drivers.segment.esc import Mapping, SlaveController
 from drivers.segment.sii import build_sii
 from schemas.errors import BusError
@@ -60,7 +60,9 @@ class Switches:
 class _Station:
     """One drive on the wire: its controller, its process data, its servo."""
 
-    def __init__(self, number: int, rx: Pdo, tx: Pdo, drive: Drive, scale: Scale, clock: Callable[[], int]) -> None:
+    def __init__(
+        self, number: int, rx: Pdo, tx: Pdo, drive: SimulatedDrive, scale: Scale, clock: Callable[[], int]
+    ) -> None:
         self.rx, self.tx, self.drive, self.scale = rx, tx, drive, scale
         self.controller = SlaveController(
             build_sii(f"deltatwin drive {number}", PRODUCT, REVISION, number, rx, tx), rx.size, tx.size, clock, False
@@ -116,7 +118,7 @@ class _Station:
         self.controller.inputs[:] = self.tx.pack(self._report)
 
 
-class Segment:
+class EthercatSegment:
     """Three drives and their plant. `exchange` passes a frame through, `advance` moves the plant on by a cycle."""
 
     def __init__(
@@ -149,7 +151,7 @@ class Segment:
         self._torque, self._feedforward = np.zeros(3), np.zeros(3)
         self._start = self._position
         self._stations = [
-            _Station(number, rx, tx, Drive(scale, FOLLOWING_ERROR, position), scale, lambda: self._clock_ns)
+            _Station(number, rx, tx, SimulatedDrive(scale, FOLLOWING_ERROR, position), scale, lambda: self._clock_ns)
             for number, ((rx, tx), scale, position) in enumerate(
                 zip(pdos, scales, self._position.tolist(), strict=True), start=1
             )
@@ -362,7 +364,7 @@ def _physical(wired: list[_Station], command: int, position: int, offset: int, d
     return counter, position
 
 
-def serve(interface: str, segment: Segment, stopping: Callable[[], bool]) -> None:
+def serve(interface: str, segment: EthercatSegment, stopping: Callable[[], bool]) -> None:
     """Be the segment at the far end of `interface` until `stopping`.
 
     Raises:

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from scipy.ndimage import median_filter
 
-from drivers.trace.quality import Rows, check
+from drivers.trace.quality import RowNames, check
 from schemas.axes import Description
 from schemas.columns import CHANNELS, EXTRAS, TIME_UNITS, Columns, GripperColumn, PositionColumn, TorqueColumn
 from schemas.errors import TraceError
@@ -130,7 +130,7 @@ def assemble(
     stamps = {i: table[str(i)].to_numpy() / per_second for i in sorted({c.time_index for c in channels})}
     base = channels[0].time_index
     first = columns.first_line if word == "line" else 1
-    lines = Rows(word, first + np.arange(len(table)))
+    lines = RowNames(word, first + np.arange(len(table)))
     rows, left_out = _stamped(stamps[base], lines)
     notes.extend(left_out)
     if len(rows) == 0:
@@ -192,10 +192,10 @@ def assemble(
         own_time=own_time,
         angular=all(getattr(channel.column, "unit", "") not in ("m", "mm") for channel in channels),
     )
-    return check(trace, Rows(word, lines.numbers[rows]), robot)
+    return check(trace, RowNames(word, lines.numbers[rows]), robot)
 
 
-def _stamped(stamps: np.ndarray, lines: Rows) -> tuple[np.ndarray, list[Finding]]:
+def _stamped(stamps: np.ndarray, lines: RowNames) -> tuple[np.ndarray, list[Finding]]:
     """Rows with a stamp, and a finding for those in between that have none. Blank rows behind the last are the end."""
     finite = np.isfinite(stamps)
     rows = np.flatnonzero(finite)
@@ -236,7 +236,7 @@ def _signed(values: np.ndarray, bits: int | None) -> np.ndarray:
     return np.where(values >= 2.0 ** (bits - 1), values - 2.0**bits, values)
 
 
-def _refuse_wraps(raw: np.ndarray, channel: Channel, lines: Rows, path: Path) -> None:
+def _refuse_wraps(raw: np.ndarray, channel: Channel, lines: RowNames, path: Path) -> None:
     """
     Raises:
         TraceError: whole numbers that step by 2^16 or 2^32 and stay there.

@@ -14,7 +14,7 @@ from drivers.ethercat.frames import Command, Kind, decode
 from drivers.ethercat.process_data.assembly import Assembler
 from drivers.ethercat.process_data.layout import NOT_MAPPED, make_layout
 from drivers.trace.mcap_file import to_trace, write_samples
-from drivers.trace.quality import Rows, check
+from drivers.trace.quality import RowNames, check
 from schemas.errors import TraceError
 from schemas.files import whole
 from schemas.messages import SampleFlag
@@ -143,7 +143,7 @@ def read_capture(path: Path, robot: Robot) -> Trace:
     reader = CaptureReader(path, robot)
     samples = np.concatenate([samples for samples, _ in reader.blocks()])
     trace = replace(to_trace(samples, path), findings=tuple(reader.findings()))
-    return check(trace, Rows("cycle", np.arange(1, len(samples) + 1)), robot)
+    return check(trace, RowNames("cycle", np.arange(1, len(samples) + 1)), robot)
 
 
 def convert_capture(

@@ -12,7 +12,7 @@ from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
 from drivers.trace.mcap_messages import Wanted, read_messages, read_summary
-from drivers.trace.quality import EXACT_SECONDS, Rows, check
+from drivers.trace.quality import EXACT_SECONDS, RowNames, check
 from schemas.axes import Description
 from schemas.errors import MessageError, StorageError, TraceError
 from schemas.files import opened
@@ -35,7 +35,7 @@ def read_mcap(path: Path, robot: Description | None = None) -> Trace:
             samples = read_samples(stream, path, robot)
     except OSError as error:
         raise TraceError(f"{path}: {error.strerror}") from error
-    return check(to_trace(samples, path), Rows("message", np.arange(1, len(samples) + 1)), robot)
+    return check(to_trace(samples, path), RowNames("message", np.arange(1, len(samples) + 1)), robot)
 
 
 def holds_samples(path: Path) -> bool:

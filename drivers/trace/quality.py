@@ -28,7 +28,7 @@ SHOWN = 5  # rows named in a message
 
 
 @dataclass(frozen=True)
-class Rows:
+class RowNames:
     """How the rows of a trace are called in its file: `line 17` of a CSV, `message 17` of an MCAP."""
 
     word: str
@@ -41,7 +41,7 @@ class Rows:
         return f"{self.word}{plural} {shown}{', ...' if len(rows) > SHOWN else ''}"
 
 
-def check(trace: Trace, rows: Rows, robot: Description | None) -> Trace:
+def check(trace: Trace, rows: RowNames, robot: Description | None) -> Trace:
     """`trace` with every flag set and every finding added.
 
     Joint angles are held against the range of `robot`, without one against that of Delta robots in general.
@@ -59,7 +59,7 @@ def check(trace: Trace, rows: Rows, robot: Description | None) -> Trace:
     return replace(trace, flags=flags, findings=tuple(findings))
 
 
-def _stamps(trace: Trace, rows: Rows) -> Iterator[Finding]:
+def _stamps(trace: Trace, rows: RowNames) -> Iterator[Finding]:
     step = np.diff(trace.time)
     rising = step > 0
     if np.count_nonzero(rising) < 0.5 * len(step):
@@ -102,7 +102,7 @@ def _stamps(trace: Trace, rows: Rows) -> Iterator[Finding]:
         )
 
 
-def _values(trace: Trace, rows: Rows) -> Iterator[Finding]:
+def _values(trace: Trace, rows: RowNames) -> Iterator[Finding]:
     for name, values, flag in (
         ("position", trace.position, SampleFlag.NOT_A_NUMBER),
         ("torque", trace.torque, SampleFlag.NOT_A_NUMBER),
@@ -129,7 +129,7 @@ def _commanded(trace: Trace) -> Iterator[Finding]:
             yield Finding(SampleFlag(0), message, np.zeros(0, np.intp))
 
 
-def _jumps(trace: Trace, rows: Rows) -> Iterator[Finding]:
+def _jumps(trace: Trace, rows: RowNames) -> Iterator[Finding]:
     step = np.diff(trace.time)
     period = float(np.median(step[step > 0]))
     step = np.maximum(step, period)[:, None]  # repeated or falling stamps: one cycle has passed at least
@@ -168,7 +168,7 @@ def _spans(trace: Trace, chain: Chain) -> None:
             )
 
 
-def _range(trace: Trace, rows: Rows, robot: Description | None) -> Iterator[Finding]:
+def _range(trace: Trace, rows: RowNames, robot: Description | None) -> Iterator[Finding]:
     if isinstance(robot, Chain):
         _spans(trace, robot)
     if not trace.angular or isinstance(robot, Machine) or (robot is None and trace.position.shape[1] != 3):

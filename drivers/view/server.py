@@ -37,7 +37,7 @@ _EVENTS = "payload"  # picks and releases are never thinned out
 _ARM, _PLATFORM = Color(r=0.25, g=0.45, b=0.85, a=1.0), Color(r=0.9, g=0.5, b=0.1, a=1.0)
 
 
-class View:
+class LiveView:
     """Serves what `bus` carries until it is closed. robot: its description. host, port: where; port 0 takes a free one.
 
     Raises:
@@ -99,14 +99,14 @@ class View:
         entity = SceneEntity(timestamp=stamp, frame_id="base", id="robot", lines=lines)
         self._scene.log(SceneUpdate(entities=[entity]), log_time=now)
 
-    def __enter__(self) -> View:
+    def __enter__(self) -> LiveView:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._server.stop()
 
 
-def run(view: View) -> None:
+def run(view: LiveView) -> None:
     """Serve until interrupted."""
     while True:
         time.sleep(PERIOD_S)

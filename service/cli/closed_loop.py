@@ -150,7 +150,7 @@ def _row(run: Tracking, reference: Tracking) -> tuple[str, ...]:
 def _page(robot: str, which: str, masses: tuple[float, ...], runs: list[Tracking], rows: list[tuple[str, ...]]) -> Page:
     import numpy as np
 
-    from service.experiment.pictures import Figure, Line, Page, Panel, Table
+    from service.experiment.pictures import Figure, Line, Page, PageTable, Panel
 
     shown = [runs[0], *runs[3:]]  # feedback alone, M_Id+F, full, payload-aware, estimator lost
     panels = tuple(
@@ -179,7 +179,7 @@ def _page(robot: str, which: str, masses: tuple[float, ...], runs: list[Tracking
             "noise are the same in every run; what the drives are fed differs.",
         ),
         (
-            Table(
+            PageTable(
                 "Tracking error",
                 HEAD,
                 tuple(rows),

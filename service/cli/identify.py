@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from schemas.axes import Description
-    from service.identification.calibration import Figure
-    from service.identification.pooled import Estimate, Plain
+    from service.identification.calibration import CalibratedFigure
+    from service.identification.pooled import ParameterEstimate, Plain
 
 
 def command(
@@ -65,7 +65,7 @@ def command(
     description = load_description(robot)
     loads = [_load(text) for text in carried or ()]
     logs = reading(traces, description, columns, "reading")
-    figures: Sequence[Figure] = ()
+    figures: Sequence[CalibratedFigure] = ()
     if isinstance(description, Machine):
         if loads:
             raise RobotError(f"{robot}: --carried: a load hangs on the platform of a Delta robot")
@@ -114,7 +114,7 @@ def _load(text: str) -> tuple[float, Path]:
         raise typer.BadParameter(f"--carried {text}: write mass in kg and trace, as 3.0:log.csv") from None
 
 
-def _calibrated(figures: Sequence[Figure]) -> Table:
+def _calibrated(figures: Sequence[CalibratedFigure]) -> Table:
     from rich.table import Table
 
     table = Table("", "value", "std. error", "unit", "", title="by the known load")
@@ -124,7 +124,7 @@ def _calibrated(figures: Sequence[Figure]) -> Table:
     return table
 
 
-def _parameters(estimates: Sequence[Estimate], robot: Description) -> Table:
+def _parameters(estimates: Sequence[ParameterEstimate], robot: Description) -> Table:
     from rich.table import Table
 
     from service.model.description import in_units_of

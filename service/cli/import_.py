@@ -9,7 +9,7 @@ import typer
 
 if TYPE_CHECKING:
     from drivers.trace.tables import Table
-    from service.identification.proposal import Proposal, Told
+    from service.identification.proposal import Proposal, Stated
 
 
 def command(
@@ -70,13 +70,13 @@ def command(
 
     terminate_as_interrupt()
     description = load_description(robot) if robot else None
-    told = _told(time, rate, position, torque, position_unit, counts_per_rev, torque_unit)
+    stated = _stated(time, rate, position, torque, position_unit, counts_per_rev, torque_unit)
     for path in files[1:]:
         if path.parent.resolve() != files[0].parent.resolve():
             raise TraceError(f"{path}: not in the folder of {files[0]}; files side by side stand beside each other")
     with Console(stderr=True).status(f"reading {files[0].name}"):
         table = joined([read_table(path) for path in files])
-        proposal = propose(table, description, told)
+        proposal = propose(table, description, stated)
     if not json:
         _show(table, proposal)
     log = out or files[0].with_name(
@@ -107,7 +107,7 @@ def command(
     typer.echo(f"next: deltatwin diagnose {log} {options} --out diagnosis")
 
 
-def _told(
+def _stated(
     time: str | None,
     rate: float | None,
     position: str | None,
@@ -115,9 +115,9 @@ def _told(
     position_unit: str | None,
     counts_per_rev: float | None,
     torque_unit: str | None,
-) -> Told:
+) -> Stated:
     from service.identification.channels import POSITION_UNITS, TORQUE_UNITS
-    from service.identification.proposal import Told
+    from service.identification.proposal import Stated
 
     if position_unit is not None and position_unit not in POSITION_UNITS.values():
         raise typer.BadParameter(f"{position_unit!r}: rad, deg, turns, counts, m or mm", param_hint="--position-unit")
@@ -137,7 +137,7 @@ def _told(
     def names(text: str | None) -> list[str] | None:
         return None if text is None else [name.strip() for name in text.split(",")]
 
-    return Told(time, rate, names(position), names(torque), position_unit, counts_per_rev, unit)
+    return Stated(time, rate, names(position), names(torque), position_unit, counts_per_rev, unit)
 
 
 def _channels(table: Table, proposal: Proposal) -> list[dict[str, Any]]:

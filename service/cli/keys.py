@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from drivers.security.keys import Made
+    from drivers.security.keys import WrittenKeys
 
 
 class SampleSource(StrEnum):
@@ -60,7 +60,7 @@ def command(
     typer.echo(summary(make_keys(out, parsed, name, Role[source.name]), out))
 
 
-def summary(made: Made, out: Path) -> str:
+def summary(made: WrittenKeys, out: Path) -> str:
     """What was written and how long it holds."""
     folders = ", ".join(str(folder) for folder in made.folders)
     roles = ", ".join(role.name.lower() for role in made.roles)

@@ -83,7 +83,7 @@ def command(
     import numpy as np
 
     from drivers.bus import Bus, open_bus
-    from drivers.ethercat.course import course
+    from drivers.ethercat.setpoints import setpoints
     from drivers.health import Health
     from drivers.motion import Planner
     from replay.clock import wait_until
@@ -125,14 +125,14 @@ def command(
             torque = OverBus(bus, peak, period)
         done, interrupted = 0, False
         with Master(interface, description, period, wait_until) as master:
-            plan = course(master.operate(), planned)
+            plan = setpoints(master.operate(), planned)
             limit = peak if max_torque is None else min(peak, max_torque)
             offset = OffsetRamp(master.scale, limit, slope, description.limits.torque_fade_s, period)
             typer.echo(
                 f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True
             )
             sent = np.zeros(len(plan), np.int64)
-            with Telling(health, standing, master, offset, torque) as tell:
+            with HealthReport(health, standing, master, offset, torque) as tell:
                 try:
                     for done, _ in enumerate(follow(master, plan, torque or nothing, offset), start=1):
                         sent[done - 1] = master.sent_ns
@@ -149,8 +149,8 @@ def command(
         typer.echo(torque.summary())
 
 
-class Telling:
-    """What the master has to say of itself, when it has to."""
+class HealthReport:
+    """Publishes the master's health, when it changes or is due."""
 
     def __init__(
         self,
@@ -183,7 +183,7 @@ class Telling:
         if health.due:
             health.publish(**self._counts())
 
-    def __enter__(self) -> Telling:
+    def __enter__(self) -> HealthReport:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:

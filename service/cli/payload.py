@@ -12,7 +12,7 @@ from service.cli.reading import AsJson, ColumnsFrom, OwnEffects, reading
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from service.identification.payload import Course, Level, Score
+    from service.identification.payload import Level, PayloadHistory, Score
 
 
 def command(
@@ -40,7 +40,7 @@ def command(
     from schemas.errors import DataError
     from schemas.robot import load_robot
     from service.cli.output import console as result_console
-    from service.identification.payload import course, levels, read_truth, score
+    from service.identification.payload import levels, payload_history, read_truth, score
 
     if truth and len(truth) != len(traces):
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one a trace, in their order")
@@ -49,7 +49,7 @@ def command(
     scores: list[Score] = []
     weighed: list[dict[str, Any]] = []
     for number, trace in enumerate(reading(traces, description, columns, "weighing")):
-        found = course(description, trace)
+        found = payload_history(description, trace)
         if predictions is not None:
             _write(found, predictions / f"{trace.path.name.split('.')[0]}.csv")
         if truth:
@@ -68,7 +68,7 @@ def command(
             console.print(table)
 
 
-def _write(found: Course, path: Path) -> None:
+def _write(found: PayloadHistory, path: Path) -> None:
     import numpy as np
 
     from schemas.errors import StorageError

@@ -38,7 +38,7 @@ def command(
     from drivers.ethercat.pdo import joint_pdos
     from drivers.plant.plant import Plant
     from drivers.plant.truth import PlantTruth, load_truth
-    from drivers.segment.wire import Segment, serve
+    from drivers.segment.wire import EthercatSegment, serve
     from drivers.trace import write_trace
     from drivers.trace.mcap_file import to_trace
     from replay.realtime import go_realtime
@@ -52,7 +52,7 @@ def command(
     description = load_robot(robot)
     actual = load_truth(truth, description) if truth else PlantTruth.nominal(description)
     plant = Plant(description, actual, period=1 / rate, seed=seed)
-    segment = Segment(joint_pdos(description), scales(description.drive), plant)
+    segment = EthercatSegment(joint_pdos(description), scales(description.drive), plant)
     segment.switches.product = product
     threading.Thread(target=_listen, args=(segment.switches,), daemon=True).start()
     go_realtime("segment")

@@ -46,7 +46,7 @@ def command(
     from schemas.errors import BusError
 
     try:
-        from drivers.view.server import View, run
+        from drivers.view.server import LiveView, run
     except ModuleNotFoundError as error:
         if error.name != "foxglove":
             raise
@@ -59,7 +59,7 @@ def command(
     terminate_as_interrupt()
     with (
         open_bus(description.name, Role.OBSERVER, zenoh_config, insecure) as bus,
-        View(bus, description, host, port) as view,
+        LiveView(bus, description, host, port) as view,
     ):
         typer.echo(f"view of {description.name}: ws://{host}:{view.port}; Ctrl-C ends it", err=True)
         try:

@@ -15,7 +15,7 @@ BOUNDS = {
     "right_joint": ("right joint", "≥ 0.95"),
     "extra_per_case": ("effects named that are not there, a case", "≤ 0.10"),
     "null_clean": ("gap-free logs called within noise", "≥ 0.95"),
-    "unknown_said": ("outside the catalogue: said so", "≥ 0.90"),
+    "unknown_said": ("out of catalogue: said so", "≥ 0.90"),
     "pair_both": ("both of a pair named", "≥ 0.75"),
     "after_over_floor_median": ("gap after over noise floor, median", "≤ 1.3"),
     "claim_error_median": ("claimed against measured shrink, median", "≤ 0.03"),

@@ -34,10 +34,10 @@ STRUCTURAL = {"forearm_inertia"}
 
 def plan(cases: int, seed: int) -> list[tuple[list[str], float]]:
     """(effects, severity) of each case: every catalogue effect as often as any other, in random order."""
-    from drivers.plant.effects import CATALOGUE, OUTSIDE
+    from drivers.plant.effects import CATALOGUE, OUT_OF_CATALOGUE
 
     rng = np.random.default_rng([seed, 17])
-    known, strange = [n for n in CATALOGUE if n not in STRUCTURAL], list(OUTSIDE)
+    known, strange = [n for n in CATALOGUE if n not in STRUCTURAL], list(OUT_OF_CATALOGUE)
     counts = {kind: round(share * cases) for kind, share in SHARES.items()}
     drawn: list[tuple[list[str], float]] = [([], 1.0)] * counts["null"]
     drawn += [([str(n) for n in rng.choice(known, 2, replace=False)], 1.0) for _ in range(counts["pair"])]
@@ -285,7 +285,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def confusion(rows: list[dict[str, Any]]) -> tuple[list[str], list[str], np.ndarray]:
-    """Truth, first answer, counts: findable single effects, effects outside the catalogue, and gap-free logs."""
+    """Truth, first answer, counts: findable single effects, effects out of catalogue, and gap-free logs."""
     single = [r for r in rows if "error" not in r and r["kind"] in ("catalogue", "unknown", "null")]
     single = [r for r in single if r["kind"] == "null" or r["lift"] >= FINDABLE]
     label = [r["truth"][0] if r["truth"] else "none" for r in single]

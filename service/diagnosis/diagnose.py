@@ -73,8 +73,8 @@ def diagnose(
     timed = Hypothesis(plain.hypothesis.base, given)
     if given:
         plain = score(fit(problem, timed), split)
-    offer = limits_of(problem, loops_of(problem, traces))
-    selection = search(problem, split, timed, effects if offer.enough else (), progress, offer.allows, more_orders)
+    scope = limits_of(problem, loops_of(problem, traces))
+    selection = search(problem, split, timed, effects if scope.enough else (), progress, scope.allows, more_orders)
     progress("checking on data left out")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     coloured = bool((floor.coloured | floor.unknown).any())
@@ -85,7 +85,7 @@ def diagnose(
         return follows(problem, split, scored.residuals, traces, angular)
 
     doubts: list[Caution] = []
-    if offer.enough:
+    if scope.enough:
         none, best = selection.none, selection.best
         before = followed(none)
         doubts = base_doubts(problem, before, before if best is none else followed(best), none, best)
@@ -110,7 +110,7 @@ def diagnose(
     verdict = _verdict(problem, selection, given, after, limit)
     return Findings(
         robot, problem, split, plain, reference, selection, given, gap, after, floor.sample, reversal, errors, verdict,
-        limit, [*noise_of(floor), *offer.cautions, *doubts, *fallen], followed(selection.best), baseline,
+        limit, [*noise_of(floor), *scope.cautions, *doubts, *fallen], followed(selection.best), baseline,
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from schemas.errors import RobotError
 from schemas.robot import Robot
 from service.model.description import terms_of
 from service.model.effects import CATALOGUE
-from service.model.effects.base import Effect, Instant
+from service.model.effects.base import Effect
 from service.model.hypothesis import Term, correction_of
 from service.model.nominal import pack
 
@@ -95,18 +95,8 @@ _online = _dispatcher()
 
 
 @njit(cache=True)
-def effects_kernel(
-    effects, model, gear_ratio, theta, theta_dot, theta_ddot, way, load, seconds, position, work, torque
-):
-    """Add the effects' torque to `torque` (3,), N m, which holds the base model's.
-
-    way: (3,) direction of motion in [-1, 1]. load: (3,) rigid torque through the gears. seconds: of the bus clock.
-    position, work: as the terms kernel left them for this motion.
-    """
-    now = Instant(
-        model, gear_ratio, theta, theta_dot, theta_ddot, way, load, seconds, position,
-        work[4, 1], work[4, 2], work[1], work[2], work[4, 0],
-    )  # fmt: skip
+def effects_kernel(effects, now, torque):
+    """Add the effects' torque at the Instant `now` to `torque` (3,), N m, which holds the base model's."""
     for n in range(MAX_EFFECTS):
         effect = effects[n]
         if effect.number < 0:

@@ -12,6 +12,7 @@ from service.estimator import friction
 from service.estimator.effects import effects_kernel
 from service.estimator.stream import COMMAND_ACCELERATION, SETTLE_TIME, coast_cycles
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, terms_kernel
+from service.model.effects.base import Instant
 from service.model.friction import direction, friction_kernel
 from service.model.kinematics import REACHED
 
@@ -133,7 +134,7 @@ def _for_motion(settings, state, sample):
     """state.wanted (3,) N m: the torque for state.trajectory with payload and friction of now; False where there is no
     pose for it."""
     motion = state.trajectory
-    status = terms_kernel(settings.model, motion[0], motion[1], motion[2], state.position, state.work, state.terms)
+    status = terms_kernel(settings.model, motion[0], motion[1], motion[2], state.pose, state.terms)
     if status != REACHED:
         return False
     torque_kernel(settings, state, sample.stamp_sec + sample.stamp_nanosec * 1e-9)
@@ -151,12 +152,20 @@ def torque_kernel(settings, state, seconds):
     terms, motion = state.terms, state.trajectory
     for i in range(3):
         state.load[i] = grey_kernel(settings, terms, i) + settings.forearm * terms[FOREARM, i]
-        state.way[i] = direction(motion[1, i], settings.transition)
+        state.direction[i] = direction(motion[1, i], settings.transition)
         state.full[i] = state.load[i] + dry_and_viscous(settings, state, i)
-    effects_kernel(
-        settings.effect, settings.model, settings.gear_ratio, motion[0], motion[1], motion[2],
-        state.way, state.load, max(0.0, seconds), state.position, state.work, state.full,
-    )  # fmt: skip
+    now = Instant(
+        model=settings.model,
+        gear_ratio=settings.gear_ratio,
+        theta=motion[0],
+        theta_dot=motion[1],
+        theta_ddot=motion[2],
+        direction=state.direction,
+        load=state.load,
+        seconds=max(0.0, seconds),
+        pose=state.pose,
+    )
+    effects_kernel(settings.effect, now, state.full)
     for i in range(3):
         state.full[i] *= settings.scale[i]
 
@@ -172,7 +181,7 @@ def _learnt_friction(settings, state, i):
     """Reported torque on joint i, N m, of what friction surely is beside the identified one."""
     sure, first = state.payload.friction.sure, friction.PARTS * i
     dry, viscous, offset = sure[first], sure[first + 1], sure[first + 2]
-    return settings.scale[i] * (dry * state.way[i] + viscous * state.trajectory[1, i]) + offset
+    return settings.scale[i] * (dry * state.direction[i] + viscous * state.trajectory[1, i]) + offset
 
 
 @njit(cache=True)
@@ -201,14 +210,14 @@ def _within_bounds(settings, state, seconds, out):
     flags = 0
     for i in range(3):
         dry = settings.coulomb[i] + state.payload.friction.sure[friction.PARTS * i]
-        reversal = settings.scale[i] * dry * abs(state.way[i] - state.way_before[i])
+        reversal = settings.scale[i] * dry * abs(state.direction[i] - state.direction_before[i])
         step = max(settings.slope * seconds, reversal)
         low, high = max(-settings.peak, state.torque[i] - step), min(settings.peak, state.torque[i] + step)
         torque = min(max(state.wanted[i], low), high)
         if torque != state.wanted[i]:
             flags = _LIMITED
         out.torque[i] = torque
-        state.way_before[i] = state.way[i]
+        state.direction_before[i] = state.direction[i]
     state.faded = 0.0
     state.held = 0
     return flags
@@ -227,5 +236,5 @@ def _fade(settings, state, seconds, out):
         out.torque[i] = left * state.fade_from[i]
         if out.torque[i] != 0.0:
             flags = _FADING
-        state.way_before[i] = 0.0
+        state.direction_before[i] = 0.0
     return flags

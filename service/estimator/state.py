@@ -9,11 +9,13 @@ import numpy as np
 
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
 from schemas.robot import Robot
-from service.estimator import effects, friction, kalman, payload, turning
+from service.estimator import effects, friction, kalman, turning
 from service.estimator.bounds import bounds_of
+from service.estimator.payload import state as payload
 from service.model.description import terms_of
 from service.model.dynamics import REST_SPEED, TERMS
-from service.model.nominal import DeltaModel, pack
+from service.model.kinematics import POSE
+from service.model.nominal import DeltaModel, lengthened, pack
 
 # Per sample, when `identify` has not measured it.
 DEFAULT_TORQUE_NOISE = 0.5  # N m
@@ -85,7 +87,7 @@ STATE = np.dtype(
         ("turn_read", "f8"),  # rad, the newest as it was read
         ("payload", payload.STATE),
         ("torque", "f8", 3),  # N m, last feed-forward
-        ("way_before", "f8", 3),  # direction of motion that it was for
+        ("direction_before", "f8", 3),  # direction of motion that it was for
         ("source", "i8"),
         ("held", "i8"),  # answers in a row that only repeated it
         ("faded", "f8"),  # s since the last usable motion
@@ -97,10 +99,9 @@ STATE = np.dtype(
         # scratch of one step
         ("trajectory", "f8", (3, 3)),  # position, velocity, acceleration that the terms are for
         ("adjoint", "f8", kalman.ORDER),
-        ("work", "f8", (8, 3, 3)),
+        ("pose", POSE),
         ("terms", "f8", (len(TERMS), 3)),
-        ("position", "f8", 3),
-        ("way", "f8", 3),
+        ("direction", "f8", 3),
         ("load", "f8", 3),
         ("full", "f8", 3),
         ("wanted", "f8", 3),
@@ -143,9 +144,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["rho"] = 1.0
     noise, left_over = np.full(3, DEFAULT_TORQUE_NOISE), np.zeros(3)
     if identified is not None:
-        # rho also stands for rotor and gear: a longer link changes its own share of inertia and gravity, not theirs
-        for row, (rho, power) in enumerate(((identified.rho_1.value, 2), (identified.rho_2.value, 1))):
-            record["rho"][0, row] = rho + (1.0 - rho) * (1.0 - ratio**-power)
+        record["rho"] = lengthened(identified.rho_1.value, identified.rho_2.value, ratio)
         turning = identified.friction_transition_radps
         # sharper than this it would chatter with the noise of a joint at rest
         record["transition"] = turning if turning > 0.5 * REST_SPEED else 0.0

@@ -34,7 +34,8 @@ from service.estimator.kalman import (
     smooth_kernel,
     update_kernel,
 )
-from service.estimator.payload import MODEL_SHARE, PRIOR_STD, payload_kernel
+from service.estimator.payload.state import PRIOR_STD
+from service.estimator.payload.step import payload_kernel
 from service.estimator.stream import (
     BACKWARDS,
     COMMAND_JUMP,
@@ -60,6 +61,8 @@ from service.model.kinematics import REACHED
 
 # Presliding and Stribeck effects live below this speed: the payload looks at a joint there where nothing is faster.
 REVERSAL_SPEED = 0.05  # rad/s
+# The rigid-body terms are known to about this share of themselves after identification.
+MODEL_SHARE = 0.01
 
 _CDR = np.frombuffer(CDR_LITTLE_ENDIAN, np.uint8).copy()
 
@@ -126,13 +129,13 @@ def lagged_kernel(settings, state, payload_out, error_out):
     flags = past.flags
     if flags & UNUSABLE == 0:
         smooth_kernel(settings.motion.transition, state.slots, state.head, lag, state.adjoint, motion)
-        if terms_kernel(settings.model, motion[0], motion[1], motion[2], state.position, state.work, terms) != REACHED:
+        if terms_kernel(settings.model, motion[0], motion[1], motion[2], state.pose, terms) != REACHED:
             flags |= RANGE
     if flags & UNUSABLE != 0:
         for i in range(3):
             error_out.kh[i] = error_out.id[i] = error_out.id_friction[i] = error_out.full[i] = math.nan
     else:
-        swing_kernel(settings, state, state.work[1], state.work[4, 0], weighed.column)
+        swing_kernel(settings, state, weighed.column)
         torque_kernel(settings, state, past.stamp_sec + past.stamp_nanosec * 1e-9)
         for i in range(3):
             speed = abs(motion[1, i])
@@ -144,7 +147,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             error_out.id_friction[i] = past.torque[i] - grey - friction
             weighed.residual[i] = past.torque[i] - state.full[i]
             weighed.column[i, 0] = load_kernel(settings, state, i)
-            weighed.shape[i, 0] = settings.scale[i] * state.way[i]
+            weighed.shape[i, 0] = settings.scale[i] * state.direction[i]
             weighed.shape[i, 1] = settings.scale[i] * motion[1, i]
             weighed.shape[i, 2] = 1.0
             doubt = MODEL_SHARE * (

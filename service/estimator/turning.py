@@ -37,12 +37,12 @@ def turn_kernel(state, angle, gap):
 
 
 @njit(cache=True)
-def swing_kernel(settings, state, column, lever, loads):
+def swing_kernel(settings, state, loads):
     """loads[:, 1:] (3, 2): N m per kg m on each joint, `lag` cycles ago, zero where the angle is not known all around.
 
-    column, lever: of that cycle, as the terms kernel leaves them: their product is the platform's Jacobian.
+    state.pose: of that cycle, as the terms kernel leaves it.
     """
-    lag = settings.motion.lag
+    column, lever, lag = state.pose.column, state.pose.lever, settings.motion.lag
     loads[:, 1:] = 0.0
     if state.turn_known < 2 * lag + 1:
         return

@@ -17,12 +17,12 @@ from schemas.robot import Robot
 from schemas.trace import Trace
 from service.estimator.recursion import FORGETTING
 from service.experiment.diagrams import IDENTIFICATION, WEIGHING
-from service.experiment.pictures import Figure, Heat, Line, Page, Panel, Section, Table
+from service.experiment.pictures import Figure, Heat, Line, Page, PageTable, Panel, Section
 from service.identification import paper, payload
 from service.identification.evaluation import WITH_PAYLOAD, Evaluation, evaluate
 from service.identification.identify import Identification, identify
-from service.identification.payload import Course, Pick, Score, course, recursion
-from service.identification.regression import COULOMB, RHO_1, RHO_2, VISCOUS, Trajectory, summarise
+from service.identification.payload import PayloadHistory, Pick, Score, payload_history, recursion
+from service.identification.regression import COULOMB, RHO_1, RHO_2, VISCOUS, NormalEquations, summarise
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
@@ -39,7 +39,7 @@ ESTIMATOR = "our estimator"
 
 
 @dataclass(frozen=True)
-class Run:
+class PaperRun:
     """A test run: trace, its smoothed motion, and what each model of the literally identified robot says, N m."""
 
     trace: Trace
@@ -53,7 +53,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Findings:
+class PaperResult:
     """What the experiment gave.
 
     robot: as described; literal: identified as the paper does; by_paper: the same, filtered; by_pooled: our fit.
@@ -62,14 +62,14 @@ class Findings:
     """
 
     robot: Robot
-    trajectories: list[Trajectory]
+    equations: list[NormalEquations]
     literal: Robot
     by_paper: Identification
     by_pooled: Identification
-    stress: Run
-    picks: Run
+    stress: PaperRun
+    picks: PaperRun
     evaluated: Evaluation
-    weighed: Course
+    weighed: PayloadHistory
     scores: list[Score]
     masses: dict[str, np.ndarray]
     carried: np.ndarray
@@ -83,7 +83,7 @@ def run(
     picks: Trace,
     carried: Sequence[Payload],
     forgetting: float = FORGETTING,
-) -> Findings:
+) -> PaperResult:
     """Identify on `logs` literally, filtered and by our fit; evaluate on `stress` (upsilon_F) and `picks` (upsilon_P).
 
     carried: what was on the platform in `picks`, s since its start. forgetting: the paper's factor, a millisecond.
@@ -91,10 +91,10 @@ def run(
     Raises:
         DataError, TraceError: the logs cannot be used, naming them.
     """
-    trajectories = [summarise(pack(robot), log) for log in logs]
-    by_paper, by_pooled = identify(robot, trajectories, "paper"), identify(robot, trajectories, "pooled")
+    equations = [summarise(pack(robot), log) for log in logs]
+    by_paper, by_pooled = identify(robot, equations, "paper"), identify(robot, equations, "pooled")
     literal = _with_values(by_paper.robot, paper.literal(pack(robot), logs)[0])
-    weighed = course(by_pooled.robot, picks)
+    weighed = payload_history(by_pooled.robot, picks)
     start = float(picks.time[0])
     truth = [Pick(start + load.pick, start + load.release, load.mass) for load in carried]
     weighing = _run(literal, picks)
@@ -104,9 +104,9 @@ def run(
     def paper_recursion(torque: np.ndarray, rest_votes: bool) -> np.ndarray:
         return recursion(robot, picks, along, torque, forgetting, rest_votes)
 
-    return Findings(
+    return PaperResult(
         robot=robot,
-        trajectories=trajectories,
+        equations=equations,
         literal=literal,
         by_paper=by_paper,
         by_pooled=by_pooled,
@@ -127,9 +127,9 @@ def run(
     )
 
 
-def _run(robot: Robot, trace: Trace) -> Run:
+def _run(robot: Robot, trace: Trace) -> PaperRun:
     along = motion(trace)
-    return Run(trace, along, predict_along(robot, trace, along))
+    return PaperRun(trace, along, predict_along(robot, trace, along))
 
 
 def _with_values(robot: Robot, values: np.ndarray) -> Robot:
@@ -145,7 +145,7 @@ def _with_values(robot: Robot, values: np.ndarray) -> Robot:
     return robot.model_copy(update={"identified": old.model_copy(update=changed)})
 
 
-def page(found: Findings, which: str) -> Page:
+def page(found: PaperResult, which: str) -> Page:
     """Tables and figures. which: the truth of the plant in words."""
     return Page(
         f"The paper's experiment on a simulated {found.robot.name}",
@@ -188,7 +188,7 @@ def page(found: Findings, which: str) -> Page:
     )
 
 
-def table_1(found: Findings) -> Table:
+def table_1(found: PaperResult) -> PageTable:
     """Mean and standard deviation of the error of the three models over upsilon_F, ours (simulated) and published."""
     head = ["τ − τ̂ / N m"]
     rows: list[list[str]] = [[f"τ{joint + 1} {whose}"] for joint in range(3) for whose in ("simulated", "published")]
@@ -202,14 +202,14 @@ def table_1(found: Findings) -> Table:
     assert identified is not None
     note = (
         "υ_F runs round the rim of the workspace; it was not used to identify. Every sample, unfiltered. Identified as "
-        f"in the paper on {len(found.trajectories)} trajectories: ρ1 {identified.rho_1.value:.3f}, "
+        f"in the paper on {len(found.equations)} trajectories: ρ1 {identified.rho_1.value:.3f}, "
         f"ρ2 {identified.rho_2.value:.3f}, f_v {_three(identified.viscous_friction_nms.value)} N m s/rad, "
         f"f_c {_three(identified.coulomb_friction_nm.value)} N m. Simulated is our plant, published a real robot."
     )
-    return Table("Table 1: error of the three models over υ_F", tuple(head), tuple(map(tuple, rows)), note)
+    return PageTable("Table 1: error of the three models over υ_F", tuple(head), tuple(map(tuple, rows)), note)
 
 
-def _table_2(found: Findings) -> Table:
+def _table_2(found: PaperResult) -> PageTable:
     (mean, std), (aware_mean, aware_std) = (found.picks.moments(torque) for torque in _empty_and_loaded(found))
     rows = tuple(
         (f"τ{joint + 1}", *(f"{values[joint]:.2f}" for values in (mean, std, aware_mean, aware_std)))
@@ -221,16 +221,16 @@ def _table_2(found: Findings) -> Table:
         "sample. The published values are not known to us."
     )
     head = ("τ − τ̂ / N m", "m_p = 0: μ", "m_p = 0: σ", "m_p = m̂_p: μ", "m_p = m̂_p: σ")
-    return Table(f"Table 2: error of {FRICTION} over υ_P without and with the estimated payload", head, rows, note)
+    return PageTable(f"Table 2: error of {FRICTION} over υ_P without and with the estimated payload", head, rows, note)
 
 
-def _empty_and_loaded(found: Findings) -> tuple[np.ndarray, np.ndarray]:
+def _empty_and_loaded(found: PaperResult) -> tuple[np.ndarray, np.ndarray]:
     """Torque (N, 3), N m, of M_Id+F over upsilon_P with m_p = 0 and with the paper's m_p."""
     empty = found.picks.torque[FRICTION]
     return empty, empty + next(iter(found.masses.values()))[:, None] * found.carried
 
 
-def _figure_of_model(found: Findings, number: int, model: str) -> Figure:
+def _figure_of_model(found: PaperResult, number: int, model: str) -> Figure:
     trace, since = found.stress.trace, _since(found.stress.trace)
     panels = tuple(
         Panel(
@@ -247,7 +247,7 @@ def _figure_of_model(found: Findings, number: int, model: str) -> Figure:
     return Figure(f"figure_{number}", f"Figure {number}: τ and τ̂ of {model} over υ_F", caption, panels)
 
 
-def _figure_6(found: Findings) -> Figure:
+def _figure_6(found: PaperResult) -> Figure:
     bars = []
     for colour, model in enumerate(PUBLISHED, start=1):
         mean, std = found.stress.moments(found.stress.torque[model])
@@ -258,7 +258,7 @@ def _figure_6(found: Findings) -> Figure:
     )
 
 
-def _figure_7(found: Findings) -> Figure:
+def _figure_7(found: PaperResult) -> Figure:
     trace = found.picks.trace
     empty, loaded = _empty_and_loaded(found)
     panels = tuple(
@@ -281,7 +281,7 @@ def _figure_7(found: Findings) -> Figure:
     return Figure("figure_7", f"Figure 7: torque over υ_P with {FRICTION}", caption, panels)
 
 
-def _figure_8(found: Findings) -> Figure:
+def _figure_8(found: PaperResult) -> Figure:
     trace = found.picks.trace
 
     def panel(torque: np.ndarray, title: str) -> Panel:
@@ -295,7 +295,7 @@ def _figure_8(found: Findings) -> Figure:
     return Figure("figure_8", "Figure 8: real and simulated torque over υ_P", "Grey: the payload is on.", panels)
 
 
-def _methods(found: Findings) -> Table:
+def _methods(found: PaperResult) -> PageTable:
     stress, along = found.stress.trace, found.stress.along
     rows = []
     for name, robot, model in (
@@ -320,10 +320,10 @@ def _methods(found: Findings) -> Table:
         )
     head = ("identified by", "ρ1", "ρ2", "f_v / N m s/rad", "f_c / N m", "σ / N m", "σ in the band / N m")
     note = "σ of the error over υ_F, joints 1 to 3: of every sample as measured, and in motion below 40 Hz."
-    return Table("Identification: the paper's method as it stands and filtered, and ours", head, tuple(rows), note)
+    return PageTable("Identification: the paper's method as it stands and filtered, and ours", head, tuple(rows), note)
 
 
-def _weighed(found: Findings) -> Table:
+def _weighed(found: PaperResult) -> PageTable:
     time, rows = found.weighed.time, []
     loaded = np.zeros(len(time), bool)
     for score in found.scores:
@@ -357,10 +357,10 @@ def _weighed(found: Findings) -> Table:
         "ours: the full model, pooled. “At rest”: any joint below 0.01 rad/s, told after the fact; our estimator has "
         "to tell it live."
     )
-    return Table("Payload: what the model gives and what the algorithm gives", head, tuple(rows), note)
+    return PageTable("Payload: what the model gives and what the algorithm gives", head, tuple(rows), note)
 
 
-def _each_pick(found: Findings) -> Table:
+def _each_pick(found: PaperResult) -> PageTable:
     rows = tuple(
         (
             f"{score.truth.begin:.2f} s",
@@ -377,10 +377,10 @@ def _each_pick(found: Findings) -> Table:
     if aware is not None:
         note += f"; with m_p = m̂_p: {_three(aware.rms)} N m"
     head = ("picked", "true / kg", "m̂_p / kg", "seen after", "within 5 % after", "release seen after")
-    return Table("Payload: our estimator, pick by pick", head, rows, note + ".")
+    return PageTable("Payload: our estimator, pick by pick", head, rows, note + ".")
 
 
-def _mass(found: Findings) -> Figure:
+def _mass(found: PaperResult) -> Figure:
     since = _since(found.picks.trace)
     truth = np.zeros(len(since))
     for score in found.scores:
@@ -411,8 +411,8 @@ def _mass(found: Findings) -> Figure:
     return Figure("payload", "Payload over υ_P", caption, panels)
 
 
-def _surface(found: Findings) -> Figure:
-    sums = paper.six_sums(found.trajectories[0].gram.sum(axis=0))
+def _surface(found: PaperResult) -> Figure:
+    sums = paper.six_sums(found.equations[0].gram.sum(axis=0))
     best = paper.grid(sums)
     rho_1 = np.linspace(max(0.0, best[0] - 1.5), best[0] + 1.5, GRID)
     rho_2 = np.linspace(max(0.0, best[1] - 1.0), best[1] + 1.0, GRID)
@@ -425,7 +425,7 @@ def _surface(found: Findings) -> Figure:
         - 2 * sums[1, 2] * second
         + 2 * sums[0, 1] * first * second
     )
-    seconds = float(found.trajectories[0].seconds.sum())
+    seconds = float(found.equations[0].seconds.sum())
     rms = np.sqrt(np.maximum(square, 0.0) / seconds)  # the sums are over time
     panel = Panel(
         "ρ1",
@@ -439,8 +439,8 @@ def _surface(found: Findings) -> Figure:
     return Figure("surface", "Error of M_Id over (ρ1, ρ2), first identification trajectory", caption, (panel,))
 
 
-def _per_trajectory(found: Findings) -> Figure:
-    each = np.array([paper.grid(paper.six_sums(trajectory.gram.sum(axis=0))) for trajectory in found.trajectories])
+def _per_trajectory(found: PaperResult) -> Figure:
+    each = np.array([paper.grid(paper.six_sums(one.gram.sum(axis=0))) for one in found.equations])
     number = np.arange(1, len(each) + 1, dtype=float)
     panels = []
     pooled = found.by_pooled.robot.identified
@@ -465,7 +465,7 @@ def _per_trajectory(found: Findings) -> Figure:
     return Figure("trajectories", "ρ1 and ρ2 by trajectory", caption, tuple(panels))
 
 
-def _error(found: Findings) -> Figure:
+def _error(found: PaperResult) -> Figure:
     stress = found.stress
     errors = {name: error_in_band(stress.trace, stress.along, stress.torque[name]) for name in PUBLISHED}
     panels = tuple(
@@ -483,7 +483,7 @@ def _error(found: Findings) -> Figure:
     return Figure("error", "Error over υ_F in the band", caption, panels)
 
 
-def _held(found: Findings) -> tuple[tuple[float, float], ...]:
+def _held(found: PaperResult) -> tuple[tuple[float, float], ...]:
     start = float(found.picks.trace.time[0])
     return tuple((score.truth.begin - start, score.truth.end - start) for score in found.scores)
 

@@ -107,7 +107,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """A table of the page: cells as they are to be read."""
 
     title: str
@@ -122,7 +122,7 @@ class Page:
 
     title: str
     lead: tuple[str, ...]  # paragraphs
-    parts: tuple[Table | Figure | Diagram | Section, ...] = field(default=())
+    parts: tuple[PageTable | Figure | Diagram | Section, ...] = field(default=())
 
     @property
     def drawings(self) -> list[Figure | Diagram]:

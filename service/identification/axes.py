@@ -25,7 +25,7 @@ BLOCKS_A_PARAMETER = {"axes": 2, "chain": 1}  # a mass shows in the torque of se
 
 
 @dataclass(frozen=True)
-class Identification:
+class AxesIdentification:
     """axes: the description with what was found. fit: numbers and verdicts. warnings: what a user has to know."""
 
     axes: Axes | Chain
@@ -33,7 +33,7 @@ class Identification:
     warnings: tuple[str, ...]
 
 
-def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification:
+def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> AxesIdentification:
     """Fit axes to traces by pooled least squares.
 
     Raises:
@@ -64,7 +64,7 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
     )
     # what diagnose found on another base does not hold on this one
     found = axes.model_copy(update={"identified": identified, "effect": []})
-    return Identification(found, fit, tuple(_warnings(fit, traces)))
+    return AxesIdentification(found, fit, tuple(_warnings(fit, traces)))
 
 
 def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from schemas.errors import DataError
-from schemas.robot import Effect, Robot
+from schemas.robot import EffectEntry, Robot
 from schemas.trace import Trace
 from service.identification import checks
 from service.identification.noise import white_noise
@@ -31,7 +31,7 @@ from service.identification.regression import (
     PLATFORM_COLUMN,
     TORQUE_COLUMN,
     VISCOUS_COLUMN,
-    Trajectory,
+    NormalEquations,
     summarise,
 )
 from service.model.description import digits, entry
@@ -54,7 +54,7 @@ _RIGID = ((_RHO_1, INERTIA_COLUMN), (_RHO_2, GRAVITY_COLUMN), (_FOREARM, FOREARM
 
 
 @dataclass(frozen=True)
-class Figure:
+class CalibratedFigure:
     """What a known load says of one number of the description. std_error: in the same unit. changed: it was put
     right."""
 
@@ -72,8 +72,8 @@ class Calibration:
 
     robot: Robot
     scale: np.ndarray
-    effect: Effect | None
-    figures: tuple[Figure, ...]
+    effect: EffectEntry | None
+    figures: tuple[CalibratedFigure, ...]
     warnings: tuple[str, ...]
 
     def true(self, trace: Trace) -> Trace:
@@ -113,7 +113,7 @@ def calibrate(robot: Robot, empty: Sequence[Trace], carried: Sequence[tuple[floa
     names = [*(f"reported over true torque, joint {joint + 1}" for joint in range(3)), "mass.platform"]
     told = [*values[_SCALE], described + values[_MASS]]
     figures = [
-        Figure(name, unit, float(value), float(error), bool(changed))
+        CalibratedFigure(name, unit, float(value), float(error), bool(changed))
         for name, unit, value, error, changed in zip(names, ["", "", "", "kg"], told, errors, off, strict=False)
     ]
     if described + change <= 0.0:
@@ -138,7 +138,7 @@ def _nominal() -> np.ndarray:
 
 
 def _solve(
-    logs: Sequence[Trajectory], masses: np.ndarray, moving: float, noise: np.ndarray, free: np.ndarray
+    logs: Sequence[NormalEquations], masses: np.ndarray, moving: float, noise: np.ndarray, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(13,) values, those not `free` as described, and standard errors by leaving out blocks in turn.
 
@@ -167,7 +167,7 @@ def _within(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _normal_equations(
-    logs: Sequence[Trajectory], masses: np.ndarray, moving: float, noise: np.ndarray, values: np.ndarray
+    logs: Sequence[NormalEquations], masses: np.ndarray, moving: float, noise: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(B, 13, 13) and (B, 13) of every block of every log at `values`."""
     left, right = [], []
@@ -204,7 +204,7 @@ def _prediction(values: np.ndarray, joint: int, mass: float, moving: float) -> t
 
 
 def _check(
-    logs: Sequence[Trajectory],
+    logs: Sequence[NormalEquations],
     loads: np.ndarray,
     masses: np.ndarray,
     moving: float,
@@ -240,7 +240,7 @@ def _check(
         )
 
 
-def _effect(robot: Robot, scale: np.ndarray, errors: np.ndarray, off: np.ndarray) -> Effect | None:
+def _effect(robot: Robot, scale: np.ndarray, errors: np.ndarray, off: np.ndarray) -> EffectEntry | None:
     joints = tuple(int(joint) for joint in np.flatnonzero(off[_SCALE]))
     if not joints:
         return None

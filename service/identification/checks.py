@@ -21,7 +21,7 @@ from service.identification.regression import (
     PLATFORM_COLUMN,
     TORQUE_COLUMN,
     WEIGHT_COLUMN,
-    Trajectory,
+    NormalEquations,
     information,
     selection,
     target,
@@ -45,14 +45,14 @@ _ORDERS = tuple(permutations(range(3)))
 _SIGNS = tuple(product((1.0, -1.0), repeat=3))
 
 
-def check(trajectories: Sequence[Trajectory], gear_ratio: float) -> None:
+def check(logs: Sequence[NormalEquations], gear_ratio: float) -> None:
     """Refuse logs whose torque is not what the joints need.
 
     Raises:
         DataError: naming the logs, the joints and what is wrong with them.
     """
-    _refuse_copies(trajectories)
-    readings = {trajectory.name: _reading(trajectory.gram.sum(axis=0), gear_ratio) for trajectory in trajectories}
+    _refuse_copies(logs)
+    readings = {log.name: _reading(log.gram.sum(axis=0), gear_ratio) for log in logs}
     wrong = {name: reading for name, reading in readings.items() if reading}
     if wrong:
         first = next(iter(wrong.values()))
@@ -60,14 +60,14 @@ def check(trajectories: Sequence[Trajectory], gear_ratio: float) -> None:
         raise DataError(f"{names}: {first}")
 
 
-def _refuse_copies(trajectories: Sequence[Trajectory]) -> None:
-    for later, trajectory in enumerate(trajectories):
-        for earlier in trajectories[:later]:
-            if trajectory.gram.shape == earlier.gram.shape and np.array_equal(trajectory.gram, earlier.gram):
-                raise DataError(f"{trajectory.name}: the same motion and torque as {earlier.name}, give it once")
+def _refuse_copies(logs: Sequence[NormalEquations]) -> None:
+    for later, log in enumerate(logs):
+        for earlier in logs[:later]:
+            if log.gram.shape == earlier.gram.shape and np.array_equal(log.gram, earlier.gram):
+                raise DataError(f"{log.name}: the same motion and torque as {earlier.name}, give it once")
 
 
-class Fit(NamedTuple):
+class TorqueReading(NamedTuple):
     """A reading of the torque: that of joint j is `scale * signs[j] * torque[order[j]]`.
 
     share: of its rms, left by a fit.
@@ -79,7 +79,7 @@ class Fit(NamedTuple):
     scale: float
 
 
-def best_fit(gram: np.ndarray, gear_ratio: float, free_scale: bool = False) -> Fit:
+def best_reading(gram: np.ndarray, gear_ratio: float, free_scale: bool = False) -> TorqueReading:
     """The reading of one log's torque that makes most sense; the one given where it does. gram: (3, COLUMNS, COLUMNS).
 
     free_scale: the torque's unit is not known; its scale comes from the platform's mass.
@@ -87,15 +87,15 @@ def best_fit(gram: np.ndarray, gear_ratio: float, free_scale: bool = False) -> F
     if free_scale:
         options = [_scaled(gram, order, signs) for order, signs in product(_ORDERS, _SIGNS)]
         return min(options)
-    given = Fit(_left(gram, (0, 1, 2), (1.0, 1.0, 1.0), 1.0), (0, 1, 2), (1.0, 1.0, 1.0), 1.0)
+    given = TorqueReading(_left(gram, (0, 1, 2), (1.0, 1.0, 1.0), 1.0), (0, 1, 2), (1.0, 1.0, 1.0), 1.0)
     if given.share < SUSPECT:
         return given
     scales = (1.0, gear_ratio) if gear_ratio > 2.0 else (1.0,)
-    best = min(Fit(_left(gram, *option), *option) for option in product(_ORDERS, _SIGNS, scales))
+    best = min(TorqueReading(_left(gram, *option), *option) for option in product(_ORDERS, _SIGNS, scales))
     return best if best.share <= BETTER * given.share else given
 
 
-def _scaled(gram: np.ndarray, order: Sequence[int], signs: Sequence[float]) -> Fit:
+def _scaled(gram: np.ndarray, order: Sequence[int], signs: Sequence[float]) -> TorqueReading:
     """The fit with the torque's scale among what is fitted: that of the platform's known torque is 1."""
     left = np.zeros((PARAMETERS + 1, PARAMETERS + 1))
     right = np.zeros(PARAMETERS + 1)
@@ -107,14 +107,14 @@ def _scaled(gram: np.ndarray, order: Sequence[int], signs: Sequence[float]) -> F
         right -= chosen.T @ gram[joint, :, PLATFORM_COLUMN]
     scale = float(np.linalg.lstsq(left, right, rcond=1e-10)[0][-1])
     if scale <= 0:
-        return Fit(np.inf, order, signs, 1.0)
-    return Fit(_left(gram, order, signs, scale), order, signs, scale)
+        return TorqueReading(np.inf, order, signs, 1.0)
+    return TorqueReading(_left(gram, order, signs, scale), order, signs, scale)
 
 
 def _reading(gram: np.ndarray, gear_ratio: float) -> str:
     """How else the torque of one log makes sense, "" if it does as it is. gram: (3, COLUMNS, COLUMNS)."""
     given = _left(gram, (0, 1, 2), (1.0, 1.0, 1.0), 1.0)
-    best, order, signs, scale = best_fit(gram, gear_ratio)
+    best, order, signs, scale = best_reading(gram, gear_ratio)
     if best == given:
         return ""
     faults = []
@@ -153,22 +153,22 @@ def _left(gram: np.ndarray, order: Sequence[int], signs: Sequence[float], scale:
     return float(np.sqrt(max(square - right @ values, 0.0) / max(torque, 1e-12)))
 
 
-def check_fit(trajectories: Sequence[Trajectory], fit: Plain, moving_mass: float) -> list[str]:
+def check_fit(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -> list[str]:
     """Warnings about logs that stand out against the fit to the others. moving_mass: kg, what the platform terms carry.
 
     Raises:
         DataError: a log that the fit to the others does not explain at all, or no fit explains any.
     """
     share = _share(fit.residual, fit.torque)
-    hints = _loads(trajectories, fit, moving_mass)
+    hints = _loads(logs, fit, moving_mass)
     warnings: list[str] = []
-    if len(trajectories) > 2:
+    if len(logs) > 2:
         held = _share(fit.held_out, fit.torque)
         worst = int(np.argmax(held))
         others = np.delete(fit.left(fit.without[worst]), worst, axis=0)
         typical = float(np.median(_share(others, np.delete(fit.torque, worst, axis=0))))
         if held[worst] > max(FOREIGN * typical, 2 * SUSPECT):
-            name, joint = trajectories[worst].name, int(np.argmax(fit.held_out[worst] / fit.torque[worst]))
+            name, joint = logs[worst].name, int(np.argmax(fit.held_out[worst] / fit.torque[worst]))
             stands_out = (
                 f"{name}: does not go with the other logs, the fit to those leaves {100 * held[worst]:.0f} % of its "
                 f"torque unexplained (of theirs {100 * typical:.1f} %), most on joint {joint + 1}"
@@ -181,20 +181,20 @@ def check_fit(trajectories: Sequence[Trajectory], fit: Plain, moving_mass: float
     if share.max() > HOPELESS:
         worst = int(np.argmax(share))
         raise DataError(
-            f"{trajectories[worst].name}: the model leaves {100 * share[worst]:.0f} % of the torque unexplained; "
+            f"{logs[worst].name}: the model leaves {100 * share[worst]:.0f} % of the torque unexplained; "
             "wrong robot description, units, or joints?"
         )
     warnings += [f"{name}: {hint} Identify on empty motion" for name, hint in hints.items()]
-    return warnings + _sameness(trajectories)
+    return warnings + _sameness(logs)
 
 
 def _share(residual: np.ndarray, torque: np.ndarray) -> np.ndarray:
     return np.sqrt((residual**2).sum(axis=1) / np.maximum((torque**2).sum(axis=1), 1e-12))
 
 
-def _loads(trajectories: Sequence[Trajectory], fit: Plain, moving_mass: float) -> dict[str, str]:
+def _loads(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -> dict[str, str]:
     """Logs whose torque asks for more or less on the platform than the others', by name."""
-    masses = [_masses(t, values, fit.noise, moving_mass) for t, values in zip(trajectories, fit.without, strict=True)]
+    masses = [_masses(t, values, fit.noise, moving_mass) for t, values in zip(logs, fit.without, strict=True)]
     middle = float(np.median([np.median(mass) for mass, _ in masses]))
     mean = np.array([np.average(mass - middle, weights=sure) for mass, sure in masses])
     rms = np.array([np.sqrt(np.average((mass - middle) ** 2, weights=sure)) for mass, sure in masses])
@@ -202,14 +202,14 @@ def _loads(trajectories: Sequence[Trajectory], fit: Plain, moving_mass: float) -
         (np.abs(mean) > PAYLOAD) & (np.abs(mean) > FOREIGN * np.median(np.abs(mean))) & (np.abs(mean) > STEADY * rms)
     )
     return {
-        trajectory.name: f"it asks for {mean[t]:+.2f} kg on the platform on average: a payload?"
-        for t, trajectory in enumerate(trajectories)
+        log.name: f"it asks for {mean[t]:+.2f} kg on the platform on average: a payload?"
+        for t, log in enumerate(logs)
         if loaded[t]
     }
 
 
 def _masses(
-    trajectory: Trajectory, values: np.ndarray, noise: np.ndarray, moving_mass: float
+    log: NormalEquations, values: np.ndarray, noise: np.ndarray, moving_mass: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mass on the platform, kg, that each block of a log asks for by its weight, what it asks for by its inertia being
     free; and how sure each is, kg^-2."""
@@ -218,8 +218,8 @@ def _masses(
     chosen = np.zeros((COLUMNS, 2))
     chosen[WEIGHT_COLUMN] = 1.0, -1.0
     chosen[PLATFORM_COLUMN, 1] = 1.0 / moving_mass  # the platform's torque per kg less its weight: its acceleration
-    left = np.einsum("j,ap,bjac,cq->bpq", weight, chosen, trajectory.gram, chosen, optimize=True)
-    right = np.einsum("j,ap,bjac,jc->bp", weight, chosen, trajectory.gram, remains, optimize=True)
+    left = np.einsum("j,ap,bjac,cq->bpq", weight, chosen, log.gram, chosen, optimize=True)
+    right = np.einsum("j,ap,bjac,jc->bp", weight, chosen, log.gram, remains, optimize=True)
     used = left[:, 0, 0] > 0.2 * left[:, 0, 0].max()
     left, right = left[used], right[used]
     left[:, 1, 1] += 1e-3 * left[:, 0, 0]  # slow motion has no inertia to speak of
@@ -227,12 +227,10 @@ def _masses(
     return mass, left[:, 0, 0] - left[:, 0, 1] ** 2 / left[:, 1, 1]
 
 
-def _sameness(trajectories: Sequence[Trajectory]) -> list[str]:
-    if len(trajectories) == 1:
-        return [
-            f"{trajectories[0].name}: a single trajectory cannot be held out, nothing shows how far the fit carries"
-        ]
-    left = information(np.stack([t.gram.sum(axis=0) for t in trajectories]))
+def _sameness(logs: Sequence[NormalEquations]) -> list[str]:
+    if len(logs) == 1:
+        return [f"{logs[0].name}: a single trajectory cannot be held out, nothing shows how far the fit carries"]
+    left = information(np.stack([t.gram.sum(axis=0) for t in logs]))
     scale = np.sqrt(np.einsum("pp->p", left.sum(axis=0)))
     scaled = (left / np.where(scale > 0, scale, 1.0)[:, None] / np.where(scale > 0, scale, 1.0)).reshape(len(left), -1)
     unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)

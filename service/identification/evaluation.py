@@ -13,7 +13,7 @@ from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.estimator.estimator import Estimator, rate_of
-from service.identification.events import Event, Run, events, outside
+from service.identification.events import Event, JointRun, events, outside
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
@@ -94,7 +94,7 @@ def evaluate(robot: Description, trace: Trace) -> Evaluation:
 
 def _events(trace: Trace, error: np.ndarray) -> list[Event]:
     known = np.isfinite(error)
-    runs = [Run(trace.name, j, trace.time[known[:, j]], error[known[:, j], j]) for j in range(error.shape[1])]
+    runs = [JointRun(trace.name, j, trace.time[known[:, j]], error[known[:, j], j]) for j in range(error.shape[1])]
     return events(runs, np.zeros(error.shape[1]))
 
 

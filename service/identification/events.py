@@ -28,7 +28,7 @@ FILLED = 0.5  # of its beats have to have an event
 
 
 @dataclass(frozen=True)
-class Run:
+class JointRun:
     """The rows of one joint (from 0) in one run while it moves. time: (R,) s, rising. error: (R,) N m or N."""
 
     name: str
@@ -48,7 +48,7 @@ class Event:
     level: float
 
 
-def events(runs: Sequence[Run], floor: np.ndarray) -> list[Event]:
+def events(runs: Sequence[JointRun], floor: np.ndarray) -> list[Event]:
     """Events of all `runs`, in the order of time. floor: (n,) level a joint below which nothing is one."""
     found: list[Event] = []
     for joint in sorted({run.joint for run in runs}):
@@ -62,7 +62,7 @@ def events(runs: Sequence[Run], floor: np.ndarray) -> list[Event]:
     return sorted(found, key=lambda event: (event.run, event.start))
 
 
-def _level(run: Run) -> np.ndarray:
+def _level(run: JointRun) -> np.ndarray:
     """(R,) rms of the fast part of the error around each row."""
     period = float(np.median(np.diff(run.time)))
     parts = np.split(run.error, np.flatnonzero(np.diff(run.time) > BREAK) + 1)
@@ -71,7 +71,7 @@ def _level(run: Run) -> np.ndarray:
     return np.sqrt(np.concatenate([uniform_filter1d(part**2, width, mode="nearest") for part in fast]))
 
 
-def _stretches(run: Run, level: np.ndarray, limit: float) -> list[Event]:
+def _stretches(run: JointRun, level: np.ndarray, limit: float) -> list[Event]:
     hot = np.flatnonzero(level > limit)
     if not len(hot):
         return []
@@ -115,7 +115,7 @@ def events_of(problem: Problem, residuals: Sequence[np.ndarray]) -> list[Event]:
     ):
         time = recording.segment.time[:: problem.band.step]
         for joint, sigma in enumerate(problem.sigma):
-            runs.append(Run(recording.name, joint, time[rows[:, joint]], residual[joints == joint] * sigma))
+            runs.append(JointRun(recording.name, joint, time[rows[:, joint]], residual[joints == joint] * sigma))
     return events(runs, FLOOR * problem.sigma)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from schemas.errors import DataError
 from schemas.robot import Identified, JointParameter, Parameter, Robot
 from service.identification import checks, paper, pooled
-from service.identification.pooled import Estimate, Plain
+from service.identification.pooled import ParameterEstimate, Plain
 from service.identification.regression import (
     COULOMB,
     FOREARM_MASS,
@@ -19,7 +19,7 @@ from service.identification.regression import (
     RHO_1,
     RHO_2,
     VISCOUS,
-    Trajectory,
+    NormalEquations,
 )
 from service.model.description import digits
 from service.model.nominal import pack
@@ -37,22 +37,22 @@ class Identification:
     warnings: tuple[str, ...]
 
 
-def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = "pooled") -> Identification:
-    """Fit `robot` to `trajectories`, by pooled least squares or as in the paper.
+def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "pooled") -> Identification:
+    """Fit `robot` to `logs`, by pooled least squares or as in the paper.
 
     Raises:
         DataError: the data cannot give an answer, naming the log and the joint.
     """
-    checks.check(trajectories, robot.drive.gear_ratio)
-    _enough(trajectories)
-    recordings = [replace(part, trace=number) for number, log in enumerate(trajectories) for part in log.recordings]
+    checks.check(logs, robot.drive.gear_ratio)
+    _enough(logs)
+    recordings = [replace(part, trace=number) for number, log in enumerate(logs) for part in log.recordings]
     problem, noise = pooled.problem_of(recordings)
     fit = pooled.fit(problem, noise.sample, pooled.nominal_of(robot))
     transition = fit.fitted.hypothesis.base.transition
-    warnings = checks.check_fit(trajectories, fit, pack(robot).moving_mass)
+    warnings = checks.check_fit(logs, fit, pack(robot).moving_mass)
     if method == "paper":
-        fit, transition = paper.refit(trajectories, fit), 0.0
-        warnings = [*warnings, *paper.edges(trajectories)]
+        fit, transition = paper.refit(logs, fit), 0.0
+        warnings = [*warnings, *paper.edges(logs)]
     estimates = fit.estimates
     identified = Identified(
         method=method,
@@ -69,22 +69,22 @@ def identify(robot: Robot, trajectories: Sequence[Trajectory], method: Method = 
     return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))
 
 
-def _enough(trajectories: Sequence[Trajectory]) -> None:
-    seconds = np.concatenate([trajectory.seconds for trajectory in trajectories])
+def _enough(logs: Sequence[NormalEquations]) -> None:
+    seconds = np.concatenate([log.seconds for log in logs])
     if (seconds.sum(axis=1) > 0).sum() < MINIMUM_BLOCKS:
         raise DataError(
-            f"{', '.join(t.name for t in trajectories)}: too little motion, {seconds.max(axis=1).sum():.1f} s; "
+            f"{', '.join(t.name for t in logs)}: too little motion, {seconds.max(axis=1).sum():.1f} s; "
             f"nine parameters and their errors need {MINIMUM_BLOCKS / 2:.0f} s or more"
         )
 
 
-def _parameter(estimate: Estimate) -> Parameter:
+def _parameter(estimate: ParameterEstimate) -> Parameter:
     return Parameter.model_validate(
         {"value": digits(estimate.value), "std_error": digits(estimate.std_error), "verdict": estimate.verdict}
     )
 
 
-def _joints(estimates: Sequence[Estimate]) -> JointParameter:
+def _joints(estimates: Sequence[ParameterEstimate]) -> JointParameter:
     return JointParameter.model_validate(
         {
             "value": [digits(estimate.value) for estimate in estimates],

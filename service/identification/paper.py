@@ -32,7 +32,7 @@ from service.identification.regression import (
     VISCOUS,
     VISCOUS_COLUMN,
     WEIGHT_COLUMN,
-    Trajectory,
+    NormalEquations,
     regressors,
     rms_residual,
     target,
@@ -48,10 +48,10 @@ WIDENINGS = 8  # times that the range doubles at most, where the best point lies
 REFINEMENTS = 1  # finer grids, each over the neighbours of the best point before: 2.5e-4 in the end
 
 
-def refit(trajectories: Sequence[Trajectory], fit: Plain) -> Plain:
+def refit(logs: Sequence[NormalEquations], fit: Plain) -> Plain:
     """`fit` with the paper's values in place of the pooled ones. Verdicts are the pooled fit's, and weak at best where
     the trajectories disagree; standard errors come from their spread."""
-    values, errors = means(trajectories)
+    values, errors = means(logs)
     estimates = []
     for number, (estimate, value, error) in enumerate(zip(fit.estimates, values, errors, strict=True)):
         verdict, reason = estimate.verdict, estimate.reason
@@ -62,23 +62,23 @@ def refit(trajectories: Sequence[Trajectory], fit: Plain) -> Plain:
             reason = "one trajectory: no spread to judge by" if np.isnan(error) else "the trajectories disagree"
         std_error = float(np.nan_to_num(error))
         estimates.append(replace(estimate, value=float(value), std_error=std_error, verdict=verdict, reason=reason))
-    others = [[t for t in trajectories if t is not trajectory] for trajectory in trajectories]
+    others = [[t for t in logs if t is not log] for log in logs]
     return replace(
         fit,
         estimates=tuple(estimates),
-        residual=np.array([rms_residual(t, values) for t in trajectories]),
+        residual=np.array([rms_residual(t, values) for t in logs]),
         held_out=fit.held_out
-        if len(trajectories) < 2
-        else np.array([rms_residual(t, means(o)[0]) for t, o in zip(trajectories, others, strict=True)]),
+        if len(logs) < 2
+        else np.array([rms_residual(t, means(o)[0]) for t, o in zip(logs, others, strict=True)]),
     )
 
 
-def means(trajectories: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
+def means(logs: Sequence[NormalEquations]) -> tuple[np.ndarray, np.ndarray]:
     """(9,) parameters in the order of `base_parameters` and their standard errors from the spread over trajectories.
 
     A single trajectory has no spread: its errors are NaN. A joint that rests throughout a trajectory has no say in it.
     """
-    return _average([_single(trajectory.gram.sum(axis=0)) for trajectory in trajectories])
+    return _average([_single(log.gram.sum(axis=0)) for log in logs])
 
 
 def literal(model: DeltaModel, traces: Sequence[Trace]) -> tuple[np.ndarray, np.ndarray]:
@@ -175,20 +175,20 @@ def _best(sums: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array([rho_1[first], rho_2[second]])
 
 
-def edges(trajectories: Sequence[Trajectory]) -> list[str]:
+def edges(logs: Sequence[NormalEquations]) -> list[str]:
     """Warnings about trajectories whose best point lay at an edge of the grid."""
     warnings = []
-    for trajectory in trajectories:
-        found = grid(six_sums(trajectory.gram.sum(axis=0)))
+    for log in logs:
+        found = grid(six_sums(log.gram.sum(axis=0)))
         for name, value in zip(("rho_1", "rho_2"), found, strict=True):
             if value > RHO_RANGE[1]:
                 warnings.append(
-                    f"{trajectory.name}: {name} = {value:.3g} lies beyond the grid's edge of {RHO_RANGE[1]:g}, which "
+                    f"{log.name}: {name} = {value:.3g} lies beyond the grid's edge of {RHO_RANGE[1]:g}, which "
                     "was widened; are the masses in the description right?"
                 )
             elif value <= RHO_RANGE[0]:
                 warnings.append(
-                    f"{trajectory.name}: {name} lies at the grid's lower edge, {RHO_RANGE[0]:g}: this motion asks for "
+                    f"{log.name}: {name} lies at the grid's lower edge, {RHO_RANGE[0]:g}: this motion asks for "
                     "less than nothing of it"
                 )
     return warnings

@@ -28,7 +28,7 @@ MAX_TRUTH_BYTES = 16 * MIB  # some hundred thousand picks
 
 
 @dataclass(frozen=True)
-class Course:
+class PayloadHistory:
     """Payload over a trace, as known after each of N samples. time: s, bus. mass, std_dev: kg. event: PayloadEvent.
     trusted: bool.
 
@@ -78,7 +78,7 @@ class Score:
     mass_recursion: float
 
 
-def course(robot: Robot, trace: Trace) -> Course:
+def payload_history(robot: Robot, trace: Trace) -> PayloadHistory:
     """Run the online estimator and the paper's recursion over `trace`.
 
     Raises:
@@ -98,7 +98,7 @@ def course(robot: Robot, trace: Trace) -> Course:
 
     along = motion(trace)
     torque = predict_along(robot, trace, along)["M_Id+F"]
-    return Course(
+    return PayloadHistory(
         time=stamp_ns(samples) * 1e-9,
         mass=known(result["mass"]),
         std_dev=known(result["std_dev"]),
@@ -132,7 +132,7 @@ def recursion(
     return fixed_forgetting(y, x, forgetting ** (trace.period / 1e-3))
 
 
-def picks(found: Course) -> list[Pick]:
+def picks(found: PayloadHistory) -> list[Pick]:
     """Picks as the estimator saw them; the mass is the one just before the release, or at the end of the trace."""
     starts = np.flatnonzero(found.event == PayloadEvent.PICK)
     releases = np.flatnonzero(found.event == PayloadEvent.RELEASE)
@@ -146,7 +146,7 @@ def picks(found: Course) -> list[Pick]:
     return result
 
 
-def levels(found: Course) -> list[Level]:
+def levels(found: PayloadHistory) -> list[Level]:
     """Every level that the estimator saw; its figures are those of its later half."""
     starts = np.flatnonzero(found.event != PayloadEvent.NONE)
     result = []
@@ -166,7 +166,7 @@ def levels(found: Course) -> list[Level]:
     return result
 
 
-def score(found: Course, truth: Pick) -> Score:
+def score(found: PayloadHistory, truth: Pick) -> Score:
     """Hold what was found against one true pick."""
     held = (found.time >= truth.begin) & (found.time < truth.end)
 

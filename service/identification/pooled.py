@@ -50,7 +50,7 @@ REVERSES = 0.05  # share of the motion time that must go in each direction
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """One parameter. verdict: "identifiable", "weak" or "not identifiable"; reason: why, where it is not the first."""
 
     name: str
@@ -74,7 +74,7 @@ class Plain:
 
     problem: Problem
     fitted: solver.Fit
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[ParameterEstimate, ...]
     noise: np.ndarray
     held_out: np.ndarray
     residual: np.ndarray
@@ -374,17 +374,21 @@ def _structure(problem: Problem) -> dict[str, str]:
     return reasons
 
 
-def _estimate(parameter: Quantity, value: float, error: float, relative: float, held: bool, reason: str) -> Estimate:
+def _estimate(
+    parameter: Quantity, value: float, error: float, relative: float, held: bool, reason: str
+) -> ParameterEstimate:
     """One parameter's verdict. relative: standard error over value."""
     name, unit = parameter.name, parameter.unit
     if held:
-        return Estimate(name, unit, value, 0.0, "not identifiable", f"{reason}; {value:g} assumed")
+        return ParameterEstimate(name, unit, value, 0.0, "not identifiable", f"{reason}; {value:g} assumed")
     if reason or relative > NOT_IDENTIFIABLE:
-        return Estimate(name, unit, value, error, "not identifiable", reason or f"open by {100 * relative:.0f} %")
+        return ParameterEstimate(
+            name, unit, value, error, "not identifiable", reason or f"open by {100 * relative:.0f} %"
+        )
     if relative > WEAK:
         why = f"open by {100 * relative:.0f} %: more of the motion that shows it"
-        return Estimate(name, unit, value, error, "weak", why)
-    return Estimate(name, unit, value, error, "identifiable")
+        return ParameterEstimate(name, unit, value, error, "weak", why)
+    return ParameterEstimate(name, unit, value, error, "identifiable")
 
 
 def _logs(problem: Problem) -> list[int]:

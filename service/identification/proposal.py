@@ -29,7 +29,7 @@ from service.identification.channels import (
     said_unit,
     time_unit,
 )
-from service.identification.checks import SUSPECT, Fit, best_fit
+from service.identification.checks import SUSPECT, TorqueReading, best_reading
 from service.identification.regression import summarise
 from service.model.nominal import pack
 from service.model.signals import lowpass
@@ -45,7 +45,7 @@ SCALES = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "m": 1.0, "mm": 1e
 
 
 @dataclass(frozen=True)
-class Told:
+class Stated:
     """What the user says; None where it is to be found. torque_unit: (unit, rated torque or constant)."""
 
     time: str | None = None
@@ -67,7 +67,7 @@ class Proposal:
     channels: Channels
 
 
-def propose(table: Table, robot: Description | None, told: Told) -> Proposal:
+def propose(table: Table, robot: Description | None, stated: Stated) -> Proposal:
     """
     Raises:
         DataError: it cannot be told which columns are meant, or how far apart its rows are in time, naming the option
@@ -77,16 +77,16 @@ def propose(table: Table, robot: Description | None, told: Told) -> Proposal:
     channels = guess(table, joints)
     channels = replace(
         channels,
-        time=told.time or (None if told.rate_hz else channels.time),
-        position=told.position or channels.position,
-        torque=told.torque or channels.torque,
+        time=stated.time or (None if stated.rate_hz else channels.time),
+        position=stated.position or channels.position,
+        torque=stated.torque or channels.torque,
     )
-    _check(table, channels, told, joints)
+    _check(table, channels, stated, joints)
     reasons, doubts = list(channels.reasons), []
-    if told.position and told.torque:
+    if stated.position and stated.torque:
         reasons.clear()
-    time, rate = _time(table, channels, told, reasons, doubts)
-    units = _Units(table, channels, robot, rate, told)
+    time, rate = _time(table, channels, stated, reasons, doubts)
+    units = _Units(table, channels, robot, rate, stated)
     positions, torque = units.positions(reasons, doubts), units.torque(reasons, doubts)
     position = positions[0]
     signs: Sequence[int] = [1] * len(channels.position)
@@ -117,7 +117,7 @@ def propose(table: Table, robot: Description | None, told: Told) -> Proposal:
     return Proposal(columns, reasons, doubts, channels)
 
 
-def _check(table: Table, channels: Channels, told: Told, joints: int | None) -> None:
+def _check(table: Table, channels: Channels, stated: Stated, joints: int | None) -> None:
     listed = ", ".join(list(table.columns)[:20])
     for role in ("position", "torque"):
         names = getattr(channels, role)
@@ -135,18 +135,18 @@ def _check(table: Table, channels: Channels, told: Told, joints: int | None) -> 
             f"{table.path}: {len(channels.position)} positions ({', '.join(channels.position)}) with "
             f"{len(channels.torque)} torques ({', '.join(channels.torque)}); say --position and --torque"
         )
-    if channels.time is None and told.rate_hz is None:
+    if channels.time is None and stated.rate_hz is None:
         raise DataError(f"{table.path}: no column of stamps: say --rate HZ, or --time NAME (columns: {listed})")
     if channels.time is not None and channels.time not in table.columns:
         raise DataError(f"{table.path}: no column {channels.time!r}; it has: {listed}")
 
 
 def _time(
-    table: Table, channels: Channels, told: Told, reasons: list[str], doubts: list[str]
+    table: Table, channels: Channels, stated: Stated, reasons: list[str], doubts: list[str]
 ) -> tuple[dict[str, Any], float]:
     if channels.time is None:
-        assert told.rate_hz is not None
-        return {"rate_hz": told.rate_hz}, told.rate_hz
+        assert stated.rate_hz is not None
+        return {"rate_hz": stated.rate_hz}, stated.rate_hz
     unit, said = time_unit(table, channels.time)
     clock = table.time_of.get(channels.position[0], channels.time)
     rate = rate_hz(table, clock)
@@ -169,18 +169,21 @@ def _entry(table: Table, channels: Channels, name: str, entry: Mapping[str, Any]
 class _Units:
     """Units that names, ranges and speeds tell."""
 
-    def __init__(self, table: Table, channels: Channels, robot: Description | None, rate: float, told: Told) -> None:
-        self._table, self._channels, self._robot, self._rate, self._told = table, channels, robot, rate, told
+    def __init__(
+        self, table: Table, channels: Channels, robot: Description | None, rate: float, stated: Stated
+    ) -> None:
+        self._table, self._channels, self._robot, self._rate = table, channels, robot, rate
+        self._stated = stated
         self._values = np.column_stack([table.columns[name] for name in channels.position])
         self._gear = _gear(robot)
         self.torque_said = True
 
     def positions(self, reasons: list[str], doubts: list[str]) -> list[dict[str, Any]]:
         """What the positions may be, the likeliest first."""
-        told, robot = self._told, self._robot
-        said = told.position_unit or said_unit(self._table, self._channels.position[0], POSITION_UNITS)
+        stated, robot = self._stated, self._robot
+        said = stated.position_unit or said_unit(self._table, self._channels.position[0], POSITION_UNITS)
         if said == "counts" or (said is None and self._integers()):
-            per_turn = told.counts_per_rev or _counts(robot)
+            per_turn = stated.counts_per_rev or _counts(robot)
             if per_turn is None:
                 raise DataError(
                     f"{self._table.path}: positions are increments; how many make a turn of the encoder's shaft? "
@@ -189,7 +192,7 @@ class _Units:
             reasons.append(f"positions are increments, {per_turn:g} a turn")
             return self._sides({"unit": "counts", "counts_per_rev": per_turn}, 2 * np.pi / per_turn)
         if said is not None:
-            reasons.append(f"positions are {said}: " + ("told" if told.position_unit else "it stands there"))
+            reasons.append(f"positions are {said}: " + ("told" if stated.position_unit else "it stands there"))
             return self._sides({"unit": said}, SCALES[said])
         if isinstance(robot, Machine) and robot.linear:
             unit = "mm" if np.nanmax(np.abs(self._values)) > 10 else "m"
@@ -224,8 +227,8 @@ class _Units:
         """Without a scale where it takes a constant that nobody has said."""
         linear = isinstance(self._robot, Machine) and self._robot.linear
         self.torque_said = True
-        if self._told.torque_unit is not None:
-            unit, factor = self._told.torque_unit
+        if self._stated.torque_unit is not None:
+            unit, factor = self._stated.torque_unit
         else:
             unit, factor = said_unit(self._table, self._channels.torque[0], TORQUE_UNITS), None
             if unit is not None:
@@ -320,12 +323,12 @@ def _by_delta(
         except (TraceError, DataError):  # no pose of this robot
             return None
 
-    def fitted(signs: Sequence[int]) -> Fit | None:
+    def fitted(signs: Sequence[int]) -> TorqueReading | None:
         sums = gram(signs)
         if sums is None:
             return None
-        named = best_fit(sums, gear) if known else None
-        free = best_fit(sums, gear, free_scale=True) if named is None or (not said and named.share > FITS) else None
+        named = best_reading(sums, gear) if known else None
+        free = best_reading(sums, gear, free_scale=True) if named is None or (not said and named.share > FITS) else None
         if named is None or (free is not None and free.share < min(SUSPECT, CLEAR * named.share)):
             return free
         return named

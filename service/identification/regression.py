@@ -34,7 +34,7 @@ BLOCK = 0.5  # s, many times the correlation time of the low-passed noise (12 ms
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class NormalEquations:
     """What one trace has to say, B blocks of 3 joints. Sums are over moving samples, times the sample time.
 
     gram: (B, 3, COLUMNS, COLUMNS) products of the low-passed columns. recordings: the parts that no fault interrupts.
@@ -50,7 +50,7 @@ class Trajectory:
         return self.gram[:, :, ONE_COLUMN, ONE_COLUMN]
 
 
-def summarise(model: DeltaModel, trace: Trace) -> Trajectory:
+def summarise(model: DeltaModel, trace: Trace) -> NormalEquations:
     """Pass over `trace` once.
 
     Raises:
@@ -62,7 +62,7 @@ def summarise(model: DeltaModel, trace: Trace) -> Trajectory:
         gram = np.concatenate([_blocks(model, recording) for recording in recordings])
     except PoseError as error:
         raise TraceError(f"{trace.path}: {error}") from error
-    return Trajectory(trace.path.name, gram, recordings)
+    return NormalEquations(trace.path.name, gram, recordings)
 
 
 def regressors(recording: Recording) -> np.ndarray:
@@ -123,9 +123,9 @@ def information(gram: np.ndarray) -> np.ndarray:
     return np.einsum("jap,...jab,jbq->...pq", chosen, gram, chosen, optimize=True)
 
 
-def rms_residual(trajectory: Trajectory, parameters: np.ndarray) -> np.ndarray:
+def rms_residual(log: NormalEquations, parameters: np.ndarray) -> np.ndarray:
     """(3,) N m rms of what `parameters` (9,) leave of a trajectory's moving samples, friction turning in a jump."""
     left = np.stack([target(joint) - selection(joint) @ parameters for joint in range(3)])
-    squares = np.maximum(np.einsum("ja,jab,jb->j", left, trajectory.gram.sum(axis=0), left), 0.0)
-    seconds = trajectory.seconds.sum(axis=0)
+    squares = np.maximum(np.einsum("ja,jab,jb->j", left, log.gram.sum(axis=0), left), 0.0)
+    seconds = log.seconds.sum(axis=0)
     return np.sqrt(squares / np.where(seconds > 0, seconds, np.inf))

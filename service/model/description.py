@@ -10,8 +10,7 @@ from schemas.axes import Axes, AxesIdentified, Description
 from schemas.chain import Chain, ChainIdentified
 from schemas.errors import RobotError
 from schemas.machine import Machine
-from schemas.robot import Effect as EffectEntry
-from schemas.robot import EffectParameter, Identified, JointParameter, Parameter, Robot
+from schemas.robot import EffectEntry, EffectParameter, Identified, JointParameter, Parameter, Robot
 from service.model.effects import by_name, catalogue
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term

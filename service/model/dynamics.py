@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from service.model.kinematics import REACHED, lever_kernel, motion_kernel, pose_kernel, raise_pose, rows
+from service.model.kinematics import POSE, REACHED, lever_kernel, motion_kernel, pose_kernel, raise_pose, rows
 from service.model.nominal import DeltaModel
 
 TERMS = ("inertia", "gravity", "platform", "forearm", "payload")
@@ -22,30 +22,26 @@ REST_SPEED = 0.01  # rad/s
 
 
 @njit(cache=True)
-def terms_kernel(model, theta, theta_dot, theta_ddot, position, work, terms):
-    """Torque terms of one sample. work: (8, 3, 3) scratch. Filled: position (3,) m, terms (5, 3). Returns a status."""
-    forearm, column, elbow, bend = work[0], work[1], work[2], work[3]
-    lever, velocity, acceleration, total = work[4, 0], work[4, 1], work[4, 2], work[5, 0]
-    status = pose_kernel(model, theta, position, forearm, column, work[6])
+def terms_kernel(model, theta, theta_dot, theta_ddot, pose, terms):
+    """Fill terms (5, 3) of one sample and the whole record `pose`. Returns a status."""
+    status = pose_kernel(model, theta, pose)
     if status != REACHED:
         return status
-    lever_kernel(model, theta, forearm, elbow, lever)
-    motion_kernel(model, theta, theta_dot, theta_ddot, forearm, column, elbow, lever, velocity, acceleration, bend)
-    swing = work[7]  # row i: s_ddot_i
-    for axis in range(3):
-        total[axis] = 0.0
+    lever_kernel(model, theta, pose)
+    motion_kernel(model, theta, theta_dot, theta_ddot, pose)
+    column, elbow, lever = pose.column, pose.elbow, pose.lever
+    acceleration, bend, swing = pose.acceleration, pose.bend, pose.swing
     for i in range(3):
         for axis in range(3):
             swing[i, axis] = (
                 acceleration[axis] - elbow[i, axis] * theta_ddot[i] - bend[i, axis] * theta_dot[i] * theta_dot[i]
             )
-            total[axis] += swing[i, axis]
     for i in range(3):
         load = rod = own = weight = 0.0
         for axis in range(3):
             slope = column[i, axis] * lever[i]  # J[axis, i]
             load += slope * (acceleration[axis] - model.gravity[axis])
-            rod += slope * total[axis]
+            rod += slope * (swing[0, axis] + swing[1, axis] + swing[2, axis])
             weight += elbow[i, axis] * model.gravity[axis]
             own += elbow[i, axis] * swing[i, axis]
         terms[INERTIA, i] = model.inertia[i] * theta_ddot[i]
@@ -58,9 +54,9 @@ def terms_kernel(model, theta, theta_dot, theta_ddot, position, work, terms):
 
 @njit(cache=True, nogil=True)
 def _terms_batch(model, theta, theta_dot, theta_ddot, terms):
-    position, work = np.empty(3), np.empty((8, 3, 3))
+    pose = np.empty(1, POSE)[0]
     for n in range(len(theta)):
-        status = terms_kernel(model, theta[n], theta_dot[n], theta_ddot[n], position, work, terms[n])
+        status = terms_kernel(model, theta[n], theta_dot[n], theta_ddot[n], pose, terms[n])
         if status != REACHED:
             return status, n
     return REACHED, -1

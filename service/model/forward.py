@@ -13,16 +13,16 @@ import numpy as np
 from numba import njit
 
 from service.model.dynamics import FOREARM, GRAVITY, PLATFORM, terms_kernel
-from service.model.kinematics import REACHED, raise_pose, rows
+from service.model.kinematics import POSE, REACHED, raise_pose, rows
 from service.model.nominal import DeltaModel
 
 _STILL = np.zeros(3)
 
 
 @njit(cache=True)
-def mass_kernel(model, rho_1, forearm, work, mass):
-    """Fill mass (3, 3), kg m^2, for the pose that the terms kernel left in `work`. rho_1: (3,). forearm: kg."""
-    column, elbow, lever = work[1], work[2], work[4, 0]
+def mass_kernel(model, rho_1, forearm, pose, mass):
+    """Fill mass (3, 3), kg m^2, at the record `pose` that the terms kernel filled. rho_1: (3,). forearm: kg."""
+    column, elbow, lever = pose.column, pose.elbow, pose.lever
     for i in range(3):
         for j in range(i + 1):
             both = one = other = own = 0.0
@@ -39,9 +39,9 @@ def mass_kernel(model, rho_1, forearm, work, mass):
 
 
 @njit(cache=True)
-def bias_kernel(model, rho_2, forearm, theta, theta_dot, position, work, terms, bias):
+def bias_kernel(model, rho_2, forearm, theta, theta_dot, pose, terms, bias):
     """Fill bias (3,), N m: torque that `theta_dot` and weight take without acceleration. Returns a status."""
-    status = terms_kernel(model, theta, theta_dot, _STILL, position, work, terms)
+    status = terms_kernel(model, theta, theta_dot, _STILL, pose, terms)
     if status == REACHED:
         for i in range(3):
             bias[i] = rho_2[i] * terms[GRAVITY, i] + terms[PLATFORM, i] + forearm * terms[FOREARM, i]
@@ -62,12 +62,12 @@ def solve_kernel(matrix, right, result):
 
 @njit(cache=True, nogil=True)
 def _forward_batch(model, rho_1, rho_2, forearm, theta, theta_dot, torque, mass, acceleration):
-    position, work, terms, bias = np.empty(3), np.empty((8, 3, 3)), np.empty((5, 3)), np.empty(3)
+    pose, terms, bias = np.empty(1, POSE)[0], np.empty((5, 3)), np.empty(3)
     for n in range(len(theta)):
-        status = bias_kernel(model, rho_2, forearm, theta[n], theta_dot[n], position, work, terms, bias)
+        status = bias_kernel(model, rho_2, forearm, theta[n], theta_dot[n], pose, terms, bias)
         if status != REACHED:
             return status, n
-        mass_kernel(model, rho_1, forearm, work, mass[n])
+        mass_kernel(model, rho_1, forearm, pose, mass[n])
         for i in range(3):
             bias[i] = torque[n, i] - bias[i]
         solve_kernel(mass[n], bias, acceleration[n])

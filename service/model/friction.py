@@ -28,7 +28,7 @@ def friction_kernel(viscous: float, coulomb: float, theta_dot: float, transition
 
 
 def mean_direction(theta_dot: np.ndarray, transition: float | np.ndarray) -> np.ndarray:
-    """Which way (N, n) speeds go, in [-1, 1]: sign theta_dot, or smooth over `transition` rad/s, one or (n,).
+    """Direction (N, n) of speeds, in [-1, 1]: sign theta_dot, or smooth over `transition` rad/s, one or (n,).
 
     The smooth form is the mean of tanh(theta_dot / transition) over the sample's interval, the speed taken as straight
     between half-way points: a fast reversal falls between two samples, and its place there is worth 2 f_c times a

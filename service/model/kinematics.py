@@ -32,25 +32,43 @@ class PlatformMotion(NamedTuple):
     acceleration: np.ndarray
 
 
+# What the kernels of one sample leave for each other and for the dynamics, base frame; row i of a (3, 3) is arm i's.
+POSE = np.dtype(
+    [
+        ("centre", "f8", (3, 3)),  # m, J'_i of eq. (1): the platform lies passive_length from each
+        ("position", "f8", 3),  # m, of the platform
+        ("forearm", "f8", (3, 3)),  # m, s_i
+        ("column", "f8", (3, 3)),  # 1/m, (s_j x s_k) / det A: p_dot = sum_i column_i (s_i . p_dot)
+        ("elbow", "f8", (3, 3)),  # m, d_i = dJ'_i / dtheta_i
+        ("lever", "f8", 3),  # m^2, s_i . d_i = -k_ii, so that J[:, i] = lever_i column_i
+        ("velocity", "f8", 3),  # m/s
+        ("acceleration", "f8", 3),  # m/s^2
+        ("bend", "f8", (3, 3)),  # m, d'_i = d^2 J'_i / dtheta_i^2
+        ("swing", "f8", (3, 3)),  # m/s^2, s_ddot_i
+    ],
+    align=True,
+)
+
+
 @njit(cache=True)
-def pose_kernel(model, theta, position, forearm, column, work):
+def pose_kernel(model, theta, pose):
     """Forward kinematics and Jacobian of one pose.
 
     The platform is where three spheres of the forearms' lengths round the elbows meet: below their radical centre in
     the elbows' plane (with equal forearms the elbows' circumcentre), on the normal.
 
-    theta: (3,) measured angles. Filled: position (3,); forearm (3, 3), row i is s_i; column (3, 3), row i is
-    (s_j x s_k) / det A, so p_dot = sum_i column_i (s_i . p_dot) and J[:, i] = -k_ii column_i. work: (3, 3).
-    Returns REACHED, UNREACHABLE or SINGULAR.
+    theta: (3,) measured angles. Filled of the record `pose`: centre, position, forearm, column. Returns REACHED,
+    UNREACHABLE or SINGULAR.
     """
+    centre, position, forearm, column = pose.centre, pose.position, pose.forearm, pose.column
     for i in range(3):
         angle = theta[i] + model.joint_offset[i]
         reach = model.radius[i] + model.active_length[i] * math.cos(angle)
-        work[i, 0] = reach * model.azimuth_cos[i]
-        work[i, 1] = reach * model.azimuth_sin[i]
-        work[i, 2] = -model.active_length[i] * math.sin(angle)
-    ax, ay, az = work[1, 0] - work[0, 0], work[1, 1] - work[0, 1], work[1, 2] - work[0, 2]
-    bx, by, bz = work[2, 0] - work[0, 0], work[2, 1] - work[0, 1], work[2, 2] - work[0, 2]
+        centre[i, 0] = reach * model.azimuth_cos[i]
+        centre[i, 1] = reach * model.azimuth_sin[i]
+        centre[i, 2] = -model.active_length[i] * math.sin(angle)
+    ax, ay, az = centre[1, 0] - centre[0, 0], centre[1, 1] - centre[0, 1], centre[1, 2] - centre[0, 2]
+    bx, by, bz = centre[2, 0] - centre[0, 0], centre[2, 1] - centre[0, 1], centre[2, 2] - centre[0, 2]
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     aa, bb, nn = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz, nx * nx + ny * ny + nz * nz
     length = model.passive_length[0]
@@ -65,12 +83,12 @@ def pose_kernel(model, theta, position, forearm, column, work):
     if drop < 0.0:
         return UNREACHABLE
     step = -math.sqrt(drop / nn) * (1.0 if nz > 0.0 else -1.0)
-    position[0] = work[0, 0] + ox + step * nx
-    position[1] = work[0, 1] + oy + step * ny
-    position[2] = work[0, 2] + oz + step * nz
+    position[0] = centre[0, 0] + ox + step * nx
+    position[1] = centre[0, 1] + oy + step * ny
+    position[2] = centre[0, 2] + oz + step * nz
     for i in range(3):
         for axis in range(3):
-            forearm[i, axis] = position[axis] - work[i, axis]
+            forearm[i, axis] = position[axis] - centre[i, axis]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         column[i, 0] = forearm[j, 1] * forearm[k, 2] - forearm[j, 2] * forearm[k, 1]
@@ -86,8 +104,9 @@ def pose_kernel(model, theta, position, forearm, column, work):
 
 
 @njit(cache=True)
-def lever_kernel(model, theta, forearm, elbow, lever):
-    """elbow (3, 3): row i is d_i = dJ'_i / dtheta_i. lever (3,): s_i . d_i = -k_ii."""
+def lever_kernel(model, theta, pose):
+    """Fill elbow and lever of `pose` from its forearms."""
+    forearm, elbow, lever = pose.forearm, pose.elbow, pose.lever
     for i in range(3):
         angle = theta[i] + model.joint_offset[i]
         sine, cosine = math.sin(angle), math.cos(angle)
@@ -98,14 +117,15 @@ def lever_kernel(model, theta, forearm, elbow, lever):
 
 
 @njit(cache=True)
-def motion_kernel(model, theta, theta_dot, theta_ddot, forearm, column, elbow, lever, velocity, acceleration, bend):
-    """Platform velocity and acceleration of one sample, from eq. (1) differentiated twice:
+def motion_kernel(model, theta, theta_dot, theta_ddot, pose):
+    """Fill velocity, acceleration and bend of `pose` from what the kernels before left in it, by eq. (1) differentiated
+    twice:
 
         s_i . p_dot  = (s_i . d_i) theta_dot_i
         s_i . p_ddot = (s_i . d_i) theta_ddot_i + (s_i . d'_i) theta_dot_i^2 - |s_dot_i|^2
-
-    bend (3, 3): row i is d'_i = d^2 J'_i / dtheta_i^2, filled for the forearm term.
     """
+    forearm, column, elbow, lever = pose.forearm, pose.column, pose.elbow, pose.lever
+    velocity, acceleration, bend = pose.velocity, pose.acceleration, pose.bend
     for axis in range(3):
         velocity[axis] = 0.0
         acceleration[axis] = 0.0
@@ -145,28 +165,26 @@ def inverse_kernel(model, position, theta):
 
 @njit(cache=True)
 def _forward_batch(model, theta, position, column, lever):
-    forearm, elbow, work = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    pose = np.empty(1, POSE)[0]
     for n in range(len(theta)):
-        status = pose_kernel(model, theta[n], position[n], forearm, column[n], work)
+        status = pose_kernel(model, theta[n], pose)
         if status != REACHED:
             return status, n
-        lever_kernel(model, theta[n], forearm, elbow, lever[n])
+        lever_kernel(model, theta[n], pose)
+        position[n], column[n], lever[n] = pose.position, pose.column, pose.lever
     return REACHED, -1
 
 
 @njit(cache=True)
 def _motion_batch(model, theta, theta_dot, theta_ddot, position, velocity, acceleration):
-    forearm, column, elbow, work = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    lever = np.empty(3)
+    pose = np.empty(1, POSE)[0]
     for n in range(len(theta)):
-        status = pose_kernel(model, theta[n], position[n], forearm, column, work)
+        status = pose_kernel(model, theta[n], pose)
         if status != REACHED:
             return status, n
-        lever_kernel(model, theta[n], forearm, elbow, lever)
-        motion_kernel(
-            model, theta[n], theta_dot[n], theta_ddot[n], forearm, column, elbow, lever,
-            velocity[n], acceleration[n], work,
-        )  # fmt: skip
+        lever_kernel(model, theta[n], pose)
+        motion_kernel(model, theta[n], theta_dot[n], theta_ddot[n], pose)
+        position[n], velocity[n], acceleration[n] = pose.position, pose.velocity, pose.acceleration
     return REACHED, -1
 
 

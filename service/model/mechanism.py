@@ -120,7 +120,7 @@ class Delta:
         """Torque of (N, 3) motions with another geometry."""
         altered = Delta(correction.altered(self.model), self.gear_ratio)
         known, columns = altered.rigid(theta, theta_dot, theta_ddot)
-        # rho_1 and rho_2 also stand for rotor and gear: a longer link changes its own share of inertia and not theirs
+        # `nominal.lengthened`, as a known part and columns of rho
         ratio = self.model.active_length / altered.model.active_length
         for column, power in ((0, 2), (1, 1)):
             known = known + (1.0 - ratio**power) * columns[..., column]

@@ -110,3 +110,11 @@ def pack(robot: Robot) -> DeltaModel:
         moving_mass=mass.platform + shaft + 3 * half_forearm,
         gravity=np.array(robot.gravity_mps2),
     )
+
+
+def lengthened(rho_1: float, rho_2: float, ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """rho_1 and rho_2 (3,) of active links `ratio` (3,) as long as drawn.
+
+    rho also stands for rotor and gear: a longer link changes its own share of inertia and gravity, not theirs.
+    """
+    return rho_1 + (1.0 - rho_1) * (1.0 - ratio**-2), rho_2 + (1.0 - rho_2) * (1.0 - ratio**-1)

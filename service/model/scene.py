@@ -165,14 +165,14 @@ class Scene:
         return self.segment.theta_dot @ self.mechanism.rows.T
 
     @cached_property
-    def ways(self) -> np.ndarray:
-        """(N, F): which way each friction goes, in [-1, 1]."""
+    def friction_direction(self) -> np.ndarray:
+        """(N, F): direction in which each friction slides, in [-1, 1]."""
         return mean_direction(self.sliding, self.base.transition)
 
     @property
     def direction(self) -> np.ndarray:
-        """(N, n): which way each joint moves, in [-1, 1]."""
-        return self.ways[:, : self.joints]
+        """(N, n): direction in which each joint moves, in [-1, 1]."""
+        return self.friction_direction[:, : self.joints]
 
     @cached_property
     def load(self) -> np.ndarray:
@@ -182,7 +182,7 @@ class Scene:
     @cached_property
     def total(self) -> np.ndarray:
         """(N, n) N m: the base model."""
-        rubs = self.base.viscous * self.sliding + self.base.coulomb * self.ways
+        rubs = self.base.viscous * self.sliding + self.base.coulomb * self.friction_direction
         return self.load + rubs @ self.mechanism.rows
 
     @cached_property

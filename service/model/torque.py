@@ -49,8 +49,8 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
     base, rows = hypothesis.base, scene.mechanism.rows
     columns = scene.recording.rigid.columns
     at_joint: list[np.ndarray] = [columns if base.wanted is None else columns[..., base.wanted]]
-    at_joint += [scene.sliding[:, None] * rows.T, scene.ways[:, None] * rows.T]
-    wider = mean_direction(scene.sliding, 1.05 * base.transition) - scene.ways
+    at_joint += [scene.sliding[:, None] * rows.T, scene.friction_direction[:, None] * rows.T]
+    wider = mean_direction(scene.sliding, 1.05 * base.transition) - scene.friction_direction
     widening = (base.coulomb * wider / (0.05 * base.transition))[:, None] * rows.T
     at_joint.append(widening if np.ndim(base.transition) else widening.sum(axis=-1, keepdims=True))
     if hypothesis.fits_timing:

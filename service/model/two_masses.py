@@ -14,17 +14,35 @@ LOST = 0.5  # rad of relative motion at which a two-mass simulation has come apa
 SLIGHT = 0.01  # rad of relative motion up to which its square is below a thousandth of the torque
 
 
+class Link(NamedTuple):
+    """What the link takes, (N,) each. demand: N m without its own acceleration. inertia, drag, spring: N m per rad/s^2,
+    rad/s, rad of its motion relative to the motor."""
+
+    demand: np.ndarray
+    inertia: np.ndarray
+    drag: np.ndarray
+    spring: np.ndarray
+
+
+class Gear(NamedTuple):
+    """Between motor and link. half: rad, lost motion to each side. stiffness, damping: of closed flanks, N m/rad,
+    N m s/rad."""
+
+    half: float
+    stiffness: float
+    damping: float
+
+
 @njit(cache=True, nogil=True)
-def _two_masses(
-    acceleration, demand, inertia, spring, drag, half, stiffness, damping, step, substeps, angle, speed, change
-):
+def _two_masses(acceleration, link, gear, step, substeps, angle, speed, change):
     """Link minus motor angle along a recorded motor motion, semi-implicit Euler.
 
-    acceleration: (N,) motor, rad/s^2. demand: (N,) torque that the link needs at rest relative to its own acceleration,
-    N m. inertia, spring, drag: (N,) of the link, by its relative acceleration, speed and angle. half: rad, lost motion
-    to each side. Filled: angle, speed, change (N,): rad, rad/s, rad/s^2 of the link relative to the motor, the last as
-    a mean over the step; all zero where the simulation comes apart.
+    acceleration: (N,) rad/s^2, of the motor. step: s between samples. Filled: angle, speed, change (N,): rad, rad/s,
+    rad/s^2 of the link relative to the motor, the last as a mean over the step; all zero where the simulation comes
+    apart.
     """
+    demand, inertia, drag, spring = link
+    half, stiffness, damping = gear
     need = inertia[0] * acceleration[0] + demand[0]
     e = -need / stiffness - (half if need > 0.0 else -half)
     v = 0.0
@@ -57,14 +75,13 @@ def _two_masses(
 
 class Relative(NamedTuple):
     """The link relative to a recorded motor. angle, speed, change: (N,) rad, rad/s, rad/s^2, zero where it came apart.
-    motor: kg m^2 that turn with the motor. stiffness, damping: of gear or closed flank, N m/rad, N m s/rad."""
+    motor: kg m^2 that turn with the motor."""
 
     angle: np.ndarray
     speed: np.ndarray
     change: np.ndarray
     motor: float
-    stiffness: float
-    damping: float
+    gear: Gear
 
 
 def relative_motion(
@@ -73,23 +90,21 @@ def relative_motion(
     """Link behind the recorded motor of `joint`; arguments as of `two_masses`."""
     whole = scene.inertia[:, joint, joint]
     motor = motor_share * float(np.mean(whole))
-    link = np.maximum(whole - motor, 0.02 * whole)
-    mean = float(np.mean(link))
+    inertia = np.maximum(whole - motor, 0.02 * whole)
+    mean = float(np.mean(inertia))
     if mean <= 0.0:  # a base model that found no inertia has no link that could swing
         still = np.zeros(len(whole))
-        return Relative(still, still, still, motor, 0.0, 0.0)
+        return Relative(still, still, still, motor, Gear(half, 0.0, 0.0))
     stiffness = mean * (2 * np.pi * natural_hz) ** 2
-    damping = float(2 * damping_ratio * np.sqrt(stiffness * mean))
+    gear = Gear(half, stiffness, float(2 * damping_ratio * np.sqrt(stiffness * mean)))
     acceleration = np.ascontiguousarray(scene.segment.theta_ddot[:, joint])
     demand = scene.load[:, joint] - whole * acceleration
     angle, speed, change = np.empty_like(demand), np.empty_like(demand), np.empty_like(demand)
     substeps = max(1, round(SUBSTEPS_PER_SECOND * scene.period))
     drag = scene.damping[:, joint, joint] - scene.base.viscous[joint]  # the gear's own friction stays with the motor
-    _two_masses(
-        acceleration, demand, link, np.ascontiguousarray(scene.stiffness[:, joint, joint]), drag, half, stiffness,
-        damping, scene.period, substeps, angle, speed, change,
-    )  # fmt: skip
-    return Relative(angle, speed, change, motor, stiffness, damping)
+    link = Link(demand, inertia, drag, np.ascontiguousarray(scene.stiffness[:, joint, joint]))
+    _two_masses(acceleration, link, gear, scene.period, substeps, angle, speed, change)
+    return Relative(angle, speed, change, motor, gear)
 
 
 def two_masses(

@@ -15,7 +15,7 @@ from schemas.messages import TOPICS, stamp_ns
 WAITING = 600  # batches of health, ten minutes at one a second
 
 
-class Recording:
+class RecordingWriter:
     """An MCAP file with a channel for every topic of `robot`. Log time is sending, publish time bus time: of the
     samples' clock on every topic, so health, which is stamped in wall time, is put beside the sample sent before it.
     Health from before the first sample waits for that, `WAITING` messages at most.

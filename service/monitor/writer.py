@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import StorageError
-from service.monitor.recording import Recording
+from service.monitor.recording import RecordingWriter
 
 FLUSH_S = 0.2  # what a kill -9 can cost, together with the node's cycle
 QUEUED = 3000  # batches that wait for a stalled disk before they are dropped: a minute of the node's cycles
@@ -26,7 +26,7 @@ class WriterThread:
         """Raises StorageError: the file exists, cannot be made, or the disk refuses from the start."""
         self.failed = False
         self.dropped = 0  # messages that could not wait any longer
-        self._recording = Recording(path, robot)
+        self._recording = RecordingWriter(path, robot)
         try:
             self._recording.flush()
         except StorageError:
@@ -64,7 +64,7 @@ class WriterThread:
             while self._queue.get() is not None:  # the bus goes on
                 pass
 
-    def _record(self, recording: Recording) -> None:
+    def _record(self, recording: RecordingWriter) -> None:
         flush_at = time.monotonic() + FLUSH_S
         while True:
             try:

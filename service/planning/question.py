@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.motion import Trajectory
-from schemas.robot import Effect, Robot
+from schemas.robot import EffectEntry, Robot
 from service.identification.fit import within
 from service.model.description import base_of, torque_along
 from service.model.hypothesis import Hypothesis, Term
@@ -172,7 +172,7 @@ class Figures:
         return {known.name: (float(error), known.unit) for known, error in zip(self.known, errors, strict=True)}
 
 
-def expected(robot: Robot, effects: Sequence[Effect], motion: Trajectory) -> np.ndarray:
+def expected(robot: Robot, effects: Sequence[EffectEntry], motion: Trajectory) -> np.ndarray:
     """Torque (N + 1, 3) N m that `robot` with `effects` is expected to take."""
     time = np.arange(len(motion.position)) * motion.period
     carrying = robot.model_copy(update={"effect": list(effects)})

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from schemas.robot import Robot
 from schemas.rollout import Reached, RegimeReached, RolloutDocument
 from service.pages import write_page
-from service.rollout.gap import REGIMES, Course, Rollout, rms
+from service.rollout.gap import REGIMES, Deviation, Rollout, rms
 from service.rollout.robot import left_out
 
 TIMES = 21  # of the growth over the horizon
@@ -24,7 +24,7 @@ def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) ->
     samples = found.floor.platform.shape[1]
     rows = np.unique(np.linspace(0, samples - 1, TIMES).round().astype(int))
     driven = found.servo is not None
-    shown = [reached(course, rows, left_out(robots[course.name]), driven) for course in found.courses]
+    shown = [reached(deviation, rows, left_out(robots[deviation.name]), driven) for deviation in found.deviations]
     return RolloutDocument(
         schema="deltatwin.rollout/1",
         traces=list(traces),
@@ -42,33 +42,33 @@ def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) ->
 
 
 def reached(
-    course: Course, rows: Sequence[int] | np.ndarray = (), without: Sequence[str] = (), torque: bool = False
+    deviation: Deviation, rows: Sequence[int] | np.ndarray = (), without: Sequence[str] = (), torque: bool = False
 ) -> Reached:
-    """A course's figures. rows: samples at which to tell its growth. without: effects left out. torque: that too."""
+    """A deviation's figures. rows: samples at which to tell its growth. without: effects left out. torque: that too."""
     return Reached(
-        robot=course.name,
-        joint_mrad=_numbers(course.joint_mrad),
-        platform_mm=_number(course.platform_mm),
-        growth_mm=_numbers(course.growth_mm[list(rows)]),
-        ran_away=int(np.sum(~course.good)),
+        robot=deviation.name,
+        joint_mrad=_numbers(deviation.joint_mrad),
+        platform_mm=_number(deviation.platform_mm),
+        growth_mm=_numbers(deviation.growth_mm[list(rows)]),
+        ran_away=int(np.sum(~deviation.good)),
         left_out=list(without),
-        torque_nm=_numbers(course.torque_nm) if torque else [],
+        torque_nm=_numbers(deviation.torque_nm) if torque else [],
     )
 
 
 def _regimes(found: Rollout) -> list[RegimeReached]:
     result = []
-    courses = (*found.courses, found.floor)
+    deviations = (*found.deviations, found.floor)
     for joint in range(3):
         for number, regime in enumerate(REGIMES):
             mine = found.regime[:, joint] == number
             if not mine.any():
                 continue
             errors = {}
-            for course in courses:
-                repeats = len(course.angle) // len(mine)
-                kept = np.repeat(mine, repeats) & course.good
-                errors[course.name] = _number(1e3 * float(rms(course.angle[kept, -1, joint])))
+            for deviation in deviations:
+                repeats = len(deviation.angle) // len(mine)
+                kept = np.repeat(mine, repeats) & deviation.good
+                errors[deviation.name] = _number(1e3 * float(rms(deviation.angle[kept, -1, joint])))
             result.append(RegimeReached(joint=joint + 1, regime=regime, windows=int(mine.sum()), joint_mrad=errors))
     return result
 

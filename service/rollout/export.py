@@ -26,8 +26,7 @@ from service.model.description import base_of, terms_of
 from service.model.effects.base import Inside
 from service.model.forward import forward_dynamics
 from service.model.hypothesis import Term
-from service.model.nominal import pack
-from service.rollout.robot import grey
+from service.model.nominal import lengthened, pack
 
 STEP = 0.25e-3  # s
 SMOOTH = 0.01  # rad/s over which the callback's friction turns, explicit as it is
@@ -58,7 +57,7 @@ def to_mjcf(robot: Robot) -> Export:
     """
     terms, base = terms_of(robot), base_of(robot.identified)
     changed, ratio, scale = corrected(robot)
-    model, (rho_1, rho_2) = pack(changed), grey(base, ratio)
+    model, (rho_1, rho_2) = pack(changed), lengthened(base.rigid[0], base.rigid[1], ratio)
     amount = _amounts(terms)
     inside = Inside()
     for term in terms:
@@ -184,21 +183,24 @@ def _add_home(spec: mujoco.MjSpec, design: Design, offset: np.ndarray) -> None:
     spec.add_key(name="home", qpos=pose)
 
 
-# The torque of effects MuJoCo has no word for, on joint i: q rad, v rad/s, way of motion, time s; {name} is a tuple of
-# three, or the shape's value.
+# The torque of effects MuJoCo has no word for, on joint i: q rad, v rad/s, direction of motion, time s; {name} is a
+# tuple of three, or the shape's value.
 FORMS = {
-    "stribeck_friction": "{f_s}[i] * way * math.exp(-((v / {v_s}) ** 2))",
+    "stribeck_friction": "{f_s}[i] * direction * math.exp(-((v / {v_s}) ** 2))",
     "asymmetric_friction": "{delta_c}[i] + {delta_v}[i] * abs(v)",
-    "nonlinear_viscous_friction": "{f}[i] * way * abs(v) ** {p}",
-    "position_dependent_friction": ("({cosine}[i] * math.cos({order} * q) + {sine}[i] * math.sin({order} * q)) * way"),
+    "nonlinear_viscous_friction": "{f}[i] * direction * abs(v) ** {p}",
+    "position_dependent_friction": (
+        "({cosine}[i] * math.cos({order} * q) + {sine}[i] * math.sin({order} * q)) * direction"
+    ),
     "warmup_friction": "{f}[i] * math.exp(-time / {tau}) * v",
     "cogging": ("{cosine}[i] * math.cos({order} * GEAR_RATIO * q) + {sine}[i] * math.sin({order} * GEAR_RATIO * q)"),
     "presliding_friction": "{f}[i] * self.slide(i, q, {distance})",
 }
 
-# What is left of the drive's torque goes through the gear, load, and load + mu |load| way = what is left.
-_LOAD = """            left = float(data.qfrc_actuator[dof] + data.qfrc_passive[dof]) - self.dry[dof] * way - torque
-            torque += {mu}[i] * abs(left) * way / (1.0 + {mu}[i] * way * math.copysign(1.0, left))  # {name}
+# What is left of the drive's torque goes through the gear, load, and load + mu |load| direction = what is left.
+_LOAD = """            push = float(data.qfrc_actuator[dof] + data.qfrc_passive[dof])
+            left = push - self.dry[dof] * direction - torque
+            torque += {mu}[i] * abs(left) * direction / (1.0 + {mu}[i] * direction * math.copysign(1.0, left))  # {name}
 """
 
 _HEAD = '''"""What MuJoCo has no word for in robot {name}. Made by `deltatwin export`.
@@ -238,7 +240,7 @@ class Effects:
         for i, joint in enumerate(self.joints):
             dof = joint.dofadr[0]
             q, v = float(data.qpos[joint.qposadr[0]]), float(data.qvel[dof])
-            way = math.tanh(v / SMOOTH)
+            direction = math.tanh(v / SMOOTH)
             torque = 0.0
 '''
 _TAIL = """            data.qfrc_applied[dof] = -torque

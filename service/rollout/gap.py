@@ -29,7 +29,7 @@ from service.model.signals import EDGE, Segment, segments, smooth
 from service.model.torque import predict
 from service.rollout.kernel import LONGEST_STEP, SCRATCH, run_kernel
 from service.rollout.robot import Stretch, stretch
-from service.rollout.servo import Gains, commands_of, follow, gains_of, identified
+from service.rollout.servo import DriveGains, commands_of, follow, gains_of, identified
 
 HORIZON = 0.2  # s
 SHORTEST, LONGEST = 0.01, 5.0  # s of horizon that make sense
@@ -42,7 +42,7 @@ TURNED = 0.5  # share of the error that is left with the torque turned round, if
 
 
 @dataclass(frozen=True)
-class Course:
+class Deviation:
     """One robot over W windows of S samples: angles (W, S, 3) rad, platform (W, S, 3) m and torque (W, S, 3) N m, each
     simulated less measured; NaN from where a run left the workspace. path: (W, S) m that the measured platform is from
     its start."""
@@ -93,7 +93,7 @@ class Windows:
     starts: np.ndarray
     samples: int
     command: np.ndarray | None = None
-    gains: Gains | None = None
+    gains: DriveGains | None = None
 
     def cut(self, values: np.ndarray) -> np.ndarray:
         """(W, S, ...) of (N, ...)."""
@@ -110,7 +110,7 @@ class Windows:
 
 @dataclass(frozen=True)
 class Rollout:
-    """Robots against logs. period, horizon: s. courses: one a robot, in the order given. floor: of the last of them.
+    """Robots against logs. period, horizon: s. deviations: one a robot, in the order given. floor: of the last of them.
 
     regime: (W, 3) index into `REGIMES` of each window for each joint. runs: (W,) log of each. seconds: of the logs;
     used: in windows, which leave out faults, the ends and what rests. servo: of the drives,
@@ -119,8 +119,8 @@ class Rollout:
 
     period: float
     horizon: float
-    courses: tuple[Course, ...]
-    floor: Course
+    deviations: tuple[Deviation, ...]
+    floor: Deviation
     regime: np.ndarray
     runs: tuple[str, ...]
     seconds: float
@@ -166,7 +166,7 @@ def rollout(
         servo = given.servo or identified(
             [(trace, segment, stretch(given, segment, trace.position[segment.rows])) for trace, segment in parts]
         )
-    courses, floor = [], None
+    deviations, floor = [], None
     for name, robot in robots.items():
         last = name == list(robots)[-1]
         of_parts, of_floor = [], []
@@ -180,12 +180,12 @@ def rollout(
                 if servo is not None:
                     gains = gains_of(servo, bounds_of(given).peak_nm)
                     cut = replace(cut, command=commands_of(trace, segment), gains=gains)
-                of_parts.append(_course(name, seen, cut))
+                of_parts.append(_deviation(name, seen, cut))
                 if last:
                     of_floor.append(_floor(robot, seen, trace, cut))
             except PoseError as error:
                 raise TraceError(f"{trace.path}: {error}") from error
-        courses.append(_joined(name, of_parts))
+        deviations.append(_joined(name, of_parts))
         if last:
             floor = _joined("floor", of_floor)
     assert floor is not None
@@ -194,7 +194,9 @@ def rollout(
     )
     runs = tuple(trace.name for (trace, _), starts in zip(parts, windows, strict=True) for _ in starts)
     seconds = float(sum(len(trace) * period for trace in traces))
-    return Rollout(period, (samples - 1) * period, tuple(courses), floor, regime, runs, seconds, count * horizon, servo)
+    return Rollout(
+        period, (samples - 1) * period, tuple(deviations), floor, regime, runs, seconds, count * horizon, servo
+    )
 
 
 def has_windows(traces: Sequence[Trace], horizon: float = HORIZON) -> bool:
@@ -249,13 +251,13 @@ def simulate(seen: Stretch, start: np.ndarray, torque: np.ndarray, clock: np.nda
     return seen.measured(motor)
 
 
-def _course(name: str, seen: Stretch, windows: Windows) -> Course:
+def _deviation(name: str, seen: Stretch, windows: Windows) -> Deviation:
     angle, torque = windows.run(seen, seen.start[windows.starts], seen.torque)
     off = torque - windows.cut(seen.torque)
     return _compared(name, seen.model, angle, windows.cut(windows.segment.theta), off)
 
 
-def _compared(name: str, model: DeltaModel, angle: np.ndarray, measured: np.ndarray, torque: np.ndarray) -> Course:
+def _compared(name: str, model: DeltaModel, angle: np.ndarray, measured: np.ndarray, torque: np.ndarray) -> Deviation:
     reference = kinematics.forward(model, measured.reshape(-1, 3)).reshape(measured.shape)
     platform = np.full(angle.shape, np.nan)
     good = np.isfinite(angle[..., 0])
@@ -266,10 +268,10 @@ def _compared(name: str, model: DeltaModel, angle: np.ndarray, measured: np.ndar
         except PoseError:
             angle[w] = np.nan
     path = np.linalg.norm(reference - reference[:, :1], axis=2)
-    return Course(name, angle - measured, platform - reference, path, torque)
+    return Deviation(name, angle - measured, platform - reference, path, torque)
 
 
-def _floor(robot: Robot, seen: Stretch, trace: Trace, windows: Windows) -> Course:
+def _floor(robot: Robot, seen: Stretch, trace: Trace, windows: Windows) -> Deviation:
     """Runs of the same robot with noise over torque and start state, less the run without."""
     rng = np.random.default_rng(SEED)
     segment, starts = windows.segment, windows.starts
@@ -286,12 +288,12 @@ def _floor(robot: Robot, seen: Stretch, trace: Trace, windows: Windows) -> Cours
         moved, driven = windows.run(seen, start, disturbed.torque)
         seen_off = driven - pushed if windows.gains is None else driven - pushed + windows.cut(noise)
         draws.append(_compared("floor", seen.model, moved, clean, seen_off))
-    # window by window, as the other courses are
+    # window by window, as the other deviations are
     angle, platform, path, torque = (
         np.stack([getattr(draw, part) for draw in draws], axis=1).reshape(-1, *getattr(draws[0], part).shape[1:])
         for part in ("angle", "platform", "path", "torque")
     )
-    return Course("floor", angle, platform, path, torque)
+    return Deviation("floor", angle, platform, path, torque)
 
 
 def noise_of(robot: Robot, trace: Trace, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
@@ -307,54 +309,54 @@ def noise_of(robot: Robot, trace: Trace, segment: Segment) -> tuple[np.ndarray, 
     return torque, angle
 
 
-def _joined(name: str, courses: Sequence[Course]) -> Course:
-    return Course(
+def _joined(name: str, deviations: Sequence[Deviation]) -> Deviation:
+    return Deviation(
         name,
-        np.concatenate([course.angle for course in courses]),
-        np.concatenate([course.platform for course in courses]),
-        np.concatenate([course.path for course in courses]),
-        np.concatenate([course.torque for course in courses]),
+        np.concatenate([deviation.angle for deviation in deviations]),
+        np.concatenate([deviation.platform for deviation in deviations]),
+        np.concatenate([deviation.path for deviation in deviations]),
+        np.concatenate([deviation.torque for deviation in deviations]),
     )
 
 
 def check_sign(robot: Robot, traces: Sequence[Trace], found: Rollout) -> None:
-    """See whether the last course of `found`, which is `robot`'s, runs away because of a torque's sign.
+    """See whether the last deviation of `found`, which is `robot`'s, runs away because of a torque's sign.
 
     Raises:
         DataError: the simulated robot does no better than one that stands still, and with some torque turned round it
             does.
     """
-    course = found.courses[-1]
-    if course.good.all() and course.platform_mm < course.path_mm:
+    deviation = found.deviations[-1]
+    if deviation.good.all() and deviation.platform_mm < deviation.path_mm:
         return
     parts, windows, samples = _cut_up(traces, found.horizon)
-    best, error = None, _typical(course)
+    best, error = None, _typical(deviation)
     for signs in ((-1, -1, -1), (-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1)):
         turned = []
         for (trace, segment), starts in zip(parts, windows, strict=True):
             if len(starts):
                 other = replace(segment, torque=segment.torque * signs)
                 seen = stretch(robot, other, trace.position[segment.rows])
-                turned.append(_course("", seen, Windows(other, starts, samples)))
+                turned.append(_deviation("", seen, Windows(other, starts, samples)))
         left = _typical(_joined("", turned))
         if left < TURNED * error:
             best, error = signs, left
     if best is not None:
         joints = ", ".join(str(joint + 1) for joint in range(3) if best[joint] < 0)
         raise DataError(
-            f"{parts[0][0].path}: the simulated robot runs away ({_far(course)}), with the torque of joint {joints} "
+            f"{parts[0][0].path}: the simulated robot runs away ({_far(deviation)}), with the torque of joint {joints} "
             f"turned round it does not (off by {error:.3g} mm): the sign of that torque is wrong"
         )
 
 
-def _typical(course: Course) -> float:
+def _typical(deviation: Deviation) -> float:
     """Median distance at the horizon, mm, a run that left the workspace being farther than any."""
-    distance = np.linalg.norm(course.platform[:, -1], axis=1)
+    distance = np.linalg.norm(deviation.platform[:, -1], axis=1)
     return 1e3 * float(np.median(np.where(np.isfinite(distance), distance, np.inf)))
 
 
-def _far(course: Course) -> str:
-    away, count = int(np.sum(~course.good)), len(course.good)
+def _far(deviation: Deviation) -> str:
+    away, count = int(np.sum(~deviation.good)), len(deviation.good)
     if away:
         return f"it leaves the workspace in {away} of {count} windows"
-    return f"off by {course.platform_mm:.3g} mm on a way of {course.path_mm:.3g} mm"
+    return f"off by {deviation.platform_mm:.3g} mm over a path of {deviation.path_mm:.3g} mm"

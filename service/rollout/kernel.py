@@ -18,8 +18,9 @@ from numba import njit
 from service.estimator.effects import EFFECT, MAX_EFFECTS, effects_kernel
 from service.estimator.state import MODEL
 from service.model.dynamics import TERMS
+from service.model.effects.base import Instant
 from service.model.forward import bias_kernel, mass_kernel, solve_kernel
-from service.model.kinematics import REACHED
+from service.model.kinematics import POSE, REACHED
 
 LONGEST_STEP = 0.25e-3  # s
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of ROS2: what decays fast does so in one step
@@ -57,15 +58,14 @@ FORWARD = np.dtype(
 # What one step works on.
 SCRATCH = np.dtype(
     [
-        ("position", "f8", 3),
-        ("work", "f8", (8, 3, 3)),
+        ("pose", POSE),
         ("terms", "f8", (len(TERMS), 3)),
         ("bias", "f8", 3),
         ("mass", "f8", (3, 3)),  # kg m^2 of the links
         ("inertia", "f8", 3),  # of the motors
         ("guess", "f8", 3),  # rad/s^2, acceleration of the evaluation before
         ("load", "f8", 3),
-        ("way", "f8", 3),
+        ("direction", "f8", 3),
         ("own", "f8", 3),  # N m of the effects
         ("shared", "f8", 3),
         ("more", "f8", 3),
@@ -96,20 +96,27 @@ SCRATCH = np.dtype(
 
 @njit(cache=True)
 def _effects(f, s, effects, theta, theta_dot, seconds, torque):
-    """torque (3,): of `effects` on motors or links, whose angles and speeds these are, at s.guess and s.way."""
+    """torque (3,): of `effects` on motors or links, whose angles and speeds these are, at s.guess and s.direction."""
     for i in range(3):
         torque[i] = 0.0
-    effects_kernel(
-        effects, f.model, f.gear_ratio, theta, theta_dot, s.guess, s.way, s.load, seconds, s.position,
-        s.work, torque,
-    )  # fmt: skip
+    now = Instant(
+        model=f.model,
+        gear_ratio=f.gear_ratio,
+        theta=theta,
+        theta_dot=theta_dot,
+        theta_ddot=s.guess,
+        direction=s.direction,
+        load=s.load,
+        seconds=seconds,
+        pose=s.pose,
+    )
+    effects_kernel(effects, now, torque)
 
 
 @njit(cache=True)
 def _ball_joints(f, s, link_dot, torque):
     """Add the ball joints' friction, as `passive_joint_friction` has it: by virtual power of the forearms' turning."""
-    column, elbow, lever, velocity = s.work[1], s.work[2], s.work[4, 0], s.work[4, 1]
-    forearm = s.work[0]
+    forearm, column, elbow, lever, velocity = s.pose.forearm, s.pose.column, s.pose.elbow, s.pose.lever, s.pose.velocity
     smooth = max(f.transition, 1e-3)
     turn, per, swing = s.turning[0], s.turning[1], s.turning[2]
     for arm in range(3):
@@ -149,14 +156,14 @@ def _evaluate(f, s, state, torque, seconds, step, implicit):
     step: s, ahead of which a flank that closes counts as closed. implicit: also fill `steep`.
     """
     link, link_dot, motor, motor_dot, bristle = state[0], state[1], state[2], state[3], state[4]
-    status = bias_kernel(f.model, f.rho_2, f.forearm, link, link_dot, s.position, s.work, s.terms, s.bias)
+    status = bias_kernel(f.model, f.rho_2, f.forearm, link, link_dot, s.pose, s.terms, s.bias)
     if status != REACHED:
         return status
-    mass_kernel(f.model, f.rho_1, f.forearm, s.work, s.mass)
-    column, lever, acceleration = s.work[1], s.work[4, 0], s.work[4, 2]
+    mass_kernel(f.model, f.rho_1, f.forearm, s.pose, s.mass)
+    column, lever, acceleration = s.pose.column, s.pose.lever, s.pose.acceleration
     for i in range(3):
         s.load[i] = s.bias[i] + s.mass[i, 0] * s.guess[0] + s.mass[i, 1] * s.guess[1] + s.mass[i, 2] * s.guess[2]
-        s.way[i] = math.tanh(motor_dot[i] / f.transition)
+        s.direction[i] = math.tanh(motor_dot[i] / f.transition)
         for axis in range(3):
             acceleration[axis] += column[i, axis] * lever[i] * s.guess[i]
     _effects(f, s, f.at_joints, motor, motor_dot, seconds, s.own)
@@ -164,8 +171,8 @@ def _evaluate(f, s, state, torque, seconds, step, implicit):
     if implicit:
         _steepness(f, s, motor, motor_dot, seconds)
     for i in range(3):
-        push = torque[i] - s.own[i] - f.viscous[i] * motor_dot[i] - f.coulomb[i] * s.way[i]
-        s.right_motor[i] = push - f.bristle[i] * (bristle[i] - s.way[i])
+        push = torque[i] - s.own[i] - f.viscous[i] * motor_dot[i] - f.coulomb[i] * s.direction[i]
+        s.right_motor[i] = push - f.bristle[i] * (bristle[i] - s.direction[i])
         s.right_link[i] = -s.bias[i] - s.shared[i]
         s.inertia[i] = f.motor[i]
     if implicit:
@@ -201,7 +208,7 @@ def _evaluate(f, s, state, torque, seconds, step, implicit):
 def _added(f, s, state, seconds):
     """s.added, s.added_own: inertia of effects that depend on the acceleration, by one rad/s^2 more of it."""
     link, link_dot, motor, motor_dot = state[0], state[1], state[2], state[3]
-    column, lever, acceleration = s.work[1], s.work[4, 0], s.work[4, 2]
+    column, lever, acceleration = s.pose.column, s.pose.lever, s.pose.acceleration
     if f.masses_at_joints[0].number >= 0:
         _effects(f, s, f.masses_at_joints, motor, motor_dot, seconds, s.added_own)
         for i in range(3):
@@ -233,13 +240,13 @@ def _steepness(f, s, motor, motor_dot, seconds):
         slow |= abs(motor_dot[i]) < SLOW
     if slow:
         for i in range(3):
-            s.way[i] += 1.0
+            s.direction[i] += 1.0
         _effects(f, s, f.at_joints, motor, motor_dot, seconds, s.more)
         for i in range(3):
-            s.way[i] -= 1.0
+            s.direction[i] -= 1.0
             s.steep[i] += s.more[i] - s.own[i]
     for i in range(3):
-        secant = s.way[i] / motor_dot[i] if abs(motor_dot[i]) > 1e-9 else 1.0 / f.transition
+        secant = s.direction[i] / motor_dot[i] if abs(motor_dot[i]) > 1e-9 else 1.0 / f.transition
         s.steep[i] = max(0.0, f.viscous[i] + s.steep[i] * secant)
 
 
@@ -287,10 +294,10 @@ def _solve(f, s, mass, inertia, steep, contact, weight, right, result):
 
 
 @njit(cache=True)
-def _slid(f, i, bristle, way):
-    """Bristles of joint i after the motor turned by `way` rad: dz / dtheta = (1 - z sign v) / distance, exactly."""
-    sign = 1.0 if way > 0.0 else -1.0
-    return sign + (bristle - sign) * math.exp(-abs(way) / f.distance[i])
+def _slid(f, i, bristle, travel):
+    """Bristles of joint i after the motor turned by `travel` rad: dz / dtheta = (1 - z sign v) / distance, exactly."""
+    sign = 1.0 if travel > 0.0 else -1.0
+    return sign + (bristle - sign) * math.exp(-abs(travel) / f.distance[i])
 
 
 @njit(cache=True)

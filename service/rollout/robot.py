@@ -13,8 +13,8 @@ from service.model.effects.base import Effect, Inside
 from service.model.effects.presliding_friction import deflection
 from service.model.hypothesis import Term
 from service.model.mechanism import Delta
-from service.model.nominal import DeltaModel, pack
-from service.model.scene import Base, Recording, Scene
+from service.model.nominal import DeltaModel, lengthened, pack
+from service.model.scene import Recording, Scene
 from service.model.signals import Segment, delayed, smooth
 from service.model.two_masses import relative_motion
 from service.rollout.kernel import FORWARD, SHARPEST
@@ -81,12 +81,8 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     motor, stiffness, damping, half = np.zeros((4, 3))
     for joint, figures in inside.two_masses.items():
         link = relative_motion(scene, joint, *figures)
-        motor[joint], stiffness[joint], damping[joint], half[joint] = (
-            link.motor,
-            link.stiffness,
-            link.damping,
-            figures[0],
-        )
+        motor[joint] = link.motor
+        half[joint], stiffness[joint], damping[joint] = link.gear
         start[:, 0, joint] += link.angle
         start[:, 1, joint] += link.speed
     for joint in np.flatnonzero(inside.bristle):
@@ -94,7 +90,7 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     forward, model = np.zeros(1, FORWARD), pack(changed)
     for name in DeltaModel._fields:
         forward["model"][name] = getattr(model, name)
-    forward["rho_1"], forward["rho_2"] = grey(base, ratio)
+    forward["rho_1"], forward["rho_2"] = lengthened(base.rigid[0], base.rigid[1], ratio)
     forward["forearm"] = base.rigid[2]
     forward["viscous"], forward["coulomb"] = base.viscous, base.coulomb
     forward["transition"] = max(float(np.max(base.transition)), SHARPEST)
@@ -108,13 +104,6 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     forward["bristle"], forward["distance"] = inside.bristle, inside.distance
     forward["motor"], forward["stiffness"], forward["damping"], forward["half"] = motor, stiffness, damping, half
     return Stretch(model, forward, start, encoders, torque, inside.wobble, robot.drive.gear_ratio)
-
-
-def grey(base: Base, ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """rho_1 and rho_2 (3,) of links that are `ratio` (3,) as long as drawn: rho also stands for rotor and gear, and a
-    longer link changes its own share of inertia and gravity, not theirs."""
-    rho_1, rho_2 = base.rigid[0], base.rigid[1]
-    return rho_1 + (1.0 - rho_1) * (1.0 - ratio**-2), rho_2 + (1.0 - rho_2) * (1.0 - ratio**-1)
 
 
 def true_torque(terms: tuple[Term, ...], timing: float, torque: np.ndarray, period: float) -> np.ndarray:

@@ -28,7 +28,7 @@ from service.rollout.robot import Stretch
 MOST_LEFT = 0.3  # of the torque's rms that a drive's law may leave to be believed
 
 
-class Gains(NamedTuple):
+class DriveGains(NamedTuple):
     """(3,) each, as in `Servo`; per_time: 1/s, inverse of the integral time. peak: N m."""
 
     position: np.ndarray
@@ -39,9 +39,9 @@ class Gains(NamedTuple):
     peak: float
 
 
-def gains_of(servo: Servo, peak: float) -> Gains:
+def gains_of(servo: Servo, peak: float) -> DriveGains:
     """As the kernel takes them. peak: N m, where the drives' own is not described."""
-    return Gains(
+    return DriveGains(
         np.array(servo.position_gain_ps),
         np.array(servo.velocity_gain_nms),
         np.array([1.0 / time if time else 0.0 for time in servo.integral_time_s]),
@@ -111,7 +111,7 @@ def identified(parts: Sequence[tuple[Trace, Segment, Stretch]]) -> Servo:
 
 def follow(
     seen: Stretch,
-    gains: Gains,
+    gains: DriveGains,
     start: np.ndarray,
     command: np.ndarray,
     torque: np.ndarray,

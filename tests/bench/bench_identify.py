@@ -20,7 +20,7 @@ from schemas.robot import Geometry, Mass, Robot, load_robot
 from schemas.trace import Trace
 from service.identification import paper
 from service.identification.identify import identify
-from service.identification.regression import Trajectory, summarise
+from service.identification.regression import NormalEquations, summarise
 from service.model import signals
 from service.model.nominal import pack
 from tests.service.identification.conftest import Truth, multisine, synthesise
@@ -75,14 +75,10 @@ def linearity() -> None:
 
 
 def methods() -> None:
-    trajectories = [
-        summarise(MODEL, synthesise(MODEL, s, Truth(), multisine(s, 8.0, 2.0, 1e-3), 1e-3)) for s in range(4)
-    ]
-    fit = identify(ROBOT, trajectories)
-    ratios = [
-        timed(lambda: paper.means(trajectories)) / timed(lambda: identify(ROBOT, trajectories)) for _ in range(21)
-    ]
-    once = timed(lambda: paper.refit(trajectories, fit.fit))
+    equations = [summarise(MODEL, synthesise(MODEL, s, Truth(), multisine(s, 8.0, 2.0, 1e-3), 1e-3)) for s in range(4)]
+    fit = identify(ROBOT, equations)
+    ratios = [timed(lambda: paper.means(equations)) / timed(lambda: identify(ROBOT, equations)) for _ in range(21)]
+    once = timed(lambda: paper.refit(equations, fit.fit))
     print(
         f"grid and friction over the pooled fit's time, sums alike: {np.median(ratios):.2f}; {1e3 * once:.1f} ms in all"
     )
@@ -95,16 +91,16 @@ def whole() -> None:
         write_trace(log(60.0, 2.5e-4), path)
         reading = passing = 0.0
         cpu = time.process_time()
-        trajectories: list[Trajectory] = []
+        equations: list[NormalEquations] = []
         for number in range(12):
             start = time.perf_counter()
             trace = read_trace(path, ROBOT)
             reading += time.perf_counter() - start
             trace = replace(trace, path=Path(f"log_{number}.csv"), torque=trace.torque + 1e-6 * number)
             start = time.perf_counter()
-            trajectories.append(summarise(MODEL, trace))
+            equations.append(summarise(MODEL, trace))
             passing += time.perf_counter() - start
-        solving = timed(lambda: identify(ROBOT, trajectories))
+        solving = timed(lambda: identify(ROBOT, equations))
         cpu = time.process_time() - cpu
         size = path.stat().st_size / 1e6
     total = reading + passing + solving

@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.ethercat.course import course
 from drivers.ethercat.master import Master, OffsetRamp, follow
+from drivers.ethercat.setpoints import setpoints
 from drivers.motion import Planner
 from replay.clock import wait_until
 from replay.realtime import go_realtime
@@ -54,7 +54,7 @@ def main(minutes: float, rate: float, turn: float) -> None:
                 offset = OffsetRamp(master.scale, math.inf, 5000.0, robot.limits.torque_fade_s, 1 / rate)
                 for number in range(2 * max(1, round(minutes * 30 / turn))):
                     kind = TURNS[number % 2]
-                    plan = course(here, motion)
+                    plan = setpoints(here, motion)
                     rows = np.zeros((len(plan), 5), np.int64)
                     feedforward = inside if kind == "with" else nothing
                     began = back = 0

@@ -10,10 +10,11 @@ import numpy as np
 
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, SAMPLE
 from schemas.robot import Robot
-from service.estimator import payload as p
 from service.estimator.kalman import MotionFilter, design
+from service.estimator.payload import state as p
+from service.estimator.payload.step import payload_kernel
 from service.estimator.state import settings
-from service.estimator.step import REVERSAL_SPEED
+from service.estimator.step import MODEL_SHARE, REVERSAL_SPEED
 from service.estimator.stream import SETTLE_TIME
 from service.model.dynamics import REST_SPEED
 from service.model.nominal import pack
@@ -105,13 +106,13 @@ class NumpyEstimator:
         grey = self.rho_1 * inertia + self.rho_2 * gravity + platform
         full = grey + self.forearm * forearm + friction
         torque = sample["torque"]
-        doubt = p.MODEL_SHARE * (np.abs(inertia) + np.abs(gravity) + np.abs(platform) + np.abs(friction))
+        doubt = MODEL_SHARE * (np.abs(inertia) + np.abs(gravity) + np.abs(platform) + np.abs(friction))
         noise = np.where(np.abs(state[:, 1]) > REVERSAL_SPEED, self.variance + doubt**2, np.inf)
         now = self.weighed[0]
         now["column"][:, 0], now["residual"], now["weight"] = load, torque - full, 1.0 / noise
-        way = np.clip(state[:, 1] / REST_SPEED, -1, 1)
-        now["shape"] = np.stack([way, state[:, 1], np.ones(3)], axis=1)
-        event = p.payload_kernel(self.weigher, now)
+        direction = np.clip(state[:, 1] / REST_SPEED, -1, 1)
+        now["shape"] = np.stack([direction, state[:, 1], np.ones(3)], axis=1)
+        event = payload_kernel(self.weigher, now)
         mass = self.mass()
         payload, error = PAYLOAD.empty(1), MODEL_ERROR.empty(1)
         for field in ("stamp_sec", "stamp_nanosec", "sequence"):

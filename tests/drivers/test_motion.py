@@ -35,7 +35,7 @@ try:
     main()
 except SystemExit as end:
     assert end.code == {code}, end.code
-import drivers.ethercat.course, drivers.ethercat.master, replay.realtime, service.cli.progress
+import drivers.ethercat.setpoints, drivers.ethercat.master, replay.realtime, service.cli.progress
 from drivers.motion import Planner
 from schemas.robot import load_robot
 from service.estimator.estimator import Estimator

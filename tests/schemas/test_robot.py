@@ -9,7 +9,7 @@ import pytest
 
 from schemas.errors import RobotError, StorageError
 from schemas.robot import (
-    Effect,
+    EffectEntry,
     EffectParameter,
     Identified,
     JointParameter,
@@ -140,12 +140,12 @@ def found(robot: Robot) -> Robot:
                 forearm_inertia_kg=Parameter(value=0.6),
             ),
             "effect": [
-                Effect(
+                EffectEntry(
                     name="backlash",
                     joints=[2],
                     parameters={"gap": EffectParameter(value=0.002, unit="rad", std_error=1e-4)},
                 ),
-                Effect(
+                EffectEntry(
                     name="air_drag",
                     joints=[1, 2, 3],
                     parameters={"c": EffectParameter(value=0.3, unit="N s^2/m^2"), "d": EffectParameter(value=1.0)},

@@ -28,10 +28,10 @@ from tests.service.world import (
     Motion,
     at_joints,
     course,
+    direction,
     rigid_torque,
     sines,
     stub,
-    way,
 )
 
 N = 2 * math.pi
@@ -56,12 +56,12 @@ class Injected:
         return Term(EFFECTS[name], self.joints, np.array(self.amplitude), self.shape)
 
 
-def rubbing(effect: plant.Effect, run: Course, start: float) -> np.ndarray:
+def rubbing(effect: plant.PlantEffect, run: Course, start: float) -> np.ndarray:
     """Reported torque with a friction effect of the plant, taken through its hook sample by sample."""
     at = stub(step=PERIOD, time=0.0, motor=None, motor_dot=None, load=None)
     effect.start(at)
     theta, theta_dot, _ = run.motion
-    sign = way(theta_dot)
+    sign = direction(theta_dot)
     load = run.torque - VISCOUS * theta_dot - COULOMB * sign
     # a Dahl contact is driven by travel: the way from sample to sample, which the plant reads as speed
     dahl = isinstance(effect, friction.PreslidingFriction)
@@ -76,7 +76,7 @@ def rubbing(effect: plant.Effect, run: Course, start: float) -> np.ndarray:
     return result
 
 
-def built(effect: plant.Effect, run: Course) -> np.ndarray:
+def built(effect: plant.PlantEffect, run: Course) -> np.ndarray:
     """Reported torque with an effect that changes what is built."""
     theta, theta_dot, theta_ddot = run.motion
     changed = effect.shape(Design(TRUTH))
@@ -94,7 +94,7 @@ def _platform(run_time: bytes, theta: bytes) -> np.ndarray:
     return close(mechanism, np.frombuffer(theta).reshape(-1, 3))[:, mechanism.platform]
 
 
-def pushed(effect: plant.Effect, run: Course) -> np.ndarray:
+def pushed(effect: plant.PlantEffect, run: Course) -> np.ndarray:
     """Reported torque with a force on the platform."""
     position = _platform(run.time.tobytes(), run.motion[0].tobytes())
     speed = np.gradient(position, PERIOD, axis=0, edge_order=2)
@@ -102,12 +102,12 @@ def pushed(effect: plant.Effect, run: Course) -> np.ndarray:
     return run.torque + at_joints(run.motion, np.array(force))
 
 
-def loaded(effect: plant.Effect, run: Course) -> np.ndarray:
+def loaded(effect: plant.PlantEffect, run: Course) -> np.ndarray:
     """Reported torque with a torque on the links."""
     return run.torque - effect.joint_torque(stub(theta=run.motion[0]))
 
 
-def driven(effect: plant.Effect, run: Course) -> np.ndarray:
+def driven(effect: plant.PlantEffect, run: Course) -> np.ndarray:
     """Reported torque where the motor makes another one of it: what has to be meant for the motion's torque to act."""
     meant, at = run.torque.copy(), stub(truth=TRUTH.model_copy(update={"gear_ratio": RATIO}), motor=run.motion[0])
     for _ in range(40):
@@ -129,7 +129,7 @@ def misread(effect: sensing.EncoderEccentricity, run: Course, path: Callable[[np
     h = 2e-4
     before, here, after = true(run.time - h), true(run.time), true(run.time + h)
     motion = here, (after - before) / (2 * h), (after - 2 * here + before) / h**2
-    return rigid_torque(Design(TRUTH), motion) + VISCOUS * motion[1] + COULOMB * way(run.motion[1])
+    return rigid_torque(Design(TRUTH), motion) + VISCOUS * motion[1] + COULOMB * direction(run.motion[1])
 
 
 def swinging(effect: friction.PassiveJointFriction, run: Course) -> np.ndarray:
@@ -157,13 +157,13 @@ def swinging(effect: friction.PassiveJointFriction, run: Course) -> np.ndarray:
     return result
 
 
-def said(effect: plant.Effect, run: Course) -> np.ndarray:
+def said(effect: plant.PlantEffect, run: Course) -> np.ndarray:
     """What the bus reports of the true torque, cycle by cycle."""
     effect.start(stub(load=run.torque[0], step=PERIOD))
     return np.array([effect.report(stub(step=PERIOD), torque) for torque in run.torque])
 
 
-def rub(effect: Callable[[], plant.Effect]) -> Callable[[Course, float], np.ndarray]:
+def rub(effect: Callable[[], plant.PlantEffect]) -> Callable[[Course, float], np.ndarray]:
     return lambda run, start: rubbing(effect(), run, start)
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from drivers.bus import Bus, open_bus
 from drivers.ethercat.cia402 import Scale
-from drivers.ethercat.course import Course
 from drivers.ethercat.master import OffsetRamp
+from drivers.ethercat.setpoints import Setpoints
 from replay.clock import wait_until
 from schemas.messages import FEEDFORWARD, SAMPLE, FeedforwardSource, Role, SampleFlag, set_stamp, stamp_ns
 from service.feedforward import FRESH_CYCLES, OverBus
@@ -25,7 +25,7 @@ HOUR = 3600
 TORQUE = np.array([30.0, -20.0, 10.0])
 SCALE = Scale(0, 1e-6, np.full(3, 0.1), None)  # pyright: ignore[reportArgumentType]
 MOTION = np.outer(np.arange(400), [1e-3, 2e-3, -1e-3])
-COURSE = Course(MOTION, MOTION, MOTION, np.zeros(400, bool), 0)
+COURSE = Setpoints(MOTION, MOTION, MOTION, np.zeros(400, bool), 0)
 
 Reply = Callable[["Talk", np.void], None]
 

@@ -72,11 +72,11 @@ def course(seed: int, seconds: float, size: float = 0.3, low: float = 2.0, high:
     """A motion of `sines`, from time 0."""
     time = np.arange(round(seconds / PERIOD)) * PERIOD
     motion = sines(seed, size, low, high)(time)
-    torque = rigid_torque(Design(TRUTH), motion) + VISCOUS * motion[1] + COULOMB * way(motion[1])
+    torque = rigid_torque(Design(TRUTH), motion) + VISCOUS * motion[1] + COULOMB * direction(motion[1])
     return Course(time, motion, torque)
 
 
-def way(theta_dot: np.ndarray, transition: float = TRANSITION) -> np.ndarray:
+def direction(theta_dot: np.ndarray, transition: float = TRANSITION) -> np.ndarray:
     """Direction of motion, its mean over each sample by brute force: 32 points between half-way speeds."""
     half = np.concatenate([theta_dot[:1], 0.5 * (theta_dot[1:] + theta_dot[:-1]), theta_dot[-1:]])
     share = (np.arange(32) + 0.5)[:, None, None] / 32

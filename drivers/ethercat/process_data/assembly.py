@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -37,6 +38,17 @@ _FPWR = Command.FPWR.value
 _NOT_BELIEVED = (FrameFlag.DAMAGED | FrameFlag.PSEUDO | FrameFlag.FOREIGN).value
 
 
+class Frame(NamedTuple):
+    """data[offset : offset + length], and of it what `capture.Frames` says; of a block all but data are arrays."""
+
+    data: np.ndarray
+    offset: int | np.ndarray
+    length: int | np.ndarray
+    time: int | np.ndarray
+    port: int | np.ndarray
+    flags: int | np.ndarray
+
+
 @njit(cache=True)
 def _value(data, at, size, signed):
     value = np.int64(0)
@@ -48,7 +60,7 @@ def _value(data, at, size, signed):
 
 
 @njit(cache=True)
-def _take(data, at, address, length, way, values, have, mark):
+def _take(data, at, address, length, mapped, values, have, mark):
     """Objects that lie in the logical range [address, address + length), whose bytes are at `at`; how many joints.
 
     have: takes `mark` for each of them.
@@ -56,10 +68,10 @@ def _take(data, at, address, length, way, values, have, mark):
     joints = 0
     for joint in range(3):
         found = False
-        for item in range(way.place.shape[1]):
-            place = way.place[joint, item]
-            if place >= address and place + way.size[item] <= address + length:
-                values[joint, item] = _value(data, at + place - address, way.size[item], way.signed[item])
+        for item in range(mapped.place.shape[1]):
+            place = mapped.place[joint, item]
+            if place >= address and place + mapped.size[item] <= address + length:
+                values[joint, item] = _value(data, at + place - address, mapped.size[item], mapped.signed[item])
                 have[joint, item] = mark
                 found = True
         joints += found
@@ -67,11 +79,11 @@ def _take(data, at, address, length, way, values, have, mark):
 
 
 @njit(cache=True)
-def _joints_within(address, length, way):
+def _joints_within(address, length, mapped):
     joints = 0
     for joint in range(3):
-        for item in range(way.place.shape[1]):
-            if way.place[joint, item] >= address and way.place[joint, item] < address + length:
+        for item in range(mapped.place.shape[1]):
+            if mapped.place[joint, item] >= address and mapped.place[joint, item] < address + length:
                 joints += 1
                 break
     return joints
@@ -235,11 +247,11 @@ def _read_frame(data, first, end, returned, time, layout, state):
 
 
 @njit(cache=True)
-def _starts_again(address, length, way, have):
+def _starts_again(address, length, mapped, have):
     """Whether this datagram brings an input that the cycle in the making has already."""
     for joint in range(3):
-        for item in range(way.place.shape[1]):
-            place = way.place[joint, item]
+        for item in range(mapped.place.shape[1]):
+            place = mapped.place[joint, item]
             if have[joint, item] and place >= address and place < address + length:
                 return True
     return False
@@ -256,25 +268,25 @@ def _take_sent(index, time, state):
 
 
 @njit(cache=True)
-def _complete(way, have):
+def _complete(mapped, have):
     for joint in range(3):
-        for item in range(way.place.shape[1]):
-            if way.place[joint, item] != NOT_MAPPED and not have[joint, item]:
+        for item in range(mapped.place.shape[1]):
+            if mapped.place[joint, item] != NOT_MAPPED and not have[joint, item]:
                 return False
     return True
 
 
 @njit(cache=True)
-def frame_kernel(data, offset, length, time, port, flags, layout, state, sample, raw):
-    """Take one frame, at data[offset : offset + length]; whether it ends a cycle, whose sample is then in `sample`.
+def frame_kernel(frame, layout, state, sample, raw):
+    """Take one Frame; whether it ends a cycle, whose sample is then in `sample`.
 
     raw: int64 of INPUT_SHAPE, takes the INPUTS of that sample as they stood in the frame.
     """
-    counts = state.counts
-    if flags & _NOT_BELIEVED:
-        counts.damaged += flags & FrameFlag.DAMAGED.value != 0
+    data, time, counts = frame.data, frame.time, state.counts
+    if frame.flags & _NOT_BELIEVED:
+        counts.damaged += frame.flags & FrameFlag.DAMAGED.value != 0
         return False
-    kind, first, end = find_datagrams(data, offset, length)
+    kind, first, end = find_datagrams(data, frame.offset, frame.length)
     if kind != Kind.DATAGRAMS.value:
         counts.damaged += kind == Kind.CUT.value
         return False
@@ -285,7 +297,9 @@ def frame_kernel(data, offset, length, time, port, flags, layout, state, sample,
     if not carries:
         return False
     outstanding = on_its_way(state.sent_at[index], time, state.clock)
-    returned = is_returned(data[offset + 6], port, outstanding, answered, highest, state.passes, state.ports)
+    returned = is_returned(
+        data[frame.offset + 6], frame.port, outstanding, answered, highest, state.passes, state.ports
+    )
     counts.returned += returned
     counts.sent += not returned
     _read_frame(data, first, end, returned, time, layout, state)
@@ -300,17 +314,16 @@ def frame_kernel(data, offset, length, time, port, flags, layout, state, sample,
 
 
 @njit(cache=True)
-def assemble(data, offset, length, time, port, flags, layouts, states, samples, raw):
-    """Samples of the cycles that end in these frames; how many.
+def assemble(block, layouts, states, samples, raw):
+    """Samples of the cycles that end in the N frames of `block`, a Frame of arrays; how many.
 
-    data, offset, length, time, port, flags: as in `capture.Frames`, N frames. layouts, states: (1,) records of LAYOUT
-    and STATE. samples: at least N records of SAMPLE. raw: int64, at least N of INPUT_SHAPE.
+    layouts, states: (1,) records of LAYOUT and STATE. samples: at least N records of SAMPLE. raw: int64, at least N of
+    INPUT_SHAPE.
     """
     layout, state, made = layouts[0], states[0], 0
-    for n in range(len(offset)):
-        made += frame_kernel(
-            data, offset[n], length[n], time[n], port[n], flags[n], layout, state, samples[made], raw[made]
-        )
+    for n in range(len(block.offset)):
+        frame = Frame(block.data, block.offset[n], block.length[n], block.time[n], block.port[n], block.flags[n])
+        made += frame_kernel(frame, layout, state, samples[made], raw[made])
     return made
 
 
@@ -334,7 +347,8 @@ ONE_FRAME = np.dtype(
 def assemble_one(frames):
     """The frame in `frames` (1,), records of ONE_FRAME; whether it ended a cycle."""
     one = frames[0]
-    return frame_kernel(one.data, 0, one.length, one.time, one.port, 0, one.layout, one.state, one.sample, one.raw)
+    frame = Frame(data=one.data, offset=0, length=one.length, time=one.time, port=one.port, flags=0)
+    return frame_kernel(frame, one.layout, one.state, one.sample, one.raw)
 
 
 @dataclass
@@ -351,10 +365,8 @@ class Assembler:
         """(M,) records of SAMPLE and (M, 3, 6) int64 of their INPUTS in drive units, from N frames, M <= N."""
         records = SAMPLE.empty(len(frames))
         raw = np.empty((len(frames), *INPUT_SHAPE), np.int64)
-        made = assemble(
-            frames.data, frames.offset, frames.length, frames.time, frames.port, frames.flags,
-            self.layout, self.state, records, raw,
-        )  # fmt: skip
+        block = Frame(frames.data, frames.offset, frames.length, frames.time, frames.port, frames.flags)
+        made = assemble(block, self.layout, self.state, records, raw)
         return records[:made], raw[:made]
 
     def count(self, name: str) -> int:

@@ -64,7 +64,7 @@ def make_layout(robot: Robot) -> np.ndarray:
     scaling = scales(robot.drive)
     network = read_eni(robot.folder / robot.drive.eni) if robot.drive.eni else None
     layout = np.zeros(1, LAYOUT)
-    inputs, outputs = (layout[way]["place"][0] for way in ("inputs", "outputs"))
+    inputs, outputs = (layout[side]["place"][0] for side in ("inputs", "outputs"))
     inputs[:] = outputs[:] = layout["gripper_joint"] = NOT_MAPPED
     gripper = robot.drive.gripper
     for joint, drive in enumerate(robot.drive.joint):
@@ -84,10 +84,10 @@ def make_layout(robot: Robot) -> np.ndarray:
             )
         layout["gripper_joint"], layout["gripper_bit"] = gripper.joint - 1, gripper.bit
         layout["gripper_closed"] = gripper.closed
-    for way, indexes in (("inputs", INPUTS), ("outputs", OUTPUTS)):
+    for side, indexes in (("inputs", INPUTS), ("outputs", OUTPUTS)):
         types = [cia402.OBJECTS[index] for index in indexes]
-        layout[way]["size"] = [kind.itemsize for kind in types]
-        layout[way]["signed"] = [kind.kind == "i" for kind in types]
+        layout[side]["size"] = [kind.itemsize for kind in types]
+        layout[side]["signed"] = [kind.kind == "i" for kind in types]
     commands = () if network is None else network.commands
     counters = [(c.command, c.address, c.working_counter) for c in commands if c.working_counter is not None]
     layout["counters"][0, : len(counters)] = counters
@@ -107,8 +107,8 @@ def mapped_objects(layout: np.ndarray) -> list[dict[str, int | str]]:
     """The objects of a layout in the order of their addresses: joint, object, direction, logical_address."""
     places = [
         (int(place), joint + 1, f"{index:#06x}", direction)
-        for way, indexes, direction in (("inputs", INPUTS, "input"), ("outputs", OUTPUTS, "output"))
-        for joint, row in enumerate(layout[way]["place"][0])
+        for side, indexes, direction in (("inputs", INPUTS, "input"), ("outputs", OUTPUTS, "output"))
+        for joint, row in enumerate(layout[side]["place"][0])
         for index, place in zip(indexes, row, strict=True)
         if place != NOT_MAPPED
     ]
@@ -153,7 +153,7 @@ def _byte_address(mapped: MappedObject, joint: int) -> int:
     return mapped.address_bits // 8
 
 
-def _bytes(way: np.ndarray) -> set[int]:
+def _bytes(side: np.ndarray) -> set[int]:
     """Logical addresses that the objects of one direction take."""
-    (places,), (sizes,) = way["place"], way["size"]
+    (places,), (sizes,) = side["place"], side["size"]
     return {int(a) + k for row in places for a, n in zip(row, sizes, strict=True) if a != NOT_MAPPED for k in range(n)}

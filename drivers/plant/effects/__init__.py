@@ -8,12 +8,12 @@ from typing import Any, get_type_hints
 
 from pydantic import ConfigDict, ValidationError, create_model
 
-from drivers.plant.effects import friction, mechanics, outside, sensing, transmission
-from drivers.plant.effects.base import Effect
+from drivers.plant.effects import friction, mechanics, out_of_catalogue, sensing, transmission
+from drivers.plant.effects.base import PlantEffect
 from schemas.errors import RobotError
 from schemas.toml import explain
 
-CATALOGUE: dict[str, type[Effect]] = {
+CATALOGUE: dict[str, type[PlantEffect]] = {
     "stribeck_friction": friction.StribeckFriction,
     "asymmetric_friction": friction.AsymmetricFriction,
     "load_dependent_friction": friction.LoadDependentFriction,
@@ -45,22 +45,22 @@ CATALOGUE: dict[str, type[Effect]] = {
 }
 # forearm_inertia, the catalogue's last, is in every plant: its forearms are rods
 
-OUTSIDE: dict[str, type[Effect]] = {
-    "contact_rail": outside.ContactRail,
-    "stick_events": outside.StickEvents,
-    "base_resonance": outside.BaseResonance,
-    "torque_dropouts": outside.TorqueDropouts,
-    "torque_constant_drift": outside.TorqueConstantDrift,
-    "hose_jerk": outside.HoseJerk,
-    "belt_tooth": outside.BeltTooth,
-    "cable_memory": outside.CableMemory,
-    "magnet": outside.Magnet,
+OUT_OF_CATALOGUE: dict[str, type[PlantEffect]] = {
+    "contact_rail": out_of_catalogue.ContactRail,
+    "stick_events": out_of_catalogue.StickEvents,
+    "base_resonance": out_of_catalogue.BaseResonance,
+    "torque_dropouts": out_of_catalogue.TorqueDropouts,
+    "torque_constant_drift": out_of_catalogue.TorqueConstantDrift,
+    "hose_jerk": out_of_catalogue.HoseJerk,
+    "belt_tooth": out_of_catalogue.BeltTooth,
+    "cable_memory": out_of_catalogue.CableMemory,
+    "magnet": out_of_catalogue.Magnet,
 }
 
-EFFECTS = CATALOGUE | OUTSIDE
+EFFECTS = CATALOGUE | OUT_OF_CATALOGUE
 
 
-def make_effects(entries: Sequence[Mapping[str, object]], where: str) -> tuple[Effect, ...]:
+def make_effects(entries: Sequence[Mapping[str, object]], where: str) -> tuple[PlantEffect, ...]:
     """Effects from the `[[effect]]` tables of a truth file: `name`, and the fields of its dataclass.
 
     Raises:

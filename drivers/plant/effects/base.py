@@ -16,7 +16,7 @@ JOINTS = np.arange(3)
 
 
 @dataclass
-class Effect:
+class PlantEffect:
     """One unmodelled effect: override the hooks that its physics needs. All vectors are (3,), SI, joint side.
 
     The hooks run in every integration step (0.25 ms or less). An effect that sits on single joints takes one figure a

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import Effect, on_one, signed, touched
+from drivers.plant.effects.base import PlantEffect, on_one, signed, touched
 
 if TYPE_CHECKING:
     from drivers.plant.plant import Friction, Plant
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class StribeckFriction(Effect):
+class StribeckFriction(PlantEffect):
     """Extra breakaway friction that dies out with speed as the lubricant film builds up: f_s exp(-(v/v_s)^2)."""
 
     breakaway_nm: list[float]
@@ -33,7 +33,7 @@ class StribeckFriction(Effect):
 
 
 @dataclass
-class AsymmetricFriction(Effect):
+class AsymmetricFriction(PlantEffect):
     """Gear teeth are loaded on other flanks in the other direction: Coulomb and viscous levels differ between the two.
 
     The figures are forward minus backward.
@@ -62,7 +62,7 @@ class AsymmetricFriction(Effect):
 
 
 @dataclass
-class LoadDependentFriction(Effect):
+class LoadDependentFriction(PlantEffect):
     """Tooth friction grows with the torque through the gear: mu times its magnitude."""
 
     mu: list[float]
@@ -78,7 +78,7 @@ class LoadDependentFriction(Effect):
 
 
 @dataclass
-class NonlinearViscousFriction(Effect):
+class NonlinearViscousFriction(PlantEffect):
     """Churning (positive) or shear-thinning (negative) lubricant: c v |v| beside the viscous friction."""
 
     quadratic_nms2: list[float]
@@ -92,7 +92,7 @@ class NonlinearViscousFriction(Effect):
 
 
 @dataclass
-class PositionDependentFriction(Effect):
+class PositionDependentFriction(PlantEffect):
     """A bearing or gear wheel that runs out of true: the Coulomb level varies with the joint angle."""
 
     amplitude_nm: list[float]
@@ -118,7 +118,7 @@ class PositionDependentFriction(Effect):
 
 
 @dataclass
-class WarmupFriction(Effect):
+class WarmupFriction(PlantEffect):
     """Cold grease: viscous friction is (1 + gain) times its warm value at power-on and decays with a time constant."""
 
     gain: list[float]
@@ -133,7 +133,7 @@ class WarmupFriction(Effect):
 
 
 @dataclass
-class PreslidingFriction(Effect):
+class PreslidingFriction(PlantEffect):
     """Contacts bend before they slide: Coulomb friction builds up over a small displacement (Dahl's law).
 
     dz/dt = v - |v| z sigma_0 / f_c, torque sigma_0 z: after a reversal it changes sides along exp(-x sigma_0 / f_c).
@@ -164,7 +164,7 @@ class PreslidingFriction(Effect):
 
 
 @dataclass
-class PassiveJointFriction(Effect):
+class PassiveJointFriction(PlantEffect):
     """Friction in the twelve ball joints of the forearms: dry and viscous torque against the relative rotation."""
 
     dry_nm: float

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import Effect, on_one, signed, touched
+from drivers.plant.effects.base import PlantEffect, on_one, signed, touched
 
 if TYPE_CHECKING:
     from drivers.plant.mechanism import Design
@@ -21,7 +21,7 @@ def _plus(values: list[float], change: list[float]) -> list[float]:
 
 
 @dataclass
-class RotorInertia(Effect):
+class RotorInertia(PlantEffect):
     """Another motor or gear on one joint: more (or less) inertia reflected to it."""
 
     inertia_kgm2: list[float]
@@ -39,7 +39,7 @@ class RotorInertia(Effect):
 
 
 @dataclass
-class ArmMass(Effect):
+class ArmMass(PlantEffect):
     """A cable, valve or repair on one active link: mass spread along it, so inertia and gravity change together."""
 
     mass_kg: list[float]
@@ -73,7 +73,7 @@ class ArmMass(Effect):
 
 
 @dataclass
-class ToolMass(Effect):
+class ToolMass(PlantEffect):
     """A gripper that the description does not know: mass at the platform."""
 
     mass_kg: float
@@ -87,7 +87,7 @@ class ToolMass(Effect):
 
 
 @dataclass
-class BaseTilt(Effect):
+class BaseTilt(PlantEffect):
     """The base is not level: gravity leans by two angles, rotations about the base's x and y axes."""
 
     about_x_rad: float
@@ -95,8 +95,8 @@ class BaseTilt(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        angle, way = severity * math.radians(rng.uniform(1.5, 4.0)), rng.uniform(0, 2 * math.pi)
-        return cls(float(angle * math.cos(way)), float(angle * math.sin(way)))
+        angle, heading = severity * math.radians(rng.uniform(1.5, 4.0)), rng.uniform(0, 2 * math.pi)
+        return cls(float(angle * math.cos(heading)), float(angle * math.sin(heading)))
 
     def shape(self, design: Design) -> Design:
         x, y, z = design.truth.gravity_mps2
@@ -107,7 +107,7 @@ class BaseTilt(Effect):
 
 
 @dataclass
-class LinkLengthError(Effect):
+class LinkLengthError(PlantEffect):
     """An active link was machined longer or shorter than drawn: its mass centre and inertia go with it."""
 
     length_m: list[float]
@@ -132,7 +132,7 @@ class LinkLengthError(Effect):
 
 
 @dataclass
-class ForearmLengthError(Effect):
+class ForearmLengthError(PlantEffect):
     """A forearm's rods are longer or shorter than drawn, of the same mass."""
 
     length_m: list[float]
@@ -150,7 +150,7 @@ class ForearmLengthError(Effect):
 
 
 @dataclass
-class BaseRadiusError(Effect):
+class BaseRadiusError(PlantEffect):
     """A joint's axis is farther from the base's centre than drawn, or nearer."""
 
     radius_m: list[float]
@@ -168,7 +168,7 @@ class BaseRadiusError(Effect):
 
 
 @dataclass
-class AzimuthError(Effect):
+class AzimuthError(PlantEffect):
     """An arm is mounted at another angle round the base than drawn, and its feet on the platform with it."""
 
     azimuth_rad: list[float]
@@ -187,7 +187,7 @@ class AzimuthError(Effect):
 
 
 @dataclass
-class JointOffset(Effect):
+class JointOffset(PlantEffect):
     """Homing error: the encoder's zero is not where the link is horizontal. Figures are true minus measured angle."""
 
     offset_rad: list[float]
@@ -205,7 +205,7 @@ class JointOffset(Effect):
 
 
 @dataclass
-class JointSpring(Effect):
+class JointSpring(PlantEffect):
     """A counterbalance spring or a stiff cable bundle on a joint: -k (theta - theta_0)."""
 
     stiffness_nmprad: list[float]
@@ -224,7 +224,7 @@ class JointSpring(Effect):
 
 
 @dataclass
-class HoseSpring(Effect):
+class HoseSpring(PlantEffect):
     """A vacuum hose pulls the platform towards the point where it is clamped."""
 
     stiffness_npm: float
@@ -232,9 +232,13 @@ class HoseSpring(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        way, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
+        heading, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
         radius = rng.uniform(0.2, 0.35) * depth
-        point = [float(radius * math.cos(way)), float(radius * math.sin(way)), float(-rng.uniform(0.3, 0.5) * depth)]
+        point = [
+            float(radius * math.cos(heading)),
+            float(radius * math.sin(heading)),
+            float(-rng.uniform(0.3, 0.5) * depth),
+        ]
         return cls(float(severity * rng.uniform(10.0, 22.0)), point)
 
     def platform_force(self, plant: Plant) -> np.ndarray:
@@ -242,7 +246,7 @@ class HoseSpring(Effect):
 
 
 @dataclass
-class AirDrag(Effect):
+class AirDrag(PlantEffect):
     """Air against a flat gripper or product: c v |v| against the platform's motion."""
 
     drag_ns2pm2: float

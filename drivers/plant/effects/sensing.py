@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import Effect, on_one, signed, touched
+from drivers.plant.effects.base import PlantEffect, on_one, signed, touched
 
 if TYPE_CHECKING:
     from drivers.plant.plant import Plant
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class TorqueScale(Effect):
+class TorqueScale(PlantEffect):
     """Torque constant or gear ratio off: the drive reports (1 + error) times the torque that acts."""
 
     error: list[float]
@@ -35,7 +35,7 @@ class TorqueScale(Effect):
 
 
 @dataclass
-class TorqueOffset(Effect):
+class TorqueOffset(PlantEffect):
     """A current sensor with an offset: the drive reports, and regulates, a constant too much."""
 
     offset_nm: list[float]
@@ -53,7 +53,7 @@ class TorqueOffset(Effect):
 
 
 @dataclass
-class TorqueDelay(Effect):
+class TorqueDelay(PlantEffect):
     """The drive reports the torque of a while ago beside the position of now; fractions of a sample too."""
 
     delay_s: float
@@ -75,7 +75,7 @@ class TorqueDelay(Effect):
 
 
 @dataclass
-class TorqueFilter(Effect):
+class TorqueFilter(PlantEffect):
     """The reported torque went through a first-order low-pass in the drive."""
 
     cutoff_hz: float
@@ -94,7 +94,7 @@ class TorqueFilter(Effect):
 
 
 @dataclass
-class Cogging(Effect):
+class Cogging(PlantEffect):
     """Torque ripple of the motor, periodic in its angle; the drive does not see it in its current."""
 
     amplitude_nm: list[float]
@@ -119,7 +119,7 @@ class Cogging(Effect):
 
 
 @dataclass
-class EncoderEccentricity(Effect):
+class EncoderEccentricity(PlantEffect):
     """The encoder disc sits off its axis: the reading errs periodically with the motor angle."""
 
     amplitude_rad: list[float]  # joint side

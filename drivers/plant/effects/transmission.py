@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import Effect, on_one, touched
+from drivers.plant.effects.base import PlantEffect, on_one, touched
 
 if TYPE_CHECKING:
     from drivers.plant.mechanism import Design
@@ -19,7 +19,7 @@ TOOTH_DAMPING_RATIO = 0.15
 
 
 @dataclass
-class JointElasticity(Effect):
+class JointElasticity(PlantEffect):
     """Compliance of gear and coupling: spring and damper between rotor and link."""
 
     stiffness_nmprad: list[float]  # 0: stiff
@@ -38,7 +38,7 @@ class JointElasticity(Effect):
 
 
 @dataclass
-class Backlash(Effect):
+class Backlash(PlantEffect):
     """Lost motion: rotor and link touch only at the two ends of a gap, through teeth that are stiff but not rigid."""
 
     half_gap_rad: list[float]

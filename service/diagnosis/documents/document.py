@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from schemas.axes import Description
-from schemas.diagnosis import Diagnosis, Estimate, Gap, Made, Moved, NamedEffect, Online, Ranked, Rival
+from schemas.diagnosis import Diagnosis, Estimate, Gap, Moved, NamedEffect, Online, Provenance, Ranked, Rival
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
-from service.diagnosis.evidence.rivals import Contest, confusable, contests, undecided
+from service.diagnosis.evidence.rivals import ModelComparison, comparisons, confusable, undecided
 from service.diagnosis.evidence.unseen import unseen
 from service.diagnosis.evidence.where import where, without
 from service.diagnosis.findings import Findings
@@ -33,7 +33,7 @@ def corrected(findings: Findings) -> Description:
     return described(findings.robot, findings.best.hypothesis, findings.errors, findings.noise)
 
 
-def made_from(paths: Iterable[Path]) -> Made:
+def made_from(paths: Iterable[Path]) -> Provenance:
     """Now, from the files among `paths` and in the folders among them."""
     files = [file for path in paths for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
     inputs = {}
@@ -41,13 +41,13 @@ def made_from(paths: Iterable[Path]) -> Made:
         if path.is_file():
             with path.open("rb") as stream:
                 inputs[path.name] = hashlib.file_digest(stream, "sha256").hexdigest()
-    return Made(at=datetime.now(UTC).isoformat(timespec="seconds"), version=version("deltatwin"), inputs=inputs)
+    return Provenance(at=datetime.now(UTC).isoformat(timespec="seconds"), version=version("deltatwin"), inputs=inputs)
 
 
-def document(findings: Findings, tests: Sequence[Trace] = (), made: Made | None = None) -> Diagnosis:
+def document(findings: Findings, tests: Sequence[Trace] = (), made: Provenance | None = None) -> Diagnosis:
     """`diagnosis.json`. tests: logs to try the correction on, kept out of everything else."""
     problem, split = findings.problem, findings.split
-    rounds = contests(findings.selection, split, problem.count)
+    compared = comparisons(findings.selection, split, problem.count)
     before = statistics.rms_per_joint(problem, findings.before)
     after = statistics.rms_per_joint(problem, findings.after)
     before_blocks = statistics.pooled_squares(problem, findings.before, split)
@@ -65,10 +65,10 @@ def document(findings: Findings, tests: Sequence[Trace] = (), made: Made | None 
         robot=findings.robot.name,
         traces=sorted({recording.name for recording in problem.recordings}),
         verdict=findings.verdict,
-        effects=_effects(findings, rounds),
+        effects=_effects(findings, compared),
         cannot_tell=findings.cannot_tell,
-        ranking=_ranking(findings, rounds),
-        probability_none=_none(findings, rounds),
+        ranking=_ranking(findings, compared),
+        probability_none=_none(findings, compared),
         probability_unknown=_unknown(findings),
         plain={known.name: digits(plain[index]) for index, known in enumerate(base)},
         base={
@@ -92,7 +92,7 @@ def document(findings: Findings, tests: Sequence[Trace] = (), made: Made | None 
         given=[term.effect.name for term in findings.given],
         follows=findings.follows,
         moved=_moved(findings),
-        rivals=_rivals(findings, rounds),
+        rivals=_rivals(findings, compared),
     )
 
 
@@ -137,7 +137,7 @@ def _meaning(effect: Effect, parameter: str, suffix: str) -> str:
     return quantities[name].meaning + (f", joint {joint.partition('_')[0]}" if joint[:1].isdigit() else "")
 
 
-def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
+def _effects(findings: Findings, comparisons: list[ModelComparison]) -> list[NamedEffect]:
     hypothesis = findings.best.hypothesis
     every = Parameters(hypothesis)
     parameters: dict[Effect, dict[str, Estimate]] = {}
@@ -160,7 +160,7 @@ def _effects(findings: Findings, rounds: list[Contest]) -> list[NamedEffect]:
     result = []
     for effect, found in parameters.items():
         lost = sum(float(r @ r) for r in without(findings, effect)) - findings.best.loss
-        probability = max((contest.probability(effect.name) for contest in rounds), default=0.0)
+        probability = max((comparison.probability(effect.name) for comparison in comparisons), default=0.0)
         result.append(
             NamedEffect(
                 name=effect.name,
@@ -184,14 +184,14 @@ def _online(effect: Effect) -> Online:
     return Online(carried=False, reason="of_the_measurement" if effect.measured else "no_online_form")
 
 
-def _ranking(findings: Findings, rounds: list[Contest]) -> list[Ranked]:
+def _ranking(findings: Findings, comparisons: list[ModelComparison]) -> list[Ranked]:
     """Every rival of the effects named, in the round in which it lost, and the named ones in the round they won."""
     best: dict[str, Ranked] = {}
     count = findings.problem.count
     level = float(np.sqrt(np.mean(findings.problem.sigma**2)))
     named = {term.effect.name for term in findings.best.hypothesis.terms}
-    for number, contest in enumerate(rounds):
-        for scored, probability in contest.candidates:
+    for number, comparison in enumerate(comparisons):
+        for scored, probability in comparison.candidates:
             if number and scored.names[-1] not in named:
                 continue
             entry = Ranked(
@@ -199,7 +199,7 @@ def _ranking(findings: Findings, rounds: list[Contest]) -> list[Ranked]:
                 joints=[joint + 1 for joint in scored.hypothesis.terms[-1].joints],
                 probability=round(probability, 4),
                 after_nm=digits(level * (scored.loss / count) ** 0.5),
-                shrink=round(1.0 - (scored.loss / contest.before.loss) ** 0.5, 4),
+                shrink=round(1.0 - (scored.loss / comparison.before.loss) ** 0.5, 4),
             )
             known = best.get(entry.name)
             if known is None or entry.probability > known.probability:
@@ -207,14 +207,14 @@ def _ranking(findings: Findings, rounds: list[Contest]) -> list[Ranked]:
     return sorted(best.values(), key=lambda entry: (-entry.probability, entry.after_nm))
 
 
-def _rivals(findings: Findings, rounds: list[Contest]) -> list[Rival]:
+def _rivals(findings: Findings, comparisons: list[ModelComparison]) -> list[Rival]:
     """The candidates of the round that is decided least, as far as the gap shrinks by them."""
-    contest = undecided(findings.selection, rounds)
-    if contest is None or not isinstance(findings.robot, Robot):  # motions are planned for a Delta
+    comparison = undecided(findings.selection, comparisons)
+    if comparison is None or not isinstance(findings.robot, Robot):  # motions are planned for a Delta
         return []
     found = []
-    for scored, probability in contest.candidates:
-        shrink = 1.0 - (scored.loss / contest.before.loss) ** 0.5
+    for scored, probability in comparison.candidates:
+        shrink = 1.0 - (scored.loss / comparison.before.loss) ** 0.5
         terms = scored.hypothesis.terms
         if shrink > 0:
             effects = [entry(term, np.zeros(term.amplitude.size + len(term.shape)), findings.robot) for term in terms]
@@ -222,8 +222,8 @@ def _rivals(findings: Findings, rounds: list[Contest]) -> list[Rival]:
     return sorted(found, key=lambda rival: -rival.shrink)
 
 
-def _none(findings: Findings, rounds: list[Contest]) -> float:
-    return round(rounds[0].none, 4) if rounds else 1.0
+def _none(findings: Findings, comparisons: list[ModelComparison]) -> float:
+    return round(comparisons[0].none, 4) if comparisons else 1.0
 
 
 def _unknown(findings: Findings) -> float:

@@ -11,7 +11,7 @@ from scipy.signal import welch
 
 from schemas.diagnosis import Diagnosis
 from service.diagnosis.documents.text import ONLINE, answer, in_words, paragraphs
-from service.diagnosis.evidence.where import Rows
+from service.diagnosis.evidence.where import RowStates
 from service.diagnosis.findings import Findings
 from service.model.description import in_units_of
 from service.model.hypothesis import Hypothesis
@@ -183,7 +183,7 @@ def _mean_map(x: np.ndarray, y: np.ndarray, value: np.ndarray) -> tuple[np.ndarr
 
 
 def _maps(findings: Findings) -> go.Figure:
-    rows = Rows.of(findings.problem, findings.best.hypothesis)
+    rows = RowStates.of(findings.problem, findings.best.hypothesis)
     n = len(findings.problem.sigma)
     figure = make_subplots(
         rows=2, cols=n, vertical_spacing=0.06,
@@ -213,7 +213,7 @@ def _maps(findings: Findings) -> go.Figure:
 
 
 def _workspace(findings: Findings) -> go.Figure | None:
-    rows = Rows.of(findings.problem, findings.best.hypothesis)
+    rows = RowStates.of(findings.problem, findings.best.hypothesis)
     if rows.platform is None:
         return None
     figure = make_subplots(rows=1, cols=2, subplot_titles=["before", "after"])

@@ -30,7 +30,7 @@ LOOP_ALONE = 0.25  # of what speed leaves of it that is left at most when the er
 
 
 @dataclass(frozen=True)
-class Offer:
+class SearchScope:
     """What may be looked for. still: joints that hardly move. one_way: without reversals. closed: joints whose torque
     is the controller's answer to their position error. enough: any at all."""
 
@@ -49,7 +49,7 @@ class Offer:
         return joint not in self.still and not (joint in self.one_way and effect.directional)
 
 
-def limits_of(problem: Problem, loops: dict[int, float] | None = None) -> Offer:
+def limits_of(problem: Problem, loops: dict[int, float] | None = None) -> SearchScope:
     """Joints at rest, joints without reversals, too little motion. loops: gains of closed loops, by joint."""
     joints = len(problem.sigma)
     forward, backward = np.zeros(joints), np.zeros(joints)
@@ -73,7 +73,7 @@ def limits_of(problem: Problem, loops: dict[int, float] | None = None) -> Offer:
         cautions.append(Caution(code="one_run", advice="record_runs"))
     for joint, gain in sorted((loops or {}).items()):
         cautions.append(Caution(code="closed_loop", joints=[joint + 1], gain=gain, advice="measure_torque"))
-    return Offer(still, one_way, frozenset(loops or ()), enough, cautions)
+    return SearchScope(still, one_way, frozenset(loops or ()), enough, cautions)
 
 
 def loops_of(problem: Problem, traces: Sequence[Trace]) -> dict[int, float]:

@@ -15,7 +15,7 @@ SAME_SHARE = 0.95  # of an effect's gain: a rival that reaches it does the same 
 
 
 @dataclass(frozen=True)
-class Contest:
+class ModelComparison:
     """One round of the search: each hypothesis's effect with its probability, and that of adding none to `before`."""
 
     before: Scored
@@ -27,7 +27,7 @@ class Contest:
         return next((p for scored, p in self.candidates if scored.names[-1] == name), 0.0)
 
 
-def contests(selection: Selection, split: Split, rows: int, seed: int = 0) -> list[Contest]:
+def comparisons(selection: Selection, split: Split, rows: int, seed: int = 0) -> list[ModelComparison]:
     """The rounds of a search, weighed on bootstrap draws of its blocks."""
     draw = np.random.default_rng(seed).integers(0, split.blocks, (DRAWS, split.blocks))
     parent, result = selection.none, []
@@ -38,19 +38,19 @@ def contests(selection: Selection, split: Split, rows: int, seed: int = 0) -> li
         loss[-1] -= LEAST_GAIN * rows  # an addition has to be worth it
         loss[sizes > sizes[0]] += SIMPLER_SHARE * max(parent.loss - tried[0].loss, 0.0)  # as the search weighs them
         wins = np.bincount(np.argmin(loss, axis=0), minlength=len(hypotheses)) / DRAWS
-        result.append(Contest(parent, list(zip(tried, wins[:-1].tolist(), strict=True)), float(wins[-1])))
+        result.append(ModelComparison(parent, list(zip(tried, wins[:-1].tolist(), strict=True)), float(wins[-1])))
         if taken is not None:
             parent = selection.after(taken)
     return result
 
 
-def undecided(selection: Selection, rounds: list[Contest]) -> Contest | None:
+def undecided(selection: Selection, rounds: list[ModelComparison]) -> ModelComparison | None:
     """The first round whose winner others might be as well; where there is none, the first of all."""
-    for contest, (_, taken) in zip(rounds, selection.path, strict=True):
+    for comparison, (_, taken) in zip(rounds, selection.path, strict=True):
         if taken is not None:
             name = taken.names[-1]
-            if contest.probability(name) < SURE or confusable(selection, name):
-                return contest
+            if comparison.probability(name) < SURE or confusable(selection, name):
+                return comparison
     return rounds[0] if rounds else None
 
 

@@ -74,7 +74,7 @@ def _simulated(findings: Findings, trace: Trace) -> Simulated | None:
     for name, hypothesis in (("before", findings.reference), ("after", findings.best.hypothesis)):
         robots[name] = described(robot, hypothesis, np.zeros(len(Parameters(hypothesis).values)), findings.noise)
     found = rollout(robots, [trace])
-    before, after, floor = (reached(course) for course in (*found.courses, found.floor))
+    before, after, floor = (reached(deviation) for deviation in (*found.deviations, found.floor))
     return Simulated(
         horizon_s=found.horizon,
         windows=len(found.runs),

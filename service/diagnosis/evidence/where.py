@@ -25,7 +25,7 @@ MOST_BURSTS = 60  # told, strongest first
 
 
 @dataclass(frozen=True)
-class Rows:
+class RowStates:
     """Every row's joint, residual and state. All (R,) over all recordings; platform (R, 3) m or None."""
 
     joint: np.ndarray
@@ -37,7 +37,7 @@ class Rows:
     platform: np.ndarray | None
 
     @classmethod
-    def of(cls, problem: Problem, hypothesis: Hypothesis) -> Rows:
+    def of(cls, problem: Problem, hypothesis: Hypothesis) -> RowStates:
         """The state at each row of the problem."""
         parts: list[list[np.ndarray]] = [[] for _ in range(5)]
         platforms: list[np.ndarray] = []
@@ -107,7 +107,7 @@ def without(findings: Findings, effect: Effect) -> list[np.ndarray]:
     return held_out(replace(fitted, residuals=residuals, free=free), findings.split)
 
 
-def regimes(findings: Findings, rows: Rows, residuals: list[np.ndarray], joint: int) -> list[Regime]:
+def regimes(findings: Findings, rows: RowStates, residuals: list[np.ndarray], joint: int) -> list[Regime]:
     """Share of one joint's gap above the noise in each regime, strongest concentration first."""
     residual = np.concatenate(residuals)
     mine = rows.joint == joint
@@ -178,7 +178,7 @@ def spectrum(findings: Findings, residuals: list[np.ndarray], joint: int) -> lis
 
 def where(findings: Findings) -> Where:
     """The `where` section of the document."""
-    problem, rows = findings.problem, Rows.of(findings.problem, findings.best.hypothesis)
+    problem, rows = findings.problem, RowStates.of(findings.problem, findings.best.hypothesis)
     moving = sum(int(r.segment.moving.sum()) for r in problem.recordings)
     samples = sum(r.segment.moving.size for r in problem.recordings)
     found = events_of(problem, findings.after)

@@ -19,7 +19,7 @@ from service.model.scene import Scene
 
 @njit(cache=True)
 def _online(effect, now, i):
-    v = now.velocity
+    v = now.pose.velocity
     speed = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     return effect.amplitude[0, 0] * speed * at_platform(now, i, v[0], v[1], v[2])
 

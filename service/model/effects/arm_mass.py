@@ -20,7 +20,7 @@ from service.model.scene import Scene
 @njit(cache=True)
 def _online(effect, now, i):
     length, g = now.model.active_length[i], now.model.gravity
-    weight = (now.elbow[i, 0] * g[0] + now.elbow[i, 1] * g[1] + now.elbow[i, 2] * g[2]) / 2.0
+    weight = (now.pose.elbow[i, 0] * g[0] + now.pose.elbow[i, 1] * g[1] + now.pose.elbow[i, 2] * g[2]) / 2.0
     return effect.amplitude[i, 0] * (length * length / 3.0 * now.theta_ddot[i] - weight)
 
 

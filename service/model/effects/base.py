@@ -22,11 +22,10 @@ from service.model.scene import Scene
 
 
 class Instant(NamedTuple):
-    """What an online form reads of the present sample: arrays (3,), but column and elbow (3, 3), row i of arm i.
+    """What an online form reads of the present sample; arrays are (3,).
 
-    model: record of DeltaModel. way: direction of motion in [-1, 1]. load: N m, rigid torque through the gears.
-    seconds: of the bus clock. position, velocity, acceleration: of the platform, m, m/s, m/s^2. J[axis, i] is
-    column[i, axis] lever[i]; elbow: dJ'_i/dtheta_i, m.
+    model: record of DeltaModel. direction: of motion, in [-1, 1]. load: N m, rigid torque through the gears. seconds:
+    of the bus clock. pose: record of `kinematics.POSE`, as the terms kernel left it for this motion.
     """
 
     model: Any
@@ -34,21 +33,17 @@ class Instant(NamedTuple):
     theta: np.ndarray
     theta_dot: np.ndarray
     theta_ddot: np.ndarray
-    way: np.ndarray
+    direction: np.ndarray
     load: np.ndarray
     seconds: float
-    position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    column: np.ndarray
-    elbow: np.ndarray
-    lever: np.ndarray
+    pose: Any
 
 
 @njit(cache=True)
 def at_platform(now, i, x, y, z):
     """Torque of joint i, N m, that holds a force x, y, z, N, acting from the platform on its surroundings."""
-    return now.lever[i] * (now.column[i, 0] * x + now.column[i, 1] * y + now.column[i, 2] * z)
+    column = now.pose.column
+    return now.pose.lever[i] * (column[i, 0] * x + column[i, 1] * y + column[i, 2] * z)
 
 
 @dataclass(frozen=True)

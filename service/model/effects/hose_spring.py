@@ -18,7 +18,7 @@ from service.model.scene import Scene
 
 @njit(cache=True)
 def _online(effect, now, i):
-    a, p = effect.amplitude[0], now.position
+    a, p = effect.amplitude[0], now.pose.position
     return at_platform(now, i, a[0] * p[0] + a[1], a[0] * p[1] + a[2], a[0] * p[2] + a[3])
 
 

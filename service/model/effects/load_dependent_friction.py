@@ -18,7 +18,7 @@ from service.model.scene import Scene
 
 @njit(cache=True)
 def _online(effect, now, i):
-    return effect.amplitude[i, 0] * abs(now.load[i]) * now.way[i]
+    return effect.amplitude[i, 0] * abs(now.load[i]) * now.direction[i]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from service.model.scene import Scene
 
 @njit(cache=True)
 def _online(effect, now, i):
-    return effect.amplitude[i, 0] * now.way[i] * abs(now.theta_dot[i]) ** effect.shape[0]
+    return effect.amplitude[i, 0] * now.direction[i] * abs(now.theta_dot[i]) ** effect.shape[0]
 
 
 @dataclass(frozen=True)

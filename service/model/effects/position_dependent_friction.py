@@ -20,7 +20,7 @@ from service.model.scene import Scene
 @njit(cache=True)
 def _online(effect, now, i):
     angle = effect.shape[0] * now.theta[i]
-    return (effect.amplitude[i, 0] * math.cos(angle) + effect.amplitude[i, 1] * math.sin(angle)) * now.way[i]
+    return (effect.amplitude[i, 0] * math.cos(angle) + effect.amplitude[i, 1] * math.sin(angle)) * now.direction[i]
 
 
 @dataclass(frozen=True)

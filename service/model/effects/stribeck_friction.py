@@ -19,7 +19,7 @@ from service.model.scene import Scene
 
 @njit(cache=True)
 def _online(effect, now, i):
-    return effect.amplitude[i, 0] * now.way[i] * math.exp(-((now.theta_dot[i] / effect.shape[0]) ** 2))
+    return effect.amplitude[i, 0] * now.direction[i] * math.exp(-((now.theta_dot[i] / effect.shape[0]) ** 2))
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from service.model.scene import Scene
 
 @njit(cache=True)
 def _online(effect, now, i):
-    a = now.acceleration
+    a = now.pose.acceleration
     g = now.model.gravity
     return effect.amplitude[0, 0] * at_platform(now, i, a[0] - g[0], a[1] - g[1], a[2] - g[2])
 

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from drivers.ethercat.cia402 import Scale
-from drivers.ethercat.course import Course, course
 from drivers.ethercat.master import BRING_UP_TIME, FAULTY_TIME, Master, OffsetRamp, follow
+from drivers.ethercat.setpoints import Setpoints, setpoints
 from drivers.motion import Planner, Trajectory
 from drivers.segment.wire import INPUT_DELAY_CYCLES
 from drivers.trace import read_trace
@@ -88,12 +88,14 @@ def plan(folder: Path) -> Trajectory:
 
 
 def run(
-    robot: Robot, at_start: Callable[[], None] = lambda: None, change: Callable[[Course], Course] = lambda whole: whole
+    robot: Robot,
+    at_start: Callable[[], None] = lambda: None,
+    change: Callable[[Setpoints], Setpoints] = lambda whole: whole,
 ) -> np.ndarray:
     """Records of SAMPLE of every cycle of a short pick-and-place."""
     taken, motion = [], plan(robot.folder)
     with Master(rig.NEAR, robot, PERIOD, wait_until) as master:
-        whole = change(course(master.operate(), motion))
+        whole = change(setpoints(master.operate(), motion))
         offset = OffsetRamp(master.scale, math.inf, 5000.0, FADE, PERIOD)
         at_start()
         for sample in follow(master, whole, nothing, offset):
@@ -141,7 +143,7 @@ def test_a_target_that_jumps_or_cannot_be_is_not_sent(
 ) -> None:
     segment = start(space, files)
 
-    def jumping(whole: Course) -> Course:
+    def jumping(whole: Setpoints) -> Setpoints:
         position = whole.position.copy()
         position[50, joint - 1] = target
         return dataclasses.replace(whole, position=position)

@@ -19,7 +19,7 @@ from drivers.ethercat.process_data.layout import make_layout
 from drivers.plant.plant import Plant
 from drivers.segment.esc import AL_STATUS_CODE, DL_STATUS, STATION_ADDRESS, SYNC_MANAGER, Code
 from drivers.segment.sii import INPUT_ADDRESS, INPUT_CONTROL, OUTPUT_ADDRESS, OUTPUT_CONTROL
-from drivers.segment.wire import INPUT_DELAY_CYCLES, Segment
+from drivers.segment.wire import INPUT_DELAY_CYCLES, EthercatSegment
 from schemas.errors import RobotError
 from schemas.messages import Gripper, SampleFlag, stamp_ns
 from schemas.robot import GripperInput
@@ -40,7 +40,7 @@ class Bench:
         self.scales = cia402.scales(robot.drive)
         self.pdos = joint_pdos(robot)
         self.plant = Plant(robot, period=PERIOD)
-        self.segment = Segment(self.pdos, self.scales, self.plant)
+        self.segment = EthercatSegment(self.pdos, self.scales, self.plant)
         self.outputs = [rx.blank() for rx, _ in self.pdos]
         self.passed: list[tuple[int, bytes]] = []  # frames as an analyzer would see them, both ways, and when, ns
         for number, address in enumerate(STATIONS):
@@ -140,7 +140,7 @@ def test_every_frame_of_the_rigs_master_counts_as_it_did_on_the_rig(shared: Path
     inputs = ("0x6041", "0x6064", "0x606C", "0x6077", "0x6061")
     robot = rig.robot(tmp_path, outputs=("0x6040", "0x607A", "0x6071", "0x6060"), inputs=inputs)
     plant = Plant(robot, period=250e-6)
-    segment = Segment(joint_pdos(robot), cia402.scales(robot.drive), plant)
+    segment = EthercatSegment(joint_pdos(robot), cia402.scales(robot.drive), plant)
     (frames,) = Capture(shared / "captures" / "own_three_drives_4khz.pcap").blocks()
     packets = [frames.data[at : at + size].tobytes() for at, size in zip(frames.offset, frames.length, strict=True)]
     compared = 0

@@ -12,12 +12,12 @@ from drivers.motion import Planner, Trajectory
 from drivers.plant.effects import (
     CATALOGUE,
     EFFECTS,
-    OUTSIDE,
-    Effect,
+    OUT_OF_CATALOGUE,
+    PlantEffect,
     friction,
     make_effects,
     mechanics,
-    outside,
+    out_of_catalogue,
     sensing,
     transmission,
 )
@@ -80,8 +80,8 @@ def test_an_effect_can_be_written_into_a_truth_file(name: str, truth: PlantTruth
 
 def test_catalogue_is_complete_and_apart_from_what_is_outside() -> None:
     assert len(CATALOGUE) == 28  # and forearm_inertia, which is in every plant
-    assert len(OUTSIDE) >= 5
-    assert not set(CATALOGUE) & set(OUTSIDE)
+    assert len(OUT_OF_CATALOGUE) >= 5
+    assert not set(CATALOGUE) & set(OUT_OF_CATALOGUE)
 
 
 def test_backlash_lets_the_link_lag_by_its_gap_and_no_more(robot: Robot, truth: PlantTruth, run: Trajectory) -> None:
@@ -155,7 +155,7 @@ def test_masses_tilt_springs_hang_as_they_should(robot: Robot, truth: PlantTruth
     pose = np.array([0.2, 0.3, 0.1])
     plain = holding_torque(Plant(robot, truth).mechanism, pose)
 
-    def held(effect: Effect) -> np.ndarray:
+    def held(effect: PlantEffect) -> np.ndarray:
         return holding_torque(Plant(robot, truth, (effect,)).mechanism, pose) - plain
 
     length, g = robot.geometry.active_link_length, -robot.gravity_mps2[2]
@@ -193,7 +193,9 @@ def test_drag_goes_with_the_square_of_the_speed(robot: Robot, truth: PlantTruth,
 def test_friction_laws(robot: Robot, truth: PlantTruth) -> None:
     plant = Plant(robot, truth)
 
-    def levels(effect: Effect, speed: float, load: float = 0.0, angle: float = 0.2, time: float = 0.0) -> np.ndarray:
+    def levels(
+        effect: PlantEffect, speed: float, load: float = 0.0, angle: float = 0.2, time: float = 0.0
+    ) -> np.ndarray:
         plant.effects = plant._on_friction = (effect,)
         plant.motor_dot, plant.load = np.full(3, speed), np.full(3, load)
         plant.motor, plant.time = np.full(3, angle), time
@@ -243,7 +245,7 @@ def test_ball_joints_take_energy_and_nothing_else(robot: Robot, run: Trajectory)
 
 
 def test_frame_swings_at_its_own_frequency(robot: Robot, truth: PlantTruth) -> None:
-    plant = Plant(robot, truth, (outside.BaseResonance(30.0, 8.0, 0.01, 0.4),))
+    plant = Plant(robot, truth, (out_of_catalogue.BaseResonance(30.0, 8.0, 0.01, 0.4),))
     base = plant.mechanism.model.joint("base").id
     here = Target(np.full(3, 0.2), np.zeros(3))
     plant.reset(here.position)
@@ -262,20 +264,20 @@ def test_frame_swings_at_its_own_frequency(robot: Robot, truth: PlantTruth) -> N
 
 
 def test_outside_events_come_and_go(robot: Robot, truth: PlantTruth, run: Trajectory) -> None:
-    stick = outside.StickEvents([4.0, 0.0, 0.0], 20.0, 0.02)
+    stick = out_of_catalogue.StickEvents([4.0, 0.0, 0.0], 20.0, 0.02)
     plant = Plant(robot, truth, (stick,), seed=3)
     level = watched(plant, run, lambda p: p.friction.forward[0])
     assert set(np.round(np.unique(level), 6)) == {3.0, 7.0}
-    drops = outside.TorqueDropouts([0.0, 0.5, 0.0], 20.0, 0.01)
+    drops = out_of_catalogue.TorqueDropouts([0.0, 0.5, 0.0], 20.0, 0.01)
     plant = Plant(robot, truth, (drops,), seed=3)
     share = watched(plant, run, lambda p: p.torque[1] / p.motor_command[1])
     assert set(np.round(np.unique(share), 6)) == {0.5, 1.0}
-    drift = outside.TorqueConstantDrift([0.3] * 3, 12.0, 0.5)
+    drift = out_of_catalogue.TorqueConstantDrift([0.3] * 3, 12.0, 0.5)
     plant = Plant(robot, truth, (drift,))
     lost = watched(plant, run, lambda p: p.torque[0] / p.motor_command[0])
     assert lost[0] > 0.999
     assert lost[-1] < 0.99
-    hose = outside.HoseJerk(200.0, 0.4, [0.2, 0.0, -0.35])
+    hose = out_of_catalogue.HoseJerk(200.0, 0.4, [0.2, 0.0, -0.35])
     plant = Plant(robot, truth, (hose,))
     force = watched(plant, run, hose.platform_force)
     slack = watched(plant, run, lambda p: np.linalg.norm(p.platform - hose.point_m)) < 0.4

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.trace.quality import Rows, check
+from drivers.trace.quality import RowNames, check
 from schemas.axes import Axes, Axis
 from schemas.trace import Trace
 
@@ -23,7 +23,7 @@ def turning(speed: float) -> Trace:
 def test_garbage_for_a_stamp_is_told_in_one_short_line():
     made = turning(5.0)
     made.time[1000] = 3.5e149
-    found = check(made, Rows("line", np.arange(len(made)) + 2), MOTOR)
+    found = check(made, RowNames("line", np.arange(len(made)) + 2), MOTOR)
     assert len(found.findings) >= 1
     assert all(len(finding.message) < 200 for finding in found.findings)
 

@@ -48,7 +48,7 @@ def test_layout_names_fields_that_the_messages_have() -> None:
 
 def test_a_client_gets_the_messages_as_they_are_and_the_robot(bus_folder: Path, bench_robot: Path) -> None:
     pytest.importorskip("foxglove")
-    from drivers.view.server import View
+    from drivers.view.server import LiveView
 
     robot = load_robot(bench_robot)
     samples, payloads = SAMPLE.empty(COUNT), PAYLOAD.empty(COUNT)
@@ -57,7 +57,7 @@ def test_a_client_gets_the_messages_as_they_are_and_the_robot(bus_folder: Path, 
     samples["torque"] = np.arange(COUNT)[:, None]
     payloads["event"][PICK] = PayloadEvent.PICK
 
-    async def look(view: View) -> tuple[dict[str, dict], dict[str, list[tuple[int, bytes]]]]:
+    async def look(view: LiveView) -> tuple[dict[str, dict], dict[str, list[tuple[int, bytes]]]]:
         request = HTTPRequest(f"ws://127.0.0.1:{view.port}")
         client = await websocket_connect(request, subprotocols=["foxglove.sdk.v1"])
         channels: dict[str, dict] = {}
@@ -97,7 +97,7 @@ def test_a_client_gets_the_messages_as_they_are_and_the_robot(bus_folder: Path, 
     with (
         open_bus(robot.name, Role.PLAYER) as player,
         open_bus(robot.name, Role.OBSERVER) as bus,
-        View(bus, robot, "127.0.0.1", 0) as view,
+        LiveView(bus, robot, "127.0.0.1", 0) as view,
     ):
         publishers = {topic: player.publisher(topic) for topic in ("sample", "payload")}
         assert all(publisher.wait_until_heard(10.0) for publisher in publishers.values())

@@ -16,7 +16,7 @@ import pytest
 from drivers.trace import write_trace
 from replay.demo import LOG, ROBOT
 from schemas.trace import Trace
-from service.monitor.recording import Recording
+from service.monitor.recording import RecordingWriter
 from tests.service.monitor.test_recording import SAMPLE, WALL_NS, filled
 
 PEER = Path(__file__).with_name("disk_peer.py")
@@ -50,7 +50,7 @@ def inputs(tmp_path: Path, bench_robot: Path) -> Path:
     motion = 0.5 + 0.3 * np.sin(2 * np.pi * np.outer(time, [0.7, 1.1, 1.7]) + [0, 1, 2])
     torque = -5 * np.cos(motion) + 0.1 * np.random.default_rng(0).standard_normal(motion.shape)
     write_trace(Trace(Path("made"), time, motion, torque), tmp_path / "log.csv")
-    recording = Recording(tmp_path / "run.mcap", "bench")
+    recording = RecordingWriter(tmp_path / "run.mcap", "bench")
     recording.write("sample", filled(SAMPLE, 3000), WALL_NS + np.arange(3000))
     recording.close()
     (tmp_path / "disk").mkdir()

@@ -11,7 +11,7 @@ from schemas.axes import Axes, Axis
 from schemas.trace import Trace
 from service.diagnosis.documents.text import sentences
 from tests.service.subject import CATALOGUE, EFFECTS, diagnose, document
-from tests.service.world import PERIOD, sines, way
+from tests.service.world import PERIOD, direction, sines
 
 SECONDS = 5.0
 
@@ -21,7 +21,7 @@ def two_axes(seed: int, coupling: float, weight: float = 0.0, noise: float = 0.0
     time = np.arange(round(SECONDS / PERIOD)) * PERIOD
     theta, speed, acceleration = (signal[:, :2] for signal in sines(seed, 0.8)(time))
     random = np.random.default_rng([seed, 3])
-    torque = 0.5 * acceleration + 0.4 * speed + 0.6 * way(speed)
+    torque = 0.5 * acceleration + 0.4 * speed + 0.6 * direction(speed)
     torque[:, 1] += coupling * acceleration[:, 0] + weight * np.sin(theta[:, 1])
     torque += noise * random.standard_normal(torque.shape)
     return Trace(Path(f"run_{seed}.csv"), time, theta + 1e-7 * random.standard_normal(theta.shape), torque)

@@ -146,7 +146,7 @@ def test_the_table_counts_right() -> None:
         row(5, [], "within_noise", 0.0, 0.0),  # too small to count
         row(6, [("asymmetric_friction", [1])], "explained", 0.5, 0.5),  # no motion tells it from an offset
         row(7, [], "unexplained", 0.0, 0.0),
-        row(8, [("cogging", [2])], "explained", 0.5, 0.1),  # outside the catalogue, and not said
+        row(8, [("cogging", [2])], "explained", 0.5, 0.1),  # out of catalogue, and not said
         row(9, [("torque_scale", [2]), ("stribeck_friction", [1, 2, 3])], "explained", 0.5, 0.5),
         row(10, [("stribeck_friction", [1, 2, 3])], "partly_explained", 0.5, 0.5),
         {"case": "case_011", "error": "DataError: broken"},

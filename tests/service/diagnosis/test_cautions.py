@@ -31,33 +31,33 @@ SWING = np.sin(np.arange(1000) * 0.02)
 
 
 def test_a_single_moving_joint_leaves_the_robot_as_a_whole_open():
-    offer = limits_of(motion(SWING, 0 * SWING, 0 * SWING))
-    assert offer.allows(EFFECTS["torque_scale"], 0)
-    assert not offer.allows(EFFECTS["torque_scale"], 1)
-    assert not offer.allows(EFFECTS["hose_spring"], 0)
-    assert [(one.code, one.joints) for one in offer.cautions] == [("joints_at_rest", [2, 3]), ("one_run", [])]
+    scope = limits_of(motion(SWING, 0 * SWING, 0 * SWING))
+    assert scope.allows(EFFECTS["torque_scale"], 0)
+    assert not scope.allows(EFFECTS["torque_scale"], 1)
+    assert not scope.allows(EFFECTS["hose_spring"], 0)
+    assert [(one.code, one.joints) for one in scope.cautions] == [("joints_at_rest", [2, 3]), ("one_run", [])]
 
 
 def test_without_reversals_friction_is_not_looked_for():
-    offer = limits_of(motion(1.0 + 0 * SWING, SWING, SWING))
-    assert not offer.allows(EFFECTS["asymmetric_friction"], 0)
-    assert offer.allows(EFFECTS["asymmetric_friction"], 1)
-    assert [(one.code, one.joints) for one in offer.cautions] == [("one_way", [1]), ("one_run", [])]
+    scope = limits_of(motion(1.0 + 0 * SWING, SWING, SWING))
+    assert not scope.allows(EFFECTS["asymmetric_friction"], 0)
+    assert scope.allows(EFFECTS["asymmetric_friction"], 1)
+    assert [(one.code, one.joints) for one in scope.cautions] == [("one_way", [1]), ("one_run", [])]
 
 
 def test_of_a_torque_that_was_not_measured_nothing_is_said_to_be_done_to_it():
-    offer = limits_of(motion(SWING, SWING, SWING), {0: 40.0})
-    assert not offer.allows(EFFECTS["torque_delay"], 0)
-    assert not offer.allows(EFFECTS["torque_scale"], 0)
-    assert offer.allows(EFFECTS["torque_scale"], 1)
-    assert offer.allows(EFFECTS["joint_spring"], 0)
-    assert ("closed_loop", [1], 40.0) in [(one.code, one.joints, one.gain) for one in offer.cautions]
+    scope = limits_of(motion(SWING, SWING, SWING), {0: 40.0})
+    assert not scope.allows(EFFECTS["torque_delay"], 0)
+    assert not scope.allows(EFFECTS["torque_scale"], 0)
+    assert scope.allows(EFFECTS["torque_scale"], 1)
+    assert scope.allows(EFFECTS["joint_spring"], 0)
+    assert ("closed_loop", [1], 40.0) in [(one.code, one.joints, one.gain) for one in scope.cautions]
 
 
 def test_a_short_log_is_too_little():
-    offer = limits_of(motion(*[SWING[:200]] * 3))
-    assert not offer.enough
-    assert [(one.code, one.advice) for one in offer.cautions] == [("too_little_motion", "record_runs")]
+    scope = limits_of(motion(*[SWING[:200]] * 3))
+    assert not scope.enough
+    assert [(one.code, one.advice) for one in scope.cautions] == [("too_little_motion", "record_runs")]
 
 
 @pytest.fixture(scope="module")

@@ -163,7 +163,7 @@ def test_the_probability_is_the_share_of_draws_won():
     )
     useless = scored([np.hstack([b, random.standard_normal((300, 1))]) for b in base], target, split, "useless")
     found = Selection(none, true, [([true, twin, useless], true), ([useless], None)], {})
-    first, second = evidence.contests(found, split, rows(split))
+    first, second = evidence.comparisons(found, split, rows(split))
     assert first.none == 0.0
     assert first.probability("useless") == 0.0
     assert first.probability("never tried") == 0.0

@@ -51,7 +51,7 @@ def test_without_an_effect_is_the_refit_of_the_others(findings):
 
 @pytest.fixture(scope="module")
 def rows(findings):
-    return where.Rows.of(findings.problem, findings.best.hypothesis)
+    return where.RowStates.of(findings.problem, findings.best.hypothesis)
 
 
 def test_every_row_has_its_state(findings, rows):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.errors import RobotError
-from schemas.robot import Effect, EffectParameter, JointParameter
+from schemas.robot import EffectEntry, EffectParameter, JointParameter
 from service.estimator.effects import carried, pack_effects
 from service.estimator.estimator import Estimator
 from service.model.description import terms_of
@@ -41,9 +41,9 @@ NOT_CARRIED = {
 }  # fmt: skip
 
 
-def effect(name: str, joints: list[int]) -> Effect:
+def effect(name: str, joints: list[int]) -> EffectEntry:
     parameters = {key: EffectParameter(value=value) for key, value in FOUND[name].items()}
-    return Effect(name=name, joints=joints, parameters=parameters)
+    return EffectEntry(name=name, joints=joints, parameters=parameters)
 
 
 @pytest.mark.parametrize("name", FOUND)
@@ -78,7 +78,7 @@ def test_every_catalogue_effect_is_carried_or_known_not_to_be():
 
 def test_several_joints_have_amplitudes_of_their_own(robot):
     parameters = {"f_s_1": 1.0, "f_s_3": 3.0, "v_s": 0.2}
-    entry = Effect(
+    entry = EffectEntry(
         name="stribeck_friction", joints=[1, 3], parameters={k: EffectParameter(value=v) for k, v in parameters.items()}
     )
     record = pack_effects(terms_of(robot.model_copy(update={"effect": [entry]})))[0]
@@ -89,6 +89,6 @@ def test_several_joints_have_amplitudes_of_their_own(robot):
 
 def test_a_missing_parameter_is_named(robot):
     parameters = {"cosine": EffectParameter(value=1.0), "order": EffectParameter(value=2.0)}
-    broken = robot.model_copy(update={"effect": [Effect(name="cogging", joints=[2], parameters=parameters)]})
+    broken = robot.model_copy(update={"effect": [EffectEntry(name="cogging", joints=[2], parameters=parameters)]})
     with pytest.raises(RobotError, match="effect cogging: parameter 'sine' is missing"):
         Estimator(broken, PERIOD)

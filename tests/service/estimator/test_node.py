@@ -18,9 +18,9 @@ def test_health_says_that_friction_is_not_what_was_identified(bus_folder, tmp_pa
     which is kept."""
     known = make(3.0, noise=0.25)
     found = robot.identified
-    way = np.clip(known.theta_dot / 0.01, -1, 1)
+    direction = np.clip(known.theta_dot / 0.01, -1, 1)
     known.samples["torque"] += share * (
-        found.viscous_friction_nms.value * known.theta_dot + found.coulomb_friction_nm.value * way
+        found.viscous_friction_nms.value * known.theta_dot + found.coulomb_friction_nm.value * direction
     )
     Estimator(robot, 1e-3).warm_up()
     with open_bus(robot.name, Role.PLAYER) as player, open_bus(robot.name, Role.ESTIMATOR) as bus:

@@ -35,8 +35,8 @@ def covered(payload, time, truth, after=0.15):
 def test_friction_that_moved_since_it_was_identified_is_followed(robot, make, share):
     known = make(9.0, payload=carried, noise=0.25)
     found = robot.identified
-    way = np.clip(known.theta_dot / 0.01, -1, 1)
-    friction = found.viscous_friction_nms.value * known.theta_dot + found.coulomb_friction_nm.value * way
+    direction = np.clip(known.theta_dot / 0.01, -1, 1)
+    friction = found.viscous_friction_nms.value * known.theta_dot + found.coulomb_friction_nm.value * direction
     known.samples["torque"] += share * friction
     payload, time = weigh(robot, known.samples)
     truth = carried(time)
@@ -160,10 +160,10 @@ def test_a_load_on_an_open_gripper_is_not_trusted(robot, make):
 def test_friction_is_told(robot, make):
     """20 % above the identified at 1 rad/s: the record has each part, its error and the share."""
     known = make(6.0, noise=0.25)
-    way = np.clip(known.theta_dot / 0.01, -1, 1)
+    direction = np.clip(known.theta_dot / 0.01, -1, 1)
     found = robot.identified
     more = 0.2 * (np.array(found.coulomb_friction_nm.value) + np.array(found.viscous_friction_nms.value))
-    known.samples["torque"] += more * way
+    known.samples["torque"] += more * direction
     estimator = Estimator(robot, PERIOD)
     estimator.run(known.samples)
     (told,) = estimator.friction()
@@ -207,8 +207,8 @@ def test_friction_is_learnt_whatever_hangs_on_the_gripper(robot, make):
     """No empty move at all, and the payload unknown: the nine numbers come out within their errors."""
     known = make(8.0, payload=lambda t: 1.0 + 1.0 * (t > 3.0), noise=0.25)
     truth = np.array([[1.0, 0.3, 0.2], [-0.6, 0.1, -0.2], [0.8, -0.3, 0.1]])
-    way = np.clip(known.theta_dot / 0.01, -1, 1)
-    known.samples["torque"] += truth[:, 0] * way + truth[:, 1] * known.theta_dot + truth[:, 2]
+    direction = np.clip(known.theta_dot / 0.01, -1, 1)
+    known.samples["torque"] += truth[:, 0] * direction + truth[:, 1] * known.theta_dot + truth[:, 2]
     estimator = Estimator(robot, PERIOD)
     estimator.run(known.samples)
     friction = estimator.state["payload"]["friction"]

@@ -15,15 +15,15 @@ from drivers.plant.plant import Plant
 from drivers.plant.truth import TRUTHS, load_truth
 from schemas.robot import load_robot
 from service.experiment.logs import excitations, record
-from service.experiment.paper import ESTIMATOR, PUBLISHED, Findings, page, run, table_1
-from service.experiment.pictures import Diagram, Section, Table, write_page, write_pictures
+from service.experiment.paper import ESTIMATOR, PUBLISHED, PaperResult, page, run, table_1
+from service.experiment.pictures import Diagram, PageTable, Section, write_page, write_pictures
 from service.identification.evaluation import WITH_PAYLOAD
 from service.model import kinematics
 from service.model.nominal import pack
 
 
 @pytest.fixture(scope="module")
-def found() -> Findings:
+def found() -> PaperResult:
     robot = load_robot("d3-1200")
     truth = load_truth(TRUTHS / "d3-1200-paper.toml", robot)
     plant = Plant(robot, truth, make_effects(truth.effect, "truth"), seed=2)
@@ -36,7 +36,7 @@ def found() -> Findings:
     return run(robot, logs, stress, picks, picking.payloads)
 
 
-def test_the_plant_tells_the_papers_story(found: Findings) -> None:
+def test_the_plant_tells_the_papers_story(found: PaperResult) -> None:
     """The drawing underestimates the robot's weight, by the truth's own masses; so says what was identified."""
     robot = found.robot
     truth = load_truth(TRUTHS / "d3-1200-paper.toml", robot)
@@ -49,13 +49,13 @@ def test_the_plant_tells_the_papers_story(found: Findings) -> None:
         assert identified.rho_2.value > 1
 
 
-def test_every_model_improves_on_the_one_before(found: Findings) -> None:
+def test_every_model_improves_on_the_one_before(found: PaperResult) -> None:
     for joint in range(3):
         spread = [found.stress.moments(found.stress.torque[model])[1][joint] for model in PUBLISHED]
         assert spread[0] > spread[1] > spread[2]
 
 
-def test_table_1_is_one_table_of_every_sample(found: Findings) -> None:
+def test_table_1_is_one_table_of_every_sample(found: PaperResult) -> None:
     table = table_1(found)
     assert len(table.rows) == 6
     assert table.rows[1] == ("τ1 published", "14.32", "23.97", "3.62", "11.89", "3.94", "5.67")
@@ -67,9 +67,9 @@ def test_table_1_is_one_table_of_every_sample(found: Findings) -> None:
             assert shown == (f"{error.mean():.2f}", f"{error.std():.2f}")
 
 
-def test_table_2_weighs_with_the_papers_recursion_on_the_papers_model(found: Findings) -> None:
+def test_table_2_weighs_with_the_papers_recursion_on_the_papers_model(found: PaperResult) -> None:
     (table,) = (part for part in page(found, "").parts if part.title.startswith("Table 2"))
-    assert isinstance(table, Table)
+    assert isinstance(table, PageTable)
     trace, empty = found.picks.trace, found.picks.torque["M_Id+F"]
     along = found.picks.along
     model = pack(found.robot)
@@ -90,18 +90,18 @@ def test_table_2_weighs_with_the_papers_recursion_on_the_papers_model(found: Fin
             assert [float(value) for value in shown] == pytest.approx([error.mean(), error.std()], abs=0.006)
 
 
-def test_the_papers_payload_takes_error_away_and_ours_never_adds_to_it(found: Findings) -> None:
+def test_the_papers_payload_takes_error_away_and_ours_never_adds_to_it(found: PaperResult) -> None:
     """The fitted models leave 3 to 4 N m of this plant unexplained, as much as half a kilogram: ours reckons with that
     in std_dev, trusts no mass here and leaves the torque alone; the paper's recursion has no doubts, and is right."""
     (table,) = (part for part in page(found, "").parts if part.title.startswith("Table 2"))
-    assert isinstance(table, Table)
+    assert isinstance(table, PageTable)
     empty, loaded = (sum(float(v) ** 2 for row in table.rows for v in row[at : at + 2]) for at in (1, 3))
     assert loaded < 0.8**2 * empty
     errors = found.evaluated.errors
     assert (errors.get(WITH_PAYLOAD, errors["full"]).rms <= errors["full"].rms).all()
 
 
-def test_samples_at_rest_change_nothing_where_they_are_left_out(found: Findings) -> None:
+def test_samples_at_rest_change_nothing_where_they_are_left_out(found: PaperResult) -> None:
     moving = found.picks.along.moving
     resting = np.asarray(moving[:, 0] & moving[:, 1] & moving[:, 2]) == 0
     for number, mass in enumerate(found.masses.values()):
@@ -110,7 +110,7 @@ def test_samples_at_rest_change_nothing_where_they_are_left_out(found: Findings)
         assert (moved == 0) == (number in (1, 3)) or list(found.masses)[number] == ESTIMATOR
 
 
-def test_report_holds_tables_and_figures_in_the_papers_order(found: Findings, tmp_path: Path) -> None:
+def test_report_holds_tables_and_figures_in_the_papers_order(found: PaperResult, tmp_path: Path) -> None:
     report = page(found, "truth of this test")
     titles = [part.title for part in report.parts]
     beyond = titles.index("Beyond the paper")
@@ -130,7 +130,7 @@ def test_report_holds_tables_and_figures_in_the_papers_order(found: Findings, tm
     outside = re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL)
     assert not re.search(r'(src|href)="(?!#)', outside)
     for part in report.parts:
-        if isinstance(part, Table):
+        if isinstance(part, PageTable):
             assert all(cell in text for row in part.rows for cell in row if "'" not in cell)
         if isinstance(part, Diagram):
             assert all(line in outside for box in part.boxes for line in box.text.split("\n"))

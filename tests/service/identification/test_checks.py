@@ -16,7 +16,7 @@ from schemas.errors import DataError
 from schemas.robot import Drive, Robot, load_robot
 from schemas.trace import Trace
 from service.identification.identify import Identification, identify
-from service.identification.regression import Trajectory, summarise
+from service.identification.regression import NormalEquations, summarise
 from service.model.nominal import pack
 from tests.service.identification.conftest import Truth, multisine
 
@@ -49,13 +49,15 @@ def geared(robot: Robot) -> Robot:
 
 
 @pytest.fixture(scope="module")
-def twelve(geared: Robot, record: Record) -> list[tuple[Trace, Trajectory]]:
+def twelve(geared: Robot, record: Record) -> list[tuple[Trace, NormalEquations]]:
     """Twelve good logs and their sums."""
     logs = [record(seed, seconds=5.0) for seed in range(12)]
     return [(log, summarise(pack(geared), log)) for log in logs]
 
 
-def with_one(robot: Robot, twelve: list[tuple[Trace, Trajectory]], number: int, torque: np.ndarray) -> Identification:
+def with_one(
+    robot: Robot, twelve: list[tuple[Trace, NormalEquations]], number: int, torque: np.ndarray
+) -> Identification:
     """Identify on them with another torque in one."""
     sums = [sums for _, sums in twelve]
     sums[number] = summarise(pack(robot), replace(twelve[number][0], torque=torque))
@@ -63,7 +65,7 @@ def with_one(robot: Robot, twelve: list[tuple[Trace, Trajectory]], number: int, 
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_torque_that_is_not_the_joints(geared: Robot, twelve: list[tuple[Trace, Trajectory]], fault: str) -> None:
+def test_torque_that_is_not_the_joints(geared: Robot, twelve: list[tuple[Trace, NormalEquations]], fault: str) -> None:
     logs = [replace(log, torque=FAULTS[fault](log.torque)) for log, _ in twelve[:3]]
     with pytest.raises(DataError, match=f"all 3 logs: .*{fault}"):
         run(geared, logs)
@@ -77,12 +79,14 @@ def test_torque_that_is_not_the_joints_on_the_plant(plant: tuple[Robot, list[Tra
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_one_wrong_log_of_twelve_is_named(geared: Robot, twelve: list[tuple[Trace, Trajectory]], fault: str) -> None:
+def test_one_wrong_log_of_twelve_is_named(
+    geared: Robot, twelve: list[tuple[Trace, NormalEquations]], fault: str
+) -> None:
     with pytest.raises(DataError, match=rf"^log_7\.csv: .*{fault}"):
         with_one(geared, twelve, 7, FAULTS[fault](twelve[7][0].torque))
 
 
-def test_one_foreign_log_of_twelve_is_named(geared: Robot, twelve: list[tuple[Trace, Trajectory]]) -> None:
+def test_one_foreign_log_of_twelve_is_named(geared: Robot, twelve: list[tuple[Trace, NormalEquations]]) -> None:
     with pytest.raises(DataError, match=r"^log_4\.csv: "):
         with_one(geared, twelve, 4, np.roll(twelve[4][0].torque, 200, axis=0))  # 0.2 s late
 

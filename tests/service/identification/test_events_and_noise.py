@@ -11,18 +11,18 @@ from scipy.signal import lfilter
 
 from schemas.trace import Trace
 from tests.service.subject import Band, DecoupledAxes, Recording, events, noise, segments
-from tests.service.world import PERIOD, course, problem, sines, way
+from tests.service.world import PERIOD, course, direction, problem, sines
 
 STEP = 5e-3  # s, rows of the analysis band
 
 
-def quiet(name: str, joint: int, seed: int, seconds: float = 10.0) -> events.Run:
+def quiet(name: str, joint: int, seed: int, seconds: float = 10.0) -> events.JointRun:
     time = np.arange(round(seconds / STEP)) * STEP
     slow = 2.0 * np.sin(2.0 * time)  # a model's own error: large and slow
-    return events.Run(name, joint, time, slow + 0.1 * np.random.default_rng(seed).standard_normal(len(time)))
+    return events.JointRun(name, joint, time, slow + 0.1 * np.random.default_rng(seed).standard_normal(len(time)))
 
 
-def knocked(run: events.Run, *moments: float, size: float = 2.0, width: float = 0.02) -> events.Run:
+def knocked(run: events.JointRun, *moments: float, size: float = 2.0, width: float = 0.02) -> events.JointRun:
     error = run.error.copy()
     for moment in moments:
         near = np.abs(run.time - moment) <= width
@@ -56,14 +56,18 @@ def test_near_stretches_are_one_and_the_end_of_a_stretch_of_rows_ends_it():
     gone = (run.time < 3.0) | (run.time > 3.3)
     # a step over a pause in the rows is two stretches with another mean, no event
     error = np.where(run.time > 3.2, 5.0, 0.0) + 0.1 * np.random.default_rng(0).standard_normal(len(run.time))
-    assert events.events([events.Run("b", 0, run.time[gone], error[gone])], FLOOR) == []
-    assert len(events.events([events.Run("b", 0, run.time, error)], FLOOR)) == 1
+    assert events.events([events.JointRun("b", 0, run.time[gone], error[gone])], FLOOR) == []
+    assert len(events.events([events.JointRun("b", 0, run.time, error)], FLOOR)) == 1
 
 
 def test_events_are_told_in_the_order_of_time_and_a_run_of_one_row_is_passed_over():
-    runs = [knocked(quiet("a", 1, 1), 5.0), knocked(quiet("a", 0, 2), 2.0), events.Run("c", 0, np.zeros(1), np.ones(1))]
+    runs = [
+        knocked(quiet("a", 1, 1), 5.0),
+        knocked(quiet("a", 0, 2), 2.0),
+        events.JointRun("c", 0, np.zeros(1), np.ones(1)),
+    ]
     assert [event.joint for event in events.events(runs, FLOOR)] == [0, 1]
-    assert events.events([events.Run("c", 0, np.zeros(1), np.ones(1))], FLOOR) == []
+    assert events.events([events.JointRun("c", 0, np.zeros(1), np.ones(1))], FLOOR) == []
 
 
 def test_what_an_event_touches_is_left_out_with_a_margin():
@@ -76,13 +80,13 @@ def test_what_an_event_touches_is_left_out_with_a_margin():
 def test_rows_too_far_apart_show_nothing_fast():
     """Ten a second: no level over 60 ms can be taken of them."""
     time = 0.1 * np.arange(100)
-    assert events.events([events.Run("a", 0, time, np.where(np.arange(100) == 40, 50.0, 0.1))], FLOOR) == []
+    assert events.events([events.JointRun("a", 0, time, np.where(np.arange(100) == 40, 50.0, 0.1))], FLOOR) == []
 
 
 def test_a_knock_on_one_row_of_twenty_a_second_is_as_long_as_the_mean_taken_out():
     """0.12 s are two rows, 0.06 s one: the row and its neighbour stand out, no third."""
     time = 0.049 * np.arange(100)
-    (event,) = events.events([events.Run("a", 0, time, np.where(np.arange(100) == 40, 50.0, 0.1))], FLOOR)
+    (event,) = events.events([events.JointRun("a", 0, time, np.where(np.arange(100) == 40, 50.0, 0.1))], FLOOR)
     assert (event.start, event.end) == pytest.approx((40 * 0.049, 41 * 0.049))
 
 
@@ -165,7 +169,7 @@ def noisy(level: float, coloured: bool = False):
     for seed in (1, 2):
         time = np.arange(5000) * PERIOD
         theta, speed, acceleration = (signal[:, :2] for signal in sines(seed, 0.8)(time))
-        torque = 0.5 * acceleration + 0.4 * speed + 0.6 * way(speed)
+        torque = 0.5 * acceleration + 0.4 * speed + 0.6 * direction(speed)
         (part,) = segments(Trace(Path(f"run_{seed}"), time, theta, torque))
         made.append(Recording(part, DecoupledAxes(np.ones(2)), seed, f"run_{seed}"))
         values.append(level * random.standard_normal(torque.shape))

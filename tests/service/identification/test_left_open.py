@@ -10,7 +10,7 @@ import pytest
 from schemas.axes import Axes
 from schemas.trace import Trace
 from service.identification.axes import identify_axes
-from service.identification.pooled import Estimate, _structure
+from service.identification.pooled import ParameterEstimate, _structure
 from tests.service.world import stub
 
 PERIOD = 2e-3
@@ -25,7 +25,7 @@ def swing(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return angle, speed, acceleration
 
 
-def found(axes: Axes, position: np.ndarray, torque: np.ndarray) -> dict[str, Estimate]:
+def found(axes: Axes, position: np.ndarray, torque: np.ndarray) -> dict[str, ParameterEstimate]:
     """What is identified of one log with 0.01 N m of noise."""
     noise = 0.01 * np.random.default_rng(1).standard_normal(torque.shape)
     log = Trace(Path("log.csv"), TIME, position, torque + noise)

@@ -58,8 +58,8 @@ def test_literal_takes_every_sample_and_the_raw_torque(robot: Robot, record: Rec
 
 def test_means_without_forearm_and_friction_are_the_truth(robot: Robot, record: Record) -> None:
     truth = Truth(forearm=0.0, viscous=np.zeros(3), coulomb=np.zeros(3), noise=0.1)
-    trajectories = [summarise(pack(robot), record(seed, truth)) for seed in range(4)]
-    values, errors = paper.means(trajectories)
+    logs = [summarise(pack(robot), record(seed, truth)) for seed in range(4)]
+    values, errors = paper.means(logs)
     assert np.allclose(values, truth.values, atol=0.01)
     assert np.all(np.abs(values - truth.values)[:2] < 5 * errors[:2] + 1e-4)
 
@@ -67,9 +67,9 @@ def test_means_without_forearm_and_friction_are_the_truth(robot: Robot, record: 
 def test_grid_soaks_up_what_the_model_lacks(robot: Robot, record: Record) -> None:
     """With friction and forearm in the torque the paper's rho are off where the pooled ones are not."""
     truth = Truth()
-    trajectories = [summarise(pack(robot), record(seed, truth)) for seed in range(4)]
-    paper_fit = identify(robot, trajectories, "paper")
-    pooled_fit = identify(robot, trajectories)
+    logs = [summarise(pack(robot), record(seed, truth)) for seed in range(4)]
+    paper_fit = identify(robot, logs, "paper")
+    pooled_fit = identify(robot, logs)
     assert paper_fit.robot.identified is not None
     assert paper_fit.robot.identified.method == "paper"
     assert paper_fit.robot.identified.forearm_inertia_kg.value == 0.0

@@ -13,7 +13,16 @@ from schemas.robot import load_robot
 from service.estimator.recursion import fixed_forgetting
 from service.identification.evaluation import WITH_PAYLOAD, evaluate
 from service.identification.identify import identify
-from service.identification.payload import Course, Pick, course, levels, picks, read_truth, score, settled
+from service.identification.payload import (
+    PayloadHistory,
+    Pick,
+    levels,
+    payload_history,
+    picks,
+    read_truth,
+    score,
+    settled,
+)
 from service.identification.regression import summarise
 from service.model.nominal import pack
 from service.model.prediction import FULL
@@ -41,14 +50,14 @@ def identified(plain, fits):
 
 
 @pytest.fixture(scope="module")
-def courses(cases):
+def histories(cases):
     """The payload over each pick trace, with its truth."""
-    return [(course(robot, trace), truth) for robot, _, logs in cases for trace, truth in logs]
+    return [(payload_history(robot, trace), truth) for robot, _, logs in cases for trace, truth in logs]
 
 
 @pytest.fixture(scope="module")
-def scores(courses):
-    return [score(found, pick) for found, truth in courses for pick in truth]
+def scores(histories):
+    return [score(found, pick) for found, truth in histories for pick in truth]
 
 
 def test_payload_is_found_within_the_same_move(scores):
@@ -60,13 +69,13 @@ def test_payload_is_found_within_the_same_move(scores):
     assert np.mean(heavy <= 0.04) >= 0.95
 
 
-def test_every_pick_is_seen_once_and_free_motion_holds_none(cases, courses):
-    for found, truth in courses:
+def test_every_pick_is_seen_once_and_free_motion_holds_none(cases, histories):
+    for found, truth in histories:
         assert len(picks(found)) == len(truth)
         assert np.count_nonzero(found.event == PayloadEvent.RELEASE) == len(truth)
     for robot, fits, _ in cases:
         for trace in fits:
-            assert not course(robot, trace).event.any()
+            assert not payload_history(robot, trace).event.any()
 
 
 def test_the_estimator_beats_the_papers_recursion(scores):
@@ -95,14 +104,14 @@ TIME = np.arange(1000) * 0.01
 TRUTH = Pick(2.0, 4.0, 2.0)
 
 
-def seen() -> Course:
+def seen() -> PayloadHistory:
     """A pick of 2 kg seen 50 ms late, off by 0.3 kg for 200 ms and by 90 g after; one of 1 kg that never ends."""
     mass, event, trusted = np.zeros(1000), np.zeros(1000, int), np.zeros(1000, bool)
     mass[205:410], mass[205:220], mass[700:] = 2.09, 2.3, 1.0
     event[[205, 410, 700]] = PayloadEvent.PICK, PayloadEvent.RELEASE, PayloadEvent.PICK
     trusted[300:410] = True
     recursion = np.where((TIME >= 2.0) & (TIME < 4.0), 2.0 + 0.05 * (TIME - 3.0), 0.0)
-    return Course(TIME, mass, np.full(1000, 0.02), trusted, event, recursion)
+    return PayloadHistory(TIME, mass, np.full(1000, 0.02), trusted, event, recursion)
 
 
 def test_picks_and_levels_are_what_lies_between_events():
@@ -114,7 +123,7 @@ def test_picks_and_levels_are_what_lies_between_events():
     assert (one.event, empty.event, two.event) == (PayloadEvent.PICK, PayloadEvent.RELEASE, PayloadEvent.PICK)
     assert one.trusted == pytest.approx(110 / 205)
     assert (empty.begin, empty.end, empty.mass, empty.trusted) == pytest.approx((4.1, 6.99, 0.0, 0.0))
-    rising = Course(TIME, TIME, TIME, TIME > 0, seen().event, TIME)
+    rising = PayloadHistory(TIME, TIME, TIME, TIME > 0, seen().event, TIME)
     assert levels(rising)[0].mass == pytest.approx(np.median(TIME[205 + 102 : 410])), "the later half counts"
 
 

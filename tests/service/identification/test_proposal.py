@@ -14,7 +14,7 @@ from schemas.axes import Axes
 from schemas.errors import DataError
 from schemas.robot import Drive, Robot
 from schemas.trace import Trace
-from service.identification.proposal import Proposal, Told, propose
+from service.identification.proposal import Proposal, Stated, propose
 
 GEAR = 25.0
 UP = (1.0, 1.0, 1.0)
@@ -61,7 +61,7 @@ def turned(*signs: float) -> list[dict[str, int]]:
 def test_units_and_side_of_the_positions(geared: Robot, log: Trace, degrees: bool, side: str, says: bool) -> None:
     scale = (180 / np.pi if degrees else 1.0) * (GEAR if side == "motor" else 1.0)
     made = written(log, scale, names=("angle {} [deg]" if says else "q{}", "tau{}"))
-    found = propose(made, geared, Told())
+    found = propose(made, geared, Stated())
     unit = {"unit": "deg" if degrees else "rad"} | ({"side": "motor"} if side == "motor" else {})
     assert entries(found, "position") == [unit] * 3
     assert entries(found, "torque") == [{"unit": "N m"}] * 3
@@ -73,7 +73,7 @@ def test_units_and_side_of_the_positions(geared: Robot, log: Trace, degrees: boo
 @pytest.mark.parametrize("where", ["position", "torque"])
 def test_signs(geared: Robot, log: Trace, where: str, turn: tuple[float, ...]) -> None:
     position, torque = (turn, 1.0) if where == "position" else (1.0, turn)
-    found = propose(written(log, position, torque), geared, Told())
+    found = propose(written(log, position, torque), geared, Stated())
     other = "torque" if where == "position" else "position"
     assert [e.get("sign", 1) for e in entries(found, where)] == list(turn)
     assert [e.get("sign", 1) for e in entries(found, other)] == [1, 1, 1]
@@ -82,7 +82,7 @@ def test_signs(geared: Robot, log: Trace, where: str, turn: tuple[float, ...]) -
 
 
 def test_the_motors_torque_is_told_by_the_gear(geared: Robot, log: Trace) -> None:
-    found = propose(written(log, torque=1 / GEAR), geared, Told())
+    found = propose(written(log, torque=1 / GEAR), geared, Stated())
     assert entries(found, "torque") == [{"unit": "N m", "side": "motor"}] * 3
     assert "torques are the motor's: times the gear of 25 they fit" in found.reasons
 
@@ -90,8 +90,8 @@ def test_the_motors_torque_is_told_by_the_gear(geared: Robot, log: Trace) -> Non
 @pytest.mark.parametrize(("unit", "per"), [("N m", 1.0), ("A", 1.0), ("permille", 1000.0)])
 def test_an_unknown_constant_is_what_the_masses_say(geared: Robot, log: Trace, unit: str, per: float) -> None:
     """Five newton metres a unit of the table; what the file says of the unit decides what that is called."""
-    told = Told() if unit == "N m" else Told(torque_unit=(unit, None))
-    found = propose(written(log, torque=0.2), geared, told)
+    stated = Stated() if unit == "N m" else Stated(torque_unit=(unit, None))
+    found = propose(written(log, torque=0.2), geared, stated)
     (first, *_) = entries(found, "torque")
     key = "rated" if unit == "permille" else "constant"
     assert first[key] == pytest.approx(5.0 * per, rel=0.15)
@@ -99,15 +99,15 @@ def test_an_unknown_constant_is_what_the_masses_say(geared: Robot, log: Trace, u
 
 
 def test_a_constant_that_is_told_is_taken(geared: Robot, log: Trace) -> None:
-    found = propose(written(log, torque=1000 / 40.0), geared, Told(torque_unit=("permille", 40.0)))
+    found = propose(written(log, torque=1000 / 40.0), geared, Stated(torque_unit=("permille", 40.0)))
     assert entries(found, "torque") == [{"unit": "permille", "rated": 40.0}] * 3
     assert not any("by the masses" in doubt for doubt in found.doubts)
-    found = propose(written(log, torque=1 / 0.8 / GEAR), geared, Told(torque_unit=("A", 0.8)))
+    found = propose(written(log, torque=1 / 0.8 / GEAR), geared, Stated(torque_unit=("A", 0.8)))
     assert entries(found, "torque") == [{"unit": "A", "constant": 0.8, "side": "motor"}] * 3
 
 
 def test_cables_that_are_swapped_are_doubted_and_not_put_right(geared: Robot, log: Trace) -> None:
-    found = propose(written(log, order=(1, 0, 2)), geared, Told())
+    found = propose(written(log, order=(1, 0, 2)), geared, Stated())
     assert any("in the order 2, 1, 3: cables swapped?" in doubt for doubt in found.doubts)
     assert [entry["name"] for entry in found.columns["torque"]] == ["tau1", "tau2", "tau3"]
 
@@ -118,7 +118,7 @@ def test_of_noise_nothing_can_be_told(geared: Robot, log: Trace) -> None:
     noise = {
         name: v if name[0] != "t" or name == "t" else random.normal(0, 9, len(v)) for name, v in made.columns.items()
     }
-    found = propose(Table(made.path, made.kind, noise), geared, Told())
+    found = propose(Table(made.path, made.kind, noise), geared, Stated())
     assert any("signs and gear side cannot be told from this log" in doubt for doubt in found.doubts)
     assert entries(found, "torque") == [{"unit": "N m"}] * 3
 
@@ -127,11 +127,11 @@ def test_a_joint_that_rests_leaves_nothing_to_tell(geared: Robot, log: Trace) ->
     """Where only one of several readings hardly moves, as degrees do in radians, the others tell: above, in amperes."""
     made = written(log)
     still = {name: np.full(len(v), 0.4) if name == "q3" else v for name, v in made.columns.items()}
-    told = Told(position=["q1", "q2", "q3"])
-    found = propose(Table(made.path, made.kind, still), geared, told)
+    stated = Stated(position=["q1", "q2", "q3"])
+    found = propose(Table(made.path, made.kind, still), geared, stated)
     assert any("are no poses of known, or hardly move: zero or geometry?" in doubt for doubt in found.doubts)
     with pytest.raises(DataError, match=r"torques are A: how many N m each\? say --torque-unit"):
-        propose(Table(made.path, made.kind, still), geared, Told(position=told.position, torque_unit=("A", None)))
+        propose(Table(made.path, made.kind, still), geared, Stated(position=stated.position, torque_unit=("A", None)))
 
 
 def test_increments_take_a_number_that_has_to_be_said(geared: Robot, log: Trace) -> None:
@@ -139,39 +139,39 @@ def test_increments_take_a_number_that_has_to_be_said(geared: Robot, log: Trace)
     counts = {n: np.round(v * 65536 / (2 * np.pi) * GEAR) if n[0] == "q" else v for n, v in made.columns.items()}
     made = Table(made.path, made.kind, counts)
     with pytest.raises(DataError, match=r"positions are increments; .* say --counts-per-rev"):
-        propose(made, geared, Told())
-    found = propose(made, geared, Told(counts_per_rev=65536.0))
+        propose(made, geared, Stated())
+    found = propose(made, geared, Stated(counts_per_rev=65536.0))
     assert entries(found, "position") == [{"unit": "counts", "counts_per_rev": 65536.0, "side": "motor"}] * 3
     assert "positions are increments, 65536 a turn" in found.reasons
 
 
 @pytest.mark.parametrize(
-    ("drop", "told", "words"),
+    ("drop", "stated", "words"),
     [
         (
             ("q3",),
-            Told(),
+            Stated(),
             r"which 3 columns are the positions cannot be told; say --position NAME,.*columns: t, q1, q2",
         ),
-        (("tau1", "tau2", "tau3"), Told(), "which 3 columns are the torques cannot be told"),
-        (("t",), Told(), "no column of stamps: say --rate HZ, or --time NAME"),
-        ((), Told(time="T"), "no column 'T'; it has: t, q1"),
-        ((), Told(torque=["tau1", "tau2", "x"]), "no column 'x'; it has"),
+        (("tau1", "tau2", "tau3"), Stated(), "which 3 columns are the torques cannot be told"),
+        (("t",), Stated(), "no column of stamps: say --rate HZ, or --time NAME"),
+        ((), Stated(time="T"), "no column 'T'; it has: t, q1"),
+        ((), Stated(torque=["tau1", "tau2", "x"]), "no column 'x'; it has"),
     ],
 )
 def test_what_cannot_be_told_names_the_option(
-    geared: Robot, log: Trace, drop: tuple[str, ...], told: Told, words: str
+    geared: Robot, log: Trace, drop: tuple[str, ...], stated: Stated, words: str
 ) -> None:
     made = written(log)
     left = Table(made.path, made.kind, {n: v for n, v in made.columns.items() if n not in drop})
     with pytest.raises(DataError, match=words) as said:
-        propose(left, geared, told)
+        propose(left, geared, stated)
     assert str(said.value).startswith("log.csv: ")
 
 
 def test_what_is_told_is_not_guessed(geared: Robot, log: Trace) -> None:
-    told = Told(rate_hz=1000.0, position=["q3", "q2", "q1"], torque=["tau3", "tau2", "tau1"], position_unit="rad")
-    found = propose(written(log), None, told)
+    stated = Stated(rate_hz=1000.0, position=["q3", "q2", "q1"], torque=["tau3", "tau2", "tau1"], position_unit="rad")
+    found = propose(written(log), None, stated)
     assert found.columns["time"] == {"rate_hz": 1000.0}
     assert [entry["name"] for entry in found.columns["position"]] == ["q3", "q2", "q1"]
     assert "positions are rad: told" in found.reasons
@@ -179,9 +179,9 @@ def test_what_is_told_is_not_guessed(geared: Robot, log: Trace) -> None:
     assert "without --robot signs and the side of the gear cannot be checked" in found.doubts
     assert "torques taken as N m: nothing says so" in found.doubts
     with pytest.raises(DataError, match=r"2 positions .* with 3 torques .*; say --position and --torque"):
-        propose(written(log), None, Told(position=["q1", "q2"], torque=told.torque))
+        propose(written(log), None, Stated(position=["q1", "q2"], torque=stated.torque))
     with pytest.raises(DataError, match=r"torques are A; the N m a unit is not known: say --torque-unit 'A NUMBER'"):
-        propose(written(log), None, Told(torque_unit=("A", None)))
+        propose(written(log), None, Stated(torque_unit=("A", None)))
 
 
 AXIS = Axes.model_validate({"name": "slide", "kind": "axes", "axis": [{"unit": "m"}]})
@@ -209,19 +209,19 @@ def slide(force: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray], sca
     ],
 )
 def test_an_axis_takes_force_to_accelerate_and_against_friction(force: Callable[..., np.ndarray], sign: int) -> None:
-    found = propose(slide(force), AXIS, Told())
+    found = propose(slide(force), AXIS, Stated())
     assert [entry.get("sign", 1) for entry in entries(found, "torque")] == [sign]
     assert any("the other sign" in reason for reason in found.reasons) == (sign < 0)
 
 
 def test_a_force_that_shows_nothing_is_doubted() -> None:
-    found = propose(slide(lambda x, v, a: np.sin(80e-3 * np.arange(len(x)))), AXIS, Told())
+    found = propose(slide(lambda x, v, a: np.sin(80e-3 * np.arange(len(x)))), AXIS, Stated())
     assert any("neither inertia nor friction shows in 'force'" in doubt for doubt in found.doubts)
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1.0, "m"), (1000.0, "mm")])
 def test_a_linear_axis_is_in_metres_or_millimetres_by_its_range(scale: float, unit: str) -> None:
-    found = propose(slide(lambda x, v, a: 95 * a, scale), AXIS, Told())
+    found = propose(slide(lambda x, v, a: 95 * a, scale), AXIS, Stated())
     assert entries(found, "position") == [{"unit": unit}]
     assert entries(found, "torque") == [{"unit": "N"}]
     assert f"positions taken as {unit}, by their range" in found.doubts

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from service.model.effects.base import Instant
+from service.model.kinematics import POSE
 from tests.service.injected import INJECTED
 from tests.service.subject import EFFECTS, added
 from tests.service.world import PERIOD, course, scene, stub
@@ -41,11 +42,12 @@ def test_the_online_torque_is_the_offline_one(name):
     checked = 0
     for k in range(EVERY, len(motion.time) - EVERY, EVERY):
         columns = (arms.jacobian[k] / lever[k]).T  # J[axis, i] = column[i, axis] lever[i]
+        pose = np.zeros((), POSE).view(np.recarray)
+        pose["position"], pose["velocity"], pose["acceleration"] = arms.position[k], arms.velocity[k], acceleration[k]
+        pose["column"], pose["elbow"], pose["lever"] = columns, arms.slope[k], lever[k]
         now = Instant(
             model, float(here.mechanism.gear_ratio[0]), motion.theta[k], motion.theta_dot[k],
-            motion.theta_ddot[k], here.direction[k], here.load[k], float(motion.time[k]), arms.position[k],
-            arms.velocity[k], acceleration[k], np.ascontiguousarray(columns), np.ascontiguousarray(arms.slope[k]),
-            np.ascontiguousarray(lever[k]),
+            motion.theta_ddot[k], here.direction[k], here.load[k], float(motion.time[k]), pose[()],
         )  # fmt: skip
         found = np.array([form(record, now, i) for i in range(3)])
         if effect.per_joint:

@@ -14,7 +14,7 @@ from mcap_ros2.decoder import DecoderFactory
 from drivers.trace import read_trace
 from schemas.errors import StorageError
 from schemas.messages import SAMPLE, TOPICS, Message, set_stamp
-from service.monitor.recording import Recording
+from service.monitor.recording import RecordingWriter
 from service.monitor.recover import Recovered, recover
 
 WALL_NS = 1_790_000_000_000_000_000
@@ -37,7 +37,7 @@ def filled(message: Message, count: int, first: int = 0) -> np.ndarray:
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """A whole recording: 2000 samples in ten flushes, and ten of each other message."""
-    recording = Recording(tmp_path / "run.mcap", "bench")
+    recording = RecordingWriter(tmp_path / "run.mcap", "bench")
     for number in range(FLUSHES):
         first = number * PER_FLUSH
         log = WALL_NS + np.arange(first, first + PER_FLUSH) * 1_000_000
@@ -86,7 +86,7 @@ def test_health_is_on_the_clock_of_the_samples(tmp_path: Path) -> None:
     """Data at 0 to 2 s, replayed now: health from before the first sample on as well; without samples its own stamp."""
     for replayed, expected in ((True, [0, 480, 980]), (False, [77, 577, 1077])):
         path = tmp_path / f"{replayed}.mcap"
-        recording = Recording(path, "bench")
+        recording = RecordingWriter(path, "bench")
         for number, ms in enumerate((80, 580, 1080)):
             sent = np.array([WALL_NS + ms * 1_000_000])
             health = filled(TOPICS["health"], 1, number)
@@ -177,4 +177,4 @@ def test_existing_files_are_never_overwritten(run: Path) -> None:
     with pytest.raises(StorageError, match=r"run\.mcap: exists already"):
         repaired(run, run)
     with pytest.raises(StorageError, match=r"run\.mcap: cannot record: File exists"):
-        Recording(run, "bench")
+        RecordingWriter(run, "bench")

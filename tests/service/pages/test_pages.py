@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from schemas.errors import StorageError
-from service.experiment.pictures import Figure, Line, Page, Panel, Table, write_page
+from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, write_page
 from tests.service.pages.browser import looked_at
 
 
@@ -23,7 +23,10 @@ def page() -> Page:
     return Page(
         "Loop of <script>alert(1)</script>",
         ("A lead & more.",),
-        (Table("Errors", ("what", "N m"), (("<b>bold</b>", "1.0"),), "a note"), Figure("f", "Over time", "c", panels)),
+        (
+            PageTable("Errors", ("what", "N m"), (("<b>bold</b>", "1.0"),), "a note"),
+            Figure("f", "Over time", "c", panels),
+        ),
     )
 
 

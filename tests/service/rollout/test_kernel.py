@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from schemas.robot import Effect as EffectEntry
-from schemas.robot import EffectParameter, Identified, JointParameter, Parameter, Robot
+from schemas.robot import EffectEntry, EffectParameter, Identified, JointParameter, Parameter, Robot
 from service.model import kinematics
 from service.model.dynamics import torque_terms
 from service.model.forward import forward_dynamics
@@ -100,16 +99,16 @@ def test_under_the_torque_that_a_motion_takes_it_makes_that_motion(name):
     """The torque is the offline model's, which is tested against MuJoCo; the simulation shares no formula of the
     effects that need a state."""
     part = recorded(identified(effect(name)))
-    with_it, way = off(identified(effect(name)), part)
+    with_it, moved = off(identified(effect(name)), part)
     without, _ = off(identified(), part)
-    print(f"{name}: {1e3 * with_it:.3f} mm with, {1e3 * without:.3f} mm without, of {1e3 * way:.0f} mm")
-    assert with_it < 0.01 * way
+    print(f"{name}: {1e3 * with_it:.3f} mm with, {1e3 * without:.3f} mm without, of {1e3 * moved:.0f} mm")
+    assert with_it < 0.01 * moved
     assert with_it < 0.2 * without
 
 
 def test_the_base_model_makes_the_motion():
-    with_it, way = off(identified(), recorded(identified()))
-    assert with_it < 0.002 * way
+    with_it, moved = off(identified(), recorded(identified()))
+    assert with_it < 0.002 * moved
 
 
 def test_energy_is_kept_without_friction():

@@ -47,7 +47,7 @@ def run(path: Path, **robots: Robot) -> Rollout:
 def test_the_right_model_comes_down_to_the_floor_and_the_wrong_one_does_not(tmp_path: Path) -> None:
     truth = identified(effect("stribeck_friction"))
     found = run(log(tmp_path, truth), plain=plain(ROBOT), identified=identified(), corrected=truth)
-    drawn, known, corrected = found.courses
+    drawn, known, corrected = found.deviations
     assert drawn.platform_mm > known.platform_mm > 5 * corrected.platform_mm
     assert corrected.platform_mm < 1.3 * found.floor.platform_mm
     assert (corrected.joint_mrad < 1.5 * found.floor.joint_mrad).all()
@@ -60,7 +60,7 @@ def test_no_window_spans_a_gap(tmp_path: Path) -> None:
     whole, broken = (run(log(tmp_path, identified(), hole=hole), identified=identified()) for hole in (False, True))
     assert len(whole.runs) == 13
     assert len(broken.runs) == 10  # 4 of 1 s and 6 of 1.3 s; in one piece it would be 12
-    assert broken.courses[0].platform_mm < 1.5 * broken.floor.platform_mm
+    assert broken.deviations[0].platform_mm < 1.5 * broken.floor.platform_mm
 
 
 @pytest.mark.parametrize(("turned", "said"), [((0, 1, 2), "joint 1, 2, 3"), ((1,), "joint 2")])

@@ -59,7 +59,7 @@ def test_the_drives_are_found_and_the_known_robot_follows_as_the_real_one_does(p
     np.testing.assert_allclose(servo.velocity_gain_nms, plant.tuning.velocity_gain, rtol=0.1)
     np.testing.assert_allclose(servo.position_gain_ps, 2 * np.pi * HERTZ, rtol=0.15)
     np.testing.assert_allclose(servo.velocity_feedforward, 1.0, atol=0.05)
-    drawn, followed = found.courses
+    drawn, followed = found.deviations
     assert followed.good.all()
     assert followed.platform_mm < 0.3 * drawn.platform_mm
     assert (followed.torque_nm < 0.5 * drawn.torque_nm).all()
@@ -73,7 +73,7 @@ def test_described_drives_are_taken_as_they_are(trace: Trace) -> None:
     robots = {"soft": known().model_copy(update={"servo": soft})}
     found = rollout(robots, [trace], commands=True)
     assert found.servo == soft
-    assert found.courses[0].platform_mm > 1.0  # drives as weak as these do not hold the course
+    assert found.deviations[0].platform_mm > 1.0  # drives as weak as these do not hold the course
 
 
 def test_a_log_without_commands_or_whose_torque_does_not_follow_them_is_refused(trace: Trace) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import Effect, on_one, signed, touched
+from drivers.plant.effects.base import PlantEffect, on_one, signed, touched
 from drivers.plant.mechanism import BaseMode
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class ContactRail(Effect):
+class ContactRail(PlantEffect):
     """A cable carrier rubs over an edge in one place: the link has to climb a bell of energy there."""
 
     torque_nm: list[float]  # largest
@@ -41,7 +41,7 @@ class ContactRail(Effect):
 
 
 @dataclass
-class StickEvents(Effect):
+class StickEvents(PlantEffect):
     """Dirt passes through a gear: at random moments its friction is higher for a while."""
 
     level_nm: list[float]
@@ -68,7 +68,7 @@ class StickEvents(Effect):
 
 
 @dataclass
-class BaseResonance(Effect):
+class BaseResonance(PlantEffect):
     """The frame that carries the robot swings on its feet when the platform is thrown about."""
 
     frame_kg: float
@@ -91,7 +91,7 @@ class BaseResonance(Effect):
 
 
 @dataclass
-class TorqueDropouts(Effect):
+class TorqueDropouts(PlantEffect):
     """A loose connector: at random moments a motor gets only part of its current for some milliseconds."""
 
     lost: list[float]  # share
@@ -118,7 +118,7 @@ class TorqueDropouts(Effect):
 
 
 @dataclass
-class TorqueConstantDrift(Effect):
+class TorqueConstantDrift(PlantEffect):
     """Magnets weaken as the motor heats: the torque constant falls with a winding temperature that the losses drive."""
 
     loss: list[float]  # share of the torque constant that is lost when the motor runs at `hot_nm` rms for long
@@ -136,7 +136,7 @@ class TorqueConstantDrift(Effect):
 
 
 @dataclass
-class HoseJerk(Effect):
+class HoseJerk(PlantEffect):
     """A vacuum hose that is too short: slack near its clamp, and a hard jerk where the slack is used up."""
 
     stiffness_npm: float
@@ -145,9 +145,9 @@ class HoseJerk(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        way, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
+        heading, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
         radius = 0.25 * depth
-        point = [float(radius * math.cos(way)), float(radius * math.sin(way)), -0.4 * depth]
+        point = [float(radius * math.cos(heading)), float(radius * math.sin(heading)), -0.4 * depth]
         return cls(float(severity * rng.uniform(120.0, 300.0)), float(rng.uniform(0.42, 0.50) * depth), point)
 
     def platform_force(self, plant: Plant) -> np.ndarray:
@@ -157,7 +157,7 @@ class HoseJerk(Effect):
 
 
 @dataclass
-class BeltTooth(Effect):
+class BeltTooth(PlantEffect):
     """The platform drags a toothed belt along the base's y axis: a force with the pitch of its teeth."""
 
     force_n: float
@@ -177,7 +177,7 @@ class BeltTooth(Effect):
 
 
 @dataclass
-class CableMemory(Effect):
+class CableMemory(PlantEffect):
     """A cable bundle creeps: a spring in series with a damper on a joint, which forgets where it was."""
 
     stiffness_nmprad: list[float]
@@ -202,7 +202,7 @@ class CableMemory(Effect):
 
 
 @dataclass
-class Magnet(Effect):
+class Magnet(PlantEffect):
     """A magnetic fixture beside the conveyor pulls a steel gripper when it comes near."""
 
     force_n: float  # at the point
@@ -211,9 +211,13 @@ class Magnet(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        way, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
+        heading, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
         radius = rng.uniform(0.1, 0.25) * depth
-        point = [float(radius * math.cos(way)), float(radius * math.sin(way)), float(-rng.uniform(0.85, 0.95) * depth)]
+        point = [
+            float(radius * math.cos(heading)),
+            float(radius * math.sin(heading)),
+            float(-rng.uniform(0.85, 0.95) * depth),
+        ]
         return cls(float(severity * signed(rng, 20.0, 40.0)), float(rng.uniform(0.05, 0.09)), point)
 
     def platform_force(self, plant: Plant) -> np.ndarray:

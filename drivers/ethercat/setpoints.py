@@ -17,7 +17,7 @@ SETTLE = 0.2  # s to stand still before the motion and after it
 
 
 @dataclass(frozen=True)
-class Course:
+class Setpoints:
     """N cycles: joint position, velocity, acceleration, each (N, 3) in rad, rad/s, rad/s^2; grip: (N,) bool, whether
     the gripper holds; begin: the cycle at which the motion itself begins."""
 
@@ -31,7 +31,7 @@ class Course:
         return len(self.position)
 
 
-def course(start: np.ndarray, motion: Trajectory) -> Course:
+def setpoints(start: np.ndarray, motion: Trajectory) -> Setpoints:
     """From rest at joint angles `start` (3,) rad through `motion`, with a pause before and after it."""
     period = motion.period
     approach = _approach(start, motion.position[0], period)
@@ -42,7 +42,7 @@ def course(start: np.ndarray, motion: Trajectory) -> Course:
     grip = np.zeros(begin + len(motion.position) + pause, bool)
     for payload in motion.payloads:
         grip[begin + round(payload.pick / period) : begin + round(payload.release / period)] = True
-    return Course(
+    return Setpoints(
         np.concatenate((approach[0], ends[0], motion.position, ends[1])),
         np.concatenate((approach[1], still, motion.velocity, still)),
         np.concatenate((approach[2], still, motion.acceleration, still)),

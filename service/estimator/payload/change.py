@@ -1,0 +1,133 @@
+"""Is the load another? A two-sample test: for every onset within the last window, is the mass since then another than
+before? On a change the estimate starts anew from the samples since the onset, so it is at once as good as those samples
+allow.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from service.estimator import friction
+from service.estimator.payload.loads import corrected_moment, invert, prior_of
+from service.estimator.payload.state import SMALLEST_CHANGE, WINDOW
+
+# Squared, normalised difference at which a change is believed: with some thousand onsets looked at a second, and model
+# errors that are not white, 5 sigma would alarm every minute.
+CHANGE_THRESHOLD = 45.0
+SHORTEST = 3  # bins of motion since the onset
+BIAS_SIGMAS = 3.0  # of a bias that a change stands out of: unlike noise it is not drawn anew for every onset
+SMALLEST_OFFSET = 0.005  # kg m, change that counts as one
+
+
+@njit(cache=True)
+def find_change(state):
+    """If the load is another since some bin than before, start its estimate anew from that bin.
+
+    With I, b the information and moment since the onset (1) and before (0), the step b1/I1 - b0/I0 has the covariance
+    1/I1 + 1/I0 of the noise, and what friction may do to the one and not to the other. Returns the bins since the
+    onset, 0 where there is none.
+    """
+    active = state.active
+    since, since_moment, since_drag = state.since_information, state.since_moment, state.since_drag
+    before, before_moment = state.before_information, state.before_moment
+    best, best_count = CHANGE_THRESHOLD, 0
+    for p in range(active):
+        since_moment[p] = 0.0
+        state.pull[p] = corrected_moment(state, state.moment, state.drag, p)
+        for q in range(active):
+            since[p, q] = prior_of(p) if p == q and p > 0 else 0.0
+        for a in range(friction.COUNT):
+            since_drag[p, a] = 0.0
+    index = state.head
+    for n in range(state.filled):
+        for p in range(active):
+            since_moment[p] += corrected_moment(state, state.bin_moment[index], state.bin_drag[index], p)
+            before_moment[p] = state.pull[p] - since_moment[p]
+            for q in range(active):
+                since[p, q] += state.bin_information[index, p, q]
+                before[p, q] = state.information[p, q] - since[p, q] + (prior_of(p) if p == q and p > 0 else 0.0)
+            for a in range(friction.COUNT):
+                since_drag[p, a] += state.bin_drag[index, p, a]
+        index = index - 1 if index > 0 else WINDOW - 1
+        if n + 1 < SHORTEST or since[0, 0] <= 0.0 or before[0, 0] <= 0.0:
+            continue
+        if active == 1:  # without a division but for a candidate
+            product = since[0, 0] * before[0, 0]
+            scaled = since_moment[0] * before[0, 0] - before_moment[0] * since[0, 0]
+            if scaled * scaled <= best * product * (since[0, 0] + before[0, 0]):
+                continue
+        distance = _step_distance(state, best)
+        if distance > best:
+            best, best_count = distance, n + 1
+    if best_count > 0:
+        _start_anew(state, best_count)
+    return best_count
+
+
+@njit(cache=True)
+def _step_distance(state, least):
+    """Squared distance of the loads since an onset from those before it, over its covariance; 0 where it is below
+    `least` or too small to be a load."""
+    active, contrast, step, spread = state.active, state.contrast, state.step, state.spread
+    after, until = state.inverse, state.inverse_before
+    invert(state.since_information, active, after)
+    invert(state.before_information, active, until)
+    for p in range(active):
+        step[p] = 0.0
+        for q in range(active):
+            step[p] += after[p, q] * state.since_moment[q] - until[p, q] * state.before_moment[q]
+            spread[p, q] = after[p, q] + until[p, q]
+    small = abs(step[0]) < SMALLEST_CHANGE
+    if active > 1:
+        small &= math.hypot(step[1], step[2]) < SMALLEST_OFFSET
+    if small or _squared(state, step, spread) <= least:
+        return 0.0
+    for p in range(active):
+        for a in range(friction.COUNT):
+            contrast[p, a] = 0.0
+            for q in range(active):
+                drag = state.since_drag[q, a]
+                contrast[p, a] += after[p, q] * drag - until[p, q] * (state.drag[q, a] - drag)
+    for p in range(active):
+        for q in range(p + 1):
+            spread[p, q] += friction.covariance_kernel(state.friction, contrast[p], contrast[q])
+            spread[q, p] = spread[p, q]
+    spread[0, 0] += 2.0 * state.bias * BIAS_SIGMAS * BIAS_SIGMAS / CHANGE_THRESHOLD  # another one in either
+    return _squared(state, step, spread)
+
+
+@njit(cache=True)
+def _squared(state, step, spread):
+    """step' inverse(spread) step."""
+    active, inverse = state.active, state.inverse_spread
+    invert(spread, active, inverse)
+    total = 0.0
+    for p in range(active):
+        for q in range(active):
+            total += step[p] * inverse[p, q] * step[q]
+    return total
+
+
+@njit(cache=True)
+def _start_anew(state, bins):
+    """Take only the newest `bins` into the estimate."""
+    active = state.active
+    for p in range(active):
+        state.moment[p] = 0.0
+        for q in range(active):
+            state.information[p, q] = prior_of(p) if p == q and p > 0 else 0.0
+        for a in range(friction.COUNT):
+            state.drag[p, a] = 0.0
+    index = state.head
+    for _ in range(bins):
+        for p in range(active):
+            state.moment[p] += state.bin_moment[index, p]
+            for q in range(active):
+                state.information[p, q] += state.bin_information[index, p, q]
+            for a in range(friction.COUNT):
+                state.drag[p, a] += state.bin_drag[index, p, a]
+        index = index - 1 if index > 0 else WINDOW - 1
+    state.filled = bins
+    state.raw_information = state.information[0, 0] * state.inflation

@@ -1,0 +1,54 @@
+"""The loads, a mass and where the fourth axis turns its offset, by their normal equations."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from service.estimator import friction
+from service.estimator.payload.state import OFFSET_STD, PRIOR_STD
+
+
+@njit(cache=True)
+def prior_of(load):
+    return PRIOR_STD**-2 if load == 0 else OFFSET_STD**-2
+
+
+@njit(cache=True)
+def invert(information, active, inverse):
+    """inverse (LOADS, LOADS) of a symmetric `information` of the first `active` loads, which are one or all."""
+    if active == 1:
+        inverse[0, 0] = 1.0 / information[0, 0]
+        return
+    a, b, c = information[0, 0], information[0, 1], information[0, 2]
+    d, e, f = information[1, 1], information[1, 2], information[2, 2]
+    first, second, third = d * f - e * e, c * e - b * f, b * e - c * d
+    whole = a * first + b * second + c * third
+    inverse[0, 0], inverse[1, 1], inverse[2, 2] = first / whole, (a * f - c * c) / whole, (a * d - b * b) / whole
+    inverse[0, 1] = inverse[1, 0] = second / whole
+    inverse[0, 2] = inverse[2, 0] = third / whole
+    inverse[1, 2] = inverse[2, 1] = (b * c - a * e) / whole
+
+
+@njit(cache=True)
+def corrected_moment(state, moment, drag, load):
+    """moment of `load`, what friction did to it taken off."""
+    left = moment[load]
+    for a in range(friction.COUNT):
+        left -= drag[load, a] * state.friction.delta[a]
+    return left
+
+
+@njit(cache=True)
+def locate(state):
+    """The mass, kg, which it returns, and state.offset, by the normal equations; their inverse is in state.inverse."""
+    active, inverse, found = state.active, state.inverse, state.found
+    invert(state.information, active, inverse)
+    for p in range(active):
+        state.pull[p] = corrected_moment(state, state.moment, state.drag, p)
+    for p in range(active):
+        found[p] = 0.0
+        for q in range(active):
+            found[p] += inverse[p, q] * state.pull[q]
+    for p in range(1, active):
+        state.offset[p - 1] = found[p]
+    return found[0]

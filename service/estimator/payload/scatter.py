@@ -1,0 +1,125 @@
+"""How far may the noise be believed? Read off the residuals at right angles to phi, which no payload can cause: in the
+mean over stretches of a move they show what the model lacks, and the mass is as much less certain.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from service.estimator import friction
+from service.estimator.payload.state import BLOCKS, COLOUR, COLUMN, LOADS, RESIDUAL, WEIGHT
+
+# The newest few blocks, which may already speak for more scatter than the average does.
+NEWEST, NEWEST_SHARE = 4, 0.6
+# Noise that is white from sample to sample averages better than CORRELATION_TIME says, down to this.
+LEAST_INFLATION = 0.4
+BIAS_TIME = 3.0  # s of motion over which what the model lacks is averaged
+OUTLYING = 0.3  # of the scatter of a single block, which noise alone makes three times its mean now and then
+ONSET_DOUBT = 3  # bins by which an onset is found too late
+PENDING = 5  # newest blocks that a change not yet found may lie in
+
+
+@njit(cache=True)
+def scatter_kernel(settings, state):
+    """Average of what the residuals of a block show at right angles to phi, friction and offset taken off, over their
+    noise."""
+    delta, sums = state.friction.delta, state.sums[state.block]
+    for i in range(3):
+        state.known[i] = state.column[i, 1] * state.offset[0] + state.column[i, 2] * state.offset[1]
+        rubbed = 0.0
+        for a in range(friction.PARTS):
+            rubbed += state.shape[i, a] * delta[friction.PARTS * i + a]
+        weight = state.weight[i]
+        sums[i, WEIGHT] += weight
+        sums[i, RESIDUAL] += weight * (state.residual[i] - rubbed)
+        for p in range(LOADS):
+            sums[i, COLUMN + p] += weight * state.column[i, p]
+    friction.gather_kernel(state.friction, state.column, state.residual, state.known, state.weight, state.shape)
+    state.in_block += 1
+    state.clock += 1
+    if state.in_block < settings.block_size:
+        return
+    state.in_block = 0
+    own, leverage = _misfit(sums, state.offset)
+    if own >= 0.0:
+        oldest = (state.block + 1) % BLOCKS
+        share = settings.block_size * settings.period / BIAS_TIME
+        state.excess += share * (max(0.0, state.blocks[oldest] - 1.0) - state.excess)
+        state.leverage += share * (leverage - state.leverage)
+        state.judged += share * (1.0 - state.judged)
+        state.blocks[state.block], state.ended[state.block] = own, state.clock
+        if state.active > 1:
+            _look_again(state)
+            state.fresh = min(BLOCKS - 2, state.fresh + 1)
+        _inflate(state)
+        # friction is not to learn from what it cannot be: the block itself has a say
+        doubtful = max(state.inflation, _inflation(OUTLYING * own))
+        friction.learn_kernel(state.friction, settings.prior, settings.friction_forgetting, doubtful)
+        state.block = oldest
+    state.sums[state.block] = 0.0
+
+
+@njit(cache=True)
+def _misfit(sums, offset):
+    """What a block's mean residuals show at right angles to phi, a degree of freedom, over their noise; -1: nothing is
+    known. And what the block says of the mass, kg^-2."""
+    along = leverage = total = 0.0
+    moving = 0
+    for i in range(3):
+        weight = sums[i, WEIGHT]
+        if weight > 0.0:
+            moving += 1
+            left = sums[i, RESIDUAL] - sums[i, COLUMN + 1] * offset[0] - sums[i, COLUMN + 2] * offset[1]
+            along += sums[i, COLUMN] * left / weight
+            leverage += sums[i, COLUMN] * sums[i, COLUMN] / weight
+            total += left * left / weight
+    if moving < 2 or leverage <= 0.0:
+        return -1.0, 0.0
+    return max(0.0, total - along * along / leverage) / (moving - 1), leverage
+
+
+@njit(cache=True)
+def _inflate(state):
+    """state.inflation from the blocks of late."""
+    average = newest = 0.0
+    # where a load swings, a change shows here before it is found; it is not to hide itself
+    fresh = PENDING if state.active > 1 else 0
+    for n in range(fresh, BLOCKS):
+        average += state.blocks[(state.block - n + BLOCKS) % BLOCKS] / (BLOCKS - fresh)
+    for n in range(fresh, fresh + NEWEST):
+        newest += state.blocks[(state.block - n + BLOCKS) % BLOCKS] / NEWEST
+    state.inflation = _inflation(max(average, NEWEST_SHARE * newest))
+
+
+@njit(cache=True)
+def _look_again(state):
+    """Judge the blocks since the last change anew, by the offset of now."""
+    index = state.block
+    for _ in range(state.fresh):
+        index = index - 1 if index > 0 else BLOCKS - 1
+        state.blocks[index] = max(0.0, _misfit(state.sums[index], state.offset)[0])
+
+
+@njit(cache=True)
+def part_blocks(settings, state, samples):
+    """A load changed `samples` ago: the block in which it did says nothing of the model."""
+    begun = state.clock - samples
+    if begun > state.clock - state.in_block:
+        state.in_block = 0
+        state.sums[state.block] = 0.0
+    state.fresh = 0
+    index = state.block
+    for _ in range(BLOCKS - 1):
+        index = index - 1 if index > 0 else BLOCKS - 1
+        if state.ended[index] - settings.block_size >= begun:
+            state.fresh += 1
+        elif state.ended[index] > begun - ONSET_DOUBT * settings.bin_size:
+            state.blocks[index] = 1.0
+        else:
+            break
+
+
+@njit(cache=True)
+def _inflation(scatter):
+    """How much less a sample says than its noise allows, for blocks that scatter so."""
+    return max(LEAST_INFLATION, scatter + (COLOUR - 1.0) * max(0.0, scatter - 1.0))

@@ -1,0 +1,150 @@
+"""What the payload estimate remembers, and what it is told of robot and rate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.estimator import friction, slow
+
+BIN_TIME = 0.002  # s, resolution of an onset
+WINDOW = 150  # bins, how far back an onset is looked for
+MEMORY_TIME = 3.0  # s, forgetting: longer than a carry, shorter than the drift of friction with temperature
+# An unloaded gripper is the prior, within this; also the bound of the covariance when nothing excites.
+PRIOR_STD = 2.0  # kg
+# Smallest change that counts as a pick or release: friction and inertia errors imitate less than this.
+SMALLEST_CHANGE = 0.12  # kg
+# Torque noise and small errors are alike for about this long, so a sample is worth period / this time; what a model
+# with unmodelled effects leaves over lasts as long as a stretch of a move.
+CORRELATION_TIME, MODEL_ERROR_TIME = 0.003, 0.015  # s
+# Residuals are averaged over blocks of this length; what then stands out of the noise lasts longer by this factor.
+BLOCK_TIME, COLOUR = 0.02, 3.0  # s, -
+BLOCKS = 16  # with motion, over which their scatter is averaged
+# A mass below nothing, or of nothing, shows a bias that other masses have too; it is remembered for this long.
+SHORTFALL_TIME = 30.0  # s
+LOADS = 3  # m and, where the fourth axis turns, the m d_1 and m d_2 of `turning`
+# One standard deviation of m d: 4 kg at 50 mm.
+OFFSET_STD = 0.2  # kg m
+WEIGHT, RESIDUAL, COLUMN = range(3)  # of a joint's sums over a block
+
+STATE = np.dtype(
+    [
+        ("information", "f8", (LOADS, LOADS)),
+        ("moment", "f8", LOADS),
+        ("drag", "f8", (LOADS, friction.COUNT)),  # sum of weight column x: what delta adds to the moment
+        ("bin_information", "f8", (WINDOW, LOADS, LOADS)),
+        ("bin_moment", "f8", (WINDOW, LOADS)),
+        ("bin_drag", "f8", (WINDOW, LOADS, friction.COUNT)),
+        ("active", "i8"),  # loads to be found: the mass alone, or all where the fourth axis turns
+        ("turning", "i8"),  # samples for which they still are
+        ("offset", "f8", 2),  # kg m, of the load from the fourth axis
+        ("head", "i8"),  # bin that is being filled
+        ("in_bin", "i8"),  # samples in it
+        ("filled", "i8"),  # bins since the last change, at most WINDOW
+        ("load", "f8"),  # kg, mass at the last event, then whenever it is trusted
+        ("load_std", "f8"),  # kg, its standard deviation then
+        ("load_before", "f8"),  # kg, the same before the last event
+        ("last_event", "i8"),
+        ("quiet", "i8"),  # samples since then
+        ("burst", "f8"),  # events of late, leaking
+        ("blocks", "f8", BLOCKS),  # squared residuals at right angles to phi over what the noise explains, a ring
+        ("block", "i8"),  # the next to be written
+        ("inflation", "f8"),  # of the variance of the noise, of now
+        ("raw_information", "f8"),  # information without inflation
+        ("excess", "f8"),  # of the blocks' scatter over the noise, over BIAS_TIME
+        ("leverage", "f8"),  # kg^-2, what a block says of the mass, over the same
+        ("judged", "f8"),  # share of BIAS_TIME that the two have been averaged over so far
+        ("bias", "f8"),  # kg^2, variance of what the model's error does to a mass for good
+        ("wrong_for", "f8"),  # s
+        ("shortfall", "f8"),  # kg, how far below nothing masses have been of late, or off it where nothing hung
+        ("in_block", "i8"),
+        ("clock", "i8"),  # samples taken
+        ("ended", "i8", BLOCKS),  # when each block did
+        ("fresh", "i8"),  # blocks since the last change, as far as they are kept
+        ("sums", "f8", (BLOCKS, 3, COLUMN + LOADS)),  # of each block, a joint: weight, residual and loads times weight
+        ("friction", friction.STATE),
+        ("slow", slow.STATE),
+        # scratch: sums since an onset and before it, of all loads and of the mass alone
+        ("since_information", "f8", (LOADS, LOADS)),
+        ("since_moment", "f8", LOADS),
+        ("since_drag", "f8", (LOADS, friction.COUNT)),
+        ("before_information", "f8", (LOADS, LOADS)),
+        ("before_moment", "f8", LOADS),
+        ("pull", "f8", LOADS),
+        ("found", "f8", LOADS),
+        ("step", "f8", LOADS),
+        ("inverse", "f8", (LOADS, LOADS)),
+        ("inverse_before", "f8", (LOADS, LOADS)),
+        ("inverse_spread", "f8", (LOADS, LOADS)),
+        ("spread", "f8", (LOADS, LOADS)),
+        ("contrast", "f8", (LOADS, friction.COUNT)),
+        ("known", "f8", 3),  # of this sample, N m: of the load's offset
+        ("shape", "f8", (3, friction.PARTS)),  # of this sample: direction, speed, 1
+        ("column", "f8", (3, LOADS)),  # of this sample: what each load does, phi N m/kg and swing N m/(kg m)
+        ("residual", "f8", 3),  # of this sample, N m, measured minus predicted without payload
+        ("weight", "f8", 3),  # of this sample, (N m)^-2, 0 where a joint has nothing to say
+        ("slow_weight", "f8", 3),  # the same of a joint too slow for Coulomb's law
+        ("remains", "f8", 3),  # of the residual, learnt friction taken off
+        ("gripper", "i8"),  # of this sample, schemas.messages.Gripper
+        ("gripper_before", "i8"),
+        ("mass", "f8"),  # kg
+        ("std_dev", "f8"),  # kg
+        ("trusted", "i8"),
+    ],
+    align=True,
+)
+
+SETTINGS = np.dtype(
+    [
+        ("forgetting", "f8"),
+        ("friction_forgetting", "f8"),
+        ("prior", "f8", friction.COUNT),
+        ("bin_size", "i8"),  # samples
+        ("block_size", "i8"),
+        ("remember", "f8"),  # per sample, of the shortfall
+        ("model_error", "f8"),  # squared, over the noise of a block
+        ("information_weight", "f8"),  # share of a sample that is new information
+        ("period", "f8"),  # s
+        ("max_payload", "f8"),  # kg
+    ],
+    align=True,
+)
+
+
+def sample_variance(noise: np.ndarray, model_error: np.ndarray) -> np.ndarray:
+    """Variance (3,) (N m)^2 to weigh a torque sample with, from rms (3,) N m of white noise and of what the model left.
+
+    A model error well below the noise is told from the noise's own colour by nothing, so it counts for less.
+    """
+    square = np.square(model_error)
+    shown = square / np.maximum(square + np.square(noise), 1e-12)
+    return np.square(noise) + shown * square * MODEL_ERROR_TIME / CORRELATION_TIME
+
+
+def settings(
+    period: float, prior: np.ndarray, max_payload: float, model_error: np.ndarray, variance: np.ndarray
+) -> np.ndarray:
+    """One SETTINGS record. period: s. prior: (9,) of friction. max_payload: kg. model_error: (3,) N m rms that the
+    model left where it was identified. variance: (3,) (N m)^2, as `sample_variance`."""
+    record = np.zeros((), SETTINGS)
+    for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME)):
+        record[name] = max(1, round(time / period))
+    record["forgetting"] = np.exp(-period / MEMORY_TIME)
+    record["remember"] = np.exp(-period / SHORTFALL_TIME)
+    record["friction_forgetting"] = np.exp(-record["block_size"] * period / friction.MEMORY_TIME)
+    record["information_weight"] = min(1.0, period / CORRELATION_TIME)
+    record["model_error"] = (
+        record["block_size"] * record["information_weight"] * np.mean(np.square(model_error) / variance)
+    )
+    record["prior"], record["period"], record["max_payload"] = prior, period, max_payload
+    return record
+
+
+def start(state: np.ndarray, prior: np.ndarray) -> None:
+    """An empty gripper, nothing known; prior: (9,) of friction."""
+    state[:] = np.zeros((), STATE)
+    state["information"][..., range(LOADS), range(LOADS)] = [PRIOR_STD**-2, OFFSET_STD**-2, OFFSET_STD**-2]
+    state["active"] = state["filled"] = 1
+    state["blocks"] = state["inflation"] = 1.0
+    state["raw_information"] = PRIOR_STD**-2
+    state["std_dev"] = PRIOR_STD
+    friction.start(state["friction"], prior)

@@ -1,0 +1,136 @@
+"""One sample into the payload estimate."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from schemas.messages import Gripper
+from service.estimator import friction, slow
+from service.estimator.payload.change import find_change
+from service.estimator.payload.loads import prior_of
+from service.estimator.payload.scatter import part_blocks, scatter_kernel
+from service.estimator.payload.state import LOADS, MEMORY_TIME, PRIOR_STD, WINDOW
+from service.estimator.payload.verdict import conclude
+
+UNKNOWN = Gripper.UNKNOWN.value
+OFFSET_MEMORY = 5.0  # memory times after which nothing is left of what a turn said
+
+
+@njit(cache=True)
+def payload_kernel(settings, state):
+    """Take the sample in state.column, residual, weight, shape. Filled: mass, std_dev, trusted. Returns an event."""
+    column, residual, weight, shape, head = state.column, state.residual, state.weight, state.shape, state.head
+    if state.gripper != state.gripper_before:
+        _grip(state)
+    for i in range(3):
+        weight[i] *= settings.information_weight
+    _note_turning(settings, state)
+    scatter_kernel(settings, state)
+    raw = 0.0
+    for i in range(3):
+        raw += weight[i] * column[i, 0] * column[i, 0]
+        weight[i] /= state.inflation
+    for p in range(state.active):
+        prior = prior_of(p)
+        for q in range(state.active):
+            own = prior if p == q else 0.0
+            gained = 0.0
+            for i in range(3):
+                gained += weight[i] * column[i, p] * column[i, q]
+            state.information[p, q] = own + (state.information[p, q] - own) * settings.forgetting + gained
+            state.bin_information[head, p, q] += gained
+        gained = 0.0
+        for i in range(3):
+            pull = weight[i] * column[i, p]
+            gained += pull * residual[i]
+            for a in range(friction.PARTS):
+                at = friction.PARTS * i + a
+                state.drag[p, at] = state.drag[p, at] * settings.forgetting + pull * shape[i, a]
+                state.bin_drag[head, p, at] += pull * shape[i, a]
+        state.moment[p] = state.moment[p] * settings.forgetting + gained
+        state.bin_moment[head, p] += gained
+    state.raw_information = prior_of(0) + (state.raw_information - prior_of(0)) * settings.forgetting + raw
+    if raw > 0.0:
+        slow.fast_kernel(state.slow)
+    elif state.active == 1:
+        _weigh_slowly(settings, state)
+    state.in_bin += 1
+    if state.in_bin >= settings.bin_size:
+        state.in_bin = 0
+        onset = find_change(state)
+        head = state.head = (head + 1) % WINDOW
+        state.filled = min(WINDOW, state.filled + 1)
+        for p in range(LOADS):
+            state.bin_moment[head, p] = 0.0
+            for q in range(LOADS):
+                state.bin_information[head, p, q] = 0.0
+            for a in range(friction.COUNT):
+                state.bin_drag[head, p, a] = 0.0
+        if onset > 0 and state.active > 1:
+            part_blocks(settings, state, onset * settings.bin_size)
+    return conclude(settings, state)
+
+
+@njit(cache=True)
+def _weigh_slowly(settings, state):
+    """Where nothing moves fast: take what gravity says for all that is known of the mass."""
+    for i in range(3):
+        first = friction.PARTS * i
+        state.known[i] = settings.prior[first]
+        state.remains[i] = state.residual[i]
+        for a in range(friction.PARTS):
+            state.remains[i] -= state.shape[i, a] * state.friction.delta[first + a]
+        state.slow_weight[i] *= settings.information_weight
+    told = slow.slow_kernel(
+        state.slow, state.column, state.remains, state.shape[:, 0], state.slow_weight, settings.period, state.known,
+        state.mass, state.std_dev * state.std_dev, PRIOR_STD * PRIOR_STD,
+    )  # fmt: skip
+    if told:
+        state.information[0, 0] = 1.0 / state.slow.variance
+        state.moment[0] = state.slow.mass / state.slow.variance
+        state.raw_information = state.information[0, 0] * state.inflation
+        for a in range(friction.COUNT):
+            state.drag[0, a] = 0.0
+
+
+@njit(cache=True)
+def _grip(state):
+    """The gripper opened or closed: what hangs on it is another from here on."""
+    if state.gripper_before != UNKNOWN and state.gripper != UNKNOWN:
+        for n in range(WINDOW):
+            state.bin_information[n] = 0.0
+            state.bin_moment[n] = 0.0
+            state.bin_drag[n] = 0.0
+        state.in_bin = 0
+        state.filled = 1
+        state.information[:] = 0.0
+        for p in range(LOADS):
+            state.information[p, p] = prior_of(p)
+            state.moment[p] = 0.0
+            state.drag[p] = 0.0
+        state.raw_information = prior_of(0)
+        slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
+    state.gripper_before = state.gripper
+
+
+@njit(cache=True)
+def _note_turning(settings, state):
+    """Look for the load's offset while the fourth axis turns, and for as long after as is remembered of it."""
+    turns = False
+    for i in range(3):
+        for p in range(1, LOADS):
+            turns |= state.column[i, p] != 0.0
+    if turns:
+        state.turning = np.int64(OFFSET_MEMORY * MEMORY_TIME / settings.period)
+        state.active = LOADS
+    elif state.active > 1:
+        state.turning -= 1
+        if state.turning <= 0:
+            state.active = 1
+            for p in range(1, LOADS):
+                state.moment[p] = state.offset[p - 1] = 0.0
+                for q in range(LOADS):
+                    state.information[p, q] = state.information[q, p] = prior_of(p) if p == q else 0.0
+                for a in range(friction.COUNT):
+                    state.drag[p, a] = 0.0

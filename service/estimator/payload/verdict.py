@@ -1,0 +1,119 @@
+"""What is said of the mass: its standard deviation, whether to trust it, what happened to it. Nothing is trusted before
+it is excited, nor while it contradicts what a gripper can do.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from schemas.messages import Gripper, PayloadEvent
+from service.estimator import friction
+from service.estimator.payload.loads import locate
+from service.estimator.payload.state import COLOUR, SMALLEST_CHANGE, WINDOW
+
+# So soon after an event a smaller part of the load than this is the estimate settling, not the next event.
+REFINING_TIME, REFINING_SHARE = 0.15, 0.5  # s, -
+GRIPPER_TIME = 0.03  # s, no gripper lets go again sooner
+EVENT_SIGMAS = 3.0  # standard deviations of now and then that a change of load stands out of
+# A pick or release is reported once its step stands out of one standard deviation this many times, which for a heavy
+# load is well before its mass is trusted.
+CLEAR_STEP = 10.0
+# What the model lacks is this many times the noise: what it says of the mass is not to be used.
+FOREIGN = 12.0
+# What the model lacks over some seconds of motion comes again with every move: this share of it, brought to the
+# platform, does not average out of the mass.
+BIAS_SHARE = 0.5
+# Torque constants hold to some 5 %, two of these, and without a known load nothing shows by how much a mass is off.
+TORQUE_SHARE = 0.025
+# Trusted when one standard deviation is below share * mass + floor.
+TRUST_SHARE, TRUST_FLOOR = 0.1, 0.025  # -, kg
+# A shortfall counts where a mass is this sure, and shows for this long, by more than this: a release is not seen at
+# once.
+SHORTFALL_STD, SETTLING_TIME, SHORTFALL_FLOOR = 0.1, 0.3, 0.02  # kg, s, kg
+# Beyond this many standard deviations and this much below nothing, or above the greatest payload, a mass is none.
+CONTRADICTION, CONTRADICTION_FLOOR = 2.0, 0.05  # -, kg
+# A gripper makes this many events a second at most; a burst of so many more is no gripper.
+EVENT_RATE, EVENT_BURST = 5.0, 3.0  # 1/s, -
+EMPTY_SIGMAS = 5.0  # by which a mass contradicts an open gripper
+
+UNKNOWN, OPEN = Gripper.UNKNOWN.value, Gripper.OPEN.value
+
+
+@njit(cache=True)
+def conclude(settings, state):
+    """Mass, standard deviation and trust of now. Returns the event that they amount to."""
+    active, inverse, drag = state.active, state.inverse, state.contrast[0]
+    mass = locate(state)
+    for a in range(friction.COUNT):
+        drag[a] = 0.0
+        for p in range(active):
+            drag[a] += inverse[0, p] * state.drag[p, a]
+    doubt = friction.covariance_kernel(state.friction, drag, drag)
+    # what was learnt while the model fitted says less once it no longer does
+    worse = max(1.0, state.inflation * state.information[0, 0] / state.raw_information)
+    state.shortfall *= settings.remember
+    state.bias = 0.0
+    if state.leverage > 0.0:  # averages that are not full yet are judged by what is in them
+        lacking = settings.model_error + max(state.excess / state.judged, (state.inflation - 1.0) / COLOUR)
+        state.bias = BIAS_SHARE * BIAS_SHARE * lacking * state.judged / state.leverage
+    std_dev = math.sqrt(worse * inverse[0, 0] + doubt + state.bias)
+    known_empty = state.gripper == OPEN
+    contradicted = known_empty and mass > EMPTY_SIGMAS * std_dev + SMALLEST_CHANGE
+    # what hangs on nothing is an error too, whichever way
+    empty = known_empty or (state.gripper == UNKNOWN and state.load < SMALLEST_CHANGE and mass < SMALLEST_CHANGE)
+    wrong = (abs(mass) if empty else -mass) - CONTRADICTION * std_dev - SHORTFALL_FLOOR
+    lasting = std_dev < SHORTFALL_STD and wrong > state.shortfall
+    state.wrong_for = state.wrong_for + settings.period if lasting else 0.0
+    if state.wrong_for > (0.0 if known_empty else SETTLING_TIME):
+        state.shortfall += settings.period / SETTLING_TIME * (wrong - state.shortfall)
+    std_dev = math.hypot(std_dev, max(state.shortfall, wrong) if empty else state.shortfall)
+    trusted = std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR and state.inflation < FOREIGN
+    state.quiet += 1
+    state.burst = max(0.0, state.burst - EVENT_RATE * settings.period)
+    margin = CONTRADICTION * std_dev + CONTRADICTION_FLOOR
+    if mass < -margin or mass > settings.max_payload + margin or state.burst > EVENT_BURST:
+        trusted = False
+        std_dev = max(std_dev, abs(mass - min(max(mass, 0.0), settings.max_payload)))
+    held = min(max(mass, 0.0), settings.max_payload)
+    if contradicted:  # the gripper says one thing, the torque another
+        trusted, std_dev = False, max(std_dev, held)
+    elif known_empty:
+        trusted, held, std_dev = True, 0.0, 0.0
+    event = PayloadEvent.NONE.value
+    if state.last_event == PayloadEvent.RELEASE.value and state.quiet < WINDOW * settings.bin_size:
+        state.load = min(state.load, held)  # the rest of a release is no second one
+    if trusted or abs(held - state.load) > CLEAR_STEP * std_dev:
+        event = _event(settings, state, held, std_dev, trusted)
+    state.mass = held
+    state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
+    state.trusted = 1 if trusted else 0
+    return event
+
+
+@njit(cache=True)
+def _event(settings, state, mass, std_dev, trusted):
+    """What a mass says beside the one believed so far. Another step the same way soon after only refines the event."""
+    step = mass - state.load
+    soon = state.quiet < WINDOW * settings.bin_size
+    since = state.quiet * settings.period
+    small = abs(step) < REFINING_SHARE * state.load and since < REFINING_TIME
+    sign = 1.0 if state.last_event == PayloadEvent.PICK.value else -1.0
+    small |= since < GRIPPER_TIME and sign * (mass - state.load_before) > SMALLEST_CHANGE
+    event = PayloadEvent.NONE.value
+    least = max(SMALLEST_CHANGE, EVENT_SIGMAS * math.hypot(std_dev, state.load_std))
+    if step > least:
+        event = PayloadEvent.PICK.value
+    elif step < -least:
+        event = PayloadEvent.RELEASE.value
+    before = state.load
+    if trusted or event != PayloadEvent.NONE.value:
+        state.load, state.load_std = mass, std_dev
+    if event == PayloadEvent.NONE.value or small or (event == state.last_event and soon):
+        return PayloadEvent.NONE.value
+    state.load_before = before
+    state.last_event = event
+    state.quiet = 0
+    state.burst += 1.0
+    return event
