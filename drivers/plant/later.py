@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.plant.effects import EFFECTS, Effect
+from drivers.plant.effects import EFFECTS, PlantEffect
 from drivers.plant.plant import Plant
 from drivers.plant.truth import PlantTruth
 from schemas.errors import DataError
@@ -22,7 +22,7 @@ _LATER = re.compile(r"^(?P<name>\w+)(?:=(?P<value>[^@]+))?@(?P<at>[^@]+?)s?$")
 class Later:
     """An effect and the time, s of the run, from which it is at work."""
 
-    effect: Effect
+    effect: PlantEffect
     name: str
     at: float
 
@@ -76,11 +76,11 @@ def _number(text: str, number: str) -> float:
     return value
 
 
-def _figures(effect: Effect) -> dict[str, float | list[float]]:
+def _figures(effect: PlantEffect) -> dict[str, float | list[float]]:
     return {field.name: getattr(effect, field.name) for field in dataclasses.fields(effect) if field.init}
 
 
-def _sized(effect: Effect, value: float) -> Effect:
+def _sized(effect: PlantEffect, value: float) -> Effect:
     name, drawn = next(iter(_figures(effect).items()))
     if not isinstance(drawn, list):
         return dataclasses.replace(effect, **{name: value})

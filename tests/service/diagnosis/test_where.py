@@ -75,7 +75,7 @@ def test_every_row_has_its_state(findings, rows):
 def test_the_clock_counts_from_each_runs_own_start():
     runs = [course(1, 1.0), course(2, 1.0)]
     logs = problem(runs, [run.torque for run in runs], starts=[40.0, 70.0])
-    clock = where.Rows.of(logs, Hypothesis(BASE)).clock
+    clock = where.RowStates.of(logs, Hypothesis(BASE)).clock
     assert 0.0 < clock.min() < 0.2
     assert 0.8 < clock.max() < 1.0
 

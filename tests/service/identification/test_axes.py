@@ -87,7 +87,9 @@ def found(bench: Path) -> Axes:
     result = run(app, [str(argument) for argument in arguments], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     assert "gravity_si" in result.output
-    return load_axes(bench / "identified.toml")
+    axes = load_axes(bench / "identified.toml")
+    assert isinstance(axes, Axes)
+    return axes
 
 
 def test_every_part_is_recovered(found: Axes) -> None:
