@@ -80,7 +80,7 @@ def _figures(effect: PlantEffect) -> dict[str, float | list[float]]:
     return {field.name: getattr(effect, field.name) for field in dataclasses.fields(effect) if field.init}
 
 
-def _sized(effect: PlantEffect, value: float) -> Effect:
+def _sized(effect: PlantEffect, value: float) -> PlantEffect:
     name, drawn = next(iter(_figures(effect).items()))
     if not isinstance(drawn, list):
         return dataclasses.replace(effect, **{name: value})
