@@ -73,7 +73,7 @@ def test_a_master_maps_by_the_eni_what_it_maps_by_the_declaration(tmp_path: Path
 def test_a_declared_mapping_wins_over_the_eni(tmp_path: Path) -> None:
     (tmp_path / "machine.xml").write_text(ENI)
     layout = make_layout(robot(drive={"eni": str(tmp_path / "machine.xml")}, inputs=["0x6064", "0x6077"]))
-    assert layout["inputs"]["place"][0, 0].tolist() == [-1, 0x1000 + 36, -1, 0x1000 + 40, -1]
+    assert layout["inputs"]["place"][0, 0].tolist() == [-1, 0x1000 + 36, -1, 0x1000 + 40, -1, -1]
 
 
 BOMB = (
