@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.bus import Bus
 from drivers.ethercat.setpoints import Setpoints
-from schemas.messages import NANOSECONDS, REFERENCE, FeedforwardSource, SampleFlag, set_stamp, stamp_ns
+from schemas.messages import NANOSECONDS, REFERENCE, FeedforwardSource, Gripper, SampleFlag, set_stamp, stamp_ns
 from service.estimator.estimator import Estimator
 
 LEAD = 4  # cycles that a motion is published ahead of its command: tap, estimator and Zenoh have that long at any rate
@@ -43,7 +43,8 @@ class InCycle:
         self._estimator.plan(reference)
         estimator = self._estimator
         estimator.step(sample.tobytes())
-        if estimator.look_back() >= 0 and estimator.payload["trusted"][0]:
+        weighed = estimator.look_back() >= 0 and estimator.payload["trusted"][0]
+        if weighed and sample["gripper"][0] != Gripper.OPEN:
             self._payload = estimator.payload[0].copy()
         answer = estimator.feedforward[0]
         return answer["torque"].copy() if _for_the_plan(answer) else None
@@ -53,7 +54,7 @@ class InCycle:
         return {}
 
     def summary(self) -> str:
-        """The last payload that was trusted."""
+        """The last payload that was trusted, of a gripper not known to be open."""
         if self._payload is None:
             return "payload: none trusted"
         mass, std_dev = self._payload["mass"], self._payload["std_dev"]

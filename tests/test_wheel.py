@@ -14,10 +14,10 @@ from tests.conftest import REPOSITORY
 LOG = "replay/demo/log.mcap"
 
 
-def run(*command: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
-    environment = {key: value for key, value in os.environ.items() if key not in ("VIRTUAL_ENV", "PYTHONPATH")}
+def run(*command: str | Path, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    ours = {key: value for key, value in os.environ.items() if key not in ("VIRTUAL_ENV", "PYTHONPATH")}
     return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=250, check=False
+        command, cwd=folder, env=ours | environment, capture_output=True, text=True, timeout=250, check=False
     )
 
 
@@ -30,11 +30,14 @@ def test_the_wheel_works_outside_the_repository(tmp_path: Path) -> None:
         pytest.skip("needs the build backend (hatchling) in uv's cache, or the network")
     assert built.returncode == 0, built.stderr
     (wheel,) = tmp_path.glob("*.whl")
-    assert run(uv, "venv", tmp_path / "empty", folder=tmp_path).returncode == 0
-    python = tmp_path / "empty" / "bin" / "python"
-    installed = run(uv, "pip", "install", "--offline", "--python", python, wheel, folder=tmp_path)
+    # the versions of the lock, which a working copy that runs tests has in the cache
+    python, environment = tmp_path / "empty" / "bin" / "python", {"UV_PROJECT_ENVIRONMENT": str(tmp_path / "empty")}
+    locked = ("sync", "--frozen", "--offline", "--no-dev", "--no-install-project", "--project", REPOSITORY)
+    installed = run(uv, *locked, folder=tmp_path, **environment)
     if installed.returncode and ("network" in installed.stderr.lower() or "cache" in installed.stderr.lower()):
         pytest.skip("needs the dependencies in uv's cache, or the network")
+    assert installed.returncode == 0, installed.stderr
+    installed = run(uv, "pip", "install", "--offline", "--no-deps", "--python", python, wheel, folder=tmp_path)
     assert installed.returncode == 0, installed.stderr
     command = tmp_path / "empty" / "bin" / "deltatwin"
     assert run(command, "--version", folder=tmp_path).stdout.startswith("deltatwin ")

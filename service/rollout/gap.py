@@ -27,9 +27,10 @@ from service.model.nominal import DeltaModel
 from service.model.scene import Recording
 from service.model.signals import EDGE, Segment, segments, smooth
 from service.model.torque import predict
+from service.rollout.cascade import DriveGains
 from service.rollout.kernel import LONGEST_STEP, SCRATCH, run_kernel
 from service.rollout.robot import Stretch, stretch
-from service.rollout.servo import DriveGains, commands_of, follow, gains_of, identified
+from service.rollout.servo import commands_of, follow, gains_of, identified
 
 HORIZON = 0.2  # s
 SHORTEST, LONGEST = 0.01, 5.0  # s of horizon that make sense

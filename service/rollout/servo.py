@@ -11,32 +11,19 @@ position gain and inverse integral time can change places: the larger one is tak
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from schemas.errors import DataError
 from schemas.robot import Servo
 from schemas.trace import Trace
 from service.identification.fit import solve
-from service.model.kinematics import REACHED
 from service.model.signals import Band, Segment
-from service.rollout.kernel import FARTHEST, LONGEST_STEP, SCRATCH, _step
+from service.rollout.cascade import DriveGains, Runs, follow_kernel
+from service.rollout.kernel import LONGEST_STEP, SCRATCH
 from service.rollout.robot import Stretch
 
 MOST_LEFT = 0.3  # of the torque's rms that a drive's law may leave to be believed
-
-
-class DriveGains(NamedTuple):
-    """(3,) each, as in `Servo`; per_time: 1/s, inverse of the integral time. peak: N m."""
-
-    position: np.ndarray
-    velocity: np.ndarray
-    per_time: np.ndarray
-    velocity_forward: np.ndarray
-    acceleration_forward: np.ndarray
-    peak: float
 
 
 def gains_of(servo: Servo, peak: float) -> DriveGains:
@@ -124,55 +111,6 @@ def follow(
     """
     substeps = max(1, int(np.ceil(period / LONGEST_STEP - 1e-6)))
     motor, pushed = np.empty(command[:, :, 0].shape), np.empty(command[:, :, 0].shape)
-    begin, course, first = np.ascontiguousarray(start), np.ascontiguousarray(command), np.ascontiguousarray(torque)
-    scratch = np.zeros(1, SCRATCH)
-    follow_kernel(seen.forward, scratch, gains, begin, course, first, clock, period, substeps, motor, pushed)
+    runs = Runs(np.ascontiguousarray(start), np.ascontiguousarray(command), np.ascontiguousarray(torque), clock)
+    follow_kernel(seen.forward, np.zeros(1, SCRATCH), gains, runs, period, substeps, motor, pushed)
     return seen.measured(motor), pushed
-
-
-@njit(cache=True)
-def _drive(gains, state, command, later, integral, i):
-    """Torque of drive i and its push, N m, `later` s after a sample's command (3, 3)."""
-    place = command[0, i] + later * (command[1, i] + 0.5 * later * command[2, i])
-    speed = command[1, i] + later * command[2, i]
-    slip = gains.velocity_forward[i] * speed - state[3, i]
-    push = gains.velocity[i] * (slip + gains.position[i] * (place - state[2, i]))
-    return push + integral[i] + gains.acceleration_forward[i] * command[2, i], push
-
-
-@njit(cache=True, nogil=True)
-def follow_kernel(
-    forward, scratch, gains, start, command, torque, seconds, period, substeps, motor, pushed
-):  # fmt: skip
-    """W runs of S samples, as `run_kernel`, whose torque the drives make. Filled: motor, pushed (W, S, 3)."""
-    f, s = forward[0], scratch[0]
-    h = period / substeps
-    integral = np.zeros(3)
-    count = command.shape[1]
-    for w in range(len(start)):
-        for i in range(3):
-            s.guess[i] = 0.0
-            for row in range(5):
-                s.state[row, i] = start[w, row, i]
-            integral[i] = 0.0
-            integral[i] = torque[w, i] - _drive(gains, s.state, command[w, 0], 0.0, integral, i)[0]
-        sound = True
-        for k in range(count):
-            for i in range(3):
-                sound &= abs(s.state[2, i] - start[w, 2, i]) < FARTHEST  # also when NaN
-            for i in range(3):
-                free, _ = _drive(gains, s.state, command[w, k], 0.0, integral, i)
-                motor[w, k, i] = s.state[2, i] if sound else np.nan
-                pushed[w, k, i] = min(max(free, -gains.peak), gains.peak) if sound else np.nan
-            if not sound or k == count - 1:
-                continue
-            for part in range(substeps):
-                for i in range(3):
-                    free, push = _drive(gains, s.state, command[w, k], part * h, integral, i)
-                    limited = min(max(free, -gains.peak), gains.peak)
-                    if limited == free:
-                        integral[i] += push * h * gains.per_time[i]
-                    s.before[i] = s.after[i] = limited
-                sound = _step(f, s, seconds[w] + k * period + part * h, h) == REACHED
-                if not sound:
-                    break

@@ -117,9 +117,10 @@ def answer(document: Diagnosis) -> Answer:
         )
         for effect in document.effects
     ]
-    check = [ADVICE[one.advice] for one in document.cannot_tell] + _settling(document)
+    check = [ADVICE[one.advice] for one in document.cannot_tell]
     if not causes and document.verdict != "within_noise":
         check = check or [ADVICE["check_description"], ADVICE["record_more"]]
+    check += _settling(document)
     gap = f"{level(before)} → {level(after)}" if causes else level(before)
     return Answer(causes, gap, _verdict(document), list(dict.fromkeys(check))[:MOST_NEAR])
 

@@ -139,7 +139,7 @@ def test_a_pipe_gets_whole_lines(own: Path) -> None:
 
 
 def test_a_move_that_does_not_fit_is_refused(tmp_path: Path) -> None:
-    arguments = ["simulate", "--robot", "d3-1200", "--duration", "3", "--max-speed", "0.05", "--out", "a.csv"]
+    arguments = ["simulate", "--robot", "d3-1200", "--duration", "3", "--max-speed", "0.3", "--out", "a.csv"]
     done = CliRunner().invoke(app, arguments)
     assert "at this speed, the motion is to take 3 s" in str(done.exception)
 

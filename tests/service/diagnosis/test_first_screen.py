@@ -11,7 +11,7 @@ import pytest
 from schemas.diagnosis import Estimate, Simulated
 from service.diagnosis.documents.document import made_from
 from service.diagnosis.documents.report import write_report
-from service.diagnosis.documents.text import ADVICE, _forward, answer, sentences
+from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, sentences
 from service.model.effects import CATALOGUE
 from tests.service.pages.browser import looked_at
 from tests.service.subject import document
@@ -34,7 +34,7 @@ def test_the_box_says_what_where_how_much_and_what_to_do(findings):
     assert said.causes[0].how_much[0].startswith("breakaway friction above the Coulomb level, joint 1: ")
     assert said.causes[0].how_much[0].endswith(" N m")
     assert said.causes[0].surety.endswith("of the resampled data. On this data it cannot be told from cogging.")
-    assert said.check == ["To be sure, record a slow sweep with reversals, 0.005 to 1 rad/s."]
+    assert said.check == ["To be sure, record a slow sweep with reversals, 0.005 to 1 rad/s.", PLANNED]
     assert "relubricate" in said.causes[0].means
     cosine, sine = (found.effects[1].parameters[name].value for name in ("cosine", "sine"))
     amplitude = re.match(r"amplitude, joint side: ([\d.]+) ± [\d.]+ N m$", said.causes[1].how_much[0])
@@ -50,7 +50,7 @@ def test_where_no_name_is_earned_the_box_says_what_to_check(findings):
     nothing = document.document(findings).model_copy(update={"effects": [], "verdict": "unexplained"})
     said = answer(nothing)
     assert said.causes == []
-    assert said.check == [ADVICE["check_description"], ADVICE["record_more"]]
+    assert said.check == [ADVICE["check_description"], ADVICE["record_more"], PLANNED]
     assert answer(nothing.model_copy(update={"verdict": "within_noise"})).check == []
 
 
