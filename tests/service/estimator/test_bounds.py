@@ -172,7 +172,7 @@ def strike(robot, good, random, rounds):
     last = np.zeros((1, 3))
     for _ in range(rounds):
         bad = hostile(random, good, int(random.integers(50, 1000)))
-        begin = int(random.integers(0, 600))
+        begin = int(random.integers(0, max(1, len(good) - 400)))
         well = good[begin : begin + 400].copy()
         well["sequence"] += random.integers(2**64, dtype=np.uint64)
         well["stamp_sec"] += random.integers(0, 2**20, dtype=np.int32)
