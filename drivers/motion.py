@@ -144,14 +144,7 @@ class Planner:
         weight = rng.uniform(0.5, 1.0, omega.shape) / omega**0.7
         phase = rng.uniform(0, 2 * math.pi, omega.shape)
         window = _window(time, duration, min(0.8, duration / 4))
-        argument = omega[..., None] * time + phase[..., None]
-        wave = np.stack(
-            [
-                (weight[..., None] * omega[..., None] ** n * np.sin(argument + n * math.pi / 2)).sum(axis=1).T
-                for n in range(3)
-            ]
-        )
-        return self._largest(_even(_windowed(wave, window), rng), speed)
+        return self._largest(_even(_windowed(_waves(time, omega, weight, phase), window), rng), speed)
 
     def swing(
         self, duration: float, frequency: float, weight: np.ndarray, phase: np.ndarray, middle: np.ndarray, share: float
@@ -163,13 +156,7 @@ class Planner:
         """
         time = self._clock(duration)
         omega = 2 * math.pi * frequency * np.arange(1, weight.shape[1] + 1)
-        argument = omega[:, None] * time + phase[..., None]
-        wave = np.stack(
-            [
-                ((weight / omega)[..., None] * omega[:, None] ** n * np.sin(argument + n * math.pi / 2)).sum(axis=1).T
-                for n in range(3)
-            ]
-        )
+        wave = _waves(time, omega, weight / omega, phase)
         wave[0] += middle / omega[0]
         window = _window(time, duration, min(0.5, duration / 4))
         return self._largest(_windowed(wave, window), share, what="swing")
@@ -180,16 +167,9 @@ class Planner:
         omega = 2 * math.pi * rng.uniform(0.5, 3.2, (3, 3)) / max(duration, 4.0)
         weight = rng.uniform(0.4, 1.0, omega.shape)
         phase = rng.uniform(0, 2 * math.pi, omega.shape)
-        argument = omega[..., None] * time + phase[..., None]
-        wave = np.stack(
-            [
-                (weight[..., None] * omega[..., None] ** n * np.sin(argument + n * math.pi / 2)).sum(axis=1).T
-                for n in range(3)
-            ]
-        )
         window = _window(time, duration, min(0.8, duration / 4))
         limits = MotionLimits(speed=1.3, acceleration=self.limits.acceleration, torque=self.limits.torque)
-        return self._largest(_even(_windowed(wave, window), rng), 1.0, limits)
+        return self._largest(_even(_windowed(_waves(time, omega, weight, phase), window), rng), 1.0, limits)
 
     def bound(self, rng: np.random.Generator, duration: float, speed: float = 1.0) -> Trajectory:
         """Round the rim of the workspace, up and down its wall, both ways round: what stresses geometry and gears."""
@@ -442,6 +422,17 @@ def _smooth_step(time: np.ndarray, start: float, end: float) -> np.ndarray:
 def _window(time: np.ndarray, duration: float, ramp: float) -> np.ndarray:
     """Fades in and out over `ramp` s; (3, N) with its derivatives."""
     return _smooth_step(time, 0.0, ramp) - _smooth_step(time, duration - ramp, duration)
+
+
+def _waves(time: np.ndarray, omega: np.ndarray, weight: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """(3, N, 3) angle, speed and acceleration of sums of sines. omega: (H,) or (3, H) rad/s; weight, phase: (3, H)."""
+    argument = omega[..., None] * time + phase[..., None]
+    return np.stack(
+        [
+            (weight[..., None] * omega[..., None] ** n * np.sin(argument + n * math.pi / 2)).sum(axis=1).T
+            for n in range(3)
+        ]
+    )
 
 
 def _windowed(wave: np.ndarray, window: np.ndarray) -> np.ndarray:

@@ -50,7 +50,12 @@ def read_motion(path: Path, robot: Robot, planner: Planner) -> Trajectory:
     time = np.minimum(trace.time[0] + np.arange(count + 1) * planner.period, trace.time[-1])
     if len(trace) < 6 or count < 2:
         raise DataError(f"{path}: {len(trace)} rows make no motion")
-    way = make_interp_spline(trace.time, trace.position, k=5)
-    motion = Trajectory(planner.period, way(time), way(time, 1), way(time, 2))
+    motion = resampled(trace.time, trace.position, time, planner.period)
     planner.check(motion, str(path))
     return motion
+
+
+def resampled(time: np.ndarray, position: np.ndarray, instants: np.ndarray, period: float) -> Trajectory:
+    """The motion through (N, 3) `position` at (N,) `time`, s, at `instants`, which are `period` s apart."""
+    path = make_interp_spline(time, position, k=5)
+    return Trajectory(period, path(instants), path(instants, 1), path(instants, 2))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -19,8 +20,7 @@ JOINTS = np.arange(3)
 class PlantEffect:
     """One unmodelled effect: override the hooks that its physics needs. All vectors are (3,), SI, joint side.
 
-    The hooks run in every integration step (0.25 ms or less). An effect that sits on single joints takes one figure a
-    joint, zero where the joint is spared.
+    The hooks run in every integration step (0.25 ms or less).
     """
 
     @classmethod
@@ -67,6 +67,16 @@ class PlantEffect:
         return torque
 
 
+class JointEffect(PlantEffect):
+    """An effect on single joints: its first figure is a list, one a joint, zero where the joint is spared."""
+
+    @property
+    def joints(self) -> list[int]:
+        """Joints, from 0, whose figure is not zero."""
+        figures: list[float] = getattr(self, fields(self)[0].name)
+        return [joint for joint, figure in enumerate(figures) if figure]
+
+
 def on_one(rng: np.random.Generator, value: float) -> list[float]:
     """`value` on a random joint, zero on the others."""
     joint = int(rng.integers(3))
@@ -78,6 +88,14 @@ def signed(rng: np.random.Generator, low: float, high: float) -> float:
     return float(rng.choice((-1.0, 1.0)) * rng.uniform(low, high))
 
 
-def touched(values: list[float]) -> list[int]:
-    """Joints, from 0, whose figure is not zero."""
-    return [i for i, value in enumerate(values) if value]
+def below(
+    rng: np.random.Generator, truth: PlantTruth, aside: tuple[float, float], down: tuple[float, float]
+) -> list[float]:
+    """A random point (3,) m under the base, `aside` of its axis and `down` by so many forearms."""
+    heading, length = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
+    radius = rng.uniform(*aside) * length
+    return [
+        float(radius * math.cos(heading)),
+        float(radius * math.sin(heading)),
+        float(-rng.uniform(*down) * length),
+    ]

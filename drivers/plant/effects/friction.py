@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import PlantEffect, on_one, signed, touched
+from drivers.plant.effects.base import JointEffect, PlantEffect, on_one, signed
 
 if TYPE_CHECKING:
     from drivers.plant.plant import Friction, Plant
@@ -33,7 +33,7 @@ class StribeckFriction(PlantEffect):
 
 
 @dataclass
-class AsymmetricFriction(PlantEffect):
+class AsymmetricFriction(JointEffect):
     """Gear teeth are loaded on other flanks in the other direction: Coulomb and viscous levels differ between the two.
 
     The figures are forward minus backward.
@@ -47,10 +47,6 @@ class AsymmetricFriction(PlantEffect):
         coulomb = on_one(rng, severity * signed(rng, 0.8, 2.0))
         share = float(rng.uniform(0.0, 0.2))
         return cls(coulomb, [share * value for value in coulomb])
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.coulomb_nm)
 
     def friction(self, plant: Plant, friction: Friction) -> None:
         half = np.asarray(self.coulomb_nm) / 2
@@ -92,7 +88,7 @@ class NonlinearViscousFriction(PlantEffect):
 
 
 @dataclass
-class PositionDependentFriction(PlantEffect):
+class PositionDependentFriction(JointEffect):
     """A bearing or gear wheel that runs out of true: the Coulomb level varies with the joint angle."""
 
     amplitude_nm: list[float]
@@ -104,10 +100,6 @@ class PositionDependentFriction(PlantEffect):
         return cls(
             on_one(rng, severity * rng.uniform(0.8, 1.8)), float(rng.integers(2, 7)), rng.uniform(0, 2 * math.pi)
         )
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.amplitude_nm)
 
     def friction(self, plant: Plant, friction: Friction) -> None:
         extra = np.asarray(self.amplitude_nm) * np.sin(self.order * plant.motor + self.phase_rad)

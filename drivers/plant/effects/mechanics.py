@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import PlantEffect, on_one, signed, touched
+from drivers.plant.effects.base import JointEffect, PlantEffect, below, on_one, signed
 
 if TYPE_CHECKING:
     from drivers.plant.mechanism import Design
@@ -21,7 +21,7 @@ def _plus(values: list[float], change: list[float]) -> list[float]:
 
 
 @dataclass
-class RotorInertia(PlantEffect):
+class RotorInertia(JointEffect):
     """Another motor or gear on one joint: more (or less) inertia reflected to it."""
 
     inertia_kgm2: list[float]
@@ -30,16 +30,12 @@ class RotorInertia(PlantEffect):
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * rng.uniform(0.012, 0.035)))
 
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.inertia_kgm2)
-
     def shape(self, design: Design) -> Design:
         return design.change(rotor_inertia_kgm2=_plus(design.truth.rotor_inertia_kgm2, self.inertia_kgm2))
 
 
 @dataclass
-class ArmMass(PlantEffect):
+class ArmMass(JointEffect):
     """A cable, valve or repair on one active link: mass spread along it, so inertia and gravity change together."""
 
     mass_kg: list[float]
@@ -47,10 +43,6 @@ class ArmMass(PlantEffect):
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * rng.uniform(0.2, 0.5)))
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.mass_kg)
 
     def shape(self, design: Design) -> Design:
         truth = design.truth
@@ -107,7 +99,7 @@ class BaseTilt(PlantEffect):
 
 
 @dataclass
-class LinkLengthError(PlantEffect):
+class LinkLengthError(JointEffect):
     """An active link was machined longer or shorter than drawn: its mass centre and inertia go with it."""
 
     length_m: list[float]
@@ -115,10 +107,6 @@ class LinkLengthError(PlantEffect):
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * signed(rng, 0.006, 0.012)))
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.length_m)
 
     def shape(self, design: Design) -> Design:
         truth = design.truth
@@ -132,7 +120,7 @@ class LinkLengthError(PlantEffect):
 
 
 @dataclass
-class ForearmLengthError(PlantEffect):
+class ForearmLengthError(JointEffect):
     """A forearm's rods are longer or shorter than drawn, of the same mass."""
 
     length_m: list[float]
@@ -141,16 +129,12 @@ class ForearmLengthError(PlantEffect):
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * signed(rng, 0.004, 0.008)))
 
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.length_m)
-
     def shape(self, design: Design) -> Design:
         return design.change(passive_link_length_m=_plus(design.truth.passive_link_length_m, self.length_m))
 
 
 @dataclass
-class BaseRadiusError(PlantEffect):
+class BaseRadiusError(JointEffect):
     """A joint's axis is farther from the base's centre than drawn, or nearer."""
 
     radius_m: list[float]
@@ -159,16 +143,12 @@ class BaseRadiusError(PlantEffect):
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * signed(rng, 0.004, 0.008)))
 
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.radius_m)
-
     def shape(self, design: Design) -> Design:
         return design.change(base_radius_m=_plus(design.truth.base_radius_m, self.radius_m))
 
 
 @dataclass
-class AzimuthError(PlantEffect):
+class AzimuthError(JointEffect):
     """An arm is mounted at another angle round the base than drawn, and its feet on the platform with it."""
 
     azimuth_rad: list[float]
@@ -177,17 +157,13 @@ class AzimuthError(PlantEffect):
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * signed(rng, 0.008, 0.02)))
 
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.azimuth_rad)
-
     def shape(self, design: Design) -> Design:
         turned = [math.degrees(angle) for angle in self.azimuth_rad]
         return design.change(arm_angles_deg=_plus(design.truth.arm_angles_deg, turned))
 
 
 @dataclass
-class JointOffset(PlantEffect):
+class JointOffset(JointEffect):
     """Homing error: the encoder's zero is not where the link is horizontal. Figures are true minus measured angle."""
 
     offset_rad: list[float]
@@ -196,16 +172,12 @@ class JointOffset(PlantEffect):
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * signed(rng, 0.02, 0.045)))
 
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.offset_rad)
-
     def shape(self, design: Design) -> Design:
         return design.change(joint_offset_rad=_plus(design.truth.joint_offset_rad, self.offset_rad))
 
 
 @dataclass
-class JointSpring(PlantEffect):
+class JointSpring(JointEffect):
     """A counterbalance spring or a stiff cable bundle on a joint: -k (theta - theta_0)."""
 
     stiffness_nmprad: list[float]
@@ -214,10 +186,6 @@ class JointSpring(PlantEffect):
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * rng.uniform(1.5, 4.0)), rng.uniform(-0.3, 0.6, 3).tolist())
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.stiffness_nmprad)
 
     def joint_torque(self, plant: Plant) -> np.ndarray:
         return -np.asarray(self.stiffness_nmprad) * (plant.theta - np.asarray(self.zero_rad))
@@ -232,13 +200,7 @@ class HoseSpring(PlantEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        heading, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
-        radius = rng.uniform(0.2, 0.35) * depth
-        point = [
-            float(radius * math.cos(heading)),
-            float(radius * math.sin(heading)),
-            float(-rng.uniform(0.3, 0.5) * depth),
-        ]
+        point = below(rng, truth, (0.2, 0.35), (0.3, 0.5))
         return cls(float(severity * rng.uniform(10.0, 22.0)), point)
 
     def platform_force(self, plant: Plant) -> np.ndarray:

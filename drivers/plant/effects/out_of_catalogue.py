@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import PlantEffect, on_one, signed, touched
+from drivers.plant.effects.base import JointEffect, PlantEffect, below, on_one, signed
 from drivers.plant.mechanism import BaseMode
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class ContactRail(PlantEffect):
+class ContactRail(JointEffect):
     """A cable carrier rubs over an edge in one place: the link has to climb a bell of energy there."""
 
     torque_nm: list[float]  # largest
@@ -31,17 +31,13 @@ class ContactRail(PlantEffect):
             on_one(rng, severity * rng.uniform(2.0, 4.0)), float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.03, 0.07))
         )
 
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.torque_nm)
-
     def joint_torque(self, plant: Plant) -> np.ndarray:
         x = (plant.theta - self.centre_rad) / self.width_rad
         return np.asarray(self.torque_nm) * math.exp(0.5) * x * np.exp(-(x**2) / 2)
 
 
 @dataclass
-class StickEvents(PlantEffect):
+class StickEvents(JointEffect):
     """Dirt passes through a gear: at random moments its friction is higher for a while."""
 
     level_nm: list[float]
@@ -54,10 +50,6 @@ class StickEvents(PlantEffect):
         return cls(
             on_one(rng, severity * rng.uniform(2.5, 5.0)), float(rng.uniform(1.0, 2.5)), float(rng.uniform(0.04, 0.12))
         )
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.level_nm)
 
     def friction(self, plant: Plant, friction: Friction) -> None:
         if plant.time > self._until and plant.rng.random() < self.rate_hz * plant.step:
@@ -91,7 +83,7 @@ class BaseResonance(PlantEffect):
 
 
 @dataclass
-class TorqueDropouts(PlantEffect):
+class TorqueDropouts(JointEffect):
     """A loose connector: at random moments a motor gets only part of its current for some milliseconds."""
 
     lost: list[float]  # share
@@ -106,10 +98,6 @@ class TorqueDropouts(PlantEffect):
             float(rng.uniform(1.0, 3.0)),
             float(rng.uniform(0.01, 0.03)),
         )
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.lost)
 
     def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
         if plant.time > self._until and plant.rng.random() < self.rate_hz * plant.step:
@@ -177,7 +165,7 @@ class BeltTooth(PlantEffect):
 
 
 @dataclass
-class CableMemory(PlantEffect):
+class CableMemory(JointEffect):
     """A cable bundle creeps: a spring in series with a damper on a joint, which forgets where it was."""
 
     stiffness_nmprad: list[float]
@@ -187,10 +175,6 @@ class CableMemory(PlantEffect):
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * rng.uniform(6.0, 14.0)), float(rng.uniform(0.2, 0.6)))
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.stiffness_nmprad)
 
     def start(self, plant: Plant) -> None:
         self._rest = plant.theta.copy()
@@ -211,13 +195,7 @@ class Magnet(PlantEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        heading, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
-        radius = rng.uniform(0.1, 0.25) * depth
-        point = [
-            float(radius * math.cos(heading)),
-            float(radius * math.sin(heading)),
-            float(-rng.uniform(0.85, 0.95) * depth),
-        ]
+        point = below(rng, truth, (0.1, 0.25), (0.85, 0.95))
         return cls(float(severity * signed(rng, 20.0, 40.0)), float(rng.uniform(0.05, 0.09)), point)
 
     def platform_force(self, plant: Plant) -> np.ndarray:

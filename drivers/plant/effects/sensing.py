@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import PlantEffect, on_one, signed, touched
+from drivers.plant.effects.base import JointEffect, PlantEffect, on_one, signed
 
 if TYPE_CHECKING:
     from drivers.plant.plant import Plant
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class TorqueScale(PlantEffect):
+class TorqueScale(JointEffect):
     """Torque constant or gear ratio off: the drive reports (1 + error) times the torque that acts."""
 
     error: list[float]
@@ -26,16 +26,12 @@ class TorqueScale(PlantEffect):
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * signed(rng, 0.04, 0.08)))
 
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.error)
-
     def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
         return torque / (1.0 + np.asarray(self.error))
 
 
 @dataclass
-class TorqueOffset(PlantEffect):
+class TorqueOffset(JointEffect):
     """A current sensor with an offset: the drive reports, and regulates, a constant too much."""
 
     offset_nm: list[float]
@@ -43,10 +39,6 @@ class TorqueOffset(PlantEffect):
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * signed(rng, 0.5, 1.2)))
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.offset_nm)
 
     def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
         return torque - np.asarray(self.offset_nm)
@@ -94,7 +86,7 @@ class TorqueFilter(PlantEffect):
 
 
 @dataclass
-class Cogging(PlantEffect):
+class Cogging(JointEffect):
     """Torque ripple of the motor, periodic in its angle; the drive does not see it in its current."""
 
     amplitude_nm: list[float]
@@ -109,17 +101,13 @@ class Cogging(PlantEffect):
             float(rng.uniform(0, 2 * math.pi)),
         )
 
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.amplitude_nm)
-
     def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
         angle = self.order * plant.truth.gear_ratio * plant.motor + self.phase_rad
         return torque + np.asarray(self.amplitude_nm) * np.sin(angle)
 
 
 @dataclass
-class EncoderEccentricity(PlantEffect):
+class EncoderEccentricity(JointEffect):
     """The encoder disc sits off its axis: the reading errs periodically with the motor angle."""
 
     amplitude_rad: list[float]  # joint side
@@ -132,10 +120,6 @@ class EncoderEccentricity(PlantEffect):
         # the second derivative goes with the square of the periods a joint turn
         amplitude = rng.uniform(0.6, 1.2) / (order * truth.gear_ratio) ** 2
         return cls(on_one(rng, float(severity * amplitude)), order, float(rng.uniform(0, 2 * math.pi)))
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.amplitude_rad)
 
     def reading(self, plant: Plant, position: np.ndarray) -> np.ndarray:
         angle = self.order * plant.truth.gear_ratio * plant.motor + self.phase_rad

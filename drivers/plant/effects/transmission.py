@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import PlantEffect, on_one, touched
+from drivers.plant.effects.base import JointEffect, on_one
 
 if TYPE_CHECKING:
     from drivers.plant.mechanism import Design
@@ -19,7 +19,7 @@ TOOTH_DAMPING_RATIO = 0.15
 
 
 @dataclass
-class JointElasticity(PlantEffect):
+class JointElasticity(JointEffect):
     """Compliance of gear and coupling: spring and damper between rotor and link."""
 
     stiffness_nmprad: list[float]  # 0: stiff
@@ -29,16 +29,12 @@ class JointElasticity(PlantEffect):
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, rng.uniform(1500.0, 4000.0) / severity), float(rng.uniform(0.03, 0.10)))
 
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.stiffness_nmprad)
-
     def shape(self, design: Design) -> Design:
         return design.soften(self.stiffness_nmprad, self.damping_ratio)
 
 
 @dataclass
-class Backlash(PlantEffect):
+class Backlash(JointEffect):
     """Lost motion: rotor and link touch only at the two ends of a gap, through teeth that are stiff but not rigid."""
 
     half_gap_rad: list[float]
@@ -46,10 +42,6 @@ class Backlash(PlantEffect):
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls(on_one(rng, severity * rng.uniform(0.001, 0.0025)))
-
-    @property
-    def joints(self) -> list[int]:
-        return touched(self.half_gap_rad)
 
     def shape(self, design: Design) -> Design:
         stiff = [TOOTH_STIFFNESS if gap else 0.0 for gap in self.half_gap_rad]
