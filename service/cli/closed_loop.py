@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.progress import bars
 from service.cli.reading import OwnEffects
 
 if TYPE_CHECKING:
@@ -39,8 +40,6 @@ def command(
     import json
 
     import numpy as np
-    from rich.console import Console
-    from rich.progress import Progress
     from rich.table import Table
 
     from drivers.motion import Planner
@@ -63,9 +62,8 @@ def command(
     period = 1.0 / rate
     make_folder(out)
     planner = Planner(description, period)
-    console = Console(stderr=True)
     runs: list[Tracking] = []
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    with bars() as progress:
         if identified is None:
             rng = np.random.default_rng([seed, 2])
             task = progress.add_task("logs to identify on", total=4 * 6.0)

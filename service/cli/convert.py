@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.progress import bars
 from service.cli.reading import ColumnsFrom
 
 
@@ -37,8 +38,6 @@ def command(
 
     Example: deltatwin convert scope_export.csv pick.mcap --robot d3.toml --columns twincat.toml
     """
-    from rich.console import Console
-    from rich.progress import Progress
 
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace, write_trace
     from schemas.axes import load_description, no_axes
@@ -50,13 +49,12 @@ def command(
         raise StorageError(f"{target}: exists already; --overwrite replaces it")
     description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
-    console = Console(stderr=True)
     capture = source.name.endswith(CAPTURE_ENDINGS)
     delta = no_axes(description, str(source)) if capture else None
     if delta and target.name.endswith(".mcap"):
         from drivers.trace.capture import convert_capture  # as a stream: a capture can be larger than the memory
 
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        with bars() as progress:
             task = progress.add_task(f"converting {source.name}", total=None)
             made, findings = convert_capture(
                 source, delta, target, lambda done, size: progress.update(task, completed=done, total=size)
@@ -65,7 +63,7 @@ def command(
             typer.echo(f"{source}: {finding.message}", err=True)
         typer.echo(f"{target}: {made} samples, 3 joints")
         return
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    with bars() as progress:
         reading = progress.add_task(f"reading {source.name}", total=None)
         trace = read_trace(source, description, mapping)
         progress.remove_task(reading)

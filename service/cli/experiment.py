@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.progress import bars
+
 
 def command(
     out: Annotated[Path, typer.Option(help="Folder for page, pictures, logs and identified.toml.")] = Path(
@@ -31,8 +33,6 @@ def command(
     Example: deltatwin experiment --out experiment
     """
     import numpy as np
-    from rich.console import Console
-    from rich.progress import Progress
     from rich.table import Table
 
     from drivers.motion import Planner
@@ -54,8 +54,7 @@ def command(
     plant = Plant(robot, truth, make_effects(truth.effect, str(path)), 1.0 / rate, seed)
     planner = Planner(robot, plant.period)
     rng = np.random.default_rng([seed, 3])
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    with bars() as progress:
         task = progress.add_task("simulate", total=(trajectories + 3) * duration)
         fit = record(
             plant,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.progress import bars
 from service.cli.reading import AsJson, OwnEffects
 
 if TYPE_CHECKING:
@@ -59,8 +60,6 @@ def command(
     from json import dumps
 
     import numpy as np
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     from drivers.motion import MotionLimits, Planner, limits_of
     from drivers.motion_file import write_motion
@@ -93,9 +92,7 @@ def command(
         question = _figures(known, limits.torque)
         carried = known.effect
     begin = time.perf_counter()
-    console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    with bars() as progress:
         task = progress.add_task("planning", total=evaluations(duration))
         motion = plan(planner, question, duration, lambda: progress.advance(task), seed)
     spent = time.perf_counter() - begin
@@ -169,11 +166,7 @@ def _apart(known: Robot, found: Diagnosis, folder: Path) -> Apart:
     from service.model.description import terms_of
     from service.planning.question import Apart, View
 
-    rivals = []
-    for rival in found.rivals:
-        carrying = known.model_copy(update={"effect": rival.effects})
-        carrying._effects_file = known.effects_file
-        rivals.append(terms_of(carrying))
+    rivals = [terms_of(known.model_copy(update={"effect": rival.effects})) for rival in found.rivals]
     question = Apart(View.of(known, np.array(found.gap.noise_floor_nm), found.gap.band_hz), rivals)
     if not question.pairs:
         raise DataError(

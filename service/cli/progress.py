@@ -1,4 +1,5 @@
-"""A live progress line for a loop that cannot afford one: it counts in shared memory, another process draws."""
+"""Progress on a terminal: bars, and a live line for a loop that cannot afford one, which counts in shared memory while
+another process draws."""
 
 from __future__ import annotations
 
@@ -8,8 +9,21 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 REFRESH_S = 0.25
+
+
+def bars() -> Progress:
+    """Bars that go away at the end. Draws only on a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    return Progress(console=console, transient=True, disable=not console.is_terminal)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.network import Insecure, ZenohConfig
+from service.cli.progress import bars
 
 if TYPE_CHECKING:
     import numpy as np
@@ -157,14 +158,11 @@ def _plan(
 
 
 def _offline(robot: Robot, plant: Plant, motion: Trajectory, changes: dict[int, Plant], out: Path) -> None:
-    from rich.console import Console
-    from rich.progress import Progress
 
     from drivers.plant.simulate import simulate
     from drivers.trace import write_trace
 
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    with bars() as progress:
         task = progress.add_task(f"simulate {robot.name}", total=len(motion))
         trace = simulate(
             plant,
