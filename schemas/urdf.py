@@ -73,8 +73,9 @@ def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
                 f"{path}: joint {name!r} moves too: name it in `joints`, in the order of the log, or in `held` where "
                 "it stood still at its zero"
             )
-    for name in set(logged) & set(moving) ^ set(logged):
-        raise RobotError(f"{path}: joint {name!r} is fixed; those that move: {', '.join(moving) or 'none'}")
+    for name in logged:
+        if name not in moving:
+            raise RobotError(f"{path}: joint {name!r} is fixed; those that move: {', '.join(moving) or 'none'}")
     _massive(path, joints, links, logged)
     limits = tuple(_prepared(path, name, joints[name]) for name in logged)
     for name in held:
@@ -127,7 +128,7 @@ def _prepared(path: Path, name: str, joint: Element) -> tuple[float, float]:
     if limit is None:
         limit = joint.makeelement("limit", {"effort": "0", "velocity": "0"})
         joint.append(limit)
-    if endless or limit is None:
+    if endless:
         return -math.inf, math.inf
     low, high = (_number(path, joint, key, "limit", f"joint {name!r}", 0.0) for key in ("lower", "upper"))
     return low, high

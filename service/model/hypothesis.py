@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Effect
+from service.model.effects.base import Effect, Inside
 from service.model.nominal import Correction, leaning
 from service.model.scene import Base, Recording, Scene
 
@@ -59,3 +59,12 @@ def correction_of(terms: Sequence[Term]) -> Correction:
         for place, amplitude in zip(term.places, term.amplitude, strict=True):
             term.effect.correct(correction, place, amplitude)
     return correction
+
+
+def inside_of(terms: Sequence[Term]) -> Inside:
+    """What effects put inside the robot that only a simulation carries."""
+    inside = Inside()
+    for term in terms:
+        for place, amplitude in zip(term.places, term.amplitude, strict=True):
+            term.effect.put_inside(inside, place, amplitude, term.shape)
+    return inside

@@ -257,10 +257,11 @@ class SerialArm(_Servos):
         arm, load = Arm(chain.arm, chain.joints, chain.gravity_mps2), chain.payload
         asked = chain.masses == "identified"
         found = {} if chain.identified is None else chain.identified.rigid
-        known = np.zeros(len(arm.weights)) if asked or any(name in found for name in arm.names) else arm.weights.copy()
-        if not asked:
-            for place, name in enumerate(arm.names):
-                known[place] = found[name].value if name in found else known[place]
+        told = np.array([found[name].value if name in found else 0.0 for name in arm.names])
+        if asked:
+            known = np.zeros(len(arm.weights))
+        else:  # those of [identified], or of the URDF where it has none
+            known = told if any(name in found for name in arm.names) else arm.weights
         kilogram = None
         if load is not None:
             kilogram = arm.mass_on(load.frame, load.centre_m)

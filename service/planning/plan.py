@@ -10,10 +10,10 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 from scipy.optimize import differential_evolution
 
 from drivers.motion import HOME, REST_AFTER, REST_BEFORE, Planner, Trajectory
+from drivers.motion_file import resampled
 from schemas.errors import DataError, PoseError
 from service.identification.fit import THREADS
 from service.planning.question import Question
@@ -116,9 +116,8 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
 
 def at_rate(motion: Trajectory, period: float) -> Trajectory:
     """The same motion with instants `period` s apart."""
-    way = make_interp_spline(np.arange(len(motion.position)) * motion.period, motion.position, k=5)
-    time = np.arange(int(motion.duration / period + 1e-6) + 1) * period
-    return Trajectory(period, way(time), way(time, 1), way(time, 2))
+    instants = np.arange(int(motion.duration / period + 1e-6) + 1) * period
+    return resampled(np.arange(len(motion.position)) * motion.period, motion.position, instants, period)
 
 
 def _count(duration: float) -> int:

@@ -176,7 +176,6 @@ def expected(robot: Robot, effects: Sequence[EffectEntry], motion: Trajectory) -
     """Torque (N + 1, 3) N m that `robot` with `effects` is expected to take."""
     time = np.arange(len(motion.position)) * motion.period
     carrying = robot.model_copy(update={"effect": list(effects)})
-    carrying._effects_file = robot.effects_file
     return torque_along(carrying, time, motion.position, motion.velocity, motion.acceleration)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from service.model.kinematics import REACHED
-from service.rollout.kernel import FARTHEST, _step
+from service.rollout.kernel import near_kernel, set_out_kernel, step_kernel
 
 
 class DriveGains(NamedTuple):
@@ -50,16 +50,13 @@ def follow_kernel(forward, scratch, gains, runs, period, substeps, motor, pushed
     integral = np.zeros(3)
     count = command.shape[1]
     for w in range(len(start)):
+        set_out_kernel(s, start[w])
         for i in range(3):
-            s.guess[i] = 0.0
-            for row in range(5):
-                s.state[row, i] = start[w, row, i]
             integral[i] = 0.0
             integral[i] = torque[w, i] - _drive(gains, s.state, command[w, 0], 0.0, integral, i)[0]
         sound = True
         for k in range(count):
-            for i in range(3):
-                sound &= abs(s.state[2, i] - start[w, 2, i]) < FARTHEST  # also when NaN
+            sound &= near_kernel(s, start[w])
             for i in range(3):
                 free, _ = _drive(gains, s.state, command[w, k], 0.0, integral, i)
                 motor[w, k, i] = s.state[2, i] if sound else np.nan
@@ -73,6 +70,6 @@ def follow_kernel(forward, scratch, gains, runs, period, substeps, motor, pushed
                     if limited == free:
                         integral[i] += push * h * gains.per_time[i]
                     s.before[i] = s.after[i] = limited
-                sound = _step(f, s, runs.seconds[w] + k * period + part * h, h) == REACHED
+                sound = step_kernel(f, s, runs.seconds[w] + k * period + part * h, h) == REACHED
                 if not sound:
                     break

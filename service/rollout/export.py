@@ -25,7 +25,7 @@ from service.estimator.effects import corrected
 from service.model.description import base_of, terms_of
 from service.model.effects.base import Inside
 from service.model.forward import forward_dynamics
-from service.model.hypothesis import Term
+from service.model.hypothesis import Term, inside_of
 from service.model.nominal import lengthened, pack
 
 STEP = 0.25e-3  # s
@@ -59,10 +59,7 @@ def to_mjcf(robot: Robot) -> Export:
     changed, ratio, scale = corrected(robot)
     model, (rho_1, rho_2) = pack(changed), lengthened(base.rigid[0], base.rigid[1], ratio)
     amount = _amounts(terms)
-    inside = Inside()
-    for term in terms:
-        for place, amplitude in zip(term.places, term.amplitude, strict=True):
-            term.effect.put_inside(inside, place, amplitude, term.shape)
+    inside = inside_of(terms)
     forearm, length = float(base.rigid[2]), model.active_length
     more = amount("arm_mass", "delta_m")
     inertia = (

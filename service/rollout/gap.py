@@ -167,6 +167,7 @@ def rollout(
         servo = given.servo or identified(
             [(trace, segment, stretch(given, segment, trace.position[segment.rows])) for trace, segment in parts]
         )
+    gains = None if servo is None else gains_of(servo, bounds_of(given).peak_nm)
     deviations, floor = [], None
     for name, robot in robots.items():
         last = name == list(robots)[-1]
@@ -178,8 +179,7 @@ def rollout(
             try:
                 seen = stretch(robot, segment, trace.position[segment.rows])
                 cut = Windows(segment, starts, samples)
-                if servo is not None:
-                    gains = gains_of(servo, bounds_of(given).peak_nm)
+                if gains is not None:
                     cut = replace(cut, command=commands_of(trace, segment), gains=gains)
                 of_parts.append(_deviation(name, seen, cut))
                 if last:

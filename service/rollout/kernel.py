@@ -301,7 +301,7 @@ def _slid(f, i, bristle, travel):
 
 
 @njit(cache=True)
-def _step(f, s, seconds, h):
+def step_kernel(f, s, seconds, h):
     """s.state `h` s on under torque that goes from s.before to s.after. Returns a status."""
     weight = GAMMA * h
     state, middle, first, second, right = s.state, s.middle, s.first, s.second, s.right
@@ -356,6 +356,24 @@ def _step(f, s, seconds, h):
 
 
 @njit(cache=True, nogil=True)
+def set_out_kernel(s, start):
+    """Begin a run in `start` (5, 3)."""
+    for i in range(3):
+        s.guess[i] = 0.0
+        for row in range(5):
+            s.state[row, i] = start[row, i]
+
+
+@njit(cache=True, nogil=True)
+def near_kernel(s, start):
+    """Whether the motors are where a run from `start` may be."""
+    near = True
+    for i in range(3):
+        near &= abs(s.state[2, i] - start[2, i]) < FARTHEST  # also when NaN
+    return near
+
+
+@njit(cache=True, nogil=True)
 def run_kernel(forward, scratch, start, torque, seconds, period, substeps, motor, motor_dot):
     """W runs of S samples each from their own start.
 
@@ -367,14 +385,10 @@ def run_kernel(forward, scratch, start, torque, seconds, period, substeps, motor
     h = period / substeps
     count = torque.shape[1]
     for w in range(len(start)):
-        for i in range(3):
-            s.guess[i] = 0.0
-            for row in range(5):
-                s.state[row, i] = start[w, row, i]
+        set_out_kernel(s, start[w])
         sound = True
         for k in range(count):
-            for i in range(3):
-                sound &= abs(s.state[2, i] - start[w, 2, i]) < FARTHEST  # also when NaN
+            sound &= near_kernel(s, start[w])
             for i in range(3):
                 motor[w, k, i] = s.state[2, i] if sound else np.nan
                 motor_dot[w, k, i] = s.state[3, i] if sound else np.nan
@@ -385,6 +399,6 @@ def run_kernel(forward, scratch, start, torque, seconds, period, substeps, motor
                     change = torque[w, k + 1, i] - torque[w, k, i]
                     s.before[i] = torque[w, k, i] + change * part / substeps
                     s.after[i] = torque[w, k, i] + change * (part + 1) / substeps
-                sound = _step(f, s, seconds[w] + k * period + part * h, h) == REACHED
+                sound = step_kernel(f, s, seconds[w] + k * period + part * h, h) == REACHED
                 if not sound:
                     break

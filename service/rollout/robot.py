@@ -9,9 +9,9 @@ import numpy as np
 from schemas.robot import Robot
 from service.estimator.effects import carried, corrected, pack_effects
 from service.model.description import base_of, terms_of
-from service.model.effects.base import Effect, Inside
+from service.model.effects.base import Effect
 from service.model.effects.presliding_friction import deflection
-from service.model.hypothesis import Term
+from service.model.hypothesis import Term, inside_of
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel, lengthened, pack
 from service.model.scene import Recording, Scene
@@ -65,10 +65,7 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     """
     terms, base = terms_of(robot), base_of(robot.identified)
     changed, ratio, _ = corrected(robot)
-    inside = Inside()
-    for term in terms:
-        for place, amplitude in zip(term.places, term.amplitude, strict=True):
-            term.effect.put_inside(inside, place, amplitude, term.shape)
+    inside = inside_of(terms)
     encoders = segment.theta
     if inside.wobble:
         angles = position + _error(inside.wobble, robot.drive.gear_ratio, position)

@@ -43,6 +43,7 @@ from service.monitor.readback import read_recording
 from service.monitor.recover import recover
 from tests.drivers.ethercat import wire
 from tests.drivers.ethercat.test_eni import ENI, with_eni
+from tests.drivers.trace.headers import codesys_trace, kuka_header
 from tests.drivers.trace.test_tables import joint_state
 
 SECONDS = 5.0  # that reading one file may take
@@ -183,29 +184,13 @@ def _json() -> list[bytes]:
 
 def _kuka() -> list[bytes]:
     """Headers; `case.r64` beside them holds the numbers."""
-    header = ["DIAEXTENDED  {@:ENGLISH}", "#BEGINGLOBALHEADER", "1,WINDOWS", "#ENDGLOBALHEADER"]
-    header += ["#BEGINCHANNELHEADER", "200,t", "202,s", "210,IMPLIZIT", "220,20", "240,0", "241,0.002"]
-    header += ["#ENDCHANNELHEADER"]
-    for k, name in enumerate(NAMES[1:], 1):
-        header += ["#BEGINCHANNELHEADER", f"200,{name}", "202,°", "210,EXPLIZIT", "211,case.r64", "213,BLOCK"]
-        header += ["214,REAL64", "220,20", f"221,{k}", "240,0", "241,1", "#ENDCHANNELHEADER"]
-    return ["\r\n".join(header).encode("latin-1")]
+    return [kuka_header(NAMES[1:], "t", "case.r64", 20).encode("latin-1")]
 
 
 def _codesys() -> tuple[list[bytes], list[bytes]]:
-    lines = ["[key]; [value]", "Version; 0x03050000", "Name; Application.Trace", "Flags; 32"]
-    xml = '<Trace><C><Single Name="MicroSeconds" Type="bool">True</Single></C><TraceData><TraceRecord>'
-    stamps = [round(t * 1e6) for t in TIME]
-    for k, name in enumerate(NAMES[1:]):
-        values = BLOCK[:, k + 1].tolist()
-        lines += [f"{k}.Variable; PLC.{name}", f"{k}.GraphColor; 4278190080", f"{k}.Data; "]
-        lines += [f"; {stamp}; {value!r}" for stamp, value in zip(stamps, values, strict=True)]
-        xml += (
-            f'<TraceVariable VarName="PLC.{name}" Type="System.Double"><Values>{",".join(map(repr, values))}</Values>'
-        )
-        xml += f"<Timestamps>{','.join(map(str, stamps))}</Timestamps></TraceVariable>"
-    xml += "</TraceRecord></TraceData></Trace>"
-    return ["\n".join(lines).encode()], [xml.encode(), xml.encode("utf-16")]
+    signals = {f"PLC.{name}": BLOCK[:, k].tolist() for k, name in enumerate(NAMES[1:], 1)}
+    lines, xml = codesys_trace(signals, TIME)
+    return [lines.encode()], [xml.encode(), xml.encode("utf-16")]
 
 
 def _db3(folder: Path) -> list[bytes]:

@@ -10,6 +10,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from tests.service.sines import sines
+
 LINK = """<link name="{name}"><inertial><origin xyz="{xyz}" rpy="0.1 0.2 -0.3"/><mass value="{mass}"/>
 <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0.001" ixz="-0.002" iyz="0.0015"/></inertial></link>"""
 JOINT = """<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>
@@ -59,16 +61,8 @@ ROTOR = (0.0, 0.0, 0.05)  # of joint 3: on the first two it goes along with thei
 
 def motion(seed: int) -> tuple[np.ndarray, list[np.ndarray]]:
     """(N,) s and angle, speed, acceleration (N, 3) of sums of sines."""
-    random = np.random.default_rng(seed)
     time = np.arange(round(SECONDS / PERIOD)) * PERIOD
-    signals = [np.zeros((len(time), 3)) for _ in range(3)]
-    for joint in range(3):
-        for size, hertz in ((0.9, 0.25), (0.35, 0.8), (0.08, 2.1)):
-            rate = 2 * np.pi * hertz * random.uniform(0.8, 1.25)
-            wave = size * np.exp(1j * (rate * time + random.uniform(0, 6)))
-            for order, signal in enumerate(signals):
-                signal[:, joint] += ((1j * rate) ** order * wave).imag
-    return time, signals
+    return time, sines(seed, time, ((0.9, 0.25), (0.35, 0.8), (0.08, 2.1)))
 
 
 def record(

@@ -68,7 +68,7 @@ def document(findings: Findings, tests: Sequence[Trace] = (), made: Provenance |
         effects=_effects(findings, compared),
         cannot_tell=findings.cannot_tell,
         ranking=_ranking(findings, compared),
-        probability_none=_none(findings, compared),
+        probability_none=_none(compared),
         probability_unknown=_unknown(findings),
         plain={known.name: digits(plain[index]) for index, known in enumerate(base)},
         base={
@@ -222,7 +222,7 @@ def _rivals(findings: Findings, comparisons: list[ModelComparison]) -> list[Riva
     return sorted(found, key=lambda rival: -rival.shrink)
 
 
-def _none(findings: Findings, comparisons: list[ModelComparison]) -> float:
+def _none(comparisons: list[ModelComparison]) -> float:
     return round(comparisons[0].none, 4) if comparisons else 1.0
 
 

@@ -9,11 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from service.model.effects.base import Amplitude
 from service.model.effects.geometry import GeometryError
-from service.model.mechanism import Delta, Mechanism
 
 
 @dataclass(frozen=True)
@@ -23,11 +20,7 @@ class ForearmLengthError(GeometryError):
     title = "A forearm's length differs from the description"
     means = "Measure this forearm between the centres of its ball joints and correct the description."
     part = "forearm"
+    share_of = "passive_length"
     beyond_together = 0.05
     beyond = 0.1
     settles = "fast moves to all sides of the workspace"
-
-    def size(self, mechanism: Mechanism, amplitude: np.ndarray) -> float:
-        """Share of the forearm's length."""
-        assert isinstance(mechanism, Delta)
-        return float(np.abs(amplitude).max(initial=0.0) / mechanism.model.passive_length[0])

@@ -12,14 +12,17 @@ from typing import ClassVar
 import numpy as np
 
 from service.model.effects.base import Effect
+from service.model.mechanism import Delta, Mechanism
 from service.model.nominal import Correction
 from service.model.scene import Scene
 
 
 class GeometryError(Effect):
-    """part: of `Correction`, true minus described; the effect's one amplitude."""
+    """part: of `Correction`, true minus described; the effect's one amplitude. share_of: length of the model that
+    `beyond` is a share of; empty where it is the amplitude itself."""
 
     part: ClassVar[str]
+    share_of: ClassVar[str] = ""
     own_joint = False
     kinds = frozenset({"delta"})
 
@@ -41,3 +44,11 @@ class GeometryError(Effect):
     def correct(self, correction: Correction, joint: int, amplitude: np.ndarray) -> None:
         """The arm as it is."""
         getattr(correction, self.part)[joint] += amplitude[0]
+
+    def size(self, mechanism: Mechanism, amplitude: np.ndarray) -> float:
+        """Share of the length that it is measured by."""
+        largest = super().size(mechanism, amplitude)
+        if not self.share_of:
+            return largest
+        assert isinstance(mechanism, Delta)
+        return largest / float(getattr(mechanism.model, self.share_of)[0])

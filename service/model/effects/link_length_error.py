@@ -9,11 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from service.model.effects.base import Amplitude
 from service.model.effects.geometry import GeometryError
-from service.model.mechanism import Delta, Mechanism
 
 
 @dataclass(frozen=True)
@@ -23,11 +20,7 @@ class LinkLengthError(GeometryError):
     title = "An arm's length differs from the description"
     means = "Measure this arm between its axes and correct the description."
     part = "length"
+    share_of = "active_length"
     beyond_together = 0.05
     beyond = 0.2
     settles = "fast moves to all sides of the workspace"
-
-    def size(self, mechanism: Mechanism, amplitude: np.ndarray) -> float:
-        """Share of the link's length."""
-        assert isinstance(mechanism, Delta)
-        return float(np.abs(amplitude).max(initial=0.0) / mechanism.model.active_length[0])

@@ -17,6 +17,7 @@ from drivers.trace import read_trace
 from drivers.trace.tables import joined, read_table
 from schemas.columns import Columns
 from schemas.errors import TraceError
+from tests.drivers.trace.headers import codesys_trace, kuka_header
 
 TIME = np.arange(300) / 500
 POSITION = 0.4 * np.sin(2 * np.pi * TIME)[:, None] + [0.1, 0.2, 0.3]
@@ -109,13 +110,8 @@ def test_rosbag2_of_either_storage(tmp_path: Path) -> None:
 
 def test_kuka_trace_header_and_blocks(tmp_path: Path) -> None:
     BLOCK[:, 1:].astype("<f8").tofile(tmp_path / "pick_KRCIpo.r64")
-    header = ["DIAEXTENDED  {@:ENGLISH}", "#BEGINGLOBALHEADER", "1,WINDOWS", "#ENDGLOBALHEADER"]
-    header += ["#BEGINCHANNELHEADER", "200,Zeit", "202,s", "210,IMPLIZIT", "220,300", "240,0", "241,0.002"]
-    header += ["#ENDCHANNELHEADER"]
-    for k, name in enumerate(NAMES[1:], 1):
-        header += ["#BEGINCHANNELHEADER", f"200,{name}", "202,°", "210,EXPLIZIT", "211,PICK_KRCIpo.R64", "213,BLOCK"]
-        header += ["214,REAL64", "220,300", f"221,{k}", "240,0", "241,1", "#ENDCHANNELHEADER"]
-    (tmp_path / "pick_KRCIpo.dat").write_text("\r\n".join(header), encoding="latin-1")
+    header = kuka_header(NAMES[1:], "Zeit", "PICK_KRCIpo.R64", 300)
+    (tmp_path / "pick_KRCIpo.dat").write_text(header, encoding="latin-1", newline="")
     comes_back(tmp_path / "pick_KRCIpo.dat", mapping(time="Zeit"))
     assert read_table(tmp_path / "pick_KRCIpo.dat").units["q1"] == "°"
     (tmp_path / "pick_KRCIpo.r64").write_bytes(b"\0" * 800)
@@ -124,19 +120,10 @@ def test_kuka_trace_header_and_blocks(tmp_path: Path) -> None:
 
 
 def test_codesys_as_its_editor_saves_it(tmp_path: Path) -> None:
-    lines = ["[key]; [value]", "Version; 0x03050000", "Name; Application.Trace", "Flags; 32"]
-    xml = '<Trace><C><Single Name="MicroSeconds" Type="bool">True</Single></C><TraceData><TraceRecord>'
-    for k, name in enumerate(NAMES[1:]):
-        lines += [f"{k}.Variable; PLC_PRG.{name}", f"{k}.GraphColor; 4278190080", f"{k}.Data; "]
-        lines += [
-            f"; {round(t * 1e6)}; {value!r}" for t, value in zip(TIME.tolist(), BLOCK[:, k + 1].tolist(), strict=True)
-        ]
-        values = ",".join(map(repr, BLOCK[:, k + 1].tolist()))
-        stamps = ",".join(str(round(t * 1e6)) for t in TIME)
-        xml += f'<TraceVariable VarName="PLC_PRG.{name}" Type="System.Double"><Values>{values}</Values>'
-        xml += f"<Timestamps>{stamps}</Timestamps></TraceVariable>"
-    (tmp_path / "log.csv").write_text("\n".join(lines))
-    (tmp_path / "log.trace").write_text(xml + "</TraceRecord></TraceData></Trace>", encoding="utf-16")
+    signals = {f"PLC_PRG.{name}": BLOCK[:, k].tolist() for k, name in enumerate(NAMES[1:], 1)}
+    lines, xml = codesys_trace(signals, TIME)
+    (tmp_path / "log.csv").write_text(lines)
+    (tmp_path / "log.trace").write_text(xml, encoding="utf-16")
     text = ["Editor V3.5 Trace: Trace", r"C:\robot.project", "Timestamp(us) " + " ".join(NAMES[1:])]
     text += [" ".join([str(round(row[0] * 1e6)), *map(repr, row[1:])]) for row in BLOCK.tolist()]
     (tmp_path / "log.txt").write_text("\r\n".join(text) + "\r\n")

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from schemas.axes import Axes, load_axes
 from schemas.errors import RobotError
 from service.cli.main import app
+from tests.service.sines import sines
 
 run = CliRunner().invoke
 
@@ -35,16 +36,8 @@ NOISE = 0.02
 
 def motion(seed: int) -> tuple[np.ndarray, list[np.ndarray]]:
     """(N,) s and angle, speed, acceleration (N, 3) of sums of sines."""
-    rng = np.random.default_rng(seed)
     time = np.arange(round(SECONDS / PERIOD)) * PERIOD
-    signals = [np.zeros((len(time), 3)) for _ in range(3)]
-    for joint in range(3):
-        for size, hertz in ((1.1, 0.2), (0.35, 0.7), (0.1, 1.9)):
-            rate = 2 * np.pi * hertz * rng.uniform(0.8, 1.25)
-            wave = size * np.exp(1j * (rate * time + rng.uniform(0, 6)))
-            for order, signal in enumerate(signals):
-                signal[:, joint] += ((1j * rate) ** order * wave).imag
-    return time, signals
+    return time, sines(seed, time, ((1.1, 0.2), (0.35, 0.7), (0.1, 1.9)))
 
 
 def torque_of(signals: list[np.ndarray]) -> np.ndarray:
