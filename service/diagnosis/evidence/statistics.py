@@ -70,10 +70,12 @@ def nested(selection: Selection, split: Split, rows: int) -> list[np.ndarray]:
         share = sum(int(o.sum()) for o in outside)
         chosen = selection.none
         for tried, taken in selection.path:
+            if taken is None:  # what fell, or was not worth it, is not in the model whose gap this is
+                break
             inner = [(_inner(candidate, split, fold), candidate) for candidate in tried]
             loss, best = min(inner, key=lambda item: item[0].sum())
-            kept = next((item for item in inner if item[1] is taken), None)
-            if kept is not None and z_score(kept[0], loss) < TOLD_APART:
+            kept = next(item for item in inner if item[1] is taken)
+            if z_score(kept[0], loss) < TOLD_APART:
                 loss, best = kept  # without this fold nothing speaks against the choice made with it
             if not worth(loss, _inner(chosen, split, fold), _inner(selection.none, split, fold), share):
                 break

@@ -149,6 +149,19 @@ def test_a_fold_is_predicted_by_what_the_others_choose():
     np.testing.assert_array_equal(nested[3], first.residuals[3])
 
 
+def test_what_was_not_taken_is_not_claimed():
+    """A candidate that leads and fell for another reason: the corrected model has nothing of it."""
+    random = np.random.default_rng(0)
+    split = split_of(4, 60, 6)
+    base, one = ([random.standard_normal((60, 1)) for _ in range(4)] for _ in range(2))
+    target = [random.standard_normal(60) + 3.0 * column[:, 0] for column in one]
+    none = scored(base, target, split)
+    lead = scored([np.hstack(pair) for pair in zip(base, one, strict=True)], target, split, "one")
+    nested = statistics.nested(Selection(none, none, [([lead], None)], {}), split, rows(split))
+    for mine, plain in zip(nested, none.residuals, strict=True):
+        np.testing.assert_array_equal(mine, plain)
+
+
 def test_the_probability_is_the_share_of_draws_won():
     split = split_of(3, 300, 10)
     random = np.random.default_rng(3)
