@@ -63,6 +63,58 @@ def test_no_gear_rubs_that_much_more(robot, make):
     assert (answers["flags"][LATE] & SampleFlag.FRICTION_HELD).any()
 
 
+def test_friction_is_least_squares_at_right_angles_to_the_load():
+    """Two blocks of samples, the second of half the worth, by matrices: what a mass could be is taken out of each."""
+    random, state = np.random.default_rng(4), np.zeros(1, friction.STATE)
+    prior = np.array([0.6, 0.2, 0.15] * 3)
+    friction.start(state, prior)
+    state, forgetting = state[0], 0.9
+    truth = np.array([0.5, -0.1, 0.2, -0.4, 0.2, 0.1, 5.0, 0.0, -0.1])  # the third joint's is beyond any gear's
+    information, moment = np.zeros((9, 9)), np.zeros(9)
+    for inflation in (1.0, 2.0):
+        gained, pulled = np.zeros((9, 9)), np.zeros(9)
+        for row in range(200):
+            phi, known, weight = random.uniform(-3, 3, 3), random.standard_normal(3), random.uniform(1.0, 4.0, 3)
+            weight[2 if row % 7 == 0 else 1] *= row % 5 > 0  # a joint that rests says nothing
+            x = np.stack([random.choice([-1.0, 1.0], 3), random.uniform(-5, 5, 3), np.ones(3)], axis=1)
+            slopes = np.zeros((3, 9))
+            for joint in range(3):
+                slopes[joint, 3 * joint : 3 * joint + 3] = x[joint]
+            residual = 1.3 * phi + known + slopes @ truth + random.standard_normal(3) / 3
+            friction.gather_kernel(state, np.repeat(phi[:, None], 3, axis=1), residual, known, weight, x)
+            root = np.sqrt(np.diag(weight))
+            load = root @ phi
+            across = root @ (np.eye(3) - np.outer(load, load) / (load @ load)) @ root
+            gained += slopes.T @ across @ slopes
+            pulled += slopes.T @ across @ (residual - known)
+        friction.learn_kernel(state, prior, forgetting, inflation)
+        information = forgetting * information + gained / inflation
+        moment = forgetting * moment + pulled / inflation
+    covariance = np.linalg.inv(information + np.diag(1 / prior**2))
+    found = covariance @ moment
+    np.testing.assert_allclose(state["covariance"], covariance, rtol=1e-6, atol=1e-12)
+    assert found[6] > friction.BOUND * prior[6]
+    found[6] = friction.BOUND * prior[6]
+    np.testing.assert_allclose(state["delta"], found, rtol=1e-6, atol=1e-9)
+    assert state["held"]
+    beyond = np.sign(found) * np.maximum(0.0, np.abs(found) - np.sqrt(np.diag(covariance)))
+    np.testing.assert_allclose(state["sure"], beyond, rtol=1e-6, atol=1e-9)
+    one, other = random.standard_normal((2, 9))
+    assert friction.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
+
+
+def test_a_share_of_friction_is_reckoned_at_one_speed():
+    """Coulomb and viscous together at 1 rad/s, or an offset, over what rubs there, of which a little is always taken to
+    be."""
+    departure = np.array([[0.4, 0.2, -0.9], [0.5, -0.5, 0.1], [0.0, 0.0, 0.3]])
+    identified = np.array([[2.0, 1.0], [3.0, 2.0], [0.0, 0.0]])
+    assert friction.drift_share(departure, identified) == pytest.approx([0.3, 0.02, 2.0])
+    np.testing.assert_allclose(
+        friction.drift(np.array([-2.0, 0.1, 4.0]), np.array([3.0, 0.1, 0.0])).reshape(3, 3),
+        [[0.45, 0.3, 0.15], [0.15, 0.05, 0.15], [0.15, 0.6, 0.15]],
+    )
+
+
 @pytest.fixture
 def kept(robot, make, tmp_path):
     """The file of a robot whose gears rub 30 % more."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.messages import Gripper, PayloadEvent, stamp_ns
+from service.estimator import slow
 from tests.service.estimator.test_friction import rubbed
 from tests.service.estimator.test_trust import covered, weigh
 
@@ -62,3 +63,77 @@ def test_nothing_is_seen_where_nothing_hangs(robot, make):
     assert not payload["event"].any()
     inside, _ = covered(payload, time, np.zeros_like(time))
     assert inside >= 0.95
+
+
+WIDEST, DRIFT, CYCLE = 4.0, np.array([0.3, 0.4, 0.5]), 0.01  # kg^2, N m, s
+
+
+def least_squares(rows, before, slow_before):
+    """Mass and its variance by normal equations in m and three b. rows: newest last, (phi, residual, way, weight)."""
+    mass, variance = before
+    levels, spreads = slow_before
+    information = np.diag([1 / variance, *(1 / spreads)])
+    moment = information @ [mass, *levels]
+    for age, (phi, residual, way, weight) in enumerate(reversed(rows)):
+        column = np.column_stack([phi, np.diag(way)])
+        fading = np.exp(-age * CYCLE / slow.MEMORY_TIME) * weight[:, None] * column
+        information, moment = information + column.T @ fading, moment + fading.T @ residual
+    covariance = np.linalg.inv(information)
+    return covariance @ moment, covariance
+
+
+def wander(rows):
+    """kg^2, of levels that wander along the way."""
+    fading = np.exp(-CYCLE / slow.MEMORY_TIME) ** np.arange(len(rows))[::-1, None]
+    load, rubs = (
+        np.sum(fading * [w * value**2 for value, w in zip(values, (r[3] for r in rows), strict=True)], axis=0)
+        for values in ([r[0] for r in rows], [r[2] for r in rows])
+    )
+    return 1 / np.sum(load / rubs / (slow.WANDER_DRIFTS * DRIFT) ** 2)
+
+
+def test_slow_motion_is_least_squares_in_a_mass_and_three_levels():
+    """First with what was known before; then, the load another, anew from there with what was found of the levels."""
+    random, state = np.random.default_rng(2), np.zeros(1, slow.STATE)[0]
+    level, known = np.array([0.2, -0.3, 0.4]), (0.5, 0.09)
+
+    def take(mass):
+        phi, way = random.uniform(2.0, 4.0, 3), random.choice([-1.0, 1.0], 3)
+        weight = random.uniform(20.0, 40.0, 3)
+        residual = mass * phi + level * way + random.standard_normal(3) / np.sqrt(weight)
+        told = slow.slow_kernel(
+            state, np.repeat(phi[:, None], 3, axis=1), residual, way, weight, CYCLE, DRIFT, *known, WIDEST
+        )
+        return told, (phi, residual, way, weight)
+
+    still = np.zeros(3)
+    assert not slow.slow_kernel(state, np.ones((3, 3)), still, still, still, CYCLE, DRIFT, *known, WIDEST)
+    assert state["lasted"] == 0, "nothing moves"
+    early = [take(1.0)[0] for _ in range(round(slow.BEGIN_TIME / CYCLE) - 1)]
+    assert not any(early), "what sets out or stops is through it in less"
+    rows = []
+    for _ in range(100):
+        told, row = take(1.0)
+        assert told
+        rows.append(row)
+    before = known, (np.zeros(3), (slow.LEVEL_DRIFTS * DRIFT) ** 2)
+    found, covariance = least_squares(rows, *before)
+    np.testing.assert_allclose(state["mass"], found[0], rtol=1e-9)
+    np.testing.assert_allclose(state["variance"], covariance[0, 0] + wander(rows), rtol=1e-9)
+
+    count = 0
+    while state["variance"] < WIDEST:  # until the step is seen, and all begins anew
+        rows.append(take(3.0)[1])
+        count += 1
+        assert count < 30
+    found, covariance = least_squares(rows, *before)
+    anew = (found[0], WIDEST), (found[1:], np.diag(covariance)[1:])
+    rows = [take(3.0)[1] for _ in range(40)]
+    found, covariance = least_squares(rows, *anew)
+    np.testing.assert_allclose(state["mass"], found[0], rtol=1e-9)
+    assert abs(found[0] - 3.0) < 0.15
+
+    slow.grip_kernel(state, WIDEST)
+    assert (state["mass"], state["variance"]) == (pytest.approx(found[0]), WIDEST), "another mass, not yet known"
+    slow.fast_kernel(state)
+    assert not take(3.0)[0], "what was slow says nothing any more"
