@@ -69,12 +69,13 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     prior = np.array([0.6, 0.2, 0.15] * 3)
     friction.start(state, prior)
     state, forgetting = state[0], 0.9
+    np.testing.assert_allclose(state["covariance"], np.diag([0.36, 0.04, 0.0225] * 3))
     truth = np.array([0.5, -0.1, 0.2, -0.4, 0.2, 0.1, 5.0, 0.0, -0.1])  # the third joint's is beyond any gear's
     information, moment = np.zeros((9, 9)), np.zeros(9)
     for inflation in (1.0, 2.0):
         gained, pulled = np.zeros((9, 9)), np.zeros(9)
         for row in range(200):
-            phi, known, weight = random.uniform(-3, 3, 3), random.standard_normal(3), random.uniform(1.0, 4.0, 3)
+            phi, known, weight = random.uniform(-3, 3, 3), random.standard_normal(3), random.uniform(0.1, 4.0, 3)
             weight[2 if row % 7 == 0 else 1] *= row % 5 > 0  # a joint that rests says nothing
             x = np.stack([random.choice([-1.0, 1.0], 3), random.uniform(-5, 5, 3), np.ones(3)], axis=1)
             slopes = np.zeros((3, 9))
@@ -101,6 +102,18 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     np.testing.assert_allclose(state["sure"], beyond, rtol=1e-6, atol=1e-9)
     one, other = random.standard_normal((2, 9))
     assert friction.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
+
+
+def test_what_is_left_of_a_departure_after_a_while_is_a_gauss_markov_process():
+    random, prior, share = np.random.default_rng(6), np.array([0.6, 0.2, 0.15] * 3), 0.7
+    slopes = random.standard_normal((20, 9))
+    information, moment = slopes.T @ slopes, random.standard_normal(9)
+    mean = np.linalg.solve(information + np.diag(prior**-2), moment)
+    covariance = np.linalg.inv(information + np.diag(prior**-2))
+    later = friction.aged(information, moment, prior, share)
+    then = np.linalg.inv(later[0] + np.diag(prior**-2))
+    np.testing.assert_allclose(then, share**2 * covariance + (1 - share**2) * np.diag(prior**2), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(then @ later[1], share * mean, rtol=1e-9)
 
 
 def test_a_share_of_friction_is_reckoned_at_one_speed():
