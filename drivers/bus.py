@@ -34,7 +34,7 @@ import zenoh
 from drivers.peer import THREADS, peer_settings
 from drivers.security.check import check, find_files
 from schemas.errors import BusError, RoleTakenError
-from schemas.keys import liveliness_key, topic_key
+from schemas.keys import liveliness_key, robot_key, topic_key
 from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, TOPICS, Message, Role
 
 WAKE_S = 0.01  # to which a wait on a silent bus keeps its limit
@@ -349,7 +349,7 @@ class Bus:
         liveliness = session.liveliness()
         self._token = liveliness.declare_token(liveliness_key(robot, role))
         self._watch = liveliness.declare_subscriber(
-            f"deltatwin/{robot}/@/*", zenoh.handlers.Callback(self._notice, indirect=False), history=True
+            f"deltatwin/{robot_key(robot)}/@/*", zenoh.handlers.Callback(self._notice, indirect=False), history=True
         )
 
     def _notice(self, sample: zenoh.Sample) -> None:

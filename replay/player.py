@@ -18,13 +18,13 @@ import numpy as np
 from drivers.health import Health
 from replay.clock import Pacer
 from schemas.errors import TraceError
-from schemas.messages import NANOSECONDS, SAMPLE, StopReason, stamp_ns
+from schemas.messages import NANOSECONDS, NO_FRAME, SAMPLE, StopReason, stamp_ns
 from schemas.trace import Trace
 
 LEAD_NS = 20_000_000  # from the call to the first deadline
 REMEMBERED = 1 << 22  # lateness is kept for so many of the newest samples: 17 min at 4 kHz
 
-_STAMP_AND_SEQUENCE = struct.Struct("<iIQ")
+_STAMP_AND_SEQUENCE = struct.Struct("<iI8sQ")
 _STAMP_OFFSET: int = SAMPLE.dtype.fields["stamp_sec"][1]  # pyright: ignore[reportOptionalSubscript]
 
 
@@ -169,6 +169,7 @@ def _send(schedule: Schedule, put: Callable[[bytes], object]) -> Iterator[int]:
                 payload,
                 offset + _STAMP_OFFSET,
                 *divmod(stamp[i] + stamp_shift, NANOSECONDS),
+                NO_FRAME,
                 sequence[i] + sequence_shift,
             )
             message = bytes(payload[offset : offset + size])

@@ -19,6 +19,7 @@ MIB = 1 << 20
 MAX_LOG_BYTES = 8 << 30  # of samples, unpacked: an hour at 8 kHz is 5 GB as our CSV, 5.7 GB as messages
 MAX_EXPANSION = 100  # times its size that a packed log may unpack to: measured ones give 3 to 20, bombs 1000
 FREE_EXPANSION_BYTES = 64 * MIB  # that any may unpack to: a small log of a robot at rest packs well
+PART = ".part-"  # in front of the name of a file that is not complete
 
 
 def opened(path: Path, error: type[DeltatwinError]) -> IO[bytes]:
@@ -65,7 +66,7 @@ def whole(path: Path) -> Iterator[Path]:
         StorageError: it cannot be written.
     """
     target = Path(os.path.realpath(path))
-    partial = target.with_name(f".part-{target.name}")
+    partial = target.with_name(f"{PART}{target.name}")
     try:
         if target.exists() and not target.is_file():
             raise StorageError(f"{path}: exists and is not a file")

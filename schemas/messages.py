@@ -2,7 +2,7 @@
 
 A fixed-size ROS 2 message in little-endian CDR is a C struct behind the four bytes 00 01 00 00, every field aligned to
 its own size counted from behind them. One structured dtype a message therefore serves as Zenoh payload, MCAP message
-and array in memory.
+and array in memory. The one text in it, `frame_id` of the header, is empty: no joint has a frame.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import enum
 import re
 from dataclasses import dataclass
 from importlib import resources
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,16 +19,18 @@ from schemas.errors import MessageError
 
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 NANOSECONDS = 1_000_000_000
-SEQUENCE_BYTES = slice(12, 20)  # of every message, behind CDR header and stamp
+SEQUENCE_BYTES = slice(20, 28)  # of every message, behind CDR and message header
+NO_FRAME = b"\x01\x00\x00\x00\x00\x00\x00\x00"  # the empty text in CDR, and what aligns the sequence behind it
 
 OPTIONAL = {"fourth_position"}  # what most sources do not have
 
-_TIME = "builtin_interfaces/Time"
-_TIME_TEXT = "int32 sec\nuint32 nanosec\n"
+_TIME, _HEADER = "builtin_interfaces/Time", "std_msgs/Header"
+NESTED = {_HEADER: f"{_TIME} stamp\nstring frame_id\n", _TIME: "int32 sec\nuint32 nanosec\n"}
 _PRIMITIVES = {
     "int32": "<i4", "uint32": "<u4", "int64": "<i8", "uint64": "<u8", "float64": "<f8",
 }  # fmt: skip
 _FIELD = re.compile(r"^(?P<type>[\w/]+)(?:\[(?P<count>\d+)\])?\s+(?P<name>[a-z]\w*)$")
+_CONSTANT = re.compile(r"^\w+\s+[A-Z]\w*\s*=")
 
 
 class SampleFlag(enum.IntFlag):
@@ -125,14 +128,15 @@ class Message:
     @property
     def schema_text(self) -> str:
         """The text with the definitions it depends on, as an MCAP `ros2msg` schema holds it."""
-        return f"{self.text}{'=' * 80}\nMSG: {_TIME}\n{_TIME_TEXT}"
+        return self.text + "".join(f"{'=' * 80}\nMSG: {name}\n{text}" for name, text in NESTED.items())
 
     def empty(self, count: int = 1) -> np.ndarray:
-        """`count` records of zeros with the CDR header in place; `OPTIONAL` fields are NaN."""
+        """`count` records of zeros with the CDR header and no frame; `OPTIONAL` fields are NaN."""
         records = np.zeros(count, self.dtype)
         for name in OPTIONAL.intersection(self.dtype.names or ()):
             records[name] = np.nan
         records["cdr_header"] = np.frombuffer(CDR_LITTLE_ENDIAN, np.uint8)
+        records["frame_id"] = np.frombuffer(NO_FRAME, np.uint8)
         return records
 
     def decode(self, payload: bytes | bytearray | memoryview) -> np.void:
@@ -149,23 +153,52 @@ class Message:
         return record
 
 
-def _dtype(name: str, text: str) -> np.dtype:
-    names, formats, offsets = ["cdr_header"], ["(4,)u1"], [0]
-    offset = 0  # CDR aligns from behind the header
-    for line in text.splitlines():
+class Field(NamedTuple):
+    """A field of a message text. length: of a fixed array, 0 where it is none."""
+
+    type: str
+    name: str
+    length: int
+
+
+def fields_of(text: str) -> list[Field]:
+    """The fields of a message text, without what it depends on; constants and comments are passed over.
+
+    Raises:
+        MessageError: a line that is neither.
+    """
+    fields = []
+    for line in text.split("=" * 80, 1)[0].splitlines():
         declaration = line.split("#", 1)[0].strip()
-        if not declaration:
+        if not declaration or _CONSTANT.match(declaration):
             continue
         match = _FIELD.match(declaration)
-        if match is None or (match["type"] != _TIME and match["type"] not in _PRIMITIVES):
-            raise MessageError(f"{name}.msg: cannot read {declaration!r}")
-        if match["type"] == _TIME:
-            fields = [(f"{match['name']}_sec", "<i4", 4, 4), (f"{match['name']}_nanosec", "<u4", 4, 4)]
+        if match is None:
+            raise MessageError(f"cannot read {declaration!r}")
+        fields.append(Field(match["type"], match["name"], int(match["count"] or 0)))
+    return fields
+
+
+def dtype_of(text: str) -> np.dtype:
+    """The dtype of the CDR bytes of a message text, header included, as `cdr_header`.
+
+    Raises:
+        MessageError: a line or a type that cannot be read.
+    """
+    names, formats, offsets = ["cdr_header"], ["(4,)u1"], [0]
+    offset = 0  # CDR aligns from behind the header
+    for kind, name, count in fields_of(text):
+        if kind in NESTED:
+            parts = [("stamp_sec", "<i4", 4, 4), ("stamp_nanosec", "<u4", 4, 4)]
+            if kind == _HEADER:
+                parts.append(("frame_id", "(8,)u1", 4, len(NO_FRAME)))
+        elif kind not in _PRIMITIVES:
+            raise MessageError(f"cannot read {kind!r}")
         else:
-            code = _PRIMITIVES[match["type"]]
-            size, count = int(code[-1]), int(match["count"] or 1)
-            fields = [(match["name"], f"({count},){code}" if match["count"] else code, size, size * count)]
-        for field, code, alignment, size in fields:
+            code = _PRIMITIVES[kind]
+            size = int(code[-1])
+            parts = [(name, f"({count},){code}" if count else code, size, size * max(count, 1))]
+        for field, code, alignment, size in parts:
             offset += -offset % alignment
             names.append(field)
             formats.append(code)
@@ -176,7 +209,7 @@ def _dtype(name: str, text: str) -> np.dtype:
 
 def _load(name: str) -> Message:
     text = (resources.files("schemas") / "msg" / f"{name}.msg").read_text(encoding="utf-8")
-    return Message(name, text, _dtype(name, text))
+    return Message(name, text, dtype_of(text))
 
 
 SAMPLE = _load("Sample")

@@ -9,7 +9,7 @@ first; and `health`, which every role writes under one key, is believed to be th
 
 from __future__ import annotations
 
-from schemas.keys import liveliness_key, topic_key
+from schemas.keys import liveliness_key, robot_key, topic_key
 from schemas.messages import TOPICS, Role
 
 SOURCES = (Role.TAP, Role.PLAYER, Role.ROBOT)  # any of them may be the one that writes `sample`
@@ -57,7 +57,7 @@ def access_control(robot: str | None, source: Role) -> dict:
         return liveliness_key(robot, role) if robot else f"deltatwin/*/@/{role.name.lower()}"
 
     everything = [key(topic) for topic in TOPICS]
-    tokens = [token(role) for role in Role] + [f"deltatwin/{robot or '*'}/@/*"]
+    tokens = [token(role) for role in Role] + [f"deltatwin/{robot_key(robot) if robot else '*'}/@/*"]
     rules = [
         _rule("watches tokens", ["declare_liveliness_subscriber", "liveliness_query"], ["ingress", "egress"], tokens),
         _rule("hears tokens", ["liveliness_token"], ["egress"], tokens),

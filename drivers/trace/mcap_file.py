@@ -1,4 +1,4 @@
-"""MCAP traces: `deltatwin/<robot>/sample` messages, CDR bytes as they are; written with the mcap library."""
+"""MCAP traces: `/deltatwin/<robot>/sample` messages, CDR bytes as they are."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import IO
 
 import numpy as np
 from mcap.records import Channel, Schema
-from mcap.writer import CompressionType, Writer
 
+from drivers.trace.bag import BagWriter
 from drivers.trace.mcap_messages import Wanted, read_messages, read_summary
 from drivers.trace.quality import EXACT_SECONDS, RowNames, check
 from schemas.axes import Description
 from schemas.errors import MessageError, StorageError, TraceError
 from schemas.files import opened
-from schemas.keys import topic_key
-from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, stamp_ns
+from schemas.keys import robot_key
+from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, dtype_of, stamp_ns
 from schemas.trace import Trace
 
-_SAMPLE_TOPIC = re.compile(r"^deltatwin/(?P<robot>[^/]+)/sample$")
+_SAMPLE_TOPIC = re.compile(r"^/?deltatwin/(?P<robot>[^/]+)/sample$")  # the slash came later
 SHOW_EVERY = 10_000  # samples
 
 
@@ -58,42 +58,64 @@ def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None
         summary = read_summary(stream, path)
         if summary is None:
             raise TraceError(f"{path}: the MCAP summary is missing (its writer was killed?): deltatwin recover {path}")
-        topic = _sample_topic(summary.channels, summary.schemas, path, robot)
+        topic, dtype = _sample_topic(summary.channels, summary.schemas, path, robot)
         ids = [channel.id for channel in summary.channels.values() if channel.topic == topic]
-        ((data, _),) = read_messages(stream, path, [Wanted(topic, ids, SAMPLE.dtype.itemsize)])
+        ((data, _),) = read_messages(stream, path, [Wanted(topic, ids, dtype.itemsize)])
     except MessageError as error:
         raise TraceError(str(error)) from error
     except StorageError as error:
         raise TraceError(f"{error} (not a whole MCAP file); a killed writer's log: deltatwin recover {path}") from error
     if len(data) == 0:
         raise TraceError(f"{path}: no messages on {topic}")
-    samples = data.reshape(-1).view(SAMPLE.dtype)
+    samples = data.reshape(-1).view(dtype)
     foreign = np.flatnonzero((samples["cdr_header"] != np.frombuffer(CDR_LITTLE_ENDIAN, np.uint8)).any(axis=1))
     if len(foreign):
         header = bytes(samples["cdr_header"][foreign[0]]).hex()
         raise TraceError(f"{path}: message {foreign[0] + 1} on {topic} has CDR header {header}, expected 00010000")
-    return samples
+    if dtype == SAMPLE.dtype:
+        return samples
+    current = SAMPLE.empty(len(samples))
+    for name in dtype.names or ():
+        current[name] = samples[name]
+    return current
 
 
 def _sample_topic(
     channels: dict[int, Channel], schemas: dict[int, Schema], path: Path, robot: Description | None
-) -> str:
+) -> tuple[str, np.dtype]:
+    """The topic of the samples and the dtype that they were written with."""
     found = {m["robot"]: c for c in channels.values() if (m := _SAMPLE_TOPIC.match(c.topic))}
     if not found:
         topics = ", ".join(sorted(c.topic for c in channels.values())) or "none"
-        raise TraceError(f"{path}: no deltatwin/<robot>/sample topic (topics: {topics})")
-    if len(found) > 1 and (robot is None or robot.name not in found):
+        raise TraceError(f"{path}: no /deltatwin/<robot>/sample topic (topics: {topics})")
+    names = [name for name in found if robot and robot_key(name) == robot_key(robot.name)]
+    if len(found) > 1 and not names:
         raise TraceError(f"{path}: samples of several robots ({', '.join(sorted(found))}): say which with --robot")
-    channel = found[robot.name] if robot and robot.name in found else next(iter(found.values()))
+    channel = found[names[0]] if names else next(iter(found.values()))
     schema = schemas.get(channel.schema_id)
     text = schema.data.decode("utf-8", "replace") if schema else ""
-    if channel.message_encoding != "cdr" or text != SAMPLE.schema_text:
+    dtype = _written_with(text) if channel.message_encoding == "cdr" else None
+    if dtype is None:
         name = schema.name if schema else "none"
         raise TraceError(
             f"{path}: {channel.topic} holds {channel.message_encoding!r} messages of schema {name}, which is not "
-            f"this version's {SAMPLE.schema_name} in cdr"
+            f"{SAMPLE.schema_name} in cdr of this version or one before"
         )
-    return channel.topic
+    return channel.topic, dtype
+
+
+def _written_with(text: str) -> np.dtype | None:
+    """The dtype of a version of SAMPLE: fields that it has today, the measured ones among them; None of anything else.
+
+    Comments and constants may differ, and fields that came later may be missing.
+    """
+    try:
+        dtype = dtype_of(text)
+    except MessageError:
+        return None
+    fields, ours = dtype.fields or {}, SAMPLE.dtype.fields or {}
+    known = all(name in ours and ours[name][0] == fields[name][0] for name in fields)
+    return dtype if known and fields.keys() >= {"stamp_sec", "sequence", "position", "torque", "flags"} else None
 
 
 def to_trace(samples: np.ndarray, path: Path) -> Trace:
@@ -144,19 +166,15 @@ def write_samples(
     """
     done = 0
     with path.open("wb") as stream:
-        writer = Writer(stream, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library="deltatwin")
-        schema = writer.register_schema(SAMPLE.schema_name, "ros2msg", SAMPLE.schema_text.encode())
-        channel = writer.register_channel(topic_key(robot, "sample"), "cdr", schema)
+        bag = BagWriter(stream, path, robot, ["sample"])
         for samples in blocks:
             stamps = stamp_ns(samples)
             if stamps.min() < 0:
                 raise TraceError(f"{source}: time {stamps.min() / NANOSECONDS} s is below zero, MCAP stamps cannot be")
-            size, data = samples.itemsize, samples.tobytes()
-            for i, (stamp, sequence) in enumerate(zip(stamps.tolist(), samples["sequence"].tolist(), strict=True)):
-                writer.add_message(channel, stamp, data[i * size : (i + 1) * size], stamp, sequence & 0xFFFFFFFF)
-                if i % SHOW_EVERY == 0:
-                    show(done + i)
+            for part in range(0, len(samples), SHOW_EVERY):
+                show(done + part)
+                rows = slice(part, part + SHOW_EVERY)
+                bag.add("sample", samples[rows], stamps[rows], stamps[rows])
             done += len(samples)
-        writer.finish()
+        bag.finish()
     return done

@@ -5,21 +5,21 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
-from schemas.keys import topic_key
+from schemas.keys import robot_key, topic_name
 
 SECONDS = 10.0  # that the live plots show
 
 
 def scene_topic(robot: str) -> str:
     """Where the view draws `robot`; not on the bus."""
-    return f"deltatwin/{robot}/scene"
+    return f"/deltatwin/{robot_key(robot)}/scene"
 
 
 def layout(robot: str) -> str:
     """A layout file, JSON, for the topics of `robot`."""
 
     def path(topic: str, field: str) -> str:
-        return f'"{topic_key(robot, topic)}".{field}'
+        return f'"{topic_name(robot, topic)}".{field}'
 
     def plot(title: str, *paths: tuple[str, str]) -> dict[str, object]:
         series = [
@@ -42,7 +42,7 @@ def layout(robot: str) -> str:
         "Plot!position": plot(
             "position / rad", *((path("sample", f"position[{j}]"), f"joint {j + 1}") for j in range(3))
         ),
-        "RawMessages!health": {"topicPath": topic_key(robot, "health")},
+        "RawMessages!health": {"topicPath": topic_name(robot, "health")},
     }
     return json.dumps(
         {

@@ -26,7 +26,7 @@ from drivers.bus import Bus, sending
 from drivers.view.layout import scene_topic
 from drivers.view.scene import skeleton
 from schemas.errors import BusError, PoseError
-from schemas.keys import topic_key
+from schemas.keys import topic_name
 from schemas.messages import NANOSECONDS, TOPICS
 from schemas.robot import Robot
 
@@ -50,7 +50,7 @@ class LiveView:
         self._context = context = foxglove.Context()  # channels do not keep it alive
         self._channels = {
             topic: foxglove.Channel(
-                topic_key(robot.name, topic),
+                topic_name(robot.name, topic),
                 message_encoding="cdr",
                 schema=foxglove.Schema(name=message.schema_name, encoding="ros2msg", data=message.schema_text.encode()),
                 context=context,

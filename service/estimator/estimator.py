@@ -74,8 +74,7 @@ class Estimator:
         """Take (N,) records of SAMPLE."""
         self.look_back()
         count = len(samples)
-        feedforward = np.empty(count, FEEDFORWARD.dtype)
-        payload, error = np.empty(count, PAYLOAD.dtype), np.empty(count, MODEL_ERROR.dtype)
+        feedforward, payload, error = (message.empty(count) for message in (FEEDFORWARD, PAYLOAD, MODEL_ERROR))
         lagged = run_kernel(self._steps, samples, feedforward, payload, error)
         return Result(feedforward, payload[:lagged], error[:lagged])
 

@@ -168,6 +168,7 @@ def fresh(record: np.ndarray) -> np.ndarray:
     """One STEP record of an estimator with these SETTINGS that has seen nothing."""
     step = np.zeros(1, STEP)
     step["settings"] = record
+    step["feedforward"], step["payload"], step["error"] = FEEDFORWARD.empty(), PAYLOAD.empty(), MODEL_ERROR.empty()
     payload.start(step["state"]["payload"], record["payload"]["prior"][0])
     step["state"]["source"] = FeedforwardSource.NONE
     return step

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numba import njit
 
-from schemas.messages import CDR_LITTLE_ENDIAN, PayloadEvent
+from schemas.messages import PayloadEvent
 from service.estimator.feedforward import (
     dry_and_viscous,
     feedforward_kernel,
@@ -63,8 +63,6 @@ from service.model.kinematics import REACHED
 REVERSAL_SPEED = 0.05  # rad/s
 # The rigid-body terms are known to about this share of themselves after identification.
 MODEL_SHARE = 0.01
-
-_CDR = np.frombuffer(CDR_LITTLE_ENDIAN, np.uint8).copy()
 
 
 @njit(cache=True)
@@ -171,8 +169,6 @@ def lagged_kernel(settings, state, payload_out, error_out):
     payload_out.stamp_sec = error_out.stamp_sec = past.stamp_sec
     payload_out.stamp_nanosec = error_out.stamp_nanosec = past.stamp_nanosec
     payload_out.sequence = error_out.sequence = past.sequence
-    for n in range(4):
-        payload_out.cdr_header[n] = error_out.cdr_header[n] = _CDR[n]
 
 
 @njit(cache=True)
@@ -210,8 +206,6 @@ def step_kernel(settings, state, sample, feedforward):
         flags |= feedforward_kernel(settings, state, sample, passed, feedforward)
     else:
         flags |= hold_kernel(settings, state, sample, feedforward)
-    for n in range(4):
-        feedforward.cdr_header[n] = _CDR[n]
     feedforward.stamp_sec = sample.stamp_sec
     feedforward.stamp_nanosec = sample.stamp_nanosec
     feedforward.sequence = sample.sequence

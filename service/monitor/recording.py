@@ -6,11 +6,10 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from mcap.writer import Writer
 
+from drivers.trace.bag import BagWriter
 from schemas.errors import StorageError
-from schemas.keys import topic_key
-from schemas.messages import TOPICS, stamp_ns
+from schemas.messages import stamp_ns
 
 WAITING = 600  # batches of health, ten minutes at one a second
 
@@ -33,12 +32,7 @@ class RecordingWriter:
             self._stream = path.open("xb")
         except OSError as error:
             raise StorageError(f"{path}: cannot record: {error.strerror}") from error
-        self._writer = Writer(self._stream)
-        self._writer.start(profile="ros2", library="deltatwin")
-        self._channels = {}
-        for topic, message in TOPICS.items():
-            schema = self._writer.register_schema(message.schema_name, "ros2msg", message.schema_text.encode())
-            self._channels[topic] = self._writer.register_channel(topic_key(robot, topic), "cdr", schema)
+        self._bag = BagWriter(self._stream, path, robot)
 
     def write(self, topic: str, records: np.ndarray, log_ns: np.ndarray) -> None:
         """Append (N,) records that were sent at (N,) `log_ns`, ns since 1970.
@@ -66,12 +60,8 @@ class RecordingWriter:
             self._append("health", records, log_ns, stamp_ns(records) if shift is None else log_ns + shift)
 
     def _append(self, topic: str, records: np.ndarray, log_ns: np.ndarray, publish_ns: np.ndarray) -> None:
-        channel, size, data = self._channels[topic], records.itemsize, records.tobytes()
-        times = zip(log_ns.tolist(), np.maximum(publish_ns, 0).tolist(), strict=True)
-        sequences = records["sequence"].astype(np.uint32).tolist()
         try:
-            for i, (log, stamp) in enumerate(times):
-                self._writer.add_message(channel, log, data[i * size : (i + 1) * size], stamp, sequences[i])
+            self._bag.add(topic, records, log_ns, np.maximum(publish_ns, 0))
         except OSError as error:
             raise self._refused(error) from error
         self.written += len(records)
@@ -83,7 +73,7 @@ class RecordingWriter:
             StorageError: the disk refuses.
         """
         try:
-            self._writer.add_metadata(name, facts)
+            self._bag.note(name, facts)
         except OSError as error:
             raise self._refused(error) from error
 
@@ -94,7 +84,7 @@ class RecordingWriter:
             StorageError: the disk refuses.
         """
         try:
-            self._writer.flush()
+            self._bag.flush()
         except OSError as error:
             raise self._refused(error) from error
 
@@ -106,7 +96,7 @@ class RecordingWriter:
         """
         self._write_waiting()
         try:
-            self._writer.finish()
+            self._bag.finish()
             self._stream.close()
         except OSError as error:
             raise self._refused(error) from error

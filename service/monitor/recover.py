@@ -11,9 +11,11 @@ from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, 
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
+from drivers.trace.bag import RECORD
 from drivers.trace.mcap_messages import unpack
 from schemas.errors import StorageError
 from schemas.files import most_unpacked, whole
+from schemas.ros2 import BagTopic, bag_metadata
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ def recover(source: Path, stream: IO[bytes], target: Path) -> Recovered:
     with whole(target) as partial:
         with partial.open("wb") as out:
             copy = _Copy(Writer(out))
-            copy.all(source, stream)
+            copy.all(source, stream, target.name)
         if not copy.counts:
             raise StorageError(f"{source}: not one whole message in it")
     return Recovered(dict(copy.counts), (copy.last_ns - copy.first_ns) * 1e-9, copy.bad_chunks, copy.whole)
@@ -57,9 +59,11 @@ class _Copy:
         self._room = 0  # bytes that may still be unpacked
         self._writer = writer
         self._schemas: dict[int, int] = {0: 0}
+        self._types: dict[int, str] = {}
         self._channels: dict[int, tuple[int, str]] = {}
+        self._topics: dict[str, BagTopic] = {}
 
-    def all(self, source: Path, stream: IO[bytes]) -> None:
+    def all(self, source: Path, stream: IO[bytes], name: str) -> None:
         self._writer.start(profile="ros2", library="deltatwin recover")
         limit = source.stat().st_size  # a length that was garbled must not be allocated
         self._room = most_unpacked(limit)
@@ -79,6 +83,8 @@ class _Copy:
         if broken and not self.counts:
             raise StorageError(f"{source}: nothing to save: {broken}")
         self.whole = self._ended and not broken and not self.bad_chunks
+        topics = [topic._replace(messages=self.counts[topic.name]) for topic in self._topics.values()]
+        self._writer.add_metadata(RECORD, bag_metadata(name, topics, self.first_ns, self.last_ns))
         self._writer.finish()
 
     def _record(self, record: McapRecord) -> None:
@@ -94,13 +100,16 @@ class _Copy:
                 self._record(one)
         elif isinstance(record, Schema) and record.id not in self._schemas:
             self._schemas[record.id] = self._writer.register_schema(record.name, record.encoding, record.data)
+            self._types[record.id] = record.name
         elif isinstance(record, Channel) and record.id not in self._channels and record.schema_id in self._schemas:
             schema = self._schemas[record.schema_id]
             channel = self._writer.register_channel(record.topic, record.message_encoding, schema, record.metadata)
             self._channels[record.id] = channel, record.topic
+            kind, type_hash = self._types.get(record.schema_id, ""), record.metadata.get("topic_type_hash", "")
+            self._topics[record.topic] = BagTopic(record.topic, kind, type_hash, 0)
         elif isinstance(record, Message) and record.channel_id in self._channels:
             self._message(record)
-        elif isinstance(record, Metadata):
+        elif isinstance(record, Metadata) and record.name != RECORD:  # which counts what this file has
             self._writer.add_metadata(record.name, record.metadata)
         elif isinstance(record, Footer):
             self._ended = True

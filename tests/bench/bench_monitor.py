@@ -83,7 +83,7 @@ def measure(folder: Path, rate: float, seconds: float) -> None:
             summary.channels[i].topic.rsplit("/")[-1]: n for i, n in summary.statistics.channel_message_counts.items()
         }
         health = np.frombuffer(
-            b"".join(m.data for _, _, m in reader.iter_messages(["deltatwin/bench/health"])), HEALTH.dtype
+            b"".join(m.data for _, _, m in reader.iter_messages(["/deltatwin/bench/health"])), HEALTH.dtype
         )
     own = health[health["role"] == Role.MONITOR]
     missing = {topic: loops * 4000 - counts.get(topic, 0) for topic in ("sample", *ANSWERS)}

@@ -13,9 +13,10 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
 from schemas.errors import MessageError
-from schemas.messages import TOPICS, Message, SampleFlag, set_stamp, stamp_ns
+from schemas.messages import SEQUENCE_BYTES, TOPICS, Message, SampleFlag, set_stamp, stamp_ns
 
 COUNT = 50
+HEADER = ("cdr_header", "stamp_sec", "stamp_nanosec", "frame_id")
 ALL = pytest.mark.parametrize("message", TOPICS.values(), ids=TOPICS.keys())
 
 
@@ -24,7 +25,7 @@ def random_records(message: Message) -> np.ndarray:
     records = message.empty(COUNT)
     rng = np.random.default_rng(11)
     for name in message.dtype.names or ():
-        if name != "cdr_header":
+        if name not in ("cdr_header", "frame_id"):
             field = records[name]
             records[name] = np.frombuffer(rng.bytes(field.nbytes), field.dtype).reshape(field.shape)
     records["stamp_nanosec"] %= 1_000_000_000
@@ -33,9 +34,9 @@ def random_records(message: Message) -> np.ndarray:
 
 def values(record: np.void) -> dict[str, object]:
     """A record as the plain Python values a ROS 2 program would set."""
-    names = [n for n in record.dtype.names or () if n not in ("cdr_header", "stamp_sec", "stamp_nanosec")]
+    names = [n for n in record.dtype.names or () if n not in HEADER]
     stamp = {"sec": int(record["stamp_sec"]), "nanosec": int(record["stamp_nanosec"])}
-    return {"stamp": stamp, **{n: record[n].tolist() for n in names}}
+    return {"header": {"stamp": stamp, "frame_id": ""}, **{n: record[n].tolist() for n in names}}
 
 
 def bits(value: object) -> object:
@@ -64,7 +65,8 @@ def test_their_decoder_reads_our_bytes(message: Message) -> None:
     assert len(decoded) == COUNT
     for theirs, record in zip(decoded, records, strict=True):
         ours = values(record)
-        assert {"sec": theirs.stamp.sec, "nanosec": theirs.stamp.nanosec} == ours.pop("stamp")
+        stamp = {"sec": theirs.header.stamp.sec, "nanosec": theirs.header.stamp.nanosec}
+        assert {"stamp": stamp, "frame_id": theirs.header.frame_id} == ours.pop("header")
         assert ours, "a message holds more than its stamp"
         for name, value in ours.items():
             assert bits(getattr(theirs, name)) == bits(value), name
@@ -89,11 +91,12 @@ def test_their_writer_makes_our_bytes(message: Message) -> None:
 
 @ALL
 def test_layout(message: Message) -> None:
-    """Stamp at 4, sequence at 12 of the bytes; every field on its own size counted from behind the header."""
+    """Stamp at 4, sequence at 20 of the bytes; every field on its own size counted from behind the header."""
     fields = message.dtype.fields or {}
-    assert [fields[n][1] for n in ("cdr_header", "stamp_sec", "stamp_nanosec", "sequence")] == [0, 4, 8, 12]
+    assert [fields[n][1] for n in (*HEADER, "sequence")] == [0, 4, 8, 12, 20]
+    assert slice(20, 28) == SEQUENCE_BYTES
     for name, (dtype, offset, *_) in fields.items():
-        assert name == "cdr_header" or (offset - 4) % dtype.base.itemsize == 0
+        assert name in ("cdr_header", "frame_id") or (offset - 4) % dtype.base.itemsize == 0
     last, offset = max((f[:2] for f in fields.values()), key=lambda f: f[1])
     assert message.dtype.itemsize == offset + last.itemsize  # CDR has no padding at the end
 
@@ -103,7 +106,7 @@ def test_sizes_are_what_is_on_the_wire() -> None:
     vectors = {"sample": 4, "reference": 3, "feedforward": 1, "error": 4, "friction": 7}  # float64[3] in each
     for topic, count in vectors.items():
         tail = {"sample": 8 + 4 + 4, "reference": 0, "friction": 0, "feedforward": 8 + 4 + 4, "error": 4}[topic]
-        assert sizes[topic] == 4 + 8 + 8 + 24 * count + tail
+        assert sizes[topic] == 4 + 8 + 8 + 8 + 24 * count + tail
 
 
 @ALL

@@ -264,30 +264,30 @@ def payloads(own_csv: Path) -> list[bytes]:
 def test_mcap_with_foreign_messages(own_csv: Path, tmp_path: Path) -> None:
     good, path = payloads(own_csv), tmp_path / "a.mcap"
     short = [*good[:7], good[7][:-8], *good[8:]]
-    write_messages(path, {"deltatwin/d3/sample": short})
-    with pytest.raises(TraceError, match=r"message 8 on deltatwin/d3/sample has \d+ bytes, expected \d+"):
+    write_messages(path, {"/deltatwin/d3/sample": short})
+    with pytest.raises(TraceError, match=r"message 8 on /deltatwin/d3/sample has \d+ bytes, expected \d+"):
         read_trace(path)
     shifted = [*good[:7], good[7][:-8], good[8] + b"\0" * 8, *good[9:]]  # the sum of the sizes is right
-    write_messages(path, {"deltatwin/d3/sample": shifted})
-    with pytest.raises(TraceError, match="message 8 on deltatwin/d3/sample has"):
+    write_messages(path, {"/deltatwin/d3/sample": shifted})
+    with pytest.raises(TraceError, match="message 8 on /deltatwin/d3/sample has"):
         read_trace(path)
-    write_messages(path, {"deltatwin/d3/sample": [*good[:3], b"\1" + good[3][1:], *good[4:]]})
-    with pytest.raises(TraceError, match="message 4 on deltatwin/d3/sample has CDR header 01010000"):
+    write_messages(path, {"/deltatwin/d3/sample": [*good[:3], b"\1" + good[3][1:], *good[4:]]})
+    with pytest.raises(TraceError, match="message 4 on /deltatwin/d3/sample has CDR header 01010000"):
         read_trace(path)
     write_messages(path, {"/joint_states": good})
-    with pytest.raises(TraceError, match=r"no deltatwin/<robot>/sample topic \(topics: /joint_states\)"):
+    with pytest.raises(TraceError, match=r"no /deltatwin/<robot>/sample topic \(topics: /joint_states\)"):
         read_trace(path)
-    write_messages(path, {"deltatwin/d3/sample": []})
-    with pytest.raises(TraceError, match="no messages on deltatwin/d3/sample"):
+    write_messages(path, {"/deltatwin/d3/sample": []})
+    with pytest.raises(TraceError, match="no messages on /deltatwin/d3/sample"):
         read_trace(path)
-    write_messages(path, {"deltatwin/d3/sample": good}, "float64 x\n")
-    with pytest.raises(TraceError, match="is not this version's deltatwin_msgs/msg/Sample in cdr"):
+    write_messages(path, {"/deltatwin/d3/sample": good}, "float64 x\n")
+    with pytest.raises(TraceError, match="is not deltatwin_msgs/msg/Sample in cdr"):
         read_trace(path)
 
 
 def test_mcap_of_two_robots_needs_a_name(own_csv: Path, tmp_path: Path, robot_text: str) -> None:
     good, path = payloads(own_csv), tmp_path / "a.mcap"
-    write_messages(path, {"deltatwin/d3/sample": good, "deltatwin/d4/sample": good[:50]})
+    write_messages(path, {"/deltatwin/d3/sample": good, "/deltatwin/d4/sample": good[:50]})
     with pytest.raises(TraceError, match=r"samples of several robots \(d3, d4\): say which with --robot"):
         read_trace(path)
     (tmp_path / "r.toml").write_text(robot_text.replace('"d3"', '"d4"'))

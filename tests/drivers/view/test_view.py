@@ -17,7 +17,7 @@ from tornado.websocket import websocket_connect
 from drivers.bus import open_bus
 from drivers.view.layout import layout
 from drivers.view.scene import skeleton
-from schemas.messages import PAYLOAD, SAMPLE, TOPICS, PayloadEvent, Role
+from schemas.messages import PAYLOAD, SAMPLE, TOPICS, PayloadEvent, Role, fields_of
 from schemas.robot import load_robot
 
 COUNT = 400
@@ -38,10 +38,10 @@ def test_arms_and_forearms_have_their_lengths() -> None:
 
 def test_layout_names_fields_that_the_messages_have() -> None:
     text = layout("d3-1200")
-    paths = re.findall(r'\\"deltatwin/d3-1200/(\w+)\\"\.(\w+)', text)
+    paths = re.findall(r'\\"/deltatwin/d3_1200/(\w+)\\"\.(\w+)', text)
     assert len(paths) >= 14
     for topic, field in paths:
-        assert field in (TOPICS[topic].dtype.names or ())
+        assert field in [one.name for one in fields_of(TOPICS[topic].text)]
     panels = json.loads(text)["configById"]
     assert set(re.findall(r'"((?:Plot|3D|RawMessages)!\w+)"', json.dumps(json.loads(text)["layout"]))) == set(panels)
 
@@ -102,14 +102,14 @@ def test_a_client_gets_the_messages_as_they_are_and_the_robot(bus_folder: Path, 
         publishers = {topic: player.publisher(topic) for topic in ("sample", "payload")}
         assert all(publisher.wait_until_heard(10.0) for publisher in publishers.values())
         channels, got = asyncio.run(look(view))
-    sample = f"deltatwin/{robot.name}/sample"
+    sample = f"/deltatwin/{robot.name}/sample"
     assert channels[sample]["schemaEncoding"] == "ros2msg"
     assert channels[sample]["schema"] == SAMPLE.schema_text
     sent = {records.tobytes() for records in np.split(samples, COUNT)}
     assert {data for _, data in got[sample]} <= sent
     assert 5 <= len(got[sample]) < COUNT  # thinned
     assert all(abs(stamp - time.time_ns()) < 60e9 for stamp, _ in got[sample])
-    events = [np.frombuffer(data, PAYLOAD.dtype)["event"][0] for _, data in got[f"deltatwin/{robot.name}/payload"]]
+    events = [np.frombuffer(data, PAYLOAD.dtype)["event"][0] for _, data in got[f"/deltatwin/{robot.name}/payload"]]
     assert events.count(PayloadEvent.PICK) == 1
-    assert channels[f"deltatwin/{robot.name}/scene"]["schemaName"] == "foxglove.SceneUpdate"
-    assert b"robot" in got[f"deltatwin/{robot.name}/scene"][-1][1]
+    assert channels[f"/deltatwin/{robot.name}/scene"]["schemaName"] == "foxglove.SceneUpdate"
+    assert b"robot" in got[f"/deltatwin/{robot.name}/scene"][-1][1]

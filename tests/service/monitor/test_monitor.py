@@ -75,7 +75,7 @@ def numbered(sequence: list[int] | range, flags: int = 0) -> list[bytes]:
 def recorded(path: Path, topic: str) -> np.ndarray:
     with path.open("rb") as stream:
         reader = make_reader(stream)
-        data = [m.data for _, _, m in reader.iter_messages([f"deltatwin/bench/{topic}"], log_time_order=False)]
+        data = [m.data for _, _, m in reader.iter_messages([f"/deltatwin/bench/{topic}"], log_time_order=False)]
     return np.frombuffer(b"".join(data), TOPICS[topic].dtype)
 
 
@@ -144,7 +144,7 @@ def test_kill_9_costs_at_most_the_last_three_tenths_of_a_second(watched: Watched
     saved = recorded(out, "sample")
     assert saved["sequence"].tolist() == list(range(len(saved)))
     assert len(saved) >= 1700 - 300
-    assert f"{len(saved):>10}  deltatwin/bench/sample" in repair.stdout
+    assert f"{len(saved):>10}  /deltatwin/bench/sample" in repair.stdout
     assert "the end was missing or damaged" in repair.stdout
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from pathlib import Path
 
@@ -9,11 +10,16 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Reader
 
-from drivers.trace import read_trace
+from drivers.trace import read_trace, write_trace
+from drivers.trace.mcap_file import read_samples
 from schemas.errors import StorageError
-from schemas.messages import SAMPLE, TOPICS, Message, set_stamp
+from schemas.messages import SAMPLE, TOPICS, Message, dtype_of, set_stamp
+from schemas.robot import load_robot
+from schemas.ros2 import type_hash
 from service.monitor.recording import RecordingWriter
 from service.monitor.recover import Recovered, recover
 
@@ -26,7 +32,7 @@ def filled(message: Message, count: int, first: int = 0) -> np.ndarray:
     """`count` records with every field set to something of its own, drawn from the sequence number."""
     records = message.empty(count)
     generator = np.random.default_rng(first)
-    for name in message.dtype.names[1:]:  # pyright: ignore[reportOptionalSubscript]
+    for name in [name for name in message.dtype.names or () if name not in ("cdr_header", "frame_id")]:
         shape, kind = records[name].shape, records[name].dtype.kind
         records[name] = generator.normal(size=shape) if kind == "f" else generator.integers(0, 100, shape)
     records["sequence"] = np.arange(first, first + count)
@@ -59,7 +65,7 @@ def repaired(source: Path, target: Path) -> Recovered:
 def samples(path: Path) -> np.ndarray:
     with path.open("rb") as stream:
         reader = make_reader(stream)
-        data = [m.data for _, _, m in reader.iter_messages(["deltatwin/bench/sample"], log_time_order=False)]
+        data = [m.data for _, _, m in reader.iter_messages(["/deltatwin/bench/sample"], log_time_order=False)]
     return np.frombuffer(b"".join(data), SAMPLE.dtype)
 
 
@@ -69,15 +75,15 @@ def test_every_field_of_every_message_decodes_as_ros2(run: Path) -> None:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         for schema, channel, raw, decoded in reader.iter_decoded_messages():
             assert schema is not None
-            topic = channel.topic.removeprefix("deltatwin/bench/")
+            topic = channel.topic.removeprefix("/deltatwin/bench/")
             record = TOPICS[topic].decode(raw.data)
             counts[topic] += 1
             assert raw.log_time >= WALL_NS
             if topic != "health":  # put on the samples' clock
-                assert raw.publish_time == decoded.stamp.sec * 1_000_000_000 + decoded.stamp.nanosec
+                assert raw.publish_time == decoded.header.stamp.sec * 1_000_000_000 + decoded.header.stamp.nanosec
             assert raw.sequence == decoded.sequence
             for name in record.dtype.names[1:]:  # pyright: ignore[reportOptionalSubscript]
-                if not name.startswith("stamp_"):
+                if name != "frame_id" and not name.startswith("stamp_"):
                     assert np.array_equal(record[name], getattr(decoded, name)), (topic, name)
     assert counts == {topic: PER_FLUSH * FLUSHES if topic == "sample" else FLUSHES for topic in TOPICS}
 
@@ -116,11 +122,68 @@ def test_whole_file_is_copied_whole(run: Path, tmp_path: Path) -> None:
     assert saved.bad_chunks == 0
     assert saved.span_s == pytest.approx(1.999)
     assert saved.counts == {
-        f"deltatwin/bench/{topic}": PER_FLUSH * FLUSHES if topic == "sample" else FLUSHES for topic in TOPICS
+        f"/deltatwin/bench/{topic}": PER_FLUSH * FLUSHES if topic == "sample" else FLUSHES for topic in TOPICS
     }
     assert samples(tmp_path / "copy.mcap").tobytes() == samples(run).tobytes()
     with (tmp_path / "copy.mcap").open("rb") as stream:
-        assert len(list(make_reader(stream).iter_metadata())) == FLUSHES
+        names = Counter(record.name for record in make_reader(stream).iter_metadata())
+    assert names == {"sequence_gap": FLUSHES, "rosbag2": 1}
+
+
+@pytest.mark.parametrize("kind", ["monitor", "recover", "convert"])
+def test_another_reader_of_bags_takes_it(run: Path, tmp_path: Path, kind: str) -> None:
+    """As `ros2 bag info` would, from the file alone, and from what it keeps of itself as metadata.yaml."""
+    path, count = tmp_path / f"{kind}.mcap", {topic: FLUSHES for topic in TOPICS} | {"sample": PER_FLUSH * FLUSHES}
+    if kind == "monitor":
+        path = run
+    elif kind == "recover":
+        repaired(run, path)
+    else:
+        write_trace(read_trace(run), path, "bench")
+        count = {"sample": count["sample"]}
+    with path.open("rb") as stream:
+        (own,) = [record.metadata for record in make_reader(stream).iter_metadata() if record.name == "rosbag2"]
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    path.rename(folder / path.name)
+    (folder / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": json.loads(*own.values())}))
+    for source in (folder / path.name, folder):
+        with Reader(source) as bag:
+            assert bag.message_count == sum(count.values())
+            assert {topic: found.msgcount for topic, found in bag.topics.items()} == {
+                f"/deltatwin/bench/{topic}": number for topic, number in count.items()
+            }
+            first = 0 if kind == "convert" else WALL_NS
+            assert (bag.start_time, bag.end_time) == (first, first + 1_999_000_001)  # theirs is behind the last
+            connections = {connection.topic: connection for connection in bag.connections}
+            for topic in count:
+                connection = connections[f"/deltatwin/bench/{topic}"]
+                assert connection.msgtype == TOPICS[topic].schema_name
+                assert source.is_file() or connection.digest == type_hash(TOPICS[topic])
+
+
+def test_a_recording_from_before_the_header_is_read(tmp_path: Path) -> None:
+    """A stamp without header, no gripper, no slash in front, and the robot's own name."""
+    text = "\n".join(line for line in SAMPLE.text.splitlines() if "GRIPPER" not in line)
+    text = text.replace("std_msgs/Header header", "builtin_interfaces/Time stamp")
+    expected, path = filled(SAMPLE, 100), tmp_path / "old.mcap"
+    old = np.zeros(100, dtype_of(text))
+    assert old.itemsize == SAMPLE.dtype.itemsize - 8 - 4
+    for name in old.dtype.names or ():
+        old[name] = expected[name]
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(SAMPLE.schema_name, "ros2msg", f"{text}\n{'=' * 80}\nMSG: x/Y\nz".encode())
+        channel = writer.register_channel("deltatwin/d3-1200/sample", "cdr", schema)
+        other = writer.register_channel("deltatwin/other/sample", "cdr", schema)
+        writer.add_message(other, 0, old[0].tobytes(), 0)
+        for number, record in enumerate(old):
+            writer.add_message(channel, number, record.tobytes(), number)
+        writer.finish()
+    expected["gripper"] = 0
+    with path.open("rb") as stream:
+        assert read_samples(stream, path, load_robot("d3-1200")).tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize("part", [0.15, 0.3, 0.5, 0.7, 0.9, 0.999])
@@ -135,7 +198,7 @@ def test_cut_file_keeps_every_whole_chunk_before_the_cut(run: Path, tmp_path: Pa
     flushed = sum(c.chunk_start_offset + c.chunk_length <= len(content) * part for c in summary.chunk_indexes)
     saved = repaired(cut, tmp_path / "out.mcap")
     assert not saved.whole
-    assert saved.counts["deltatwin/bench/sample"] == flushed * PER_FLUSH > 0
+    assert saved.counts["/deltatwin/bench/sample"] == flushed * PER_FLUSH > 0
     assert samples(tmp_path / "out.mcap")["sequence"].tolist() == list(range(flushed * PER_FLUSH))
 
 
@@ -159,7 +222,7 @@ def test_tail_of_zeros_as_after_a_power_cut_is_passed_over(run: Path, tmp_path: 
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(content[: len(content) // 2] + bytes(5000))
     saved = repaired(bad, tmp_path / "out.mcap")
-    assert saved.counts["deltatwin/bench/sample"] >= 3 * PER_FLUSH
+    assert saved.counts["/deltatwin/bench/sample"] >= 3 * PER_FLUSH
     with (tmp_path / "out.mcap").open("rb") as stream:
         assert list(StreamReader(stream, validate_crcs=True).records)
 
