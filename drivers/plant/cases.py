@@ -1,6 +1,6 @@
 """Labelled cases for checking a diagnosis: a random robot with chosen effects, its logs, and the answer apart.
 
-    key = simulate_case(folder, seed=7, effects=["backlash"], severity=1.0)
+    key = simulate_case(folder, seed=7, draw=Draw("catalogue", ("backlash",)))
 
 writes robot.toml (nominal figures), fit_*.csv and test_*.csv as a controller would have logged them one after the other
 since power-on, and returns the answer for the key file. Everything follows from the arguments; the cases of one seed
@@ -20,7 +20,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
 from drivers.motion import MotionLimits, Planner, Trajectory
-from drivers.plant.effects import CATALOGUE, EFFECTS, PlantEffect
+from drivers.plant.effects import EFFECTS, PlantEffect
+from drivers.plant.families import ENCODER_COUNTS, WRONG, Draw, as_recorded, coloured_share
 from drivers.plant.mechanism import CompiledMechanism, Design, build, required_torque
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
@@ -46,8 +47,11 @@ class Case:
     motions: tuple[tuple[str, Trajectory], ...]
 
 
-def random_case(seed: int) -> Case:
-    """The robot and motions of a seed: a small Delta of 0.9 m reach with friction and noise, without effects."""
+def random_case(seed: int, picks: bool = False) -> Case:
+    """The robot and motions of a seed: a small Delta of 0.9 m reach with friction and noise, without effects.
+
+    picks: production pick-and-place motion alone.
+    """
     rng = np.random.default_rng([seed, 0])
     robot = Robot(
         name=f"case-{seed}",
@@ -92,6 +96,9 @@ def random_case(seed: int) -> Case:
     def multisine() -> Trajectory:
         return planner.multisine(rng, 8.0, rng.uniform(0.6, 1.0))
 
+    if picks:
+        names = ("fit_a_pick", "fit_b_pick", "fit_c_pick", "fit_d_pick", "test_a_pick")
+        return Case(robot, truth, tuple((name, pick()) for name in names))
     motions = (
         ("fit_a_pick", pick()),
         ("fit_b_multisine", multisine()),
@@ -103,46 +110,56 @@ def random_case(seed: int) -> Case:
     return Case(robot, truth, motions)
 
 
-def simulate_case(
-    folder: Path, seed: int, effects: Sequence[str] = (), severity: float = 1.0, name: str | None = None
-) -> dict[str, Any]:
+def simulate_case(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
     """Write the case into `folder` and return its key entry.
 
-    effects: names of `drivers.plant.effects.EFFECTS`, none to two. severity: 1 is a fault that maintenance would want
-    to know of. The entry: case, kind (null, catalogue, pair, unknown), effects, joints (from 0, a list an effect),
-    severity, noise (N m rms a sample), fx (parameters), lift (gap of the best plain model on test_* over the noise
-    floor).
+    The entry: case, kind, effects, allowed (names that are true besides), joints (from 0, a list an effect), severity,
+    wrong, noise (N m rms a sample, of white noise that leaves as much in the band), fx (parameters), lift (gap of the
+    best plain model on test_* over the noise floor).
 
     Raises:
-        KeyError: an effect that is not there.
+        KeyError: an effect or quantity that is not there.
         DataError: the drives cannot hold the robot with these effects, drawn five times.
     """
-    case = random_case(seed)
+    case = random_case(seed, draw.picks)
+    noise = case.truth.torque_noise_nm[0]
+    if draw.scope:
+        sins = {"torque_noise_nm": [0.0] * 3, "encoder_counts_per_turn": ENCODER_COUNTS}
+        case = dataclasses.replace(case, truth=case.truth.model_copy(update=sins))
     drawn: tuple[PlantEffect, ...] = ()
     traces: list[Trace] = []
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, 1, attempt])
-        drawn = tuple(EFFECTS[effect].draw(rng, case.truth, severity) for effect in effects)
+        drawn = tuple(EFFECTS[effect].draw(rng, case.truth, draw.severity) for effect in draw.effects)
         try:
             traces = run_case(case, drawn, seed)
             break
         except (DataError, PoseError) as error:
             if attempt == ATTEMPTS - 1:
-                what = f"case of seed {seed} with {', '.join(effects) or 'no effect'} at severity {severity}"
+                what = f"case of seed {seed} with {', '.join(draw.effects) or 'no effect'} at severity {draw.severity}"
                 raise DataError(f"{what}: {error}") from error
-    noise = case.truth.torque_noise_nm[0]
+    allowed: frozenset[str] = frozenset()
+    rng = np.random.default_rng([seed, 3])
+    if draw.scope:
+        traces, allowed = as_recorded(traces, noise, rng), frozenset({"torque_filter", "torque_delay"})
+        noise *= (coloured_share(BAND_HZ) / (2 * BAND_HZ * PERIOD)) ** 0.5
+    if draw.wrong:
+        robot, allowed = WRONG[draw.wrong].change(case.robot, rng), WRONG[draw.wrong].names
+        case = dataclasses.replace(case, robot=robot)
     folder.mkdir(parents=True, exist_ok=True)
     save_robot(case.robot, folder / "robot.toml")
     for trace in traces:
         write_trace(trace, folder / f"{trace.name}.csv", case.robot.name)
     return {
-        "case": name or folder.name,
-        "kind": _kind(effects),
-        "effects": list(effects),
+        "case": folder.name,
+        "kind": draw.kind,
+        "effects": list(draw.effects),
+        "allowed": sorted(allowed),
         "joints": [effect.joints for effect in drawn],
-        "severity": severity,
+        "severity": draw.severity,
+        "wrong": draw.wrong,
         "noise": noise,
-        "fx": {effect: _parameters(made) for effect, made in zip(effects, drawn, strict=True)},
+        "fx": {effect: _parameters(made) for effect, made in zip(draw.effects, drawn, strict=True)},
         "lift": round(plain_gap(case, traces) / (noise * (2 * BAND_HZ * PERIOD) ** 0.5), 3),
     }
 
@@ -223,14 +240,6 @@ def _moving(position: np.ndarray, rate: float) -> np.ndarray:
             if end - start >= shortest:
                 moving[max(0, start - margin) : end + margin, joint] = False
     return moving
-
-
-def _kind(effects: Sequence[str]) -> str:
-    if not effects:
-        return "null"
-    if any(effect not in CATALOGUE for effect in effects):
-        return "unknown"
-    return "catalogue" if len(effects) == 1 else "pair"
 
 
 def _parameters(effect: PlantEffect) -> dict[str, Any]:

@@ -18,11 +18,30 @@ class Backend(StrEnum):
     DASK = "dask"
 
 
+class Family(StrEnum):
+    """Ways to draw a case."""
+
+    KNOWN = "known"
+    THREE = "three"
+    OUTSIDE = "outside"
+    DESCRIPTION = "description"
+    PRODUCTION = "production"
+    SCOPE = "scope"
+
+
 def command(
     out: Annotated[
         Path, typer.Option(help="Folder for cases, key, answers and blindtest.html; one that was interrupted goes on")
     ],
     cases: Annotated[int, typer.Option(min=1, help="Number of cases")] = 100,
+    family: Annotated[
+        list[Family] | None,
+        typer.Option(
+            help="known: single effects, pairs, gap-free, out of the catalogue; three: at once; outside: two and one "
+            "out of the catalogue; description: wrong in a quantity; production: pick-and-place alone; scope: what "
+            "scopes make of a signal. May be repeated; default: all, as many cases each"
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of robots, motions, effects and severities")] = 1,
     jobs: Annotated[int, typer.Option(min=1, help="Processes on this host")] = 2,
     backend: Annotated[
@@ -39,7 +58,7 @@ def command(
     Every answer is kept as it comes: after Ctrl-C the same command goes on where it stopped. Exit code 3 where a bound
     is missed.
 
-    Example: deltatwin blindtest --cases 100 --seed 1 --out blind
+    Example: deltatwin blindtest --cases 100 --family known --seed 1 --out blind
 
     Example: deltatwin blindtest --cases 1000 --out blind --backend dask --scheduler tcp://10.0.0.5:8786
     """
@@ -64,7 +83,7 @@ def command(
     with Progress(*bars, console=console) as progress:
         if not (out / "commitment.txt").exists():
             task = progress.add_task("simulating", total=cases)
-            for _ in blindtest.made(out, cases, seed, jobs):
+            for _ in blindtest.made(out, cases, seed, jobs, [one.value for one in family or Family]):
                 progress.advance(task)
             blindtest.seal(out)
         commitment = (out / "commitment.txt").read_text(encoding="utf-8").strip()

@@ -14,7 +14,7 @@ import secrets
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,45 +26,25 @@ from schemas.errors import DataError
 from schemas.files import make_folder, write_text
 from schemas.robot import load_robot
 
-SHARES = {"null": 0.12, "pair": 0.12, "unknown": 0.18}  # of the cases; the rest has one catalogue effect
-SEVERITY = (0.5, 2.0)
 FINDABLE = 1.1  # lift from which an effect counts as findable
-STRUCTURAL = {"forearm_inertia"}
+SURE = 0.9  # probability from which names are counted for calibration
 
 
-def plan(cases: int, seed: int) -> list[tuple[list[str], float]]:
-    """(effects, severity) of each case: every catalogue effect as often as any other, in random order."""
-    from drivers.plant.effects import CATALOGUE, OUT_OF_CATALOGUE
-
-    rng = np.random.default_rng([seed, 17])
-    known, strange = [n for n in CATALOGUE if n not in STRUCTURAL], list(OUT_OF_CATALOGUE)
-    counts = {kind: round(share * cases) for kind, share in SHARES.items()}
-    drawn: list[tuple[list[str], float]] = [([], 1.0)] * counts["null"]
-    drawn += [([str(n) for n in rng.choice(known, 2, replace=False)], 1.0) for _ in range(counts["pair"])]
-    drawn += [([strange[i % len(strange)]], _severity(rng)) for i in range(counts["unknown"])]
-    first = rng.permutation(len(known))
-    drawn += [([known[first[i % len(known)]]], _severity(rng)) for i in range(cases - len(drawn))]
-    return [drawn[i] for i in rng.permutation(len(drawn))]
-
-
-def _severity(rng: np.random.Generator) -> float:
-    return float(np.exp(rng.uniform(*np.log(SEVERITY))))
-
-
-def make(out: Path, cases: int, seed: int, jobs: int) -> None:
+def make(out: Path, cases: int, seed: int, jobs: int, families: Sequence[str]) -> None:
     """The maker: simulate every case into `out`/cases and write `out`/sealed_key.json."""
     from drivers.plant.cases import simulate_case
+    from drivers.plant.families import Draw, plan
 
-    def one(number: int, effects: list[str], severity: float) -> dict[str, Any] | None:
+    def one(number: int, draw: Draw) -> dict[str, Any] | None:
         for attempt in range(3):  # drives that cannot hold a robot make no case
             try:
                 folder = out / "cases" / f"case_{number:03d}"
-                return simulate_case(folder, 1000 * seed + number + 500_000 * attempt, effects, severity)
+                return simulate_case(folder, 1000 * seed + number + 500_000 * attempt, draw)
             except DataError as error:
                 print(f"case_{number:03d}: {error}", file=sys.stderr)
         return None
 
-    work = [joblib.delayed(one)(i, effects, severity) for i, (effects, severity) in enumerate(plan(cases, seed))]
+    work = [joblib.delayed(one)(i, draw) for i, draw in enumerate(plan(cases, seed, families))]
     keys: list[dict[str, Any]] = []
     for key in joblib.Parallel(n_jobs=jobs, return_as="generator")(work):
         if key is not None:
@@ -78,14 +58,14 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
-def made(out: Path, cases: int, seed: int, jobs: int) -> Iterator[None]:
+def made(out: Path, cases: int, seed: int, jobs: int, families: Sequence[str]) -> Iterator[None]:
     """Run the maker in its own process, yielding once a case.
 
     Raises:
         DataError: it failed, with its last words.
     """
     command = [sys.executable, "-c", "from service.diagnosis.blindtest import maker; maker()"]
-    arguments = [str(out), str(cases), str(seed), str(jobs)]
+    arguments = [str(out), str(cases), str(seed), str(jobs), ",".join(families)]
     with subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         for line in process.stdout:
@@ -96,9 +76,9 @@ def made(out: Path, cases: int, seed: int, jobs: int) -> Iterator[None]:
 
 
 def maker() -> None:
-    """Entry of the maker's process: out, cases, seed, jobs."""
-    out, cases, seed, jobs = sys.argv[1:5]
-    make(Path(out), int(cases), int(seed), int(jobs))
+    """Entry of the maker's process: out, cases, seed, jobs, families."""
+    out, cases, seed, jobs, families = sys.argv[1:6]
+    make(Path(out), int(cases), int(seed), int(jobs), families.split(","))
 
 
 def seal(out: Path) -> str:
@@ -147,7 +127,11 @@ def answer(folder: Path) -> dict[str, Any]:
     return {
         "case": folder.name,
         "verdict": result.verdict,
-        "named": [{"name": e.name, "joints": e.joints, "probability": e.probability} for e in result.effects],
+        "named": [
+            {"name": e.name, "joints": e.joints, "probability": e.probability, "confusable": e.confusable_with}
+            for e in result.effects
+        ],
+        "rivals": [rival.effects[-1].name for rival in result.rivals],
         "claimed": result.gap.shrink,
         "band_hz": result.gap.band_hz,
         "period_s": findings.problem.band.period,
@@ -230,55 +214,90 @@ def _same(name: str) -> set[str]:
 
 
 def judged(rows: list[dict[str, Any]], keys: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Answers with the truth beside them: hit, joint_ok, extra, both."""
+    """Answers with the truth beside them. hit: first name true; told: or the truth among its rivals; both: all named;
+    extra: names that are not true; false_sure, sure: of those given with `SURE` or more; f1: of what is in the
+    catalogue; joint_ok: where it sits on one."""
+    from drivers.plant.families import KNOWN
+
     truth = {key["case"]: key for key in keys}
     result = []
     for row in rows:
         key = truth[row["case"]]
-        effects = [name for name in key["effects"] if name not in STRUCTURAL]
+        effects = key["effects"]
         floor = key["noise"] * (2 * row["band_hz"] * row["period_s"]) ** 0.5 if "error" not in row else None
         judged_row = row | {
-            "kind": key["kind"], "truth": effects, "lift": key["lift"], "severity": key["severity"], "floor_nm": floor,
+            "kind": key["kind"], "truth": effects or [key["wrong"]] * bool(key["wrong"]), "lift": key["lift"],
+            "severity": key["severity"], "floor_nm": floor,
         }  # fmt: skip
         if "error" not in row:
             named = [effect["name"] for effect in row["named"]]
+            real = set().union(*map(_same, effects))
+            true = real | set(key["allowed"])
             judged_row["first"] = named[0] if named else ("none" if row["verdict"] == "within_noise" else "unknown")
-            judged_row["hit"] = bool(effects) and bool(named) and named[0] in set().union(*map(_same, effects))
+            judged_row["hit"] = bool(named) and named[0] in real
+            rivals = row["named"][0]["confusable"] if named else row["rivals"]
+            judged_row["told"] = judged_row["hit"] or bool(set(rivals) & real)
             judged_row["both"] = all(set(named) & _same(name) for name in effects) if effects else not named
-            judged_row["extra"] = sum(not any(name in _same(true) for true in effects) for name in named)
+            judged_row["extra"] = sum(name not in true for name in named)
+            sure = [effect["name"] for effect in row["named"] if effect["probability"] >= SURE]
+            judged_row["sure"], judged_row["false_sure"] = len(sure), sum(name not in true for name in sure)
+            judged_row["f1"] = _f1(named, [name for name in effects if name in KNOWN])
             if judged_row["hit"] and key["kind"] == "catalogue" and len(key["joints"][0]) == 1:
                 judged_row["joint_ok"] = row["named"][0]["joints"] == [joint + 1 for joint in key["joints"][0]]
         result.append(judged_row)
     return result
 
 
+def _f1(named: list[str], effects: list[str]) -> float:
+    """Harmonic mean of precision and recall."""
+    found = sum(bool(set(named) & _same(name)) for name in effects)
+    wrong = sum(not any(name in _same(true) for true in effects) for name in named)
+    return 2 * found / max(2 * found + wrong + len(effects) - found, 1)
+
+
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """The figures of merit over judged rows."""
     good = [row for row in rows if "error" not in row]
+    unexplained = ("unexplained", "partly_explained")
 
-    def of(kind: str) -> list[dict[str, Any]]:
-        return [row for row in good if row["kind"] == kind]
+    def of(*kinds: str, findable: bool = False) -> list[dict[str, Any]]:
+        return [row for row in good if row["kind"] in kinds and (not findable or row["lift"] >= FINDABLE)]
 
     def mean(values: list[Any]) -> float | None:
         return round(float(np.mean(values)), 3) if values else None
 
-    findable = [row for row in of("catalogue") if row["lift"] >= FINDABLE]
-    strange = [row for row in of("unknown") if row["lift"] >= FINDABLE]
-    errors = [abs(row["claimed"] - row["shrink"]) for row in good]
-    single = [row["after_nm"] / row["floor_nm"] for row in good if row["kind"] in ("catalogue", "null")]
+    single, known = of("catalogue", findable=True), of("null", "catalogue", "pair", "unknown")
+    picks, scope = of("production", findable=True), of("scope", findable=True)
+    errors = [abs(row["claimed"] - row["shrink"]) for row in known]
+    floors = [row["after_nm"] / row["floor_nm"] for row in of("catalogue", "null")]
+    sure = sum(row["sure"] for row in good)
     return {
         "cases": len(rows),
         "failed": len(rows) - len(good),
-        "findable_single": len(findable),
-        "right_first": mean([row["hit"] for row in findable]),
-        "right_joint": mean([row["joint_ok"] for row in findable if "joint_ok" in row]),
-        "extra_per_case": mean([row["extra"] for row in good if row["kind"] != "unknown"]),
+        "findable_single": len(single),
+        "right_first": mean([row["hit"] for row in single]),
+        "right_joint": mean([row["joint_ok"] for row in single if "joint_ok" in row]),
+        "extra_per_case": mean([row["extra"] for row in of("null", "catalogue", "pair")]),
         "null_clean": mean([row["verdict"] == "within_noise" and not row["named"] for row in of("null")]),
-        "unknown_said": mean([row["verdict"] in ("unexplained", "partly_explained") for row in strange]),
+        "unknown_said": mean([row["verdict"] in unexplained for row in of("unknown", findable=True)]),
         "pair_both": mean([row["both"] for row in of("pair")]),
-        "after_over_floor_median": round(float(np.median(single)), 3) if single else None,
+        "after_over_floor_median": round(float(np.median(floors)), 3) if floors else None,
         "claim_error_median": round(float(np.median(errors)), 3) if errors else None,
         "claim_error_p90": round(float(np.quantile(errors, 0.9)), 3) if errors else None,
+        "three_f1": mean([row["f1"] for row in of("three")]),
+        "three_first": mean([row["hit"] for row in of("three")]),
+        "three_extra": mean([row["extra"] for row in of("three")]),
+        "outside_f1": mean([row["f1"] for row in of("outside")]),
+        "outside_said": mean([row["verdict"] in unexplained for row in of("outside")]),
+        "outside_extra": mean([row["extra"] for row in of("outside")]),
+        "description_right": mean([row["extra"] == 0 for row in of("description")]),
+        "description_extra": mean([row["extra"] for row in of("description")]),
+        "production_told": mean([row["told"] for row in picks]),
+        "production_first": mean([row["hit"] for row in picks]),
+        "scope_first": mean([row["hit"] for row in scope]),
+        "scope_explained": mean([row["verdict"] == "explained" for row in scope]),
+        "sure_names": sure,
+        "calibration": round(1 - sum(row["false_sure"] for row in good) / sure, 3) if sure else None,
         "seconds_median": round(float(np.median([row["seconds"] for row in good])), 1) if good else None,
         "cpu_seconds_median": round(float(np.median([row["cpu_seconds"] for row in good])), 1) if good else None,
     }

@@ -27,7 +27,6 @@ from schemas.errors import DataError, DeltatwinError
 from schemas.robot import Robot, save_robot
 from schemas.trace import Trace
 from service.cli.main import app
-from service.diagnosis.blindtest import STRUCTURAL
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected, document
 from service.model.effects import CATALOGUE as KNOWN
@@ -44,7 +43,7 @@ class Case:
 
     def __init__(self, seed: int) -> None:
         rng = np.random.default_rng([seed, 29])
-        names = [name for name in CATALOGUE if name not in STRUCTURAL]
+        names = list(CATALOGUE)
         self.name = names[seed % len(names)]
         drawn = random_case(seed)
         self.robot, self.truth = drawn.robot, drawn.truth

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from drivers.motion import Trajectory
-from drivers.plant.cases import random_case, run_case, simulate_case
+from drivers.plant.cases import BAND_HZ, random_case, run_case, simulate_case
 from drivers.plant.effects import CATALOGUE
+from drivers.plant.families import FAMILIES, JITTER_S, RATED_NM, WRONG, Draw, as_recorded, coloured_share, plan
 from drivers.trace import read_trace
-from schemas.robot import load_robot
+from schemas.robot import Robot, load_robot
+from schemas.trace import Trace
 
 NAMES = ["fit_a_pick", "fit_b_multisine", "fit_c_slow", "fit_d_pick", "test_a_pick", "test_b_multisine"]
 
@@ -21,7 +23,7 @@ NAMES = ["fit_a_pick", "fit_b_multisine", "fit_c_slow", "fit_d_pick", "test_a_pi
 @pytest.fixture(scope="module")
 def null(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     folder = tmp_path_factory.mktemp("cases") / "case_000"
-    return folder, simulate_case(folder, seed=12)
+    return folder, simulate_case(folder, 12, Draw("null"))
 
 
 def test_gap_free_case_is_explained_by_the_plain_model_down_to_its_noise(null: tuple[Path, dict[str, Any]]) -> None:
@@ -80,3 +82,67 @@ def test_motions_are_of_the_size_of_the_reference_logs(shared: Path, null: tuple
         spread = np.array([reference[name] for reference in references])
         assert (ours[name] > 0.5 * spread.min(axis=0)).all(), name
         assert (ours[name] < 2.0 * spread.max(axis=0)).all(), name
+
+
+def test_every_family_has_its_share_of_a_plan_and_the_same_seed_the_same_cases() -> None:
+    draws = plan(40, 3, list(FAMILIES))
+    assert [draw.kind for draw in draws[10:]] == [kind for kind in list(FAMILIES)[1:] for _ in range(6)]
+    assert {draw.kind for draw in draws[:10]} == {"null", "pair", "unknown", "catalogue"}
+    assert draws[10:16] == plan(12, 3, ["description", "three"])[6:] != plan(12, 4, ["description", "three"])[6:]
+    for draw in draws:
+        strange = [name for name in draw.effects if name not in CATALOGUE]
+        assert len(strange) == (draw.kind in ("unknown", "outside")), draw
+        assert len(set(draw.effects)) == len(draw.effects)
+    wanted = {"three": 3, "outside": 3, "description": 0, "production": 1, "scope": 1}
+    assert {draw.kind: len(draw.effects) for draw in draws[10:]} == wanted
+    assert {draw.wrong for draw in plan(len(WRONG), 0, ["description"])} == set(WRONG)
+
+
+@pytest.mark.parametrize("quantity", WRONG)
+def test_a_wrong_description_differs_in_one_quantity(null: tuple[Path, dict[str, Any]], quantity: str) -> None:
+    robot = load_robot(null[0] / "robot.toml")
+    wrong = WRONG[quantity].change(robot, np.random.default_rng(0))
+    Robot.model_validate(wrong.model_dump())
+
+    def figures(one: Robot) -> dict[str, Any]:
+        return {**one.geometry.model_dump(), **one.mass.model_dump()}
+
+    changed = {name for name, value in figures(wrong).items() if value != figures(robot)[name]}
+    assert len(changed) == 1
+    moved = np.ravel(figures(wrong)[changed.pop()]) - np.ravel(figures(robot)[quantity_key(quantity)])
+    assert np.count_nonzero(moved) == 1
+
+
+def quantity_key(quantity: str) -> str:
+    return {
+        "active_link_length of an arm": "active_link_length_error",
+        "passive_link_length of an arm": "passive_link_length_error",
+        "base_radius of an arm": "base_radius_error",
+        "azimuth of an arm": "arm_angles_deg",
+    }.get(quantity, quantity.removesuffix(" mass"))
+
+
+def test_a_scope_leaves_coarse_slow_late_and_restless_samples() -> None:
+    count, noise = 20_000, 0.4
+    time = 1e-3 * np.arange(count)
+    smooth = np.stack([20 * np.sin(2 * np.pi * 3 * time)] * 3, axis=1)
+    trace = Trace(Path("a"), time, smooth, smooth, smooth, smooth, flags=np.zeros(count, np.uint32))
+    (seen,) = as_recorded([trace], noise, np.random.default_rng(5))
+    assert len(seen.time) == count // 2
+    jitter = seen.time - time[::2]
+    assert JITTER_S[0] * 0.9 < jitter.std() < JITTER_S[1] * 1.1
+    step = np.diff(np.unique(seen.torque)).min()
+    assert RATED_NM[0] / 1000 - 1e-9 < step < RATED_NM[1] / 1000 + 1e-9
+    left = seen.torque - smooth[::2]
+    late = np.cos(2 * np.pi * 3 * time[::2])  # a filter of 150 to 300 Hz is 0.5 to 1 ms late at 3 Hz
+    assert -1.1e-3 < (left[:, 0] @ late) / (late @ late) / (20 * 2 * np.pi * 3) < -0.5e-3
+    left = left - late[:, None] * (late @ left / (late @ late))
+    assert left.std() == pytest.approx(noise, rel=0.06)
+    assert (left[1:] * left[:-1]).mean() / left.var() == pytest.approx(np.exp(-2 / 3), rel=0.05)
+    assert coloured_share(BAND_HZ) == pytest.approx(in_band(left, 2e-3), rel=0.1)
+
+
+def in_band(values: np.ndarray, period: float) -> float:
+    """Share of the power below the band's end."""
+    power = (np.abs(np.fft.rfft(values, axis=0)) ** 2).sum(axis=1)
+    return power[np.fft.rfftfreq(len(values), period) < BAND_HZ].sum() / power.sum()

@@ -16,16 +16,22 @@ from schemas.errors import DataError, StorageError
 from schemas.robot import save_robot
 from service.cli.main import app
 from service.diagnosis import blindtest
+from service.diagnosis.blindpage import BOUNDS, missed
 from tests.service.diagnosis.logs import ROBOT, record, swing
 
 TIMES = ("seconds", "cpu_seconds")
-KEYS = [
-    {"case": "case_000", "kind": "null", "effects": [], "joints": [], "severity": 1.0, "noise": 0.3, "lift": 1.0},
-    {
-        "case": "case_001", "kind": "catalogue", "effects": ["stribeck_friction"], "joints": [[0, 1, 2]],
-        "severity": 1.0, "noise": 0.3, "lift": 3.0,
-    },
-]  # fmt: skip
+
+
+def key(
+    case: int, kind: str, effects: list[str], joints: list[list[int]], lift: float, wrong: str = "", *allowed: str
+) -> dict[str, Any]:
+    return {
+        "case": f"case_{case:03d}", "kind": kind, "effects": effects, "allowed": list(allowed), "joints": joints,
+        "severity": 1.0, "wrong": wrong, "noise": 0.3, "lift": lift,
+    }  # fmt: skip
+
+
+KEYS = [key(0, "null", [], [], 1.0), key(1, "catalogue", ["stribeck_friction"], [[0, 1, 2]], 3.0)]
 
 
 @pytest.fixture(scope="module")
@@ -105,19 +111,18 @@ def test_backends_agree_and_stay_on_this_host(blind: Path, answered: list[dict[s
     assert [[effect["name"] for effect in row["named"]] for row in by_dask] == [[], ["stribeck_friction"]]
 
 
-def row(case: int, named: list[tuple[str, list[int]]], verdict: str, claimed: float, shrink: float) -> dict[str, Any]:
+def row(
+    case: int, named: list[tuple[str, list[int]]], verdict: str, claimed: float = 0.5, shrink: float = 0.5,
+    probability: float = 1.0, confusable: tuple[str, ...] = (), rivals: tuple[str, ...] = (),
+) -> dict[str, Any]:  # fmt: skip
     return {
-        "case": f"case_{case:03d}", "verdict": verdict, "claimed": claimed, "shrink": shrink,
-        "named": [{"name": name, "joints": joints, "probability": 1.0} for name, joints in named],
+        "case": f"case_{case:03d}", "verdict": verdict, "claimed": claimed, "shrink": shrink, "rivals": list(rivals),
+        "named": [
+            {"name": name, "joints": joints, "probability": probability, "confusable": list(confusable)}
+            for name, joints in named
+        ],
         "before_nm": 1.0, "after_nm": 0.085, "band_hz": 40.0, "period_s": 1e-3,
         "seconds": 10.0 + case, "cpu_seconds": 5.0,
-    }  # fmt: skip
-
-
-def key(case: int, kind: str, effects: list[str], joints: list[list[int]], lift: float) -> dict[str, Any]:
-    return {
-        "case": f"case_{case:03d}", "kind": kind, "effects": effects, "joints": joints, "severity": 1.0,
-        "noise": 0.3, "lift": lift,
     }  # fmt: skip
 
 
@@ -175,6 +180,53 @@ def test_the_table_counts_right() -> None:
         ("none", "none"): 1, ("none", "backlash"): 1, ("backlash", "backlash"): 2, ("tool_mass", "arm_mass"): 1,
         ("torque_offset", "asymmetric_friction"): 1, ("rail", "unknown"): 1, ("rail", "cogging"): 1,
     }  # fmt: skip
+
+
+def test_the_families_figures_count_right() -> None:
+    every = [0, 1, 2]
+    two, outside = ["backlash", "tool_mass"], ["backlash", "tool_mass", "magnet"]
+    keys = [
+        key(0, "three", [*two, "cogging"], [[0], every, [1]], 4.0),
+        key(1, "three", [*two, "cogging"], [[0], every, [1]], 4.0),
+        key(2, "outside", outside, [[0], every, every], 4.0),
+        key(3, "outside", outside, [[0], every, every], 4.0),
+        key(4, "description", [], [], 2.0, "platform mass", "tool_mass"),
+        key(5, "description", [], [], 2.0, "base_radius", "base_radius_error"),
+        key(6, "description", [], [], 2.0, "azimuth of an arm", "azimuth_error"),
+        key(7, "production", ["cogging"], [[0]], 2.0),
+        key(8, "production", ["cogging"], [[0]], 2.0),
+        key(9, "production", ["cogging"], [[0]], 2.0),
+        key(10, "scope", ["cogging"], [[0]], 2.0, "", "torque_filter"),
+        key(11, "scope", ["cogging"], [[0]], 2.0, "", "torque_filter"),
+    ]
+    rows = [
+        row(0, [("backlash", [1]), ("tool_mass", []), ("cogging", [2])], "explained"),  # F1 1
+        row(1, [("joint_spring", [1]), ("cogging", [2])], "partly_explained", probability=0.8),  # F1 2/5, not sure
+        row(2, [("backlash", [1]), ("tool_mass", [])], "partly_explained"),  # F1 1
+        row(3, [("hose_spring", []), ("tool_mass", [])], "explained"),  # F1 1/2, one false
+        row(4, [("tool_mass", [])], "explained"),
+        row(5, [], "unexplained"),
+        row(6, [("joint_offset", [1])], "explained"),  # false
+        row(7, [("cogging", [1])], "explained"),
+        row(8, [("backlash", [1])], "explained", confusable=("cogging",)),  # false, with the truth beside it
+        row(9, [], "unexplained", rivals=("cogging", "backlash")),
+        row(10, [("cogging", [1]), ("torque_filter", [])], "explained"),
+        row(11, [("torque_filter", [])], "partly_explained"),  # true, and not what was asked
+    ]
+    figures = blindtest.summary(blindtest.judged(rows, keys))
+    wanted = {
+        "three_f1": 0.7, "three_first": 0.5, "three_extra": 0.5, "outside_f1": 0.75, "outside_said": 0.5,
+        "outside_extra": 0.5, "description_right": 0.667, "description_extra": 0.333, "production_told": 1.0,
+        "production_first": 0.333, "scope_first": 0.5, "scope_explained": 0.5,
+    }  # fmt: skip
+    assert {name: figures[name] for name in wanted} == wanted
+    assert figures["sure_names"] == 14
+    assert figures["calibration"] == pytest.approx(11 / 14, abs=1e-3)
+    assert figures["right_first"] is None  # of the other families
+    assert set(wanted) <= set(BOUNDS)
+    late = missed(figures)
+    assert len(late) == 12  # 10 of these, calibration and time
+    assert "names given with 90 to 100 % that are true" in late
 
 
 def test_an_interrupted_run_goes_on_and_finishes_once(blind: Path, answered: list[dict[str, Any]]) -> None:
