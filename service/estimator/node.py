@@ -38,32 +38,34 @@ class Node:
         self._recent: list[bytes] = []  # the first ones after a report, which tell whether it is still that
         self._suspected: Rate | None = None  # what one reading of another rate gave
         self._estimator: Estimator | None = None
-        self._every = 1  # sequence numbers from report to report
+        self._every = 1  # samples from report to report
         self._published = self._invalid = self._received = 0
         self._heard_ns, self._silent, self._drifted = time.monotonic_ns(), False, False
+        self._stale_ns = STALE_NS
 
     def step(self) -> None:
         """Wait for a sample, at most POLL_S, and answer it."""
         message = self._samples.one(POLL_S)
         if message is not None:
             came = self._heard_ns = time.monotonic_ns()
+            sequence = int.from_bytes(message[SEQUENCE_BYTES], "little")
             if self._estimator is not None:
-                self._answer(self._estimator, message, came)
+                self._answer(self._estimator, message, sequence, came)
             else:
                 self._wait_for_rate(message, came)
             self._received += 1
-            self._counter.update(int.from_bytes(message[SEQUENCE_BYTES], "little"))
+            self._counter.update(sequence)
             if len(self._recent) < PERIOD_SAMPLES:
                 self._recent.append(message)
                 if self._estimator is not None and len(self._recent) == PERIOD_SAMPLES:
                     self._follow_rate(self._estimator)
-        self._note_silence()
+        if message is None or self._silent:
+            self._note_silence()
         if self.health.due:
             self.report()
 
     def _note_silence(self) -> None:
-        cycles = 0 if self._estimator is None else self._estimator.period * STALE_CYCLES
-        silent = time.monotonic_ns() - self._heard_ns > max(STALE_NS, cycles * 1e9)
+        silent = time.monotonic_ns() - self._heard_ns > self._stale_ns
         if silent != self._silent:
             self._silent = silent
             self._set_flags()
@@ -96,7 +98,7 @@ class Node:
             return
         assert self._estimator is not None
         for first in self._waiting:
-            self._answer(self._estimator, first, came)
+            self._answer(self._estimator, first, int.from_bytes(first[SEQUENCE_BYTES], "little"), came)
         self._waiting.clear()
 
     def _start(self, rate: Rate) -> None:
@@ -104,8 +106,9 @@ class Node:
         if self._keeper is not None:
             print(f"estimate: {self._keeper.begin(self._estimator)}", file=sys.stderr)
         self._every = max(1, round(REPORT_PERIOD / rate.period))
+        self._stale_ns = max(STALE_NS, int(STALE_CYCLES * rate.period * 1e9))
 
-    def _answer(self, estimator: Estimator, message: bytes, came: int) -> None:
+    def _answer(self, estimator: Estimator, message: bytes, sequence: int, came: int) -> None:
         reference = self._references.one()
         if reference is not None:
             newer, _ = self._references.take()
@@ -117,7 +120,7 @@ class Node:
         if flags & _INVALID:
             self._invalid += 1
         event = estimator.look_back()
-        if event > 0 or (event == 0 and int(estimator.payload["sequence"][0]) % self._every == 0):
+        if event > 0 or (event == 0 and sequence // estimator.stride % self._every == 0):
             self._put["payload"](estimator.payload.tobytes())
             self._put["error"](estimator.error.tobytes())
             self._published += 2

@@ -45,3 +45,20 @@ def test_health_says_that_friction_is_not_what_was_identified(bus_folder, tmp_pa
     assert "counted 100%" in Keeper(tmp_path / "friction.json", robot).begin(Estimator(robot, 1e-3))
     assert (friction[-1]["drift"] > robot.limits.friction_drift).any() == drifted
     assert (HealthFlag.FRICTION_DRIFT in HealthFlag(int(said[-1]["flags"]))) == drifted
+
+
+def test_reports_come_a_thousand_a_second_whatever_sequence_numbers_were_kept(bus_folder, robot, make, until):
+    """Every second sample of an 8 kHz bus, from an odd number on: 4 kHz, and a report every fourth."""
+    samples = make(0.5, period=2.5e-4).samples
+    samples["sequence"] = 2 * np.arange(len(samples)) + 1
+    with open_bus(robot.name, Role.PLAYER) as player, open_bus(robot.name, Role.ESTIMATOR) as bus:
+        reports, publisher = player.subscribe("payload"), player.publisher("sample")
+        node = Node(robot, bus, HealthFlag(0))
+        until(lambda: publisher.heard and Role.ESTIMATOR in player.alive)
+        time.sleep(LINK_S)
+        for record in samples:
+            publisher.put(record.tobytes())
+            node.step()
+        told = []
+        until(lambda: told.extend(reports.take()[0]) or len(told) > 400)
+    assert (np.diff([report["sequence"] for report in told]) == 8).all()
