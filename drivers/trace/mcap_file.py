@@ -48,6 +48,20 @@ def holds_samples(path: Path) -> bool:
     return summary is None or any(_SAMPLE_TOPIC.match(channel.topic) for channel in summary.channels.values())
 
 
+def robots_and_start(path: Path) -> tuple[list[str], int]:
+    """Names of the robots whose samples an MCAP file has, and the log time of its first message, ns since 1970; none
+    and 0 where its summary does not say."""
+    try:
+        with opened(path, TraceError) as stream:
+            summary = read_summary(stream, path)
+    except (MessageError, StorageError, TraceError, OSError):
+        return [], 0  # to be told by who reads it
+    if summary is None:
+        return [], 0
+    names = {m["robot"] for c in summary.channels.values() if (m := _SAMPLE_TOPIC.match(c.topic))}
+    return sorted(names), summary.statistics.message_start_time if summary.statistics else 0
+
+
 def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None) -> np.ndarray:
     """(N,) records of `schemas.messages.SAMPLE` as they stand in the file `path`, opened as `stream`.
 

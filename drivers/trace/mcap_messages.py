@@ -24,7 +24,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Schema
+from mcap.records import Channel, Chunk, McapRecord, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 from numba import njit
@@ -59,7 +59,7 @@ class Messages(NamedTuple):
 
 
 def read_summary(stream: IO[bytes], path: Path) -> Summary | None:
-    """Channels and schemas of the file; None where its writer did not come to write them.
+    """Channels, schemas and statistics of the file; None where its writer did not come to write them.
 
     Raises:
         StorageError: not an MCAP file, cut off, or a summary beyond `MAX_SUMMARY_BYTES`.
@@ -85,6 +85,8 @@ def read_summary(stream: IO[bytes], path: Path) -> Summary | None:
                 summary.channels[record.id] = record
             elif isinstance(record, Schema):
                 summary.schemas[record.id] = record
+            elif isinstance(record, Statistics):
+                summary.statistics = record
     except LIBRARY_ERRORS as error:
         raise StorageError(f"{path}: a damaged summary: {error}") from error
     return summary

@@ -9,13 +9,7 @@ from typing import Annotated
 import typer
 
 from service.cli.reading import AsJson
-
-
-class Backend(StrEnum):
-    """Where joblib runs the cases."""
-
-    LOKY = "loky"
-    DASK = "dask"
+from service.cli.workers import Backend, Jobs, OnBackend, Scheduler
 
 
 class Family(StrEnum):
@@ -43,14 +37,9 @@ def command(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of robots, motions, effects and severities")] = 1,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes on this host")] = 2,
-    backend: Annotated[
-        Backend, typer.Option(help="joblib backend for the diagnosis; dask: install deltatwin[dask]")
-    ] = Backend.LOKY,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(help="Dask scheduler, tcp://host:port, whose workers see the same folders; default: this host"),
-    ] = None,
+    jobs: Jobs = 2,
+    backend: OnBackend = Backend.LOKY,
+    scheduler: Scheduler = None,
     json: AsJson = False,
 ) -> None:
     """Simulate robots with hidden faults, diagnose them from their logs alone, then open the key and count.
@@ -74,6 +63,7 @@ def command(
     from service.cli.output import console as result_console
     from service.diagnosis import blindtest
     from service.diagnosis.blindpage import BOUNDS, missed, write_page
+    from service.diagnosis.workers import backend as workers
 
     if (out / "results.json").exists():
         raise StorageError(f"{out}: holds a finished blind test")
@@ -89,7 +79,7 @@ def command(
         commitment = (out / "commitment.txt").read_text(encoding="utf-8").strip()
         progress.console.print(f"key sealed: {commitment}", highlight=False)
         task = progress.add_task("diagnosing", total=len(list((out / "cases").glob("case_*"))))
-        with blindtest.backend(backend.value, jobs, scheduler):
+        with workers(backend.value, jobs, scheduler):
             rows = blindtest.answers(out, lambda: progress.advance(task))
     judged = blindtest.judged(rows, blindtest.unseal(out))
     figures = blindtest.summary(judged)

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -154,31 +153,6 @@ def measured_gap(robot: Any, traces: list[Any]) -> float:
         square += float(np.nansum(error**2))
         count += int(np.isfinite(error).sum())
     return (square / max(count, 1)) ** 0.5
-
-
-@contextmanager
-def backend(name: str, jobs: int, scheduler: str | None) -> Iterator[None]:
-    """Run joblib on `name`: loky on this host, or dask, on this host or on the workers of `scheduler`.
-
-    Raises:
-        DataError: dask is not installed.
-    """
-    if name != "dask":
-        with joblib.parallel_config(backend=name, n_jobs=jobs):
-            yield
-        return
-    try:
-        from dask.distributed import Client, LocalCluster
-    except ImportError as error:
-        raise DataError("--backend dask needs dask[distributed]: install deltatwin[dask]") from error
-    if scheduler:
-        with Client(scheduler), joblib.parallel_config(backend="dask"):
-            yield
-        return
-    here = "127.0.0.1"  # the status page would listen on every interface
-    local = LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=f"{here}:0", host=here)
-    with local as cluster, Client(cluster), joblib.parallel_config(backend="dask"):
-        yield
 
 
 def answers(out: Path, done: Callable[[], None]) -> list[dict[str, Any]]:

@@ -112,7 +112,7 @@ def answer(document: Diagnosis) -> Answer:
         Cause(
             effect.title + (f", joint {', '.join(map(str, effect.joints))}" if effect.joints else ""),
             f"Best of all candidates in {100 * effect.probability:.0f} % of the resampled data.{_confusable(effect)}",
-            _how_much(effect),
+            how_much(effect),
             effect.means,
         )
         for effect in document.effects
@@ -134,7 +134,7 @@ def _settling(document: Diagnosis) -> list[str]:
     return lines
 
 
-def _how_much(effect: NamedEffect) -> list[str]:
+def how_much(effect: NamedEffect) -> list[str]:
     """What was estimated of it; a cosine and a sine as one amplitude."""
     found = {key: one for key, one in effect.parameters.items() if not one.fixed}
     lines = []
@@ -169,9 +169,14 @@ def _half(estimate: Estimate) -> float:
 
 def _verdict(document: Diagnosis) -> list[str]:
     """The verdict's sentence, or why there is none."""
-    open_ = [caution(one) for one in document.cannot_tell if one.code in NO_NAMES]
-    unasked = document.verdict == "unexplained" and not document.effects and bool(open_)
-    return open_ if unasked else [VERDICTS[_said(document)]]
+    return unasked(document) or [VERDICTS[_said(document)]]
+
+
+def unasked(document: Diagnosis) -> list[str]:
+    """Why no effect could be asked for, where none could."""
+    if document.verdict != "unexplained" or document.effects:
+        return []
+    return [caution(one) for one in document.cannot_tell if one.code in NO_NAMES]
 
 
 def paragraphs(document: Diagnosis) -> list[list[str]]:

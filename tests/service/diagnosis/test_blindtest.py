@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from schemas.errors import DataError, StorageError
 from schemas.robot import save_robot
 from service.cli.main import app
-from service.diagnosis import blindtest
+from service.diagnosis import blindtest, workers
 from service.diagnosis.blindpage import BOUNDS, missed
 from tests.service.diagnosis.logs import ROBOT, record, swing
 
@@ -101,7 +101,7 @@ def test_a_key_that_was_changed_is_refused(blind: Path) -> None:
 def test_backends_agree_and_stay_on_this_host(blind: Path, answered: list[dict[str, Any]]) -> None:
     psutil = pytest.importorskip("psutil", reason="needs dask[distributed], of the dev dependencies")
     pytest.importorskip("distributed", reason="needs dask[distributed], of the dev dependencies")
-    with blindtest.backend("dask", 1, None):
+    with workers.backend("dask", 1, None):
         own = psutil.Process()
         family = [own, *own.children(recursive=True)]
         listening = [c.laddr.ip for p in family for c in p.net_connections("tcp") if c.status == psutil.CONN_LISTEN]

@@ -1,0 +1,101 @@
+"""`deltatwin fleet`: many robots, many days: which robot has changed, by which effect, since when."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.cli.reading import AsJson, ColumnsFrom, OwnEffects
+from service.cli.workers import Backend, Jobs, OnBackend, Scheduler
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from schemas.fleet import Fleet
+
+MOST_TOLD = 2  # figures of a change on a terminal; the page has all
+
+
+def command(
+    logs: Annotated[
+        list[Path], typer.Argument(help="Folders of logs, or logs: .csv, .csv.gz, .mcap, .pcapng", metavar="LOGS...")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for fleet.html, fleet.json and a folder a robot")],
+    robot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE|NAME", help="Robot description (TOML) of robots that have no robot.toml of their own"
+        ),
+    ] = None,
+    columns: ColumnsFrom = None,
+    effects: OwnEffects = None,
+    jobs: Jobs = 2,
+    backend: OnBackend = Backend.LOKY,
+    scheduler: Scheduler = None,
+    json: AsJson = False,
+) -> None:
+    """Judge every robot day after day against what it was on its first day, and say what has changed since when.
+
+    A robot is a folder: with a robot.toml, else the first one whose name has no date; recordings of several robots in
+    one folder are told by the names in them. Days are told by dates in names (2026-01-31), or by a recording's stamps.
+    The first day is identified and the others are diagnosed against it; a robot.toml with [identified] is taken as it
+    is. Carry the same load on all days, best none. Every day is kept as it comes: the same command goes on where it
+    stopped, and works out only what is new.
+
+    Example: deltatwin fleet logs/ --robot d3-1200 --out fleet     # logs/cell_3/2026-01-31/pick.csv
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from schemas.errors import DataError
+    from schemas.files import make_folder, write_text
+    from service.cli.output import console as result_console
+
+    console = Console(stderr=True)
+    bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*bar, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task("looking at the logs", total=None)
+        from service.diagnosis.workers import backend as workers
+        from service.fleet.judge import Settings, survey
+        from service.fleet.logs import members
+        from service.fleet.page import write_page
+
+        robots = members(logs, robot)
+        make_folder(out)
+        days = sum(len(member.days) for member in robots)
+        progress.update(task, description=f"{len(robots)} robots, {days} days", total=len(robots) + days)
+        with workers(backend.value, jobs, scheduler):
+            fleet = survey(robots, Settings(out, columns, effects), lambda: progress.advance(task))
+        progress.update(task, description="writing")
+        text = fleet.model_dump_json(indent=1, by_alias=True)
+        write_text(out / "fleet.json", text)
+        write_page(fleet, out / "fleet.html")
+    if json:
+        typer.echo(text)
+    else:
+        result_console().print(_table(fleet))
+        typer.echo(f"wrote fleet.html and fleet.json in {out}")
+    for what, why in (line for one in fleet.robots for line in one.unusable):
+        console.print(why if what in why else f"{what}: {why}", highlight=False, markup=False, soft_wrap=True)
+    if not any(day.verdict for one in fleet.robots for day in one.days):
+        raise DataError(f"{out}: no day of any robot could be judged")
+
+
+def _table(fleet: Fleet) -> Table:
+    from rich.table import Table
+
+    from service.fleet.page import found, when
+
+    table = Table("robot", "what", "joint", "since", "last on", "days", "how much", title="What has changed")
+    for robot, change in found(fleet):
+        joints, last = ", ".join(map(str, change.joints)), change.last if change.gone else "still there"
+        days = f"{change.days} of {change.of}"
+        table.add_row(robot, change.title, joints, when(change), last, days, "; ".join(change.now[:MOST_TOLD]))
+    for one in fleet.robots:
+        if not one.changes:
+            judged = sum(day.judged for day in one.days)
+            what = "nothing" if judged else "cannot be told"
+            table.add_row(one.robot, what, "", "", "", f"{judged} of {len(one.days)} judged", "")
+    return table

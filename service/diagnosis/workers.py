@@ -1,0 +1,35 @@
+"""Where many diagnoses run: processes of this host, or a Dask cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import joblib
+
+from schemas.errors import DataError
+
+
+@contextmanager
+def backend(name: str, jobs: int, scheduler: str | None) -> Iterator[None]:
+    """Run joblib on `name`: loky on this host, or dask, on this host or on the workers of `scheduler`.
+
+    Raises:
+        DataError: dask is not installed.
+    """
+    if name != "dask":
+        with joblib.parallel_config(backend=name, n_jobs=jobs):
+            yield
+        return
+    try:
+        from dask.distributed import Client, LocalCluster
+    except ImportError as error:
+        raise DataError("--backend dask needs dask[distributed]: install deltatwin[dask]") from error
+    if scheduler:
+        with Client(scheduler), joblib.parallel_config(backend="dask"):
+            yield
+        return
+    here = "127.0.0.1"  # the status page would listen on every interface
+    local = LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=f"{here}:0", host=here)
+    with local as cluster, Client(cluster), joblib.parallel_config(backend="dask"):
+        yield
