@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from schemas.diagnosis import Caution
-from service.diagnosis.evidence.earned import earned
+from service.diagnosis.evidence.earned import earned, together
 from tests.service.injected import reports
 from tests.service.subject import EFFECTS, Hypothesis, Problem, Selection, Split, Term, fit, selection
 from tests.service.world import BASE, course, problem
@@ -102,3 +102,27 @@ def test_what_the_description_says_does_not_have_to_earn_it(given):
     kept, fallen = earned(made, Split.of(made), chosen(made, RIPPLE), given, [])
     assert len(fallen) == 1 - given
     assert kept.best.names == ("cogging",) * given
+
+
+@pytest.mark.parametrize(
+    ("left", "vague", "stands"),
+    [
+        ((0.8, 0.8, 0.8), True, True),
+        ((0.95, 0.95, 0.95), False, True),
+        ((0.95, 0.95, 0.95), True, False),  # little, where the noise is not known
+        ((1.02, 1.02, 1.02), False, False),
+        ((0.6, 1.1, 1.1), False, False),  # in one of three runs: smaller on the whole by chance
+    ],
+)
+def test_all_names_fall_where_together_they_leave_the_gap_as_it_is(left, vague, stands):
+    """left: of the gap, on stretches that nothing was chosen by, a run."""
+    made = logs((1, 2, 3), "joint_spring")
+    split, found = Split.of(made), chosen(made, SPRING, RIPPLE)
+    after = [share * one for share, one in zip(left, found.none.residuals, strict=True)]
+    kept, fallen = together(made, split, found, after, 0, vague)
+    assert kept.best.names == (("joint_spring", "cogging") if stands else ())
+    assert codes(fallen) == ([] if stands else [("no_shrink", name, None) for name in ("joint_spring", "cogging")])
+    whole = 1 - np.sqrt(np.mean(np.square(left)))
+    assert all(one.share == pytest.approx(whole, abs=0.01) for one in fallen)
+    kept, fallen = together(made, split, found, after, 2, vague)
+    assert (kept, fallen) == (found, []), "the description's own do not have to earn it"

@@ -6,14 +6,59 @@ import numpy as np
 import pytest
 
 from drivers.bus import LINK_S, open_bus
-from schemas.messages import HealthFlag, Role
+from schemas.messages import REFERENCE, FeedforwardSource, HealthFlag, Role
 from service.estimator.estimator import Estimator
 from service.estimator.keep import Keeper
-from service.estimator.node import Node
+from service.estimator.node import STALE_NS, Node
+
+KEPT = "friction.json"
+TOPICS = ("feedforward", "payload", "error", "friction", "health")
+
+
+class Bench:
+    """A node on a bus, its source, and everything that it says, by topic."""
+
+    def __init__(self, robot, player, bus, until, keeper):
+        self._inboxes, self._until = {topic: player.subscribe(topic) for topic in TOPICS}, until
+        self._samples, self.plan = player.publisher("sample"), player.publisher("reference").put
+        self.node, self.sent, self.said = Node(robot, bus, HealthFlag(0), keeper), 0, {topic: [] for topic in TOPICS}
+        until(lambda: self._samples.heard and Role.ESTIMATOR in player.alive)
+        time.sleep(LINK_S)
+
+    def take(self, records):
+        """One after the other."""
+        for record in records:
+            self._samples.put(record.tobytes())
+            self.sent += 1
+            self._until(lambda: self.node.step() or self.node._received == self.sent)
+
+    def report(self):
+        """All messages so far by topic, and the newest health."""
+        self.node.report()
+
+        def heard() -> bool:
+            for topic, inbox in self._inboxes.items():
+                self.said[topic].extend(inbox.take()[0])
+            health = self.said["health"]
+            return bool(health) and health[-1]["received"] == self.sent and self.counted() >= health[-1]["published"]
+
+        self._until(heard)
+        return self.said, self.said["health"][-1]
+
+    def counted(self):
+        """How many that is, health aside."""
+        return sum(len(told) for topic, told in self.said.items() if topic != "health")
+
+
+@pytest.fixture
+def bench(bus_folder, tmp_path, robot, until):
+    Estimator(robot, 1e-3).warm_up()
+    with open_bus(robot.name, Role.PLAYER) as player, open_bus(robot.name, Role.ESTIMATOR) as bus:
+        yield Bench(robot, player, bus, until, Keeper(tmp_path / KEPT, robot))
 
 
 @pytest.mark.parametrize(("share", "drifted"), [(0.1, False), (0.5, True)], ids=["within", "beyond"])
-def test_health_says_that_friction_is_not_what_was_identified(bus_folder, tmp_path, robot, make, until, share, drifted):
+def test_health_says_that_friction_is_not_what_was_identified(bench, tmp_path, robot, make, share, drifted):
     """The description allows 30 %; the flag is in the health that others hear, with the friction that it is about,
     which is kept."""
     known = make(3.0, noise=0.25)
@@ -22,43 +67,101 @@ def test_health_says_that_friction_is_not_what_was_identified(bus_folder, tmp_pa
     known.samples["torque"] += share * (
         found.viscous_friction_nms.value * known.theta_dot + found.coulomb_friction_nm.value * direction
     )
-    Estimator(robot, 1e-3).warm_up()
-    with open_bus(robot.name, Role.PLAYER) as player, open_bus(robot.name, Role.ESTIMATOR) as bus:
-        health, told = player.subscribe("health"), player.subscribe("friction")
-        publisher = player.publisher("sample")
-        node = Node(robot, bus, HealthFlag(0), Keeper(tmp_path / "friction.json", robot))
-        until(lambda: publisher.heard and Role.ESTIMATOR in player.alive)
-        time.sleep(LINK_S)
-        for record in known.samples:
-            publisher.put(record.tobytes())
-            node.step()
-        node.report()
-        said, friction = [], []
-
-        def heard() -> bool:
-            said.extend(health.take()[0])
-            friction.extend(told.take()[0])
-            return bool(said and friction) and said[-1]["received"] == len(known.samples)
-
-        until(heard)
-        node.close()
-    assert "counted 100%" in Keeper(tmp_path / "friction.json", robot).begin(Estimator(robot, 1e-3))
-    assert (friction[-1]["drift"] > robot.limits.friction_drift).any() == drifted
-    assert (HealthFlag.FRICTION_DRIFT in HealthFlag(int(said[-1]["flags"]))) == drifted
+    bench.take(known.samples)
+    told, health = bench.report()
+    assert (told["friction"][-1]["drift"] > robot.limits.friction_drift).any() == drifted
+    assert (HealthFlag.FRICTION_DRIFT in HealthFlag(int(health["flags"]))) == drifted
+    bench.node.close()
+    assert "counted 100%" in Keeper(tmp_path / KEPT, robot).begin(Estimator(robot, 1e-3))
 
 
-def test_reports_come_a_thousand_a_second_whatever_sequence_numbers_were_kept(bus_folder, robot, make, until):
+def test_every_sample_is_answered_and_counted(bench, make):
+    """At 4 kHz payload and errors are told every fourth cycle; what was lost, doubled and not usable is in the health;
+    all that went out is counted."""
+    known = make(0.2, period=2.5e-4)
+    records = known.samples
+    records["position"][400:402] = np.nan
+    bench.take(np.delete(records, range(300, 303)))
+    bench.take(records[-1:])  # once more
+    told, health = bench.report()
+    assert len(told["feedforward"]) == 798
+    for name in ("payload", "error"):
+        assert 170 < len(told[name]) < 200, "once the lag line is full"
+    assert (health["received"], health["lost"], health["repeated"], health["invalid"]) == (798, 3, 1, 2)
+    assert health["published"] == bench.counted()
+
+    planned = REFERENCE.empty(2)
+    for record, ahead in zip(planned, (0, 1), strict=True):
+        record["sequence"], record["position"] = 800 + ahead, known.theta[-1]
+        bench.plan(record.tobytes())
+    time.sleep(LINK_S)
+    after = records[-1:].copy()
+    after["sequence"] += 1
+    bench.take(after)
+    told, _ = bench.report()
+    assert told["feedforward"][-1]["source"] == FeedforwardSource.REFERENCE
+    assert told["feedforward"][-1]["target_sequence"] == 801, "the newest plan"
+
+
+def test_reports_come_a_thousand_a_second_whatever_sequence_numbers_were_kept(bench, make):
     """Every second sample of an 8 kHz bus, from an odd number on: 4 kHz, and a report every fourth."""
     samples = make(0.5, period=2.5e-4).samples
     samples["sequence"] = 2 * np.arange(len(samples)) + 1
-    with open_bus(robot.name, Role.PLAYER) as player, open_bus(robot.name, Role.ESTIMATOR) as bus:
-        reports, publisher = player.subscribe("payload"), player.publisher("sample")
-        node = Node(robot, bus, HealthFlag(0))
-        until(lambda: publisher.heard and Role.ESTIMATOR in player.alive)
-        time.sleep(LINK_S)
-        for record in samples:
-            publisher.put(record.tobytes())
-            node.step()
-        told = []
-        until(lambda: told.extend(reports.take()[0]) or len(told) > 400)
-    assert (np.diff([report["sequence"] for report in told]) == 8).all()
+    bench.take(samples)
+    told, _ = bench.report()
+    assert len(told["payload"]) > 400
+    assert (np.diff([report["sequence"] for report in told["payload"]]) == 8).all()
+
+
+def test_a_silent_source_is_told_and_so_is_that_it_is_back(bench, make):
+    records = make(0.05).samples
+    bench.take(records[:40])
+    assert HealthFlag.STALE_INPUT not in bench.node.health.flags
+    time.sleep(1.5 * STALE_NS * 1e-9)
+    bench.node.step()
+    assert HealthFlag.STALE_INPUT in bench.node.health.flags
+    told, _ = bench.report()
+    assert told["friction"] == [], "nothing new is known of friction"
+    bench.take(records[40:41])
+    assert HealthFlag.STALE_INPUT not in bench.node.health.flags
+
+
+def test_another_sample_rate_needs_two_readings(bench, make, capsys):
+    """A burst of garbage after a report is no other rate; two readings that agree are."""
+    bench.take(make(0.05).samples)
+    slower = make(1.0, period=2e-3).samples
+    slower["sequence"] += 50
+
+    def anew():
+        return "changed from 0.001 s to 0.002 s; starting anew" in capsys.readouterr().err
+
+    bench.report()
+    bench.take(slower[:16])
+    assert not anew()
+    odd = make(0.02, period=1.3e-3).samples[:16]
+    odd["sequence"] += 100
+    bench.take(odd)  # another reading, of yet another rate
+    assert not anew()
+    bench.report()
+    bench.take(slower[100:132])
+    assert anew()
+    bench.report()
+    bench.take(slower[132:148])
+    assert not anew()
+    told, health = bench.report()
+    assert len(told["feedforward"]) == health["received"]
+
+
+def test_stamps_that_stand_still_are_waited_out(bench, make):
+    """Nothing goes out until a period can be read; then all of the first samples are answered."""
+    records = make(0.1).samples
+    stuck = records[:20].copy()
+    stuck["stamp_sec"] = stuck["stamp_nanosec"] = 5
+    bench.take(stuck)
+    told, health = bench.report()
+    assert (health["received"], health["published"]) == (20, 0)
+    bench.take(records[20:60])
+    told, _ = bench.report()
+    answered = [int(one["sequence"]) for one in told["feedforward"]]
+    assert answered == list(range(answered[0], 60))
+    assert answered[0] <= 20

@@ -1,0 +1,124 @@
+"""Loads by their normal equations, and whether they are others since some instant: each against matrices."""
+
+import numpy as np
+import pytest
+
+from service.estimator.payload import change
+from service.estimator.payload.loads import locate
+from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, SMALLEST_CHANGE, STATE, WINDOW, start
+
+DRIFT = np.array([0.6, 0.2, 0.15] * 3)
+OFFSETS = np.diag([0.0, OFFSET_STD**-2, OFFSET_STD**-2])  # what is known of a place beforehand
+
+
+def believing(active, random):
+    """A state in which friction is known with some error."""
+    states = np.zeros(1, STATE)
+    start(states, DRIFT)
+    (state,) = states
+    state["active"] = active
+    np.testing.assert_allclose(state["information"], OFFSETS + np.diag([PRIOR_STD**-2, 0.0, 0.0]))
+    root = 0.1 * random.standard_normal((9, 9))
+    state["friction"]["covariance"], state["friction"]["delta"] = root @ root.T, 0.1 * random.standard_normal(9)
+    return state
+
+
+def fill(state, bins, load_of, random):
+    """Bins of what samples say of `load_of` bin, and their sums. `state.head` ends on the newest."""
+    active, delta = state["active"], state["friction"]["delta"]
+    for n in range(bins):
+        columns = random.standard_normal((6, active)) * [3.0, 20.0, 20.0][:active]
+        slopes = random.standard_normal((6, 9))
+        pulled = columns.T @ (columns @ load_of(n)[:active] + slopes @ delta + 0.3 * random.standard_normal(6))
+        head = state["head"] = (state["head"] + 1) % WINDOW
+        for name, gained in (("information", columns.T @ columns), ("moment", pulled), ("drag", columns.T @ slopes)):
+            part = (slice(active),) * (2 if name == "information" else 1)
+            state[f"bin_{name}"][head][part] = gained
+            state[name][part] += gained
+    state["filled"] = bins
+
+
+@pytest.mark.parametrize("active", [1, LOADS])
+def test_loads_are_what_the_normal_equations_say(active):
+    random = np.random.default_rng(3)
+    state = believing(active, random)
+    load = np.array([1.4, 0.05, -0.03])
+    fill(state, 40, lambda n: load, random)
+    expected = np.linalg.solve(
+        state["information"][:active, :active], (state["moment"] - state["drag"] @ state["friction"]["delta"])[:active]
+    )
+    for _ in range(2):
+        assert locate(state) == pytest.approx(expected[0], rel=1e-9)
+    np.testing.assert_allclose(state["offset"][: active - 1], expected[1:], rtol=1e-9)
+    np.testing.assert_allclose(
+        state["inverse"][:active, :active], np.linalg.inv(state["information"][:active, :active]), rtol=1e-9
+    )
+
+
+def distances(state):
+    """Squared distance of the loads since each onset from those before it, over its covariance, NaN where it is not
+    looked for; and the information since and before the last of them."""
+    active, friction = state["active"], state["friction"]
+    prior, before = OFFSETS[:active, :active], np.zeros(0)
+    whole, index = state["information"][:active, :active], state["head"]
+    since, pulled, dragged = prior.copy(), np.zeros(active), np.zeros((active, 9))
+    result = np.full(state["filled"], np.nan)
+    for n in range(state["filled"]):
+        since = since + state["bin_information"][index, :active, :active]
+        pulled = pulled + state["bin_moment"][index, :active]
+        dragged = dragged + state["bin_drag"][index, :active]
+        index = index - 1 if index else WINDOW - 1
+        if n + 1 < change.SHORTEST:
+            continue
+        before = whole - since + prior
+        after, until = np.linalg.inv(since), np.linalg.inv(before)
+        rest, dragged_before = state["moment"][:active] - pulled, state["drag"][:active] - dragged
+        delta = friction["delta"]
+        step = after @ (pulled - dragged @ delta) - until @ (rest - dragged_before @ delta)
+        contrast = after @ dragged - until @ dragged_before
+        spread = after + until + contrast @ friction["covariance"] @ contrast.T
+        spread[0, 0] += 2 * state["bias"] * change.BIAS_SIGMAS**2 / change.CHANGE_THRESHOLD
+        large = abs(step[0]) >= SMALLEST_CHANGE or np.hypot(*[*step[1:], 0.0, 0.0][:2]) >= change.SMALLEST_OFFSET
+        result[n] = step @ np.linalg.solve(spread, step) if large else 0.0
+    return result, since, before
+
+
+@pytest.mark.parametrize(
+    ("load", "other", "bias", "onset", "told"),
+    [
+        ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0, 47, {1, LOADS}),
+        ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 47, {1, LOADS}),
+        ((2.0, 0.0, 0.0), (1.6, 0.0, 0.0), 1e-3, 47, {1, LOADS}),
+        ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0), 0.0, change.SHORTEST, {1, LOADS}),
+        ((1.0, 0.02, 0.0), (1.0, 0.02, 0.1), 0.0, 47, {LOADS}),
+        ((1.0, 0.0, 0.0), (1.11, 0.003, 0.0), 0.0, 47, set()),
+        ((1.0, 0.0, 0.0), (1.3, 0.0, 0.0), 0.02, 47, set()),
+    ],
+    ids=["pick", "release", "part of it", "just now", "another place", "too little", "of a bad model"],
+)
+@pytest.mark.parametrize("active", [1, LOADS])
+def test_an_onset_is_where_the_loads_differ_most_from_those_before(active, load, other, bias, onset, told):
+    """And from there on the estimate is that of the samples since."""
+    random = np.random.default_rng(5)
+    state = believing(active, random)
+    state["bias"], state["inflation"], state["head"] = bias, 1.3, 100
+    fill(state, 120, lambda n: np.array(load if n < 120 - onset else other), random)
+    expected, since, since_not = distances(state)
+    best = int(np.nanargmax(expected)) + 1
+    changes = np.nanmax(expected) > change.CHANGE_THRESHOLD
+    assert changes == (active in told)
+    kept = [(state["head"] - n) % WINDOW for n in range(best)]
+    before = {name: state[name].copy() for name in ("information", "moment", "drag", "filled")}
+    assert change.find_change(state) == (best if changes else 0)
+    np.testing.assert_allclose(state["since_information"][:active, :active], since, rtol=1e-9)
+    np.testing.assert_allclose(state["before_information"][:active, :active], since_not, rtol=1e-9)
+    if not changes:
+        assert all((state[name] == kept_).all() for name, kept_ in before.items())
+        return
+    assert abs(best - onset) <= 2
+    information = OFFSETS[:active, :active] + state["bin_information"][kept, :active, :active].sum(axis=0)
+    np.testing.assert_allclose(state["information"][:active, :active], information, rtol=1e-9, atol=1e-9)
+    for name in ("moment", "drag"):
+        np.testing.assert_allclose(state[name][:active], state[f"bin_{name}"][kept, :active].sum(axis=0), atol=1e-9)
+    assert state["filled"] == best
+    assert state["raw_information"] == pytest.approx(1.3 * state["information"][0, 0])
