@@ -17,6 +17,14 @@ _NESTED_ID, _STRING_ID, _ARRAY = 1, 17, 48
 _TYPE_IDS = {"int32": 6, "uint32": 7, "int64": 8, "uint64": 9, "float64": 11, "string": _STRING_ID}
 
 
+class RosType(NamedTuple):
+    """A message type. text: with what it depends on, as MCAP's `ros2msg`. type_hash: RIHS01."""
+
+    name: str
+    text: str
+    type_hash: str
+
+
 class BagTopic(NamedTuple):
     """A topic of a recording. type: ROS 2 name of its messages. messages: how many."""
 
@@ -51,6 +59,11 @@ def type_hash(message: Message) -> str:
         {"type_description": description, "referenced_type_descriptions": [inside[name] for name in sorted(inside)]}
     )
     return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def ros_type(message: Message) -> RosType:
+    """`message` as ROS 2 knows it."""
+    return RosType(message.schema_name, message.schema_text, type_hash(message))
 
 
 def bag_metadata(file: str, topics: Iterable[BagTopic], first_ns: int, last_ns: int) -> dict[str, str]:

@@ -16,8 +16,9 @@ from drivers.trace.quality import EXACT_SECONDS, RowNames, check
 from schemas.axes import Description
 from schemas.errors import MessageError, StorageError, TraceError
 from schemas.files import opened
-from schemas.keys import robot_key
+from schemas.keys import robot_key, topic_name
 from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, dtype_of, stamp_ns
+from schemas.ros2 import ros_type
 from schemas.trace import Trace
 
 _SAMPLE_TOPIC = re.compile(r"^/?deltatwin/(?P<robot>[^/]+)/sample$")  # the slash came later
@@ -180,7 +181,8 @@ def write_samples(
     """
     done = 0
     with path.open("wb") as stream:
-        bag = BagWriter(stream, path, robot, ["sample"])
+        topic = topic_name(robot, "sample")
+        bag = BagWriter(stream, path, {topic: ros_type(SAMPLE)})
         for samples in blocks:
             stamps = stamp_ns(samples)
             if stamps.min() < 0:
@@ -188,7 +190,7 @@ def write_samples(
             for part in range(0, len(samples), SHOW_EVERY):
                 show(done + part)
                 rows = slice(part, part + SHOW_EVERY)
-                bag.add("sample", samples[rows], stamps[rows], stamps[rows])
+                bag.add(topic, samples[rows], stamps[rows], stamps[rows])
             done += len(samples)
         bag.finish()
     return done

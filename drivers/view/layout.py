@@ -10,26 +10,52 @@ from schemas.keys import robot_key, topic_name
 SECONDS = 10.0  # that the live plots show
 
 
-def scene_topic(robot: str) -> str:
-    """Where the view draws `robot`; not on the bus."""
-    return f"/deltatwin/{robot_key(robot)}/scene"
-
-
 def layout(robot: str) -> str:
     """A layout file, JSON, for the topics of `robot`."""
 
     def path(topic: str, field: str) -> str:
-        return f'"{topic_name(robot, topic)}".{field}'
+        return f"{topic_name(robot, topic)}.{field}"
 
     def plot(title: str, *paths: tuple[str, str]) -> dict[str, object]:
         series = [
             {"value": value, "label": label, "enabled": True, "timestampMethod": "receiveTime"}
             for value, label in paths
         ]
-        return {"title": title, "paths": series, "showLegend": True, "isSynced": True, "followingViewWidth": SECONDS}
+        return {
+            "foxglovePanelTitle": title,
+            "paths": series,
+            "xAxisVal": "timestamp",
+            "showLegend": True,
+            "isSynced": True,
+            "timeWindowMode": "sliding",
+            "followingViewWidth": SECONDS,
+        }
+
+    own, frame = f"/deltatwin/{robot_key(robot)}", f"{robot_key(robot)}_base"
+    shapes = {
+        "instanceId": "robot",
+        "layerId": "foxglove.Urdf",
+        "label": robot,
+        "visible": True,
+        "sourceType": "topic",
+        "topic": f"{own}/robot_description",
+        "controlMode": "transforms",
+    }
 
     panels = {
-        "3D!robot": {"followMode": "follow-none", "topics": {scene_topic(robot): {"visible": True}}},
+        "3D!robot": {
+            "followTf": frame,
+            "fixedFrame": frame,
+            "followMode": "follow-none",
+            "layers": {"robot": shapes},
+            "cameraState": {
+                "perspective": True,
+                "distance": 3.0,
+                "phi": 75.0,
+                "thetaOffset": 30.0,
+                "targetOffset": [0.0, 0.0, -0.5],
+            },
+        },
         "Plot!torque": plot(
             "torque / N m",
             *((path("sample", f"torque[{j}]"), f"measured {j + 1}") for j in range(3)),

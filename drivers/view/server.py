@@ -11,30 +11,20 @@ from types import TracebackType
 
 import foxglove
 import numpy as np
-from foxglove.channels import SceneUpdateChannel
-from foxglove.messages import (
-    Color,
-    LinePrimitive,
-    LinePrimitiveLineType,
-    Point3,
-    SceneEntity,
-    SceneUpdate,
-    Timestamp,
-)
 
 from drivers.bus import Bus, sending
-from drivers.view.layout import scene_topic
-from drivers.view.scene import skeleton
-from schemas.errors import BusError, PoseError
+from drivers.view.scene import Scene
+from schemas.errors import BusError
 from schemas.keys import topic_name
-from schemas.messages import NANOSECONDS, TOPICS
+from schemas.messages import TOPICS
 from schemas.robot import Robot
+from schemas.ros2 import RosType, ros_type
 
 PERIOD_S = 0.05  # between two looks at the bus
 MOST_HZ = 200.0  # of a topic; a screen shows 60
+SHAPE_NS = 1_000_000_000  # between two messages with the shapes: who connects waits no longer for the robot
 BACKLOG = 4096  # messages kept for a client that is slow; the oldest go first
 _EVENTS = "payload"  # picks and releases are never thinned out
-_ARM, _PLATFORM = Color(r=0.25, g=0.45, b=0.85, a=1.0), Color(r=0.9, g=0.5, b=0.1, a=1.0)
 
 
 class LiveView:
@@ -45,19 +35,18 @@ class LiveView:
     """
 
     def __init__(self, bus: Bus, robot: Robot, host: str, port: int) -> None:
-        self._robot = robot
         self._inboxes = {topic: bus.subscribe(topic, clock=sending) for topic in TOPICS}
         self._context = context = foxglove.Context()  # channels do not keep it alive
+
+        def channel(name: str, kind: RosType) -> foxglove.Channel:
+            schema = foxglove.Schema(name=kind.name, encoding="ros2msg", data=kind.text.encode())
+            return foxglove.Channel(name, message_encoding="cdr", schema=schema, context=context)
+
         self._channels = {
-            topic: foxglove.Channel(
-                topic_name(robot.name, topic),
-                message_encoding="cdr",
-                schema=foxglove.Schema(name=message.schema_name, encoding="ros2msg", data=message.schema_text.encode()),
-                context=context,
-            )
-            for topic, message in TOPICS.items()
+            topic: channel(topic_name(robot.name, topic), ros_type(message)) for topic, message in TOPICS.items()
         }
-        self._scene = SceneUpdateChannel(scene_topic(robot.name), context=context)
+        self._scene, self._shape_at = Scene(robot), 0
+        self._drawn = {name: channel(name, kind) for name, kind in self._scene.topics.items()}
         self.shown = 0
         try:
             self._server = foxglove.start_server(
@@ -85,19 +74,15 @@ class LiveView:
                 self._channels[topic].log(records[k : k + 1].tobytes(), log_time=int(times[k]))
             self.shown += len(chosen)
             if topic == "sample":
-                self._draw(records[-1]["position"], int(times[-1]))
+                self._draw(records[-1], int(times[-1]))
 
-    def _draw(self, theta: np.ndarray, now: int) -> None:
-        try:
-            arms, platform = skeleton(self._robot, np.asarray(theta, np.float64))
-        except PoseError:
-            return  # a sample that is no pose has its flag; there is nothing to draw
-        if not (np.isfinite(arms).all()):
-            return
-        lines = [_line(points[:3], 0.02, _ARM) for points in arms] + [_line(platform, 0.015, _PLATFORM)]
-        stamp = Timestamp(now // NANOSECONDS, now % NANOSECONDS)
-        entity = SceneEntity(timestamp=stamp, frame_id="base", id="robot", lines=lines)
-        self._scene.log(SceneUpdate(entities=[entity]), log_time=now)
+    def _draw(self, sample: np.void, now: int) -> None:
+        messages = list(self._scene.state(sample))
+        if now >= self._shape_at:
+            self._shape_at = now + SHAPE_NS
+            messages.append(self._scene.shapes())
+        for name, data in messages:
+            self._drawn[name].log(data, log_time=now)
 
     def __enter__(self) -> LiveView:
         return self
@@ -111,12 +96,3 @@ def run(view: LiveView) -> None:
     while True:
         time.sleep(PERIOD_S)
         view.step()
-
-
-def _line(points: np.ndarray, thickness: float, color: Color) -> LinePrimitive:
-    return LinePrimitive(
-        type=LinePrimitiveLineType.LineStrip,
-        thickness=thickness,
-        points=[Point3(x=float(x), y=float(y), z=float(z)) for x, y, z in points],
-        color=color,
-    )

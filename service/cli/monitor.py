@@ -39,6 +39,7 @@ def command(
     import datetime
 
     from drivers.bus import open_bus, running
+    from drivers.view.scene import Scene
     from replay.realtime import PRIORITY, go_realtime
     from schemas.errors import StorageError
     from schemas.files import check_folder
@@ -49,7 +50,8 @@ def command(
     from service.monitor.node import Monitor, run
     from service.monitor.writer import WriterThread
 
-    name = load_robot(robot).name
+    description = load_robot(robot)
+    name = description.name
     path = out or Path(f"{name}-{datetime.datetime.now(datetime.UTC):%Y%m%dT%H%M%SZ}.mcap")
     if path.exists():
         raise StorageError(f"{path}: exists already; give another name with --out")
@@ -58,7 +60,7 @@ def command(
     with counting(f"monitor {name}", 0) as show:
         realtime = go_realtime("monitor", PRIORITY - 10)  # below those whose work it watches
         with open_bus(name, Role.MONITOR, zenoh_config, insecure) as bus:
-            writer = WriterThread(path, name)
+            writer = WriterThread(path, name, Scene(description))
             monitor = Monitor(bus, writer, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
             hint = _Silence(name, monitor.tally.received, running)
             try:

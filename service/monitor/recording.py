@@ -8,10 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from drivers.trace.bag import BagWriter
+from drivers.view.scene import Scene
 from schemas.errors import StorageError
-from schemas.messages import stamp_ns
+from schemas.keys import topic_name
+from schemas.messages import TOPICS, stamp_ns
+from schemas.ros2 import ros_type
 
 WAITING = 600  # batches of health, ten minutes at one a second
+DRAW_NS = 50_000_000  # between two states of the robot for viewers
+SHAPE_NS = 10_000_000_000  # between two of its shapes, for who begins to look in the middle
 
 
 class RecordingWriter:
@@ -22,8 +27,12 @@ class RecordingWriter:
     What `flush` has returned from survives the death of the process; a file without its end is repaired by `recover`.
     """
 
-    def __init__(self, path: Path, robot: str) -> None:
-        """Raises StorageError: the file exists or cannot be made."""
+    def __init__(self, path: Path, robot: str, scene: Scene | None = None) -> None:
+        """scene: of the robot, drawn every `DRAW_NS`.
+
+        Raises:
+            StorageError: the file exists or cannot be made.
+        """
         self.path = path
         self.written = 0
         self._bus_less_sending: int | None = None  # ns, of the newest sample
@@ -32,7 +41,10 @@ class RecordingWriter:
             self._stream = path.open("xb")
         except OSError as error:
             raise StorageError(f"{path}: cannot record: {error.strerror}") from error
-        self._bag = BagWriter(self._stream, path, robot)
+        self._names = {topic: topic_name(robot, topic) for topic in TOPICS}
+        self._scene, self._draw_at, self._shape_at = scene, 0, 0  # ns, log time
+        types = {self._names[topic]: ros_type(message) for topic, message in TOPICS.items()}
+        self._bag = BagWriter(self._stream, path, types | (scene.topics if scene else {}))
 
     def write(self, topic: str, records: np.ndarray, log_ns: np.ndarray) -> None:
         """Append (N,) records that were sent at (N,) `log_ns`, ns since 1970.
@@ -61,10 +73,20 @@ class RecordingWriter:
 
     def _append(self, topic: str, records: np.ndarray, log_ns: np.ndarray, publish_ns: np.ndarray) -> None:
         try:
-            self._bag.add(topic, records, log_ns, np.maximum(publish_ns, 0))
+            self._bag.add(self._names[topic], records, log_ns, np.maximum(publish_ns, 0))
+            if self._scene and topic == "sample" and len(records) and log_ns[-1] >= self._draw_at:
+                self._draw(self._scene, records[-1], int(log_ns[-1]), max(int(publish_ns[-1]), 0))
         except OSError as error:
             raise self._refused(error) from error
         self.written += len(records)
+
+    def _draw(self, scene: Scene, sample: np.void, log_ns: int, publish_ns: int) -> None:
+        if log_ns >= self._shape_at:
+            self._shape_at = log_ns + SHAPE_NS
+            self._bag.add_message(*scene.shapes(), log_ns, publish_ns)
+        self._draw_at = log_ns + DRAW_NS
+        for topic, data in scene.state(sample):
+            self._bag.add_message(topic, data, log_ns, publish_ns)
 
     def note(self, name: str, facts: dict[str, str]) -> None:
         """Append an MCAP metadata record.

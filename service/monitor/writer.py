@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.view.scene import Scene
 from schemas.errors import StorageError
 from service.monitor.recording import RecordingWriter
 
@@ -22,11 +23,11 @@ Batch = tuple[dict[str, tuple[np.ndarray, np.ndarray]], list[dict[str, str]]]  #
 class WriterThread:
     """Writes batches to `path` until `close`. When the disk refuses it says so once, and goes on without recording."""
 
-    def __init__(self, path: Path, robot: str) -> None:
+    def __init__(self, path: Path, robot: str, scene: Scene | None = None) -> None:
         """Raises StorageError: the file exists, cannot be made, or the disk refuses from the start."""
         self.failed = False
         self.dropped = 0  # messages that could not wait any longer
-        self._recording = RecordingWriter(path, robot)
+        self._recording = RecordingWriter(path, robot, scene)
         try:
             self._recording.flush()
         except StorageError:

@@ -19,6 +19,7 @@ import numpy as np
 
 from drivers.plant.mechanism import Design, build, centre_pose, close, specify
 from drivers.plant.truth import PlantTruth
+from drivers.view.scene import shape
 from schemas.errors import RobotError
 from schemas.robot import Robot
 from service.estimator.effects import corrected
@@ -293,12 +294,12 @@ def to_urdf(robot: Robot) -> str:
     model = pack(changed)
     root = xml.Element("robot", name=robot.name)
     geometry, limits = robot.geometry, robot.limits
-    _link(root, "base", geometry.base_radius, 0.02, upright=True)
+    shape(root, "base", geometry.base_radius, 0.02)
     low, high = geometry.joint_range_rad
     for i in range(3):
         azimuth, length = robot.arm_angles[i], float(model.active_length[i])
         place = geometry.base_radius * np.array([np.cos(azimuth), np.sin(azimuth)])
-        _link(root, f"arm{i}", 0.02, length)
+        shape(root, f"arm{i}", 0.02, length, along_x=True)
         joint = _joint(root, f"arm{i}", "revolute", "base", f"arm{i}", (*place, 0.0), (0.0, 0.0, azimuth))
         xml.SubElement(joint, "axis", xyz="0 1 0")
         torque = limits.peak_torque_nm or PlantTruth.nominal(robot).peak_torque_nm
@@ -306,15 +307,6 @@ def to_urdf(robot: Robot) -> str:
         xml.SubElement(joint, "limit", {key: f"{value:.6g}" for key, value in bounds.items()})
     xml.indent(root)
     return xml.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
-
-
-def _link(root: xml.Element, name: str, radius: float, length: float, upright: bool = False) -> None:
-    """A cylinder along x from the link's origin, or upright about it."""
-    visual = xml.SubElement(xml.SubElement(root, "link", name=name), "visual")
-    turn, middle = ("0 0 0", "0 0 0") if upright else ("0 1.5707963 0", f"{length / 2:.6g} 0 0")
-    xml.SubElement(visual, "origin", xyz=middle, rpy=turn)
-    shape = xml.SubElement(visual, "geometry")
-    xml.SubElement(shape, "cylinder", radius=f"{radius:.6g}", length=f"{length:.6g}")
 
 
 def _joint(root: xml.Element, name: str, kind: str, parent: str, child: str, xyz, rpy) -> xml.Element:

@@ -287,10 +287,10 @@ def test_mcap_with_foreign_messages(own_csv: Path, tmp_path: Path) -> None:
 
 def test_mcap_of_two_robots_needs_a_name(own_csv: Path, tmp_path: Path, robot_text: str) -> None:
     good, path = payloads(own_csv), tmp_path / "a.mcap"
-    write_messages(path, {"/deltatwin/d3/sample": good, "/deltatwin/d4/sample": good[:50]})
-    with pytest.raises(TraceError, match=r"samples of several robots \(d3, d4\): say which with --robot"):
+    write_messages(path, {"/deltatwin/d3/sample": good, "/deltatwin/d_4/sample": good[:50]})
+    with pytest.raises(TraceError, match=r"samples of several robots \(d3, d_4\): say which with --robot"):
         read_trace(path)
-    (tmp_path / "r.toml").write_text(robot_text.replace('"d3"', '"d4"'))
+    (tmp_path / "r.toml").write_text(robot_text.replace('"d3"', '"d-4"'))
     assert len(read_trace(path, load_robot(tmp_path / "r.toml"))) == 50
 
 
