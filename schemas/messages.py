@@ -27,7 +27,7 @@ OPTIONAL = {"fourth_position"}  # what most sources do not have
 _TIME, _HEADER = "builtin_interfaces/Time", "std_msgs/Header"
 NESTED = {_HEADER: f"{_TIME} stamp\nstring frame_id\n", _TIME: "int32 sec\nuint32 nanosec\n"}
 _PRIMITIVES = {
-    "int32": "<i4", "uint32": "<u4", "int64": "<i8", "uint64": "<u8", "float64": "<f8",
+    "uint8": "u1", "int32": "<i4", "uint32": "<u4", "int64": "<i8", "uint64": "<u8", "float64": "<f8",
 }  # fmt: skip
 _FIELD = re.compile(r"^(?P<type>[\w/]+)(?:\[(?P<count>\d+)\])?\s+(?P<name>[a-z]\w*)$")
 _CONSTANT = re.compile(r"^\w+\s+[A-Z]\w*\s*=")
@@ -49,6 +49,7 @@ class SampleFlag(enum.IntFlag):
     LIMITED = 1024  # of a feed-forward: the torque or its slope was held at its bound
     FADING = 2048  # of a feed-forward: no usable motion, the last torque is on its way to zero
     FRICTION_HELD = 4096  # of a feed-forward: what was learnt of friction, which is in it, is held at its bound
+    LOADED = 8192  # something is carried whose mass is not known: not the robot's own torque
 
 
 class Gripper(enum.IntEnum):
@@ -86,6 +87,28 @@ class Role(enum.IntEnum):
     TAP = 4
     MASTER = 5
     OBSERVER = 6
+    WATCH = 7
+
+
+class WatchState(enum.IntEnum):
+    """What the watch makes of the gap."""
+
+    LEARNING = 0  # the level is not known yet
+    WATCHING = 1  # the gap is what it was
+    RAISED = 2  # it is higher
+    DIAGNOSING = 3  # it is higher, and a diagnosis is under way
+    NEW_MOTION = 4  # most of the motion is of a kind whose level is not known
+    IDLE = 5  # too little motion to tell
+
+
+class FindingVerdict(enum.IntEnum):
+    """What a finding says of the risen gap."""
+
+    EXPLAINED = 0  # by the named effects
+    PARTLY_EXPLAINED = 1
+    UNEXPLAINED = 2  # nothing in the catalogue explains it, or nothing can be told apart
+    WITHIN_NOISE = 3  # nothing is left to explain
+    FAILED = 4  # the diagnosis did not run to its end
 
 
 class HealthFlag(enum.IntFlag):
@@ -219,6 +242,8 @@ PAYLOAD = _load("Payload")
 MODEL_ERROR = _load("ModelError")
 FRICTION = _load("Friction")
 HEALTH = _load("Health")
+GAP = _load("Gap")
+FINDING = _load("Finding")
 
 TOPICS = {
     "sample": SAMPLE,
@@ -228,6 +253,8 @@ TOPICS = {
     "error": MODEL_ERROR,
     "friction": FRICTION,
     "health": HEALTH,
+    "gap": GAP,
+    "finding": FINDING,
 }
 
 

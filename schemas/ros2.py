@@ -14,7 +14,7 @@ from schemas.messages import NESTED, Message, fields_of
 
 METADATA_VERSION = 8  # the last in which no quality of service is an empty text
 _NESTED_ID, _STRING_ID, _ARRAY = 1, 17, 48
-_TYPE_IDS = {"int32": 6, "uint32": 7, "int64": 8, "uint64": 9, "float64": 11, "string": _STRING_ID}
+_TYPE_IDS = {"uint8": 3, "int32": 6, "uint32": 7, "int64": 8, "uint64": 9, "float64": 11, "string": _STRING_ID}
 
 
 class RosType(NamedTuple):

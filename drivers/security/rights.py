@@ -16,7 +16,7 @@ SOURCES = (Role.TAP, Role.PLAYER, Role.ROBOT)  # any of them may be the one that
 COMMON_NAME = 64  # longest common name of a certificate (RFC 5280, ub-common-name)
 
 _PLANNERS = (Role.PLAYER, Role.ROBOT, Role.MASTER)
-_READERS = (Role.MONITOR, Role.OBSERVER)
+_READERS = (Role.MONITOR, Role.OBSERVER)  # of everything
 _WRITERS: dict[str, tuple[Role, ...]] = {
     "reference": _PLANNERS,
     "feedforward": (Role.ESTIMATOR,),
@@ -24,10 +24,13 @@ _WRITERS: dict[str, tuple[Role, ...]] = {
     "error": (Role.ESTIMATOR,),
     "friction": (Role.ESTIMATOR,),
     "health": tuple(Role),
+    "gap": (Role.WATCH,),
+    "finding": (Role.WATCH,),
 }
 _LISTENERS: dict[str, tuple[Role, ...]] = {
-    "sample": (Role.ESTIMATOR,),
+    "sample": (Role.ESTIMATOR, Role.WATCH),
     "reference": (Role.ESTIMATOR,),
+    "payload": (Role.WATCH,),
     "feedforward": (Role.ROBOT, Role.MASTER),
 }
 

@@ -20,7 +20,7 @@ from schemas.errors import DeltatwinError, printable
 GROUPS = {
     "Begin": ("demo", "import", "inspect", "convert"),
     "From logs to answers": ("identify", "evaluate", "payload", "diagnose", "fleet", "plan-motion", "rollout"),
-    "On the bus": ("replay", "estimate", "monitor", "view", "recover", "keys", "latency"),
+    "On the bus": ("replay", "estimate", "monitor", "watch", "view", "recover", "keys", "latency"),
     "On an EtherCAT": ("tap", "master", "segment", "ethercat-demo"),
     "Simulated robots": ("simulate", "closed-loop", "experiment", "blindtest"),
 }

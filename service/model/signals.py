@@ -185,7 +185,8 @@ class Segment:
 
     rows: (M,) row numbers in the trace, of the next sample where they were brought to an even clock. time: (M,) s.
     period: s. theta, theta_dot, theta_ddot, torque: (M, n), rad and N m. moving: (M, n), False at rest and, for all
-    joints, within `EDGE` of the ends. noise: (n,) rad rms of the positions, which came every `sampled` s.
+    joints, within `EDGE` of the ends and where something is carried. noise: (n,) rad rms of the positions, which came
+    every `sampled` s.
     """
 
     rows: np.ndarray
@@ -236,7 +237,9 @@ def segments(trace: Trace) -> list[Segment]:
             clock = mine[0][0] + period * np.arange(count)
             part = part[np.clip(np.searchsorted(mine[0], clock), 0, len(part) - 1)]
             mine = clock, between(clock, mine[0], mine[1]), between(clock, mine[0], mine[2])
-        result.append(_segment(good[part], *mine, period))
+        segment = _segment(good[part], *mine, period)
+        segment.moving[(trace.flags[segment.rows] & np.uint32(SampleFlag.LOADED)) != 0] = False
+        result.append(segment)
     if not result:
         longest = max(len(part) for part in every) * period
         raise TraceError(

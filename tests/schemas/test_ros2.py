@@ -18,6 +18,7 @@ from schemas.keys import topic_name
 from schemas.messages import (
     TOPICS,
     FeedforwardSource,
+    FindingVerdict,
     Gripper,
     HealthFlag,
     Message,
@@ -25,6 +26,7 @@ from schemas.messages import (
     Role,
     SampleFlag,
     StopReason,
+    WatchState,
     fields_of,
     set_stamp,
 )
@@ -41,6 +43,8 @@ ENUMS = {  # message, prefix of its constants: what it is in Python
     ("Health", "ROLE_"): Role,
     ("Health", "FLAG_"): HealthFlag,
     ("Health", "REASON_"): StopReason,
+    ("Gap", "STATE_"): WatchState,
+    ("Finding", "VERDICT_"): FindingVerdict,
 }
 
 

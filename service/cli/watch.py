@@ -1,0 +1,77 @@
+"""`deltatwin watch`: the gap of the running robot, live; when it rises, what has changed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.network import Insecure, ZenohConfig
+from service.cli.reading import OwnEffects
+
+
+def command(
+    robot: Annotated[
+        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) that `identify` or `diagnose` wrote.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for findings and the motion behind them. Default: <robot>-watch.")
+    ] = None,
+    reference: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="LOG",
+            help="Production from when the description was made, whose gap is the level; may be repeated. "
+            "Default: the first motion on the bus is.",
+        ),
+    ] = None,
+    learn: Annotated[float, typer.Option(min=2.0, help="Motion that the level is learnt from (s).")] = 30.0,
+    after: Annotated[float, typer.Option(min=6.0, help="Time from a rise to its diagnosis (s).")] = 28.0,
+    effects: OwnEffects = None,
+    zenoh_config: ZenohConfig = None,
+    insecure: Insecure = False,
+) -> None:
+    """Compare what the robot does with its description once a second, until Ctrl-C, and publish it as `gap`.
+
+    The level is known by kind of motion: a motion that was never seen is learnt, not alarmed about. What is carried is
+    left out, as gripper or estimator tell. When the gap rises and stays, the motion since is diagnosed against that
+    before in a process of the lowest priority. What has changed, since when, where and how much is published as
+    `finding`, printed, and stored with the motion behind it.
+
+    Example: deltatwin watch --robot corrected.toml --out findings
+
+    Example: deltatwin watch --robot corrected.toml --reference monday.mcap
+    """
+    import os
+    from functools import partial
+
+    from drivers.bus import check_free, open_bus
+    from schemas.errors import DataError
+    from schemas.files import make_folder
+    from schemas.messages import Role
+    from schemas.robot import load_robot
+    from service.cli.reading import reading
+    from service.cli.signals import stop_requested
+    from service.estimator.estimator import Estimator, rate_of
+    from service.watch.node import Examination, Node, run
+    from service.watch.watch import Patience, Watch
+
+    description = load_robot(robot, effects)
+    if description.identified is None:
+        raise DataError(f"{robot}: no [identified] parameters to hold the robot against: run `deltatwin identify`")
+    folder = out or Path(f"{description.name}-watch")
+    make_folder(folder)  # before anything runs: a watch that cannot store has nothing to do
+    watch = Watch(description, Patience(learn, after))
+    for trace in reading(reference or [], description, None, "learning"):
+        samples = trace.samples()
+        watch.learn(trace, Estimator(description, *rate_of(samples)).run(samples).payload)
+    watch.settle()
+    stopped = stop_requested()
+    check_free(description.name, Role.WATCH)
+    os.nice(10)  # nobody steers by it
+    with open_bus(description.name, Role.WATCH, zenoh_config, insecure) as bus:
+        typer.echo(f"watching {description.name}; findings go to {folder}; Ctrl-C ends it", err=True)
+        node = Node(watch, bus, partial(Examination, robot, effects, folder), partial(print, flush=True))
+        run(node, stopped)
+    typer.echo(f"watch: stopped; {node.counts()['received']} samples, {node.counts()['lost']} lost", err=True)

@@ -1,0 +1,163 @@
+"""What has changed between two stretches of motion."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from drivers.trace import write_trace
+from schemas.diagnosis import NamedEffect
+from schemas.files import make_folder, write_text
+from schemas.robot import Robot, load_robot
+from schemas.trace import Trace
+from schemas.watch import Finding
+from service.diagnosis.diagnose import diagnose
+from service.diagnosis.documents.document import corrected, document
+from service.identification.fit import Problem, evaluate
+from service.model.effects import catalogue
+from service.model.effects.base import Effect
+from service.watch.change import changes
+from service.watch.watch import Case
+
+LOWEST = 19  # nice
+BEFORE_PARTS, AFTER_PARTS = 2, 3  # runs that each is taken for, one left out at a time
+WORDS = 2  # quantities of an effect that the line tells
+CLOCK_S = 1e9  # bus time above that is a date
+
+
+def stand_back() -> None:
+    """Of a process that examines: whatever is real time has the processor first, and Ctrl-C is its parent's."""
+    os.nice(LOWEST)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def report(description: Path, effects: Path | None, folder: Path, case: Case) -> Finding:
+    """Examine, and leave the finding and the motion behind it in `folder`.
+
+    Raises:
+        DeltatwinError: a file cannot be written, or `examine` gave up.
+    """
+    robot = load_robot(description, effects)
+    make_folder(folder)
+    for name, trace in (("before", case.before), ("after", case.after)):
+        if trace is not None:
+            write_trace(trace, folder / f"{name}.mcap", robot.name)
+    finding = examine(robot, case, catalogue(effects))
+    write_text(folder / "finding.json", finding.model_dump_json(indent=1, by_alias=True))
+    return finding
+
+
+def examine(robot: Robot, case: Case, effects: Sequence[Effect]) -> Finding:
+    """Find out which of `effects` came between before and after; where there is no before, what the description lacks.
+
+    Raises:
+        TraceError, DataError, PoseError: as `diagnose`.
+    """
+    parts, known, first = _parts(case.after, AFTER_PARTS), robot, 0
+    if case.before is not None:
+        earlier, first = _parts(case.before, BEFORE_PARTS), BEFORE_PARTS
+        known = standing(robot, earlier, effects)
+        parts, effects = earlier + parts, changes(effects, first)
+    found = diagnose(known, parts, effects)
+    late = np.array([recording.trace >= first for recording in found.problem.recordings])
+    best = found.best.hypothesis
+    without = evaluate(found.problem, replace(best, terms=best.terms[: len(found.given)])).residuals
+    epoch, sigma = case.after.epoch_ns * 1e-9, found.problem.sigma
+    finding = Finding(
+        schema="deltatwin.finding/1",
+        robot=robot.name,
+        since_s=round(epoch + case.since, 3),
+        until_s=round(epoch + float(case.after.time[-1]), 3),
+        joints=(np.flatnonzero(case.joints) + 1).tolist(),
+        before_nm=_rounded(_rms(found.problem, without, ~late) * sigma),
+        after_nm=_rounded(_rms(found.problem, without, late) * sigma),
+        left_nm=_rounded(_rms(found.problem, found.best.fitted.residuals, late) * sigma),
+        floor_nm=_rounded(sigma),
+        compared=case.before is not None,
+        text="",
+        diagnosis=document(found),
+    )
+    return finding.model_copy(update={"text": in_words(finding)})
+
+
+def standing(robot: Robot, before: Sequence[Trace], effects: Sequence[Effect]) -> Robot:
+    """The description with what it lacked already: else something that came on would stand in for it.
+
+    Raises:
+        TraceError, DataError, PoseError: as `diagnose`.
+    """
+    if diagnose(robot, before, ()).verdict == "within_noise":
+        return robot
+    known = corrected(diagnose(robot, before, effects))
+    assert isinstance(known, Robot)
+    return known
+
+
+def in_words(finding: Finding) -> str:
+    """The finding in one line."""
+    rise = f"{finding.robot}: gap of joint {_listed(finding.joints)} higher since {_when(finding.since_s)}"
+    verdict, effects = finding.diagnosis.verdict, finding.diagnosis.effects
+    if effects:
+        after, left = (float(np.hypot.reduce(values)) for values in (finding.after_nm, finding.left_nm))
+        rest = "" if verdict == "explained" else ", part of it stays unexplained"
+        return f"{rise}: {'; '.join(map(_effect, effects))}; takes {after:.3g} N m to {left:.3g}{rest}"
+    if verdict == "within_noise":
+        return f"{rise}, but within the noise of what was looked at"
+    said = [caution.code.replace("_", " ") for caution in finding.diagnosis.cannot_tell]
+    return f"{rise}: nothing in the catalogue explains it{f' ({said[0]})' if said else ''}"
+
+
+def _when(seconds: float) -> str:
+    if seconds < CLOCK_S:
+        return f"{seconds:.0f} s of bus time"
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _listed(joints: Sequence[int]) -> str:
+    return ", ".join(map(str, joints))
+
+
+def _effect(effect: NamedEffect) -> str:
+    figures = [
+        f"{name} {one.value:.3g} ± {(one.ci95[1] - one.ci95[0]) / 2:.2g} {one.unit}"
+        for name, one in list(effect.parameters.items())[:WORDS]
+    ]
+    where = f" on joint {_listed(effect.joints)}" if effect.joints else ""
+    doubt = f", or {' or '.join(effect.confusable_with)}" if effect.confusable_with else ""
+    return f"{effect.name}{where} ({', '.join(figures)}{doubt})"
+
+
+def _parts(trace: Trace, count: int) -> list[Trace]:
+    """`trace` as runs of equal length, named alike with a number."""
+    return [
+        replace(
+            trace,
+            path=Path(f"{trace.name}_{number + 1}"),
+            time=trace.time[rows],
+            position=trace.position[rows],
+            torque=trace.torque[rows],
+            position_command=None if trace.position_command is None else trace.position_command[rows],
+            flags=trace.flags[rows],
+        )
+        for number, rows in enumerate(np.array_split(np.arange(len(trace)), count))
+    ]
+
+
+def _rms(problem: Problem, residuals: Sequence[np.ndarray], which: np.ndarray) -> np.ndarray:
+    """(n,) rms of the residuals of the recordings `which`, in units of the noise; zero where there are none."""
+    square, count = np.zeros(len(problem.sigma)), np.zeros(len(problem.sigma))
+    for residual, joints, wanted in zip(residuals, problem.joints_of_rows, which, strict=True):
+        if wanted:
+            square += np.bincount(joints, residual**2, len(square))
+            count += np.bincount(joints, minlength=len(count))
+    return np.sqrt(square / np.maximum(count, 1.0))
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    return [float(f"{value:.4g}") for value in values]

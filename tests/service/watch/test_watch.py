@@ -1,0 +1,160 @@
+"""The watch over motion that is known exactly: it alarms when something changes, and not otherwise."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from schemas.messages import NANOSECONDS, PAYLOAD, Gripper, WatchState, set_stamp, stamp_ns
+from schemas.trace import Trace
+from service.watch.watch import FALLEN, RISEN, Case, Patience, Watch
+from tests.service.watch.logs import KNOWN, log, motion, rest_of, stribeck
+
+ONSET = 30.0  # s
+IMPATIENT = Patience(learn=18.0, after=12.0)
+
+
+def through(trace: Trace) -> tuple[Watch, np.ndarray, Case | None]:
+    """The watch, its messages and the first case, samples coming in half seconds."""
+    one, samples, told, case = Watch(KNOWN, IMPATIENT), trace.samples(), [], None
+    for k in range(0, len(samples), 500):
+        told += one.add(samples[k : k + 500])
+        case = case or one.case()
+    return one, np.concatenate(told), case
+
+
+def states(told: np.ndarray) -> list[WatchState]:
+    return [WatchState(int(state)) for state in told["state"]]
+
+
+def test_an_unchanged_robot_raises_no_alarm() -> None:
+    run = motion(45.0)
+    _, told, case = through(log(run, run.torque))
+    assert case is None
+    assert set(states(told)) == {WatchState.LEARNING, WatchState.WATCHING}
+    steady = told[told["state"] == WatchState.WATCHING]
+    assert len(steady) > 20
+    assert (steady["ratio"] > 1 / RISEN).all()
+    assert (steady["ratio"] < FALLEN).all()
+    np.testing.assert_allclose(steady["gap"], steady["floor"], rtol=0.15)
+    assert (np.diff(told["sequence"].astype(int)) == 1).all()
+
+
+def test_a_change_raises_the_alarm_once_says_where_and_since_when() -> None:
+    run = motion(45.0)
+    one, told, case = through(log(run, stribeck(run, ONSET)))
+    time = told["stamp_sec"] + told["stamp_nanosec"] * 1e-9
+    raised = time[told["state"] == WatchState.RAISED]
+    assert ONSET < raised[0] < ONSET + 10.0
+    assert (time[(told["state"] == WatchState.WATCHING)] < raised[0]).all()
+    assert case is not None
+    assert case.since == pytest.approx(ONSET, abs=1.5)
+    assert case.joints.tolist() == [False, True, False]
+    assert case.before is not None
+    assert case.before.time[-1] < ONSET < case.after.time[0]
+    assert one.case() is None  # until it is told that the diagnosis is done, and for ten minutes
+
+
+def test_a_faster_motion_is_learnt_not_alarmed_about() -> None:
+    slow, fast = motion(30.0, 3.0), motion(30.0, 12.0)
+    torque = np.concatenate([run.torque + 0.05 * run.motion[2] for run in (slow, fast)])  # kg m^2 not described
+    joined = dataclasses.replace(
+        log(slow, slow.torque),
+        time=np.arange(len(torque)) * 1e-3,
+        position=np.concatenate([slow.motion[0], fast.motion[0]]),
+        torque=torque + 0.3 * np.random.default_rng(0).standard_normal(torque.shape),
+        position_command=None,
+        flags=np.zeros(len(torque), np.uint32),
+    )
+    _, told, case = through(joined)
+    assert case is None
+    assert WatchState.RAISED not in states(told)
+    time = told["stamp_sec"] + told["stamp_nanosec"] * 1e-9
+    gap = told["gap"].max(axis=1)
+    assert gap[time > 50].mean() > 3 * gap[(time > 20) & (time < 30)].mean()  # there was something to alarm about
+
+
+def test_what_is_no_motion_of_the_robot_is_no_gap() -> None:
+    run = motion(20.0)
+    trace = log(run, run.torque)
+    samples = trace.samples()
+    samples["position"][5000:6000] = np.nan
+    samples["torque"][8000] = np.inf
+    samples["position"][9000] += 1.0
+    told = np.concatenate(Watch(KNOWN).add(samples))
+    assert np.isfinite(told["gap"][8:]).all()
+    np.testing.assert_allclose(told["gap"][8:], told["floor"][8:], rtol=0.2)
+
+
+def test_a_robot_at_rest_is_idle_and_keeps_its_level() -> None:
+    run = motion(25.0)
+    trace = log(run, run.torque)
+    rest = rest_of(run, 20.0)
+    samples = trace.samples()
+    samples["position"][20000:] = rest.motion[0][0]
+    _, told, case = through(dataclasses.replace(trace, position=samples["position"]))
+    assert case is None
+    assert WatchState.RAISED not in states(told)
+
+
+def picked(seconds: float, first: float = 2.0) -> np.ndarray:
+    """PAYLOAD records: 1 kg for one second in two, seen 0.1 s late."""
+    records = PAYLOAD.empty(round(seconds * 100))
+    time = np.arange(len(records)) / 100
+    set_stamp(records, np.round(time * NANOSECONDS).astype(np.int64))
+    records["mass"] = np.where((time > first) & ((time - 0.1) % 2.0 < 1.0), 1.0, 0.0)
+    return records
+
+
+@pytest.mark.parametrize("told_by", ["estimator", "gripper"])
+def test_what_is_carried_is_no_gap(told_by: str) -> None:
+    run = motion(30.0)
+    carried = (run.time % 2.0 < 1.0) & (run.time > 2.0)
+    trace = log(run, run.torque + np.where(carried[:, None], 4.0, 0.0))
+    samples, payload = trace.samples(), PAYLOAD.empty(0)
+    if told_by == "gripper":
+        samples["gripper"] = np.where(carried, Gripper.CLOSED, Gripper.OPEN)
+    else:
+        payload = picked(30.0)
+    told = np.concatenate(Watch(KNOWN).add(samples, payload))[8:]
+    np.testing.assert_allclose(told["gap"], told["floor"], rtol=0.25)
+    assert (told["moving"] < 6.5).all()  # of ten seconds
+    assert (told["moving"] > 2.0).all()
+
+
+def test_a_mass_that_stays_is_the_robots_own_and_raises_the_alarm() -> None:
+    run = motion(45.0)
+    trace = log(run, run.torque + np.where(run.time[:, None] > ONSET, 2.0, 0.0))
+    payload = picked(45.0, first=ONSET)
+    payload["mass"] = np.where(stamp_ns(payload) > ONSET * NANOSECONDS, 1.0, 0.0)
+    one, samples, told = Watch(KNOWN, IMPATIENT), trace.samples(), []
+    for k in range(0, len(samples), 500):
+        told += one.add(samples[k : k + 500], payload[k // 10 : k // 10 + 50])
+    assert WatchState.RAISED in states(np.concatenate(told))
+
+
+def test_the_level_comes_from_a_reference_log_and_what_differs_on_the_bus_raises_the_alarm_at_once() -> None:
+    run = motion(30.0)
+    one = Watch(KNOWN)
+    one.learn(log(run, run.torque), PAYLOAD.empty(0))
+    one.settle()
+    assert one.state == WatchState.WATCHING
+    worn = log(run, stribeck(run, 0.0)).samples()
+    told = np.concatenate(one.add(worn[:12_000]))
+    assert WatchState.RAISED in states(told)
+
+
+def test_stamps_of_another_clock_and_a_clock_that_begins_anew() -> None:
+    run = motion(30.0)
+    samples = log(run, run.torque).samples()
+    samples["stamp_sec"][[4000, 12000, 12499]] = 2**31 - 1
+    one = Watch(KNOWN, Patience(learn=15.0))
+    first = np.concatenate([m for k in range(0, len(samples), 500) for m in one.add(samples[k : k + 500])])
+    again = np.concatenate([m for k in range(0, 12_000, 500) for m in one.add(samples[k : k + 500])])
+    assert len(first) > 25
+    assert first["state"][-1] == WatchState.WATCHING
+    assert again["stamp_sec"][-1] < 12
+    np.testing.assert_allclose(again["gap"][8:], again["floor"][8:], rtol=0.3)
+    assert WatchState.LEARNING not in states(again)
