@@ -138,7 +138,7 @@ def _for_motion(settings, state, sample):
     if status != REACHED:
         return False
     torque_kernel(settings, state, sample.stamp_sec + sample.stamp_nanosec * 1e-9)
-    mass = usable_mass(state)
+    mass = state.payload.usable
     finite = True
     for i in range(3):
         state.wanted[i] = state.full[i] + mass * load_kernel(settings, state, i) + _learnt_friction(settings, state, i)
@@ -194,13 +194,6 @@ def grey_kernel(settings, terms, i):
 def load_kernel(settings, state, i):
     """Reported torque on joint i per kg of payload, N m/kg, for the pose last given to the terms kernel."""
     return settings.scale[i] * state.terms[PAYLOAD, i]
-
-
-@njit(cache=True)
-def usable_mass(state):
-    """The payload to reckon with, kg: the trusted one; an estimate not yet trusted may only make it lighter."""
-    weighed = state.payload
-    return weighed.mass if weighed.trusted != 0 else min(weighed.mass, weighed.load)
 
 
 @njit(cache=True)

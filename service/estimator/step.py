@@ -23,7 +23,6 @@ from service.estimator.feedforward import (
     hold_kernel,
     load_kernel,
     torque_kernel,
-    usable_mass,
 )  # fmt: skip
 from service.estimator.kalman import (
     MAX_LAG,
@@ -35,7 +34,7 @@ from service.estimator.kalman import (
     update_kernel,
 )
 from service.estimator.payload.state import PRIOR_STD
-from service.estimator.payload.step import payload_kernel
+from service.estimator.payload.step import payload_kernel, unseen_kernel
 from service.estimator.stream import (
     BACKWARDS,
     COMMAND_JUMP,
@@ -61,6 +60,8 @@ from service.model.kinematics import REACHED
 
 # Presliding and Stribeck effects live below this speed: the payload looks at a joint there where nothing is faster.
 REVERSAL_SPEED = 0.05  # rad/s
+# In a shorter hole the load is taken to stay; what it did shows as soon as it is weighed again.
+UNSEEN_TIME = 0.5  # s
 # The rigid-body terms are known to about this share of themselves after identification.
 MODEL_SHARE = 0.01
 
@@ -157,7 +158,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             weighed.slow_weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
         weighed.gripper = past.gripper
         event = payload_kernel(settings.payload, weighed)
-        load = usable_mass(state)
+        load = weighed.usable
         for i in range(3):
             error_out.full[i] = weighed.residual[i] - load * weighed.column[i, 0]
     error_out.flags = flags
@@ -176,7 +177,7 @@ def step_kernel(settings, state, sample, feedforward):
     """One sample. Fills `feedforward`. Returns whether there is a sample the fixed lag ago, to look back on."""
     gap = cycles_since(settings, state, sample)
     flags = faults(settings, state, sample, gap)
-    begins = False
+    begins = elsewhere = False
     if flags & (NAN | RANGE) == 0:
         if state.started == 0:
             begins = flags & UNUSABLE == 0
@@ -184,7 +185,7 @@ def step_kernel(settings, state, sample, feedforward):
             state.stray = 0
             begins = flags & UNUSABLE == 0 and state.measured.idle + gap > restart_cycles(settings)
         elif is_new_stream(settings, state, sample):
-            begins = True
+            begins = elsewhere = True
             flags = (flags & ~(REPEATED | BACKWARDS | JUMP)) | GAP
 
     # a broken sample may not carry the sequence away with it
@@ -194,6 +195,8 @@ def step_kernel(settings, state, sample, feedforward):
         state.held = 0
         passed = max(gap, np.int64(1))  # none, where a source started over
         if begins:
+            if elsewhere or (state.measured.idle + gap) * settings.period > UNSEEN_TIME:
+                unseen_kernel(state.payload)
             gap = 1
             restart(settings, state, sample)
         else:

@@ -164,5 +164,4 @@ class NumpyEstimator:
         return dry * np.clip(theta_dot / REST_SPEED, -1, 1) + viscous * theta_dot + offset
 
     def mass(self) -> float:
-        now = self.weighed[0]
-        return now["mass"] if now["trusted"] else min(now["mass"], now["load"])
+        return self.weighed[0]["usable"]

@@ -21,6 +21,9 @@ BLOCK_TIME, COLOUR = 0.02, 3.0  # s, -
 BLOCKS = 16  # with motion, over which their scatter is averaged
 # A mass below nothing, or of nothing, shows a bias that other masses have too; it is remembered for this long.
 SHORTFALL_TIME = 30.0  # s
+# A mass that is not trusted any longer leaves the feed-forward torque: so fast where it has become lighter, and so
+# slowly for good, that trust lost for a moment does not show.
+LIGHTER_TIME, LEAVING_TIME = 0.05, 1.0  # s
 LOADS = 3  # m and, where the fourth axis turns, the m d_1 and m d_2 of `turning`
 # One standard deviation of m d: 4 kg at 50 mm.
 OFFSET_STD = 0.2  # kg m
@@ -89,6 +92,7 @@ STATE = np.dtype(
         ("mass", "f8"),  # kg
         ("std_dev", "f8"),  # kg
         ("trusted", "i8"),
+        ("usable", "f8"),  # kg, that the feed-forward torque reckons with
     ],
     align=True,
 )
@@ -101,6 +105,8 @@ SETTINGS = np.dtype(
         ("bin_size", "i8"),  # samples
         ("block_size", "i8"),
         ("remember", "f8"),  # per sample, of the shortfall
+        ("lighten", "f8"),  # per sample, of what a mass not trusted is lighter by
+        ("leave", "f8"),  # per sample, of a mass not trusted
         ("model_error", "f8"),  # squared, over the noise of a block
         ("information_weight", "f8"),  # share of a sample that is new information
         ("period", "f8"),  # s
@@ -129,7 +135,8 @@ def settings(
     for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME)):
         record[name] = max(1, round(time / period))
     record["forgetting"] = np.exp(-period / MEMORY_TIME)
-    record["remember"] = np.exp(-period / SHORTFALL_TIME)
+    for name, time in (("remember", SHORTFALL_TIME), ("lighten", LIGHTER_TIME), ("leave", LEAVING_TIME)):
+        record[name] = np.exp(-period / time)
     record["friction_forgetting"] = np.exp(-record["block_size"] * period / friction.MEMORY_TIME)
     record["information_weight"] = min(1.0, period / CORRELATION_TIME)
     record["model_error"] = (

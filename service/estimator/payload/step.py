@@ -98,20 +98,33 @@ def _weigh_slowly(settings, state):
 def _grip(state):
     """The gripper opened or closed: what hangs on it is another from here on."""
     if state.gripper_before != UNKNOWN and state.gripper != UNKNOWN:
-        for n in range(WINDOW):
-            state.bin_information[n] = 0.0
-            state.bin_moment[n] = 0.0
-            state.bin_drag[n] = 0.0
-        state.in_bin = 0
-        state.filled = 1
-        state.information[:] = 0.0
-        for p in range(LOADS):
-            state.information[p, p] = prior_of(p)
-            state.moment[p] = 0.0
-            state.drag[p] = 0.0
-        state.raw_information = prior_of(0)
-        slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
+        _weigh_anew(state)
     state.gripper_before = state.gripper
+
+
+@njit(cache=True)
+def _weigh_anew(state):
+    """Nothing is known of what hangs there."""
+    for n in range(WINDOW):
+        state.bin_information[n] = 0.0
+        state.bin_moment[n] = 0.0
+        state.bin_drag[n] = 0.0
+    state.in_bin = 0
+    state.filled = 1
+    state.information[:] = 0.0
+    for p in range(LOADS):
+        state.information[p, p] = prior_of(p)
+        state.moment[p] = 0.0
+        state.drag[p] = 0.0
+    state.raw_information = prior_of(0)
+    slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
+
+
+@njit(cache=True)
+def unseen_kernel(state):
+    """Nobody saw what the gripper did."""
+    _weigh_anew(state)
+    state.mass, state.std_dev, state.trusted, state.usable = 0.0, PRIOR_STD, 0, 0.0
 
 
 @njit(cache=True)

@@ -89,7 +89,21 @@ def conclude(settings, state):
     state.mass = held
     state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
     state.trusted = 1 if trusted else 0
+    _reckon(settings, state)
     return event
+
+
+@njit(cache=True)
+def _reckon(settings, state):
+    """state.usable: only a trusted mass gets in. Without trust it leaves smoothly, but for a release, which is a step
+    by nature."""
+    if state.trusted != 0:
+        state.usable = state.mass
+        return
+    usable = min(state.usable, state.mass)
+    if state.last_event != PayloadEvent.RELEASE.value or state.quiet * settings.period > REFINING_TIME:
+        usable += (state.usable - usable) * settings.lighten
+    state.usable = usable * settings.leave
 
 
 @njit(cache=True)

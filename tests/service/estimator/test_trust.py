@@ -81,6 +81,61 @@ def test_a_load_off_the_axis_that_swings_is_not_trusted(robot, make):
     assert np.count_nonzero(payload["event"]) <= 2
 
 
+def fed(estimator, samples, every=5):
+    """(N,) kg that the feed-forward torque reckons with after every few samples, and whether one was trusted since."""
+    mass, trusted = [], []
+    for begin in range(0, len(samples), every):
+        payload = estimator.run(samples[begin : begin + every]).payload
+        mass.append(float(estimator.state["payload"]["usable"]))
+        trusted.append(bool(payload["trusted"].any()))
+    return np.array(mass), np.array(trusted)
+
+
+def test_an_event_that_is_not_trusted_leaves_the_feed_forward_torque_alone(robot, make):
+    """9 kg on a gripper for 6: something was picked, and what is not known."""
+    known = make(4.0, payload=lambda t: 9.0 * (t >= 1.0), noise=0.25)
+    estimator = Estimator(robot, PERIOD)
+    mass, trusted = fed(estimator, known.samples)
+    assert not trusted[300:].any()
+    assert (np.diff(mass)[~trusted[1:]] <= 0).all()
+    assert mass[-1] < 0.5, "what it was for a moment, on its way up, has left"
+    assert estimator.state["payload"]["load"] > 5, "there was an event"
+
+
+def test_a_mass_that_is_no_longer_trusted_leaves_the_feed_forward_torque_smoothly(robot, make):
+    known = make(4.0, payload=lambda t: 3.0 * np.ones_like(t), noise=0.25)
+    time = stamp_ns(known.samples) * 1e-9
+    known.samples["torque"][:, 0] += 30.0 * np.sin(2 * np.pi * 9.0 * time) * (time > 2.0)  # no payload does this
+    mass, trusted = fed(Estimator(robot, PERIOD), known.samples)
+    assert trusted[200:400].all()
+    assert mass[390] == pytest.approx(3.0, abs=0.05)
+    doubted = np.flatnonzero(~trusted[400:]) + 400
+    assert len(doubted) > 300
+    steps = np.diff(mass)[doubted - 1]
+    assert (steps <= 0).all()
+    assert steps.min() > -0.12 * mass[390], "5 ms of 50 ms, and not at once"
+    assert mass[-1] < 0.5
+
+
+@pytest.mark.parametrize(
+    ("hole", "elsewhere", "kept"),
+    [(0.1, False, 2.0), (0.6, False, 0.0), (0.1, True, 0.0)],
+    ids=["a moment", "long", "another stream"],
+)
+def test_a_load_that_nobody_watched_is_weighed_anew(robot, make, hole, elsewhere, kept):
+    known = make(3.0, payload=lambda t: 2.0 * np.ones_like(t), noise=0.25)
+    estimator = Estimator(robot, PERIOD)
+    mass, _ = fed(estimator, known.samples[:1500])
+    assert mass[-1] == pytest.approx(2.0, abs=0.05)
+    back = known.samples[1500 + round(hole / PERIOD) :]
+    if elsewhere:
+        back["sequence"] -= 1000
+    mass, trusted = fed(estimator, back)
+    assert mass[4] == pytest.approx(kept, abs=0.05), "25 ms in, before anything was weighed again"
+    assert trusted[100:].all()
+    assert mass[100:] == pytest.approx(2.0, abs=0.05)
+
+
 @pytest.mark.parametrize("turned", [False, True], ids=["multi-turn", "within one turn"])
 def test_a_load_off_the_axis_is_weighed_where_the_angle_is_known(robot, make, turned):
     known = make(9.0, payload=carried, noise=0.25)
