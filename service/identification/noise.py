@@ -47,9 +47,9 @@ def floor(recordings: Sequence[Recording], residuals: Sequence[np.ndarray], band
     rms = sample * share
     coloured = levels[:, 0] > COLOURED * np.maximum(levels[:, -1], step)
     known = np.ones(len(rms), bool)
-    for joint in np.flatnonzero(coloured):
-        inside, known[joint] = _extrapolated(levels[joint], band)
-        rms[joint] = max(rms[joint], inside) if known[joint] else rms[joint]
+    if coloured.any():
+        inside, known[coloured] = _extrapolated(levels[coloured], band)
+        rms[coloured] = np.where(known[coloured], np.maximum(rms[coloured], inside), rms[coloured])
     unknown = ~known | (rms < LEAST_SHARE * torque)
     rms = np.maximum(rms, np.where(unknown, UNKNOWN_SHARE, LEAST_SHARE) * torque)
     return Floor(np.maximum(sample, 1e-9), np.maximum(rms, 1e-9), coloured & ~unknown, unknown)
@@ -101,19 +101,23 @@ def _levels(
     return np.sqrt(np.array(result).T)
 
 
-def _extrapolated(levels: np.ndarray, band: Band) -> tuple[float, bool]:
-    """Rms in the analysis band of noise with these levels above it, white and of first order together; and whether the
-    levels say what is below them."""
+def _extrapolated(levels: np.ndarray, band: Band) -> tuple[np.ndarray, np.ndarray]:
+    """Rms (m,) in the analysis band of noise with these levels (m, BANDS) above it, white and of first order together;
+    and whether the levels say what is below them, (m,) bool.
+
+    The drives of a machine are of one kind, so the corner is that of all: it is what the levels of one tell least.
+    """
     middle = np.sqrt(np.array([low * high for low, high in pairwise(_edges(band))]))
-    density, best = levels**2, (np.inf, 1.0, np.zeros(2))
+    densities, best = levels**2, (np.inf, 1.0, np.zeros((len(levels), 2)))
     for corner in np.geomspace(0.2 * band.cutoff_hz, 0.5 / band.period, 60):
         shape = np.stack([np.ones(BANDS), 1.0 / (1.0 + (middle / corner) ** 2)], axis=1)
-        weight, left = nnls(shape / density[:, None], np.ones(BANDS))
-        best = min(best, (float(left), float(corner), weight), key=lambda item: item[0])
-    _, corner, weight = best
+        fits = [nnls(shape / density[:, None], np.ones(BANDS)) for density in densities]
+        left, weights = sum(left**2 for _, left in fits), np.array([weight for weight, _ in fits])
+        best = min(best, (left, float(corner), weights), key=lambda item: item[0])
+    _, corner, weights = best
     frequency, passed = band.passes
-    inside = weight[0] + weight[1] / (1.0 + (frequency / corner) ** 2)
-    return float(np.sqrt(np.mean(inside * passed))), bool(inside[0] < MEMORY * density[0])
+    inside = weights[:, :1] + weights[:, 1:] / (1.0 + (frequency / corner) ** 2)
+    return np.sqrt(np.mean(inside * passed, axis=1)), inside[:, 0] < MEMORY * densities[:, 0]
 
 
 def _steps(recordings: Sequence[Recording]) -> np.ndarray:

@@ -17,7 +17,7 @@ from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.rivals import ModelComparison, comparisons, confusable, undecided
 from service.diagnosis.evidence.unseen import unseen
-from service.diagnosis.evidence.where import where, without
+from service.diagnosis.evidence.where import where
 from service.diagnosis.findings import Findings
 from service.estimator.effects import carried
 from service.identification.folds import block_loss
@@ -159,7 +159,7 @@ def _effects(findings: Findings, comparisons: list[ModelComparison]) -> list[Nam
     gap = max(findings.selection.none.loss - findings.problem.count, 1e-9)
     result = []
     for effect, found in parameters.items():
-        lost = sum(float(r @ r) for r in without(findings, effect)) - findings.best.loss
+        lost = findings.selection.without[effect].loss - findings.best.loss
         probability = max((comparison.probability(effect.name) for comparison in comparisons), default=0.0)
         result.append(
             NamedEffect(

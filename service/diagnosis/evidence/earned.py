@@ -38,8 +38,9 @@ def earned(
     best = selection.best
     while True:
         effects = list(dict.fromkeys(term.effect for term in best.hypothesis.terms[given:]))
+        refits = {}
         for effect in effects:
-            without = _without(problem, split, selection, best, effect)
+            refits[effect] = without = _without(problem, split, selection, best, effect)
             caution = (
                 _open(best, split, effect)
                 or _varies(problem, split, best, effect)
@@ -51,9 +52,8 @@ def earned(
                 break
         else:
             break
-    if not fallen:
-        return selection, []
-    return _cut(selection, best), fallen
+    kept = _cut(selection, best) if fallen else selection
+    return replace(kept, without=refits), fallen
 
 
 def together(
@@ -89,7 +89,7 @@ def _cut(selection: Selection, best: Scored) -> Selection:
             path.append((tried, None))
             break
         path.append((tried, taken))
-    return replace(selection, best=best, path=path)
+    return replace(selection, best=best, path=path, without={})
 
 
 def _open(best: Scored, split: Split, effect: Effect) -> Caution | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -11,12 +11,9 @@ from schemas.diagnosis import FrequencyShare, JointWhere, Regime, RunLevel, Wher
 from service.diagnosis.findings import Findings
 from service.identification.events import bursts, events_of, rhythm
 from service.identification.fit import Problem
-from service.identification.folds import held_out
 from service.model.description import in_units_of
-from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis
 from service.model.mechanism import Delta
-from service.model.parameters import Parameters
 
 REVERSAL_SPEED = 0.1  # rad/s: nearer than this to zero is a reversal
 ANGLE_BINS = 10
@@ -82,29 +79,14 @@ def budget(findings: Findings, joint: int) -> dict[str, float]:
     parts = {"noise": noise, "reversals": reversals, "unexplained": max(after - noise - reversals, 0.0)}
     explained = before - after
     left = energy(findings.best.residuals)
-    effects = dict.fromkeys(term.effect for term in findings.best.hypothesis.terms)
-    weights = {effect.name: max(energy(without(findings, effect)) - left, 0.0) for effect in effects}
+    weights = {
+        effect.name: max(energy(refit.residuals) - left, 0.0) for effect, refit in findings.selection.without.items()
+    }
     weights["timing"] = max(before - energy(findings.selection.none.residuals), 0.0)
     total = sum(weights.values())
     for name, weight in weights.items():
         parts[name] = explained * weight / total if total > 0 else 0.0
     return parts
-
-
-def without(findings: Findings, effect: Effect) -> list[np.ndarray]:
-    """Held-out residuals (R,) a recording with one effect taken out and everything else refitted, to first order."""
-    fitted = findings.best.fitted
-    change, free = np.zeros(len(fitted.free)), fitted.free.copy()
-    parameters = Parameters(fitted.hypothesis)
-    for number, term in enumerate(fitted.hypothesis.terms):
-        if term.effect is effect:
-            if not term.amplitude.size:  # shapes alone have no slope to zero: the model without any effect
-                return findings.selection.none.residuals
-            columns = parameters.columns(number)
-            change[columns[: term.amplitude.size]] = -term.amplitude.ravel()
-            free[columns] = False
-    residuals = [r - t @ change for r, t in zip(fitted.residuals, fitted.tangents, strict=True)]
-    return held_out(replace(fitted, residuals=residuals, free=free), findings.split)
 
 
 def regimes(findings: Findings, rows: RowStates, residuals: list[np.ndarray], joint: int) -> list[Regime]:

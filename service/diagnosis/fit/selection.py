@@ -7,8 +7,8 @@ small linear solve. The best few are fitted exactly, shapes included, before one
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -291,7 +291,7 @@ class Selection:
 
     path: a round each, the hypotheses fitted and the one taken (None where none was worth it).
     trimmed: a hypothesis taken -> what was left of it after the backward check. fault: of the hypothesis that would
-    have been taken next and cannot be.
+    have been taken next and cannot be. without: `best` refitted without each effect that has earned its name.
     """
 
     none: Scored
@@ -299,6 +299,7 @@ class Selection:
     path: list[tuple[list[Scored], Scored | None]]
     trimmed: dict[int, Scored]
     fault: Fault | None = None
+    without: Mapping[Effect, Scored] = field(default_factory=dict)
 
     def after(self, taken: Scored) -> Scored:
         """What a hypothesis taken became."""

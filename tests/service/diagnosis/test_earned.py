@@ -46,8 +46,19 @@ def test_a_name_that_shrinks_the_gap_everywhere_stands():
     made = logs((1, 2, 3), "joint_spring")
     found = chosen(made, SPRING)
     kept, fallen = earned(made, Split.of(made), found, 0, [logs((4,), "joint_spring")])
-    assert kept is found
+    assert (kept.best, kept.path) == (found.best, found.path)
+    assert kept.without == {SPRING.effect: found.none}
     assert fallen == []
+
+
+def test_a_delay_beside_an_effect_is_worth_what_the_gap_grows_by_when_it_goes():
+    """It has no amplitude to take away: the other has to stay and be fitted anew."""
+    made = logs((1, 2, 3), "joint_spring", "torque_delay")
+    kept, fallen = earned(made, Split.of(made), chosen(made, SPRING, DELAY), 0, [])
+    assert fallen == []
+    alone = chosen(made, SPRING).best
+    assert kept.without[DELAY.effect].loss == pytest.approx(alone.loss, rel=1e-3)
+    assert alone.loss < 0.5 * kept.none.loss
 
 
 def test_a_name_that_shrinks_nothing_falls_and_the_others_stay():

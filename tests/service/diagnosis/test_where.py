@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from schemas.diagnosis import Regime
-from tests.service.subject import Hypothesis, evaluate, fit, selection, where
+from tests.service.subject import Hypothesis, evaluate, where
 from tests.service.world import BASE, course, problem
 
 
@@ -37,16 +37,6 @@ def test_what_is_left_above_noise_and_reversals_is_unexplained(findings):
     assert parts["noise"] == pytest.approx(findings.problem.sigma[0] ** 2)
     assert parts["reversals"] == pytest.approx(reversal)
     assert parts["unexplained"] == pytest.approx(4 * left - parts["noise"] - reversal)
-
-
-def test_without_an_effect_is_the_refit_of_the_others(findings):
-    """To first order: against the fit of the model that never had it."""
-    ripple = next(term.effect for term in findings.best.hypothesis.terms if term.effect.name == "cogging")
-    fewer = tuple(term for term in findings.best.hypothesis.terms if term.effect is not ripple)
-    refit = selection.score(fit(findings.problem, Hypothesis(findings.best.hypothesis.base, fewer)), findings.split)
-    found = sum(float(r @ r) for r in where.without(findings, ripple))
-    assert found == pytest.approx(refit.loss, rel=0.02)
-    assert refit.loss > 1.5 * findings.best.loss
 
 
 @pytest.fixture(scope="module")
