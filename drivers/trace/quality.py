@@ -13,12 +13,12 @@ from schemas.chain import Chain
 from schemas.errors import TraceError
 from schemas.machine import Machine
 from schemas.messages import SampleFlag
-from schemas.robot import Geometry
+from schemas.robot import Geometry, Robot
 from schemas.trace import Finding, Trace
 
 EXACT_SECONDS = 1_000_000  # float64 seconds below this hold a nanosecond
 GAP_PERIODS = 1.5  # a step of the stamps above this many periods has lost cycles
-MAX_SPEED = 60.0  # rad/s or m/s at the joint; fast Delta robots reach about 20 rad/s
+MAX_SPEED = 60.0  # rad/s at the joint of a Delta; fast ones reach about 20. A servo motor's own axis turns at hundreds
 MAX_ACCELERATION = 1e4  # rad/s^2 or m/s^2; fast Delta robots reach about 2e3 rad/s^2
 NOISE_SIGMAS = 15.0  # a jump stands this far out of the velocity's own noise
 ANY_JOINT = np.pi  # rad; no joint of a Delta turns further, whatever its robot's range
@@ -53,7 +53,7 @@ def check(trace: Trace, rows: RowNames, robot: Description | None) -> Trace:
         raise TraceError(f"{trace.path}: {len(trace)} samples, at least 2 are needed")
     flags = np.zeros(len(trace), np.uint32) if len(trace.flags) == 0 else trace.flags.copy()
     findings = list(trace.findings)
-    for finding in (*_stamps(trace, rows), *_values(trace, rows), *_range(trace, rows, robot)):
+    for finding in (*_stamps(trace, rows), *_values(trace, rows, robot), *_range(trace, rows, robot)):
         flags[finding.rows] |= np.uint32(finding.flag)
         findings.append(finding)
     return replace(trace, flags=flags, findings=tuple(findings))
@@ -102,7 +102,7 @@ def _stamps(trace: Trace, rows: RowNames) -> Iterator[Finding]:
         )
 
 
-def _values(trace: Trace, rows: RowNames) -> Iterator[Finding]:
+def _values(trace: Trace, rows: RowNames, robot: Description | None) -> Iterator[Finding]:
     for name, values, flag in (
         ("position", trace.position, SampleFlag.NOT_A_NUMBER),
         ("torque", trace.torque, SampleFlag.NOT_A_NUMBER),
@@ -117,7 +117,7 @@ def _values(trace: Trace, rows: RowNames) -> Iterator[Finding]:
                 what = f"{name} of joint {joint + 1}: {len(bad)} values missing or not finite"
                 yield Finding(flag, f"{what}: {rows.name(bad)} ({values[bad[0], joint]})", bad)
     yield from _commanded(trace)
-    yield from _jumps(trace, rows)
+    yield from _jumps(trace, rows, MAX_SPEED if robot is None or isinstance(robot, Robot) else np.inf)
 
 
 def _commanded(trace: Trace) -> Iterator[Finding]:
@@ -129,7 +129,8 @@ def _commanded(trace: Trace) -> Iterator[Finding]:
             yield Finding(SampleFlag(0), message, np.zeros(0, np.intp))
 
 
-def _jumps(trace: Trace, rows: RowNames) -> Iterator[Finding]:
+def _jumps(trace: Trace, rows: RowNames, fastest: float) -> Iterator[Finding]:
+    """fastest: rad/s or m/s beyond which even an even speed is none of a joint's."""
     step = np.diff(trace.time)
     period = float(np.median(step[step > 0]))
     step = np.maximum(step, period)[:, None]  # repeated or falling stamps: one cycle has passed at least
@@ -139,7 +140,7 @@ def _jumps(trace: Trace, rows: RowNames) -> Iterator[Finding]:
     speed = np.where(unknown, 0.0, speed)
     away = np.abs(speed - median_filter(speed, size=(5, 1)))
     noise = 1.4826 * np.median(away, axis=0)
-    jumped = (np.abs(speed) > MAX_SPEED) | (away > 2 * MAX_ACCELERATION * step + NOISE_SIGMAS * noise)
+    jumped = (np.abs(speed) > fastest) | (away > 2 * MAX_ACCELERATION * step + NOISE_SIGMAS * noise)
     for joint in range(speed.shape[1]):
         bad = np.flatnonzero(jumped[:, joint] & ~unknown[:, joint]) + 1
         if len(bad):

@@ -25,6 +25,8 @@ CAUTIONS = {
     "beyond_any_robot": "It would take {effect} beyond any robot's: cannot be told apart on this data.",
     "several_arms": "Several arms at once would have to be far from the described geometry: cannot be told apart on "
     "this data.",
+    "one_cause": "{Effect} would have to sit on joints {joints} at once, each with a figure of its own, and leaves far "
+    "more than noise: one cause on the platform looks like that.",
     "runs_differ": "Each run fits alone, but not all together: cannot be told apart on this data.",
     "much_is_left": "What is left is {share:.0%} of the torque itself, more than effects of the catalogue "
     "would leave: cannot be told apart on this data.",
@@ -51,7 +53,7 @@ CAUTIONS = {
 # with these no effect is told from others
 NO_NAMES = {
     "too_little_motion", "joints_at_rest", "beyond_any_robot", "several_arms", "runs_differ", "much_is_left",
-    "other_joints", "sine_of_angle",
+    "one_cause", "other_joints", "sine_of_angle",
 }  # fmt: skip
 ADVICE = {
     "record_runs": "Record three or more runs of 5 s: picks, a multisine and a slow sweep with reversals.",

@@ -35,3 +35,13 @@ def test_garbage_for_a_stamp_is_told_in_one_short_line():
 def test_a_name_keeps_its_dots(file, name):
     made = turning(1.0)
     assert Trace(Path("logs") / file, made.time, made.position, made.torque).name == name
+
+
+def test_a_servo_motor_turns_faster_than_a_deltas_joint_and_jumps_still():
+    made = turning(500.0)  # rad/s, 4800 rpm
+    rows = RowNames("line", np.arange(len(made)) + 2)
+    assert check(made, rows, MOTOR).findings == ()
+    assert "jumps" in check(made, rows, None).findings[-1].message
+    made.position[1000:] += 0.2  # a twentieth of a turn in one cycle
+    found = check(made, rows, MOTOR).findings
+    assert [finding.rows.tolist() for finding in found] == [[1000]]

@@ -52,6 +52,16 @@ def test_several_arms_at_once_are_the_description():
     assert doubt.code == "several_arms"
 
 
+def test_what_each_arm_has_otherwise_and_leaves_much_is_one_cause_on_the_platform():
+    springs = term("joint_spring", (0, 1, 2), 6.5, 8.6, 1.5, 6.9, 11.8, 3.0)
+    (doubt,) = found(springs, left=200.0, gap=5000.0)
+    assert (doubt.code, doubt.effect, doubt.joints) == ("one_cause", "joint_spring", [1, 2, 3])
+    assert found(springs, left=1.1, gap=5000.0) == []  # every arm may have a spring: then nothing is left
+    assert found(term("joint_spring", (0,), 6.5, 8.6), left=200.0, gap=5000.0) == []
+    rubs = Term(EFFECTS["stribeck_friction"], (0, 1, 2), np.ones((3, 1)), (0.3,))
+    assert found(rubs, left=200.0, gap=5000.0) == []  # every gear rubs
+
+
 def test_what_carries_over_is_no_accident():
     small = INJECTED["cogging"].term("cogging")
     assert found(small, left=4.0, gap=9.0) == []  # 62 % of the gap above the noise gone
