@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.bus import open_bus
-from drivers.health import CHANGE_NS, PERIOD_NS, Health
+from drivers.health import _WINDOW, CHANGE_NS, PERIOD_NS, Health
 from schemas.errors import BusError, DataError, StorageError
 from schemas.messages import HealthFlag, Role, StopReason
 
@@ -122,3 +122,24 @@ def test_counts_stand_still_at_the_end_of_their_range(bus_folder: Path, until: U
         Health(bus).publish(lost=3 * 2**64, received=-5)
         heard.wait_for(1)
     assert (int(heard.said[0]["lost"]), heard.said[0]["received"]) == (2**64 - 1, 0)
+    assert heard.said[0]["flags"] == HealthFlag(0)
+
+
+def test_latencies_are_those_since_the_last_message(bus_folder: Path, until: Until) -> None:
+    """Of more than are kept, the newest."""
+    with open_bus("bench", Role.MONITOR) as bus:
+        heard, health = Listener(bus, until), Health(bus)
+        for latency in range(1, 150):
+            health.time_one(latency * 1000)
+        health.time_many(np.arange(150, 301) * 1000)
+        health.publish()
+        health.publish()
+        health.time_many(np.full(1000, 10**9))
+        for count in (9000, 9000):
+            health.time_many(np.arange(count))
+        health.publish()
+        heard.wait_for(3)
+    found = [[float(said[f"latency_{name}"]) for name in ("median", "p99", "max")] for said in heard.said]
+    np.testing.assert_allclose(found[:2], [[151e-6, 298e-6, 300e-6], [0.0, 0.0, 0.0]])
+    kept = np.sort(np.r_[np.arange(9000), np.arange(9000)[-(_WINDOW - 9000) :]]) * 1e-9
+    np.testing.assert_allclose(found[2], [kept[_WINDOW // 2], kept[_WINDOW * 99 // 100], kept[-1]])

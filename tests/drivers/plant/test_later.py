@@ -47,6 +47,22 @@ def test_the_value_is_that_of_the_largest_joint_and_keeps_the_others_shares(robo
     np.testing.assert_allclose(theirs / theirs.max(), mine / mine.max())
 
 
+def test_what_came_stays_when_more_comes(robot: Robot) -> None:
+    """In the order of their times, whatever that of the options; each said with its figures."""
+    plant = Plant(robot)
+    last, first = (later(text, plant.described, 3) for text in ("backlash@2", "torque_offset=-0.5@0.4s"))
+    made = changes(plant, 3, [last, first])
+    cycles = [round(at / plant.period) for at in (0.4, 2.0)]
+    assert list(made) == cycles
+    assert [made[cycle].effects for cycle in cycles] == [(first.effect,), (first.effect, last.effect)]
+    shown = [value for value in first.effect.offset_nm if value]  # pyright: ignore[reportAttributeAccessIssue]
+    assert shown == [-0.5]
+    assert first.in_words.startswith("torque_offset from 0.4 s: offset_nm ")
+    assert sorted(first.in_words.split()[-1].split("/")) == ["-0", "-0", "-0.5"]
+    drag = later("air_drag=2.5@1", plant.described, 3)
+    assert drag.in_words == "air_drag from 1 s: drag_ns2pm2 2.5"
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

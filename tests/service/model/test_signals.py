@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,79 @@ def test_rest_is_the_scorers(shared: Path) -> None:
     for path in sorted((shared / "plant_logs").glob("case_00[0-3]/*.csv")):
         position = np.loadtxt(path, delimiter=",", skiprows=1, usecols=(4, 5, 6))
         assert np.array_equal(signals.moving(position, PERIOD), scorer["moving"](position, 1 / PERIOD))
+
+
+@pytest.mark.parametrize("samples", [0.3, 1.0, -0.75, 4.6, -3.2])
+def test_a_delay_of_parts_of_a_sample_is_exact_on_a_cubic_and_holds_the_ends(samples: float) -> None:
+    count = np.arange(60.0)
+    cubic = np.stack([0.01 * (count - 20) ** 3 - count, 5.0 - 0.002 * (count - 40) ** 3], axis=1)
+    found = signals.delayed(cubic, samples * PERIOD, PERIOD)
+    earlier = count - samples
+    expected = np.stack([0.01 * (earlier - 20) ** 3 - earlier, 5.0 - 0.002 * (earlier - 40) ** 3], axis=1)
+    np.testing.assert_allclose(found[8:-8], expected[8:-8], atol=1e-9)
+    if abs(samples) > 3:  # nothing but what is held
+        end = 0 if samples > 0 else -1
+        np.testing.assert_allclose(found[end], cubic[end])
+    held = signals.delayed(np.ones((5, 1)), samples * PERIOD, PERIOD)
+    np.testing.assert_allclose(held, 1.0)
+
+
+@pytest.mark.parametrize(("period", "cutoff", "step"), [(1e-3, 40.0, 5), (2.5e-4, 40.0, 20), (1e-2, 20.0, 1)])
+def test_a_band_passes_what_its_filter_does_to_an_impulse(period: float, cutoff: float, step: int) -> None:
+    band = signals.Band.of(period)
+    assert (band.cutoff_hz, band.step) == (cutoff, step)
+    impulse = np.zeros((2 * 8192, 1))
+    impulse[8192] = 1.0
+    answer = signals.lowpass(impulse, period, cutoff)[:, 0]
+    frequency, share = band.passes
+    power = np.abs(np.fft.rfft(answer))[:-1] ** 2
+    np.testing.assert_allclose(np.fft.rfftfreq(len(answer), period)[:-1], frequency)
+    np.testing.assert_allclose(power, share, atol=1e-6)
+    assert np.interp(cutoff, frequency, share) == pytest.approx(0.25, rel=0.01)  # half the power, forward and back
+    assert band.white_share == pytest.approx(np.sum(answer**2), rel=5e-3)
+    many = np.random.default_rng(0).standard_normal((403, 3, 30))
+    many[:, 1] = 0.0
+    np.testing.assert_allclose(band(many), signals.lowpass(many, period, cutoff)[::step], atol=1e-12)
+
+
+def seen(period: float, hz: float, noise: float, polled: float = 0.0) -> signals.Segment:
+    """A segment of one joint swinging at `hz`, the first half of it said to rest, with `noise` rad of the positions."""
+    time = np.arange(round(4.0 / period)) * period
+    wave = 0.5 * np.sin(2 * np.pi * hz * time)[:, None]
+    moving = np.arange(len(time))[:, None] >= len(time) // 2
+    acceleration = -((2 * np.pi * hz) ** 2) * wave
+    return signals.Segment(
+        np.arange(len(time)), time, period, wave, wave, acceleration, wave, moving, np.array([noise]), polled or period
+    )
+
+
+@pytest.mark.parametrize(("noise", "polled"), [(1e-7, 0.0), (2e-4, 0.0), (2e-4, 4e-3), (2e-3, 0.0), (1.0, 0.0)])
+def test_the_band_ends_where_noise_of_the_positions_is_a_share_of_the_acceleration(noise: float, polled: float) -> None:
+    """By the integral of the noise's spectrum, white in the positions, twice differentiated; two segments, one of twice
+    the noise, weigh by their squares."""
+    parts = [seen(1e-3, 2.0, noise, polled), seen(1e-3, 2.0, 2 * noise, polled)]
+    signal = 0.5 * (2 * np.pi * 2.0) ** 2 / 2**0.5
+    steps = 40.0 / 1.25 ** np.arange(20)
+    spread = []
+    for cutoff in steps:
+        frequency = np.linspace(0.0, cutoff, 4001)
+        density = 2 * (polled or 1e-3) * (1 + 4) / 2 * noise**2 * (2 * np.pi * frequency) ** 4
+        spread.append(np.trapezoid(density, frequency) ** 0.5)
+    fits = steps[np.array(spread) <= signals.NOISY * signal]
+    expected = max(fits[0], signals.LEAST_HZ) if len(fits) else signals.LEAST_HZ
+    assert signals.resolved_hz(parts) == pytest.approx(expected)
+
+
+def test_thinning_keeps_what_is_slow_of_the_torque() -> None:
+    part = replace(seen(1.25e-4, 2.0, 0.0), torque=np.sin(2 * np.pi * 50 * np.arange(32000) * 1.25e-4)[:, None])
+    ripple = np.sin(2 * np.pi * 1900 * part.time)[:, None]
+    found = signals.thin(replace(part, torque=part.torque + ripple))
+    assert found.period == pytest.approx(1e-3)
+    for name in ("rows", "time", "theta", "theta_dot", "theta_ddot", "moving"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(part, name)[::8])
+    assert np.abs(found.torque - part.torque[::8])[50:-50].max() < 0.02
+    slow = seen(1e-3, 2.0, 0.0)
+    assert signals.thin(slow) is slow
 
 
 def trace(count: int = 3000) -> Trace:

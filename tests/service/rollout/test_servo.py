@@ -15,7 +15,9 @@ from schemas.robot import Robot, Servo
 from schemas.trace import Trace
 from service.rollout.document import document
 from service.rollout.gap import PLAIN, plain, rollout
-from tests.service.subject import Hypothesis, described
+from service.rollout.robot import stretch
+from service.rollout.servo import commands_of, follow, gains_of
+from tests.service.subject import Hypothesis, described, segments
 from tests.service.world import BASE, COULOMB, PERIOD, ROBOT, TRANSITION, TRUTH, VISCOUS
 
 HERTZ, SPEED_HERTZ = 8.0, 30.0
@@ -87,3 +89,24 @@ def test_a_log_without_commands_or_whose_torque_does_not_follow_them_is_refused(
         rollout(robots, [replace(trace, position_command=holed)], commands=True)
     with pytest.raises(DataError, match=r"torque of joint 1 does not follow .* describe the drives in \[servo\]"):
         rollout(robots, [replace(trace, position_command=trace.position.copy())], commands=True)
+
+
+def test_the_drives_begin_with_the_torque_that_there_is_and_hold_no_more_than_their_peak(trace: Trace) -> None:
+    robot = known()
+    (segment,) = segments(trace)
+    seen = stretch(robot, segment, trace.position[segment.rows])
+    command = commands_of(trace, segment)
+    begin, length = np.array([300, 700, 1100]), 80
+    windows = np.stack([command[row : row + length] for row in begin])
+    given = segment.torque[begin]
+    described = Servo(position_gain_ps=[30.0] * 3, velocity_gain_nms=[20.0] * 3, integral_time_s=[0.05] * 3)
+    for peak in (250.0, 8.0):
+        gains = gains_of(described.model_copy(update={"peak_torque_nm": peak}), 1.0)
+        motor, torque = follow(
+            seen, gains, seen.start[begin], windows, given, segment.time[begin] - segment.time[0], segment.period
+        )
+        np.testing.assert_array_equal(motor[:, 0], seen.start[begin, 2])
+        np.testing.assert_allclose(torque[:, 0], np.clip(given, -peak, peak), atol=1e-9)
+        assert np.abs(torque).max() <= peak
+    assert (np.abs(torque) == 8.0).any()
+    assert gains_of(described, 7.0).peak == 7.0, "where the drives' own is not described"
