@@ -124,21 +124,33 @@ def seen(period: float, hz: float, noise: float, polled: float = 0.0) -> signals
     )
 
 
-@pytest.mark.parametrize(("noise", "polled"), [(1e-7, 0.0), (2e-4, 0.0), (2e-4, 4e-3), (2e-3, 0.0), (1.0, 0.0)])
-def test_the_band_ends_where_noise_of_the_positions_is_a_share_of_the_acceleration(noise: float, polled: float) -> None:
-    """By the integral of the noise's spectrum, white in the positions, twice differentiated; two segments, one of twice
-    the noise, weigh by their squares."""
-    parts = [seen(1e-3, 2.0, noise, polled), seen(1e-3, 2.0, 2 * noise, polled)]
+@pytest.mark.parametrize(("rung", "share"), [(0, 0.1), (3, 0.97), (3, 1.03), (7, 0.97), (30, 1.0)])
+@pytest.mark.parametrize("polled", [1e-3, 4e-3])
+def test_the_band_ends_where_noise_of_the_positions_is_a_share_of_the_acceleration(
+    rung: int, share: float, polled: float
+) -> None:
+    """By the integral of the noise's spectrum, white in the positions, twice differentiated: so much noise that at one
+    of the cut-offs tried it is `share` of what may be. Two segments, one of twice the noise, weigh by their squares."""
     signal = 0.5 * (2 * np.pi * 2.0) ** 2 / 2**0.5
-    steps = 40.0 / 1.25 ** np.arange(20)
+    steps = 40.0 / 1.25 ** np.arange(31)
     spread = []
     for cutoff in steps:
         frequency = np.linspace(0.0, cutoff, 4001)
-        density = 2 * (polled or 1e-3) * (1 + 4) / 2 * noise**2 * (2 * np.pi * frequency) ** 4
+        density = 2 * polled * (1 + 4) / 2 * (2 * np.pi * frequency) ** 4
         spread.append(np.trapezoid(density, frequency) ** 0.5)
-    fits = steps[np.array(spread) <= signals.NOISY * signal]
-    expected = max(fits[0], signals.LEAST_HZ) if len(fits) else signals.LEAST_HZ
-    assert signals.resolved_hz(parts) == pytest.approx(expected)
+    noise = share * signals.NOISY * signal / spread[rung]
+    found = signals.resolved_hz([seen(1e-3, 2.0, noise, polled), seen(1e-3, 2.0, 2 * noise, polled)])
+    assert found == pytest.approx(max(steps[rung if share < 1 else rung + 1 if rung < 30 else 30], signals.LEAST_HZ))
+
+
+def test_the_noise_of_positions_is_told_from_spikes_and_from_the_steps_of_an_encoder() -> None:
+    random, (_, theta, _, _) = np.random.default_rng(3), swing(20_000)
+    noisy = theta + 1e-4 * random.standard_normal(theta.shape)
+    noisy[::300] += 0.1
+    np.testing.assert_allclose(signals.position_noise(noisy), 1e-4, rtol=0.1)
+    still = np.where(np.arange(20_000) % 50 < 49, 0.0, 1e-3)[:, None]  # one in fifty off by a step
+    expected = 1e-3 / 50**0.5
+    np.testing.assert_allclose(signals.position_noise(still), expected, rtol=0.01)
 
 
 def test_thinning_keeps_what_is_slow_of_the_torque() -> None:
