@@ -32,6 +32,7 @@ import numpy as np
 import zenoh
 
 from drivers.peer import THREADS, peer_settings
+from drivers.ros import NOTE, ROUTER, RosNode
 from drivers.security.check import check, find_files
 from schemas.errors import BusError, RoleTakenError
 from schemas.keys import liveliness_key, robot_key, topic_key
@@ -76,10 +77,14 @@ def _endpoint(folder: Path, robot: str, role: Role) -> str:
     return f"unixsock-stream/{path}"
 
 
-def _own_config(folder: Path, robot: str, role: Role) -> zenoh.Config:
+def _own_config(folder: Path, robot: str, role: Role, ros: bool) -> zenoh.Config:
     settings = peer_settings(
         _endpoint(folder, robot, role), [_endpoint(folder, robot, other) for other in Role if other < role]
     ) | {"timestamping": {"enabled": {"peer": True}}}  # one host, one clock
+    if ros:  # whom the router knows is linked directly, as ROS 2 has it
+        settings["connect"]["endpoints"].append(ROUTER)
+        settings["listen"]["endpoints"].append("tcp/127.0.0.1:0")
+        settings["scouting"]["gossip"]["enabled"] = True
     return zenoh.Config.from_json5(json.dumps(settings))
 
 
@@ -316,9 +321,12 @@ class Inbox:
 class Publisher:
     """A declared publisher: `put` takes the bytes of one message and may be called from any thread but a callback's."""
 
-    def __init__(self, publisher: zenoh.Publisher) -> None:
+    def __init__(self, publisher: zenoh.Publisher, attachment: Callable[[], bytes] | None = None) -> None:
+        """attachment: makes what goes with each message."""
         self._publisher = publisher
         self.put: Callable[[bytes], None] = publisher.put
+        if attachment:
+            self.put = lambda message: publisher.put(message, attachment=attachment())
 
     @property
     def heard(self) -> bool:
@@ -336,12 +344,15 @@ class Publisher:
 class Bus:
     """The session of one role of one robot. Made by `open_bus`; closes with its `with` block."""
 
-    def __init__(self, session: zenoh.Session, robot: str, role: Role, lock: int, stamped: bool) -> None:
+    def __init__(
+        self, session: zenoh.Session, robot: str, role: Role, lock: int, stamped: bool, ros_domain: int | None = None
+    ) -> None:
         self.robot = robot
         self.role = role
         self.stamped = stamped  # whether `sending` is Zenoh's stamp: all are on one host, and have one clock
         self.duplicate_source = False  # whether more than one role publishes samples
         self._session = session
+        self._ros = None if ros_domain is None else RosNode(session, ros_domain, robot, role)
         self._lock = lock
         self._inboxes: list[Inbox] = []
         self._alive: set[Role] = {role}
@@ -369,18 +380,17 @@ class Bus:
 
     def publisher(self, topic: str) -> Publisher:
         """A publisher of one of `schemas.messages.TOPICS`."""
-        return Publisher(
-            self._session.declare_publisher(
-                topic_key(self.robot, topic),
-                congestion_control=zenoh.CongestionControl.DROP,
-                priority=zenoh.Priority.REAL_TIME,
-                express=False,
-            )
+        publisher = self._session.declare_publisher(
+            self._key(topic),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            express=False,
         )
+        return Publisher(publisher, self._ros.publishes(topic) if self._ros else None)
 
     def subscribe(self, topic: str, capacity: int = 16384, clock: Callable[[zenoh.Sample], int] = arrival) -> Inbox:
         """An inbox for one of `schemas.messages.TOPICS`, `capacity` messages deep."""
-        key, session = topic_key(self.robot, topic), self._session
+        key, session = self._key(topic), self._session
         inbox = Inbox(
             TOPICS[topic],
             self.channel(topic, zenoh.handlers.RingChannel(capacity)),
@@ -396,7 +406,12 @@ class Bus:
         channel: zenoh.handlers.RingChannel[zenoh.Sample] | zenoh.handlers.FifoChannel[zenoh.Sample],
     ) -> zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]:
         """Zenoh's own subscriber, for what has to be compared with an inbox."""
-        return self._session.declare_subscriber(topic_key(self.robot, topic), channel)
+        if self._ros:
+            self._ros.subscribes(topic)
+        return self._session.declare_subscriber(self._key(topic), channel)
+
+    def _key(self, topic: str) -> str:
+        return self._ros.key(topic) if self._ros else topic_key(self.robot, topic)
 
     def close(self) -> None:
         """Close the session and give the role free."""
@@ -412,22 +427,34 @@ class Bus:
         self.close()
 
 
-def open_bus(robot: str, role: Role, zenoh_config: Path | None = None, insecure: bool = False) -> Bus:
+def open_bus(
+    robot: str,
+    role: Role,
+    zenoh_config: Path | None = None,
+    insecure: bool = False,
+    ros_domain: int | None = None,
+) -> Bus:
     """Open the session of `role` of `robot`; `zenoh_config` replaces every connection setting.
+
+    ros_domain: speak as a node of ROS 2 does (rmw_zenoh), in this domain, and reach the router on this host.
 
     Raises:
         BusError: another process holds the role, the session cannot be opened, or `zenoh_config` leaves the host
-            without saying who may speak (and not `insecure`).
+            without saying who may speak (and not `insecure`), or is for our keys and not for those of ROS 2.
         RobotError: the robot name cannot be part of a key.
     """
     token = liveliness_key(robot, role)
     folder = runtime_folder()
     if zenoh_config is None:
-        config = _own_config(folder, robot, role)
+        config = _own_config(folder, robot, role, ros_domain is not None)
     else:
         config = _user_config(zenoh_config)
         for note in check(config, zenoh_config, robot, role, insecure):
             print(note, file=sys.stderr)
+    if ros_domain is not None:
+        if json.loads(config.get_json("access_control/enabled")):
+            raise BusError(f"{zenoh_config}: its access control is for the keys of deltatwin, not for those of ROS 2")
+        print(f"robot {robot!r}, {role.name.lower()}: {NOTE}", file=sys.stderr)
     lock = _hold(folder / f"{robot}.{role.name.lower()}.pid", robot, role)
     os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # read when the first session opens
     try:
@@ -439,7 +466,7 @@ def open_bus(robot: str, role: Role, zenoh_config: Path | None = None, insecure:
         session.close()
         os.close(lock)
         raise BusError(f"robot {robot!r}: another {role.name.lower()} is running elsewhere on its Zenoh network")
-    return Bus(session, robot, role, lock, stamped=zenoh_config is None)
+    return Bus(session, robot, role, lock, zenoh_config is None, ros_domain)
 
 
 def check_free(robot: str, role: Role) -> None:

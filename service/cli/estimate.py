@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.network import Insecure, ZenohConfig
+from service.cli.network import Insecure, RosDomain, ZenohConfig
 from service.cli.reading import OwnEffects
 
 
@@ -17,6 +17,7 @@ def command(
     ],
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
+    ros_domain: RosDomain = None,
     effects: OwnEffects = None,
     keep: Annotated[
         Path | None, typer.Option(help="File in which friction as it was learnt outlives a restart", metavar="FILE")
@@ -52,7 +53,7 @@ def command(
     check_free(description.name, Role.ESTIMATOR)
     Estimator(description, 1e-3).warm_up()  # before anybody can hear that the role is alive
     realtime = go_realtime("estimate")
-    with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure) as bus:
+    with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure, ros_domain) as bus:
         typer.echo(f"estimating for {description.name}; Ctrl-C ends it", err=True)
         try:
             run(description, bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME, keeper=keeper)

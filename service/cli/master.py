@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.network import Insecure, ZenohConfig
+from service.cli.network import Insecure, RosDomain, ZenohConfig
 from service.cli.reading import OwnEffects
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ def command(
     ] = None,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
+    ros_domain: RosDomain = None,
     effects: OwnEffects = None,
 ) -> None:
     """Bring three CiA 402 drives into operation, run a pick-and-place or a motion from a file and stop them again.
@@ -115,7 +116,7 @@ def command(
         bus: Bus | None = None
         health: Health | None = None
         try:
-            bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config, insecure))
+            bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config, insecure, ros_domain))
             health = stack.enter_context(Health(bus, standing))
         except BusError as error:
             if feedforward is Source.BUS or zenoh_config is not None or isinstance(error, RoleTakenError):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.network import Insecure, ZenohConfig
+from service.cli.network import Insecure, RosDomain, ZenohConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -28,6 +28,7 @@ def command(
     ] = None,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
+    ros_domain: RosDomain = None,
 ) -> None:
     """Record samples, feed-forward, payload, errors and health to an MCAP file until Ctrl-C.
 
@@ -59,7 +60,7 @@ def command(
     stopped = stop_requested()
     with counting(f"monitor {name}", 0) as show:
         realtime = go_realtime("monitor", PRIORITY - 10)  # below those whose work it watches
-        with open_bus(name, Role.MONITOR, zenoh_config, insecure) as bus:
+        with open_bus(name, Role.MONITOR, zenoh_config, insecure, ros_domain) as bus:
             writer = WriterThread(path, name, Scene(description))
             monitor = Monitor(bus, writer, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
             hint = _Silence(name, monitor.tally.received, running)

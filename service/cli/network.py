@@ -14,3 +14,12 @@ ZenohConfig = Annotated[
 Insecure = Annotated[
     bool, typer.Option("--insecure", help="Take a --zenoh-config with which anybody on the network may speak.")
 ]
+RosDomain = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        min=0,
+        max=232,
+        help="Speak as ROS 2 nodes with rmw_zenoh do, in this ROS_DOMAIN_ID, by this host's router; every role alike.",
+    ),
+]

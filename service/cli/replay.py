@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.network import Insecure, ZenohConfig
+from service.cli.network import Insecure, RosDomain, ZenohConfig
 from service.cli.reading import ColumnsFrom
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ def command(
     wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for subscribers before the start (s).")] = 2.0,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
+    ros_domain: RosDomain = None,
 ) -> None:
     """Play a recorded trace over Zenoh at the controller's rate.
 
@@ -56,7 +57,7 @@ def command(
     plan = schedule(recorded, rate=rate, speed=speed, loops=loop, start=start, stop=stop)
     with counting(f"replay {description.name}", len(plan) * loop) as show:
         realtime = go_realtime("replay")
-        with open_bus(description.name, Role.PLAYER, zenoh_config, insecure) as bus:
+        with open_bus(description.name, Role.PLAYER, zenoh_config, insecure, ros_domain) as bus:
             publisher = bus.publisher("sample")
             if not publisher.wait_until_heard(wait):
                 typer.echo(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.network import Insecure, ZenohConfig
+from service.cli.network import Insecure, RosDomain, ZenohConfig
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def command(
     ] = None,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
+    ros_domain: RosDomain = None,
 ) -> None:
     """Simulate a closed-chain Delta (MuJoCo) with drives, friction, noise and payloads.
 
@@ -117,7 +118,7 @@ def command(
         typer.echo(f"later {one.in_words}", err=True)
     made = changes(plant, seed, coming)
     if live:
-        _live(description, plant, planner.closed(planned), loop, made, out, zenoh_config, insecure)
+        _live(description, plant, planner.closed(planned), loop, made, out, zenoh_config, insecure, ros_domain)
     else:
         assert out is not None
         _offline(description, plant, planned, made, out)
@@ -192,6 +193,7 @@ def _live(
     out: Path | None,
     zenoh_config: Path | None,
     insecure: bool,
+    ros_domain: int | None,
 ) -> None:
     import numpy as np
 
@@ -207,7 +209,7 @@ def _live(
     terminate_as_interrupt()
     with counting(f"live {robot.name}", len(motion) * loops) as show:
         realtime = go_realtime("simulate")
-        with open_bus(robot.name, Role.ROBOT, zenoh_config, insecure) as bus:
+        with open_bus(robot.name, Role.ROBOT, zenoh_config, insecure, ros_domain) as bus:
             run = run_live(plant, motion, bus, Pacer(), loops=loops, changes=changes, realtime=realtime, progress=show)
     if not len(run.trace):
         return

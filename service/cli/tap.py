@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.network import Insecure, ZenohConfig
+from service.cli.network import Insecure, RosDomain, ZenohConfig
 
 
 def command(
@@ -23,6 +23,7 @@ def command(
     wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for a subscriber before the start (s).")] = 1.0,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
+    ros_domain: RosDomain = None,
 ) -> None:
     """Listen to an EtherCAT bus and publish a sample a cycle over Zenoh; never sends a frame.
 
@@ -48,7 +49,7 @@ def command(
     tap = Tap(source, description, lambda line: typer.echo(line, err=True))
     realtime = go_realtime("tap")
     try:
-        with open_bus(description.name, Role.TAP, zenoh_config, insecure) as bus:
+        with open_bus(description.name, Role.TAP, zenoh_config, insecure, ros_domain) as bus:
             publisher = bus.publisher("sample")
             publisher.wait_until_heard(wait)
             with Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME) as health:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.network import Insecure, ZenohConfig
+from service.cli.network import Insecure, RosDomain, ZenohConfig
 
 
 def command(
@@ -24,6 +24,7 @@ def command(
     ] = None,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
+    ros_domain: RosDomain = None,
 ) -> None:
     """Serve the bus to Foxglove: torques, model errors, payload, health, and the robot in three dimensions.
 
@@ -58,7 +59,7 @@ def command(
 
     terminate_as_interrupt()
     with (
-        open_bus(description.name, Role.OBSERVER, zenoh_config, insecure) as bus,
+        open_bus(description.name, Role.OBSERVER, zenoh_config, insecure, ros_domain) as bus,
         LiveView(bus, description, host, port) as view,
     ):
         typer.echo(f"view of {description.name}: ws://{host}:{view.port}; Ctrl-C ends it", err=True)
