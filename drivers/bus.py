@@ -27,6 +27,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 import zenoh
@@ -78,7 +79,7 @@ def _endpoint(folder: Path, robot: str, role: Role) -> str:
 
 
 def _own_config(folder: Path, robot: str, role: Role, ros: bool) -> zenoh.Config:
-    settings = peer_settings(
+    settings: dict[str, Any] = peer_settings(
         _endpoint(folder, robot, role), [_endpoint(folder, robot, other) for other in Role if other < role]
     ) | {"timestamping": {"enabled": {"peer": True}}}  # one host, one clock
     if ros:  # whom the router knows is linked directly, as ROS 2 has it
