@@ -13,7 +13,7 @@ from types import TracebackType
 
 from schemas.errors import BusError
 
-READY_TIME = 180.0  # s for a process to say that it is ready: the first start of all compiles
+READY_TIME = 600.0  # s for a process to say that it is ready: the first start of all compiles, on any host
 STOP_TIME = 20.0  # s to end after Ctrl-C, files whole
 PROGRAM = (sys.executable, "-m", "service.cli.main")
 
@@ -48,8 +48,10 @@ class Process:
         """
         give_up = time.monotonic() + READY_TIME
         while not self._is_ready():
-            if not self.running or time.monotonic() > give_up:
+            if not self.running:
                 raise BusError(f"{self.name} did not start: {self.last_words()}")
+            if time.monotonic() > give_up:
+                raise BusError(f"{self.name} is not ready after {READY_TIME:.0f} s: {self.last_words()}")
             time.sleep(0.05)
 
     def _is_ready(self) -> bool:

@@ -70,7 +70,8 @@ def command(
     make_folder(out)
     console = Console(stderr=True)
     bars = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*bars, console=console) as progress:
+    # the backend first: one that cannot be had is told before hours of simulation
+    with Progress(*bars, console=console) as progress, workers(backend.value, jobs, scheduler):
         if not (out / "commitment.txt").exists():
             task = progress.add_task("simulating", total=cases)
             for _ in blindtest.made(out, cases, seed, jobs, [one.value for one in family or Family]):
@@ -79,8 +80,7 @@ def command(
         commitment = (out / "commitment.txt").read_text(encoding="utf-8").strip()
         progress.console.print(f"key sealed: {commitment}", highlight=False)
         task = progress.add_task("diagnosing", total=len(list((out / "cases").glob("case_*"))))
-        with workers(backend.value, jobs, scheduler):
-            rows = blindtest.answers(out, lambda: progress.advance(task))
+        rows = blindtest.answers(out, lambda: progress.advance(task))
     judged = blindtest.judged(rows, blindtest.unseal(out))
     figures = blindtest.summary(judged)
     write_page(judged, figures, commitment, out / "blindtest.html")

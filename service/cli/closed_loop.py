@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.progress import bars
-from service.cli.reading import OwnEffects
+from service.cli.reading import AsJson, OwnEffects
 
 if TYPE_CHECKING:
     from service.experiment.closed_loop import Tracking
@@ -31,13 +31,14 @@ def command(
     rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz).")] = 1000.0,
     seed: Annotated[int, typer.Option(min=0, help="Of motion and noise.")] = 0,
     effects: OwnEffects = None,
+    json: AsJson = False,
 ) -> None:
     """Run a live simulated robot and the estimator over Zenoh and measure the tracking error: with feedback alone, with
     the feed-forward torque of every model, with the payload in it, and with the estimator lost half way.
 
     Example: deltatwin closed-loop --robot d3-1200 --payload 1 --payload 3.8 --out closed-loop
     """
-    import json
+    import json as json_library
 
     import numpy as np
     from rich.table import Table
@@ -102,7 +103,6 @@ def command(
         column.justify = "right"
     for row in rows:
         table.add_row(*(row[column] for column in SHORT))
-    result_console().print(table)
     which = make_plant(description, truth, period, seed)[1]
     page = _page(description.name, which, masses, runs, rows)
     write_page(page, out / "closed_loop.html")
@@ -119,7 +119,12 @@ def command(
         }
         for run in runs
     ]
-    write_text(out / "closed_loop.json", json.dumps(figures, indent=1))
+    text = json_library.dumps(figures, indent=1)
+    write_text(out / "closed_loop.json", text)
+    if json:
+        typer.echo(text)
+        return
+    result_console().print(table)
     typer.echo(f"wrote {out / 'closed_loop.html'}, .pdf, .json and PNG pictures")
 
 

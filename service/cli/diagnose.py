@@ -11,7 +11,7 @@ from service.cli.reading import AsJson, ColumnsFrom, OwnEffects, reading
 
 
 def command(
-    traces: Annotated[list[Path], typer.Argument(help="Logs to diagnose: .csv, .csv.gz or .mcap", metavar="TRACE...")],
+    traces: Annotated[list[Path], typer.Argument(help="Logs to diagnose: .csv, .csv.gz or .mcap", metavar="TRACE")],
     robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML)")],
     out: Annotated[Path, typer.Option(help="Folder for diagnosis.json, corrected.toml and report.html")],
     columns: ColumnsFrom = None,

@@ -20,7 +20,7 @@ MOST_EVENTS = 4  # told
 
 
 def command(
-    traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE...")],
+    traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE")],
     robot: Annotated[
         Path,
         typer.Option(metavar="FILE|NAME", help="Robot description (TOML), plain, identified or corrected; or of axes"),

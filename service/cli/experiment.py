@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.progress import bars
+from service.cli.reading import AsJson
 
 
 def command(
@@ -23,6 +24,7 @@ def command(
     ] = 0.99,
     seed: Annotated[int, typer.Option(min=0, help="Of motions and noise.")] = 0,
     logs: Annotated[bool, typer.Option("--logs", help="Write the simulated logs as CSV too.")] = False,
+    json: AsJson = False,
 ) -> None:
     """Identify a simulated D3-1200-like robot as in the paper and set tables and figures beside the published ones.
 
@@ -32,6 +34,8 @@ def command(
 
     Example: deltatwin experiment --out experiment
     """
+    import json as json_library
+
     import numpy as np
     from rich.table import Table
 
@@ -77,6 +81,9 @@ def command(
         for trace in (*fit, stress, picks):
             write_trace(trace, out / f"{trace.name}.csv", robot.name)
     shown = table_1(found)
+    if json:
+        typer.echo(json_library.dumps([dict(zip(shown.head, row, strict=True)) for row in shown.rows], indent=1))
+        return
     table = Table(*shown.head, title=shown.title, caption=shown.note)
     for column in table.columns[1:]:
         column.justify = "right"

@@ -19,7 +19,9 @@ class Format(StrEnum):
 
 
 def command(
-    robot: Annotated[Path, typer.Argument(help="Robot description (TOML), identified or corrected")],
+    robot: Annotated[
+        Path, typer.Argument(metavar="FILE|NAME", help="Robot description (TOML), identified or corrected")
+    ],
     out: Annotated[Path, typer.Option(help="File to write")],
     to: Annotated[Format, typer.Option(help="mjcf: MuJoCo, the closed chain; urdf: viewers, the actuated links")] = (
         Format.mjcf

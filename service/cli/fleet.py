@@ -20,7 +20,7 @@ MOST_TOLD = 2  # figures of a change on a terminal; the page has all
 
 def command(
     logs: Annotated[
-        list[Path], typer.Argument(help="Folders of logs, or logs: .csv, .csv.gz, .mcap, .pcapng", metavar="LOGS...")
+        list[Path], typer.Argument(help="Folders of logs, or logs: .csv, .csv.gz, .mcap, .pcapng", metavar="LOGS")
     ],
     out: Annotated[Path, typer.Option(help="Folder for fleet.html, fleet.json and a folder a robot")],
     robot: Annotated[
@@ -57,11 +57,19 @@ def command(
     bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*bar, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("looking at the logs", total=None)
+        from drivers.trace import find_columns
+        from schemas.axes import load_description
         from service.diagnosis.workers import backend as workers
         from service.fleet.judge import Settings, survey
         from service.fleet.logs import members
         from service.fleet.page import write_page
+        from service.model.effects import catalogue
 
+        catalogue(effects)  # what is wrong for all robots is said before the first
+        if columns:
+            find_columns(columns)
+        if robot:
+            load_description(robot, effects)
         robots = members(logs, robot)
         make_folder(out)
         days = sum(len(member.days) for member in robots)

@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    traces: Annotated[
-        list[Path], typer.Argument(help="Logs to identify on: .csv, .csv.gz or .mcap", metavar="TRACE...")
-    ],
+    traces: Annotated[list[Path], typer.Argument(help="Logs to identify on: .csv, .csv.gz or .mcap", metavar="TRACE")],
     robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML)")],
     out: Annotated[Path, typer.Option(help="Robot description to write, with its [identified] section")],
     method: Annotated[

@@ -16,7 +16,7 @@ def command(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...",
+            metavar="FILE",
             help="TwinCAT Scope, CODESYS, KUKA (.dat), tables with or without a header, JSON, .mat, .npy, .npz, "
             "rosbag2; several files are taken side by side.",
         ),

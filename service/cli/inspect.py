@@ -18,7 +18,10 @@ STAMPS = ("rate_hz", "jitter_std_s", "jitter_p99_s", "jitter_max_s", "gaps", "re
 
 def command(
     traces: Annotated[
-        list[Path], typer.Argument(help="Recorded traces (.csv, .csv.gz, .mcap) or EtherCAT captures (.pcap, .pcapng).")
+        list[Path],
+        typer.Argument(
+            metavar="TRACE", help="Recorded traces (.csv, .csv.gz, .mcap) or EtherCAT captures (.pcap, .pcapng)."
+        ),
     ],
     robot: Annotated[
         Path | None,

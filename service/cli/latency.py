@@ -7,16 +7,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.reading import AsJson
+
 if TYPE_CHECKING:
     import numpy as np
     from rich.table import Table
 
     from replay.latency import RoundTrip
 
+QUANTILES = {"median": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
+
 
 def command(
     rate: Annotated[float, typer.Option(min=1.0, help="Samples a second (Hz).")] = 4000.0,
     count: Annotated[int, typer.Option(min=1000, help="Samples to each of estimator and echo.")] = 40_000,
+    json: AsJson = False,
 ) -> None:
     """Measure one estimator step and the round trip sample to feed-forward over Zenoh, beside the best echo that
     Zenoh's Python gives.
@@ -26,6 +31,8 @@ def command(
 
     Example: deltatwin latency --rate 1000 --count 10000
     """
+    import json as json_library
+
     from drivers.trace import read_trace
     from replay.demo import LOG, ROBOT
     from replay.latency import take_turns
@@ -41,9 +48,20 @@ def command(
     with counting("round trips", 2 * count) as show:
         trips = take_turns({"echo": echo, "estimator": estimator}, samples, rate, count, show)
     table = latency_table(rate)
-    add_row(table, "estimator step, bytes in to bytes out", step, "")
-    add_ratio(table, add_trips(table, trips), "estimator", "echo")
-    result_console().print(table)
+    steps = add_row(table, "estimator step, bytes in to bytes out", step, "")
+    found = add_trips(table, trips)
+    if not json:
+        add_ratio(table, found, "estimator", "echo")
+        result_console().print(table)
+        return
+    document = {
+        "schema": "deltatwin.latency/1",
+        "rate_hz": rate,
+        "step_us": dict(zip(QUANTILES, steps.tolist(), strict=True)),
+        "round_trip_us": {what: dict(zip(QUANTILES, each.tolist(), strict=True)) for what, each in found.items()},
+        "lost": {what: sum(part.lost for part in parts) for what, parts in trips.items()},
+    }
+    typer.echo(json_library.dumps(document, indent=1))
 
 
 def echo(robot: str) -> None:
@@ -102,7 +120,7 @@ def latency_table(rate: float) -> Table:
     from rich.table import Table
 
     table = Table(title=f"latency at {rate:g} Hz, µs")
-    for heading in ("what", "median", "p99", "p99.9", "max", "count", "lost"):
+    for heading in ("what", *QUANTILES, "count", "lost"):
         table.add_column(heading, justify="left" if heading == "what" else "right")
     return table
 
@@ -111,7 +129,7 @@ def add_row(table: Table, name: str, nanoseconds: np.ndarray, lost: str) -> np.n
     """One row of (N,) ns; its (4,) quantiles in µs."""
     import numpy as np
 
-    values = np.quantile(nanoseconds, [0.5, 0.99, 0.999, 1.0]) * 1e-3
+    values = np.quantile(nanoseconds, list(QUANTILES.values())) * 1e-3
     table.add_row(name, *(f"{value:.1f}" for value in values), str(len(nanoseconds)), lost)
     return values
 

@@ -34,7 +34,7 @@ class Source(enum.StrEnum):
 
 
 def command(
-    interface: Annotated[str, typer.Argument(help="Ethernet interface that the drives hang on.")],
+    interface: Annotated[str, typer.Argument(metavar="INTERFACE", help="Ethernet interface that the drives hang on.")],
     robot: Annotated[
         Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) with its drives and their process data.")
     ],

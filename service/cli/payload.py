@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE...")],
+    traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE")],
     robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) that `identify` wrote")],
     effects: OwnEffects = None,
     columns: ColumnsFrom = None,

@@ -9,8 +9,10 @@ import typer
 
 
 def command(
-    source: Annotated[Path, typer.Argument(help="Recording whose writer was killed or whose disk was full (.mcap).")],
-    target: Annotated[Path, typer.Argument(help="Whole file to write; must not exist.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="IN", help="Recording whose writer was killed or whose disk was full (.mcap).")
+    ],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="Whole file to write; must not exist.")],
 ) -> None:
     """Copy every readable message of a broken MCAP file to a whole one.
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    trace: Annotated[Path, typer.Argument(help="Recorded trace (.csv, .csv.gz, .mcap).")],
+    trace: Annotated[Path, typer.Argument(metavar="TRACE", help="Recorded trace (.csv, .csv.gz, .mcap).")],
     robot: Annotated[
         Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML); its name is the robot on the bus.")
     ],

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    traces: Annotated[list[Path], typer.Argument(help="Logs: .csv, .csv.gz or .mcap", metavar="LOG...")],
+    traces: Annotated[list[Path], typer.Argument(help="Logs: .csv, .csv.gz or .mcap", metavar="TRACE")],
     robot: Annotated[
         list[Path],
         typer.Option(

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 
 def command(
-    interface: Annotated[str, typer.Argument(help="Ethernet interface to answer on, e.g. one end of a veth pair.")],
+    interface: Annotated[
+        str, typer.Argument(metavar="INTERFACE", help="Ethernet interface to answer on, e.g. one end of a veth pair.")
+    ],
     robot: Annotated[
         Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) with its drives and their process data.")
     ],

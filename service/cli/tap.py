@@ -12,7 +12,7 @@ from service.cli.network import Insecure, RosDomain, ZenohConfig
 
 def command(
     interface: Annotated[
-        str, typer.Argument(metavar="IFACE", help="Network interface on the bus, or a capture to play as if live.")
+        str, typer.Argument(metavar="INTERFACE", help="Network interface on the bus, or a capture to play as if live.")
     ],
     robot: Annotated[
         Path,

@@ -122,7 +122,7 @@ class Keeper:
         return kept.model_dump_json(by_alias=True, indent=1)
 
     def _write_beside(self, text: str) -> None:
-        if hasattr(os, "SCHED_OTHER"):
+        if hasattr(os, "sched_setscheduler"):  # macOS has the constants alone
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # of this thread, whatever the estimator's has
         try:
             write_text(self._path, text)
