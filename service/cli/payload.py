@@ -30,7 +30,8 @@ def command(
 ) -> None:
     """Find picks and releases and weigh what was picked, as the online estimator does it.
 
-    With --truth beside it: how soon, how close, and the same for the paper's recursion at a fixed forgetting factor.
+    With --truth beside it: how soon, how close, and the same for the paper's recursion at a fixed forgetting factor, on
+    the M_Id+F of this description. Identified the paper's way, other factors, rest left out: `deltatwin experiment`.
 
     Example: deltatwin payload pick_a.csv --robot identified.toml --truth pick_a.payloads.csv
     """

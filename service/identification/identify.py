@@ -66,6 +66,13 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
         model_error_nm=JointParameter(value=[float(f"{error:.4g}") for error in fit.model_error]),
     )
     # what diagnose found on another base does not hold on this one
+    if robot.effect:
+        names = ", ".join(dict.fromkeys(effect.name for effect in robot.effect))
+        warnings = [
+            *warnings,
+            f"{names}: found on an earlier identification, left out of this one; `diagnose` says what still is there, "
+            "`identify --carried` how far torque constants are off",
+        ]
     return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))
 
 

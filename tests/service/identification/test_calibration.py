@@ -63,7 +63,9 @@ def test_the_description_carries_what_was_found(robot: Robot, found: tuple[Calib
     """It says what the drives report, joint by joint."""
     calibration, empty, _ = found
     model = pack(calibration.robot)
-    result = identify(calibration.robot, [summarise(model, calibration.true(log)) for log in empty])
+    logs = [summarise(model, calibration.true(log)) for log in empty]
+    result = identify(calibration.robot, logs)
+    assert not any("torque_scale" in warning for warning in result.warnings)
     assert np.allclose(result.fit.values[:2], [Truth().rho_1, Truth().rho_2], rtol=0.02)
     description = calibration.carried(result.robot)
     (effect,) = description.effect
@@ -76,6 +78,10 @@ def test_the_description_carries_what_was_found(robot: Robot, found: tuple[Calib
     noise = 0.3 * np.array([1.05, 0.96, 1.0])
     assert (left(description) < 1.3 * noise).all(), "what is left is noise and reversals"
     assert (left(result.robot)[:2] > 1.5 * left(description)[:2]).all()
+
+    again = identify(description, logs)
+    assert again.robot.effect == []
+    assert any(warning.startswith("torque_scale: found on an earlier identification") for warning in again.warnings)
 
 
 def test_what_is_as_described_is_left_alone(robot: Robot) -> None:
