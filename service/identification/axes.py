@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from schemas.chain import Chain
 from schemas.errors import DataError
 from schemas.trace import Trace
 from service.identification import checks, pooled
-from service.identification.folds import BLOCK
+from service.identification.folds import BLOCK, Split, block_loss, held_out
 from service.identification.pooled import Plain
 from service.identification.units import refuse_degrees
 from service.model.description import axes_identified
-from service.model.mechanism import mechanism_of
+from service.model.mechanism import SerialArm, mechanism_of
 from service.model.parameters import base_parameters
 from service.model.scene import Recording
 from service.model.signals import segments, thin
@@ -84,6 +84,28 @@ def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
             f"the logs fit one by one and not together, {traces[worst].path.name} least of all "
             f"({np.sqrt(alone / together):.0%} is left of what is left together): of two robots, or two loads?"
         )
+    warnings += _described_better(fit)
     if len(traces) == 1:
         warnings.append(f"{name}: a single trajectory cannot be held out, nothing shows how far the fit carries")
     return warnings
+
+
+def _described_better(fit: Plain) -> list[str]:
+    """Whether an arm's stretches left out are better told by the masses of its URDF than by those that were found."""
+    problem = fit.problem
+    mechanism, split = problem.recordings[0].mechanism, Split.of(problem)
+    if not isinstance(mechanism, SerialArm) or not mechanism.links.any():
+        return []
+    links = np.flatnonzero(mechanism.links)
+    change, free = np.zeros(len(fit.fitted.free)), fit.fitted.free.copy()
+    change[links], free[links] = (mechanism.start - fit.fitted.hypothesis.base.rigid)[links], False
+    residuals = [r - t @ change for r, t in zip(fit.fitted.residuals, fit.fitted.tangents, strict=True)]
+    described = replace(fit.fitted, residuals=residuals, free=free)
+    torque = sum(float(np.sum(problem.select(i, target) ** 2)) for i, target in enumerate(problem.target))
+    left = [np.sqrt(block_loss(held_out(one, split), split).sum() / torque) for one in (fit.fitted, described)]
+    if left[1] >= left[0]:
+        return []
+    return [
+        f"stretches left out are told better by the masses of the URDF ({left[1]:.1%} of the torque is left) than by "
+        f'those found ({left[0]:.1%}): masses = "known" keeps them, or log more motion'
+    ]

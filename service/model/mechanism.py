@@ -235,9 +235,9 @@ class DecoupledAxes(_Servos):
 class SerialArm(_Servos):
     """An arm by its URDF: what motion can tell of its links' masses, rotors, constant loads and a payload.
 
-    A coefficient `Izz_2` is that of link 2 about its joint with whatever goes along with it in every motion (base
-    parameters). known: (10 n,) weights that are not asked for. asked: whether those of the links are. payload: (10 n,)
-    that a kilogram of an unknown payload adds, where there is one.
+    A coefficient `rotor_2` or `Izz_3` is that of a motor or of a link about its joint with whatever goes along with it
+    in every motion (base parameters). known: (10 n,) weights that are not asked for. asked: whether those of the links
+    are. payload: (10 n,) that a kilogram of an unknown payload adds, where there is one.
     """
 
     arm: Arm
@@ -273,19 +273,20 @@ class SerialArm(_Servos):
     @cached_property
     def _candidates(self) -> dict[str, Coefficient]:
         """All that could be asked for, by name."""
-        names: dict[str, Coefficient] = {}
-        if self.asked:
-            names = {name: Coefficient(UNITS.get(name.split("_")[0], "kg m^2"), -np.inf) for name in self.arm.names}
-        elif self.payload is not None:
-            names = {"payload": Coefficient("kg")}
-        names |= {f"rotor_{j + 1}": Coefficient("kg m^2") for j in range(self.joints)}
+        # What no URDF has comes first: a link's mass that goes along with it may then stay as described.
+        names = {f"rotor_{j + 1}": Coefficient("kg m^2") for j in range(self.joints)}
         names |= {f"inertia_{motor}": Coefficient("kg m^2") for motor in self.shared}
-        return names | {f"offset_{j + 1}": Coefficient("N m", -np.inf) for j in range(self.joints)}
+        names |= {f"offset_{j + 1}": Coefficient("N m", -np.inf) for j in range(self.joints)}
+        if self.asked:
+            names |= {name: Coefficient(UNITS.get(name.split("_")[0], "kg m^2"), -np.inf) for name in self.arm.names}
+        elif self.payload is not None:
+            names |= {"payload": Coefficient("kg")}
+        return names
 
     def _columns(self, links: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
         """(N, n, p) of the candidates. links: (N, n, 10 n)."""
-        first = [links] if self.asked else [] if self.payload is None else [(links @ self.payload)[..., None]]
-        return np.concatenate([*first, self._rotors(theta_ddot), self._ones(len(links))], axis=-1)
+        last = [links] if self.asked else [] if self.payload is None else [(links @ self.payload)[..., None]]
+        return np.concatenate([self._rotors(theta_ddot), self._ones(len(links)), *last], axis=-1)
 
     @cached_property
     def _reduction(self) -> Reduction:
@@ -300,11 +301,16 @@ class SerialArm(_Servos):
         return dict(names[place] for place in self._reduction.kept)
 
     @property
+    def links(self) -> np.ndarray:
+        """(k,) bool: coefficients that are of the links alone, which the URDF has too."""
+        return np.array([name in self.arm.names for name in self.coefficients])
+
+    @property
     def start(self) -> np.ndarray:
         """What the URDF says of the links, as far as they are asked for."""
         described = np.zeros(len(self._candidates))
         if self.asked:
-            described[: len(self.arm.weights)] = self.arm.weights
+            described[-len(self.arm.weights) :] = self.arm.weights
         return self._reduction.shares @ described
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:

@@ -56,7 +56,7 @@ def test_masses_friction_and_rotor_are_recovered(bench: Path, tmp_path: Path) ->
     assert found.rigid.keys() == expected.keys()
     for name, value in expected.items():
         assert found.rigid[name].value == pytest.approx(value, abs=max(0.01, 4 * found.rigid[name].std_error)), name
-    for name in ("mx_2", "mx_3", "Izz_2", "Izz_3"):
+    for name in ("mx_2", "mx_3", "rotor_2", "Izz_3"):
         assert found.rigid[name].value == pytest.approx(expected[name], rel=0.03), name
     assert found.viscous_friction.value == pytest.approx(arm.VISCOUS, rel=0.05)
     assert found.coulomb_friction.value == pytest.approx(arm.COULOMB, rel=0.05)
