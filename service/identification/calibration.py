@@ -21,6 +21,7 @@ from schemas.errors import DataError
 from schemas.robot import EffectEntry, Robot
 from schemas.trace import Trace
 from service.identification import checks
+from service.identification.fit import solve
 from service.identification.noise import white_noise
 from service.identification.regression import (
     COLUMNS,
@@ -150,20 +151,15 @@ def _solve(
         left, right = _normal_equations(logs, masses, moving, noise, values)
         left, right = left[:, free][:, :, free], right[:, free]
         whole: np.ndarray = np.sum(left, axis=0)
-        step = _within(whole, np.sum(right, axis=0))
+        step = solve(whole, np.sum(right, axis=0))
         values[free] += step
         if step @ whole @ step < SETTLED:
             break
     whole, count = np.sum(left, axis=0), len(left)
-    changes = np.array([_within(whole - one, -pull) for one, pull in zip(left, right, strict=True)])
+    changes = np.array([solve(whole - one, -pull) for one, pull in zip(left, right, strict=True)])
     errors = np.zeros(_COUNT)
     errors[free] = np.sqrt((count - 1) / count * np.sum(changes**2, axis=0))
     return values, errors
-
-
-def _within(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(left), 1e-300))
-    return scale * np.linalg.lstsq(left * scale[:, None] * scale, scale * right, rcond=1e-12)[0]
 
 
 def _normal_equations(
