@@ -65,6 +65,43 @@ def test_a_plan_keeps_every_limit_and_shows_more_than_a_random_run(short: None) 
     assert errors[0] > 1.3 * errors[1]
 
 
+class Travel:
+    """A question that is answered by how far joint 1 moves: what was worth how much, try by try."""
+
+    def __init__(self) -> None:
+        self.tries, self.worths = 0, []
+
+    def shown(self, motion: Trajectory, whole: bool = False) -> np.ndarray:
+        return np.array([np.ptp(motion.position[:, 0])])
+
+    def worth(self, shown: np.ndarray) -> float:
+        self.worths.append((self.tries, float(shown[0])))
+        return float(shown[0])
+
+    def tried(self) -> None:
+        self.tries += 1
+
+
+def test_a_stretch_is_sought_beside_what_the_others_show_and_the_best_one_is_tried_again(
+    short: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planning, "ROUNDS", 2)
+    question = Travel()
+    planning.plan(Planner(ROBOT, PERIOD, LIMITS), question, 5.0, question.tried)
+    assert question.tries == planning.evaluations(5.0)
+    each = question.tries // 4  # two rounds of two stretches
+    one, other, one_again, other_again = (
+        np.array([worth for at, worth in question.worths if at // each == part]) for part in range(4)
+    )
+    first, second = one.max(), other.max() - one.max()
+    assert first > 0.2
+    assert second > 0.2
+    assert other.min() >= first
+    assert np.isclose(one_again, first + second).any()
+    assert other_again.min() >= one_again.max() - second - 1e-9
+    assert np.isclose(other_again, one_again.max()).any()
+
+
 def test_what_no_motion_tells_apart_is_not_asked() -> None:
     offset, direction = (INJECTED[name].term(name) for name in ("torque_offset", "asymmetric_friction"))
     question = Apart(View.of(KNOWN, SIGMA), [(offset,), (direction,), (STRIBECK,)])
