@@ -17,7 +17,7 @@ from drivers.trace.mcap_messages import read_records, read_summary
 from drivers.trace.tables import Table
 from schemas.errors import StorageError, TraceError
 from schemas.files import opened
-from schemas.messages import NANOSECONDS
+from schemas.messages import NANOSECONDS, SAMPLE
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}  # by the comment in the message definition
@@ -95,6 +95,8 @@ def _from_mcap(path: Path) -> list[bytes]:
                 for channel in summary.channels.values()
                 if channel.schema_id in summary.schemas
             }
+            if SAMPLE.schema_name in kinds.values():  # its joint states are for viewers, a few of many samples
+                raise TraceError(f"{path}: a log of deltatwin already; every command reads it as it is")
             topic = _one(kinds, path)
             channels = {channel.id for channel in summary.channels.values() if channel.topic == topic}
             stream.seek(0)

@@ -21,8 +21,10 @@ from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 
 from drivers.bus import open_bus
+from drivers.trace.tables import read_table
 from drivers.view.layout import layout
 from drivers.view.scene import Scene, transforms
+from schemas.errors import TraceError
 from schemas.messages import PAYLOAD, SAMPLE, TOPICS, PayloadEvent, Role, fields_of, set_stamp
 from schemas.robot import load_robot
 from service.monitor.recording import RecordingWriter
@@ -99,6 +101,8 @@ def test_a_recording_shows_what_the_live_view_shows(tmp_path: Path) -> None:
     assert 30 <= len(drawn) <= 40
     assert counts["/deltatwin/d3_1200/robot_description"] == 1
     assert set(drawn) <= set(log.tolist())
+    with pytest.raises(TraceError, match=r"run\.mcap: a log of deltatwin already"):  # not 40 joint states for a log
+        read_table(tmp_path / "run.mcap")
     panels = json.loads(layout(robot.name))["configById"]
     asked = {re.split(r"[.]", path["value"])[0] for panel in panels.values() for path in panel.get("paths", [])}
     asked |= {panels["3D!robot"]["layers"]["robot"]["topic"], panels["RawMessages!health"]["topicPath"]}
