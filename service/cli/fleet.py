@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.progress import bars
 from service.cli.reading import AsJson, ColumnsFrom, OwnEffects
 from service.cli.workers import Backend, Jobs, OnBackend, Scheduler
 
@@ -47,15 +48,13 @@ def command(
     Example: deltatwin fleet logs/ --robot d3-1200 --out fleet     # logs/cell_3/2026-01-31/pick.csv
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from schemas.errors import DataError
     from schemas.files import make_folder, write_text
     from service.cli.output import console as result_console
 
     console = Console(stderr=True)
-    bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*bar, console=console, disable=not console.is_terminal) as progress:
+    with bars() as progress:
         task = progress.add_task("looking at the logs", total=None)
         from drivers.trace import find_columns
         from schemas.axes import load_description

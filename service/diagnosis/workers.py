@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -18,7 +19,9 @@ def backend(name: str, jobs: int, scheduler: str | None) -> Iterator[None]:
         DataError: dask is not installed.
     """
     if name != "dask":
-        with joblib.parallel_config(backend=name, n_jobs=jobs):
+        with warnings.catch_warnings(), joblib.parallel_config(backend=name, n_jobs=jobs):
+            # loky replaces a worker whose memory has grown, and gives what it had to another: nothing to worry about
+            warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
             yield
         return
     try:

@@ -44,6 +44,13 @@ def test_a_description_marks_a_robot_and_is_its_own(tmp_path: Path) -> None:
     assert (b.name, b.description, list(b.days)) == ("hall_b", Path("other.toml"), ["x"])
 
 
+def test_a_day_alone_finds_the_description_of_its_robot(tmp_path: Path) -> None:
+    lay(tmp_path, ["a/robot.toml", "a/2026-01-01/x.csv"])
+    for given in ("a/2026-01-01", "a/2026-01-01/x.csv"):
+        (robot,) = members([tmp_path / given])
+        assert (robot.name, robot.description) == ("a", tmp_path / "a/robot.toml")
+
+
 def test_recordings_say_robot_and_day_themselves(tmp_path: Path) -> None:
     row = np.zeros((2, 3))
     for name, robot, start in (("1", "left", 1.7e9), ("2", "right", 1.7e9), ("3", "left", 1.7e9 + 86_400)):
