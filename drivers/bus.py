@@ -470,12 +470,14 @@ def open_bus(
     return Bus(session, robot, role, lock, zenoh_config is None, ros_domain)
 
 
-def check_free(robot: str, role: Role) -> None:
+def check_free(robot: str, role: Role, zenoh_config: Path | None = None, insecure: bool = False) -> None:
     """Refuse what `open_bus` would, before anything that takes long.
 
     Raises:
-        BusError: another process of this host holds the role.
+        BusError: another process of this host holds the role, or `zenoh_config` is refused.
     """
+    if zenoh_config is not None:
+        check(_user_config(zenoh_config), zenoh_config, robot, role, insecure)
     os.close(_hold(runtime_folder() / f"{robot}.{role.name.lower()}.pid", robot, role))
 
 

@@ -50,7 +50,8 @@ def command(
     if left_out:
         typer.echo(f"{robot}: the online model does not carry {', '.join(left_out)}", err=True)
     keeper = None if keep is None else Keeper(keep, description)
-    check_free(description.name, Role.ESTIMATOR)
+    check_free(description.name, Role.ESTIMATOR, zenoh_config, insecure)
+    typer.echo("estimate: starting; a first run compiles, about half a minute", err=True)
     Estimator(description, 1e-3).warm_up()  # before anybody can hear that the role is alive
     realtime = go_realtime("estimate")
     with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure, ros_domain) as bus:

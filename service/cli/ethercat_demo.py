@@ -24,19 +24,20 @@ def command(
     """
     import time
 
+    from rich.console import Console
     from rich.table import Table
 
     from service.cli.main import MISSED
     from service.cli.output import console as result_console
     from service.demonstration import demonstrate
 
-    console, begin = result_console(), time.monotonic()
+    console, progress, begin = result_console(), Console(stderr=True), time.monotonic()
     checks = demonstrate(
         out,
         rate,
         duration,
         product,
-        lambda step: console.print(f"{time.monotonic() - begin:5.1f} s  {step}", highlight=False),
+        lambda step: progress.print(f"{time.monotonic() - begin:5.1f} s  {step}", highlight=False),
     )
     table = Table("", "claim", "measured", "bound", title="EtherCAT demonstration")
     for check in checks:

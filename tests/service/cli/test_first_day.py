@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from drivers.trace import write_trace
 from replay.demo import LOG, PAYLOADS, ROBOT
+from schemas.errors import BusError
 from schemas.trace import Trace
 from service.cli.main import app
 from service.diagnosis.blindpage import BOUNDS, missed
@@ -136,6 +137,21 @@ def test_a_pipe_gets_whole_lines(own: Path) -> None:
     row = next(line for line in done.stdout.splitlines() if line.startswith("position_1"))
     assert len(row.split()) == 8
     assert "…" not in done.stdout
+
+
+def test_what_the_bus_refuses_is_refused_before_the_warm_up(
+    bus_folder: Path, bench_robot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from service.estimator.estimator import Estimator
+
+    monkeypatch.setattr(Estimator, "warm_up", lambda _: pytest.fail("compiled first"))
+    for text, said in ((None, "gone.json5"), ('{mode: "peer"}', "--insecure")):
+        config = tmp_path / ("mine.json5" if text else "gone.json5")
+        if text:
+            config.write_text(text)
+        done = CliRunner().invoke(app, ["estimate", "--robot", str(bench_robot), "--zenoh-config", str(config)])
+        assert isinstance(done.exception, BusError)
+        assert said in str(done.exception)
 
 
 def test_a_move_that_does_not_fit_is_refused(tmp_path: Path) -> None:
