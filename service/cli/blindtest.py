@@ -87,7 +87,8 @@ def command(
     write_text(out / "results.json", json_library.dumps({"summary": figures, "rows": judged}, indent=1))
     table = Table("figure", "measured", "bound", title=f"{figures['cases']} cases, {figures['failed']} failed")
     for key, (label, bound) in BOUNDS.items():
-        table.add_row(label, str(figures[key]), bound)
+        if figures[key] is not None:  # of the families drawn
+            table.add_row(label, str(figures[key]), bound)
     late = missed(figures)
     if json:
         typer.echo(json_library.dumps({"summary": figures, "missed": late}, indent=1))
