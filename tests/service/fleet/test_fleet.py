@@ -23,7 +23,7 @@ from tests.service.pages.browser import looked_at
 
 DAYS = ("2026-01-30", "2026-01-31", "2026-02-01")
 STUCK = 3.0  # N m of Stribeck friction, in one robot from the second day on
-ASKED = ("stribeck_friction", "torque_offset", "cogging")
+ASKED = ("stribeck_friction", "torque_offset")
 FORMS = by_name(CATALOGUE)
 
 
