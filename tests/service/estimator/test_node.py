@@ -89,6 +89,7 @@ def test_every_sample_is_answered_and_counted(bench, make):
         assert 170 < len(told[name]) < 200, "once the lag line is full"
     assert (health["received"], health["lost"], health["repeated"], health["invalid"]) == (798, 3, 1, 2)
     assert health["published"] == bench.counted()
+    assert 0 < health["latency_median"] <= health["latency_max"]
 
     planned = REFERENCE.empty(2)
     for record, ahead in zip(planned, (0, 1), strict=True):
@@ -132,8 +133,8 @@ def test_another_sample_rate_needs_two_readings(bench, make, capsys):
     slower = make(1.0, period=2e-3).samples
     slower["sequence"] += 50
 
-    def anew():
-        return "changed from 0.001 s to 0.002 s; starting anew" in capsys.readouterr().err
+    def anew(change="changed from 0.001 s to 0.002 s"):
+        return f"{change}; starting anew" in capsys.readouterr().err
 
     bench.report()
     bench.take(slower[:16])
@@ -148,6 +149,11 @@ def test_another_sample_rate_needs_two_readings(bench, make, capsys):
     bench.report()
     bench.take(slower[132:148])
     assert not anew()
+    faster = make(0.1, period=5e-4).samples
+    faster["sequence"] += 1000
+    bench.report()
+    bench.take(faster[:32])
+    assert anew("changed from 0.002 s to 0.0005 s")
     told, health = bench.report()
     assert len(told["feedforward"]) == health["received"]
 
