@@ -11,7 +11,6 @@ import numpy as np
 
 from drivers.bus import Bus, SequenceCounter
 from drivers.health import Health
-from schemas.errors import DeltatwinError
 from schemas.messages import FINDING, NANOSECONDS, FindingVerdict, HealthFlag, StopReason, WatchState, set_stamp
 from schemas.watch import Finding
 from service.monitor.tally import INVALID
@@ -118,8 +117,8 @@ class Node:
         self._watch.diagnosing = False
         try:
             found = examination.result()
-        except (DeltatwinError, TimeoutError) as error:
-            text = f"the diagnosis failed: {error}"
+        except Exception as error:  # whatever it was, it is told, and the watch goes on
+            text = f"the diagnosis failed: {type(error).__name__}: {error}"
             self._finding(_failed(examination.case, self._found).tobytes())
         else:
             text = found.text

@@ -30,7 +30,7 @@ LEAST_KNOWN = 0.5  # of that motion whose level has to be known
 RISEN, FALLEN = 1.25, 1.12  # gap over level from which it has risen, and to which it has to fall again
 HOLD = 5  # looks with enough known motion that it takes to tell
 MARGIN_S = 1.0  # left out around the rise
-BEFORE_MOST_S, BEFORE_LEAST_S = 40.0, 8.0  # of time before the rise, which the diagnosis compares with
+BEFORE_MOST_S, BEFORE_LEAST_S = 30.0, 8.0  # of time before the rise, which the diagnosis compares with
 AGAIN_S = 600.0  # between two diagnoses
 TREND_LOOKS = 30  # that it takes to tell one
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
-from schemas.messages import NANOSECONDS, PAYLOAD, Gripper, WatchState, set_stamp, stamp_ns
+from schemas.messages import GAP, NANOSECONDS, PAYLOAD, Gripper, WatchState, set_stamp, stamp_ns
 from schemas.trace import Trace
 from service.watch.watch import FALLEN, RISEN, Case, Patience, Watch
 from tests.service.watch.logs import KNOWN, log, motion, rest_of, stribeck
@@ -17,12 +18,20 @@ IMPATIENT = Patience(learn=18.0, after=12.0)
 
 
 def through(trace: Trace) -> tuple[Watch, np.ndarray, Case | None]:
-    """The watch, its messages and the first case, samples coming in half seconds."""
-    one, samples, told, case = Watch(KNOWN, IMPATIENT), trace.samples(), [], None
-    for k in range(0, len(samples), 500):
-        told += one.add(samples[k : k + 500])
+    """The watch, its messages and the first case."""
+    one, case = Watch(KNOWN, IMPATIENT), None
+    told = []
+    for messages in fed(one, trace.samples()):
+        told.append(messages)
         case = case or one.case()
     return one, np.concatenate(told), case
+
+
+def fed(one: Watch, samples: np.ndarray, payload: np.ndarray | None = None) -> Iterator[np.ndarray]:
+    """Messages, samples coming in half seconds and PAYLOAD records at 100 Hz with them."""
+    for k in range(0, len(samples), 500):
+        some = None if payload is None else payload[k // 10 : k // 10 + 50]
+        yield np.concatenate([GAP.empty(0), *one.add(samples[k : k + 500], some)])
 
 
 def states(told: np.ndarray) -> list[WatchState]:
@@ -83,13 +92,14 @@ def test_what_is_no_motion_of_the_robot_is_no_gap() -> None:
     samples["position"][5000:6000] = np.nan
     samples["torque"][8000] = np.inf
     samples["position"][9000] += 1.0
-    told = np.concatenate(Watch(KNOWN).add(samples))
+    told = np.concatenate(list(fed(Watch(KNOWN), samples)))
+    assert len(told) > 12
     assert np.isfinite(told["gap"][8:]).all()
     np.testing.assert_allclose(told["gap"][8:], told["floor"][8:], rtol=0.2)
 
 
 def test_a_robot_at_rest_is_idle_and_keeps_its_level() -> None:
-    run = motion(25.0)
+    run = motion(33.0)
     trace = log(run, run.torque)
     rest = rest_of(run, 20.0)
     samples = trace.samples()
@@ -97,6 +107,7 @@ def test_a_robot_at_rest_is_idle_and_keeps_its_level() -> None:
     _, told, case = through(dataclasses.replace(trace, position=samples["position"]))
     assert case is None
     assert WatchState.RAISED not in states(told)
+    assert states(told)[-1] == WatchState.IDLE
 
 
 def picked(seconds: float, first: float = 2.0) -> np.ndarray:
@@ -118,7 +129,8 @@ def test_what_is_carried_is_no_gap(told_by: str) -> None:
         samples["gripper"] = np.where(carried, Gripper.CLOSED, Gripper.OPEN)
     else:
         payload = picked(30.0)
-    told = np.concatenate(Watch(KNOWN).add(samples, payload))[8:]
+    told = np.concatenate(list(fed(Watch(KNOWN), samples, payload)))[8:]
+    assert len(told) > 15
     np.testing.assert_allclose(told["gap"], told["floor"], rtol=0.25)
     assert (told["moving"] < 6.5).all()  # of ten seconds
     assert (told["moving"] > 2.0).all()
@@ -129,10 +141,8 @@ def test_a_mass_that_stays_is_the_robots_own_and_raises_the_alarm() -> None:
     trace = log(run, run.torque + np.where(run.time[:, None] > ONSET, 2.0, 0.0))
     payload = picked(45.0, first=ONSET)
     payload["mass"] = np.where(stamp_ns(payload) > ONSET * NANOSECONDS, 1.0, 0.0)
-    one, samples, told = Watch(KNOWN, IMPATIENT), trace.samples(), []
-    for k in range(0, len(samples), 500):
-        told += one.add(samples[k : k + 500], payload[k // 10 : k // 10 + 50])
-    assert WatchState.RAISED in states(np.concatenate(told))
+    told = np.concatenate(list(fed(Watch(KNOWN, IMPATIENT), trace.samples(), payload)))
+    assert WatchState.RAISED in states(told)
 
 
 def test_the_level_comes_from_a_reference_log_and_what_differs_on_the_bus_raises_the_alarm_at_once() -> None:
@@ -142,7 +152,7 @@ def test_the_level_comes_from_a_reference_log_and_what_differs_on_the_bus_raises
     one.settle()
     assert one.state == WatchState.WATCHING
     worn = log(run, stribeck(run, 0.0)).samples()
-    told = np.concatenate(one.add(worn[:12_000]))
+    told = np.concatenate(list(fed(one, worn[:12_000])))
     assert WatchState.RAISED in states(told)
 
 
@@ -151,8 +161,8 @@ def test_stamps_of_another_clock_and_a_clock_that_begins_anew() -> None:
     samples = log(run, run.torque).samples()
     samples["stamp_sec"][[4000, 12000, 12499]] = 2**31 - 1
     one = Watch(KNOWN, Patience(learn=15.0))
-    first = np.concatenate([m for k in range(0, len(samples), 500) for m in one.add(samples[k : k + 500])])
-    again = np.concatenate([m for k in range(0, 12_000, 500) for m in one.add(samples[k : k + 500])])
+    first = np.concatenate(list(fed(one, samples)))
+    again = np.concatenate(list(fed(one, samples[:12_000])))
     assert len(first) > 25
     assert first["state"][-1] == WatchState.WATCHING
     assert again["stamp_sec"][-1] < 12
