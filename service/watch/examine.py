@@ -25,15 +25,14 @@ from service.model.effects.base import Effect
 from service.watch.change import changes
 from service.watch.watch import Case
 
-LOWEST = 19  # nice
 BEFORE_PARTS, AFTER_PARTS = 2, 3  # runs that each is taken for, one left out at a time
 WORDS = 2  # quantities of an effect that the line tells
 CLOCK_S = 1e9  # bus time above that is a date
 
 
-def stand_back() -> None:
+def stand_back(niceness: int) -> None:
     """Of a process that examines: whatever is real time has the processor first, and Ctrl-C is its parent's."""
-    os.nice(LOWEST)
+    os.nice(niceness)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -18,6 +18,7 @@ from service.watch.examine import report, stand_back
 from service.watch.watch import RISEN, Case, Watch
 
 CYCLE_S = 0.1
+NICENESS = 19  # of a diagnosis
 STALE_NS = 1_000_000_000
 DEPTH = 1 << 15  # samples that wait while a look takes its time: 4 s at 8 kHz
 LONGEST_S = 900.0  # of a diagnosis; one that was killed never answers
@@ -29,7 +30,7 @@ class Examination:
     def __init__(self, description: Path, effects: Path | None, out: Path, case: Case) -> None:
         self.case, self.folder = case, out / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._until = time.monotonic() + LONGEST_S
-        self._pool = multiprocessing.get_context("spawn").Pool(1, stand_back)
+        self._pool = multiprocessing.get_context("spawn").Pool(1, stand_back, (NICENESS,))
         self._result = self._pool.apply_async(report, (description, effects, self.folder, case))
 
     @property
