@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import cumulative_trapezoid
 
 from schemas.messages import SAMPLE, set_stamp, stamp_ns
 from schemas.robot import Geometry, Identified, JointParameter, Mass, Parameter, Robot
@@ -16,6 +17,7 @@ from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM,
 from service.model.nominal import pack
 
 PERIOD = 1e-3
+STOP_TIME = 0.1  # s, from full speed to rest
 
 
 @pytest.fixture(scope="session")
@@ -48,8 +50,8 @@ class Known:
 
 @pytest.fixture(scope="session")
 def make(robot: Robot) -> Callable[..., Known]:
-    """Sinusoidal joint motion, `pace` times as fast; payload mass as a function of time; noise in the torque, counts in
-    the position."""
+    """Sinusoidal joint motion, `pace` times as fast, that stands still from rest[0] to rest[1] s; payload mass as a
+    function of time; noise in the torque, counts in the position."""
 
     def known(
         seconds: float = 2.0,
@@ -59,12 +61,17 @@ def make(robot: Robot) -> Callable[..., Known]:
         seed: int = 1,
         period: float = PERIOD,
         pace: float = 1.0,
+        rest: tuple[float, float] = (np.inf, np.inf),
     ) -> Known:
         time = np.arange(round(seconds / period)) * period
         rate = 2 * np.pi * np.array([1.1, 1.6, 2.1]) * pace
-        wave = rate * time[:, None] + [0.0, 1.0, 2.0]
+        way = np.clip(np.maximum(rest[0] - time, time - rest[1]) / STOP_TIME, 0.0, 1.0)
+        speed = (way * way * (3 - 2 * way))[:, None]  # of the clock that the motion follows
+        change = np.gradient(speed, period, axis=0)
+        wave = rate * cumulative_trapezoid(speed, dx=period, axis=0, initial=0.0) + [0.0, 1.0, 2.0]
         theta = 0.4 + 0.35 * np.sin(wave)
-        theta_dot, theta_ddot = 0.35 * rate * np.cos(wave), -0.35 * rate**2 * np.sin(wave)
+        along, bent = 0.35 * rate * np.cos(wave), -0.35 * rate**2 * np.sin(wave)
+        theta_dot, theta_ddot = along * speed, bent * speed**2 + along * change
         model, found = pack(robot), robot.identified
         assert found is not None
         terms = torque_terms(model, theta, theta_dot, theta_ddot)

@@ -24,6 +24,9 @@ SHORTFALL_TIME = 30.0  # s
 # A mass that is not trusted any longer leaves the feed-forward torque: so fast where it has become lighter, and so
 # slowly for good, that trust lost for a moment does not show.
 LIGHTER_TIME, LEAVING_TIME = 0.05, 1.0  # s
+# A gripper that nobody hears of works while the robot stands still: after so long without motion that tells the mass it
+# is not known any more, until so much motion has told it.
+STILL_TIME, TELLING_TIME = 0.25, 0.15  # s
 LOADS = 3  # m and, where the fourth axis turns, the m d_1 and m d_2 of `turning`
 # One standard deviation of m d: 4 kg at 50 mm.
 OFFSET_STD = 0.2  # kg m
@@ -87,6 +90,8 @@ STATE = np.dtype(
         ("weight", "f8", 3),  # of this sample, (N m)^-2, 0 where a joint has nothing to say
         ("slow_weight", "f8", 3),  # the same of a joint too slow for Coulomb's law
         ("remains", "f8", 3),  # of the residual, learnt friction taken off
+        ("still", "f8"),  # s, without motion that tells the mass
+        ("untold", "f8"),  # s of motion that it takes until the mass is known again
         ("gripper", "i8"),  # of this sample, schemas.messages.Gripper
         ("gripper_before", "i8"),
         ("mass", "f8"),  # kg

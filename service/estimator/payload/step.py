@@ -10,7 +10,7 @@ from service.estimator import friction, slow
 from service.estimator.payload.change import find_change
 from service.estimator.payload.loads import prior_of
 from service.estimator.payload.scatter import part_blocks, scatter_kernel
-from service.estimator.payload.state import LOADS, MEMORY_TIME, PRIOR_STD, WINDOW
+from service.estimator.payload.state import LOADS, MEMORY_TIME, PRIOR_STD, STILL_TIME, TELLING_TIME, WINDOW
 from service.estimator.payload.verdict import conclude
 
 UNKNOWN = Gripper.UNKNOWN.value
@@ -51,10 +51,12 @@ def payload_kernel(settings, state):
         state.moment[p] = state.moment[p] * settings.forgetting + gained
         state.bin_moment[head, p] += gained
     state.raw_information = prior_of(0) + (state.raw_information - prior_of(0)) * settings.forgetting + raw
-    if raw > 0.0:
+    told = raw > 0.0
+    if told:
         slow.fast_kernel(state.slow)
     elif state.active == 1:
-        _weigh_slowly(settings, state)
+        told = _weigh_slowly(settings, state)
+    _note_rest(settings, state, told)
     state.in_bin += 1
     if state.in_bin >= settings.bin_size:
         state.in_bin = 0
@@ -73,8 +75,23 @@ def payload_kernel(settings, state):
 
 
 @njit(cache=True)
+def _note_rest(settings, state, told):
+    """Count time without motion that tells the mass, and behind a rest the motion that has told it."""
+    if state.gripper != UNKNOWN:
+        state.still = state.untold = 0.0
+    elif told:
+        state.still = 0.0
+        state.untold = max(0.0, state.untold - settings.period)
+    else:
+        state.still += settings.period
+        if state.still > STILL_TIME:
+            state.untold = TELLING_TIME
+
+
+@njit(cache=True)
 def _weigh_slowly(settings, state):
-    """Where nothing moves fast: take what gravity says for all that is known of the mass."""
+    """Where nothing moves fast: take what gravity says for all that is known of the mass. Returns whether it says
+    anything."""
     for i in range(3):
         first = friction.PARTS * i
         state.known[i] = settings.prior[first]
@@ -92,6 +109,7 @@ def _weigh_slowly(settings, state):
         state.raw_information = state.information[0, 0] * state.inflation
         for a in range(friction.COUNT):
             state.drag[0, a] = 0.0
+    return told
 
 
 @njit(cache=True)

@@ -69,7 +69,7 @@ def conclude(settings, state):
     if state.wrong_for > (0.0 if known_empty else SETTLING_TIME):
         state.shortfall += settings.period / SETTLING_TIME * (wrong - state.shortfall)
     std_dev = math.hypot(std_dev, max(state.shortfall, wrong) if empty else state.shortfall)
-    trusted = std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR and state.inflation < FOREIGN
+    trusted = std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR and state.inflation < FOREIGN and state.untold == 0.0
     state.quiet += 1
     state.burst = max(0.0, state.burst - EVENT_RATE * settings.period)
     margin = CONTRADICTION * std_dev + CONTRADICTION_FLOOR

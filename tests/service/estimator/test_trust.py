@@ -136,6 +136,23 @@ def test_a_load_that_nobody_watched_is_weighed_anew(robot, make, hole, elsewhere
     assert mass[100:] == pytest.approx(2.0, abs=0.05)
 
 
+def test_what_a_gripper_does_while_nothing_moves_is_not_known(robot, make):
+    """2 kg, let go half a second into a rest: nobody can tell before the next move, and the mass is not trusted."""
+    known = make(4.0, payload=lambda t: 2.0 * (t < 2.5), noise=0.25, rest=(2.0, 2.8))
+    payload, time = weigh(robot, known.samples)
+    trusted, off = payload["trusted"] != 0, np.abs(payload["mass"] - 2.0 * (time < 2.5))
+    assert trusted[(time > 1.0) & (time < 2.2)].all()
+    assert not trusted[(time > 2.3) & (time < 2.9)].any()
+    assert not (trusted & (off > 2 * payload["std_dev"] + 0.02))[time > 1.0].any()
+    assert trusted[time > 3.2].all()
+
+
+def test_a_short_stop_takes_no_trust(robot, make):
+    known = make(3.0, payload=lambda t: 2.0 + 0.0 * t, noise=0.25, rest=(2.0, 2.15))
+    payload, time = weigh(robot, known.samples)
+    assert (payload["trusted"] != 0)[time > 1.0].all()
+
+
 @pytest.mark.parametrize("turned", [False, True], ids=["multi-turn", "within one turn"])
 def test_a_load_off_the_axis_is_weighed_where_the_angle_is_known(robot, make, turned):
     known = make(9.0, payload=carried, noise=0.25)
