@@ -18,7 +18,9 @@ from schemas.trace import Finding, Trace
 
 EXACT_SECONDS = 1_000_000  # float64 seconds below this hold a nanosecond
 GAP_PERIODS = 1.5  # a step of the stamps above this many periods has lost cycles
-MAX_SPEED = 60.0  # rad/s at the joint of a Delta; fast ones reach about 20. A servo motor's own axis turns at hundreds
+MAX_SPEED = 60.0  # rad/s at the joint of a Delta; fast ones reach about 20
+# A servo motor's own axis turns at hundreds; faster than that is the log's motion or a burst in slow turns.
+BURST = 3.0  # times the speed that 95 % of the samples keep below
 MAX_ACCELERATION = 1e4  # rad/s^2 or m/s^2; fast Delta robots reach about 2e3 rad/s^2
 NOISE_SIGMAS = 15.0  # a jump stands this far out of the velocity's own noise
 ANY_JOINT = np.pi  # rad; no joint of a Delta turns further, whatever its robot's range
@@ -117,7 +119,7 @@ def _values(trace: Trace, rows: RowNames, robot: Description | None) -> Iterator
                 what = f"{name} of joint {joint + 1}: {len(bad)} values missing or not finite"
                 yield Finding(flag, f"{what}: {rows.name(bad)} ({values[bad[0], joint]})", bad)
     yield from _commanded(trace)
-    yield from _jumps(trace, rows, MAX_SPEED if robot is None or isinstance(robot, Robot) else np.inf)
+    yield from _jumps(trace, rows, 0.0 if robot is None or isinstance(robot, Robot) else BURST)
 
 
 def _commanded(trace: Trace) -> Iterator[Finding]:
@@ -129,8 +131,8 @@ def _commanded(trace: Trace) -> Iterator[Finding]:
             yield Finding(SampleFlag(0), message, np.zeros(0, np.intp))
 
 
-def _jumps(trace: Trace, rows: RowNames, fastest: float) -> Iterator[Finding]:
-    """fastest: rad/s or m/s beyond which even an even speed is none of a joint's."""
+def _jumps(trace: Trace, rows: RowNames, burst: float) -> Iterator[Finding]:
+    """burst: times the log's own speed that is believed beyond `MAX_SPEED`."""
     step = np.diff(trace.time)
     period = float(np.median(step[step > 0]))
     step = np.maximum(step, period)[:, None]  # repeated or falling stamps: one cycle has passed at least
@@ -140,6 +142,7 @@ def _jumps(trace: Trace, rows: RowNames, fastest: float) -> Iterator[Finding]:
     speed = np.where(unknown, 0.0, speed)
     away = np.abs(speed - median_filter(speed, size=(5, 1)))
     noise = 1.4826 * np.median(away, axis=0)
+    fastest = np.maximum(MAX_SPEED, burst * np.percentile(np.abs(speed), 95, axis=0))
     jumped = (np.abs(speed) > fastest) | (away > 2 * MAX_ACCELERATION * step + NOISE_SIGMAS * noise)
     for joint in range(speed.shape[1]):
         bad = np.flatnonzero(jumped[:, joint] & ~unknown[:, joint]) + 1
