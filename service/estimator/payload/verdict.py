@@ -69,7 +69,7 @@ def conclude(settings, state):
     if state.wrong_for > (0.0 if known_empty else SETTLING_TIME):
         state.shortfall += settings.period / SETTLING_TIME * (wrong - state.shortfall)
     std_dev = math.hypot(std_dev, max(state.shortfall, wrong) if empty else state.shortfall)
-    trusted = std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR and state.inflation < FOREIGN and state.untold == 0.0
+    trusted = std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR and state.inflation < FOREIGN
     state.quiet += 1
     state.burst = max(0.0, state.burst - EVENT_RATE * settings.period)
     margin = CONTRADICTION * std_dev + CONTRADICTION_FLOOR
@@ -86,9 +86,11 @@ def conclude(settings, state):
         state.load = min(state.load, held)  # the rest of a release is no second one
     if trusted or abs(held - state.load) > CLEAR_STEP * std_dev:
         event = _event(settings, state, held, std_dev, trusted)
+    if event != PayloadEvent.NONE.value:
+        state.untold = 0.0  # weighed anew
     state.mass = held
     state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
-    state.trusted = 1 if trusted else 0
+    state.trusted = 1 if trusted and state.untold == 0.0 else 0
     _reckon(settings, state)
     return event
 
