@@ -201,8 +201,9 @@ class Wire:
         assert self._box.stdout.readline() == line + "\n"
         return time.monotonic()
 
-    def master(self, feedforward: str = "bus", duration: int = 90) -> Process:
-        """A master whose drives are in operation for `duration` s and, over the bus, get a torque."""
+    def master(self, feedforward: str = "bus", duration: int = 90, tries: int = 3) -> Process:
+        """A master whose drives are in operation for `duration` s and, over the bus, get a torque. One that has ended
+        before, as the host held its segment up, is started again."""
         self.spoil("whole")
         self.segment.say("mend")
         since = time.monotonic()
@@ -213,9 +214,17 @@ class Wire:
         master.wait_for("drives in operation")
         self.heard.cleared(Role.MASTER, HealthFlag.STOPPED, since, READY)  # heard at all: the link is up
         if feedforward == "bus":
+            while master.process.is_alive() and time.monotonic() < since + READY and not self._fed(since):
+                time.sleep(0.01)
+            if not master.process.is_alive() and not self._fed(since) and tries > 1:
+                return self.master(feedforward, duration, tries - 1)
             self.heard.cleared(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since, READY)
             time.sleep(0.3)  # in which the torque rises
         return master
+
+    def _fed(self, since: float) -> bool:
+        records = self.heard.health(Role.MASTER, since)
+        return any(not record["flags"] & HealthFlag.STALE_FEEDFORWARD for _, record in records)
 
 
 @contextlib.contextmanager
