@@ -133,6 +133,7 @@ class JointDrive(TomlTable):
     """
 
     station: Annotated[int, Field(ge=1, le=0xFFFF)] | None = None  # configured station address; an ENI needs it
+    place: Annotated[int, Field(ge=1)] | None = None  # on the wire, from the master; needed where more is than drives
     counts_per_turn: Positive  # encoder counts per motor turn, 0x608F
     gear_ratio: Positive | None = None  # where it differs from [drive]
     sign: Literal[1, -1]  # -1: the drive counts up while the active link rises
@@ -183,6 +184,9 @@ class Drive(TomlTable):
         stations = [joint.station for joint in self.joint if joint.station is not None]
         if len(set(stations)) != len(stations):
             raise ValueError(f"joint: two drives have one station address: {stations}")
+        places = [joint.place for joint in self.joint]
+        if any(places) and (None in places or len(set(places)) != len(places)):
+            raise ValueError(f"joint: place: {places}: all drives have one of their own, or none has")
         return self
 
 

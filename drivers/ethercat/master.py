@@ -120,7 +120,11 @@ class OffsetRamp:
 
 
 class Master:
-    """The drives of one robot on one interface. Use as a context manager: leaving it stops the drives and the bus."""
+    """The drives of one robot on one interface. Use as a context manager: leaving it stops the drives and the bus.
+
+    Other stations, which the description passes over by giving each drive its `place`, go into operation with the bus;
+    their outputs stay 0.
+    """
 
     def __init__(self, interface: str, robot: Robot, period: float, wait_until: Callable[[int], int]) -> None:
         """`period`: s. `wait_until`: sleeps to a CLOCK_MONOTONIC time in ns, gives back how late it is, ns.
@@ -131,6 +135,8 @@ class Master:
         pdos = joint_pdos(robot)
         self.scale = _side_by_side(cia402.scales(robot.drive))
         self._axes = [_Axis(rx, tx) for rx, tx in pdos]
+        places = [joint.place for joint in robot.drive.joint if joint.place is not None]
+        self._declared, self._places = bool(places), places or [1, 2, 3]
         self._gripper = robot.drive.gripper
         if self._gripper is not None:
             self._axes[self._gripper.joint - 1].tx.require(cia402.DIGITAL_INPUTS)
@@ -318,7 +324,8 @@ class Master:
 
     def _pairs(self) -> Iterator[tuple[_Axis, Any]]:
         """Each axis and SOEM's slave."""
-        return zip(self._axes, self._soem.slaves, strict=True)
+        slaves = self._soem.slaves
+        return zip(self._axes, [slaves[place - 1] for place in self._places], strict=True)
 
     def _bring_up(self) -> None:
         give_up = time.monotonic() + BRING_UP_TIME
@@ -333,12 +340,20 @@ class Master:
         found = self._soem.config_init()
         if found <= 0:
             raise BusError(f"{self._interface}: no EtherCAT slave answers; check cable and power")
-        if found != 3:
-            raise BusError(f"{self._interface}: {found} slaves on the bus, robot {self._robot!r} has 3 drives")
+        if self._declared:
+            if found < max(self._places):
+                raise BusError(
+                    f"{self._interface}: {found} slaves on the bus, a drive is declared at {max(self._places)}"
+                )
+        elif found != 3:
+            raise BusError(
+                f"{self._interface}: {found} slaves on the bus, robot {self._robot!r} has 3 drives"
+                + ("; drive.joint.N.place says which they are" if found > 3 else "")
+            )
         if self._soem.state_check(pysoem.PREOP_STATE, 2_000_000) != pysoem.PREOP_STATE:
             raise BusError(self._explain_states("PREOP"))
         self._soem.config_map()
-        for number, (slave, axis) in enumerate(zip(self._soem.slaves, self._axes, strict=True), start=1):
+        for number, (axis, slave) in enumerate(self._pairs(), start=1):
             for name, pdo, size in (("outputs", axis.rx, len(slave.output)), ("inputs", axis.tx, len(slave.input))):
                 if pdo.size != size:  # written all the same, it would go over the edge of SOEM's process image
                     raise BusError(
@@ -396,6 +411,9 @@ class Master:
     def _for(self, duration: float) -> Iterator[int]:
         return iter(range(round(duration * NANOSECONDS / self._period_ns)))
 
+    def _name(self, place: int) -> str:
+        return f"drive {self._places.index(place) + 1}" if place in self._places else f"station {place}"
+
     def _explain_counter(self, counter: int) -> str:
         expected, cycles = self._soem.expected_wkc, self._faulty_run
         if counter <= 0:
@@ -404,17 +422,19 @@ class Master:
                 "check cable and power"
             )
         self._soem.read_state()
-        gone = [str(number) for number, slave in enumerate(self._soem.slaves, start=1) if slave.state == 0]
-        cause = f"drive {', '.join(gone)} does not answer" if gone else "a drive does not take part in the process data"
+        silent = [place for place, slave in enumerate(self._soem.slaves, start=1) if slave.state == 0]
+        drives = [str(number) for number, place in enumerate(self._places, start=1) if place in silent]
+        gone = [f"drive {', '.join(drives)}"] * bool(drives) + [self._name(p) for p in silent if p not in self._places]
+        cause = f"{', '.join(gone)} does not answer" if gone else "a drive does not take part in the process data"
         return f"{self._interface}: working counter {counter} of {expected} for {cycles} cycles: {cause}"
 
     def _explain_states(self, wanted: str) -> str:
         self._soem.read_state()
         target = getattr(pysoem, f"{wanted}_STATE")
-        for number, slave in enumerate(self._soem.slaves, start=1):
+        for place, slave in enumerate(self._soem.slaves, start=1):
             if slave.state != target:
                 reason = pysoem.al_status_code_to_string(slave.al_status) if slave.al_status else "no reason given"
-                return f"{self._interface}: drive {number} ({slave.name}) does not reach {wanted}: {reason}"
+                return f"{self._interface}: {self._name(place)} ({slave.name}) does not reach {wanted}: {reason}"
         return f"{self._interface}: the bus does not reach {wanted}"
 
     def _explain_drives(self) -> str:
