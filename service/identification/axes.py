@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -97,10 +97,7 @@ def _described_better(fit: Plain) -> list[str]:
     if not isinstance(mechanism, SerialArm) or not mechanism.links.any():
         return []
     links = np.flatnonzero(mechanism.links)
-    change, free = np.zeros(len(fit.fitted.free)), fit.fitted.free.copy()
-    change[links], free[links] = (mechanism.start - fit.fitted.hypothesis.base.rigid)[links], False
-    residuals = [r - t @ change for r, t in zip(fit.fitted.residuals, fit.fitted.tangents, strict=True)]
-    described = replace(fit.fitted, residuals=residuals, free=free)
+    described = fit.fitted.holding(links, mechanism.start[links])
     torque = sum(float(np.sum(problem.select(i, target) ** 2)) for i, target in enumerate(problem.target))
     left = [np.sqrt(block_loss(held_out(one, split), split).sum() / torque) for one in (fit.fitted, described)]
     if left[1] >= left[0]:

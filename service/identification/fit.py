@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -86,6 +86,15 @@ class Fit:
     def step(self, gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
         """Least-squares step of the free parameters from normal equations in them, within reach."""
         return within(gram, moment, self.reach[0][self.free], self.reach[1][self.free])
+
+    def holding(self, columns: np.ndarray, values: np.ndarray) -> Fit:
+        """With the free linear parameters of `columns` held at `values` (C,), and the others as they are."""
+        parameters = Parameters(self.hypothesis)
+        change, free = np.zeros(len(self.free)), self.free.copy()
+        change[columns] = values - parameters.values[parameters.free][columns]
+        free[columns] = False
+        residuals = [r - t @ change for r, t in zip(self.residuals, self.tangents, strict=True)]
+        return replace(self, residuals=residuals, free=free)
 
     @property
     def cost(self) -> float:

@@ -199,11 +199,7 @@ def _turning(problem: Problem, fitted: solver.Fit) -> solver.Fit:
 
 def _wants(fitted: solver.Fit, split: Split, columns: np.ndarray) -> bool:
     """Whether data left out lose by holding the rigid coefficients of `columns` at zero."""
-    change, free = np.zeros(len(fitted.free)), fitted.free.copy()
-    change[columns] = -fitted.hypothesis.base.rigid[columns]
-    free[columns] = False
-    residuals = [r - t @ change for r, t in zip(fitted.residuals, fitted.tangents, strict=True)]
-    without = replace(fitted, residuals=residuals, free=free)
+    without = fitted.holding(columns, np.zeros(len(columns)))
     kept, lost = (block_loss(held_out(one, split), split) for one in (fitted, without))
     gain = lost - kept
     spread = np.sqrt(len(gain)) * np.std(gain)
