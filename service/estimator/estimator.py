@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import NamedTuple
 
+import numba
 import numpy as np
 
 from schemas.errors import DataError
@@ -11,6 +16,7 @@ from schemas.messages import FEEDFORWARD, FRICTION, MODEL_ERROR, PAYLOAD, stamp_
 from schemas.robot import Robot
 from service.estimator import friction, state
 from service.estimator.feedforward import plan_kernel
+from service.estimator.payload.step import payload_kernel
 from service.estimator.step import answer_kernel, look_back_kernel, run_kernel
 
 # Samples from which the period is read. Stamps of a bus jitter; the median of this many does not.
@@ -105,11 +111,38 @@ class Estimator:
         return record
 
     def warm_up(self) -> None:
-        """Compile `plan` and `step`, without touching the state, so that the first live sample is not seconds late."""
+        """Compile `plan` and `step`, without touching the state, so that the first live sample is not seconds late.
+
+        Where nothing is compiled yet, a second process takes the payload's part, a third of it: Numba compiles one
+        function at a time, and this process finds what the other one left in the cache.
+        """
         fresh = state.fresh(self._steps["settings"])
-        plan_kernel(fresh)
-        answer_kernel(fresh)
-        look_back_kernel(fresh)
+        beside = None if _is_compiled() else subprocess.Popen(
+            [sys.executable, "-c", f"from {__name__} import compile_payload; compile_payload()"],
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        try:
+            plan_kernel(fresh)
+            answer_kernel(fresh)
+            if beside is not None:
+                beside.wait()  # if it failed, the next line compiles all of it
+            look_back_kernel(fresh)
+        finally:
+            if beside is not None:
+                beside.kill()
+                beside.wait()
+
+
+def compile_payload() -> None:
+    """Compile what `look_back` spends most on, and leave it in the cache."""
+    step = np.zeros(1, state.STEP)[0]
+    payload_kernel.compile(tuple(numba.typeof(step[part]["payload"]) for part in ("settings", "state")))
+
+
+def _is_compiled() -> bool:
+    folder = payload_kernel.stats.cache_path
+    return folder is None or any(Path(folder).glob("step.payload_kernel-*.nbi"))
 
 
 def rate_of(samples: np.ndarray) -> Rate:

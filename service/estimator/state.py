@@ -15,15 +15,10 @@ from service.estimator.payload import state as payload
 from service.model.description import terms_of
 from service.model.dynamics import REST_SPEED, TERMS
 from service.model.kinematics import POSE
-from service.model.nominal import DeltaModel, lengthened, pack
+from service.model.nominal import MODEL, lengthened, pack, record_of
 
 # Per sample, when `identify` has not measured it.
 DEFAULT_TORQUE_NOISE = 0.5  # N m
-
-MODEL = np.dtype(
-    [(name, "f8") if name in ("link_mass", "moving_mass") else (name, "f8", 3) for name in DeltaModel._fields],
-    align=True,
-)
 
 SETTINGS = np.dtype(
     [
@@ -129,9 +124,8 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record = np.zeros(1, SETTINGS)
     terms = terms_of(robot)
     robot, ratio, scale = effects.corrected(robot)
-    model, identified = pack(robot), robot.identified
-    for name in DeltaModel._fields:
-        record["model"][name] = getattr(model, name)
+    identified = robot.identified
+    record["model"] = record_of(pack(robot))
     motion = kalman.design(period, robot.drive.position_resolution_rad)
     for name in motion._fields:
         record["motion"][name] = getattr(motion, name)

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from service.model.kinematics import POSE, REACHED, lever_kernel, motion_kernel, pose_kernel, raise_pose, rows
-from service.model.nominal import DeltaModel
+from service.model.nominal import DeltaModel, record_of
 
 TERMS = ("inertia", "gravity", "platform", "forearm", "payload")
 INERTIA, GRAVITY, PLATFORM, FOREARM, PAYLOAD = range(5)
@@ -73,6 +73,6 @@ def torque_terms(model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, th
     """
     batch = rows(theta)
     terms = np.empty((len(batch), len(TERMS), 3))
-    status, row = _terms_batch(model, batch, rows(theta_dot), rows(theta_ddot), terms)
+    status, row = _terms_batch(record_of(model), batch, rows(theta_dot), rows(theta_ddot), terms)
     raise_pose(status, row, batch[row], "rad")
     return terms.reshape(*np.shape(theta)[:-1], len(TERMS), 3)

@@ -14,7 +14,7 @@ from numba import njit
 
 from service.model.dynamics import FOREARM, GRAVITY, PLATFORM, terms_kernel
 from service.model.kinematics import POSE, REACHED, raise_pose, rows
-from service.model.nominal import DeltaModel
+from service.model.nominal import DeltaModel, record_of
 
 _STILL = np.zeros(3)
 
@@ -88,7 +88,15 @@ def forward_dynamics(
     batch = rows(theta)
     mass, acceleration = np.empty((len(batch), 3, 3)), np.empty_like(batch)
     status, row = _forward_batch(
-        model, np.full(3, rho_1), np.full(3, rho_2), forearm, batch, rows(theta_dot), rows(torque), mass, acceleration
+        record_of(model),
+        np.full(3, rho_1),
+        np.full(3, rho_2),
+        forearm,
+        batch,
+        rows(theta_dot),
+        rows(torque),
+        mass,
+        acceleration,
     )
     raise_pose(status, row, batch[row], "rad")
     return acceleration, mass

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from schemas.errors import PoseError
-from service.model.nominal import DeltaModel
+from service.model.nominal import DeltaModel, record_of
 
 REACHED, UNREACHABLE, SINGULAR = 0, 1, 2
 
@@ -171,7 +171,10 @@ def _forward_batch(model, theta, position, column, lever):
         if status != REACHED:
             return status, n
         lever_kernel(model, theta[n], pose)
-        position[n], column[n], lever[n] = pose.position, pose.column, pose.lever
+        for i in range(3):  # not by slices: what checks their shapes takes seconds to compile
+            position[n, i], lever[n, i] = pose.position[i], pose.lever[i]
+            for axis in range(3):
+                column[n, i, axis] = pose.column[i, axis]
     return REACHED, -1
 
 
@@ -184,7 +187,9 @@ def _motion_batch(model, theta, theta_dot, theta_ddot, position, velocity, accel
             return status, n
         lever_kernel(model, theta[n], pose)
         motion_kernel(model, theta[n], theta_dot[n], theta_ddot[n], pose)
-        position[n], velocity[n], acceleration[n] = pose.position, pose.velocity, pose.acceleration
+        for axis in range(3):
+            position[n, axis] = pose.position[axis]
+            velocity[n, axis], acceleration[n, axis] = pose.velocity[axis], pose.acceleration[axis]
     return REACHED, -1
 
 
@@ -218,7 +223,7 @@ def _poses(model: DeltaModel, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """position (N, 3), column (N, 3, 3) and lever (N, 3) of the forward kernel."""
     batch = rows(theta)
     position, column, lever = np.empty_like(batch), np.empty((len(batch), 3, 3)), np.empty_like(batch)
-    status, row = _forward_batch(model, batch, position, column, lever)
+    status, row = _forward_batch(record_of(model), batch, position, column, lever)
     raise_pose(status, row, batch[row], "rad")
     return position, column, lever
 
@@ -241,7 +246,7 @@ def inverse(model: DeltaModel, position: np.ndarray) -> np.ndarray:
     """
     batch = rows(position)
     theta = np.empty_like(batch)
-    status, row = _inverse_batch(model, batch, theta)
+    status, row = _inverse_batch(record_of(model), batch, theta)
     raise_pose(status, row, batch[row], "m")
     return theta.reshape(np.shape(position))
 
@@ -265,7 +270,9 @@ def motion(model: DeltaModel, theta: np.ndarray, theta_dot: np.ndarray, theta_dd
     """
     batch = rows(theta)
     position, velocity, acceleration = np.empty_like(batch), np.empty_like(batch), np.empty_like(batch)
-    status, row = _motion_batch(model, batch, rows(theta_dot), rows(theta_ddot), position, velocity, acceleration)
+    status, row = _motion_batch(
+        record_of(model), batch, rows(theta_dot), rows(theta_ddot), position, velocity, acceleration
+    )
     raise_pose(status, row, batch[row], "rad")
     shape = np.shape(theta)
     return PlatformMotion(position.reshape(shape), velocity.reshape(shape), acceleration.reshape(shape))

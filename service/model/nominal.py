@@ -25,6 +25,18 @@ class DeltaModel(NamedTuple):
     gravity: np.ndarray  # m/s^2, vector in the base frame
 
 
+# The same as kernels take it: one type for estimator, batches and rollout, so that they share what is compiled.
+MODEL = np.dtype(
+    [(name, "f8") if name in ("link_mass", "moving_mass") else (name, "f8", 3) for name in DeltaModel._fields],
+    align=True,
+)
+
+
+def record_of(model: DeltaModel) -> np.void:
+    """`model` as a MODEL record."""
+    return np.array([tuple(model)], MODEL)[0]
+
+
 @dataclass(frozen=True)
 class Correction:
     """What effects change in the model itself, true minus described, one entry an arm.

@@ -16,11 +16,11 @@ import numpy as np
 from numba import njit
 
 from service.estimator.effects import EFFECT, MAX_EFFECTS, effects_kernel
-from service.estimator.state import MODEL
 from service.model.dynamics import TERMS
 from service.model.effects.base import Instant
 from service.model.forward import bias_kernel, mass_kernel, solve_kernel
 from service.model.kinematics import POSE, REACHED
+from service.model.nominal import MODEL
 
 LONGEST_STEP = 0.25e-3  # s
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of ROS2: what decays fast does so in one step

@@ -13,7 +13,7 @@ from service.model.effects.base import Effect
 from service.model.effects.presliding_friction import deflection
 from service.model.hypothesis import Term, inside_of
 from service.model.mechanism import Delta
-from service.model.nominal import DeltaModel, lengthened, pack
+from service.model.nominal import DeltaModel, lengthened, pack, record_of
 from service.model.scene import Recording, Scene
 from service.model.signals import Segment, delayed, smooth
 from service.model.two_masses import relative_motion
@@ -85,8 +85,7 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     for joint in np.flatnonzero(inside.bristle):
         start[:, 4, joint] = deflection(segment.theta[:, joint], inside.distance[joint])
     forward, model = np.zeros(1, FORWARD), pack(changed)
-    for name in DeltaModel._fields:
-        forward["model"][name] = getattr(model, name)
+    forward["model"] = record_of(model)
     forward["rho_1"], forward["rho_2"] = lengthened(base.rigid[0], base.rigid[1], ratio)
     forward["forearm"] = base.rigid[2]
     forward["viscous"], forward["coulomb"] = base.viscous, base.coulomb
