@@ -41,6 +41,7 @@ class RolloutDocument(DocumentPart):
 
     floor: what torque noise and start state make of the last robot alone.
 
+    payload_kg: what hangs on all of them, one a window. untold_s: left out as that could not be told.
     path_mm: rms way of the measured platform. seconds: of the logs; used_s: in windows.
     """
 
@@ -48,6 +49,8 @@ class RolloutDocument(DocumentPart):
     traces: list[str]
     horizon_s: float
     windows: int
+    payload_kg: list[float]
+    untold_s: float
     seconds: float
     used_s: float
     path_mm: float

@@ -12,7 +12,7 @@ import numpy as np
 
 from schemas.errors import DataError, TraceError
 from schemas.files import MIB, read_bytes
-from schemas.messages import PayloadEvent, stamp_ns
+from schemas.messages import Gripper, PayloadEvent, SampleFlag, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.estimator.estimator import Estimator, rate_of
@@ -20,6 +20,9 @@ from service.estimator.recursion import FORGETTING, fixed_forgetting
 from service.model import kinematics
 from service.model.nominal import pack
 from service.model.prediction import Motion, motion, predict_along
+from service.model.signals import moving
+
+BEFORE_SEEN = 0.25  # s of motion before an event is seen in which what it is about may have happened
 
 # What "found" means: within the larger of the two of the truth, and staying there to the release.
 BOUND_SHARE, BOUND_KG = 0.05, 0.05
@@ -28,18 +31,21 @@ MAX_TRUTH_BYTES = 16 * MIB  # some hundred thousand picks
 
 
 @dataclass(frozen=True)
-class PayloadHistory:
+class Weighed:
     """Payload over a trace, as known after each of N samples. time: s, bus. mass, std_dev: kg. event: PayloadEvent.
-    trusted: bool.
-
-    recursion: (N,) kg, the paper's at a fixed forgetting factor on M_Id+F.
-    """
+    trusted: bool."""
 
     time: np.ndarray
     mass: np.ndarray
     std_dev: np.ndarray
     trusted: np.ndarray
     event: np.ndarray
+
+
+@dataclass(frozen=True)
+class PayloadHistory(Weighed):
+    """recursion: (N,) kg, the paper's at a fixed forgetting factor on M_Id+F."""
+
     recursion: np.ndarray
 
 
@@ -78,8 +84,8 @@ class Score:
     mass_recursion: float
 
 
-def payload_history(robot: Robot, trace: Trace) -> PayloadHistory:
-    """Run the online estimator and the paper's recursion over `trace`.
+def weighed(robot: Robot, trace: Trace) -> Weighed:
+    """Run the online estimator over `trace`.
 
     Raises:
         TraceError: the trace cannot be used, naming the file.
@@ -96,16 +102,52 @@ def payload_history(robot: Robot, trace: Trace) -> PayloadHistory:
         shifted[lag:] = values
         return shifted
 
-    along = motion(trace)
-    torque = predict_along(robot, trace, along)["M_Id+F"]
-    return PayloadHistory(
+    return Weighed(
         time=stamp_ns(samples) * 1e-9,
         mass=known(result["mass"]),
         std_dev=known(result["std_dev"]),
         trusted=known(result["trusted"]) != 0,
         event=known(result["event"]),
-        recursion=recursion(robot, trace, along, torque),
     )
+
+
+def payload_history(robot: Robot, trace: Trace) -> PayloadHistory:
+    """What `weighed` says of `trace`, and the paper's recursion. Raises the same."""
+    found, along = weighed(robot, trace), motion(trace)
+    torque = predict_along(robot, trace, along)["M_Id+F"]
+    return PayloadHistory(**vars(found), recursion=recursion(robot, trace, along, torque))
+
+
+def carried(robot: Robot, trace: Trace) -> np.ndarray:
+    """(N,) kg on the platform at each row of `trace`, one mass from event to event; NaN where it cannot be told: about
+    to change, never trusted, or of unknown mass by a flag.
+
+    It is told up to `BEFORE_SEEN` of motion before an event, or before the end of a trace with events: while the robot
+    stands, a mass may change unseen. A robot that was never identified weighs nothing, and carries nothing but where
+    its gripper is closed.
+
+    Raises:
+        TraceError, DataError: as `weighed`.
+    """
+    unknown = (trace.flags & np.uint32(SampleFlag.LOADED)) != 0
+    mass: np.ndarray = np.where(unknown, np.nan, 0.0)
+    if robot.identified is None:
+        if trace.gripper is not None:
+            mass[np.flatnonzero(trace.gripper == Gripper.CLOSED)] = np.nan
+        return mass
+    found = weighed(robot, trace)
+    events = np.flatnonzero(found.event != PayloadEvent.NONE)
+    if not len(events):
+        return mass
+    moves = np.any(moving(trace.position, trace.period), axis=1)
+    for level in levels(found):
+        rows = (found.time >= level.begin) & (found.time <= level.end)
+        hangs = level.mass if level.mass > 2 * level.std_dev else 0.0
+        mass[rows] += hangs if level.trusted else np.nan
+    for row in [*events, len(mass)]:
+        moved = np.cumsum(moves[:row][::-1]) * trace.period
+        mass[row - int(np.searchsorted(moved, BEFORE_SEEN)) : row] = np.nan
+    return mass
 
 
 def recursion(
@@ -132,7 +174,7 @@ def recursion(
     return fixed_forgetting(y, x, forgetting ** (trace.period / 1e-3))
 
 
-def picks(found: PayloadHistory) -> list[Pick]:
+def picks(found: Weighed) -> list[Pick]:
     """Picks as the estimator saw them; the mass is the one just before the release, or at the end of the trace."""
     starts = np.flatnonzero(found.event == PayloadEvent.PICK)
     releases = np.flatnonzero(found.event == PayloadEvent.RELEASE)
@@ -146,7 +188,7 @@ def picks(found: PayloadHistory) -> list[Pick]:
     return result
 
 
-def levels(found: PayloadHistory) -> list[Level]:
+def levels(found: Weighed) -> list[Level]:
     """Every level that the estimator saw; its figures are those of its later half."""
     starts = np.flatnonzero(found.event != PayloadEvent.NONE)
     result = []

@@ -27,8 +27,8 @@ def terms_kernel(model, theta, theta_dot, theta_ddot, pose, terms):
     status = pose_kernel(model, theta, pose)
     if status != REACHED:
         return status
-    lever_kernel(model, theta, pose)
-    motion_kernel(model, theta, theta_dot, theta_ddot, pose)
+    lever_kernel(model, pose)
+    motion_kernel(model, theta_dot, theta_ddot, pose)
     column, elbow, lever = pose.column, pose.elbow, pose.lever
     acceleration, bend, swing = pose.acceleration, pose.bend, pose.swing
     for i in range(3):

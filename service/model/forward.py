@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from service.model.dynamics import FOREARM, GRAVITY, PLATFORM, terms_kernel
+from service.model.dynamics import FOREARM, GRAVITY, PAYLOAD, PLATFORM, terms_kernel
 from service.model.kinematics import POSE, REACHED, raise_pose, rows
 from service.model.nominal import DeltaModel, record_of
 
@@ -20,8 +20,9 @@ _STILL = np.zeros(3)
 
 
 @njit(cache=True)
-def mass_kernel(model, rho_1, forearm, pose, mass):
-    """Fill mass (3, 3), kg m^2, at the record `pose` that the terms kernel filled. rho_1: (3,). forearm: kg."""
+def mass_kernel(model, rho_1, forearm, carried, pose, mass):
+    """Fill mass (3, 3), kg m^2, at the record `pose` that the terms kernel filled. rho_1: (3,). forearm, carried: kg,
+    of the rods and on the platform."""
     column, elbow, lever = pose.column, pose.elbow, pose.lever
     for i in range(3):
         for j in range(i + 1):
@@ -32,19 +33,20 @@ def mass_kernel(model, rho_1, forearm, pose, mass):
                 one += elbow[i, axis] * slope_j
                 other += elbow[j, axis] * slope_i
                 own += elbow[i, axis] * elbow[j, axis]
-            value = (model.moving_mass - forearm / 2.0) * both + forearm / 6.0 * (one + other)
+            value = (model.moving_mass + carried - forearm / 2.0) * both + forearm / 6.0 * (one + other)
             if i == j:
                 value += rho_1[i] * model.inertia[i] - forearm / 6.0 * own
             mass[i, j] = mass[j, i] = value
 
 
 @njit(cache=True)
-def bias_kernel(model, rho_2, forearm, theta, theta_dot, pose, terms, bias):
+def bias_kernel(model, rho_2, forearm, carried, theta, theta_dot, pose, terms, bias):
     """Fill bias (3,), N m: torque that `theta_dot` and weight take without acceleration. Returns a status."""
     status = terms_kernel(model, theta, theta_dot, _STILL, pose, terms)
     if status == REACHED:
         for i in range(3):
             bias[i] = rho_2[i] * terms[GRAVITY, i] + terms[PLATFORM, i] + forearm * terms[FOREARM, i]
+            bias[i] += carried * terms[PAYLOAD, i]
     return status
 
 
@@ -64,10 +66,10 @@ def solve_kernel(matrix, right, result):
 def _forward_batch(model, rho_1, rho_2, forearm, theta, theta_dot, torque, mass, acceleration):
     pose, terms, bias = np.empty(1, POSE)[0], np.empty((5, 3)), np.empty(3)
     for n in range(len(theta)):
-        status = bias_kernel(model, rho_2, forearm, theta[n], theta_dot[n], pose, terms, bias)
+        status = bias_kernel(model, rho_2, forearm, 0.0, theta[n], theta_dot[n], pose, terms, bias)
         if status != REACHED:
             return status, n
-        mass_kernel(model, rho_1, forearm, pose, mass[n])
+        mass_kernel(model, rho_1, forearm, 0.0, pose, mass[n])
         for i in range(3):
             bias[i] = torque[n, i] - bias[i]
         solve_kernel(mass[n], bias, acceleration[n])

@@ -35,6 +35,8 @@ class PlatformMotion(NamedTuple):
 # What the kernels of one sample leave for each other and for the dynamics, base frame; row i of a (3, 3) is arm i's.
 POSE = np.dtype(
     [
+        ("sine", "f8", 3),  # of the true angles
+        ("cosine", "f8", 3),
         ("centre", "f8", (3, 3)),  # m, J'_i of eq. (1): the platform lies passive_length from each
         ("position", "f8", 3),  # m, of the platform
         ("forearm", "f8", (3, 3)),  # m, s_i
@@ -57,16 +59,17 @@ def pose_kernel(model, theta, pose):
     The platform is where three spheres of the forearms' lengths round the elbows meet: below their radical centre in
     the elbows' plane (with equal forearms the elbows' circumcentre), on the normal.
 
-    theta: (3,) measured angles. Filled of the record `pose`: centre, position, forearm, column. Returns REACHED,
-    UNREACHABLE or SINGULAR.
+    theta: (3,) measured angles. Filled of the record `pose`: sine to column. Returns REACHED, UNREACHABLE or SINGULAR.
     """
     centre, position, forearm, column = pose.centre, pose.position, pose.forearm, pose.column
     for i in range(3):
         angle = theta[i] + model.joint_offset[i]
-        reach = model.radius[i] + model.active_length[i] * math.cos(angle)
+        sine, cosine = math.sin(angle), math.cos(angle)
+        pose.sine[i], pose.cosine[i] = sine, cosine
+        reach = model.radius[i] + model.active_length[i] * cosine
         centre[i, 0] = reach * model.azimuth_cos[i]
         centre[i, 1] = reach * model.azimuth_sin[i]
-        centre[i, 2] = -model.active_length[i] * math.sin(angle)
+        centre[i, 2] = -model.active_length[i] * sine
     ax, ay, az = centre[1, 0] - centre[0, 0], centre[1, 1] - centre[0, 1], centre[1, 2] - centre[0, 2]
     bx, by, bz = centre[2, 0] - centre[0, 0], centre[2, 1] - centre[0, 1], centre[2, 2] - centre[0, 2]
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -104,12 +107,11 @@ def pose_kernel(model, theta, pose):
 
 
 @njit(cache=True)
-def lever_kernel(model, theta, pose):
+def lever_kernel(model, pose):
     """Fill elbow and lever of `pose` from its forearms."""
     forearm, elbow, lever = pose.forearm, pose.elbow, pose.lever
     for i in range(3):
-        angle = theta[i] + model.joint_offset[i]
-        sine, cosine = math.sin(angle), math.cos(angle)
+        sine, cosine = pose.sine[i], pose.cosine[i]
         elbow[i, 0] = -model.active_length[i] * sine * model.azimuth_cos[i]
         elbow[i, 1] = -model.active_length[i] * sine * model.azimuth_sin[i]
         elbow[i, 2] = -model.active_length[i] * cosine
@@ -117,7 +119,7 @@ def lever_kernel(model, theta, pose):
 
 
 @njit(cache=True)
-def motion_kernel(model, theta, theta_dot, theta_ddot, pose):
+def motion_kernel(model, theta_dot, theta_ddot, pose):
     """Fill velocity, acceleration and bend of `pose` from what the kernels before left in it, by eq. (1) differentiated
     twice:
 
@@ -133,8 +135,7 @@ def motion_kernel(model, theta, theta_dot, theta_ddot, pose):
         for axis in range(3):
             velocity[axis] += column[i, axis] * lever[i] * theta_dot[i]
     for i in range(3):
-        angle = theta[i] + model.joint_offset[i]
-        sine, cosine = math.sin(angle), math.cos(angle)
+        sine, cosine = pose.sine[i], pose.cosine[i]
         bend[i, 0] = -model.active_length[i] * cosine * model.azimuth_cos[i]
         bend[i, 1] = -model.active_length[i] * cosine * model.azimuth_sin[i]
         bend[i, 2] = model.active_length[i] * sine
@@ -170,7 +171,7 @@ def _forward_batch(model, theta, position, column, lever):
         status = pose_kernel(model, theta[n], pose)
         if status != REACHED:
             return status, n
-        lever_kernel(model, theta[n], pose)
+        lever_kernel(model, pose)
         for i in range(3):  # not by slices: what checks their shapes takes seconds to compile
             position[n, i], lever[n, i] = pose.position[i], pose.lever[i]
             for axis in range(3):
@@ -185,8 +186,8 @@ def _motion_batch(model, theta, theta_dot, theta_ddot, position, velocity, accel
         status = pose_kernel(model, theta[n], pose)
         if status != REACHED:
             return status, n
-        lever_kernel(model, theta[n], pose)
-        motion_kernel(model, theta[n], theta_dot[n], theta_ddot[n], pose)
+        lever_kernel(model, pose)
+        motion_kernel(model, theta_dot[n], theta_ddot[n], pose)
         for axis in range(3):
             position[n, axis] = pose.position[axis]
             velocity[n, axis], acceleration[n, axis] = pose.velocity[axis], pose.acceleration[axis]

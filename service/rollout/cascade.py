@@ -23,11 +23,13 @@ class DriveGains(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """start: (W, 5, 3). command: (W, S, 3, 3). torque: (W, 3) N m that the drives give at the start. seconds: (W,)."""
+    """start: (W, 5, 3). command: (W, S, 3, 3). torque: (W, 3) N m that the drives give at the start. payload: (W,)
+    kg. seconds: (W,)."""
 
     start: np.ndarray
     command: np.ndarray
     torque: np.ndarray
+    payload: np.ndarray
     seconds: np.ndarray
 
 
@@ -50,7 +52,7 @@ def follow_kernel(forward, scratch, gains, runs, period, substeps, motor, pushed
     integral = np.zeros(3)
     count = command.shape[1]
     for w in range(len(start)):
-        set_out_kernel(s, start[w])
+        set_out_kernel(s, start[w], runs.payload[w])
         for i in range(3):
             integral[i] = 0.0
             integral[i] = torque[w, i] - _drive(gains, s.state, command[w, 0], 0.0, integral, i)[0]

@@ -30,6 +30,8 @@ def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) ->
         traces=list(traces),
         horizon_s=found.horizon,
         windows=len(found.runs),
+        payload_kg=[float(f"{mass:.5g}") for mass in found.payload],
+        untold_s=round(found.untold, 3),
         seconds=found.seconds,
         used_s=found.used,
         path_mm=found.floor.path_mm,
@@ -115,6 +117,14 @@ def sentences(result: RolloutDocument) -> list[str]:
             f"Torque noise and start state alone give {result.floor.platform_mm:.3g} mm; "
             f"it goes {result.path_mm:.3g} mm in that time."
         )
+    masses = [mass for mass in result.payload_kg if mass]
+    if masses:
+        lines.append(
+            f"In {len(masses)} of {result.windows} windows {min(masses):.3g} to {max(masses):.3g} kg hang on every "
+            "simulated robot: what is carried, as the last description weighs it."
+        )
+    if result.untold_s:
+        lines.append(f"{result.untold_s:.3g} s are left out in which it cannot be told what is carried.")
     for robot in result.robots:
         if robot.ran_away:
             lines.append(

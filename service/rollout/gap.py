@@ -1,12 +1,14 @@
 """The gap as motion: how far simulated robots are from a log after a while under its torque.
 
-A log is cut into windows. Each starts in the smoothed measured state and is driven by the recorded torque alone; what
-is compared is the angle that the encoders would give, and the platform that follows from it. The floor is what the same
-robot does when only the noise of the torque and of the start state is laid over its own run.
+A log is cut into windows. Each starts in the smoothed measured state with the mass on the platform that the log tells,
+and is driven by the recorded torque alone; what is compared is the angle that the encoders would give, and the platform
+that follows from it. The floor is what the same robot does when only the noise of the torque and of the start state is
+laid over its own run.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,6 +20,7 @@ from schemas.robot import Robot, Servo
 from schemas.trace import Trace
 from service.estimator.bounds import bounds_of
 from service.identification.noise import white_noise
+from service.identification.payload import carried
 from service.identification.pooled import SAME_RATE
 from service.model import kinematics
 from service.model.description import hypothesis_of
@@ -27,7 +30,7 @@ from service.model.nominal import DeltaModel
 from service.model.scene import Recording
 from service.model.signals import EDGE, Segment, segments, smooth
 from service.model.torque import predict
-from service.rollout.cascade import DriveGains
+from service.rollout.cascade import DriveGains, Runs
 from service.rollout.kernel import LONGEST_STEP, SCRATCH, run_kernel
 from service.rollout.robot import Stretch, stretch
 from service.rollout.servo import commands_of, follow, gains_of, identified
@@ -87,12 +90,13 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Windows:
-    """W windows of a part: first samples (W,), and how many samples each has. command: (N, 3, 3) of the part and gains
-    of the drives that follow it; None where the recorded torque drives the robot."""
+    """W windows of a part: first samples (W,), how many samples each has, what is carried in them, (W,) kg. command:
+    (N, 3, 3) of the part and gains of the drives that follow it; None where the recorded torque drives the robot."""
 
     segment: Segment
     starts: np.ndarray
     samples: int
+    payload: np.ndarray
     command: np.ndarray | None = None
     gains: DriveGains | None = None
 
@@ -105,17 +109,19 @@ class Windows:
         take the first in a window."""
         part, clock, period = self.cut(torque), self.segment.time[self.starts], self.segment.period
         if self.command is None or self.gains is None:
-            return simulate(seen, start, part, clock, period), part
-        return follow(seen, self.gains, start, self.cut(self.command), part[:, 0], clock, period)
+            return simulate(seen, start, part, clock, period, self.payload), part
+        runs = Runs(start, self.cut(self.command), np.ascontiguousarray(part[:, 0]), self.payload, clock)
+        return follow(seen, self.gains, runs, period)
 
 
 @dataclass(frozen=True)
 class Rollout:
     """Robots against logs. period, horizon: s. deviations: one a robot, in the order given. floor: of the last of them.
 
-    regime: (W, 3) index into `REGIMES` of each window for each joint. runs: (W,) log of each. seconds: of the logs;
-    used: in windows, which leave out faults, the ends and what rests. servo: of the drives,
-    where commands went in.
+    regime: (W, 3) index into `REGIMES` of each window for each joint. runs: (W,) log of each. payload: (W,) kg that
+    hangs on all of the robots, as the last of them weighs it. untold: s left out as that could not be told.
+    seconds: of the logs; used: in windows, which leave out faults, the ends and what rests. servo: of the drives, where
+    commands went in.
     """
 
     period: float
@@ -124,6 +130,8 @@ class Rollout:
     floor: Deviation
     regime: np.ndarray
     runs: tuple[str, ...]
+    payload: np.ndarray
+    untold: float
     seconds: float
     used: float
     servo: Servo | None = None
@@ -157,30 +165,35 @@ def rollout(
         TraceError: a trace without a usable part, or with positions that are no pose, naming the file.
         RobotError: an effect that is not known.
     """
-    parts, windows, samples = _cut_up(traces, horizon)
-    period = parts[0][1].period
-    count = sum(map(len, windows))
+    given = list(robots.values())[-1]
+    parts, untold = _cut_up(given, traces, horizon)
+    windows = [cut for _, cut in parts]
+    count = sum(len(cut.starts) for cut in windows)
     if not count:
-        raise DataError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves")
-    servo, given = None, list(robots.values())[-1]
+        why = f" and it can be told what is carried (not for {untold:.3g} s)" if untold else ""
+        raise DataError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves{why}")
+    period, samples = windows[0].segment.period, windows[0].samples
+    servo = None
     if commands:
         servo = given.servo or identified(
-            [(trace, segment, stretch(given, segment, trace.position[segment.rows])) for trace, segment in parts]
+            [
+                (trace, cut.segment, stretch(given, cut.segment, trace.position[cut.segment.rows]))
+                for trace, cut in parts
+            ]
         )
     gains = None if servo is None else gains_of(servo, bounds_of(given).peak_nm)
     deviations, floor = [], None
     for name, robot in robots.items():
         last = name == list(robots)[-1]
         of_parts, of_floor = [], []
-        for (trace, segment), starts in zip(parts, windows, strict=True):
-            if not len(starts):
+        for trace, cut in parts:
+            if not len(cut.starts):
                 continue
             progress(f"{name}, {trace.name}")
             try:
-                seen = stretch(robot, segment, trace.position[segment.rows])
-                cut = Windows(segment, starts, samples)
+                seen = stretch(robot, cut.segment, trace.position[cut.segment.rows])
                 if gains is not None:
-                    cut = replace(cut, command=commands_of(trace, segment), gains=gains)
+                    cut = replace(cut, command=commands_of(trace, cut.segment), gains=gains)
                 of_parts.append(_deviation(name, seen, cut))
                 if last:
                     of_floor.append(_floor(robot, seen, trace, cut))
@@ -190,27 +203,32 @@ def rollout(
         if last:
             floor = _joined("floor", of_floor)
     assert floor is not None
-    regime = np.concatenate(
-        [_regimes(segment, starts, samples) for (_, segment), starts in zip(parts, windows, strict=True)]
-    )
-    runs = tuple(trace.name for (trace, _), starts in zip(parts, windows, strict=True) for _ in starts)
-    seconds = float(sum(len(trace) * period for trace in traces))
     return Rollout(
-        period, (samples - 1) * period, tuple(deviations), floor, regime, runs, seconds, count * horizon, servo
+        period=period,
+        horizon=(samples - 1) * period,
+        deviations=tuple(deviations),
+        floor=floor,
+        regime=np.concatenate([_regimes(cut.segment, cut.starts, samples) for cut in windows]),
+        runs=tuple(trace.name for trace, cut in parts for _ in cut.starts),
+        payload=np.concatenate([cut.payload for cut in windows]),
+        untold=untold,
+        seconds=float(sum(len(trace) * period for trace in traces)),
+        used=count * horizon,
+        servo=servo,
     )
 
 
-def has_windows(traces: Sequence[Trace], horizon: float = HORIZON) -> bool:
+def has_windows(robot: Robot, traces: Sequence[Trace], horizon: float = HORIZON) -> bool:
     """Whether there is anything to simulate.
 
     Raises:
         DataError: the horizon makes no sense, or logs of several rates. TraceError: a trace without a usable part.
     """
-    return any(map(len, _cut_up(traces, horizon)[1]))
+    return any(len(cut.starts) for _, cut in _cut_up(robot, traces, horizon)[0])
 
 
-def _cut_up(traces: Sequence[Trace], horizon: float) -> tuple[list[tuple[Trace, Segment]], list[np.ndarray], int]:
-    """Parts without a fault, first samples of the windows in each, samples a window."""
+def _cut_up(robot: Robot, traces: Sequence[Trace], horizon: float) -> tuple[list[tuple[Trace, Windows]], float]:
+    """Windows of parts without a fault, and for how many s `robot` cannot tell what is carried."""
     if not SHORTEST <= horizon <= LONGEST:
         raise DataError(f"horizon of {horizon:g} s: must be {SHORTEST:g} to {LONGEST:g} s")
     parts = [(trace, segment) for trace in traces for segment in segments(trace)]
@@ -220,13 +238,22 @@ def _cut_up(traces: Sequence[Trace], horizon: float) -> tuple[list[tuple[Trace, 
             times = f"{1e3 * segment.period:.3g} ms between samples, {parts[0][0].name} has {1e3 * period:.3g} ms"
             raise DataError(f"{trace.path}: {times}: give logs of one rate")
     samples = max(2, round(horizon / period)) + 1
-    return parts, [_windows(segment, samples) for _, segment in parts], samples
+    masses = {id(trace): carried(robot, trace) for trace in traces}
+    result, untold = [], 0.0
+    for trace, segment in parts:
+        mass = masses[id(trace)][segment.rows]
+        starts = _windows(segment, samples, mass)
+        untold += period * int(np.sum(np.isnan(mass)))
+        result.append((trace, Windows(segment, starts, samples, mass[starts])))
+    return result, untold
 
 
-def _windows(segment: Segment, samples: int) -> np.ndarray:
-    """(W,) first samples of windows one after the other in which some joint moves."""
-    edge = round(EDGE / segment.period)
-    starts = np.arange(edge, len(segment.time) - edge - samples, samples - 1)
+def _windows(segment: Segment, samples: int, mass: np.ndarray) -> np.ndarray:
+    """(W,) first samples of windows one after the other in which some joint moves and `mass` (N,) kg stays."""
+    edge, starts = round(EDGE / segment.period), []
+    changes = np.flatnonzero(mass[1:] != mass[:-1]) + 1  # NaN is unlike itself
+    for begin, end in itertools.pairwise([0, *changes, len(mass)]):
+        starts += range(max(begin, edge), min(end, len(mass) - edge) - samples, samples - 1)
     return np.array([at for at in starts if segment.moving[at : at + samples].any()], np.int64)
 
 
@@ -243,12 +270,23 @@ def _regimes(segment: Segment, starts: np.ndarray, samples: int) -> np.ndarray:
     return result
 
 
-def simulate(seen: Stretch, start: np.ndarray, torque: np.ndarray, clock: np.ndarray, period: float):
-    """Angles (W, S, 3) rad that the encoders give from `start` (W, 5, 3) under `torque` (W, S, 3); NaN once it ends."""
+def simulate(
+    seen: Stretch,
+    start: np.ndarray,
+    torque: np.ndarray,
+    clock: np.ndarray,
+    period: float,
+    payload: np.ndarray | None = None,
+) -> np.ndarray:
+    """Angles (W, S, 3) rad that the encoders give from `start` (W, 5, 3) under `torque` (W, S, 3); NaN once it ends.
+
+    clock: (W,) s. payload: (W,) kg, None: nothing is carried.
+    """
+    payload = np.zeros(len(start)) if payload is None else payload
     substeps = max(1, int(np.ceil(period / LONGEST_STEP - 1e-6)))
     motor, motor_dot = np.empty(torque.shape), np.empty(torque.shape)
     start, torque = np.ascontiguousarray(start), np.ascontiguousarray(torque)
-    run_kernel(seen.forward, np.zeros(1, SCRATCH), start, torque, clock, period, substeps, motor, motor_dot)
+    run_kernel(seen.forward, np.zeros(1, SCRATCH), start, torque, payload, clock, period, substeps, motor, motor_dot)
     return seen.measured(motor)
 
 
@@ -330,15 +368,15 @@ def check_sign(robot: Robot, traces: Sequence[Trace], found: Rollout) -> None:
     deviation = found.deviations[-1]
     if deviation.good.all() and deviation.platform_mm < deviation.path_mm:
         return
-    parts, windows, samples = _cut_up(traces, found.horizon)
+    parts, _ = _cut_up(robot, traces, found.horizon)
     best, error = None, _typical(deviation)
     for signs in ((-1, -1, -1), (-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1)):
         turned = []
-        for (trace, segment), starts in zip(parts, windows, strict=True):
-            if len(starts):
-                other = replace(segment, torque=segment.torque * signs)
-                seen = stretch(robot, other, trace.position[segment.rows])
-                turned.append(_deviation("", seen, Windows(other, starts, samples)))
+        for trace, cut in parts:
+            if len(cut.starts):
+                other = replace(cut.segment, torque=cut.segment.torque * signs)
+                seen = stretch(robot, other, trace.position[other.rows])
+                turned.append(_deviation("", seen, replace(cut, segment=other)))
         left = _typical(_joined("", turned))
         if left < TURNED * error:
             best, error = signs, left

@@ -27,6 +27,10 @@ GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of ROS2: what decays fast does so in one s
 SHARPEST = 1e-4  # rad/s over which friction turns where the description has a jump
 SLOW = 0.05  # rad/s below which friction is so steep that the effects' share in it counts
 FARTHEST = 3.0  # rad from the angle that it started at: a robot that runs away
+_STILL = np.zeros(3)
+
+# what is divided by zero is no number, and ends a run: to ask each time would cost a fifth of the speed
+_compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 
 # One robot. Three numbers are one a joint, in N m, rad and s.
@@ -42,8 +46,8 @@ FORWARD = np.dtype(
         ("gear_ratio", "f8"),
         ("at_joints", EFFECT, MAX_EFFECTS),  # the joints' own effects
         ("at_platform", EFFECT, MAX_EFFECTS),  # those that reach all joints
-        ("masses_at_joints", EFFECT, MAX_EFFECTS),  # of both those that depend on the acceleration
-        ("masses_at_platform", EFFECT, MAX_EFFECTS),
+        ("rotor", "f8", 3),  # kg m^2 that effects add to a joint
+        ("tool", "f8"),  # kg that effects add to the platform
         ("ball_joints", "f8", 4),  # as in `Inside`
         ("bristle", "f8", 3),
         ("distance", "f8", 3),
@@ -63,14 +67,13 @@ SCRATCH = np.dtype(
         ("bias", "f8", 3),
         ("mass", "f8", (3, 3)),  # kg m^2 of the links
         ("inertia", "f8", 3),  # of the motors
-        ("guess", "f8", 3),  # rad/s^2, acceleration of the evaluation before
+        ("payload", "f8"),  # kg
+        ("guess", "f8", 3),  # rad/s^2, acceleration of the evaluation before: what the gears' load is for
         ("load", "f8", 3),
         ("direction", "f8", 3),
         ("own", "f8", 3),  # N m of the effects
         ("shared", "f8", 3),
         ("more", "f8", 3),
-        ("added", "f8", (3, 3)),  # kg m^2 of effects that reach all joints, of the step's start
-        ("added_own", "f8", 3),  # of the joints' own
         ("right_link", "f8", 3),  # torque left over for acceleration
         ("right_motor", "f8", 3),
         ("contact", "f8", (2, 3)),  # stiffness and damping of flanks that are closed
@@ -94,9 +97,10 @@ SCRATCH = np.dtype(
 )
 
 
-@njit(cache=True)
+@_compiled
 def _effects(f, s, effects, theta, theta_dot, seconds, torque):
-    """torque (3,): of `effects` on motors or links, whose angles and speeds these are, at s.guess and s.direction."""
+    """torque (3,): of `effects` on motors or links, whose angles and speeds these are, at s.direction; what they take
+    for acceleration is in the masses."""
     for i in range(3):
         torque[i] = 0.0
     now = Instant(
@@ -104,7 +108,7 @@ def _effects(f, s, effects, theta, theta_dot, seconds, torque):
         gear_ratio=f.gear_ratio,
         theta=theta,
         theta_dot=theta_dot,
-        theta_ddot=s.guess,
+        theta_ddot=_STILL,
         direction=s.direction,
         load=s.load,
         seconds=seconds,
@@ -113,7 +117,7 @@ def _effects(f, s, effects, theta, theta_dot, seconds, torque):
     effects_kernel(effects, now, torque)
 
 
-@njit(cache=True)
+@_compiled
 def _ball_joints(f, s, link_dot, torque):
     """Add the ball joints' friction, as `passive_joint_friction` has it: by virtual power of the forearms' turning."""
     forearm, column, elbow, lever, velocity = s.pose.forearm, s.pose.column, s.pose.elbow, s.pose.lever, s.pose.velocity
@@ -149,23 +153,20 @@ def _ball_joints(f, s, link_dot, torque):
                 turn[1] += axle_y * link_dot[arm]
 
 
-@njit(cache=True)
+@_compiled
 def _evaluate(f, s, state, torque, seconds, step, implicit):
-    """Masses and the torque left over for acceleration, at s.guess as far as effects depend on it. Returns a status.
+    """Masses and the torque left over for acceleration. Returns a status.
 
     step: s, ahead of which a flank that closes counts as closed. implicit: also fill `steep`.
     """
     link, link_dot, motor, motor_dot, bristle = state[0], state[1], state[2], state[3], state[4]
-    status = bias_kernel(f.model, f.rho_2, f.forearm, link, link_dot, s.pose, s.terms, s.bias)
+    status = bias_kernel(f.model, f.rho_2, f.forearm, s.payload, link, link_dot, s.pose, s.terms, s.bias)
     if status != REACHED:
         return status
-    mass_kernel(f.model, f.rho_1, f.forearm, s.pose, s.mass)
-    column, lever, acceleration = s.pose.column, s.pose.lever, s.pose.acceleration
+    mass_kernel(f.model, f.rho_1, f.forearm, s.payload, s.pose, s.mass)
     for i in range(3):
         s.load[i] = s.bias[i] + s.mass[i, 0] * s.guess[0] + s.mass[i, 1] * s.guess[1] + s.mass[i, 2] * s.guess[2]
         s.direction[i] = math.tanh(motor_dot[i] / f.transition)
-        for axis in range(3):
-            acceleration[axis] += column[i, axis] * lever[i] * s.guess[i]
     _effects(f, s, f.at_joints, motor, motor_dot, seconds, s.own)
     _effects(f, s, f.at_platform, link, link_dot, seconds, s.shared)
     if implicit:
@@ -174,18 +175,8 @@ def _evaluate(f, s, state, torque, seconds, step, implicit):
         push = torque[i] - s.own[i] - f.viscous[i] * motor_dot[i] - f.coulomb[i] * s.direction[i]
         s.right_motor[i] = push - f.bristle[i] * (bristle[i] - s.direction[i])
         s.right_link[i] = -s.bias[i] - s.shared[i]
-        s.inertia[i] = f.motor[i]
-    if implicit:
-        _added(f, s, state, seconds)
-    for i in range(3):
-        s.right_motor[i] += s.added_own[i] * s.guess[i]
-        if f.motor[i] > 0.0:
-            s.inertia[i] += s.added_own[i]
-        else:
-            s.mass[i, i] += s.added_own[i]
-        for j in range(3):
-            s.mass[i, j] += s.added[i, j]
-            s.right_link[i] += s.added[i, j] * s.guess[j]
+    if f.tool != 0.0:
+        _hang(s, f.tool)
     if f.ball_joints[0] + f.ball_joints[1] + f.ball_joints[2] + f.ball_joints[3] > 0.0:
         for i in range(3):
             s.more[i] = 0.0
@@ -195,43 +186,33 @@ def _evaluate(f, s, state, torque, seconds, step, implicit):
     for i in range(3):
         s.contact[0, i] = s.contact[1, i] = 0.0
         if f.motor[i] > 0.0:
+            s.inertia[i] = f.motor[i] + f.rotor[i]
             s.mass[i, i] -= f.motor[i]
             passed = _passed(f, s, i, link[i] - motor[i], link_dot[i] - motor_dot[i], step)
             s.right_link[i] += passed
             s.right_motor[i] -= passed
         else:
+            s.mass[i, i] += f.rotor[i]
             s.right_link[i] += s.right_motor[i]
     return status
 
 
-@njit(cache=True)
-def _added(f, s, state, seconds):
-    """s.added, s.added_own: inertia of effects that depend on the acceleration, by one rad/s^2 more of it."""
-    link, link_dot, motor, motor_dot = state[0], state[1], state[2], state[3]
-    column, lever, acceleration = s.pose.column, s.pose.lever, s.pose.acceleration
-    if f.masses_at_joints[0].number >= 0:
-        _effects(f, s, f.masses_at_joints, motor, motor_dot, seconds, s.added_own)
-        for i in range(3):
-            s.guess[i] += 1.0
-        _effects(f, s, f.masses_at_joints, motor, motor_dot, seconds, s.more)
-        for i in range(3):
-            s.guess[i] -= 1.0
-            s.added_own[i] = s.more[i] - s.added_own[i]
-    if f.masses_at_platform[0].number >= 0:
-        _effects(f, s, f.masses_at_platform, link, link_dot, seconds, s.side)
-        for j in range(3):
-            s.guess[j] += 1.0
+@_compiled
+def _hang(s, tool):
+    """Add the inertia of `tool` kg on the platform to s.mass."""
+    column, lever = s.pose.column, s.pose.lever
+    for i in range(3):
+        for j in range(i + 1):
+            both = 0.0
             for axis in range(3):
-                acceleration[axis] += column[j, axis] * lever[j]
-            _effects(f, s, f.masses_at_platform, link, link_dot, seconds, s.more)
-            s.guess[j] -= 1.0
-            for axis in range(3):
-                acceleration[axis] -= column[j, axis] * lever[j]
-            for i in range(3):
-                s.added[i, j] = s.more[i] - s.side[i]
+                both += column[i, axis] * column[j, axis]
+            more = tool * lever[i] * lever[j] * both
+            s.mass[i, j] += more
+            if i != j:
+                s.mass[j, i] += more
 
 
-@njit(cache=True)
+@_compiled
 def _steepness(f, s, motor, motor_dot, seconds):
     """s.steep: secant of everything that turns with the direction of motion."""
     slow = False
@@ -250,7 +231,7 @@ def _steepness(f, s, motor, motor_dot, seconds):
         s.steep[i] = max(0.0, f.viscous[i] + s.steep[i] * secant)
 
 
-@njit(cache=True)
+@_compiled
 def _passed(f, s, i, twist, speed, step):
     """Torque from motor to link, N m. twist: link less motor. A flank that is closed or will be goes to s.contact."""
     half, stiffness, damping = f.half[i], f.stiffness[i], f.damping[i]
@@ -266,7 +247,7 @@ def _passed(f, s, i, twist, speed, step):
     return 0.0
 
 
-@njit(cache=True)
+@_compiled
 def _solve(f, s, mass, inertia, steep, contact, weight, right, result):
     """result (2, 3), links and motors, of the implicit equations. weight: gamma h, 0 for the explicit ones.
 
@@ -293,14 +274,14 @@ def _solve(f, s, mass, inertia, steep, contact, weight, right, result):
             result[1, i] = (right[1, i] + g * result[0, i]) / (inertia[i] + weight * steep[i] + g)
 
 
-@njit(cache=True)
+@_compiled
 def _slid(f, i, bristle, travel):
     """Bristles of joint i after the motor turned by `travel` rad: dz / dtheta = (1 - z sign v) / distance, exactly."""
     sign = 1.0 if travel > 0.0 else -1.0
     return sign + (bristle - sign) * math.exp(-abs(travel) / f.distance[i])
 
 
-@njit(cache=True)
+@_compiled
 def step_kernel(f, s, seconds, h):
     """s.state `h` s on under torque that goes from s.before to s.after. Returns a status."""
     weight = GAMMA * h
@@ -355,16 +336,17 @@ def step_kernel(f, s, seconds, h):
     return status
 
 
-@njit(cache=True, nogil=True)
-def set_out_kernel(s, start):
-    """Begin a run in `start` (5, 3)."""
+@_compiled
+def set_out_kernel(s, start, payload):
+    """Begin a run in `start` (5, 3) with `payload` kg on the platform."""
+    s.payload = payload
     for i in range(3):
         s.guess[i] = 0.0
         for row in range(5):
             s.state[row, i] = start[row, i]
 
 
-@njit(cache=True, nogil=True)
+@_compiled
 def near_kernel(s, start):
     """Whether the motors are where a run from `start` may be."""
     near = True
@@ -373,19 +355,19 @@ def near_kernel(s, start):
     return near
 
 
-@njit(cache=True, nogil=True)
-def run_kernel(forward, scratch, start, torque, seconds, period, substeps, motor, motor_dot):
+@_compiled
+def run_kernel(forward, scratch, start, torque, payload, seconds, period, substeps, motor, motor_dot):
     """W runs of S samples each from their own start.
 
     forward, scratch: one record each. start: (W, 5, 3) link, link speed, motor, motor speed, bristles. torque:
-    (W, S, 3) N m at the joints, straight between samples. seconds: (W,) of the log's clock at the start. Filled: motor,
-    motor_dot (W, S, 3), NaN from where a run left the workspace.
+    (W, S, 3) N m at the joints, straight between samples. payload: (W,) kg. seconds: (W,) of the log's clock at the
+    start. Filled: motor, motor_dot (W, S, 3), NaN from where a run left the workspace.
     """
     f, s = forward[0], scratch[0]
     h = period / substeps
     count = torque.shape[1]
     for w in range(len(start)):
-        set_out_kernel(s, start[w])
+        set_out_kernel(s, start[w], payload[w])
         sound = True
         for k in range(count):
             sound &= near_kernel(s, start[w])

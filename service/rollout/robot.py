@@ -94,8 +94,8 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     at_joints = [term for term in terms if term.effect.own_joint]
     at_platform = [term for term in terms if not term.effect.own_joint]
     forward["at_joints"], forward["at_platform"] = pack_effects(at_joints), pack_effects(at_platform)
-    for name, some in (("masses_at_joints", at_joints), ("masses_at_platform", at_platform)):
-        forward[name] = pack_effects([term for term in some if term.effect.accelerates])
+    forward["rotor"], forward["tool"] = inside.rotor, inside.tool
+    forward["rotor"] += inside.arm * model.active_length**2 / 3
     forward["ball_joints"] = inside.ball_joints
     forward["bristle"], forward["distance"] = inside.bristle, inside.distance
     forward["motor"], forward["stiffness"], forward["damping"], forward["half"] = motor, stiffness, damping, half

@@ -96,21 +96,9 @@ def identified(parts: Sequence[tuple[Trace, Segment, Stretch]]) -> Servo:
     )
 
 
-def follow(
-    seen: Stretch,
-    gains: DriveGains,
-    start: np.ndarray,
-    command: np.ndarray,
-    torque: np.ndarray,
-    clock: np.ndarray,
-    period: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Angles that the encoders give, rad, and torque, N m, (W, S, 3) each, NaN once a run ends.
-
-    start: (W, 5, 3). command: (W, S, 3, 3). torque: (W, 3) N m that the drives give at the start. clock: (W,) s.
-    """
+def follow(seen: Stretch, gains: DriveGains, runs: Runs, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Angles that the encoders give, rad, and torque, N m, (W, S, 3) each, NaN once a run ends."""
     substeps = max(1, int(np.ceil(period / LONGEST_STEP - 1e-6)))
-    motor, pushed = np.empty(command[:, :, 0].shape), np.empty(command[:, :, 0].shape)
-    runs = Runs(np.ascontiguousarray(start), np.ascontiguousarray(command), np.ascontiguousarray(torque), clock)
+    motor, pushed = np.empty(runs.command[:, :, 0].shape), np.empty(runs.command[:, :, 0].shape)
     follow_kernel(seen.forward, np.zeros(1, SCRATCH), gains, runs, period, substeps, motor, pushed)
     return seen.measured(motor), pushed

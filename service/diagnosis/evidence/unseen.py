@@ -68,11 +68,13 @@ def unseen(findings: Findings, trace: Trace) -> Unseen:
 def _simulated(findings: Findings, trace: Trace) -> Simulated | None:
     """The models before and after in the simulator, under the trace's torque."""
     robot = findings.robot
-    if not isinstance(robot, Robot) or not has_windows([trace]):
+    if not isinstance(robot, Robot):
         return None
     robots = {}
     for name, hypothesis in (("before", findings.reference), ("after", findings.best.hypothesis)):
         robots[name] = described(robot, hypothesis, np.zeros(len(Parameters(hypothesis).values)), findings.noise)
+    if not has_windows(robots["after"], [trace]):
+        return None
     found = rollout(robots, [trace])
     before, after, floor = (reached(deviation) for deviation in (*found.deviations, found.floor))
     return Simulated(

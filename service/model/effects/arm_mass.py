@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Effect, Inside
 from service.model.scene import Scene
 
 
@@ -33,7 +33,6 @@ class ArmMass(Effect):
         "Weigh this arm or look for what is mounted on it (cable, sensor, another spare part), then correct "
         "the description."
     )
-    accelerates = True
     online = staticmethod(_online)
     kinds = frozenset({"delta"})
     settles = "fast moves and slow sweeps over a wide range of this joint's angle"
@@ -43,3 +42,7 @@ class ArmMass(Effect):
         model, motion = scene.delta.model, scene.segment
         inertia = model.active_length[joint] ** 2 / 3 * motion.theta_ddot[:, joint]
         return (inertia - scene.arms.slope[:, joint] @ (model.gravity + scene.lean) / 2)[:, None]
+
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+        """Its inertia."""
+        inside.arm[joint] += amplitude[0]

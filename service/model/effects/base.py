@@ -46,14 +46,15 @@ def at_platform(now, i, x, y, z):
     return now.pose.lever[i] * (column[i, 0] * x + column[i, 1] * y + column[i, 2] * z)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Inside:
     """What effects put inside the robot that only a simulation forward in time has to carry. (3,) one entry a joint.
 
     bristle, distance: N m of the Coulomb friction that builds up, over rad. two_masses: joint -> half the lost motion
     rad, natural frequency Hz of the link, damping ratio, share of the inertia on the motor side. ball_joints: (4,) dry
     friction N m at elbow and platform, viscous N m s/rad at both. wobble: joint, cosine rad, sine rad and order of the
-    true angle over the measured one, periodic in the motor angle.
+    true angle over the measured one, periodic in the motor angle. rotor: kg m^2 at the joint, arm: kg of an active
+    link, tool: kg at the platform, each the inertia of an effect whose online form depends on the acceleration.
     """
 
     bristle: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -61,6 +62,9 @@ class Inside:
     two_masses: dict[int, tuple[float, ...]] = field(default_factory=dict)
     ball_joints: np.ndarray = field(default_factory=lambda: np.zeros(4))
     wobble: list[tuple[int, float, float, float]] = field(default_factory=list)
+    rotor: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    arm: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    tool: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -103,9 +107,8 @@ class Effect(ABC):
     mechanisms it makes sense for. settles: the motion that tells it from what it resembles. directional: a joint that
     moves one way only does not show it. dissipates: friction, which together with the base model's takes energy out of
     the motion in either direction. same: effects that no motion tells it from. takes_timing: it has the place of
-    the timing within a sample. accelerates: its torque depends on the acceleration, as a mass's. beyond: `size` that no
-    robot which runs has, several times the strongest of the blind test: an effect that large stands in for a wrong
-    description; beyond_together: the same on several joints at once.
+    the timing within a sample. beyond: `size` that no robot which runs has, several times the strongest of the blind
+    test: an effect that large stands in for a wrong description; beyond_together: the same on several joints at once.
     online: compiled (effect record, Instant, joint) -> N m from the present sample, where there is such a form; of the
     effects that come along only.
     """
@@ -125,7 +128,6 @@ class Effect(ABC):
     dissipates: ClassVar[bool] = False
     same: ClassVar[frozenset[str]] = frozenset()
     takes_timing: ClassVar[bool] = False
-    accelerates: ClassVar[bool] = False
     beyond: ClassVar[float] = math.inf
     beyond_together: ClassVar[float] = math.inf
     online: ClassVar[Callable[..., float] | None] = None
@@ -164,8 +166,8 @@ class Effect(ABC):
     def put_inside(  # noqa: B027 - most do not
         self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
     ) -> None:
-        """Put the effect on `joint` into what a simulation carries; only where it has neither an online form nor a
-        place in the online model's settings."""
+        """Put the effect on `joint` into what a simulation carries: where it has neither an online form nor a place in
+        the online model's settings, and the inertia of one whose online form depends on the acceleration."""
 
     def grid(self, scene: Scene) -> list[tuple[float, ...]]:
         """Shapes to try first."""

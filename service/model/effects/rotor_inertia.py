@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Effect, Inside
 from service.model.scene import Scene
 
 
@@ -30,10 +30,13 @@ class RotorInertia(Effect):
         "Check motor and gear type of this joint (another spare part, a brake or a coupling mounted) and "
         "correct the description."
     )
-    accelerates = True
     online = staticmethod(_online)
     settles = "fast moves of this joint beside slow ones over the same angles"
 
     def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
         return scene.segment.theta_ddot[:, [joint]]
+
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+        """Its inertia."""
+        inside.rotor[joint] += amplitude[0]

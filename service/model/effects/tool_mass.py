@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from service.model.effects.base import Amplitude, Effect, at_platform
+from service.model.effects.base import Amplitude, Effect, Inside, at_platform
 from service.model.scene import Scene
 
 
@@ -29,7 +29,6 @@ class ToolMass(Effect):
     name = "tool_mass"
     title = "The tool's mass differs from the description"
     means = "Weigh tool, gripper and what hangs on it, then correct the mass in the description."
-    accelerates = True
     online = staticmethod(_online)
     per_joint = False
     own_joint = False
@@ -41,3 +40,7 @@ class ToolMass(Effect):
         motion = scene.segment
         held = scene.delta.payload(motion.theta, motion.theta_dot, motion.theta_ddot)
         return (held - scene.at_platform(scene.lean))[..., None]
+
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+        """Its inertia."""
+        inside.tool += float(amplitude[0])

@@ -125,7 +125,7 @@ def test_energy_is_kept_without_friction():
     held = RHO @ torque_terms(seen.model, start[0, :1], np.zeros((1, 3)), np.zeros((1, 3)))[0, :4]
     torque = np.tile(held, (1, 301, 1))
     motor, speed = np.empty(torque.shape), np.empty(torque.shape)
-    run_kernel(seen.forward, np.zeros(1, SCRATCH), start, torque, np.zeros(1), PERIOD, 4, motor, speed)
+    run_kernel(seen.forward, np.zeros(1, SCRATCH), start, torque, np.zeros(1), np.zeros(1), PERIOD, 4, motor, speed)
     theta, theta_dot = motor[0], speed[0]
     _, mass = forward_dynamics(seen.model, BASE.rigid, theta, theta_dot, theta)
     kinetic = 0.5 * np.einsum("ni,nij,nj->n", theta_dot, mass, theta_dot)

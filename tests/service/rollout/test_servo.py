@@ -1,4 +1,4 @@
-"""Commands in: the drives found in a log of MuJoCo's closed loop, and the simulated robot that follows with them."""
+"""Logs of MuJoCo's closed loop: the drives found in them, the simulated robot that follows, and what it carries."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.motion import MotionLimits, Planner
+from drivers.motion import MotionLimits, Payload, Planner
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
 from schemas.errors import DataError
+from schemas.messages import Gripper, SampleFlag
 from schemas.robot import Robot, Servo
 from schemas.trace import Trace
-from service.rollout.document import document
+from service.rollout.cascade import Runs
+from service.rollout.document import document, sentences
 from service.rollout.gap import PLAIN, plain, rollout
 from service.rollout.robot import stretch
 from service.rollout.servo import commands_of, follow, gains_of
@@ -21,6 +23,7 @@ from tests.service.subject import Hypothesis, described, segments
 from tests.service.world import BASE, COULOMB, PERIOD, ROBOT, TRANSITION, TRUTH, VISCOUS
 
 HERTZ, SPEED_HERTZ = 8.0, 30.0
+MASS = 2.5  # kg
 
 
 @pytest.fixture(scope="module")
@@ -102,11 +105,53 @@ def test_the_drives_begin_with_the_torque_that_there_is_and_hold_no_more_than_th
     described = Servo(position_gain_ps=[30.0] * 3, velocity_gain_nms=[20.0] * 3, integral_time_s=[0.05] * 3)
     for peak in (250.0, 8.0):
         gains = gains_of(described.model_copy(update={"peak_torque_nm": peak}), 1.0)
-        motor, torque = follow(
-            seen, gains, seen.start[begin], windows, given, segment.time[begin] - segment.time[0], segment.period
-        )
+        runs = Runs(seen.start[begin], windows, given, np.zeros(3), segment.time[begin] - segment.time[0])
+        motor, torque = follow(seen, gains, runs, segment.period)
         np.testing.assert_array_equal(motor[:, 0], seen.start[begin, 2])
         np.testing.assert_allclose(torque[:, 0], np.clip(given, -peak, peak), atol=1e-9)
         assert np.abs(torque).max() <= peak
     assert (np.abs(torque) == 8.0).any()
     assert gains_of(described, 7.0).peak == 7.0, "where the drives' own is not described"
+
+
+@pytest.fixture(scope="module")
+def carrying(plant: Plant) -> tuple[Trace, tuple[Payload, ...]]:
+    planner = Planner(ROBOT, PERIOD, MotionLimits(speed=8.0, acceleration=200.0, torque=80.0))
+    picks = planner.pick_and_place(np.random.default_rng(3), 4.0, (MASS,))
+    return simulate(plant, picks, "picks"), picks.payloads
+
+
+@pytest.mark.parametrize("commands", [False, True])
+def test_what_the_log_says_is_carried_hangs_on_the_simulated_robot(carrying, commands: bool) -> None:
+    trace, picks = carrying
+    robots = {PLAIN: plain(ROBOT), "known": known()}
+    found = rollout(robots, [trace], 0.1, commands=commands)
+    loaded = found.payload > 0.5
+    assert min(loaded.sum(), (~loaded).sum()) >= 4
+    np.testing.assert_allclose(found.payload[loaded], MASS, rtol=0.03)
+    assert not found.payload[~loaded].any()
+    assert found.untold > 0.2 * len(picks), "while a mass changes it is not told"
+    off, floor = (
+        np.linalg.norm(deviation.platform[:, -1], axis=1) for deviation in (found.deviations[-1], found.floor)
+    )
+    print(f"{1e3 * np.median(off[loaded]):.3f} mm loaded, {1e3 * np.median(off[~loaded]):.3f} empty")
+    assert np.median(off[loaded]) < 3.0 * np.median(floor)
+    said = sentences(document(found, robots, ["picks"]))
+    assert any(line.startswith(f"In {loaded.sum()} of {len(loaded)} windows 2.5") for line in said)
+    assert any("s are left out in which it cannot be told what is carried" in line for line in said)
+
+
+def test_what_cannot_be_weighed_is_not_simulated(carrying) -> None:
+    trace, picks = carrying
+    clock = trace.time[:, None] - trace.time[0]
+    held = ((clock >= [pick.pick for pick in picks]) & (clock < [pick.release for pick in picks])).any(axis=1)
+    drawn = {"drawn": plain(ROBOT)}
+    blind = rollout(drawn, [trace])
+    assert blind.untold == 0.0
+    assert not blind.payload.any()
+    gripping = replace(trace, gripper=np.where(held, Gripper.CLOSED, Gripper.OPEN).astype(np.uint32))
+    flagged = replace(trace, flags=trace.flags | (held * np.uint32(SampleFlag.LOADED)))
+    for told in (gripping, flagged):
+        found = rollout(drawn, [told])
+        assert found.untold > 1.0
+        assert len(found.runs) < 0.7 * len(blind.runs)
