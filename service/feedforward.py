@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.bus import Bus
 from drivers.ethercat.setpoints import Setpoints
-from schemas.messages import NANOSECONDS, REFERENCE, FeedforwardSource, Gripper, SampleFlag, set_stamp, stamp_ns
+from schemas.messages import NANOSECONDS, REFERENCE, FeedforwardSource, SampleFlag, set_stamp, stamp_ns
 from service.estimator.estimator import Estimator
 
 LEAD = 4  # cycles that a motion is published ahead of its command: tap, estimator and Zenoh have that long at any rate
@@ -44,7 +44,7 @@ class InCycle:
         estimator = self._estimator
         estimator.step(sample.tobytes())
         weighed = estimator.look_back() >= 0 and estimator.payload["trusted"][0]
-        if weighed and sample["gripper"][0] != Gripper.OPEN:
+        if weighed and estimator.payload["std_dev"][0] > 0.0:  # without doubt is the mass in an open gripper alone
             self._payload = estimator.payload[0].copy()
         answer = estimator.feedforward[0]
         return answer["torque"].copy() if _for_the_plan(answer) else None

@@ -11,11 +11,13 @@ share model, noise and gaps, so they share one covariance. filterpy discretises 
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from filterpy.common import van_loan_discretization
 from numba import njit
+from scipy.linalg import solve_discrete_are
 
 ORDER = 4  # position, velocity, acceleration, jerk
 
@@ -30,6 +32,8 @@ FIRST_SPEED, FIRST_ACCELERATION = 5.0, 300.0  # rad/s, rad/s^2
 # branch can wait for it, the feed-forward torque cannot.
 SMOOTHING_LAG = 0.006  # s
 MAX_LAG = 64  # samples; 8 kHz x 6 ms = 48
+# Nobody needs to know an acceleration better; below it its variance is a difference of near equals.
+SMALLEST_VARIANCE = 0.1**2  # (rad/s^2)^2
 
 FILTER = np.dtype(
     [
@@ -38,6 +42,7 @@ FILTER = np.dtype(
         ("first", "f8", (ORDER, ORDER)),  # covariance at the start of a stream
         ("resolution", "f8"),  # rad, standard deviation of a position
         ("lag", "i8"),  # samples
+        ("acceleration_variance", "f8"),  # (rad/s^2)^2, of the smoothed one where no sample is missing
     ],
     align=True,
 )
@@ -78,6 +83,7 @@ class MotionFilter(NamedTuple):
     first: np.ndarray
     resolution: float
     lag: int
+    acceleration_variance: float
 
 
 def design(period: float, resolution: float) -> MotionFilter:
@@ -92,13 +98,31 @@ def design(period: float, resolution: float) -> MotionFilter:
     drive = np.zeros((ORDER, 1))
     drive[3, 0] = EXPECTED_JERK * np.sqrt(2.0 / JERK_TIME)
     transition, noise = (np.asarray(matrix, np.float64) for matrix in van_loan_discretization(drift, drive, period))
-    return MotionFilter(
+    motion = MotionFilter(
         transition=np.triu(transition),  # below the diagonal there is rounding alone
         noise=0.5 * (noise + noise.T),
         first=np.diag(np.array([resolution, FIRST_SPEED, FIRST_ACCELERATION, EXPECTED_JERK]) ** 2),
         resolution=resolution,
         lag=max(1, min(MAX_LAG, round(SMOOTHING_LAG / period))),
+        acceleration_variance=math.nan,
     )
+    return motion._replace(acceleration_variance=_steady_variance(motion))
+
+
+def _steady_variance(motion: MotionFilter) -> float:
+    """Variance of the smoothed acceleration once the filter has settled: of its covariance P, what the samples until
+    the lag is over leave (see `acceleration_variance_kernel`)."""
+    transition = motion.transition
+    prior = solve_discrete_are(transition.T, np.eye(ORDER, 1), motion.noise, np.array([[motion.resolution**2]]))
+    spread = prior[0, 0] + motion.resolution**2
+    gain = prior[:, :1] / spread
+    carried = (prior - gain @ gain.T * spread)[:, 2:3]
+    variance = carried[2, 0]
+    for _ in range(motion.lag):
+        carried = transition @ carried
+        variance -= carried[0, 0] ** 2 / spread
+        carried = carried - gain * carried[0, 0]
+    return max(float(variance), SMALLEST_VARIANCE)
 
 
 @njit(cache=True)
@@ -168,6 +192,13 @@ def update_kernel(motion, track, position):
 
 
 @njit(cache=True)
+def largest_innovation(motion, track):
+    """Of the newest position, over its standard deviation: e / sqrt(S) with S = R / (1 - K_0)."""
+    largest = max(abs(track.scaled[0]), abs(track.scaled[1]), abs(track.scaled[2]))
+    return largest * motion.resolution / math.sqrt(1.0 - track.gain[0])
+
+
+@njit(cache=True)
 def coast_kernel(track, cycles):
     """No position came with the predicted cycle."""
     for i in range(3):
@@ -222,3 +253,33 @@ def smooth_kernel(transition, slots, newest, lag, adjoint, smoothed):
             for k in range(ORDER):
                 total += slot.covariance[order, k] * adjoint[k]
             smoothed[order, i] = total
+
+
+@njit(cache=True)
+def acceleration_variance_kernel(motion, slots, newest, lag, carried):
+    """Variance, (rad/s^2)^2, of the acceleration that `smooth_kernel` gives, alike for the joints: the column of it in
+    the covariance of then, carried through the samples since, each of which takes (H F p)^2 / S off.
+
+    carried: (4,) scratch.
+    """
+    index = newest - lag
+    if index < 0:
+        index += len(slots)
+    for row in range(ORDER):
+        carried[row] = slots[index].covariance[row, 2]
+    variance = carried[2]
+    for _ in range(lag):
+        index = index + 1 if index + 1 < len(slots) else 0
+        slot = slots[index]
+        for _ in range(slot.gap):
+            for row in range(ORDER):  # upwards, in place
+                total = 0.0
+                for column in range(row, ORDER):
+                    total += motion.transition[row, column] * carried[column]
+                carried[row] = total
+        if slot.gain[0] > 0.0:  # S = R / (1 - K_0); a cycle without a position tells nothing
+            told = carried[0]
+            variance -= told * told * (1.0 - slot.gain[0]) / (motion.resolution * motion.resolution)
+            for row in range(ORDER):
+                carried[row] -= slot.gain[row] * told
+    return variance

@@ -76,6 +76,8 @@ STATE = np.dtype(
         ("past", _PAST, kalman.MAX_LAG + 1),
         ("head", "i8"),
         ("filled", "i8"),
+        ("unsettled", "i8"),  # samples until the newest hole is no longer felt in the smoothed motion
+        ("unexpected", "i8"),  # the same of motion behind it that the filter did not expect
         ("turn", "f8", turning.LINE),  # rad, angles of the fourth axis, a ring
         ("turn_head", "i8"),
         ("turn_known", "i8"),  # how many in a row

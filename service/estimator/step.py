@@ -26,8 +26,10 @@ from service.estimator.feedforward import (
 )  # fmt: skip
 from service.estimator.kalman import (
     MAX_LAG,
+    acceleration_variance_kernel,
     coast_kernel,
     keep_kernel,
+    largest_innovation,
     predict_kernel,
     restart_kernel,
     smooth_kernel,
@@ -62,6 +64,12 @@ from service.model.kinematics import REACHED
 REVERSAL_SPEED = 0.05  # rad/s
 # In a shorter hole the load is taken to stay; what it did shows as soon as it is weighed again.
 UNSEEN_TIME = 0.5  # s
+# Variance of an acceleration, over that of one with all samples around it, beyond which it says nothing of the mass: at
+# the edge of a hole it is guessed, and a torque sample is not.
+LOOSE_ACCELERATION = 1.5
+# Standard deviations of an innovation behind a hole beyond which the motion is not what the filter expects: drives that
+# stood without commands and start again.
+UNEXPECTED = 10.0
 # The rigid-body terms are known to about this share of themselves after identification.
 MODEL_SHARE = 0.01
 
@@ -108,6 +116,13 @@ def _remember(settings, state, sample, flags, gap):
     if state.filled <= settings.motion.lag and state.measured.used * settings.period > SETTLE_TIME:
         state.filled += 1
     keep_kernel(state.measured, gap, state.slots[state.head])
+    if gap > 1 or flags & UNUSABLE != 0:
+        state.unsettled = settings.motion.lag + np.int64(SETTLE_TIME / settings.period)
+    elif state.unsettled > 0:
+        state.unsettled -= 1
+    state.unexpected = max(np.int64(0), state.unexpected - 1)
+    if state.unsettled > 0 and largest_innovation(settings.motion, state.measured) > UNEXPECTED:
+        state.unexpected = 2 * settings.motion.lag
     turn_kernel(state, sample.fourth_position, gap)
     past = state.past[state.head]
     past.stamp_sec = sample.stamp_sec
@@ -134,6 +149,10 @@ def lagged_kernel(settings, state, payload_out, error_out):
         for i in range(3):
             error_out.kh[i] = error_out.id[i] = error_out.id_friction[i] = error_out.full[i] = math.nan
     else:
+        loose = state.unexpected > 0
+        if state.unsettled > 0 and not loose:
+            variance = acceleration_variance_kernel(settings.motion, state.slots, state.head, lag, state.adjoint)
+            loose = variance > LOOSE_ACCELERATION * settings.motion.acceleration_variance
         swing_kernel(settings, state, weighed.column)
         torque_kernel(settings, state, past.stamp_sec + past.stamp_nanosec * 1e-9)
         for i in range(3):
@@ -153,7 +172,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
                 abs(terms[INERTIA, i]) + abs(terms[GRAVITY, i]) + abs(terms[PLATFORM, i]) + abs(friction)
             )
             # a resting joint's friction can be anything within Coulomb's bounds, the same for as long as it rests
-            weight = 1.0 / (settings.variance[i] + doubt * doubt)
+            weight = 0.0 if loose else 1.0 / (settings.variance[i] + doubt * doubt)
             weighed.weight[i] = weight if speed > REVERSAL_SPEED else 0.0
             weighed.slow_weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
         weighed.gripper = past.gripper

@@ -27,6 +27,8 @@ LIGHTER_TIME, LEAVING_TIME = 0.05, 1.0  # s
 # A gripper that nobody hears of works while the robot stands still: after so long without motion that tells the mass it
 # is not known any more, until so much motion has told it.
 STILL_TIME, TELLING_TIME = 0.25, 0.15  # s
+# A mass that only so much motion has told may be one odd stretch of torque.
+LEAST_TIME = 0.02  # s
 LOADS = 3  # m and, where the fourth axis turns, the m d_1 and m d_2 of `turning`
 # One standard deviation of m d: 4 kg at 50 mm.
 OFFSET_STD = 0.2  # kg m
@@ -156,6 +158,7 @@ def start(state: np.ndarray, prior: np.ndarray) -> None:
     state[:] = np.zeros((), STATE)
     state["information"][..., range(LOADS), range(LOADS)] = [PRIOR_STD**-2, OFFSET_STD**-2, OFFSET_STD**-2]
     state["active"] = state["filled"] = 1
+    state["untold"] = LEAST_TIME
     state["blocks"] = state["inflation"] = 1.0
     state["raw_information"] = PRIOR_STD**-2
     state["std_dev"] = PRIOR_STD

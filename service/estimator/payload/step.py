@@ -10,7 +10,7 @@ from service.estimator import friction, slow
 from service.estimator.payload.change import find_change
 from service.estimator.payload.loads import prior_of
 from service.estimator.payload.scatter import part_blocks, scatter_kernel
-from service.estimator.payload.state import LOADS, MEMORY_TIME, PRIOR_STD, STILL_TIME, TELLING_TIME, WINDOW
+from service.estimator.payload.state import LEAST_TIME, LOADS, MEMORY_TIME, PRIOR_STD, STILL_TIME, TELLING_TIME, WINDOW
 from service.estimator.payload.verdict import conclude
 
 UNKNOWN = Gripper.UNKNOWN.value
@@ -69,23 +69,26 @@ def payload_kernel(settings, state):
                 state.bin_information[head, p, q] = 0.0
             for a in range(friction.COUNT):
                 state.bin_drag[head, p, a] = 0.0
-        if onset > 0 and state.active > 1:
-            part_blocks(settings, state, onset * settings.bin_size)
+        if onset > 0:
+            samples = onset * settings.bin_size
+            state.untold = max(0.0, LEAST_TIME - samples * settings.period)
+            if state.active > 1:
+                part_blocks(settings, state, samples)
     return conclude(settings, state)
 
 
 @njit(cache=True)
 def _note_rest(settings, state, told):
     """Count time without motion that tells the mass, and behind a rest the motion that has told it."""
-    if state.gripper != UNKNOWN:
-        state.still = state.untold = 0.0
-    elif told:
+    if told:
         state.still = 0.0
         state.untold = max(0.0, state.untold - settings.period)
-    else:
+    elif state.gripper == UNKNOWN:
         state.still += settings.period
         if state.still > STILL_TIME:
             state.untold = TELLING_TIME
+    else:
+        state.still = 0.0
 
 
 @njit(cache=True)
@@ -135,6 +138,7 @@ def _weigh_anew(state):
         state.moment[p] = 0.0
         state.drag[p] = 0.0
     state.raw_information = prior_of(0)
+    state.untold = LEAST_TIME
     slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
 
 

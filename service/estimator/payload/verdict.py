@@ -11,7 +11,7 @@ from numba import njit
 from schemas.messages import Gripper, PayloadEvent
 from service.estimator import friction
 from service.estimator.payload.loads import locate
-from service.estimator.payload.state import COLOUR, SMALLEST_CHANGE, WINDOW
+from service.estimator.payload.state import COLOUR, LEAST_TIME, SMALLEST_CHANGE, WINDOW
 
 # So soon after an event a smaller part of the load than this is the estimate settling, not the next event.
 REFINING_TIME, REFINING_SHARE = 0.15, 0.5  # s, -
@@ -87,10 +87,10 @@ def conclude(settings, state):
     if trusted or abs(held - state.load) > CLEAR_STEP * std_dev:
         event = _event(settings, state, held, std_dev, trusted)
     if event != PayloadEvent.NONE.value:
-        state.untold = 0.0  # weighed anew
+        state.untold = min(state.untold, LEAST_TIME)  # weighed anew
     state.mass = held
     state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
-    state.trusted = 1 if trusted and state.untold == 0.0 else 0
+    state.trusted = 1 if trusted and (known_empty or state.untold == 0.0) else 0
     _reckon(settings, state)
     return event
 

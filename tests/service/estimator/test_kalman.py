@@ -8,7 +8,9 @@ from service.estimator.kalman import (
     FILTER,
     ORDER,
     SLOT,
+    SMALLEST_VARIANCE,
     TRACK,
+    acceleration_variance_kernel,
     coast_kernel,
     design,
     keep_kernel,
@@ -89,9 +91,16 @@ def test_filter_and_smoother_are_filterpys(period, loss):
         lag, smoothed = int(motion["lag"]), np.empty((3, 3))
         for row in (200, 333, len(kept) - 1 - lag):
             n, end = kept[row], kept[row + lag] + 1
-            expected, *_ = kalman.rts_smoother(means[:end], covariances[:end], Fs=[kalman.F] * end, Qs=[kalman.Q] * end)
+            expected, spread, *_ = kalman.rts_smoother(
+                means[:end], covariances[:end], Fs=[kalman.F] * end, Qs=[kalman.Q] * end
+            )
             smooth_kernel(motion["transition"], slots, row + lag, lag, np.empty(ORDER), smoothed)
             assert (np.abs(smoothed[:, joint] - expected[n, :3, 0]) < 1e-5 * scale[:3]).all()
+            variance = acceleration_variance_kernel(motion, slots, row + lag, lag, np.empty(ORDER))
+            assert variance == pytest.approx(spread[n, 2, 2], rel=1e-3)
+            if loss == 0.0:
+                steady = max(spread[n, 2, 2], SMALLEST_VARIANCE)
+                assert motion["acceleration_variance"] == pytest.approx(steady, rel=1e-3)
 
 
 def closed_loops(period, gaps):

@@ -105,8 +105,11 @@ def test_an_event_that_is_not_trusted_leaves_the_feed_forward_torque_alone(robot
 def test_a_mass_that_is_no_longer_trusted_leaves_the_feed_forward_torque_smoothly(robot, make):
     known = make(4.0, payload=lambda t: 3.0 * np.ones_like(t), noise=0.25)
     time = stamp_ns(known.samples) * 1e-9
-    known.samples["torque"][:, 0] += 30.0 * np.sin(2 * np.pi * 9.0 * time) * (time > 2.0)  # no payload does this
-    mass, trusted = fed(Estimator(robot, PERIOD), known.samples)
+    grows = np.clip((time - 2.0) / 0.3, 0.0, 1.0)
+    known.samples["torque"][:, 0] += 60.0 * np.sin(2 * np.pi * 40.0 * time) * grows  # no payload does this
+    estimator = Estimator(robot, PERIOD)
+    mass, trusted = fed(estimator, known.samples)
+    assert estimator.state["payload"]["last_event"] != PayloadEvent.RELEASE, "which is a step by nature"
     assert trusted[200:400].all()
     assert mass[390] == pytest.approx(3.0, abs=0.05)
     doubted = np.flatnonzero(~trusted[400:]) + 400
