@@ -122,3 +122,20 @@ def test_a_wild_sequence_number_costs_a_restart_at_most(robot, make):
         out = Estimator(robot, 1e-3).run(samples).feedforward
         assert np.isfinite(out["torque"]).all()
         assert np.abs(out["torque"] - expected)[550:].max() < 0.5, wild
+
+
+def test_torque_at_the_edge_of_a_hole_says_nothing_of_the_mass(robot, make):
+    """The acceleration there is a guess; next to a single lost sample it is not."""
+    period, single, hole = 2e-3, 200, range(500, 515)
+    samples = make(2.0, period=period, noise=0.25).samples
+    samples = np.delete(samples, [single, *hole])
+    estimator, weighed = Estimator(robot, period), {}
+    for sample in samples:
+        estimator.step(sample.tobytes())
+        if estimator.look_back() >= 0:
+            weighed[int(estimator.payload["sequence"][0])] = bool(estimator.state["payload"]["weight"].any())
+    ignored = {sequence for sequence, used in weighed.items() if not used and sequence > 100}
+    first = int(samples["sequence"][0])
+    assert {hole.start + first - 1, hole.stop + first} <= ignored
+    assert len(ignored) <= 6
+    assert not any(abs(sequence - first - single) < 50 for sequence in ignored)
