@@ -47,9 +47,9 @@ TESTS = {
 EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 PAGES = ("blindpage.py", "report.py")  # pictures and prose, looked at in tests/service/pages
 LEAST_TIME, TIMES = 200.0, 4.0  # s of CPU, kernels compiled anew included, and times what the tests take as they are
-WAIT = 600  # s a test may take by the clock
+WAIT = 600.0  # s by the clock that a test of a mutant may take at least, beside TIMES what it takes as it is
 QUICK = 1.0  # s, fixtures included: a test that is put before all others, whatever file it is in
-PYTEST = ("-x", "-q", "-p", "no:cacheprovider", f"--timeout={WAIT}", "--tb=line")
+PYTEST = ("-x", "-q", "-p", "no:cacheprovider", "--tb=line")
 PASSED, FAILED, LATE, UNUSED, BROKEN = "SURVIVED", "killed", "late", "UNUSED", "broken"
 _UNUSED, _BROKEN = 77, 78  # exit codes of a fork
 
@@ -88,11 +88,11 @@ def verdict(code: int, said: str) -> str:
     return FAILED if code < 0 else UNUSED if code == _UNUSED else BROKEN
 
 
-def apart(tree: Path, kernels: Path, tests: Sequence[str], limit: float) -> tuple[str, str]:
-    """Verdict and words of pytest in a copy of the tree. limit: s of CPU."""
+def apart(tree: Path, kernels: Path, tests: Sequence[str], limit: float, wait: float = 0.0) -> tuple[str, str]:
+    """Verdict and words of pytest in a copy of the tree. limit: s of CPU; wait: s by the clock of a test, 0 for any."""
     known = {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": str(kernels)}
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", f"--rootdir={tree}", *PYTEST, *tests],
+        [sys.executable, "-m", "pytest", f"--rootdir={tree}", f"--timeout={wait}", *PYTEST, *tests],
         cwd=tree, env={**os.environ, **known}, preexec_fn=lambda: _bound(limit),
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", check=False,
     )  # fmt: skip
@@ -128,11 +128,11 @@ def _bound(limit: float) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit) + 5))
 
 
-def changed(mutant: Mutant, tests: Sequence[str]) -> int:
-    """Exit code of the tests with one function of this process changed."""
+def changed(mutant: Mutant, tests: Sequence[str], wait: float) -> int:
+    """Exit code of the tests with one function of this process changed. wait: s by the clock of a test."""
     if not change(mutant):
         return _UNUSED
-    return int(pytest.main([*PYTEST, *tests]))
+    return int(pytest.main([f"--timeout={wait}", *PYTEST, *tests]))
 
 
 def change(mutant: Mutant) -> bool:
@@ -175,7 +175,7 @@ def survey(room: str) -> dict[str, dict]:
         seen = Path(place) / "survey.json"
 
         def run() -> int:
-            code = pytest.main([*PYTEST, *TESTS[room]], plugins=[watch])
+            code = pytest.main(["--timeout=0", *PYTEST, *TESTS[room]], plugins=[watch])
             seen.write_text(json.dumps(watch.tests))
             return int(code)
 
@@ -271,12 +271,13 @@ def room_of(room: str, count: int, seed: int, only: set[int]) -> tuple[int, int]
                 continue
             names = order(mutant, tests)
             limit = LEAST_TIME + TIMES * sum(tests[name]["seconds"] for name in names)
+            wait = max(WAIT, TIMES * max(tests[name]["seconds"] for name in names))
             started = time.monotonic()
             if mutant.outer and not mutant.compiled:
-                word, said = here(functools.partial(changed, mutant, names), limit)
+                word, said = here(functools.partial(changed, mutant, names, wait), limit)
             else:
                 with written(mutant, tree, kernels) as compiled:
-                    word, said = apart(tree, compiled, names, limit)
+                    word, said = apart(tree, compiled, names, limit, wait)
             if word == BROKEN:
                 sys.exit(f"{place}: the tests could not be run:\n{said[-3000:]}")
             tried += 1

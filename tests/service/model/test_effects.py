@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from drivers.plant.effects import mechanics
 from drivers.plant.mechanism import Design
 from service.model.effects.geometry import GeometryError
+from service.model.nominal import lengthened
 from tests.service.injected import BY_TWO_MASSES, INJECTED, reports
 from tests.service.subject import (
     EFFECTS,
@@ -20,6 +23,7 @@ from tests.service.subject import (
     Term,
     added,
     on_joint,
+    predict,
     reported,
     tangent,
 )
@@ -108,7 +112,7 @@ PAIRS = [
     ("stribeck_friction", "torque_scale"), ("torque_filter", "tool_mass"), ("torque_delay", "cogging"),
     ("torque_scale", "torque_delay"), ("link_length_error", "warmup_friction"), ("joint_offset", "torque_filter"),
     ("position_dependent_friction", "encoder_eccentricity"), ("base_tilt", "nonlinear_viscous_friction"),
-    ("torque_filter", "stribeck_friction"), ("presliding_friction", "asymmetric_friction"),
+    ("stribeck_friction", "torque_filter"), ("presliding_friction", "asymmetric_friction"),
 ]  # fmt: skip
 
 
@@ -153,3 +157,29 @@ def approximate(term: Term) -> list[float]:
     amplitude = {"torque_scale": 0.06}.get(name, 1e-6)
     shape = 0.13 if name in ("cogging", "encoder_eccentricity") else 0.03
     return [amplitude] * term.amplitude.size + [shape] * len(term.shape)
+
+
+def test_torque_is_sampled_later_by_a_fraction_of_a_sample():
+    here = replace(scene(course(1, 0.4)), base=replace(BASE, timing=2e-4))
+    band = problem([course(1, 0.4)], [course(1, 0.4).torque]).band
+    hypothesis = Hypothesis(here.base, (INJECTED["stribeck_friction"].term("stribeck_friction"),))
+    expected = predict(here, hypothesis)
+    np.testing.assert_allclose(tangent(here, hypothesis, band)[0], band(expected), atol=1e-9)
+    early = predict(here, Hypothesis(BASE, hypothesis.terms))
+    slope = np.gradient(early, here.period, axis=0)
+    error = np.abs(expected - (early - 2e-4 * slope)) / np.abs(expected - early)
+    assert np.median(error) < 0.01  # apart from reversals
+
+
+def test_a_filter_is_turned_round():
+    effect, here, shape = EFFECTS["torque_filter"], scene(course(1, 0.4)), (15.0,)
+    reported = effect.report(here, 0, here.total, np.zeros(0), shape)
+    np.testing.assert_allclose(effect.restore(reported, here.period, 0, np.zeros(0), shape), here.total, atol=1e-9)
+
+
+def test_rotor_and_gear_do_not_grow_with_the_link():
+    """rho_1 I is a link's inertia and a rotor's; a link r times as long has r^2 of the first, r of its weight."""
+    ratio = np.array([0.5, 1.0, 2.0])
+    rho_1, rho_2 = lengthened(1.7, 1.3, ratio)
+    np.testing.assert_allclose(rho_1 * ratio**2, ratio**2 + 0.7)
+    np.testing.assert_allclose(rho_2 * ratio, ratio + 0.3)

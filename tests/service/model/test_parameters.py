@@ -1,12 +1,14 @@
 """One order for the parameters of a hypothesis: values, names, limits and places agree."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from service.model.effects import CATALOGUE, by_name
 from service.model.hypothesis import Hypothesis, Term
 from service.model.mechanism import DecoupledAxes, Delta
-from service.model.parameters import Parameters, base_parameters, parameters_of
+from service.model.parameters import Parameters, base_parameters, parameters_of, shown_parameters
 from service.model.scene import Base
 from tests.service.world import ROBOT
 
@@ -72,3 +74,48 @@ def test_the_base_is_named_by_its_mechanism(model):
     assert [(known.name, known.low) for known in axes[:4]] == [
         ("inertia_1", 0.0), ("inertia_2", 0.0), ("offset_1", -np.inf), ("offset_2", -np.inf),
     ]  # fmt: skip
+
+
+def test_a_slope_is_trusted_over_a_part_of_a_bent_value(model):
+    parameters = Parameters(Hypothesis(BASE, (STRIBECK, BACKLASH)))
+    low, high = parameters.limits(Delta.of(ROBOT), 1e-3)
+    assert low[:9].tolist() == [0.0] * 9
+    assert np.isinf(high[:9]).all()
+    down, up = parameters.reach(Delta.of(ROBOT), 1e-3)
+    values = parameters.values[parameters.free]
+    linear = [*range(9), 10, 11, 12]  # the torque is straight in them: only their limits end a step
+    np.testing.assert_allclose(down[linear], (low - values)[linear])
+    np.testing.assert_allclose(up[linear], (high - values)[linear])
+    # half a value and 2 % of its range, the transition's as a shape's
+    assert (down[13], up[13]) == pytest.approx((-0.1899, 0.1899)), "v_s 0.3 of 0.005 to 2"
+    assert (down[9], up[9]) == pytest.approx((-0.001396, 0.001396)), "0.002 of 2e-4 to 2e-2"
+    assert (down[14], up[14]) == pytest.approx((-0.000898, 0.000898)), "half, 0.001 of 1e-4 to 0.02"
+    close = Parameters(Hypothesis(BASE, (replace(BACKLASH, shape=(1.2e-4, 120.0, 2.0, 0.2)),)))
+    down, up = close.reach(Delta.of(ROBOT), 1e-3)
+    assert (down[11], up[11]) == pytest.approx((-2e-5, 4.58e-4)), "ends at a limit"
+
+
+def test_frictions_with_a_transition_each_may_turn_slowly():
+    wide = replace(BASE, transition=np.array([0.01, 0.02, 0.03]), wanted=np.array([True, False, True]))
+    parameters = Parameters(Hypothesis(wide))
+    assert np.flatnonzero(~parameters.free).tolist() == [1], "a coefficient that is not wanted stays"
+    low, high = parameters.limits(Delta.of(ROBOT), 1e-3)
+    assert (low[8:11].tolist(), high[8:11].tolist()) == ([2e-4] * 3, [0.5] * 3)
+    moved = parameters.at(parameters.values[parameters.free] * 2)
+    assert moved.base.rigid.tolist() == [2.0, 2.0, 6.0]
+    np.testing.assert_array_equal(moved.base.transition, [0.02, 0.04, 0.06])
+    columns = parameters.widened(np.arange(11.0)[None], 4)
+    assert columns.tolist() == [[0.0, 0.0, 1.0, 2.0]], "none for the one that is held"
+    one = Parameters(Hypothesis(BASE))
+    assert isinstance(one.at(one.values).base.transition, float)
+
+
+def test_names_that_documents_show():
+    axes = DecoupledAxes(np.ones(2), np.array([[1.0, 0.0], [1.0, 1.0]]))
+    assert [known.name for known in shown_parameters(axes)][-4:] == [
+        "f_c_motor_2", "transition_1", "transition_2", "transition_motor_2",
+    ]  # fmt: skip
+    assert [(known.low, known.high) for known in shown_parameters(axes)][-1] == (2e-4, 0.5)
+    assert [known.name for known in shown_parameters(Delta.of(ROBOT))] == [
+        known.name for known in base_parameters(Delta.of(ROBOT))
+    ]
