@@ -17,9 +17,9 @@ from typing import Any, BinaryIO, Literal
 
 import dpkt
 import numpy as np
-from numba import njit
 
 from schemas.errors import TraceError
+from schemas.kernels import kernel
 
 ETHERNET = 1
 NETANALYZER = 240
@@ -75,7 +75,7 @@ _SFD = 0xD5
 _PREAMBLE_SEARCH = 32
 
 
-@njit(cache=True)
+@kernel
 def _u32(data, at, big):
     if big:
         return (
@@ -89,7 +89,7 @@ def _u32(data, at, big):
     )
 
 
-@njit(cache=True)
+@kernel
 def cut_link_layer(data, start, captured, snapped, link_type, port):
     """(offset, length, port, flags) of the Ethernet frame in a packet of `captured` bytes at `start`."""
     flags = FrameFlag.SNAPPED.value if snapped else 0
@@ -118,7 +118,7 @@ def cut_link_layer(data, start, captured, snapped, link_type, port):
     return offset, length, port, flags
 
 
-@njit(cache=True)
+@kernel
 def _walk_pcap(data, big, nanoseconds, link_type, offset, length, time, port, flags):
     """Frames of the whole records in `data`: (frames, bytes used, why it stopped)."""
     at, count, end = np.int64(0), 0, len(data)
@@ -140,7 +140,7 @@ def _walk_pcap(data, big, nanoseconds, link_type, offset, length, time, port, fl
     return count, at, _NEED_MORE
 
 
-@njit(cache=True)
+@kernel
 def _walk_pcapng(data, big, interfaces, interface_count, offset, length, time, port, flags):
     """The same for pcapng; it stops at section and interface headers. interfaces: (n, 6) table, columns as above."""
     at, count, end = np.int64(0), 0, len(data)

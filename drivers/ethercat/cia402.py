@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from schemas.errors import RobotError
+from schemas.kernels import kernel
 from schemas.messages import Gripper
 from schemas.robot import Drive
 
@@ -138,13 +138,13 @@ def drive_state(statusword: np.ndarray | int) -> np.ndarray:
     return STATE_OF_BITS[np.asarray(statusword, np.int64) & 0x7F]
 
 
-@njit(cache=True)
+@kernel
 def joint_angle(counts, zero_counts, radians_per_count):
     """Joint angle, rad, of 0x6064 or 0x607A, one int64 or an array. The object wraps at 2^32, and so does this."""
     return (((counts - zero_counts + 2**31) & 0xFFFFFFFF) - 2**31) * radians_per_count
 
 
-@njit(cache=True)
+@kernel
 def gripper_state(digital_inputs, bit, closed):
     """`Gripper` that 0x60FD says."""
     return Gripper.CLOSED.value if (digital_inputs >> bit) & 1 == closed else Gripper.OPEN.value

@@ -8,9 +8,9 @@ from __future__ import annotations
 import enum
 
 import numpy as np
-from numba import njit
 
 from drivers.ethercat.capture import Frames
+from schemas.kernels import kernel
 
 ETHERTYPE = 0x88A4
 UDP_PORT = 0x88A4
@@ -83,24 +83,24 @@ _HEADER_BYTES = 10
 _MORE = 0x8000
 
 
-@njit(cache=True)
+@kernel
 def u16(data, at):
     """Little-endian 16 bits at `at`."""
     return np.int64(data[at]) | (np.int64(data[at + 1]) << 8)
 
 
-@njit(cache=True)
+@kernel
 def u32(data, at):
     """Little-endian 32 bits at `at`."""
     return u16(data, at) | (u16(data, at + 2) << 16)
 
 
-@njit(cache=True)
+@kernel
 def _ethertype(data, at):
     return (np.int64(data[at]) << 8) | data[at + 1]
 
 
-@njit(cache=True)
+@kernel
 def find_datagrams(data, offset, length):
     """(kind, first, end): where the datagrams of the Ethernet frame at data[offset:offset + length] lie."""
     end = offset + length
@@ -128,7 +128,7 @@ def find_datagrams(data, offset, length):
     return Kind.DATAGRAMS.value, at, min(end, at + (header & 0x7FF))
 
 
-@njit(cache=True)
+@kernel
 def decode_kernel(data, offset, length, datagrams, kinds):
     """Fill `datagrams` and each frame's Kind from the frames of a block; (frames done, datagrams found)."""
     found = 0

@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from drivers.plant.truth import PlantTruth
+from schemas.kernels import kernel
 
 VELOCITY_FILTER_HZ = 400.0  # of the speed error, which the drive makes from its encoder
 
@@ -68,7 +68,7 @@ def rest(torque: np.ndarray) -> ServoState:
     return ServoState(np.zeros(3), np.zeros(3), torque.copy())
 
 
-@njit(cache=True)
+@kernel
 def interpolate(cycle, share, position):
     """Cubic through position and velocity at both ends of a cycle, at `share` 0..1 of it."""
     a = share * share * (3.0 - 2.0 * share)
@@ -79,7 +79,7 @@ def interpolate(cycle, share, position):
         position[i] = cycle.start[i] + a * distance + b * cycle.start_dot[i] + c * cycle.end_dot[i]
 
 
-@njit(cache=True)
+@kernel
 def read_kernel(position, resolution, reading):
     """What encoders in steps of `resolution` rad (0: none) give for `position` (3,) rad."""
     for i in range(3):
@@ -88,7 +88,7 @@ def read_kernel(position, resolution, reading):
             reading[i] = np.rint(reading[i] / resolution) * resolution
 
 
-@njit(cache=True)
+@kernel
 def drive_kernel(tuning, state, reading, target, feedforward, torque):
     """One pass of the three cascades; fills torque (3,) N m. The integral stands still while the torque is limited.
 
@@ -106,7 +106,7 @@ def drive_kernel(tuning, state, reading, target, feedforward, torque):
             state.integral[i] += push * tuning.step / tuning.integral_time
 
 
-@njit(cache=True)
+@kernel
 def control_kernel(tuning, state, cycle, share, position, target, reading, torque):
     """Encoders, interpolation and drives of one pass at `share` of a Cycle, the motors at `position` (3,) rad with the
     encoders' noise in it. Fills target, reading (3,) rad and torque (3,) N m."""
@@ -115,7 +115,7 @@ def control_kernel(tuning, state, cycle, share, position, target, reading, torqu
     drive_kernel(tuning, state, reading, target, cycle.feedforward, torque)
 
 
-@njit(cache=True)
+@kernel
 def creep_kernel(forward, backward, speed, creep, torque):
     """Add dry friction (3,) N m of the levels `forward`, `backward` that builds up within `creep` rad/s."""
     for i in range(3):

@@ -27,10 +27,10 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
-from numba import njit
 
 from schemas.errors import MessageError, StorageError
 from schemas.files import MIB, most_unpacked
+from schemas.kernels import kernel
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_CHUNK_BYTES = 64 * MIB  # of one chunk, unpacked; writers in use make chunks of 1 to 8 MiB
@@ -237,7 +237,7 @@ def _select(block: tuple[Chunk | bytes, int], path: Path, wanted: Sequence[Wante
     return chosen
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _u64(data, at):
     value = np.uint64(0)
     for byte in range(8):
@@ -245,7 +245,7 @@ def _u64(data, at):
     return np.int64(value)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _find(data, ids, out, log_time):
     """Copy the messages of channels `ids` to `out`: (how many, size of one that does not fit or -1); -1, -1: damage."""
     at, end, count, size = 0, len(data), 0, out.shape[1]

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from schemas.errors import RobotError
+from schemas.kernels import kernel
 from schemas.robot import Robot
 from service.model.description import terms_of
 from service.model.effects import CATALOGUE
@@ -88,13 +88,13 @@ def _dispatcher():
     forms = {f"form_{number}": form for number, form in enumerate(_ONLINE.values())}
     scope = {"__name__": __name__, **forms}
     exec(compile("\n".join([*lines, "    return 0.0"]), __file__, "exec"), scope)
-    return njit(cache=True)(scope["online"])
+    return kernel(scope["online"])
 
 
 _online = _dispatcher()
 
 
-@njit(cache=True)
+@kernel
 def effects_kernel(effects, now, torque):
     """Add the effects' torque at the Instant `now` to `torque` (3,), N m, which holds the base model's."""
     for n in range(MAX_EFFECTS):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from schemas.messages import FeedforwardSource, SampleFlag
 from service.estimator import friction
 from service.estimator.effects import effects_kernel
@@ -26,7 +26,7 @@ _ESTIMATE, _COMMAND = FeedforwardSource.ESTIMATE.value, FeedforwardSource.COMMAN
 _REFERENCE, _NONE = FeedforwardSource.REFERENCE.value, FeedforwardSource.NONE.value
 
 
-@njit(cache=True)
+@kernel
 def feedforward_kernel(settings, state, sample, passed, out):
     """Fill torque, source and target of `out` for `sample`, `passed` cycles after the last answer. Returns flags."""
     source, flags = _choose(settings, state, sample, out)
@@ -45,7 +45,7 @@ def feedforward_kernel(settings, state, sample, passed, out):
     return flags
 
 
-@njit(cache=True)
+@kernel
 def hold_kernel(settings, state, sample, out):
     """The answer to a repeated or late sample: that of before, for a stray one must not make the torque drop; once
     nothing else comes it fades."""
@@ -64,7 +64,7 @@ def hold_kernel(settings, state, sample, out):
     return flags
 
 
-@njit(cache=True)
+@kernel
 def _choose(settings, state, sample, out):
     """Put the motion to answer for into state.trajectory. Returns (source, flags)."""
     coast, settled = coast_cycles(settings), SETTLE_TIME / settings.period
@@ -90,14 +90,14 @@ def _choose(settings, state, sample, out):
     return _NONE, flags
 
 
-@njit(cache=True)
+@kernel
 def _take(track, motion):
     for order in range(3):
         for i in range(3):
             motion[order, i] = track.state[i, order]
 
 
-@njit(cache=True)
+@kernel
 def _is_near(settings, state, ahead):
     """Whether the joints could be where the plan wants them by then."""
     reach = REFERENCE_DISTANCE + settings.speed * settings.period * (ahead + state.measured.idle)
@@ -107,7 +107,7 @@ def _is_near(settings, state, ahead):
     return near
 
 
-@njit(cache=True)
+@kernel
 def plan_kernel(steps):
     """Take the planned motion in `steps` (1,) if it is one; else the next answer says what is wrong with it."""
     settings, state, reference = steps[0].settings, steps[0].state, steps[0].reference
@@ -129,7 +129,7 @@ def plan_kernel(steps):
     state.reference_faults = flags
 
 
-@njit(cache=True)
+@kernel
 def _for_motion(settings, state, sample):
     """state.wanted (3,) N m: the torque for state.trajectory with payload and friction of now; False where there is no
     pose for it."""
@@ -146,7 +146,7 @@ def _for_motion(settings, state, sample):
     return finite
 
 
-@njit(cache=True)
+@kernel
 def torque_kernel(settings, state, seconds):
     """state.full (3,): reported torque, N m, of the fullest model without payload, for state.trajectory."""
     terms, motion = state.terms, state.trajectory
@@ -170,13 +170,13 @@ def torque_kernel(settings, state, seconds):
         state.full[i] *= settings.scale[i]
 
 
-@njit(cache=True)
+@kernel
 def dry_and_viscous(settings, state, i):
     """Coulomb and viscous friction of joint i, N m."""
     return friction_kernel(settings.viscous[i], settings.coulomb[i], state.trajectory[1, i], settings.transition)
 
 
-@njit(cache=True)
+@kernel
 def _learnt_friction(settings, state, i):
     """Reported torque on joint i, N m, of what friction surely is beside the identified one."""
     sure, first = state.payload.friction.sure, friction.PARTS * i
@@ -184,19 +184,19 @@ def _learnt_friction(settings, state, i):
     return settings.scale[i] * (dry * state.direction[i] + viscous * state.trajectory[1, i]) + offset
 
 
-@njit(cache=True)
+@kernel
 def grey_kernel(settings, terms, i):
     """M_Id of joint i, N m."""
     return settings.rho[0, i] * terms[INERTIA, i] + settings.rho[1, i] * terms[GRAVITY, i] + terms[PLATFORM, i]
 
 
-@njit(cache=True)
+@kernel
 def load_kernel(settings, state, i):
     """Reported torque on joint i per kg of payload, N m/kg, for the pose last given to the terms kernel."""
     return settings.scale[i] * state.terms[PAYLOAD, i]
 
 
-@njit(cache=True)
+@kernel
 def _within_bounds(settings, state, seconds, out):
     """out.torque: what is wanted, at most the peak, and from answer to answer at most the slope, but for a reversal of
     Coulomb friction, which is a step by nature."""
@@ -216,7 +216,7 @@ def _within_bounds(settings, state, seconds, out):
     return flags
 
 
-@njit(cache=True)
+@kernel
 def _fade(settings, state, seconds, out):
     """out.torque: in a straight line from the last usable one to zero within the declared time."""
     if state.faded == 0.0:

@@ -11,7 +11,8 @@ The feed-forward torque reckons with what is sure of it alone: friction made up 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from schemas.kernels import kernel
 
 PARTS = 3  # Coulomb N m, viscous N m s/rad, offset N m
 COUNT = 3 * PARTS
@@ -79,7 +80,7 @@ def drift_share(departure: np.ndarray, identified: np.ndarray) -> np.ndarray:
     return np.maximum(np.abs(moving), np.abs(departure[:, 2])) / np.maximum(whole, SMALLEST_DRIFT[0])
 
 
-@njit(cache=True)
+@kernel
 def gather_kernel(state, column, residual, known, weight, shape):
     """Take one sample into the block. column[:, 0]: phi, N m/kg. residual, known, weight: (3,) N m, N m of it that is
     known not to be friction, (N m)^-2. shape: (3, 3), x_i."""
@@ -101,7 +102,7 @@ def gather_kernel(state, column, residual, known, weight, shape):
                     state.block_information[PARTS * i + a, PARTS * j + b] += shape[i, a] * part * shape[j, b]
 
 
-@njit(cache=True)
+@kernel
 def covariance_kernel(state, one, other):
     """Covariance of two sums that friction enters with `one` and `other`, both (9,)."""
     total = 0.0
@@ -111,7 +112,7 @@ def covariance_kernel(state, one, other):
     return total
 
 
-@njit(cache=True)
+@kernel
 def learn_kernel(state, prior, forgetting, inflation):
     """Take the block, whose residuals scatter `inflation` times as much as their weights say. prior: (9,), as drift."""
     for a in range(COUNT):
@@ -123,7 +124,7 @@ def learn_kernel(state, prior, forgetting, inflation):
     _solve(state, prior)
 
 
-@njit(cache=True)
+@kernel
 def _solve(state, prior):
     """What is known of friction from the information, by Cholesky; the prior weighs in undiminished."""
     root, column = state.root, state.column

@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 from filterpy.common import van_loan_discretization
-from numba import njit
 from scipy.linalg import solve_discrete_are
+
+from schemas.kernels import kernel
 
 ORDER = 4  # position, velocity, acceleration, jerk
 
@@ -125,7 +126,7 @@ def _steady_variance(motion: MotionFilter) -> float:
     return max(float(variance), SMALLEST_VARIANCE)
 
 
-@njit(cache=True)
+@kernel
 def restart_kernel(motion, track, position):
     """Begin at `position` (3,), rad: at rest there, as far as is known."""
     for i in range(3):
@@ -141,7 +142,7 @@ def restart_kernel(motion, track, position):
     track.idle = 0
 
 
-@njit(cache=True)
+@kernel
 def predict_kernel(motion, track, cycles):
     """Move on by `cycles`: x = F x, P = F P F' + Q, each time."""
     transition, covariance, carried = motion.transition, track.covariance, track.scratch
@@ -167,7 +168,7 @@ def predict_kernel(motion, track, cycles):
                 covariance[column, row] = total
 
 
-@njit(cache=True)
+@kernel
 def update_kernel(motion, track, position):
     """Take `position` (3,), rad, at the predicted cycle: K = P H' / S, x = x + K e, P = P - K S K'."""
     covariance, gain = track.covariance, track.gain
@@ -191,14 +192,14 @@ def update_kernel(motion, track, position):
     track.idle = 0
 
 
-@njit(cache=True)
+@kernel
 def largest_innovation(motion, track):
     """Of the newest position, over its standard deviation: e / sqrt(S) with S = R / (1 - K_0)."""
     largest = max(abs(track.scaled[0]), abs(track.scaled[1]), abs(track.scaled[2]))
     return largest * motion.resolution / math.sqrt(1.0 - track.gain[0])
 
 
-@njit(cache=True)
+@kernel
 def coast_kernel(track, cycles):
     """No position came with the predicted cycle."""
     for i in range(3):
@@ -208,7 +209,7 @@ def coast_kernel(track, cycles):
     track.idle += cycles
 
 
-@njit(cache=True)
+@kernel
 def keep_kernel(track, gap, slot):
     """Put the newest cycle into the lag line."""
     for row in range(ORDER):
@@ -222,7 +223,7 @@ def keep_kernel(track, gap, slot):
     slot.gap = gap
 
 
-@njit(cache=True)
+@kernel
 def smooth_kernel(transition, slots, newest, lag, adjoint, smoothed):
     """The state `lag` samples ago as all samples since tell it: x + P a, with the adjoint state (Bryson, Frazier)
 
@@ -255,7 +256,7 @@ def smooth_kernel(transition, slots, newest, lag, adjoint, smoothed):
             smoothed[order, i] = total
 
 
-@njit(cache=True)
+@kernel
 def acceleration_variance_kernel(motion, slots, newest, lag, carried):
     """Variance, (rad/s^2)^2, of the acceleration that `smooth_kernel` gives, alike for the joints: the column of it in
     the covariance of then, carried through the samples since, each of which takes (H F p)^2 / S off.

@@ -9,13 +9,14 @@ with the sign and the scalar of `service.model` (the paper prints a minus and a 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from schemas.kernels import kernel
 
 FORGETTING = 0.99  # a sample at 1 kHz: a memory of a tenth of a second
 FIRST_COVARIANCE = 1e3  # kg^2
 
 
-@njit(cache=True)
+@kernel
 def fixed_forgetting(y: np.ndarray, x: np.ndarray, forgetting: float) -> np.ndarray:
     """m_p (N,) kg after each sample. y: (N, 3) N, x: (N, 3) m/s^2; a row of NaN changes nothing."""
     mass, covariance = 0.0, FIRST_COVARIANCE

@@ -15,7 +15,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from schemas.kernels import kernel
 
 MEMORY_TIME, NEWEST_TIME = 3.0, 0.3  # s, of what is averaged, and of what may contradict it
 BEGIN_TIME = 0.3  # s of slow motion without anything fast between: what sets out or stops is through it in less
@@ -42,7 +43,7 @@ STATE = np.dtype(
 )
 
 
-@njit(cache=True)
+@kernel
 def slow_kernel(slow, column, residual, way, weight, period, drift, mass, variance, widest):
     """Take one sample without anything fast. Returns whether slow.mass and slow.variance say what hangs there.
 
@@ -80,21 +81,21 @@ def slow_kernel(slow, column, residual, way, weight, period, drift, mass, varian
     return True
 
 
-@njit(cache=True)
+@kernel
 def fast_kernel(slow):
     """Something fast moves: what friction was in slow motion says nothing of it."""
     slow.lasted = 0.0
     slow.begun = 0
 
 
-@njit(cache=True)
+@kernel
 def grip_kernel(slow, widest):
     """The gripper opened or closed: another mass from here on, the same friction."""
     if slow.begun != 0:
         _start_anew(slow, widest)
 
 
-@njit(cache=True)
+@kernel
 def _start_anew(slow, widest):
     """Nothing is known of m, and of b what was found; what was summed up may be half of before, half of after."""
     for i in range(3):
@@ -104,13 +105,13 @@ def _start_anew(slow, widest):
     _clear(slow.newest)
 
 
-@njit(cache=True)
+@kernel
 def _clear(sums):
     for i in range(3):
         sums.load[i] = sums.cross[i] = sums.way[i] = sums.pull[i] = sums.rub[i] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def _add(sums, column, residual, way, weight, forgetting):
     for i in range(3):
         phi = column[i, 0]
@@ -121,7 +122,7 @@ def _add(sums, column, residual, way, weight, forgetting):
         sums.rub[i] = sums.rub[i] * forgetting + weight[i] * way[i] * residual[i]
 
 
-@njit(cache=True)
+@kernel
 def _solve(slow):
     """slow.mass and its variance by the normal equations, each b eliminated."""
     sums = slow.whole
@@ -134,7 +135,7 @@ def _solve(slow):
     slow.mass, slow.variance = moment / information, 1.0 / information
 
 
-@njit(cache=True)
+@kernel
 def _level(slow, i):
     """b of joint i and its variance, at the mass that was found."""
     sums, known = slow.whole, 1.0 / slow.level_variance[i]
@@ -143,7 +144,7 @@ def _level(slow, i):
     return level, 1.0 / sure + (sums.cross[i] / sure) ** 2 * slow.variance
 
 
-@njit(cache=True)
+@kernel
 def _contradicted(slow):
     """Whether the newest samples ask for another mass than all do."""
     newest = slow.newest

@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from schemas.messages import PayloadEvent
 from service.estimator.feedforward import (
     dry_and_viscous,
@@ -74,7 +74,7 @@ UNEXPECTED = 10.0
 MODEL_SHARE = 0.01
 
 
-@njit(cache=True)
+@kernel
 def _follow(settings, state, sample, flags, gap):
     """Move the filter of the measured position on to `sample`, `gap` cycles on."""
     track = state.measured
@@ -86,7 +86,7 @@ def _follow(settings, state, sample, flags, gap):
         coast_kernel(track, gap)
 
 
-@njit(cache=True)
+@kernel
 def _follow_command(settings, state, sample, flags, gap):
     """Move the filter of the commanded position on to `sample`."""
     track, command, longest = state.commanded, sample.position_command, restart_cycles(settings)
@@ -109,7 +109,7 @@ def _follow_command(settings, state, sample, flags, gap):
         update_kernel(settings.motion, track, command)
 
 
-@njit(cache=True)
+@kernel
 def _remember(settings, state, sample, flags, gap):
     """Put the newest cycle into the lag line."""
     state.head = (state.head + 1) % (MAX_LAG + 1)
@@ -134,7 +134,7 @@ def _remember(settings, state, sample, flags, gap):
         past.torque[i] = sample.torque[i] if flags & UNUSABLE == 0 else 0.0
 
 
-@njit(cache=True)
+@kernel
 def lagged_kernel(settings, state, payload_out, error_out):
     """Model errors and payload at the sample `lag` ago, with motion smoothed by what came since."""
     lag, terms, motion, weighed = settings.motion.lag, state.terms, state.trajectory, state.payload
@@ -191,7 +191,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
     payload_out.sequence = error_out.sequence = past.sequence
 
 
-@njit(cache=True)
+@kernel
 def step_kernel(settings, state, sample, feedforward):
     """One sample. Fills `feedforward`. Returns whether there is a sample the fixed lag ago, to look back on."""
     gap = cycles_since(settings, state, sample)
@@ -235,7 +235,7 @@ def step_kernel(settings, state, sample, feedforward):
     return bool(forward and state.filled > settings.motion.lag)
 
 
-@njit(cache=True)
+@kernel
 def answer_kernel(steps) -> tuple[int, bool]:
     """Answer the one sample in `steps` (1,), records of STEP. Returns the answer's flags, and as `step_kernel`."""
     step = steps[0]
@@ -243,7 +243,7 @@ def answer_kernel(steps) -> tuple[int, bool]:
     return int(step.feedforward.flags), bool(lagged)
 
 
-@njit(cache=True)
+@kernel
 def look_back_kernel(steps) -> int:
     """Fill payload and error in `steps` (1,) after `answer_kernel`. Returns the payload event."""
     step = steps[0]
@@ -251,7 +251,7 @@ def look_back_kernel(steps) -> int:
     return int(step.payload.event)
 
 
-@njit(cache=True)
+@kernel
 def run_kernel(steps, samples, feedforward, payload_out, error_out):
     """Samples in order. Returns how many of `payload_out` and `error_out` are filled, from the front."""
     step, lagged = steps[0], 0

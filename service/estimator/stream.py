@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from schemas.messages import SampleFlag
 from service.estimator.kalman import restart_kernel
 
@@ -35,7 +35,7 @@ UNUSABLE = NAN | RANGE | NOT_NEW | JUMP | SampleFlag.BUS_FAULT.value
 NOT_FOLLOWED = NO_COMMAND | COMMAND_RANGE | COMMAND_JUMP
 
 
-@njit(cache=True)
+@kernel
 def restart(settings, state, sample):
     """Begin a stream at `sample`: at rest where it is, nothing settled."""
     state.started = 1
@@ -48,19 +48,19 @@ def restart(settings, state, sample):
     restart_kernel(settings.motion, state.measured, sample.position)
 
 
-@njit(cache=True)
+@kernel
 def coast_cycles(settings):
     """Cycles that the filters coast over; at least one sample is let pass at any rate."""
     return max(np.int64(1), np.int64(COAST_TIME / settings.period))
 
 
-@njit(cache=True)
+@kernel
 def restart_cycles(settings):
     """Longest gap that the filters close."""
     return max(np.int64(1), np.int64(RESTART_TIME / settings.period)) + 1
 
 
-@njit(cache=True)
+@kernel
 def cycles_since(settings, state, sample):
     """Cycles since the newest sample, below 1 for a repeated or late one.
 
@@ -86,13 +86,13 @@ def cycles_since(settings, state, sample):
     return timed if by_time < by_count else counted
 
 
-@njit(cache=True)
+@kernel
 def _ahead(track, i, seconds):
     """Position of joint i, rad, `seconds` after the newest cycle, at the speed and acceleration of now."""
     return track.state[i, 0] + seconds * (track.state[i, 1] + 0.5 * seconds * track.state[i, 2])
 
 
-@njit(cache=True)
+@kernel
 def faults(settings, state, sample, gap):
     """What is wrong with `sample` and its command, given the stream so far. gap: cycles since the newest sample."""
     flags = np.int64(sample.flags)
@@ -125,7 +125,7 @@ def faults(settings, state, sample, gap):
     return flags
 
 
-@njit(cache=True)
+@kernel
 def _is_torn(settings, track, position, gap):
     """Whether no joint could have come to `position` in `gap` cycles from where the track was last seen."""
     reach = settings.speed * settings.period * (track.idle + gap)
@@ -135,7 +135,7 @@ def _is_torn(settings, track, position, gap):
     return torn
 
 
-@njit(cache=True)
+@kernel
 def _is_no_motion(settings, state, command, gap):
     """Whether no joint could follow from the commands so far to `command`, by its speed or its acceleration."""
     track, cycles = state.commanded, state.commanded.idle + gap
@@ -152,7 +152,7 @@ def _is_no_motion(settings, state, command, gap):
     return far
 
 
-@njit(cache=True)
+@kernel
 def is_new_stream(settings, state, sample):
     """Whether the strays of late, `sample` being one, continue each other: then the source started over elsewhere."""
     step = np.int64(sample.sequence - state.stray_sequence) // settings.stride
@@ -165,7 +165,7 @@ def is_new_stream(settings, state, sample):
     return state.stray >= STRAY_RUN
 
 
-@njit(cache=True)
+@kernel
 def is_new_command(settings, state, sample, gap):
     """The same for commands that jumped: they may go on from where they jumped to."""
     follows = state.command_stray > 0

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from schemas.kernels import kernel
 from service.estimator.kalman import MAX_LAG
 
 LINE = 2 * MAX_LAG + 1  # samples
 
 
-@njit(cache=True)
+@kernel
 def turn_kernel(state, angle, gap):
     """Take the angle of the newest cycle, rad, NaN where it is not known, `gap` cycles after the one before."""
     if not math.isfinite(angle):
@@ -36,7 +35,7 @@ def turn_kernel(state, angle, gap):
     state.turn_known = min(state.turn_known + 1, LINE)
 
 
-@njit(cache=True)
+@kernel
 def swing_kernel(settings, state, loads):
     """loads[:, 1:] (3, 2): N m per kg m on each joint, `lag` cycles ago, zero where the angle is not known all around.
 

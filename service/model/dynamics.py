@@ -9,8 +9,8 @@ kinetic energy is m_f/6 (|u|^2 + u.w + |w|^2) against m_f/4 (|u|^2 + |w|^2), a d
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.kinematics import POSE, REACHED, lever_kernel, motion_kernel, pose_kernel, raise_pose, rows
 from service.model.nominal import DeltaModel, record_of
 
@@ -21,7 +21,7 @@ INERTIA, GRAVITY, PLATFORM, FOREARM, PAYLOAD = range(5)
 REST_SPEED = 0.01  # rad/s
 
 
-@njit(cache=True)
+@kernel
 def terms_kernel(model, theta, theta_dot, theta_ddot, pose, terms):
     """Fill terms (5, 3) of one sample and the whole record `pose`. Returns a status."""
     status = pose_kernel(model, theta, pose)
@@ -52,7 +52,7 @@ def terms_kernel(model, theta, theta_dot, theta_ddot, pose, terms):
     return REACHED
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _terms_batch(model, theta, theta_dot, theta_ddot, terms):
     pose = np.empty(1, POSE)[0]
     for n in range(len(theta)):

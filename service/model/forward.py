@@ -10,8 +10,8 @@ With the rod's energy less that of two point masses, -m_f/12 |s_dot_i|^2, in it:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.dynamics import FOREARM, GRAVITY, PAYLOAD, PLATFORM, terms_kernel
 from service.model.kinematics import POSE, REACHED, raise_pose, rows
 from service.model.nominal import DeltaModel, record_of
@@ -19,7 +19,7 @@ from service.model.nominal import DeltaModel, record_of
 _STILL = np.zeros(3)
 
 
-@njit(cache=True)
+@kernel
 def mass_kernel(model, rho_1, forearm, carried, pose, mass):
     """Fill mass (3, 3), kg m^2, at the record `pose` that the terms kernel filled. rho_1: (3,). forearm, carried: kg,
     of the rods and on the platform."""
@@ -39,7 +39,7 @@ def mass_kernel(model, rho_1, forearm, carried, pose, mass):
             mass[i, j] = mass[j, i] = value
 
 
-@njit(cache=True)
+@kernel
 def bias_kernel(model, rho_2, forearm, carried, theta, theta_dot, pose, terms, bias):
     """Fill bias (3,), N m: torque that `theta_dot` and weight take without acceleration. Returns a status."""
     status = terms_kernel(model, theta, theta_dot, _STILL, pose, terms)
@@ -50,7 +50,7 @@ def bias_kernel(model, rho_2, forearm, carried, theta, theta_dot, pose, terms, b
     return status
 
 
-@njit(cache=True)
+@kernel
 def solve_kernel(matrix, right, result):
     """result (3,) of matrix (3, 3) result = right (3,), by cofactors."""
     a, b, c = matrix[0], matrix[1], matrix[2]
@@ -62,7 +62,7 @@ def solve_kernel(matrix, right, result):
     result[2] = over * (z * u + (a[1] * c[0] - a[0] * c[1]) * v + (a[0] * b[1] - a[1] * b[0]) * w)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _forward_batch(model, rho_1, rho_2, forearm, theta, theta_dot, torque, mass, acceleration):
     pose, terms, bias = np.empty(1, POSE)[0], np.empty((5, 3)), np.empty(3)
     for n in range(len(theta)):

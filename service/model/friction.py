@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.dynamics import REST_SPEED
 
 
-@njit(cache=True)
+@kernel
 def direction(theta_dot: float, transition: float) -> float:
     """sign theta_dot, going smoothly through zero: tanh(theta_dot / transition), both rad/s.
 
@@ -21,7 +21,7 @@ def direction(theta_dot: float, transition: float) -> float:
     return max(-1.0, min(1.0, theta_dot / REST_SPEED))
 
 
-@njit(cache=True)
+@kernel
 def friction_kernel(viscous: float, coulomb: float, theta_dot: float, transition: float) -> float:
     """Friction torque of one joint, N m. viscous: N m s/rad, coulomb: N m, theta_dot and transition: rad/s."""
     return viscous * theta_dot + coulomb * direction(theta_dot, transition)

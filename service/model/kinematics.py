@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from schemas.errors import PoseError
+from schemas.kernels import kernel
 from service.model.nominal import DeltaModel, record_of
 
 REACHED, UNREACHABLE, SINGULAR = 0, 1, 2
@@ -52,7 +52,7 @@ POSE = np.dtype(
 )
 
 
-@njit(cache=True)
+@kernel
 def pose_kernel(model, theta, pose):
     """Forward kinematics and Jacobian of one pose.
 
@@ -106,7 +106,7 @@ def pose_kernel(model, theta, pose):
     return REACHED
 
 
-@njit(cache=True)
+@kernel
 def lever_kernel(model, pose):
     """Fill elbow and lever of `pose` from its forearms."""
     forearm, elbow, lever = pose.forearm, pose.elbow, pose.lever
@@ -118,7 +118,7 @@ def lever_kernel(model, pose):
         lever[i] = forearm[i, 0] * elbow[i, 0] + forearm[i, 1] * elbow[i, 1] + forearm[i, 2] * elbow[i, 2]
 
 
-@njit(cache=True)
+@kernel
 def motion_kernel(model, theta_dot, theta_ddot, pose):
     """Fill velocity, acceleration and bend of `pose` from what the kernels before left in it, by eq. (1) differentiated
     twice:
@@ -147,7 +147,7 @@ def motion_kernel(model, theta_dot, theta_ddot, pose):
             acceleration[axis] += column[i, axis] * right
 
 
-@njit(cache=True)
+@kernel
 def inverse_kernel(model, position, theta):
     """Joint angles of one platform position, elbows outward. Returns REACHED or UNREACHABLE."""
     for i in range(3):
@@ -164,7 +164,7 @@ def inverse_kernel(model, position, theta):
     return REACHED
 
 
-@njit(cache=True)
+@kernel
 def _forward_batch(model, theta, position, column, lever):
     pose = np.empty(1, POSE)[0]
     for n in range(len(theta)):
@@ -179,7 +179,7 @@ def _forward_batch(model, theta, position, column, lever):
     return REACHED, -1
 
 
-@njit(cache=True)
+@kernel
 def _motion_batch(model, theta, theta_dot, theta_ddot, position, velocity, acceleration):
     pose = np.empty(1, POSE)[0]
     for n in range(len(theta)):
@@ -194,7 +194,7 @@ def _motion_batch(model, theta, theta_dot, theta_ddot, position, velocity, accel
     return REACHED, -1
 
 
-@njit(cache=True)
+@kernel
 def _inverse_batch(model, position, theta):
     for n in range(len(position)):
         if inverse_kernel(model, position[n], theta[n]) != REACHED:

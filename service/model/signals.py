@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
-from numba import njit
 from scipy.signal import butter, decimate, freqz_sos, sosfiltfilt
 
 from schemas.errors import TraceError
+from schemas.kernels import kernel
 from schemas.messages import SampleFlag
 from schemas.trace import Trace
 from service.model.dynamics import REST_SPEED
@@ -107,7 +107,7 @@ def _change(gains: list[np.ndarray]) -> float:
     return float(np.max(np.abs(gains[-1] - gains[-2]) / np.max(np.abs(gains[-1]))))
 
 
-@njit(cache=True)
+@kernel
 def _smooth(position, step, filter_gain, smoother_gain, theta, theta_dot, theta_ddot):
     half = 0.5 * step * step
     count, joints = position.shape

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.scene import Scene
 
 SUBSTEPS_PER_SECOND = 8_000.0
@@ -33,7 +33,7 @@ class Gear(NamedTuple):
     damping: float
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _two_masses(acceleration, link, gear, step, substeps, angle, speed, change):
     """Link minus motor angle along a recorded motor motion, semi-implicit Euler.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.kinematics import REACHED
 from service.rollout.kernel import near_kernel, set_out_kernel, step_kernel
 
@@ -33,7 +33,7 @@ class Runs(NamedTuple):
     seconds: np.ndarray
 
 
-@njit(cache=True)
+@kernel
 def _drive(gains, state, command, later, integral, i):
     """Torque of drive i and its push, N m, `later` s after a sample's command (3, 3)."""
     place = command[0, i] + later * (command[1, i] + 0.5 * later * command[2, i])
@@ -43,7 +43,7 @@ def _drive(gains, state, command, later, integral, i):
     return push + integral[i] + gains.acceleration_forward[i] * command[2, i], push
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def follow_kernel(forward, scratch, gains, runs, period, substeps, motor, pushed):
     """W `Runs` of S samples, as `run_kernel`, whose torque the drives make. Filled: motor, pushed (W, S, 3)."""
     f, s = forward[0], scratch[0]

@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.estimator.effects import EFFECT, MAX_EFFECTS, effects_kernel
 from service.model.dynamics import TERMS
 from service.model.effects.base import Instant
@@ -30,7 +30,7 @@ FARTHEST = 3.0  # rad from the angle that it started at: a robot that runs away
 _STILL = np.zeros(3)
 
 # what is divided by zero is no number, and ends a run: to ask each time would cost a fifth of the speed
-_compiled = njit(cache=True, nogil=True, error_model="numpy")
+_compiled = kernel(nogil=True, error_model="numpy")
 
 
 # One robot. Three numbers are one a joint, in N m, rad and s.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import copy
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -86,7 +87,7 @@ def _places(tree: ast.Module) -> Iterator[Place]:
         scope = ""
         if isinstance(node, ast.FunctionDef):
             function = min([node.lineno, *(d.lineno for d in node.decorator_list)])
-            compiled = compiled or any("njit" in ast.unparse(d) for d in node.decorator_list)
+            compiled = compiled or any(re.match("kernel|njit|_compiled", ast.unparse(d)) for d in node.decorator_list)
             scope = outer if _body(outer) else f"{outer}{node.name}"
         elif hasattr(node, "lineno"):
             yield path, node, function, outer if _body(outer) else "", compiled

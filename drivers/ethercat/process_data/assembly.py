@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from drivers.ethercat import cia402
 from drivers.ethercat.capture import FrameFlag, Frames
@@ -29,6 +28,7 @@ from drivers.ethercat.process_data.layout import (
 )  # fmt: skip
 from drivers.ethercat.process_data.passes import came_again, expected_kernel, is_returned, note_sent, on_its_way
 from drivers.ethercat.process_data.state import DISTRIBUTED_CLOCK, NEVER, STATE, new_state
+from schemas.kernels import kernel
 from schemas.messages import NANOSECONDS, SAMPLE, Gripper, SampleFlag
 
 FRAME_BYTES = 2048  # more than an Ethernet frame with tags
@@ -49,7 +49,7 @@ class Frame(NamedTuple):
     flags: int | np.ndarray
 
 
-@njit(cache=True)
+@kernel
 def _value(data, at, size, signed):
     value = np.int64(0)
     for byte in range(size):
@@ -59,7 +59,7 @@ def _value(data, at, size, signed):
     return value
 
 
-@njit(cache=True)
+@kernel
 def _take(data, at, address, length, mapped, values, have, mark):
     """Objects that lie in the logical range [address, address + length), whose bytes are at `at`; how many joints.
 
@@ -78,7 +78,7 @@ def _take(data, at, address, length, mapped, values, have, mark):
     return joints
 
 
-@njit(cache=True)
+@kernel
 def _joints_within(address, length, mapped):
     joints = 0
     for joint in range(3):
@@ -89,7 +89,7 @@ def _joints_within(address, length, mapped):
     return joints
 
 
-@njit(cache=True)
+@kernel
 def _drive_flags(layout, inputs, counts):
     """Flags of the drives' states in the cycle in the making. inputs: values of INPUT_SHAPE."""
     enabled, fault = True, False
@@ -103,7 +103,7 @@ def _drive_flags(layout, inputs, counts):
     return 0 if enabled else SampleFlag.BUS_FAULT.value
 
 
-@njit(cache=True)
+@kernel
 def _torque_command(mode, has_mode, target, has_target, offset, has_offset):
     """Torque the master asks of a drive, in 0.1 % units, NaN where it asks for none.
 
@@ -117,7 +117,7 @@ def _torque_command(mode, has_mode, target, has_target, offset, has_offset):
     return asked
 
 
-@njit(cache=True)
+@kernel
 def _emit(time, layout, state, sample, raw):
     """Write the complete cycle into `sample`, and its inputs as they stand into `raw`."""
     counts, passes = state.counts, state.passes
@@ -172,7 +172,7 @@ def _emit(time, layout, state, sample, raw):
     passes.sent = counts.missing = 0
 
 
-@njit(cache=True)
+@kernel
 def _scan(data, first, end, inputs, outputs):
     """(whole, process data inside, answered, highest working counter of it, first index) of a frame's datagrams."""
     at, more = first, True
@@ -199,7 +199,7 @@ def _scan(data, first, end, inputs, outputs):
     return True, carries, answered, highest, index
 
 
-@njit(cache=True)
+@kernel
 def _read_frame(data, first, end, returned, time, layout, state):
     """Take the objects of one whole frame, captured at `time`, ns, into the cycle in the making."""
     at, more = first, True
@@ -246,7 +246,7 @@ def _read_frame(data, first, end, returned, time, layout, state):
         at = body + length + 2
 
 
-@njit(cache=True)
+@kernel
 def _starts_again(address, length, mapped, have):
     """Whether this datagram brings an input that the cycle in the making has already."""
     for joint in range(3):
@@ -257,7 +257,7 @@ def _starts_again(address, length, mapped, have):
     return False
 
 
-@njit(cache=True)
+@kernel
 def _take_sent(index, time, state):
     for joint in range(3):
         for item in range(state.raw_outputs.shape[1]):
@@ -267,7 +267,7 @@ def _take_sent(index, time, state):
             state.outputs_at[index, joint, item] = NEVER
 
 
-@njit(cache=True)
+@kernel
 def _complete(mapped, have):
     for joint in range(3):
         for item in range(mapped.place.shape[1]):
@@ -276,7 +276,7 @@ def _complete(mapped, have):
     return True
 
 
-@njit(cache=True)
+@kernel
 def frame_kernel(frame, layout, state, sample, raw):
     """Take one Frame; whether it ends a cycle, whose sample is then in `sample`.
 
@@ -313,7 +313,7 @@ def frame_kernel(frame, layout, state, sample, raw):
     return True
 
 
-@njit(cache=True)
+@kernel
 def assemble(block, layouts, states, samples, raw):
     """Samples of the cycles that end in the N frames of `block`, a Frame of arrays; how many.
 
@@ -343,7 +343,7 @@ ONE_FRAME = np.dtype(
 )
 
 
-@njit(cache=True)
+@kernel
 def assemble_one(frames):
     """The frame in `frames` (1,), records of ONE_FRAME; whether it ended a cycle."""
     one = frames[0]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from drivers.ethercat.frames import u32
 from drivers.ethercat.process_data.state import CAPTURE_CLOCK, DISTRIBUTED_CLOCK, INTERVALS, UNDECIDED, new_state
+from schemas.kernels import kernel
 from schemas.messages import SampleFlag
 
 STOPPED_CYCLES, STOPPED_NS = 20, 20_000_000  # without a frame for the longer of the two: they have stopped
@@ -15,7 +15,7 @@ _PERIOD_AFTER = 16  # cycles before the cycle time is known
 _CATCH_UP = 64  # cycles after a gap in which late ones can turn out not to be lost
 
 
-@njit(cache=True)
+@kernel
 def stamp_kernel(time, clock):
     """Bus time of the cycle that this frame completes, ns; `time` is the capture's."""
     ticks = clock.dc_now
@@ -30,7 +30,7 @@ def stamp_kernel(time, clock):
     return time + clock.dc_offset
 
 
-@njit(cache=True)
+@kernel
 def distributed_clock_kernel(data, at, length, time, clock):
     """System time of the reference clock, ns since 2000; 32-bit clocks are continued over their wraps.
 
@@ -44,7 +44,7 @@ def distributed_clock_kernel(data, at, length, time, clock):
     return expected + ((low - expected + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
 
 
-@njit(cache=True)
+@kernel
 def interval_kernel(stamp, state):
     """Flags of the step from the last stamp to this one; keeps the cycle time."""
     clock, counts, intervals = state.clock, state.counts, state.intervals
@@ -92,7 +92,7 @@ def interval_kernel(stamp, state):
     return flags
 
 
-@njit(cache=True)
+@kernel
 def _follow(times, state):
     for time in times:
         interval_kernel(time, state[0])

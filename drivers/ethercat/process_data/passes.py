@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from numba import njit
-
 from drivers.ethercat.process_data.state import NEVER
+from schemas.kernels import kernel
 
 _PORT_AFTER = 16  # answered frames before a port is taken for the returning one
 _BELIEVED_AFTER = 4  # cycles with one higher working counter before it is what is expected
 _FLIGHT = 0.75  # of a cycle: a frame that was sent longer ago is not the one that comes back
 
 
-@njit(cache=True)
+@kernel
 def is_returned(source, port, outstanding, answered, highest, passes, ports):
     """Whether a frame with process data is on its way back, and what it teaches about telling that.
 
@@ -32,13 +31,13 @@ def is_returned(source, port, outstanding, answered, highest, passes, ports):
     return returned
 
 
-@njit(cache=True)
+@kernel
 def on_its_way(sent_at, time, clock):
     """Whether what was sent at `sent_at` and has not come back can come back at `time`, both ns of the capture."""
     return sent_at != NEVER and (clock.period == 0 or time - sent_at < _FLIGHT * clock.period)
 
 
-@njit(cache=True)
+@kernel
 def expected_kernel(command, address, least, counter, declared, seen):
     """Working counter this datagram should have: at least what the drives add, an ENI's, and the highest seen.
 
@@ -63,7 +62,7 @@ def expected_kernel(command, address, least, counter, declared, seen):
     return least
 
 
-@njit(cache=True)
+@kernel
 def note_sent(index, time, state):
     """A cycle is on its way out. What was out before it and brings no sample is missing; a frame seen twice is one."""
     passes, counts = state.passes, state.counts
@@ -74,7 +73,7 @@ def note_sent(index, time, state):
     passes.sent_index, passes.sent_ns = index, time
 
 
-@njit(cache=True)
+@kernel
 def came_again(index, time, state):
     """Whether the frame of the last cycle has come back twice: same index and inputs, too soon to be the next."""
     passes, clock = state.passes, state.clock

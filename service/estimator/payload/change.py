@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from schemas.kernels import kernel
 from service.estimator import friction
 from service.estimator.payload.loads import corrected_moment, invert, prior_of
 from service.estimator.payload.state import SMALLEST_CHANGE, WINDOW
@@ -21,7 +20,7 @@ BIAS_SIGMAS = 3.0  # of a bias that a change stands out of: unlike noise it is n
 SMALLEST_OFFSET = 0.005  # kg m, change that counts as one
 
 
-@njit(cache=True)
+@kernel
 def find_change(state):
     """If the load is another since some bin than before, start its estimate anew from that bin.
 
@@ -66,7 +65,7 @@ def find_change(state):
     return best_count
 
 
-@njit(cache=True)
+@kernel
 def _step_distance(state, least):
     """Squared distance of the loads since an onset from those before it, over its covariance; 0 where it is below
     `least` or too small to be a load."""
@@ -98,7 +97,7 @@ def _step_distance(state, least):
     return _squared(state, step, spread)
 
 
-@njit(cache=True)
+@kernel
 def _squared(state, step, spread):
     """step' inverse(spread) step."""
     active, inverse = state.active, state.inverse_spread
@@ -110,7 +109,7 @@ def _squared(state, step, spread):
     return total
 
 
-@njit(cache=True)
+@kernel
 def _start_anew(state, bins):
     """Take only the newest `bins` into the estimate."""
     active = state.active

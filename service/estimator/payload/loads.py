@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from schemas.kernels import kernel
 from service.estimator import friction
 from service.estimator.payload.state import OFFSET_STD, PRIOR_STD
 
 
-@njit(cache=True)
+@kernel
 def prior_of(load):
     return PRIOR_STD**-2 if load == 0 else OFFSET_STD**-2
 
 
-@njit(cache=True)
+@kernel
 def invert(information, active, inverse):
     """inverse (LOADS, LOADS) of a symmetric `information` of the first `active` loads, which are one or all."""
     if active == 1:
@@ -29,7 +28,7 @@ def invert(information, active, inverse):
     inverse[1, 2] = inverse[2, 1] = (b * c - a * e) / whole
 
 
-@njit(cache=True)
+@kernel
 def corrected_moment(state, moment, drag, load):
     """moment of `load`, what friction did to it taken off."""
     left = moment[load]
@@ -38,7 +37,7 @@ def corrected_moment(state, moment, drag, load):
     return left
 
 
-@njit(cache=True)
+@kernel
 def locate(state):
     """The mass, kg, which it returns, and state.offset, by the normal equations; their inverse is in state.inverse."""
     active, inverse, found = state.active, state.inverse, state.found

@@ -4,8 +4,7 @@ mean over stretches of a move they show what the model lacks, and the mass is as
 
 from __future__ import annotations
 
-from numba import njit
-
+from schemas.kernels import kernel
 from service.estimator import friction
 from service.estimator.payload.state import BLOCKS, COLOUR, COLUMN, LOADS, RESIDUAL, WEIGHT
 
@@ -19,7 +18,7 @@ ONSET_DOUBT = 3  # bins by which an onset is found too late
 PENDING = 5  # newest blocks that a change not yet found may lie in
 
 
-@njit(cache=True)
+@kernel
 def scatter_kernel(settings, state):
     """Average of what the residuals of a block show at right angles to phi, friction and offset taken off, over their
     noise."""
@@ -59,7 +58,7 @@ def scatter_kernel(settings, state):
     state.sums[state.block] = 0.0
 
 
-@njit(cache=True)
+@kernel
 def _misfit(sums, offset):
     """What a block's mean residuals show at right angles to phi, a degree of freedom, over their noise; -1: nothing is
     known. And what the block says of the mass, kg^-2."""
@@ -78,7 +77,7 @@ def _misfit(sums, offset):
     return max(0.0, total - along * along / leverage) / (moving - 1), leverage
 
 
-@njit(cache=True)
+@kernel
 def _inflate(state):
     """state.inflation from the blocks of late."""
     average = newest = 0.0
@@ -91,7 +90,7 @@ def _inflate(state):
     state.inflation = _inflation(max(average, NEWEST_SHARE * newest))
 
 
-@njit(cache=True)
+@kernel
 def _look_again(state):
     """Judge the blocks since the last change anew, by the offset of now."""
     index = state.block
@@ -100,7 +99,7 @@ def _look_again(state):
         state.blocks[index] = max(0.0, _misfit(state.sums[index], state.offset)[0])
 
 
-@njit(cache=True)
+@kernel
 def part_blocks(settings, state, samples):
     """A load changed `samples` ago: the block in which it did says nothing of the model."""
     begun = state.clock - samples
@@ -119,7 +118,7 @@ def part_blocks(settings, state, samples):
             break
 
 
-@njit(cache=True)
+@kernel
 def _inflation(scatter):
     """How much less a sample says than its noise allows, for blocks that scatter so."""
     return max(LEAST_INFLATION, scatter + (COLOUR - 1.0) * max(0.0, scatter - 1.0))

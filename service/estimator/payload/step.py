@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from schemas.messages import Gripper
 from service.estimator import friction, slow
 from service.estimator.payload.change import find_change
@@ -17,7 +17,7 @@ UNKNOWN = Gripper.UNKNOWN.value
 OFFSET_MEMORY = 5.0  # memory times after which nothing is left of what a turn said
 
 
-@njit(cache=True)
+@kernel
 def payload_kernel(settings, state):
     """Take the sample in state.column, residual, weight, shape. Filled: mass, std_dev, trusted. Returns an event."""
     column, residual, weight, shape, head = state.column, state.residual, state.weight, state.shape, state.head
@@ -77,7 +77,7 @@ def payload_kernel(settings, state):
     return conclude(settings, state)
 
 
-@njit(cache=True)
+@kernel
 def _note_rest(settings, state, told):
     """Count time without motion that tells the mass, and behind a rest the motion that has told it."""
     if told:
@@ -91,7 +91,7 @@ def _note_rest(settings, state, told):
         state.still = 0.0
 
 
-@njit(cache=True)
+@kernel
 def _weigh_slowly(settings, state):
     """Where nothing moves fast: take what gravity says for all that is known of the mass. Returns whether it says
     anything."""
@@ -115,7 +115,7 @@ def _weigh_slowly(settings, state):
     return told
 
 
-@njit(cache=True)
+@kernel
 def _grip(state):
     """The gripper opened or closed: what hangs on it is another from here on."""
     if state.gripper_before != UNKNOWN and state.gripper != UNKNOWN:
@@ -123,7 +123,7 @@ def _grip(state):
     state.gripper_before = state.gripper
 
 
-@njit(cache=True)
+@kernel
 def _weigh_anew(state):
     """Nothing is known of what hangs there."""
     for n in range(WINDOW):
@@ -142,14 +142,14 @@ def _weigh_anew(state):
     slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
 
 
-@njit(cache=True)
+@kernel
 def unseen_kernel(state):
     """Nobody saw what the gripper did."""
     _weigh_anew(state)
     state.mass, state.std_dev, state.trusted, state.usable = 0.0, PRIOR_STD, 0, 0.0
 
 
-@njit(cache=True)
+@kernel
 def _note_turning(settings, state):
     """Look for the load's offset while the fourth axis turns, and for as long after as is remembered of it."""
     turns = False

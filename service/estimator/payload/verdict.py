@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from schemas.kernels import kernel
 from schemas.messages import Gripper, PayloadEvent
 from service.estimator import friction
 from service.estimator.payload.loads import locate
@@ -41,7 +40,7 @@ EMPTY_SIGMAS = 5.0  # by which a mass contradicts an open gripper
 UNKNOWN, OPEN = Gripper.UNKNOWN.value, Gripper.OPEN.value
 
 
-@njit(cache=True)
+@kernel
 def conclude(settings, state):
     """Mass, standard deviation and trust of now. Returns the event that they amount to."""
     active, inverse, drag = state.active, state.inverse, state.contrast[0]
@@ -95,7 +94,7 @@ def conclude(settings, state):
     return event
 
 
-@njit(cache=True)
+@kernel
 def _reckon(settings, state):
     """state.usable: only a trusted mass gets in. Without trust it leaves smoothly, but for a release, which is a step
     by nature."""
@@ -108,7 +107,7 @@ def _reckon(settings, state):
     state.usable = usable * settings.leave
 
 
-@njit(cache=True)
+@kernel
 def _event(settings, state, mass, std_dev, trusted):
     """What a mass says beside the one believed so far. Another step the same way soon after only refines the event."""
     step = mass - state.load

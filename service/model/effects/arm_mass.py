@@ -11,13 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.effects.base import Amplitude, Effect, Inside
 from service.model.scene import Scene
 
 
-@njit(cache=True)
+@kernel
 def _online(effect, now, i):
     length, g = now.model.active_length[i], now.model.gravity
     weight = (now.pose.elbow[i, 0] * g[0] + now.pose.elbow[i, 1] * g[1] + now.pose.elbow[i, 2] * g[2]) / 2.0

@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.effects.base import Amplitude, Effect
 from service.model.scene import Scene
 
 
-@njit(cache=True)
+@kernel
 def _online(effect, now, i):
     return effect.amplitude[i, 0] + effect.amplitude[i, 1] * abs(now.theta_dot[i])
 

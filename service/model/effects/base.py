@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.mechanism import Mechanism
 from service.model.nominal import Correction
 from service.model.scene import Scene
@@ -39,7 +39,7 @@ class Instant(NamedTuple):
     pose: Any
 
 
-@njit(cache=True)
+@kernel
 def at_platform(now, i, x, y, z):
     """Torque of joint i, N m, that holds a force x, y, z, N, acting from the platform on its surroundings."""
     column = now.pose.column

@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.effects.base import Amplitude, Effect, Shape
 from service.model.ripple import MOST_ORDER, standing_out
 from service.model.scene import Scene
@@ -22,7 +22,7 @@ COGGING_ORDERS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 22, 24,
 MOST_PEAKS = 4  # a joint and run
 
 
-@njit(cache=True)
+@kernel
 def _online(effect, now, i):
     angle = effect.shape[0] * now.gear_ratio * now.theta[i]
     return effect.amplitude[i, 0] * math.cos(angle) + effect.amplitude[i, 1] * math.sin(angle)

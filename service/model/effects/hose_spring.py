@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.effects.base import Amplitude, Effect, at_platform
 from service.model.scene import Scene
 
 
-@njit(cache=True)
+@kernel
 def _online(effect, now, i):
     a, p = effect.amplitude[0], now.pose.position
     return at_platform(now, i, a[0] * p[0] + a[1], a[0] * p[1] + a[2], a[0] * p[2] + a[3])

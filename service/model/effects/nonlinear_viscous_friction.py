@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.effects.base import Amplitude, Effect, Shape
 from service.model.scene import Scene
 
 
-@njit(cache=True)
+@kernel
 def _online(effect, now, i):
     return effect.amplitude[i, 0] * now.direction[i] * abs(now.theta_dot[i]) ** effect.shape[0]
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.effects.base import Amplitude, Effect, Inside, Shape, geometric
 from service.model.scene import Scene
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _dahl(theta, distance, state):
     """Relative bristle deflection z in [-1, 1]: dz / dtheta = (1 - z sign v) / distance, exact along each step."""
     z = 0.0  # where the bristles stand at the start is not in the log

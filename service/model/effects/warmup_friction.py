@@ -11,13 +11,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from schemas.kernels import kernel
 from service.model.effects.base import Amplitude, Effect, Shape
 from service.model.scene import Scene
 
 
-@njit(cache=True)
+@kernel
 def _online(effect, now, i):
     return effect.amplitude[i, 0] * math.exp(-now.seconds / effect.shape[0]) * now.theta_dot[i]
 
