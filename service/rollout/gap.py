@@ -382,8 +382,9 @@ def check_sign(robot: Robot, traces: Sequence[Trace], found: Rollout) -> None:
             best, error = signs, left
     if best is not None:
         joints = ", ".join(str(joint + 1) for joint in range(3) if best[joint] < 0)
+        joints = f"joint{'s' if len(joints) > 1 else ''} {joints}"
         raise DataError(
-            f"{parts[0][0].path}: the simulated robot runs away ({_far(deviation)}), with the torque of joint {joints} "
+            f"{parts[0][0].path}: the simulated robot runs away ({_far(deviation)}), with the torque of {joints} "
             f"turned round it does not (off by {error:.3g} mm): the sign of that torque is wrong"
         )
 
