@@ -112,6 +112,7 @@ def returns(robot: Description, transition: float | np.ndarray) -> Description:
     errors = 0.1 + 0.01 * np.arange(len(Parameters(Hypothesis(base)).values))
     written = described(robot, Hypothesis(base), errors, 0.7 * np.ones(mechanism.joints))
     found = hypothesis_of(written).base
+    assert type(found.transition) is type(base.transition)
     for name in ("rigid", "viscous", "coulomb", "transition", "timing"):
         np.testing.assert_array_equal(getattr(found, name), getattr(base, name), err_msg=name)
     np.testing.assert_allclose(base_errors(written), errors[: len(base_parameters(mechanism))])

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from drivers.plant.effects import mechanics
 from drivers.plant.mechanism import Design
 from service.model.effects.geometry import GeometryError
+from service.model.hypothesis import inside_of
 from service.model.nominal import lengthened
 from tests.service.injected import BY_TWO_MASSES, INJECTED, reports
 from tests.service.subject import (
@@ -183,3 +184,22 @@ def test_rotor_and_gear_do_not_grow_with_the_link():
     rho_1, rho_2 = lengthened(1.7, 1.3, ratio)
     np.testing.assert_allclose(rho_1 * ratio**2, ratio**2 + 0.7)
     np.testing.assert_allclose(rho_2 * ratio, ratio + 0.3)
+
+
+def test_what_only_a_simulation_carries_is_put_inside_the_robot():
+    """Wear on joint 2 and, of the springs, on joint 3; the robot's own masses grow."""
+    figures = {
+        "tool_mass": ((0.4,), ()), "arm_mass": ((0.2,), ()), "rotor_inertia": ((0.03,), ()),
+        "backlash": ((), (0.001, 120.0, 2.0, 0.2)), "encoder_eccentricity": ((0.01, -0.02), (2.0,)),
+        "passive_joint_friction": ((0.1, 0.2, 0.3, 0.4), ()), "presliding_friction": ((1.5,), (0.002,)),
+    }  # fmt: skip
+    terms = [Term(EFFECTS[name], (1,), np.array([amplitude]), shape) for name, (amplitude, shape) in figures.items()]
+    terms.append(Term(EFFECTS["joint_elasticity"], (2,), np.zeros((1, 0)), (20.0, 0.1, 0.3)))
+    inside = inside_of(terms)
+    assert inside.tool == 0.4
+    assert inside.arm.tolist() == [0.0, 0.2, 0.0]
+    assert inside.rotor.tolist() == [0.0, 0.03, 0.0]
+    assert inside.two_masses == {1: (0.001, 120.0, 2.0, 0.2), 2: (0.0, 20.0, 0.1, 0.3)}
+    assert inside.wobble == [(1, 0.01, -0.02, 2.0)]
+    assert inside.ball_joints.tolist() == [0.1, 0.2, 0.3, 0.4]
+    assert (inside.bristle.tolist(), inside.distance.tolist()) == ([0.0, 1.5, 0.0], [1.0, 0.002, 1.0])

@@ -61,7 +61,11 @@ def test_motion_is_the_derivative_of_position_along_a_path(model, poses):
     assert np.abs(np.einsum("nai,ni->na", j_dot, theta_dot) - rest).max() < 1e-3
 
 
-def test_inverse_motion_undoes_motion(model, poses):
+@pytest.mark.parametrize("size", [1.0, 0.01])
+def test_inverse_motion_undoes_motion(model, poses, size):
+    model = model._replace(
+        **{name: getattr(model, name) * size for name in ("active_length", "passive_length", "radius")}
+    )
     random = np.random.default_rng(3)
     theta_dot, theta_ddot = random.normal(0, 5, poses.shape), random.normal(0, 100, poses.shape)
     platform = kinematics.motion(model, poses, theta_dot, theta_ddot)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from schemas.axes import Axes
+from schemas.messages import SampleFlag
 from schemas.trace import Trace
 from service.identification.axes import identify_axes
 from service.model.prediction import motion
@@ -68,3 +70,12 @@ def test_a_coarse_encoder_narrows_the_band_and_leaves_the_inertia() -> None:
     found = {e.name: e.value for e in identify_axes(axes, [coarse]).fit.estimates}
     assert found["inertia_1"] == pytest.approx(INERTIA, rel=0.01)
     assert found["gravity_sin_1"] == pytest.approx(WEIGHT, rel=0.03)
+
+
+def test_what_carries_a_load_is_not_told_of_the_arm_alone() -> None:
+    clock = 2e-3 * np.arange(2000)
+    flags = np.zeros(2000, np.uint32)
+    flags[900:1100] = SampleFlag.LOADED
+    (part,) = segments(replace(trace(clock, clock), flags=flags))
+    assert not part.moving[900:1100].any()
+    assert part.moving[600:900].mean() > 0.9

@@ -5,6 +5,7 @@ MuJoCo plant with a rotor and a link of their own in closed loop.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from drivers.motion import MotionLimits, Planner
 from drivers.plant.effects import transmission
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
-from tests.service.axis import loose_axis, spring_axis
+from service.model.two_masses import relative_motion
+from tests.service.axis import INERTIA, loose_axis, spring_axis
 from tests.service.subject import (
     EFFECTS,
     Band,
@@ -94,3 +96,19 @@ def test_on_the_robot_it_is_what_the_plant_does(name, effect, joint, left_over):
     rms = [np.sqrt(np.mean(values**2, axis=0)) for values in left]
     assert rms[0][joint] > 1.0
     assert (rms[1] < left_over * rms[0]).all()
+
+
+@pytest.mark.parametrize(("share", "link"), [(0.3, 0.7), (0.99, 0.02)])
+def test_a_link_has_what_the_motor_leaves_of_the_inertia(share, link):
+    found = relative_motion(spring_axis(0.2, 12.0, 0.2, 0.3).scene(), 0, 0.001, 10.0, 0.3, share)
+    stiffness = link * INERTIA * (20 * math.pi) ** 2
+    assert found.motor == pytest.approx(share * INERTIA)
+    assert found.gear == pytest.approx((0.001, stiffness, 2 * 0.3 * math.sqrt(stiffness * link * INERTIA)))
+
+
+def test_without_inertia_nothing_swings():
+    axis = spring_axis(0.2, 12.0, 0.2, 0.3).scene()
+    bare = replace(axis, base=replace(axis.base, rigid=np.array([0.0, 1.0])))
+    found = relative_motion(bare, 0, 0.001, 10.0, 0.3, 0.3)
+    assert not np.any([found.angle, found.speed, found.change])
+    assert found.gear == (0.001, 0.0, 0.0)
