@@ -25,6 +25,7 @@ from service.model.signals import ANALYSIS_HZ, EDGE, Band, Segment, moving
 from service.model.torque import tangent
 
 PERIOD = 1e-3  # s, at which motions are weighed
+SPARSE = 2  # samples of which one is looked at while a motion is sought
 TOLD = 3.0  # standard errors from which two are told apart
 
 
@@ -56,38 +57,43 @@ class Pair:
 
 @dataclass(frozen=True)
 class View:
-    """How runs are looked at. sigma: (3,) N m, noise of the torque in the band."""
+    """How runs are looked at. sigma: (3,) N m, noise of the torque in the band. sparse: the band of every `SPARSE`-th
+    sample."""
 
     mechanism: Mechanism
     base: Base
     band: Band
+    sparse: Band
     sigma: np.ndarray
 
     @classmethod
     def of(cls, robot: Robot, sigma: np.ndarray, cutoff_hz: float = ANALYSIS_HZ) -> View:
         """By the base model that a description carries."""
-        return cls(mechanism_of(robot), base_of(robot.identified), Band.of(PERIOD, cutoff_hz), sigma)
+        band, sparse = Band.of(PERIOD, cutoff_hz), Band.of(SPARSE * PERIOD, cutoff_hz)
+        return cls(mechanism_of(robot), base_of(robot.identified), band, sparse, sigma)
 
-    def scene(self, motion: Trajectory, whole: bool) -> Scene:
-        """A motion as effects see it."""
-        counts = moving(motion.position, PERIOD)
+    def scene(self, motion: Trajectory, whole: bool) -> tuple[Scene, Band]:
+        """A motion as effects see it: `whole`, or every `SPARSE`-th sample."""
+        band = self.band if whole else self.sparse
+        position, velocity, acceleration = (
+            np.ascontiguousarray(values[:: 1 if whole else SPARSE])
+            for values in (motion.position, motion.velocity, motion.acceleration)
+        )
+        counts = moving(position, band.period)
         if whole:
             edge = round(EDGE / PERIOD)
             counts[:edge] = counts[-edge:] = False
-        time = np.arange(len(motion.position)) * PERIOD
-        still = np.zeros(motion.position.shape)
-        rows = np.arange(len(time))
-        segment = Segment(
-            rows, time, PERIOD, motion.position, motion.velocity, motion.acceleration, still, counts
-        )  # fmt: skip
-        return Scene(Recording(segment, self.mechanism, 0, "plan"), self.base)
+        rows = np.arange(len(position))
+        still = np.zeros(position.shape)
+        segment = Segment(rows, rows * band.period, band.period, position, velocity, acceleration, still, counts)
+        return Scene(Recording(segment, self.mechanism, 0, "plan"), self.base), band
 
-    def rows(self, scene: Scene, values: np.ndarray) -> np.ndarray:
+    def rows(self, scene: Scene, band: Band, values: np.ndarray) -> np.ndarray:
         """(R, ...) of (M, 3, ...) in the band where joints move, so scaled that noise has a mean square of 1 for each
         row that is worth one: the band keeps more rows than the noise in it is free."""
-        free = min(1.0, self.band.white_share * self.band.step) ** 0.5
+        free = min(1.0, band.white_share * band.step) ** 0.5
         scaled = values * (free / self.sigma).reshape(1, -1, *([1] * (values.ndim - 2)))
-        return scaled[scene.segment.moving[:: self.band.step]]
+        return scaled[scene.segment.moving[:: band.step]]
 
 
 class Apart:
@@ -107,10 +113,10 @@ class Apart:
 
     def shown(self, motion: Trajectory, whole: bool = False) -> np.ndarray:
         """(pairs, F + 1, F + 1): slopes of the one that is refitted and, last, the difference; filled up with zeros."""
-        scene, found = self.view.scene(motion, whole), []
-        for hypothesis in self.rivals:
-            prediction, slopes = tangent(replace(scene, base=hypothesis.base), hypothesis, self.view.band)
-            found.append((self.view.rows(scene, prediction), self.view.rows(scene, slopes)))
+        (scene, band), found = self.view.scene(motion, whole), []
+        for hypothesis in self.rivals:  # their bases differ in timing alone, which a scene does not have
+            prediction, slopes = tangent(scene, hypothesis, band)
+            found.append((self.view.rows(scene, band, prediction), self.view.rows(scene, band, slopes)))
         grams = [slopes.T @ slopes for _, slopes in found]
         size = max(len(gram) for gram in grams) + 1
         result = np.zeros((len(self.pairs), size, size))
@@ -158,8 +164,8 @@ class Figures:
 
     def shown(self, motion: Trajectory, whole: bool = False) -> np.ndarray:
         """(P, P) of the parameters that the torque is linear in."""
-        scene = self.view.scene(motion, whole)
-        slopes = self.view.rows(scene, tangent(scene, self.hypothesis, self.view.band)[1])[:, : len(self.known)]
+        scene, band = self.view.scene(motion, whole)
+        slopes = self.view.rows(scene, band, tangent(scene, self.hypothesis, band)[1])[:, : len(self.known)]
         return slopes.T @ slopes
 
     def worth(self, shown: np.ndarray) -> float:

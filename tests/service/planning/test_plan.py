@@ -13,10 +13,11 @@ from schemas.diagnosis import Diagnosis, Gap, Rival, Where
 from schemas.errors import DataError
 from schemas.robot import Robot, load_robot, save_robot
 from service.cli.main import app
-from service.model.description import described, entry
+from service.model.description import described, entry, terms_of
 from service.planning import plan as planning
 from service.planning.question import PERIOD, Apart, Figures, View
 from tests.service.injected import INJECTED, reports
+from tests.service.rollout.test_kernel import effect
 from tests.service.subject import Hypothesis, Term, fit
 from tests.service.world import BASE, ROBOT, course, problem
 
@@ -45,6 +46,15 @@ def test_rivals_differ_by_what_the_wrong_one_leaves_after_its_fit() -> None:
     question = Apart(View.of(KNOWN, recorded.sigma), [(STRIBECK,), (VISCOUS,)])
     squares = question.squares(question.shown(Trajectory(PERIOD, *run.motion), whole=True))
     assert squares[question.pairs.index((0, 1))] == pytest.approx(left, rel=0.15)
+
+
+def test_every_other_sample_shows_as_much_as_all() -> None:
+    motion = Planner(ROBOT, PERIOD, LIMITS).multisine(np.random.default_rng(1), 5.0)
+    names = ("stribeck_friction", "presliding_friction", "joint_elasticity")
+    rivals = [terms_of(KNOWN.model_copy(update={"effect": [effect(name)]})) for name in names]
+    question = Apart(View.of(KNOWN, SIGMA), rivals)
+    sparse, whole = (question.squares(question.shown(motion, whole)) for whole in (False, True))
+    np.testing.assert_allclose(sparse, whole, rtol=0.1)
 
 
 def test_a_plan_keeps_every_limit_and_shows_more_than_a_random_run(short: None) -> None:
