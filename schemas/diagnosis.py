@@ -27,11 +27,11 @@ class Online(DocumentPart):
 CautionCode = Literal[
     "too_little_motion", "joints_at_rest", "one_way", "one_run", "beyond_any_robot", "several_arms", "runs_differ",
     "much_is_left", "other_joints", "sine_of_angle", "closed_loop", "noise_coloured", "noise_unknown", "at_limit",
-    "drives", "left_open", "no_shrink", "no_shrink_on", "varies", "one_cause",
+    "drives", "left_open", "no_shrink", "no_shrink_on", "varies", "one_cause", "set_aside", "rivalled",
 ]  # fmt: skip
 Advice = Literal[
     "record_runs", "record_all_joints", "record_reversals", "record_more", "check_description", "check_runs",
-    "check_base", "measure_torque", "measure_noise",
+    "check_base", "measure_torque", "measure_noise", "look_there",
 ]  # fmt: skip
 
 
@@ -39,8 +39,8 @@ class Caution(DocumentPart):
     """What this data cannot say. joints from 1, those it is about; advice: what to record or to check.
 
     effect: that it is about. quantity: of the effect, at its limit. share: of the torque's rms that is left, of what is
-    left that follows something, or the shrink that is too little. run: the log kept out that does not shrink. gain: of
-    the loop, torque for position error.
+    left that follows something, the shrink that is too little, of the motion that was set aside, or of the draws that
+    prefer it. run: the log kept out that does not shrink. gain: of the loop, torque for position error.
     """
 
     code: CautionCode

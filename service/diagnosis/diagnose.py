@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,13 +12,15 @@ from schemas.diagnosis import Caution, Follows, Verdict
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
+from service.diagnosis.evidence.aside import Quiet
 from service.diagnosis.evidence.cautions import base_doubts, doubts_of, faults_of, limits_of, loops_of, noise_of
-from service.diagnosis.evidence.earned import earned, together
+from service.diagnosis.evidence.earned import LIKELY, earned, together
 from service.diagnosis.evidence.follows import follows
+from service.diagnosis.evidence.rivals import comparisons, probability_of
 from service.diagnosis.evidence.unseen import kept_out
 from service.diagnosis.findings import Findings
 from service.diagnosis.fit.orders import more_orders
-from service.diagnosis.fit.selection import Scored, Selection, score, search
+from service.diagnosis.fit.selection import FAR_ABOVE, Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import Split
@@ -74,12 +76,18 @@ def diagnose(
     if given:
         plain = score(fit(problem, timed), split)
     scope = limits_of(problem, loops_of(problem, traces))
-    selection = search(problem, split, timed, effects if scope.enough else (), progress, scope.allows, more_orders)
+
+    def searched(rows: Problem, folds: Split, allows: Callable[[Effect, int], bool]) -> Selection:
+        return search(rows, folds, timed, effects if scope.enough else (), progress, allows, more_orders)
+
+    selection = searched(problem, split, scope.allows)
     progress("checking on data left out")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     coloured = bool((floor.coloured | floor.unknown).any())
     limit = (WITHIN_COLOURED if coloured else WITHIN_NOISE) * _floor(problem, reversal)
     angular = all(trace.angular for trace in traces)
+    kept = [kept_out(problem, log) for log in tests]
+    unknown = bool(floor.unknown.any())
 
     def followed(scored: Scored) -> list[Follows]:
         return follows(problem, split, scored.residuals, traces, angular)
@@ -90,19 +98,25 @@ def diagnose(
         before = followed(none)
         doubts = base_doubts(problem, before, before if best is none else followed(best), none, best)
         doubts = doubts or doubts_of(problem, selection, limit)
-    fallen = faults_of(selection)
-    if doubts:
-        selection = replace(selection, best=selection.none, path=_untaken(selection))
-    else:
-        selection, fell = earned(problem, split, selection, len(given), [kept_out(problem, log) for log in tests])
-        fallen += fell
-    after = statistics.nested(selection, split, problem.count)
-    vague = bool(floor.unknown.any()) and _left(problem, after) > limit
-    selection, fell = together(problem, split, selection, after, len(given), vague)
-    if fell:
-        after = selection.none.residuals
-        fallen += fell
-    errors = statistics.standard_errors(selection.best.fitted, split)
+    judged = _judged(problem, split, selection, doubts, len(given), kept, unknown, limit)
+    found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
+    errors = statistics.standard_errors(found.best.fitted, split)
+    far = FAR_ABOVE * limit
+    if scope.enough and mechanism.kind == "delta" and selection.best.loss > far**2 * problem.count:
+        quiet = Quiet.of(problem, split, selection.best.residuals)
+        again = searched(quiet.problem, quiet.split, lambda e, j: scope.allows(e, j) and quiet.allows(e, j))
+        less = doubts_of(quiet.problem, again, limit)
+        judged = _judged(quiet.problem, quiet.split, again, less, len(given), kept, unknown, limit)
+        # names that the rest bears out too give way only to others that leave next to nothing of the quiet rows
+        if judged.selection.names and (not found.names or again.best.loss <= far**2 * quiet.problem.count):
+            whole = quiet.selection_on_all(judged.selection)
+            rounds = comparisons(whole, split, problem.count)
+            if min(probability_of(rounds, name) for name in whole.names) >= LIKELY:
+                errors = statistics.standard_errors(judged.selection.best.fitted, quiet.split)
+                found, chosen = whole, [quiet.on_all(one) for one in judged.chosen]
+                cautions = [quiet.caution(), *judged.cautions]
+    selection = found
+    after = statistics.by_fold(chosen, split)
     gap, reference = plain.residuals, plain.hypothesis
     if baseline is not None:
         reference = hypothesis_of(baseline)
@@ -110,8 +124,37 @@ def diagnose(
     verdict = _verdict(problem, selection, given, after, limit)
     return Findings(
         robot, problem, split, plain, reference, selection, given, gap, after, floor.sample, reversal, errors, verdict,
-        limit, [*noise_of(floor), *scope.cautions, *doubts, *fallen], followed(selection.best), baseline,
+        limit, [*noise_of(floor), *scope.cautions, *cautions], followed(selection.best), baseline,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What stands of a search, the hypothesis chosen without each fold, and why the rest does not."""
+
+    selection: Selection
+    chosen: list[Scored]
+    cautions: list[Caution]
+
+
+def _judged(
+    problem: Problem, split: Split, selection: Selection, doubts: list[Caution], given: int,
+    tests: Sequence[Problem], unknown: bool, limit: float,
+) -> Judged:  # fmt: skip
+    """Names have to earn it. doubts: reasons to believe none. unknown: the noise is not known."""
+    fallen = faults_of(selection)
+    if doubts:
+        selection = replace(selection, best=selection.none, path=_untaken(selection))
+    else:
+        far = selection.best.loss > (FAR_ABOVE * limit) ** 2 * problem.count
+        selection, fell = earned(problem, split, selection, given, tests, far)
+        fallen += fell
+    chosen = statistics.walked(selection, split, problem.count)
+    after = statistics.by_fold(chosen, split)
+    selection, fell = together(problem, split, selection, after, given, unknown and _left(problem, after) > limit)
+    if fell:
+        chosen = [selection.none] * split.folds
+    return Judged(selection, chosen, [*doubts, *fallen, *fell])
 
 
 def _untaken(selection: Selection) -> list[tuple[list[Scored], Scored | None]]:

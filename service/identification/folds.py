@@ -47,15 +47,18 @@ def _rows(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
     return np.concatenate([values[rows] for rows in problem.rows[index].T])
 
 
-def held_out(fitted: Fit, split: Split) -> list[np.ndarray]:
+def held_out(fitted: Fit, split: Split, learnt: tuple[Fit, Split] | None = None) -> list[np.ndarray]:
     """Residuals (R,) a recording, each fold predicted by parameters from the other folds (linear in the refit, within
-    reach of the slopes: what one fold left open may not run away on the next)."""
-    grams, moments = normal_equations(fitted.moving, fitted.residuals, split)
+    reach of the slopes: what one fold left open may not run away on the next). learnt: the rows they are learnt from,
+    where these are not all; the same hypothesis on them."""
+    source, rows = learnt or (fitted, split)
+    grams, moments = normal_equations(source.moving, source.residuals, rows)
     gram, moment = sum(grams), sum(moments)
+    moving = [tangent[:, source.free] for tangent in fitted.tangents]
     result = [residual.copy() for residual in fitted.residuals]
     for number in range(split.folds):
-        step = fitted.step(gram - grams[number], moment - moments[number])
-        for residual, slope, fold in zip(result, fitted.moving, split.fold, strict=True):
+        step = source.step(gram - grams[number], moment - moments[number])
+        for residual, slope, fold in zip(result, moving, split.fold, strict=True):
             out = fold == number
             residual[out] -= slope[out] @ step
     return result

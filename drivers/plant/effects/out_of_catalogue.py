@@ -116,7 +116,7 @@ class TorqueConstantDrift(PlantEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls((severity * rng.uniform(0.15, 0.3, 3)).tolist(), 12.0, float(rng.uniform(3.0, 8.0)))
+        return cls((severity * rng.uniform(0.06, 0.15, 3)).tolist(), 30.0, float(rng.uniform(3.0, 8.0)))
 
     def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
         self._heat += ((torque / self.hot_nm) ** 2 - self._heat) * (plant.step / self.time_constant_s)
@@ -136,7 +136,7 @@ class HoseJerk(PlantEffect):
         heading, depth = rng.uniform(0, 2 * math.pi), truth.passive_link_length_m[0]
         radius = 0.25 * depth
         point = [float(radius * math.cos(heading)), float(radius * math.sin(heading)), -0.4 * depth]
-        return cls(float(severity * rng.uniform(120.0, 300.0)), float(rng.uniform(0.42, 0.50) * depth), point)
+        return cls(float(severity * rng.uniform(30.0, 80.0)), float(rng.uniform(0.42, 0.50) * depth), point)
 
     def platform_force(self, plant: Plant) -> np.ndarray:
         line = np.asarray(self.point_m) - plant.platform
@@ -174,7 +174,7 @@ class CableMemory(JointEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * rng.uniform(6.0, 14.0)), float(rng.uniform(0.2, 0.6)))
+        return cls(on_one(rng, severity * rng.uniform(2.0, 5.0)), float(rng.uniform(0.2, 0.6)))
 
     def start(self, plant: Plant) -> None:
         self._rest = plant.theta.copy()
@@ -196,7 +196,7 @@ class Magnet(PlantEffect):
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         point = below(rng, truth, (0.1, 0.25), (0.85, 0.95))
-        return cls(float(severity * signed(rng, 20.0, 40.0)), float(rng.uniform(0.05, 0.09)), point)
+        return cls(float(severity * signed(rng, 6.0, 12.0)), float(rng.uniform(0.05, 0.09)), point)
 
     def platform_force(self, plant: Plant) -> np.ndarray:
         line = np.asarray(self.point_m) - plant.platform

@@ -15,7 +15,7 @@ from schemas.diagnosis import Diagnosis, Estimate, Gap, Moved, NamedEffect, Onli
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
-from service.diagnosis.evidence.rivals import ModelComparison, comparisons, confusable, undecided
+from service.diagnosis.evidence.rivals import ModelComparison, comparisons, confusable, probability_of, undecided
 from service.diagnosis.evidence.unseen import unseen
 from service.diagnosis.evidence.where import where
 from service.diagnosis.findings import Findings
@@ -160,14 +160,13 @@ def _effects(findings: Findings, comparisons: list[ModelComparison]) -> list[Nam
     result = []
     for effect, found in parameters.items():
         lost = findings.selection.without[effect].loss - findings.best.loss
-        probability = max((comparison.probability(effect.name) for comparison in comparisons), default=0.0)
         result.append(
             NamedEffect(
                 name=effect.name,
                 title=effect.in_words,
                 means=effect.means,
                 joints=joints[effect],
-                probability=round(probability, 4),
+                probability=round(probability_of(comparisons, effect.name), 4),
                 parameters=found,
                 gap_share=round(float(np.clip(lost / gap, 0.0, 1.0)), 4),
                 confusable_with=confusable(findings.selection, effect.name),

@@ -49,6 +49,10 @@ CAUTIONS = {
     "({share:.0%}): not named.",
     "varies": "{Effect}{where} fits, but {run} alone asks for a figure {share:.0%} off that of all runs together: what "
     "stands behind it is something else, not named.",
+    "rivalled": "{Effect}{where} fits, but something else is at work too, and others would do as well as it (best in "
+    "{share:.0%} of the resampled data): not named.",
+    "set_aside": "{share:.0%} of the motion{where} has something at work that is not in the catalogue; what is named "
+    "was told by the rest.",
 }
 # with these no effect is told from others
 NO_NAMES = {
@@ -64,6 +68,7 @@ ADVICE = {
     "check_base": "Check the base model: kind, gravity, coupling between joints, order and sign of columns.",
     "record_more": "Record more of the motion that shows it, and what else changed between the runs.",
     "measure_torque": "Log the drive's measured current beside the command.",
+    "look_there": "Look for it where and when most is left, see below.",
     "measure_noise": "Log the torque unfiltered, or a stretch at rest with the drives on.",
 }
 ONLINE = {

@@ -12,7 +12,7 @@ from schemas.diagnosis import Caution, Follows
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.follows import position_error
-from service.diagnosis.fit.selection import Scored, Selection
+from service.diagnosis.fit.selection import FAR_ABOVE, Scored, Selection, each_arm
 from service.identification.checks import FOREIGN_LEFT, FOREIGN_TOGETHER
 from service.identification.fit import Problem, fit, solve
 from service.identification.noise import Floor
@@ -25,7 +25,6 @@ CARRIES_OVER = 0.6  # of the gap above the noise that effects remove on runs lef
 EXCUSED = 0.95  # the same, from which effects may leave more than `WRONG_MODEL`: it is little of the gap
 FOLLOWS = 0.3  # of the gap above the noise that follows what the base model lacks: then the base is wrong, not a part
 AS_GOOD = 0.05  # of the same by which an effect has to do better than that
-FAR_ABOVE = 2.0  # times what counts as noise, from which what is left is a cause of its own
 LOOP = 0.98  # of the torque's variance that position error and speeds explain: it is what the controller makes of them
 LOOP_ALONE = 0.25  # of what speed leaves of it that is left at most when the error is known
 
@@ -175,9 +174,7 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caut
     gap = selection.none.loss / problem.count
     platform = problem.recordings[0].mechanism.kind == "delta" and left**0.5 > FAR_ABOVE * limit
     for term in best.hypothesis.terms[len(selection.none.hypothesis.terms) :] if platform else ():
-        # friction, cogging, play may be in every gear; a spring, mass or length that each arm has otherwise is a force
-        # on the platform, spread over the arms
-        if len(term.joints) > 1 and not term.effect.dissipates and not term.effect.shapes:
+        if each_arm(term):
             which = [joint + 1 for joint in term.joints]
             return [Caution(code="one_cause", joints=which, effect=term.effect.name, advice="check_description")]
     if left**0.5 <= max(limit, FOREIGN_LEFT):

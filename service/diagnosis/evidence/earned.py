@@ -13,6 +13,7 @@ import numpy as np
 
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence import statistics
+from service.diagnosis.evidence.rivals import comparisons, probability_of
 from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.selection import LEAST_GAIN, Scored, Selection, score
 from service.identification.events import events_of
@@ -27,13 +28,15 @@ MOST_CHANGE = 0.25  # of an effect's figures from run to run; true ones of ten l
 LEAST_UNKNOWN = 0.1  # the same of all names together where the noise is not known and what is left is far above it
 LEAST_PART = 0.1  # of what tells an effect's figures that a run has to hold to be asked for its own
 Z95 = 1.96
+LIKELY = 0.5  # probability that a name needs where far more than noise is left
 OPEN = 0.5  # standard error over value of a shape without amplitudes, from which it is open whether there is any
 
 
 def earned(
-    problem: Problem, split: Split, selection: Selection, given: int, kept_out: Sequence[Problem]
+    problem: Problem, split: Split, selection: Selection, given: int, kept_out: Sequence[Problem], far: bool = False
 ) -> tuple[Selection, list[Caution]]:
-    """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on."""
+    """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on. far: far
+    more than noise is left, so that something else is at work besides."""
     fallen: list[Caution] = []
     best = selection.best
     while True:
@@ -45,6 +48,7 @@ def earned(
                 _open(best, split, effect)
                 or _varies(problem, split, best, effect)
                 or _carries_over(problem, split, best, without, effect, kept_out)
+                or (_rivalled(selection, split, problem.count, best, effect) if far else None)
             )
             if caution is not None:
                 fallen.append(caution)
@@ -148,6 +152,12 @@ def _carries_over(
         if shrunk is not None and shrunk.low <= 0:
             return _fell("no_shrink_on", effect, best, share=shrunk.value, run=other.recordings[0].name)
     return None
+
+
+def _rivalled(selection: Selection, split: Split, rows: int, best: Scored, effect: Effect) -> Caution | None:
+    """Said of an effect that others would do as well as, of which one may stand in for what else is at work."""
+    found = probability_of(comparisons(selection, split, rows), effect.name)
+    return _fell("rivalled", effect, best, share=found) if found < LIKELY else None
 
 
 def shrink_on(other: Problem, without: Hypothesis, best: Hypothesis) -> statistics.Shrink | None:

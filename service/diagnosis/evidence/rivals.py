@@ -44,6 +44,11 @@ def comparisons(selection: Selection, split: Split, rows: int, seed: int = 0) ->
     return result
 
 
+def probability_of(rounds: list[ModelComparison], name: str) -> float:
+    """Of an effect, in the round that speaks for it most."""
+    return max((comparison.probability(name) for comparison in rounds), default=0.0)
+
+
 def undecided(selection: Selection, rounds: list[ModelComparison]) -> ModelComparison | None:
     """The first round whose winner others might be as well; where there is none, the first of all."""
     for comparison, (_, taken) in zip(rounds, selection.path, strict=True):

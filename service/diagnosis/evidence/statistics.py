@@ -58,13 +58,27 @@ def reversal_noise(problem: Problem, coulomb: np.ndarray) -> np.ndarray:
 
 
 def nested(selection: Selection, split: Split, rows: int) -> list[np.ndarray]:
-    """Residuals on data left out of fitting *and* of selection.
+    """Residuals on data left out of fitting *and* of selection."""
+    return by_fold(walked(selection, split, rows), split)
 
-    For each fold the search is walked again among the hypotheses that were fitted, weighing them by folds that are
-    neither this one nor in training, and the fold is predicted by the one chosen without it: where the walk ends, or
-    the model chosen on all data if the other folds prefer that.
+
+def by_fold(chosen: Sequence[Scored], split: Split) -> list[np.ndarray]:
+    """Residuals of each fold under the hypothesis chosen for it."""
+    result = [residual.copy() for residual in chosen[0].residuals]
+    for fold, scored in enumerate(chosen):
+        for mine, theirs, f in zip(result, scored.residuals, split.fold, strict=True):
+            mine[f == fold] = theirs[f == fold]
+    return result
+
+
+def walked(selection: Selection, split: Split, rows: int) -> list[Scored]:
+    """The hypothesis for each fold that is chosen without it.
+
+    The search is walked again among the hypotheses that were fitted, weighing them by folds that are neither this one
+    nor in training, and the fold is predicted by the one chosen without it: where the walk ends, or the model chosen on
+    all data if the other folds prefer that.
     """
-    result = [residual.copy() for residual in selection.none.residuals]
+    result = []
     for fold in range(split.folds):
         outside = [f != fold for f in split.fold]
         share = sum(int(o.sum()) for o in outside)
@@ -82,11 +96,10 @@ def nested(selection: Selection, split: Split, rows: int) -> list[np.ndarray]:
             chosen = selection.after(best)
             if best is not taken:
                 break
-        whole, walked = (_inner(scored, split, fold) for scored in (selection.best, chosen))
-        if z_score(walked, whole) > TOLD_APART:  # another order of steps leads there too
+        whole, steps = (_inner(scored, split, fold) for scored in (selection.best, chosen))
+        if z_score(steps, whole) > TOLD_APART:  # another order of steps leads there too
             chosen = selection.best
-        for mine, theirs, f in zip(result, chosen.residuals, split.fold, strict=True):
-            mine[f == fold] = theirs[f == fold]
+        result.append(chosen)
     return result
 
 

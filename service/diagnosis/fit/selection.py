@@ -34,6 +34,7 @@ ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its shape
 HARM = 0.95  # of the loss on data left out that is left without the timing: then it is not of the plant
 SPREAD_GAIN = 40.0  # squared residual, in units of the noise, that shapes of their own must be worth
 ROUGH_JOINT_SHARE = 0.3  # the same where the grid only comes near
+FAR_ABOVE = 2.0  # times the noise, from which what is left is a cause of its own
 JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
 
 
@@ -301,6 +302,11 @@ class Selection:
     fault: Fault | None = None
     without: Mapping[Effect, Scored] = field(default_factory=dict)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Effects that were found."""
+        return self.best.names[len(self.none.names) :]
+
     def after(self, taken: Scored) -> Scored:
         """What a hypothesis taken became."""
         return self.trimmed.get(id(taken), taken)
@@ -341,7 +347,10 @@ def search(
             exact.append(score(fit_added(problem, best.hypothesis, candidate.term()), split))
         if not exact:
             break
-        exact, fault = _sound_first(problem, simplest_first(exact, best), best, none, given)
+        ordered = simplest_first(exact, best)
+        if problem.recordings[0].mechanism.kind == "delta":
+            ordered = one_cause_first(ordered, best, rows)
+        exact, fault = _sound_first(problem, ordered, best, none, given)
         if fault is not None or not worth(exact[0].blocks, best.blocks, none.blocks, rows):
             path.append((exact, None))
             break
@@ -385,6 +394,23 @@ def simplest_first(tried: list[Scored], without: Scored) -> list[Scored]:
     equals = [s for s in ordered if s.loss - best.loss < most and z_score(s.blocks, best.blocks) < TOLD_APART]
     lead = min(equals, key=size, default=best)
     return [lead, *(scored for scored in ordered if scored is not lead)]
+
+
+def one_cause_first(ordered: list[Scored], without: Scored, rows: int) -> list[Scored]:
+    """The same order; but where what is left is a cause of its own, one force on the platform goes before springs,
+    masses or lengths that each arm would have otherwise and that gain hardly more: they have the figures to stand in
+    for both."""
+    best = ordered[0]
+    if not each_arm(best.hypothesis.terms[-1]) or best.loss < FAR_ABOVE**2 * rows:
+        return ordered
+    least = without.loss - (1.0 - JOINT_SHARE) * (without.loss - best.loss)
+    return sorted(ordered, key=lambda scored: bool(scored.hypothesis.terms[-1].joints or scored.loss > least))
+
+
+def each_arm(term: Term) -> bool:
+    """Whether a term is a spring, mass or length that several arms would have, each another: a force on the platform is
+    spread over the arms like that. Friction, cogging, play may be in every gear."""
+    return len(term.joints) > 1 and not term.effect.dissipates and not term.effect.shapes
 
 
 def with_term(hypothesis: Hypothesis, term: Term) -> Hypothesis:
