@@ -153,7 +153,7 @@ def assemble(
     for channel in channels:
         column, raw = channel.column, table[str(channel.index)].to_numpy()
         if not isinstance(column, GripperColumn):
-            raw = _signed(raw, column.bits)
+            raw = signed(raw, column.bits)
             _refuse_wraps(raw, channel, lines, path)
         if channel.times_index is not None:
             raw = raw * table[str(channel.times_index)].to_numpy()
@@ -230,7 +230,8 @@ def _bring(
     return values, Finding(SampleFlag(0), message, np.zeros(0, np.intp))
 
 
-def _signed(values: np.ndarray, bits: int | None) -> np.ndarray:
+def signed(values: np.ndarray, bits: int | None) -> np.ndarray:
+    """Readings of so many bits with the sign that they were written without; as they are where bits is None."""
     if bits is None:
         return values
     return np.where(values >= 2.0 ** (bits - 1), values - 2.0**bits, values)

@@ -42,6 +42,12 @@ def command(
             help="'N m', N, 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT' (N m, N m/A, N m/V)."
         ),
     ] = None,
+    torque_times: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Column to multiply the torques with, such as a voltage.")
+    ] = None,
+    where: Annotated[
+        str | None, typer.Option(metavar="NAME[=VALUE]", help="Rows that count: VALUE (1) in this column.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print channels, proposal and doubts as JSON.")] = False,
 ) -> None:
     """List the channels of foreign logs, propose how to read them, and write the mapping and the log.
@@ -56,6 +62,7 @@ def command(
     Example: deltatwin import pos.csv current.csv --robot arm.toml --rate 5000 --torque-unit 'A 0.12'
     """
     import sys
+    from dataclasses import replace
 
     from rich.console import Console
 
@@ -70,7 +77,11 @@ def command(
 
     terminate_as_interrupt()
     description = load_description(robot) if robot else None
-    stated = _stated(time, rate, position, torque, position_unit, counts_per_rev, torque_unit)
+    stated = replace(
+        _stated(time, rate, position, torque, position_unit, counts_per_rev, torque_unit),
+        torque_times=torque_times,
+        where=None if where is None else _row_filter(where),
+    )
     for path in files[1:]:
         if path.parent.resolve() != files[0].parent.resolve():
             raise TraceError(f"{path}: not in the folder of {files[0]}; files side by side stand beside each other")
@@ -138,6 +149,14 @@ def _stated(
         return None if text is None else [name.strip() for name in text.split(",")]
 
     return Stated(time, rate, names(position), names(torque), position_unit, counts_per_rev, unit)
+
+
+def _row_filter(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value or 1)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r}: the value is no number", param_hint="--where") from None
 
 
 def _channels(table: Table, proposal: Proposal) -> list[dict[str, Any]]:

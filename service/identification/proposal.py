@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.trace.assembly import signed
 from drivers.trace.quality import ANY_JOINT, MAX_SPEED
 from drivers.trace.tables import Table
 from schemas.axes import Description
@@ -46,7 +47,8 @@ SCALES = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "m": 1.0, "mm": 1e
 
 @dataclass(frozen=True)
 class Stated:
-    """What the user says; None where it is to be found. torque_unit: (unit, rated torque or constant)."""
+    """What the user says; None where it is to be found. torque_unit: (unit, rated torque or constant). torque_times:
+    column that the torques are multiplied with. where: (column, value) of the rows that count."""
 
     time: str | None = None
     rate_hz: float | None = None
@@ -55,6 +57,8 @@ class Stated:
     position_unit: str | None = None
     counts_per_rev: float | None = None
     torque_unit: tuple[str, float | None] | None = None
+    torque_times: str | None = None
+    where: tuple[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,11 @@ def propose(table: Table, robot: Description | None, stated: Stated) -> Proposal
     reasons, doubts = list(channels.reasons), []
     if stated.position and stated.torque:
         reasons.clear()
+    layout: dict[str, Any] = dict(table.layout)
+    if stated.where is not None:
+        table = _stretch(table, *stated.where)
+        layout["where"] = {"name": stated.where[0], "equals": stated.where[1]}
+    table, readings = _readings(table, channels, stated.torque_times, reasons)
     time, rate = _time(table, channels, stated, reasons, doubts)
     units = _Units(table, channels, robot, rate, stated)
     positions, torque = units.positions(reasons, doubts), units.torque(reasons, doubts)
@@ -107,13 +116,15 @@ def propose(table: Table, robot: Description | None, stated: Stated) -> Proposal
         torque_signs = _by_axes(table, channels, rate, position, reasons, doubts)
     else:
         doubts.append("without --robot signs and the side of the gear cannot be checked")
-    columns: dict[str, Any] = dict(table.layout)
-    columns["time"] = time
+    columns: dict[str, Any] = layout | {"time": time}
     for role in CHANNELS:
         names = getattr(channels, role)
         entry, sign = (torque, torque_signs) if role.startswith("torque") else (position, signs)
         if names:
-            columns[role] = [_entry(table, channels, name, entry, s) for name, s in zip(names, sign, strict=True)]
+            columns[role] = [
+                _entry(table, channels, name, {**entry, **readings.get(name, {})}, s)
+                for name, s in zip(names, sign, strict=True)
+            ]
     return Proposal(columns, reasons, doubts, channels)
 
 
@@ -139,6 +150,56 @@ def _check(table: Table, channels: Channels, stated: Stated, joints: int | None)
         raise DataError(f"{table.path}: no column of stamps: say --rate HZ, or --time NAME (columns: {listed})")
     if channels.time is not None and channels.time not in table.columns:
         raise DataError(f"{table.path}: no column {channels.time!r}; it has: {listed}")
+
+
+def _stretch(table: Table, name: str, equals: float) -> Table:
+    """The longest run of rows that count.
+
+    Raises:
+        DataError: no such column, or no such row.
+    """
+    if name not in table.columns:
+        raise DataError(f"{table.path}: no column {name!r}; it has: {', '.join(list(table.columns)[:20])}")
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], table.columns[name] == equals, [False]]).astype(int)))
+    if not len(edges):
+        raise DataError(f"{table.path}: no row has {equals:g} in column {name!r}")
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    rows = slice(edges[2 * longest], edges[2 * longest + 1])
+    return replace(table, columns={name: values[rows] for name, values in table.columns.items()})
+
+
+def _readings(
+    table: Table, channels: Channels, times: str | None, reasons: list[str]
+) -> tuple[Table, dict[str, dict[str, Any]]]:
+    """The table with torques as they are meant, and keys of the columns whose readings are not that.
+
+    Raises:
+        DataError: no column `times`.
+    """
+    if times is not None and times not in table.columns:
+        raise DataError(f"{table.path}: no column {times!r}; it has: {', '.join(list(table.columns)[:20])}")
+    meant, readings = dict(table.columns), {}
+    for name in (*channels.torque, *channels.torque_command):
+        bits = next((bits for bits in (16, 32) if _without_sign(meant[name], bits)), None)
+        keys = {"bits": bits, "times": times if name in channels.torque else None}
+        readings[name] = {key: value for key, value in keys.items() if value is not None}
+        meant[name] = signed(meant[name], bits) * (1.0 if keys["times"] is None else meant[keys["times"]])
+        if bits:
+            reasons.append(f"{name!r} is of {bits} bits without its sign: {2**bits - 1} stands for -1")
+    return replace(table, columns=meant), readings
+
+
+def _without_sign(values: np.ndarray, bits: int) -> bool:
+    """Whether whole numbers lie at both ends of what so many bits hold, and none in the middle half."""
+    known = values[np.isfinite(values)]
+    quarter = 2.0 ** (bits - 2)
+    return bool(
+        len(known)
+        and (known == np.round(known)).all()
+        and 0 <= known.min() < quarter
+        and 3 * quarter < known.max() < 4 * quarter
+        and not ((known > quarter) & (known < 3 * quarter)).any()
+    )
 
 
 def _time(

@@ -159,6 +159,25 @@ def test_files_side_by_side_in_per_mille(tmp_path: Path, log: Trace) -> None:
     np.testing.assert_allclose(back.torque, log.torque, atol=1e-3)
 
 
+def test_sixteen_bits_without_sign_rows_that_count_and_a_product(tmp_path: Path, log: Trace) -> None:
+    """Torque is a reading of 16 bits that lost its sign, times a column; rows in which the flag is 0 are rubbish."""
+    raw = np.round(log.torque * 20)
+    volts = np.where(np.arange(len(raw)) < 2000, 2.0, 4.0)
+    readings = raw * (4 / volts)[:, None] % 65536
+    data = np.column_stack([log.time, log.position, readings, np.ones(len(raw)), volts / 4])
+    data[3500:, 1:4], data[3500:, 7] = 0.3, 0
+    text(tmp_path / "log.csv", data, ",", ",".join([*NAMES, "ready", "u"]) + "\n")
+    options = ["--torque-unit", "V 0.05", "--torque-times", "u", "--where", "ready=1", "--yes"]
+    said = imported(tmp_path / "log.csv", "--robot", "d3-1200", *options)
+    assert "'tau1' is of 16 bits without its sign: 65535 stands for -1" in said
+    assert "500 of 4000 rows have not 1 in column 'ready'" in said
+    back = read_trace(tmp_path / "log.mcap")
+    assert len(back) == 3500
+    np.testing.assert_allclose(back.torque, raw[:3500] / 20, atol=1e-9)
+    done = CliRunner().invoke(app, ["import", str(tmp_path / "log.csv"), "--yes", "--where", "redy"])
+    assert "no column 'redy'; it has: t, q1" in str(done.exception)
+
+
 def test_what_cannot_be_told_is_asked_for(tmp_path: Path, log: Trace) -> None:
     text(tmp_path / "log.csv", block(log)[:, 1:], ",", "a,b,c,d,e,f\n")
     done = CliRunner().invoke(app, ["import", str(tmp_path / "log.csv"), "--robot", "d3-1200", "--yes"])
