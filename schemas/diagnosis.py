@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -286,3 +287,10 @@ class Diagnosis(DocumentPart):
     follows: list[Follows] = []
     moved: dict[str, Moved] = {}
     rivals: list[Rival] = []
+
+
+def named_joints(joints: Sequence[int]) -> str:
+    """`joint 2`, or `joints 1, 2 and 3`; nothing of none. joints: numbers, from 1."""
+    if len(joints) < 2:
+        return "".join(f"joint {joint}" for joint in joints)
+    return f"joints {', '.join(map(str, joints[:-1]))} and {joints[-1]}"

@@ -109,7 +109,7 @@ def _table(result: RolloutDocument) -> Table:
         title=f"simulated less measured after {1e3 * result.horizon_s:.0f} ms, rms of {result.windows} windows",
     )  # fmt: skip
     if result.servo is not None:
-        table.add_column("torque, rms N m, joint 1, 2, 3")
+        table.add_column("torque, rms N m, joints 1, 2 and 3")
     for column in table.columns[1:]:
         column.justify = "right"
     for robot in (*result.robots, result.floor):

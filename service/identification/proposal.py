@@ -16,6 +16,7 @@ from drivers.trace.quality import ANY_JOINT, MAX_SPEED
 from drivers.trace.tables import Table
 from schemas.axes import Description
 from schemas.columns import CHANNELS
+from schemas.diagnosis import named_joints
 from schemas.errors import DataError, TraceError
 from schemas.machine import Machine
 from schemas.messages import SampleFlag
@@ -422,9 +423,9 @@ def _by_delta(
         doubts.append(f"the torques fit better in the order {order}: cables swapped? --torque says it otherwise")
         return _Reading(share, position, plain, torque, plain, reasons, doubts)
     for what, which in (("torque", fit.signs), ("position", signs)):
-        turned = ", ".join(str(j + 1) for j in range(3) if which[j] < 0)
+        turned = named_joints([j + 1 for j in range(3) if which[j] < 0])
         if turned:
-            reasons.append(f"the {what} of joint {turned} has the other sign")
+            reasons.append(f"the {what} of {turned} has the other sign")
     torque = dict(torque)
     side = next((s for s in (1.0, gear) if 1 / SAME <= fit.scale / s <= SAME), None) if known else None
     if side is None:

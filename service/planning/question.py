@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.motion import Trajectory
+from schemas.diagnosis import named_joints
 from schemas.robot import EffectEntry, Robot
 from service.identification.fit import within
 from service.model.description import base_of, torque_along
@@ -198,5 +199,5 @@ def _same(one: tuple[Term, ...], other: tuple[Term, ...]) -> bool:
 
 def _in_words(hypothesis: Hypothesis) -> str:
     term = hypothesis.terms[-1]
-    joints = ", ".join(str(joint + 1) for joint in term.joints)
-    return term.effect.name.replace("_", " ") + (f" in joint {joints}" if joints else "")
+    joints = named_joints([joint + 1 for joint in term.joints])
+    return term.effect.name.replace("_", " ") + (f" in {joints}" if joints else "")

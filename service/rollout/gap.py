@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from schemas.diagnosis import named_joints
 from schemas.errors import DataError, PoseError, TraceError
 from schemas.robot import Robot, Servo
 from schemas.trace import Trace
@@ -381,8 +382,7 @@ def check_sign(robot: Robot, traces: Sequence[Trace], found: Rollout) -> None:
         if left < TURNED * error:
             best, error = signs, left
     if best is not None:
-        joints = ", ".join(str(joint + 1) for joint in range(3) if best[joint] < 0)
-        joints = f"joint{'s' if len(joints) > 1 else ''} {joints}"
+        joints = named_joints([joint + 1 for joint in range(3) if best[joint] < 0])
         raise DataError(
             f"{parts[0][0].path}: the simulated robot runs away ({_far(deviation)}), with the torque of {joints} "
             f"turned round it does not (off by {error:.3g} mm): the sign of that torque is wrong"

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.trace import write_trace
-from schemas.diagnosis import NamedEffect
+from schemas.diagnosis import NamedEffect, named_joints
 from schemas.files import make_folder, write_text
 from schemas.robot import Robot, load_robot
 from schemas.trace import Trace
@@ -100,7 +100,7 @@ def standing(robot: Robot, before: Sequence[Trace], effects: Sequence[Effect]) -
 
 def in_words(finding: Finding) -> str:
     """The finding in one line."""
-    rise = f"{finding.robot}: gap of joint {_listed(finding.joints)} higher since {_when(finding.since_s)}"
+    rise = f"{finding.robot}: gap of {named_joints(finding.joints)} higher since {_when(finding.since_s)}"
     verdict, effects = finding.diagnosis.verdict, finding.diagnosis.effects
     if effects:
         after, left = (float(np.hypot.reduce(values)) for values in (finding.after_nm, finding.left_nm))
@@ -118,16 +118,12 @@ def _when(seconds: float) -> str:
     return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC"
 
 
-def _listed(joints: Sequence[int]) -> str:
-    return ", ".join(map(str, joints))
-
-
 def _effect(effect: NamedEffect) -> str:
     figures = [
         f"{name} {one.value:.3g} ± {(one.ci95[1] - one.ci95[0]) / 2:.2g} {one.unit}"
         for name, one in list(effect.parameters.items())[:WORDS]
     ]
-    where = f" on joint {_listed(effect.joints)}" if effect.joints else ""
+    where = f" on {named_joints(effect.joints)}" if effect.joints else ""
     doubt = f", or {' or '.join(effect.confusable_with)}" if effect.confusable_with else ""
     return f"{effect.name}{where} ({', '.join(figures)}{doubt})"
 

@@ -28,7 +28,7 @@ WINDOW = 512  # samples of a spectrum, where a run has as many
 
 def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
     """Write the report of a diagnosis."""
-    _, *rest = paragraphs(document)
+    _, *rest = paragraphs(document, figures=False)
     levels = _levels(document)
     plots = {
         "Gap over time, before and after": _over_time(findings),

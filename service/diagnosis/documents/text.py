@@ -5,7 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from schemas.diagnosis import Burst, Caution, Diagnosis, Estimate, NamedEffect, Regime, Shrunk, Simulated, Unseen
+from schemas.diagnosis import (
+    Burst,
+    Caution,
+    Diagnosis,
+    Estimate,
+    NamedEffect,
+    Regime,
+    Shrunk,
+    Simulated,
+    Unseen,
+    named_joints,
+)
 from service.diagnosis.evidence.rivals import SURE
 
 VERDICTS = {
@@ -18,14 +29,14 @@ VERDICTS = {
 # code of a caution -> what cannot be told
 CAUTIONS = {
     "too_little_motion": "Cannot be told apart on this data: no joint moves for 3 s in all.",
-    "joints_at_rest": "Joint {joints} hardly moves: effects of the whole robot and of that joint cannot be told apart "
-    "on this data.",
-    "one_way": "Joint {joints} moves one way only: its friction cannot be told from a constant torque on this data.",
+    "joints_at_rest": "{Joints} hardly move{s}: effects of the whole robot and of {joints} cannot be told apart on "
+    "this data.",
+    "one_way": "{Joints} move{s} one way only: friction there cannot be told from a constant torque on this data.",
     "one_run": "There is one run only: what is left out of the fit is a stretch of the same run.",
     "beyond_any_robot": "It would take {effect} beyond any robot's: cannot be told apart on this data.",
     "several_arms": "Several arms at once would have to be far from the described geometry: cannot be told apart on "
     "this data.",
-    "one_cause": "{Effect} would have to sit on joints {joints} at once, each with a figure of its own, and leaves far "
+    "one_cause": "{Effect} would have to sit on {joints} at once, each with a figure of its own, and leaves far "
     "more than noise: one cause on the platform looks like that.",
     "runs_differ": "Each run fits alone, but not all together: cannot be told apart on this data.",
     "much_is_left": "What is left is {share:.0%} of the torque itself, more than effects of the catalogue "
@@ -34,12 +45,12 @@ CAUTIONS = {
     "joint {last}, which it knows nothing of. No effect is named on a wrong base.",
     "sine_of_angle": "The base model is wrong first: {share:.0%} of the gap in joint {first} follows the sine of its "
     "angle, as a weight does. No effect is named on a wrong base.",
-    "closed_loop": "The torque of joint {joints} is the controller's answer to its position error ({gain:.3g} N m per "
+    "closed_loop": "The torque of {joints} is the controller's answer to its position error ({gain:.3g} N m per "
     "rad, or N per m, without lag): it was not measured. A delay or filter of the torque, the torque constant, and "
     "what lies between command and shaft (back-EMF looks like viscous friction) cannot be known from it.",
-    "noise_coloured": "The noise of joint {joints} has a memory: there is more of it in the band than white noise of "
+    "noise_coloured": "The noise of {joints} has a memory: there is more of it in the band than white noise of "
     "its level would have. The floor is read from its colour and is good to about 20 %.",
-    "noise_unknown": "The torque of joint {joints} shows no noise of its own (smoothed or computed?): its floor is not "
+    "noise_unknown": "The torque of {joints} shows no noise of its own (smoothed or computed?): its floor is not "
     "known, 1 % of the torque stands in for it.",
     "at_limit": "What comes nearest is {effect}{where}, but with {quantity} at the end of what it can be: no finding.",
     "drives": "What comes nearest is {effect}{where}, but as friction that would drive the joint: no finding.",
@@ -117,7 +128,7 @@ def answer(document: Diagnosis) -> Answer:
 
     causes = [
         Cause(
-            effect.title + (f", joint {', '.join(map(str, effect.joints))}" if effect.joints else ""),
+            effect.title + (f", {named_joints(effect.joints)}" if effect.joints else ""),
             f"Best of all candidates in {100 * effect.probability:.0f} % of the resampled data.{_confusable(effect)}",
             how_much(effect),
             effect.means,
@@ -186,10 +197,13 @@ def unasked(document: Diagnosis) -> list[str]:
     return [caution(one) for one in document.cannot_tell if one.code in NO_NAMES]
 
 
-def paragraphs(document: Diagnosis) -> list[list[str]]:
-    """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next."""
+def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
+    """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next.
+
+    figures: of the effects, which a page has in its first box.
+    """
     verdict = _verdict(document)
-    effects = [_effect(effect) for effect in document.effects]
+    effects = [_effect(effect, figures) for effect in document.effects]
     before, after = _rms(document.gap.before_nm), _rms(document.gap.after_nm)
     if document.effects or after > WORSE * before:
         left_out = "runs" if len(document.traces) > 2 else "stretches"
@@ -213,9 +227,10 @@ def sentences(document: Diagnosis) -> list[str]:
 
 def caution(found: Caution) -> str:
     """What cannot be told, and what to record or to check."""
-    joints, effect = ", ".join(map(str, found.joints)), (found.effect or "").replace("_", " ")
+    joints, effect = named_joints(found.joints), (found.effect or "").replace("_", " ")
     said = CAUTIONS[found.code].format(
-        joints=joints, effect=effect, Effect=effect.capitalize(), where=f" in joint {joints}" if joints else "",
+        joints=joints, Joints=joints.capitalize(), s="" if len(found.joints) > 1 else "s",
+        effect=effect, Effect=effect.capitalize(), where=f" in {joints}" if joints else "",
         first=found.joints[0] if found.joints else "", last=found.joints[-1] if found.joints else "",
         share=found.share, gain=found.gain, run=found.run, quantity=(found.quantity or "").replace("_", " "),
     )  # fmt: skip
@@ -253,7 +268,7 @@ def _nearest(document: Diagnosis) -> list[str]:
 
 
 def _placed(name: str, joints: list[int]) -> str:
-    return name.replace("_", " ") + (f" in joint {', '.join(map(str, joints))}" if joints else "")
+    return name.replace("_", " ") + (f" in {named_joints(joints)}" if joints else "")
 
 
 def _follows(document: Diagnosis) -> list[str]:
@@ -288,13 +303,12 @@ def _concentrated(regime: Regime) -> str:
     return f"{100 * regime.share:.0f} % of it: {regime.regime} ({100 * regime.of_time:.0f} % of the time)."
 
 
-def _effect(effect: NamedEffect) -> str:
-    name = effect.name.replace("_", " ")
+def _effect(effect: NamedEffect, figures: bool) -> str:
     parameters = ", ".join(
         f"{in_words(key, estimate)} = {_value(estimate)}" for key, estimate in effect.parameters.items()
     )
-    place = f" in joint {', '.join(map(str, effect.joints))}" if effect.joints else ""
-    line = f"Most likely {name}{place} ({100 * effect.probability:.0f} %): {parameters}."
+    line = f"Most likely {_placed(effect.name, effect.joints)} ({100 * effect.probability:.0f} %)"
+    line += f": {parameters}." if figures else "."
     line += f" It makes up {100 * effect.gap_share:.0f} % of the gap above the noise."
     return line + _confusable(effect)
 

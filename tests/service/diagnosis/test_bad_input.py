@@ -65,7 +65,7 @@ def test_no_reversals(write: Write, diagnosed) -> None:
 def test_a_single_joint_moving(write: Write, diagnosed) -> None:
     found, text = diagnosed(*(write(f"one_{seed}", swing(seed, (1,)), seed=seed) for seed in range(2)))
     assert found["effects"] == []
-    assert "Joint 1, 3 hardly moves" in text
+    assert "Joints 1 and 3 hardly move:" in text
     assert "Record runs in which all joints move" in text
     assert "Joint 1 hardly moves: nothing is said about it." in text
 

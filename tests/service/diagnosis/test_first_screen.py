@@ -11,7 +11,7 @@ import pytest
 from schemas.diagnosis import Estimate, Simulated
 from service.diagnosis.documents.document import made_from
 from service.diagnosis.documents.report import write_report
-from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, sentences
+from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, paragraphs, sentences
 from service.model.effects import CATALOGUE
 from tests.service.pages.browser import looked_at
 from tests.service.subject import document
@@ -29,8 +29,9 @@ def test_the_box_says_what_where_how_much_and_what_to_do(findings):
     found = document.document(findings)
     said = answer(found)
     assert [cause.what for cause in said.causes] == [
-        "More friction at low speed (sticking), joint 1, 2, 3", "Torque ripple over the motor turn (cogging), joint 2",
-    ]  # fmt: skip
+        "More friction at low speed (sticking), joints 1, 2 and 3",
+        "Torque ripple over the motor turn (cogging), joint 2",
+    ]
     assert said.causes[0].how_much[0].startswith("breakaway friction above the Coulomb level, joint 1: ")
     assert said.causes[0].how_much[0].endswith(" N m")
     assert said.causes[0].surety.endswith("of the resampled data. On this data it cannot be told from cogging.")
@@ -44,6 +45,16 @@ def test_the_box_says_what_where_how_much_and_what_to_do(findings):
     before = sum(value**2 for value in found.gap.before_nm) / sum(value**2 for value in found.gap.torque_nm)
     assert shares[0] == pytest.approx(100 * before**0.5, rel=0.06)
     assert shares[1] < shares[0]
+
+
+def test_a_page_says_the_figures_in_its_box_and_not_again_below(findings):
+    found = document.document(findings)
+    terminal, page = ([line for group in paragraphs(found, figures) for line in group] for figures in (True, False))
+    start = "Most likely stribeck friction in joints 1, 2 and 3 ("
+    (said,), (below,) = ([line for line in lines if line.startswith(start)] for lines in (terminal, page))
+    assert "breakaway friction above the Coulomb level, joint 1 = " in said
+    assert "breakaway" not in below
+    assert "of the gap above the noise" in below
 
 
 def test_where_no_name_is_earned_the_box_says_what_to_check(findings):

@@ -174,7 +174,10 @@ def test_the_command_says_what_the_run_will_show_and_the_simulated_robot_runs_it
     arguments = folder_of(tmp_path, [STRIBECK, VISCOUS])
     done = CliRunner().invoke(app, [*arguments, "--rate", "500"])
     assert done.exit_code == 0, done.output
-    assert "stribeck friction in joint 1, 2, 3 and nonlinear viscous friction in joint 1, 2, 3 differ by" in done.output
+    assert (
+        "stribeck friction in joints 1, 2 and 3 and nonlinear viscous friction in joints 1, 2 and 3 differ by"
+        in done.output
+    )
     run = ["simulate", "--robot", arguments[2], "--motion", str(tmp_path / "m.csv"), "--out", str(tmp_path / "log.csv")]
     done = CliRunner().invoke(app, [*run, "--rate", "500"])
     assert done.exit_code == 0, done.output

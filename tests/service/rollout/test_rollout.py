@@ -63,7 +63,7 @@ def test_no_window_spans_a_gap(tmp_path: Path) -> None:
     assert broken.deviations[0].platform_mm < 1.5 * broken.floor.platform_mm
 
 
-@pytest.mark.parametrize(("turned", "said"), [((0, 1, 2), "joints 1, 2, 3"), ((1,), "joint 2")])
+@pytest.mark.parametrize(("turned", "said"), [((0, 1, 2), "joints 1, 2 and 3"), ((1,), "joint 2")])
 def test_a_torque_of_the_wrong_sign_is_named(tmp_path: Path, turned: tuple[int, ...], said: str) -> None:
     path = log(tmp_path, identified(), turned)
     save_robot(identified(), tmp_path / "r.toml")
