@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from schemas.diagnosis import named_joints
 from schemas.files import make_folder, write_text
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader(__name__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["plot"] = _plot
+    environment.filters |= {"plot": _plot, "named_joints": named_joints}
     environment.globals["plotly"] = Markup(get_plotlyjs())
     return environment
 
