@@ -60,6 +60,7 @@ def command(
     description = load_robot(robot, effects)
     if description.identified is None:
         raise DataError(f"{robot}: no [identified] parameters to hold the robot against: run `deltatwin identify`")
+    check_free(description.name, Role.WATCH, zenoh_config, insecure)
     folder = out or Path(f"{description.name}-watch")
     make_folder(folder)  # before anything runs: a watch that cannot store has nothing to do
     watch = Watch(description, Patience(learn, after))
@@ -68,7 +69,6 @@ def command(
         watch.learn(trace, Estimator(description, *rate_of(samples)).run(samples).payload)
     watch.settle()
     stopped = stop_requested()
-    check_free(description.name, Role.WATCH)
     os.nice(10)  # nobody steers by it
     with open_bus(description.name, Role.WATCH, zenoh_config, insecure) as bus:
         typer.echo(f"watching {description.name}; findings go to {folder}; Ctrl-C ends it", err=True)

@@ -139,17 +139,22 @@ def test_a_pipe_gets_whole_lines(own: Path) -> None:
     assert "…" not in done.stdout
 
 
-def test_what_the_bus_refuses_is_refused_before_the_warm_up(
-    bus_folder: Path, bench_robot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("command", ["estimate", "watch"])
+def test_what_the_bus_refuses_is_refused_before_anything_that_takes_long(
+    bus_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     from service.estimator.estimator import Estimator
 
-    monkeypatch.setattr(Estimator, "warm_up", lambda _: pytest.fail("compiled first"))
+    for name in ("warm_up", "run"):
+        monkeypatch.setattr(Estimator, name, lambda *_: pytest.fail("compiled first"))
+    arguments = [command, "--robot", str(ROBOT)]
+    if command == "watch":
+        arguments += ["--reference", str(LOG), "--out", str(tmp_path / "found")]
     for text, said in ((None, "gone.json5"), ('{mode: "peer"}', "--insecure")):
         config = tmp_path / ("mine.json5" if text else "gone.json5")
         if text:
             config.write_text(text)
-        done = CliRunner().invoke(app, ["estimate", "--robot", str(bench_robot), "--zenoh-config", str(config)])
+        done = CliRunner().invoke(app, [*arguments, "--zenoh-config", str(config)])
         assert isinstance(done.exception, BusError)
         assert said in str(done.exception)
 
