@@ -27,6 +27,7 @@ from service.model.torque import tangent
 
 PERIOD = 1e-3  # s, at which motions are weighed
 SPARSE = 2  # samples of which one is looked at while a motion is sought
+SHARPEST = 1e-4  # rad/s over which friction turns where the description has a jump: a jump has no slope
 TOLD = 3.0  # standard errors from which two are told apart
 
 
@@ -71,7 +72,9 @@ class View:
     def of(cls, robot: Robot, sigma: np.ndarray, cutoff_hz: float = ANALYSIS_HZ) -> View:
         """By the base model that a description carries."""
         band, sparse = Band.of(PERIOD, cutoff_hz), Band.of(SPARSE * PERIOD, cutoff_hz)
-        return cls(mechanism_of(robot), base_of(robot.identified), band, sparse, sigma)
+        base = base_of(robot.identified)
+        base = replace(base, transition=np.maximum(base.transition, SHARPEST))
+        return cls(mechanism_of(robot), base, band, sparse, sigma)
 
     def scene(self, motion: Trajectory, whole: bool) -> tuple[Scene, Band]:
         """A motion as effects see it: `whole`, or every `SPARSE`-th sample."""

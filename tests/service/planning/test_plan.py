@@ -133,6 +133,14 @@ def test_a_run_for_identification_leaves_the_errors_that_a_fit_has() -> None:
         assert learned[name][0] * scale == pytest.approx(float(seen), rel=0.35)
 
 
+def test_a_robot_that_was_never_identified_has_figures_to_find() -> None:
+    motion = Planner(ROBOT, PERIOD, LIMITS).multisine(np.random.default_rng(1), 5.0)
+    question = Figures(View.of(ROBOT, SIGMA))
+    with np.errstate(all="raise", under="ignore"):
+        learned = question.learned(question.shown(motion))
+    assert 1e-5 < learned["f_c_1"][0] < 0.05
+
+
 def folder_of(path: Path, rivals: list[Term], robot: str = ROBOT.name) -> list[str]:
     """A diagnosis with these rivals, and the command that plans from it."""
     found = [
