@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from drivers.trace import read_trace
+from schemas.diagnosis import Follows
 from schemas.errors import DataError, RobotError
 from schemas.robot import load_robot
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
-from service.diagnosis.evidence.cautions import limits_of
+from service.diagnosis.evidence.cautions import base_doubts, limits_of
 from service.model.effects import CATALOGUE, by_name, catalogue
+from tests.service.world import stub
 
 EFFECTS = by_name(CATALOGUE)
 
@@ -106,3 +108,36 @@ def test_effects_of_ones_own(tmp_path):
     own.write_text("1 / 0\n")
     with pytest.raises(RobotError, match="ZeroDivisionError"):
         catalogue(own)
+
+
+@pytest.mark.parametrize(
+    ("joint", "what", "other", "share", "told"),
+    [
+        (1, "motion", 2, 0.60, []),  # effects take 24 to 8 of joint 1's gap above the noise: two thirds
+        (1, "motion", 2, 0.63, [("other_joints", [1, 2], 0.63)]),
+        (2, "sine_of_angle", None, 0.29, []),
+        (2, "sine_of_angle", None, 0.31, [("sine_of_angle", [2], 0.31)]),
+        (2, "position_error", None, 0.9, []),
+        (3, "motion", 1, 0.9, []),  # hardly a gap
+        (4, "motion", 1, 0.95, [("other_joints", [4, 1], 0.95)]),  # more of it than effects take
+    ],
+)
+def test_a_base_that_lacks_something_is_doubted(joint, what, other, share, told):
+    levels = {"none": [5.0, 5.0, 1.0, 5.0], "best": [3.0, 5.0, 1.0, 1.5]}  # rms left, over the noise
+    joints = np.repeat([0, 1, 2, 3], 50)
+    none, best = (stub(residuals=[np.array(level)[joints]]) for level in levels.values())
+    one = Follows(joint=joint, what=what, other=other, share=share)
+
+    def doubts(before: list[Follows], after: list[Follows], kind: str = "axes") -> list[tuple]:
+        made = stub(
+            recordings=[stub(mechanism=stub(kind=kind))], sigma=np.array([0.5, 2.0, 1.0, 1.0]), joints_of_rows=[joints]
+        )
+        found = base_doubts(made, before, after, none, best)
+        return [(caution.code, caution.joints, caution.share) for caution in found]
+
+    assert doubts([one], []) == told
+    assert doubts([one, one], [one])[1:] == [], "said once"
+    assert doubts([one], [], "delta") == [], "a Delta's base knows its other joints"
+    left = one.model_copy(update={"share": 0.31})
+    assert bool(doubts([], [left])) == (joint < 3 and what != "position_error"), "of what effects leave, 0.3 is much"
+    assert doubts([], [one.model_copy(update={"share": 0.29})]) == []
