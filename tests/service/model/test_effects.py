@@ -172,10 +172,12 @@ def test_torque_is_sampled_later_by_a_fraction_of_a_sample():
     assert np.median(error) < 0.01  # apart from reversals
 
 
-def test_a_filter_is_turned_round():
-    effect, here, shape = EFFECTS["torque_filter"], scene(course(1, 0.4)), (15.0,)
-    reported = effect.report(here, 0, here.total, np.zeros(0), shape)
-    np.testing.assert_allclose(effect.restore(reported, here.period, 0, np.zeros(0), shape), here.total, atol=1e-9)
+@pytest.mark.parametrize(("name", "amplitude", "shape"), [("torque_filter", (), (15.0,)), ("torque_scale", (0.1,), ())])
+def test_what_a_drive_does_to_its_report_is_turned_round(name, amplitude, shape):
+    effect, here, of = EFFECTS[name], scene(course(1, 0.4)), np.array(amplitude)
+    reported = effect.report(here, 1, here.total, of, shape)
+    assert np.abs(reported - here.total).max() > 1.0
+    np.testing.assert_allclose(effect.restore(reported, here.period, 1, of, shape), here.total, atol=1e-9)
 
 
 def test_rotor_and_gear_do_not_grow_with_the_link():
