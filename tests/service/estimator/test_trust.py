@@ -102,6 +102,15 @@ def test_an_event_that_is_not_trusted_leaves_the_feed_forward_torque_alone(robot
     assert estimator.state["payload"]["load"] > 5, "there was an event"
 
 
+def test_no_mass_is_trusted_that_next_to_nothing_has_told(robot, make):
+    """A heavy pick stands out of the noise within milliseconds, and so would a knock."""
+    known = make(2.0, payload=lambda t: 3.8 * (t >= 1.0), noise=0.05)
+    payload, time = weigh(robot, known.samples, lag=0)
+    heavy = payload["mass"] > 1.0
+    assert time[heavy][0] < 1.02
+    assert 1.0185 < time[heavy & (payload["trusted"] != 0)][0] < 1.05
+
+
 def test_a_mass_that_is_no_longer_trusted_leaves_the_feed_forward_torque_smoothly(robot, make):
     known = make(4.0, payload=lambda t: 3.0 * np.ones_like(t), noise=0.25)
     time = stamp_ns(known.samples) * 1e-9
