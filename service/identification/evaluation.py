@@ -107,7 +107,10 @@ def _carried(robot: Robot, trace: Trace, along: Motion) -> np.ndarray | None:
     # row n came out with sample n + lag: no sample is credited with what was learnt after it
     lag = len(samples) - len(payload)
     mass = np.zeros(len(samples))
-    mass[lag:] = np.where(payload["trusted"] != 0, np.maximum(payload["mass"], 0.0), 0.0)
+    trusted = payload["trusted"] != 0
+    newest = np.maximum.accumulate(np.where(trusted, np.arange(len(payload)), -1))
+    held = np.where(newest >= 0, payload["mass"][newest], 0.0)
+    mass[lag:] = np.minimum(held, payload["mass"])  # trusted once, and not lighter since: as tau_FF reckons with it
     terms = torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)
     return mass[:, None] * terms[:, PAYLOAD]
 

@@ -10,7 +10,7 @@ import math
 from schemas.kernels import kernel
 from service.estimator import friction
 from service.estimator.payload.loads import corrected_moment, invert, prior_of
-from service.estimator.payload.state import SMALLEST_CHANGE, WINDOW
+from service.estimator.payload.state import PRIOR_STD, SMALLEST_CHANGE, WINDOW
 
 # Squared, normalised difference at which a change is believed: with some thousand onsets looked at a second, and model
 # errors that are not white, 5 sigma would alarm every minute.
@@ -18,6 +18,7 @@ CHANGE_THRESHOLD = 45.0
 SHORTEST = 3  # bins of motion since the onset
 BIAS_SIGMAS = 3.0  # of a bias that a change stands out of: unlike noise it is not drawn anew for every onset
 SMALLEST_OFFSET = 0.005  # kg m, change that counts as one
+HIDDEN_SIGMAS = 5.0  # of noise beyond which a step that is not believed is a doubt of the mass
 
 
 @kernel
@@ -32,6 +33,7 @@ def find_change(state):
     since, since_moment, since_drag = state.since_information, state.since_moment, state.since_drag
     before, before_moment = state.before_information, state.before_moment
     best, best_count = CHANGE_THRESHOLD, 0
+    state.hidden = 0.0
     for p in range(active):
         since_moment[p] = 0.0
         state.pull[p] = corrected_moment(state, state.moment, state.drag, p)
@@ -55,12 +57,17 @@ def find_change(state):
         if active == 1:  # without a division but for a candidate
             product = since[0, 0] * before[0, 0]
             scaled = since_moment[0] * before[0, 0] - before_moment[0] * since[0, 0]
-            if scaled * scaled <= best * product * (since[0, 0] + before[0, 0]):
+            noise = product * (since[0, 0] + before[0, 0])
+            beyond = (scaled * scaled - HIDDEN_SIGMAS * HIDDEN_SIGMAS * noise) / (product * product)
+            beyond = min(beyond - BIAS_SIGMAS * BIAS_SIGMAS * state.bias, PRIOR_STD * PRIOR_STD)
+            state.hidden = max(state.hidden, beyond)
+            if scaled * scaled <= best * noise:
                 continue
         distance = _step_distance(state, best)
         if distance > best:
             best, best_count = distance, n + 1
     if best_count > 0:
+        state.hidden = 0.0
         _start_anew(state, best_count)
     return best_count
 

@@ -26,7 +26,7 @@ SHORTFALL_TIME = 30.0  # s
 LIGHTER_TIME, LEAVING_TIME = 0.05, 1.0  # s
 # A gripper that nobody hears of works while the robot stands still: after so long without motion that tells the mass it
 # is not known any more, until so much motion has told it.
-STILL_TIME, TELLING_TIME = 0.25, 0.15  # s
+STILL_TIME, TELLING_TIME = 0.12, 0.15  # s
 # A mass that only so much motion has told may be one odd stretch of torque.
 LEAST_TIME = 0.02  # s
 LOADS = 3  # m and, where the fourth axis turns, the m d_1 and m d_2 of `turning`
@@ -62,6 +62,7 @@ STATE = np.dtype(
         ("leverage", "f8"),  # kg^-2, what a block says of the mass, over the same
         ("judged", "f8"),  # share of BIAS_TIME that the two have been averaged over so far
         ("bias", "f8"),  # kg^2, variance of what the model's error does to a mass for good
+        ("hidden", "f8"),  # kg^2, of a change that the newest samples suggest and that may be the model's error
         ("wrong_for", "f8"),  # s
         ("shortfall", "f8"),  # kg, how far below nothing masses have been of late, or off it where nothing hung
         ("in_block", "i8"),

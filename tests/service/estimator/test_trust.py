@@ -57,7 +57,7 @@ def test_an_exact_model_is_trusted(robot, make):
     first, empty, heavy = (payload["std_dev"][np.searchsorted(time, at)] for at in (0.0, 0.95, 4.05))
     assert first > 5 * empty, "little has been seen yet"
     assert empty < 0.02
-    assert 0.09 < heavy < 0.12, "2.5 % of 3.8 kg that the torque constants are unsure by"
+    assert 0.11 < heavy < 0.14, "3 % of 3.8 kg that the torque constants are unsure by"
 
 
 def swinging(robot, known, carried, offset=0.05, turns=np.pi / 2, rate=2.0):
@@ -153,14 +153,14 @@ def test_what_a_gripper_does_while_nothing_moves_is_not_known(robot, make):
     known = make(4.0, payload=lambda t: 2.0 * (t < 2.5), noise=0.25, rest=(2.0, 2.8))
     payload, time = weigh(robot, known.samples)
     trusted, off = payload["trusted"] != 0, np.abs(payload["mass"] - 2.0 * (time < 2.5))
-    assert trusted[(time > 1.0) & (time < 2.2)].all()
-    assert not trusted[(time > 2.3) & (time < 2.79)].any()
+    assert trusted[(time > 1.0) & (time < 2.08)].all()
+    assert not trusted[(time > 2.2) & (time < 2.79)].any()
     assert not (trusted & (off > 2 * payload["std_dev"] + 0.02))[time > 1.0].any()
     assert trusted[time > 3.2].all()
 
 
 def test_a_short_stop_takes_no_trust(robot, make):
-    known = make(3.0, payload=lambda t: 2.0 + 0.0 * t, noise=0.25, rest=(2.0, 2.15))
+    known = make(3.0, payload=lambda t: 2.0 + 0.0 * t, noise=0.25, rest=(2.0, 2.05))
     payload, time = weigh(robot, known.samples)
     assert (payload["trusted"] != 0)[time > 1.0].all()
 
