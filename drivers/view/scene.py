@@ -14,7 +14,7 @@ import numpy as np
 
 from schemas.errors import PoseError
 from schemas.keys import robot_key
-from schemas.messages import CDR_LITTLE_ENDIAN, NESTED
+from schemas.messages import CDR_LITTLE_ENDIAN, NESTED, SAMPLE
 from schemas.robot import Robot
 from schemas.ros2 import RosType
 from service.model.kinematics import forward
@@ -60,6 +60,8 @@ class Scene:
         own = f"/deltatwin/{robot_key(robot.name)}"
         self._states, self._shapes = f"{own}/joint_states", f"{own}/robot_description"
         self.topics = {self._states: JOINT_STATE, TRANSFORMS: TF_MESSAGE, self._shapes: STRING}
+        for _ in self.state(SAMPLE.empty(1)[0]):  # what is compiled takes a second to load: not behind the first sample
+            pass
 
     def shapes(self) -> tuple[str, bytes]:
         """Topic and message of the URDF; who comes later needs it again."""

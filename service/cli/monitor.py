@@ -57,11 +57,11 @@ def command(
     if path.exists():
         raise StorageError(f"{path}: exists already; give another name with --out")
     check_folder(path.parent)  # before anything runs: a monitor that cannot record has nothing to do
-    stopped = stop_requested()
+    scene, stopped = Scene(description), stop_requested()
     with counting(f"monitor {name}", 0) as show:
         realtime = go_realtime("monitor", PRIORITY - 10)  # below those whose work it watches
         with open_bus(name, Role.MONITOR, zenoh_config, insecure, ros_domain) as bus:
-            writer = WriterThread(path, name, Scene(description))
+            writer = WriterThread(path, name, scene)
             monitor = Monitor(bus, writer, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
             hint = _Silence(name, monitor.tally.received, running)
             try:
