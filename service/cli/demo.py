@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from drivers.bus import Bus
     from service.monitor.readback import Recorded
 
-LOOPS = 2  # of ten seconds
-
 
 def command(
     out: Annotated[Path, typer.Option(help="Folder for the recording, the picture and the logs.")] = Path(
@@ -24,7 +22,7 @@ def command(
 ) -> None:
     """Replay a bundled Delta log in real time through player, estimator and monitor, each a process of its own.
 
-    Shows a live table for 20 s, then errors of each model, payload against truth, latency and loss. Leaves demo.mcap
+    Shows a live table for 10 s, then errors of each model, payload against truth, latency and loss. Leaves demo.mcap
     (opens in Foxglove and PlotJuggler) and demo.html in the folder.
 
     Example: deltatwin demo --out /tmp/demo
@@ -62,7 +60,7 @@ def command(
             for role in roles:
                 role.wait_ready()
         live = _Live(bus)
-        player = crew.start("", "replay", LOG, "--robot", ROBOT, "--loop", LOOPS, "--wait", 20)
+        player = crew.start("", "replay", LOG, "--robot", ROBOT, "--wait", 20)
         with Live(console=console, refresh_per_second=8, transient=True) as display:
             while player.running:
                 crew.check()
@@ -71,7 +69,7 @@ def command(
         time.sleep(0.5)  # the last answers
     crew.check()
     recorded = read_recording(recording)
-    write_page(picture(recorded), f"{LOG.name} replayed {LOOPS} times: measured against predicted torque", page)
+    write_page(picture(recorded), f"{LOG.name} replayed: measured against predicted torque", page)
     for table in _results(recorded):
         result_console().print(table)
     typer.echo(f"{player.last_words()}\nrecording: {recording}\npicture:   {page}")
@@ -146,27 +144,25 @@ def _payloads(recorded: dict[str, Recorded]) -> Table:
     from service.estimator.kalman import SMOOTHING_LAG
 
     payload = recorded["payload"].records
-    loop = (int(recorded["sample"].records["sequence"][-1]) + 1) // LOOPS
     table = Table(
         "picked at, s", "truth, kg", "estimate, kg", "error", "pick seen after, ms", "release seen after, ms",
         title="payload",
     )  # fmt: skip
     sequence, lag = payload["sequence"].astype(np.int64), round(1000 * SMOOTHING_LAG)
-    for shift in range(0, LOOPS * loop, loop):
-        for row in csv.DictReader(PAYLOADS.open()):
-            begin, end, truth = (float(row[key]) for key in ("from_s", "until_s", "mass_kg"))
-            first, last = (shift + round(1000 * at) for at in (begin, end))  # the log's rate is 1 kHz
+    for row in csv.DictReader(PAYLOADS.open()):
+        begin, end, truth = (float(row[key]) for key in ("from_s", "until_s", "mass_kg"))
+        first, last = (round(1000 * at) for at in (begin, end))  # the log's rate is 1 kHz
 
-            def seen(event: PayloadEvent, since: int, until: int) -> str:
-                found = sequence[(payload["event"] == event) & (sequence >= since) & (sequence < until)]
-                return f"{found[0] + lag - since}" if len(found) else "-"
+        def seen(event: PayloadEvent, since: int, until: int) -> str:
+            found = sequence[(payload["event"] == event) & (sequence >= since) & (sequence < until)]
+            return f"{found[0] + lag - since}" if len(found) else "-"
 
-            held = payload[(sequence < last) & (sequence >= first)]
-            mass = float(held["mass"][-1]) if len(held) else float("nan")
-            table.add_row(
-                f"{first * 1e-3:.2f}", f"{truth:.2f}", f"{mass:.3f}", f"{100 * (mass / truth - 1):+.1f} %",
-                seen(PayloadEvent.PICK, first, last), seen(PayloadEvent.RELEASE, last, last + 400),
-            )  # fmt: skip
+        held = payload[(sequence < last) & (sequence >= first)]
+        mass = float(held["mass"][-1]) if len(held) else float("nan")
+        table.add_row(
+            f"{first * 1e-3:.2f}", f"{truth:.2f}", f"{mass:.3f}", f"{100 * (mass / truth - 1):+.1f} %",
+            seen(PayloadEvent.PICK, first, last), seen(PayloadEvent.RELEASE, last, last + 400),
+        )  # fmt: skip
     return table
 
 
