@@ -58,10 +58,11 @@ def find_change(state):
             product = since[0, 0] * before[0, 0]
             scaled = since_moment[0] * before[0, 0] - before_moment[0] * since[0, 0]
             noise = product * (since[0, 0] + before[0, 0])
-            beyond = (scaled * scaled - HIDDEN_SIGMAS * HIDDEN_SIGMAS * noise) / (product * product)
-            beyond = min(beyond - BIAS_SIGMAS * BIAS_SIGMAS * state.bias, PRIOR_STD * PRIOR_STD)
-            state.hidden = max(state.hidden, beyond)
-            if scaled * scaled <= best * noise:
+            square, likely = scaled * scaled, HIDDEN_SIGMAS * HIDDEN_SIGMAS * noise
+            if square > likely:
+                beyond = (square - likely) / (product * product) - BIAS_SIGMAS * BIAS_SIGMAS * state.bias
+                state.hidden = max(state.hidden, min(beyond, PRIOR_STD * PRIOR_STD))
+            if square <= best * noise:
                 continue
         distance = _step_distance(state, best)
         if distance > best:
