@@ -51,3 +51,7 @@ class StorageError(DeltatwinError):
 
 class DataError(DeltatwinError):
     """The data do not support the answer that was asked for."""
+
+
+class NoWindowError(DataError):
+    """No stretch of a log is long enough, without fault and in motion, to be simulated."""

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from schemas.diagnosis import named_joints
 from schemas.errors import DataError
 from service.identification.pooled import Plain
 from service.identification.regression import (
@@ -118,21 +119,16 @@ def _reading(gram: np.ndarray, gear_ratio: float) -> str:
     if best == given:
         return ""
     faults = []
-    swapped = [joint for joint in range(3) if order[joint] != joint]
-    turned = [joint for joint in range(3) if signs[joint] < 0]
+    swapped = [joint + 1 for joint in range(3) if order[joint] != joint]
+    turned = [joint + 1 for joint in range(3) if signs[joint] < 0]
     if swapped:
-        faults.append(f"the torques of joints {_list(swapped)} are swapped")
+        faults.append(f"the torques of {named_joints(swapped)} are swapped")
     if turned:
-        faults.append(f"the torque of joint{'s' if len(turned) > 1 else ''} {_list(turned)} has the wrong sign")
+        faults.append(f"the torque of {named_joints(turned)} has the wrong sign")
     if scale != 1.0:
         faults.append(f"the torque is not multiplied by the gear ratio {gear_ratio:g}")
     shares = f"as given the model leaves {100 * given:.0f} % of it unexplained, put right {100 * best:.1f} %"
     return f"{' and '.join(faults)}: {shares}"
-
-
-def _list(joints: Sequence[int]) -> str:
-    names = [str(joint + 1) for joint in joints]
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def _left(gram: np.ndarray, order: Sequence[int], signs: Sequence[float], scale: float) -> float:

@@ -12,8 +12,8 @@ from schemas.machine import Machine
 from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.trace import Trace
-from service.estimator.estimator import Estimator, rate_of
 from service.identification.events import Event, JointRun, events, outside
+from service.identification.payload import weighed
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
@@ -100,17 +100,12 @@ def _events(trace: Trace, error: np.ndarray) -> list[Event]:
 
 def _carried(robot: Robot, trace: Trace, along: Motion) -> np.ndarray | None:
     """Torque (N, 3), N m, of the payload as the online estimator weighs it; None where it saw no pick."""
-    samples = trace.samples()
-    payload = Estimator(robot, *rate_of(samples)).run(samples).payload
-    if not (payload["event"] == PayloadEvent.PICK).any():
+    found = weighed(robot, trace)
+    if not (found.event == PayloadEvent.PICK).any():
         return None
-    # row n came out with sample n + lag: no sample is credited with what was learnt after it
-    lag = len(samples) - len(payload)
-    mass = np.zeros(len(samples))
-    trusted = payload["trusted"] != 0
-    newest = np.maximum.accumulate(np.where(trusted, np.arange(len(payload)), -1))
-    held = np.where(newest >= 0, payload["mass"][newest], 0.0)
-    mass[lag:] = np.minimum(held, payload["mass"])  # trusted once, and not lighter since: as tau_FF reckons with it
+    newest = np.maximum.accumulate(np.where(found.trusted, np.arange(len(found.mass)), -1))
+    held = np.where(newest >= 0, found.mass[newest], 0.0)
+    mass = np.minimum(held, found.mass)  # trusted once, and not lighter since: as tau_FF reckons with it
     terms = torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)
     return mass[:, None] * terms[:, PAYLOAD]
 

@@ -151,16 +151,17 @@ def _check(table: Table, channels: Channels, stated: Stated, joints: int | None)
         raise DataError(f"{table.path}: no column of stamps: say --rate HZ, or --time NAME (columns: {listed})")
     if channels.time is not None and channels.time not in table.columns:
         raise DataError(f"{table.path}: no column {channels.time!r}; it has: {listed}")
+    for name in (stated.where and stated.where[0], stated.torque_times):
+        if name is not None and name not in table.columns:
+            raise DataError(f"{table.path}: no column {name!r}; it has: {listed}")
 
 
 def _stretch(table: Table, name: str, equals: float) -> Table:
     """The longest run of rows that count.
 
     Raises:
-        DataError: no such column, or no such row.
+        DataError: no such row.
     """
-    if name not in table.columns:
-        raise DataError(f"{table.path}: no column {name!r}; it has: {', '.join(list(table.columns)[:20])}")
     edges = np.flatnonzero(np.diff(np.concatenate([[False], table.columns[name] == equals, [False]]).astype(int)))
     if not len(edges):
         raise DataError(f"{table.path}: no row has {equals:g} in column {name!r}")
@@ -172,13 +173,7 @@ def _stretch(table: Table, name: str, equals: float) -> Table:
 def _readings(
     table: Table, channels: Channels, times: str | None, reasons: list[str]
 ) -> tuple[Table, dict[str, dict[str, Any]]]:
-    """The table with torques as they are meant, and keys of the columns whose readings are not that.
-
-    Raises:
-        DataError: no column `times`.
-    """
-    if times is not None and times not in table.columns:
-        raise DataError(f"{table.path}: no column {times!r}; it has: {', '.join(list(table.columns)[:20])}")
+    """The table with torques as they are meant, and keys of the columns whose readings are not that."""
     meant, readings = dict(table.columns), {}
     for name in (*channels.torque, *channels.torque_command):
         bits = next((bits for bits in (16, 32) if _without_sign(meant[name], bits)), None)

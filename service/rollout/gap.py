@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from schemas.diagnosis import named_joints
-from schemas.errors import DataError, PoseError, TraceError
+from schemas.errors import DataError, NoWindowError, PoseError, TraceError
 from schemas.robot import Robot, Servo
 from schemas.trace import Trace
 from service.estimator.bounds import bounds_of
@@ -161,8 +161,9 @@ def rollout(
     has in [servo], or else those that the logs show.
 
     Raises:
-        DataError: the horizon makes no sense, no window of it moves, or logs of several rates; without commands, or
-            with torque that does not follow them.
+        NoWindowError: no window of the horizon moves.
+        DataError: the horizon makes no sense, or logs of several rates; without commands, or with torque that does not
+            follow them.
         TraceError: a trace without a usable part, or with positions that are no pose, naming the file.
         RobotError: an effect that is not known.
     """
@@ -172,7 +173,7 @@ def rollout(
     count = sum(len(cut.starts) for cut in windows)
     if not count:
         why = f" and it can be told what is carried (not for {untold:.3g} s)" if untold else ""
-        raise DataError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves{why}")
+        raise NoWindowError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves{why}")
     period, samples = windows[0].segment.period, windows[0].samples
     servo = None
     if commands:
@@ -217,15 +218,6 @@ def rollout(
         used=count * horizon,
         servo=servo,
     )
-
-
-def has_windows(robot: Robot, traces: Sequence[Trace], horizon: float = HORIZON) -> bool:
-    """Whether there is anything to simulate.
-
-    Raises:
-        DataError: the horizon makes no sense, or logs of several rates. TraceError: a trace without a usable part.
-    """
-    return any(len(cut.starts) for _, cut in _cut_up(robot, traces, horizon)[0])
 
 
 def _cut_up(robot: Robot, traces: Sequence[Trace], horizon: float) -> tuple[list[tuple[Trace, Windows]], float]:

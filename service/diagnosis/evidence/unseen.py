@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from schemas.diagnosis import Shrunk, Simulated, Unseen
+from schemas.errors import NoWindowError
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
@@ -21,7 +22,7 @@ from service.model.parameters import Parameters
 from service.model.scene import Recording
 from service.model.signals import Band, segments, thin
 from service.rollout.document import reached
-from service.rollout.gap import has_windows, rollout
+from service.rollout.gap import rollout
 from service.rollout.robot import left_out
 
 
@@ -73,9 +74,10 @@ def _simulated(findings: Findings, trace: Trace) -> Simulated | None:
     robots = {}
     for name, hypothesis in (("before", findings.reference), ("after", findings.best.hypothesis)):
         robots[name] = described(robot, hypothesis, np.zeros(len(Parameters(hypothesis).values)), findings.noise)
-    if not has_windows(robots["after"], [trace]):
+    try:
+        found = rollout(robots, [trace])
+    except NoWindowError:  # there is nothing to simulate
         return None
-    found = rollout(robots, [trace])
     before, after, floor = (reached(deviation) for deviation in (*found.deviations, found.floor))
     return Simulated(
         horizon_s=found.horizon,

@@ -81,14 +81,13 @@ def payload_kernel(settings, state):
 def _note_rest(settings, state, told):
     """Count time without motion that tells the mass, and behind a rest the motion that has told it."""
     if told:
-        state.still = 0.0
         state.untold = max(0.0, state.untold - settings.period)
-    elif state.gripper == UNKNOWN:
-        state.still += settings.period
-        if state.still > STILL_TIME:
-            state.untold = TELLING_TIME
-    else:
+    if told or state.gripper != UNKNOWN:
         state.still = 0.0
+        return
+    state.still += settings.period
+    if state.still > STILL_TIME:
+        state.untold = TELLING_TIME
 
 
 @kernel

@@ -69,7 +69,7 @@ def conclude(settings, state):
     if state.wrong_for > (0.0 if known_empty else SETTLING_TIME):
         state.shortfall += settings.period / SETTLING_TIME * (wrong - state.shortfall)
     std_dev = math.hypot(std_dev, max(state.shortfall, wrong) if empty else state.shortfall)
-    trusted = std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR and state.inflation < FOREIGN
+    trusted = _is_sure(std_dev, mass) and state.inflation < FOREIGN
     state.quiet += 1
     state.burst = max(0.0, state.burst - EVENT_RATE * settings.period)
     margin = CONTRADICTION * std_dev + CONTRADICTION_FLOOR
@@ -90,14 +90,18 @@ def conclude(settings, state):
         state.untold = min(state.untold, LEAST_TIME)  # weighed anew
     state.mass = held
     borne_out = trusted and (known_empty or state.untold == 0.0)
-    trusted = borne_out
     if not known_empty:  # a change may hide in what passes for the model's error; none to take a load away for
         std_dev = math.sqrt(std_dev * std_dev + state.hidden)
-        trusted &= std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR
     state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
-    state.trusted = 1 if trusted else 0
+    state.trusted = 1 if borne_out and (known_empty or _is_sure(std_dev, mass)) else 0
     _reckon(settings, state, borne_out)
     return event
+
+
+@kernel
+def _is_sure(std_dev, mass):
+    """Whether a mass is known well enough to be trusted, kg."""
+    return std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR
 
 
 @kernel

@@ -74,7 +74,10 @@ def test_behind_a_hole_in_which_the_drives_stood_no_wrong_mass_is_trusted():
     source = np.repeat(np.arange(len(held)), 1 + held)
     stands = np.r_[False, source[1:] == source[:-1]]
     still = np.where(stands, 0.0, 1.0)[:, None]
-    later = lambda time: time + PERIOD * held[: round(time / PERIOD)].sum()  # noqa: E731
+
+    def later(time: float) -> float:
+        return time + PERIOD * held[: round(time / PERIOD)].sum()
+
     slowed = Trajectory(
         PERIOD, motion.position[source], motion.velocity[source] * still, motion.acceleration[source] * still,
         tuple(Payload(later(load.pick), later(load.release), load.mass) for load in motion.payloads),
