@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import copy
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -58,7 +59,7 @@ class Mutant:
 
     @property
     def key(self) -> str:
-        """How the list of equivalents names it: file, change and the line's own text."""
+        """How the list of equivalents names it: file, change, the line's own text and which of several such it is."""
         return f"{self.file}: {self.what}"
 
     def of(self, source: str) -> str:
@@ -70,11 +71,14 @@ class Mutant:
 
 def mutants(file: str, source: str) -> Iterator[Mutant]:
     """Every mutant of a file, in the order of its lines."""
-    lines = source.splitlines()
+    lines, seen = source.splitlines(), Counter[str]()
     for path, node, function, outer, compiled in _places(ast.parse(source)):
         line = getattr(node, "lineno", 0)
         for what, change in _changes(node):
-            yield Mutant(file, line, function, outer, compiled, f"{what} in `{lines[line - 1].strip()}`", path, change)
+            text = f"{what} in `{lines[line - 1].strip()}`"
+            seen[text] += 1  # like changes to like text are told apart by their number
+            text += f" #{seen[text]}" * (seen[text] > 1)
+            yield Mutant(file, line, function, outer, compiled, text, path, change)
 
 
 Place = tuple[Path, ast.AST, int, str, bool]
