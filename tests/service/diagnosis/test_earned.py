@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -105,6 +107,27 @@ def test_a_figure_that_changes_from_run_to_run_is_a_stand_in(offsets, stands):
     kept, fallen = earned(made, Split.of(made), chosen(made, OFFSET), 0, [])
     assert kept.best.names == (("torque_offset",) if stands else ())
     assert codes(fallen) == ([] if stands else [("varies", "torque_offset", "run_2")])
+
+
+@pytest.mark.parametrize(("worse", "far", "stands"), [(0.0, True, False), (0.0, False, True), (0.5, True, True)])
+def test_a_name_that_others_would_do_as_well_as_falls_where_something_else_is_at_work_too(worse, far, stands):
+    """worse: share by which the rivals' loss is above that of the name. Level with it, each is ahead on every other
+    block: on nearly every draw one of them wins."""
+    made = logs((1, 2, 3), "joint_spring")
+    split, found = Split.of(made), chosen(made, SPRING)
+    way = 0.01 * found.best.blocks.mean() * (-1.0) ** np.arange(split.blocks)
+    rivals = [
+        replace(
+            found.best,
+            fitted=replace(found.best.fitted, hypothesis=Hypothesis(BASE, (term,))),
+            blocks=found.best.blocks * (1 + worse) + sign * way,
+        )
+        for term, sign in ((RIPPLE, 1), (OFFSET, -1))
+    ]
+    kept, fallen = earned(made, split, replace(found, path=[([found.best, *rivals], found.best)]), 0, [], far)
+    assert kept.best.names == (("joint_spring",) if stands else ())
+    assert codes(fallen) == ([] if stands else [("rivalled", "joint_spring", None)])
+    assert all(one.share is not None and 0 < one.share < 0.3 and one.joints == [1] for one in fallen)
 
 
 @pytest.mark.parametrize("given", [0, 1])

@@ -5,6 +5,7 @@ import pytest
 
 from schemas.errors import PoseError
 from service.model import kinematics
+from service.model.mechanism import Delta
 
 
 def elbows(model, theta):
@@ -112,3 +113,19 @@ def test_a_stretched_arm_has_no_joint_velocity(model):
     still = kinematics.PlatformMotion(position, np.ones(3), np.zeros(3))
     with pytest.raises(PoseError, match="pose"):
         kinematics.inverse_motion(straight, still)
+
+
+def test_arms_are_rods_from_elbow_to_platform_that_turn_about_their_axles(model, poses):
+    theta_dot = np.random.default_rng(4).normal(0, 5, poses.shape)
+    arms = Delta(model, np.ones(3)).arms(poses, theta_dot, np.zeros_like(poses))
+    platform = kinematics.forward(model, poses)
+    np.testing.assert_allclose(arms.forearm, platform[:, None] - elbows(model, poses), atol=1e-12)
+    step = 1e-6
+    after, before = (kinematics.forward(model, poses + way * step * theta_dot) for way in (1, -1))
+    rod = [p[:, None] - elbows(model, poses + w * step * theta_dot) for p, w in ((after, 1), (before, -1))]
+    np.testing.assert_allclose(arms.swing, (rod[0] - rod[1]) / (2 * step), atol=1e-6)
+    slope = (elbows(model, poses + step) - elbows(model, poses - step)) / (2 * step)
+    np.testing.assert_allclose(arms.slope, slope, atol=1e-8)
+    azimuth = np.stack([model.azimuth_cos, model.azimuth_sin, np.zeros(3)], axis=1)
+    pivot = model.radius[:, None] * azimuth
+    np.testing.assert_allclose(np.cross(arms.axle, elbows(model, poses) - pivot), slope, atol=1e-8)
