@@ -16,8 +16,6 @@ from service.model.dynamics import FOREARM, GRAVITY, PAYLOAD, PLATFORM, terms_ke
 from service.model.kinematics import POSE, REACHED, raise_pose, rows
 from service.model.nominal import DeltaModel, record_of
 
-_STILL = np.zeros(3)
-
 
 @kernel
 def mass_kernel(model, rho_1, forearm, carried, pose, mass):
@@ -42,7 +40,9 @@ def mass_kernel(model, rho_1, forearm, carried, pose, mass):
 @kernel
 def bias_kernel(model, rho_2, forearm, carried, theta, theta_dot, pose, terms, bias):
     """Fill bias (3,), N m: torque that `theta_dot` and weight take without acceleration. Returns a status."""
-    status = terms_kernel(model, theta, theta_dot, _STILL, pose, terms)
+    for i in range(3):
+        bias[i] = 0.0  # the acceleration, for as long as the terms are asked for: a constant would compile them anew
+    status = terms_kernel(model, theta, theta_dot, bias, pose, terms)
     if status == REACHED:
         for i in range(3):
             bias[i] = rho_2[i] * terms[GRAVITY, i] + terms[PLATFORM, i] + forearm * terms[FOREARM, i]

@@ -27,7 +27,6 @@ GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of ROS2: what decays fast does so in one s
 SHARPEST = 1e-4  # rad/s over which friction turns where the description has a jump
 SLOW = 0.05  # rad/s below which friction is so steep that the effects' share in it counts
 FARTHEST = 3.0  # rad from the angle that it started at: a robot that runs away
-_STILL = np.zeros(3)
 
 # what is divided by zero is no number, and ends a run: to ask each time would cost a fifth of the speed
 _compiled = kernel(nogil=True, error_model="numpy")
@@ -90,6 +89,7 @@ SCRATCH = np.dtype(
         ("right", "f8", (2, 3)),
         ("matrix", "f8", (3, 3)),
         ("side", "f8", 3),
+        ("still", "f8", 3),  # zero, no constant: its type would compile the effects anew
         ("before", "f8", 3),  # N m, torque at both ends of the step
         ("after", "f8", 3),
     ],
@@ -108,7 +108,7 @@ def _effects(f, s, effects, theta, theta_dot, seconds, torque):
         gear_ratio=f.gear_ratio,
         theta=theta,
         theta_dot=theta_dot,
-        theta_ddot=_STILL,
+        theta_ddot=s.still,
         direction=s.direction,
         load=s.load,
         seconds=seconds,
