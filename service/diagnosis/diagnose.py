@@ -70,7 +70,7 @@ def diagnose(
     problem, floor = pooled.problem_of(recordings)
     split = Split.of(problem)
     refuse_degrees(problem, ", ".join(trace.path.name for trace in traces))
-    plain = score(pooled.fit(problem, floor.sample, pooled.nominal_of(robot)).fitted, split)
+    plain = score(pooled.fit(problem, floor.sample, robot).fitted, split)
     given = _given(robot, baseline)
     timed = Hypothesis(plain.hypothesis.base, given)
     if given:

@@ -55,7 +55,7 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> AxesIdentifica
         )
     problem, noise = pooled.problem_of(recordings)
     refuse_degrees(problem, ", ".join(trace.path.name for trace in traces))
-    fit = pooled.fit(problem, noise.sample, pooled.nominal_of(axes))
+    fit = pooled.fit(problem, noise.sample, axes)
     identified = axes_identified(
         axes,
         {estimate.name: (estimate.value, estimate.std_error) for estimate in fit.estimates},

@@ -57,6 +57,21 @@ class Problem:
         """(R,) joint of each row, a recording."""
         return [np.repeat(np.arange(rows.shape[1]), rows.sum(axis=0)) for rows in self.rows]
 
+    @property
+    def logs(self) -> list[int]:
+        """Which trace each recording is from."""
+        return [recording.trace for recording in self.recordings]
+
+    def rms(self, residuals: Sequence[np.ndarray], groups: Sequence[int] | None = None) -> np.ndarray:
+        """(G, n) N m of (R,) residuals a recording, in units of the noise, by log or other group of recordings."""
+        groups = self.logs if groups is None else groups
+        shape = max(groups) + 1, len(self.sigma)
+        square, count = np.zeros(shape), np.zeros(shape)
+        for group, residual, joint in zip(groups, residuals, self.joints_of_rows, strict=True):
+            square[group] += np.bincount(joint, residual**2, shape[1])
+            count[group] += np.bincount(joint, minlength=shape[1])
+        return np.sqrt(square / np.maximum(count, 1)) * self.sigma
+
     def select(self, index: int, values: np.ndarray) -> np.ndarray:
         """Rows that count of (M, n, ...) of recording `index`, in units of the noise, joint after joint."""
         scaled = values / self.sigma.reshape(1, -1, *([1] * (values.ndim - 2)))

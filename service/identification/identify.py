@@ -47,7 +47,7 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
     _enough(logs)
     recordings = [replace(part, trace=number) for number, log in enumerate(logs) for part in log.recordings]
     problem, noise = pooled.problem_of(recordings)
-    fit = pooled.fit(problem, noise.sample, pooled.nominal_of(robot))
+    fit = pooled.fit(problem, noise.sample, robot)
     transition = fit.fitted.hypothesis.base.transition
     warnings = checks.check_fit(logs, fit, pack(robot).moving_mass)
     if method == "paper":

@@ -26,7 +26,6 @@ from service.identification.fit import Problem
 from service.identification.folds import Split, block_loss, held_out
 from service.identification.noise import Floor, floor, white_noise
 from service.model.hypothesis import Hypothesis
-from service.model.mechanism import mechanism_of
 from service.model.parameters import Parameters, Quantity, base_parameters
 from service.model.ripple import standing_out
 from service.model.scene import Base, Recording
@@ -103,7 +102,7 @@ class Plain:
         parameters, count = Parameters(self.fitted.hypothesis), len(values)
         change = values - parameters.values[:count]
         pairs = zip(self.fitted.residuals, self.fitted.tangents, strict=True)
-        return _rms(self.problem, [r - parameters.widened(t, count) @ change for r, t in pairs])
+        return self.problem.rms([r - parameters.widened(t, count) @ change for r, t in pairs])
 
 
 def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:
@@ -190,7 +189,7 @@ def _turning(problem: Problem, fitted: solver.Fit) -> solver.Fit:
         moment = np.asarray(sum(t.T @ r for t, r in zip(tangents, trial.residuals, strict=True)))
         step = solver.within(gram, moment, low, high)
         rest = [r - t @ step for r, t in zip(trial.residuals, tangents, strict=True)]
-        left.append(np.sum(_rms(problem, rest) ** 2, axis=0))
+        left.append(np.sum(problem.rms(rest) ** 2, axis=0))
     best = np.argmin(np.array(left) @ (rows.T != 0), axis=0)
     suits = np.array([np.asarray(widths[choice])[place] for place, choice in enumerate(best)])
     moved = solver.fit(problem, replace(fitted.hypothesis, base=replace(base, transition=suits)))
@@ -206,18 +205,13 @@ def _wants(fitted: solver.Fit, split: Split, columns: np.ndarray) -> bool:
     return bool(gain.sum() > max(WANTED_GAIN * lost.sum(), WANTED_Z * spread))
 
 
-def nominal_of(robot: Description) -> np.ndarray:
-    """(P,) values of the description, which stand where the data cannot tell; NaN where it has none."""
-    nominal = np.full(len(base_parameters(mechanism_of(robot))), np.nan)
-    if isinstance(robot, Robot):
-        nominal[:3] = 1.0, 1.0, robot.mass.passive_link
-    return nominal
-
-
-def fit(problem: Problem, noise: np.ndarray, nominal: np.ndarray) -> Plain:
-    """Fit the plain model. noise: (n,) N m a sample. nominal: as `nominal_of`."""
+def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
+    """Fit the plain model. noise: (n,) N m a sample. robot: what of it stands where the data cannot tell."""
     known = base_parameters(problem.recordings[0].mechanism)
     count = len(known)
+    nominal = np.full(count, np.nan)
+    if isinstance(robot, Robot):
+        nominal[:3] = 1.0, 1.0, robot.mass.passive_link
     fitted = _base(problem)
     free = Parameters(fitted.hypothesis).values[:count]
     split = Split.of(problem)
@@ -267,8 +261,8 @@ def fit(problem: Problem, noise: np.ndarray, nominal: np.ndarray) -> Plain:
     rigid, viscous, coulomb = np.split(values, [k, k + n])
     base = replace(base, rigid=rigid, viscous=viscous, coulomb=coulomb)
     plain = solver.evaluate(problem, Hypothesis(base, timed=False))
-    logs = [np.full(len(rows), number) for rows, number in zip(plain.residuals, _logs(problem), strict=True)]
-    left, right = _normal_equations(plain, values, logs, max(_logs(problem)) + 1)
+    logs = [np.full(len(rows), number) for rows, number in zip(plain.residuals, problem.logs, strict=True)]
+    left, right = _normal_equations(plain, values, logs, max(problem.logs) + 1)
     alone = len(left) < 2
     without = _solve(left if alone else total_left - left, right if alone else total_right - right, held, fallback)
     result = Plain(
@@ -282,8 +276,8 @@ def fit(problem: Problem, noise: np.ndarray, nominal: np.ndarray) -> Plain:
         ),
         noise,
         np.full((1, n), np.nan),
-        _rms(problem, plain.residuals),
-        _rms(problem, [problem.select(i, target) for i, target in enumerate(problem.target)]),
+        problem.rms(plain.residuals),
+        problem.rms([problem.select(i, target) for i, target in enumerate(problem.target)]),
         without,
         np.full((len(left), n), np.nan),
     )
@@ -385,17 +379,3 @@ def _estimate(
         why = f"open by {100 * relative:.0f} %: more of the motion that shows it"
         return ParameterEstimate(name, unit, value, error, "weak", why)
     return ParameterEstimate(name, unit, value, error, "identifiable")
-
-
-def _logs(problem: Problem) -> list[int]:
-    return [recording.trace for recording in problem.recordings]
-
-
-def _rms(problem: Problem, residuals: Sequence[np.ndarray]) -> np.ndarray:
-    """(T, n) N m of (R,) residuals a recording, in units of the noise."""
-    shape = max(_logs(problem)) + 1, len(problem.sigma)
-    square, count = np.zeros(shape), np.zeros(shape)
-    for log, residual, joint in zip(_logs(problem), residuals, problem.joints_of_rows, strict=True):
-        square[log] += np.bincount(joint, residual**2, shape[1])
-        count[log] += np.bincount(joint, minlength=shape[1])
-    return np.sqrt(square / np.maximum(count, 1)) * problem.sigma

@@ -93,7 +93,7 @@ class Delta:
     frictions = ("1", "2", "3")
     rows = np.eye(3)
     optional = ()
-    start = np.zeros(3)  # a Delta's description is asked for by name, see `pooled.nominal_of`
+    start = np.zeros(3)  # a Delta's description is asked for by name, see `pooled.fit`
     coefficients = {  # noqa: RUF012 - a constant of the class
         "rho_1": Coefficient(""),
         "rho_2": Coefficient(""),

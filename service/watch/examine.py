@@ -19,7 +19,7 @@ from schemas.trace import Trace
 from schemas.watch import Finding
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected, document
-from service.identification.fit import Problem, evaluate
+from service.identification.fit import evaluate
 from service.model.effects import catalogue
 from service.model.effects.base import Effect
 from service.watch.change import changes
@@ -64,20 +64,21 @@ def examine(robot: Robot, case: Case, effects: Sequence[Effect]) -> Finding:
         known = standing(robot, earlier, effects)
         parts, effects = earlier + parts, changes(effects, first)
     found = diagnose(known, parts, effects)
-    late = np.array([recording.trace >= first for recording in found.problem.recordings])
+    late = [int(recording.trace >= first) for recording in found.problem.recordings]
     best = found.best.hypothesis
     without = evaluate(found.problem, replace(best, terms=best.terms[: len(found.given)])).residuals
-    epoch, sigma = case.after.epoch_ns * 1e-9, found.problem.sigma
+    epoch = case.after.epoch_ns * 1e-9
+    before_nm, after_nm = found.problem.rms(without, late)
     finding = Finding(
         schema="deltatwin.finding/1",
         robot=robot.name,
         since_s=round(epoch + case.since, 3),
         until_s=round(epoch + float(case.after.time[-1]), 3),
         joints=(np.flatnonzero(case.joints) + 1).tolist(),
-        before_nm=_rounded(_rms(found.problem, without, ~late) * sigma),
-        after_nm=_rounded(_rms(found.problem, without, late) * sigma),
-        left_nm=_rounded(_rms(found.problem, found.best.fitted.residuals, late) * sigma),
-        floor_nm=_rounded(sigma),
+        before_nm=_rounded(before_nm),
+        after_nm=_rounded(after_nm),
+        left_nm=_rounded(found.problem.rms(found.best.fitted.residuals, late)[1]),
+        floor_nm=_rounded(found.problem.sigma),
         compared=case.before is not None,
         text="",
         diagnosis=document(found),
@@ -142,16 +143,6 @@ def _parts(trace: Trace, count: int) -> list[Trace]:
         )
         for number, rows in enumerate(np.array_split(np.arange(len(trace)), count))
     ]
-
-
-def _rms(problem: Problem, residuals: Sequence[np.ndarray], which: np.ndarray) -> np.ndarray:
-    """(n,) rms of the residuals of the recordings `which`, in units of the noise; zero where there are none."""
-    square, count = np.zeros(len(problem.sigma)), np.zeros(len(problem.sigma))
-    for residual, joints, wanted in zip(residuals, problem.joints_of_rows, which, strict=True):
-        if wanted:
-            square += np.bincount(joints, residual**2, len(square))
-            count += np.bincount(joints, minlength=len(count))
-    return np.sqrt(square / np.maximum(count, 1.0))
 
 
 def _rounded(values: np.ndarray) -> list[float]:
