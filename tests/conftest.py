@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,8 +17,55 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 ON_THE_CLOCK = (
     "tests/drivers/ethercat", "tests/drivers/test_", "tests/drivers/plant/test_live.py", "tests/replay",
     "tests/service/test_", "tests/service/monitor", "tests/service/cli/test_demo.py",
-    "tests/service/experiment/test_closed_loop.py",
+    "tests/service/cli/test_replay.py", "tests/service/experiment/test_closed_loop.py",
 )  # fmt: skip
+STOLEN = 0.03  # s that a hypervisor takes from a processor at once: half of what the bus and its watchdogs stand
+
+
+class _Hypervisor(threading.Thread):
+    """Watches how long this virtual machine stands still, which no real-time priority in it can help.
+
+    Attributes: worst: s stolen from one processor within a tenth of a second, since it was last set to 0.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self.worst = 0.0
+
+    def run(self) -> None:
+        ticks = os.sysconf("SC_CLK_TCK")
+        before = self._stolen()
+        while before:
+            time.sleep(0.1)
+            now = self._stolen()
+            self.worst = max(self.worst, *((new - old) / ticks for old, new in zip(before, now, strict=True)))
+            before = now
+
+    def _stolen(self) -> list[int]:
+        try:
+            lines = Path("/proc/stat").read_text().splitlines()
+        except OSError:
+            return []
+        return [int(line.split()[8]) for line in lines if line.startswith("cpu") and line[3] != " "]
+
+
+HYPERVISOR = _Hypervisor()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What watches the clock and failed while this machine was not let run has shown nothing: it is run again, twice at
+    most, and listed as such."""
+    again = pytest.mark.flaky(reruns=2, condition=lambda: HYPERVISOR.worst >= STOLEN)
+    for item in items:
+        if item.nodeid.startswith(ON_THE_CLOCK):
+            item.add_marker(again)
+    if not HYPERVISOR.is_alive():
+        HYPERVISOR.start()
+
+
+def pytest_runtest_logstart() -> None:
+    """Each test, and each of its repetitions, has its own account."""
+    HYPERVISOR.worst = 0.0
 
 
 @pytest.fixture(scope="session")

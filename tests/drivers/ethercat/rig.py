@@ -93,8 +93,9 @@ class Namespace:
         self.name = name
 
     def prefix(self, *command: str) -> list[str]:
-        """`command` to be run in here."""
-        return ["ip", "netns", "exec", self.name, *command]
+        """`command` to be run in here, as ordinary work whatever this process is: what has to be prompt says so itself,
+        and starting at real-time priority would hold up what runs already."""
+        return ["chrt", "--other", "0", "ip", "netns", "exec", self.name, *command]
 
     def call(self, function: Callable[[], Any]) -> Any:
         """What `function` gives when it runs, on a thread of its own, in here."""

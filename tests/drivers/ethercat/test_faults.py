@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing import forkserver
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,6 @@ class Process:
     def __init__(self, wire: Wire, name: str, *arguments: str) -> None:
         self._log = wire.folder / f"{name}-{time.monotonic_ns()}.log"
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(MODULES)
         self.process: ForkServerProcess = context.Process(
             target=_inside, args=(wire.space.name, str(self._log), [name, *arguments]), daemon=True
         )
@@ -242,9 +242,11 @@ def wire(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Wire]:
     folder = tmp_path_factory.mktemp("faults")
     rig.robot(folder)
     with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:
-        stack.enter_context(prompt())
         runtime = tmp_path_factory.mktemp("r")
         patch.setenv("XDG_RUNTIME_DIR", str(runtime))
+        multiprocessing.set_forkserver_preload(MODULES)
+        forkserver.ensure_running()  # with that folder, and as ordinary work: it imports seconds of modules
+        stack.enter_context(prompt())
         space = stack.enter_context(rig.namespace("faults", middle=(MID_NEAR, MID_FAR)))
         bus = stack.enter_context(open_bus("rig", Role.OBSERVER))
         yield Wire(folder, space, bus, stack)

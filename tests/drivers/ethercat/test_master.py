@@ -54,6 +54,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def robot(files: Path) -> Robot:
+    plan(files)  # compiles, which is not to be done at the priority of `Namespace.call`
     return load_robot(files / "robot.toml")
 
 
