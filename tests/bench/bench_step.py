@@ -1,6 +1,8 @@
 """One estimator step, bytes in to bytes out, beside the same in plain NumPy; and process replay from memory.
 
 uv run python -m tests.bench.bench_step
+
+In turns of a second of samples; and behind a pause of a millisecond each, when caches hold what others left there.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from service.estimator.estimator import Estimator
 from tests.bench.numpy_step import NumpyEstimator
 
 LOOPS = 4  # of the demo log: 40 000 steps
-BLOCK = 100  # steps of the one, then of the other
+BLOCK = 1000  # steps of the one, then of the other: shorter turns would time the caches that the other one emptied
+PAUSED = 4000  # steps behind a pause
 
 
 def main() -> None:
@@ -32,6 +35,7 @@ def main() -> None:
     samples["stamp_sec"], samples["stamp_nanosec"] = np.divmod(time_ns, 10**9)
     size, data = SAMPLE.dtype.itemsize, samples.tobytes()
     messages = [data[n * size : (n + 1) * size] for n in range(len(samples))]
+    messages, paused = messages[:-PAUSED], messages[-PAUSED:]
     compiled, plain = Estimator(robot, 1e-3), NumpyEstimator(robot, 1e-3)
     compiled.warm_up()
 
@@ -54,6 +58,12 @@ def main() -> None:
                 start = time.perf_counter_ns()
                 step(messages[n])
                 taken[name][n] = time.perf_counter_ns() - start
+    taken["paused"] = np.zeros(PAUSED)
+    for n, message in enumerate(paused):
+        time.sleep(1e-3)
+        start = time.perf_counter_ns()
+        ours(message)
+        taken["paused"][n] = time.perf_counter_ns() - start
     print(f"{'step, µs':<10} {'median':>8} {'p99':>8} {'p99.9':>8} {'max':>9} {'count':>7}")
     for name, nanoseconds in taken.items():
         values = np.quantile(nanoseconds, [0.5, 0.99, 0.999, 1.0]) * 1e-3
