@@ -21,7 +21,7 @@ from service.model.hypothesis import Term, correction_of
 from service.model.nominal import pack
 
 MAX_EFFECTS = 12
-_AMPLITUDES, _SHAPES = 4, 2
+_AMPLITUDES, _NONLINEAR = 4, 2
 
 _ONLINE = {effect.name: effect.online for effect in CATALOGUE if effect.online is not None}
 _NUMBER = {name: number for number, name in enumerate(_ONLINE)}
@@ -31,7 +31,7 @@ EFFECT = np.dtype(
         ("number", "i8"),  # of the form that the kernel runs, -1: none
         ("joint", "i8", 3),  # 1 where it acts
         ("amplitude", "f8", (3, _AMPLITUDES)),  # row 0 where it is of the whole robot
-        ("shape", "f8", _SHAPES),
+        ("nonlinear", "f8", _NONLINEAR),
     ],
     align=True,
 )
@@ -59,7 +59,7 @@ def pack_effects(terms: Sequence[Term]) -> np.ndarray:
         raise RobotError(f"effect: {len(kept)} tables, the online model has room for {MAX_EFFECTS}")
     for record, term in zip(records, kept, strict=False):
         record["number"] = _NUMBER[term.effect.name]
-        record["shape"][: len(term.shape)] = term.shape
+        record["nonlinear"][: len(term.nonlinear)] = term.nonlinear
         record["joint"][list(term.joints) or slice(None)] = 1
         record["amplitude"][list(term.places), : term.amplitude.shape[1]] = term.amplitude
     return records

@@ -23,7 +23,7 @@ from service.model.torque import predict
 
 def entry(term: Term, errors: np.ndarray, robot: Description) -> EffectEntry:
     """The `[[effect]]` table of a term."""
-    values = np.append(term.amplitude.ravel(), term.shape)
+    values = np.append(term.amplitude.ravel(), term.nonlinear)
     parameters = {
         known.name: EffectParameter(value=digits(value), unit=in_units_of(robot, known.unit), std_error=digits(error))
         for known, value, error in zip(parameters_of(term), values, errors, strict=True)
@@ -63,7 +63,7 @@ def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -
     if any(joint > count for joint in entry_.joints):
         raise RobotError(f"{at}: joints {entry_.joints}, there are 1 to {count}")
     joints = tuple(joint - 1 for joint in entry_.joints) if effect.per_joint else ()
-    blank = Term.blank(effect, joints, (0.0,) * len(effect.shapes))
+    blank = Term.blank(effect, joints, (0.0,) * len(effect.nonlinear))
     keys = [parameter.name for parameter in parameters_of(blank)]
     for key in keys:
         if key not in entry_.parameters:
@@ -73,7 +73,7 @@ def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -
             raise RobotError(f"{at}: unknown parameter {key!r}")
     numbers = np.array([entry_.parameters[key].value for key in keys])
     amplitude = numbers[: blank.amplitude.size].reshape(blank.amplitude.shape)
-    return replace(blank, amplitude=amplitude, shape=tuple(float(v) for v in numbers[blank.amplitude.size :]))
+    return replace(blank, amplitude=amplitude, nonlinear=tuple(float(v) for v in numbers[blank.amplitude.size :]))
 
 
 def base_of(identified: Identified | None) -> Base:

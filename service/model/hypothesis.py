@@ -19,7 +19,7 @@ class Term:
     effect: Effect
     joints: tuple[int, ...]
     amplitude: np.ndarray
-    shape: tuple[float, ...]
+    nonlinear: tuple[float, ...]
 
     @property
     def places(self) -> tuple[int, ...]:
@@ -27,9 +27,9 @@ class Term:
         return self.joints or (0,)
 
     @classmethod
-    def blank(cls, effect: Effect, joints: tuple[int, ...], shape: tuple[float, ...]) -> Term:
+    def blank(cls, effect: Effect, joints: tuple[int, ...], nonlinear: tuple[float, ...]) -> Term:
         """At amplitude zero."""
-        return cls(effect, joints, np.zeros((max(1, len(joints)), len(effect.amplitudes))), shape)
+        return cls(effect, joints, np.zeros((max(1, len(joints)), len(effect.amplitudes))), nonlinear)
 
 
 @dataclass(frozen=True)
@@ -66,5 +66,5 @@ def inside_of(terms: Sequence[Term]) -> Inside:
     inside = Inside()
     for term in terms:
         for place, amplitude in zip(term.places, term.amplitude, strict=True):
-            term.effect.put_inside(inside, place, amplitude, term.shape)
+            term.effect.put_inside(inside, place, amplitude, term.nonlinear)
     return inside

@@ -2,7 +2,7 @@
 numbers and back, or puts a name, a limit or an error to a number, asks here.
 
 Order: rigid coefficients of the mechanism, viscous and Coulomb friction joint by joint and of what else rubs,
-transition (one, or one a friction), timing; then, effect by effect, amplitudes joint by joint and shapes.
+transition (one, or one a friction), timing; then, effect by effect, amplitudes joint by joint and nonlinear parameters.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Parameters:
         at = self.timing + 1
         self.terms: list[slice] = []
         for term in hypothesis.terms:
-            count = term.amplitude.size + len(term.shape)
+            count = term.amplitude.size + len(term.nonlinear)
             self.terms.append(slice(at, at + count))
             at += count
 
@@ -60,7 +60,7 @@ class Parameters:
         base = self.hypothesis.base
         parts = [base.rigid, base.viscous, base.coulomb, np.atleast_1d(base.transition), [base.timing]]
         for term in self.hypothesis.terms:
-            parts += [term.amplitude.ravel(), term.shape]
+            parts += [term.amplitude.ravel(), term.nonlinear]
         return np.concatenate([np.asarray(part, float) for part in parts])
 
     def at(self, free: np.ndarray) -> Hypothesis:
@@ -77,9 +77,9 @@ class Parameters:
         )
         terms = []
         for term, mine in zip(self.hypothesis.terms, self.terms, strict=True):
-            amplitude, shape = np.split(values[mine], [term.amplitude.size])
+            amplitude, nonlinear = np.split(values[mine], [term.amplitude.size])
             terms.append(
-                replace(term, amplitude=amplitude.reshape(term.amplitude.shape), shape=tuple(map(float, shape)))
+                replace(term, amplitude=amplitude.reshape(term.amplitude.shape), nonlinear=tuple(map(float, nonlinear)))
             )
         return replace(self.hypothesis, base=base, terms=tuple(terms))
 
@@ -161,13 +161,14 @@ def _like(form: float | np.ndarray, values: np.ndarray) -> float | np.ndarray:
 
 
 def parameters_of(term: Term) -> list[Quantity]:
-    """An effect's parameters, amplitudes joint by joint, then shapes."""
+    """An effect's parameters, amplitudes joint by joint, then nonlinear ones."""
     effect, result = term.effect, []
     for joint in term.joints or (None,):
         suffix = f"_{joint + 1}" if joint is not None and len(term.joints) > 1 else ""
         result += [Quantity(name + suffix, a.unit, a.low, a.high) for name, a in effect.amplitudes.items()]
     return result + [
-        Quantity(name, s.unit, s.low, s.high, free=not s.fixed, rough=effect.rough) for name, s in effect.shapes.items()
+        Quantity(name, s.unit, s.low, s.high, free=not s.fixed, rough=effect.rough)
+        for name, s in effect.nonlinear.items()
     ]
 
 

@@ -22,7 +22,7 @@ def added(scene: Scene, term: Term) -> np.ndarray:
     """Torque (N, n) N m that an effect adds at the joints."""
     torque = np.zeros((len(scene.time), scene.joints))
     for place, amplitude in zip(term.places, term.amplitude, strict=True):
-        torque += term.effect.torque(scene, place, amplitude, term.shape)
+        torque += term.effect.torque(scene, place, amplitude, term.nonlinear)
     return torque
 
 
@@ -31,7 +31,7 @@ def reported(scene: Scene, hypothesis: Hypothesis, torque: np.ndarray) -> np.nda
     for term in hypothesis.terms:
         if term.effect.measured:
             for place, amplitude in zip(term.places, term.amplitude, strict=True):
-                torque = term.effect.report(scene, place, torque, amplitude, term.shape)
+                torque = term.effect.report(scene, place, torque, amplitude, term.nonlinear)
     return torque
 
 
@@ -63,12 +63,12 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
                 if term.effect.measured:
                     columns = on_joint(torque[:, [place]], place, n)
                 elif term.effect.own_joint:
-                    columns = on_joint(term.effect.regressors(scene, place, term.shape), place, n)
+                    columns = on_joint(term.effect.regressors(scene, place, term.nonlinear), place, n)
                 else:
-                    columns = term.effect.slopes(scene, place, amplitude, term.shape)
+                    columns = term.effect.slopes(scene, place, amplitude, term.nonlinear)
                 at_joint.append(columns)
                 count += columns.shape[-1]
-        for index in np.flatnonzero([not shape.fixed for shape in term.effect.shapes.values()]):
+        for index in np.flatnonzero([not searched.fixed for searched in term.effect.nonlinear.values()]):
             moved, size = _moved(hypothesis, term, int(index))
             if term.effect.measured:
                 change = reported(scene, moved, torque) - reported(scene, hypothesis, torque)
@@ -86,11 +86,11 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
 
 
 def _moved(hypothesis: Hypothesis, term: Term, index: int) -> tuple[Hypothesis, float]:
-    limits = list(term.effect.shapes.values())[index]
-    shape = np.array(term.shape)
-    size = min(1e-2 * max(abs(shape[index]), 1e-3 * (limits.high - limits.low)), limits.most_step)
-    if shape[index] + size > limits.high:
+    limits = list(term.effect.nonlinear.values())[index]
+    nonlinear = np.array(term.nonlinear)
+    size = min(1e-2 * max(abs(nonlinear[index]), 1e-3 * (limits.high - limits.low)), limits.most_step)
+    if nonlinear[index] + size > limits.high:
         size = -size
-    shape[index] += size
-    moved = replace(term, shape=tuple(float(value) for value in shape))
+    nonlinear[index] += size
+    moved = replace(term, nonlinear=tuple(float(value) for value in nonlinear))
     return replace(hypothesis, terms=tuple(moved if t is term else t for t in hypothesis.terms)), float(size)

@@ -264,7 +264,7 @@ def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], transition:
             spread = np.zeros((3, len(effect.amplitudes)))
             spread[list(term.joints)] = term.amplitude
             values = {key: tuple(map(float, spread[:, n])) for n, key in enumerate(effect.amplitudes)}
-            values |= {key: float(value) for key, value in zip(effect.shapes, term.shape, strict=True)}
+            values |= {key: float(value) for key, value in zip(effect.nonlinear, term.nonlinear, strict=True)}
             if name in FORMS:
                 lines.append(f"            torque += {FORMS[name].format(**values)}  # {name}\n")
             else:

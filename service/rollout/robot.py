@@ -108,7 +108,7 @@ def true_torque(terms: tuple[Term, ...], timing: float, torque: np.ndarray, peri
     for term in reversed(terms):
         if term.effect.measured:
             for place, amplitude in zip(term.places, term.amplitude, strict=True):
-                torque = term.effect.restore(torque, period, place, amplitude, term.shape)
+                torque = term.effect.restore(torque, period, place, amplitude, term.nonlinear)
     return torque
 
 

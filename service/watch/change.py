@@ -31,7 +31,7 @@ class FrictionLevel(Effect):
     dissipates = True
     settles = "the same path at three speeds"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 2)."""
         return np.stack([scene.direction[:, joint], scene.segment.theta_dot[:, joint]], axis=1)
 
@@ -54,21 +54,23 @@ def _kind(kind: type[Effect], first: int) -> type[Effect]:
     def before(scene: Scene) -> bool:
         return scene.recording.trace < first
 
-    def regressors(self: Effect, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self: Effect, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         if not before(scene):
-            return kind.regressors(self, scene, joint, shape)
+            return kind.regressors(self, scene, joint, nonlinear)
         each = () if self.own_joint else (scene.joints,)
         return np.zeros((len(scene.time), *each, max(1, len(self.amplitudes))))
 
-    def torque(self: Effect, scene: Scene, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> np.ndarray:
+    def torque(
+        self: Effect, scene: Scene, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]
+    ) -> np.ndarray:
         if before(scene):
             return np.zeros((len(scene.time), scene.joints))
-        return kind.torque(self, scene, joint, amplitude, shape)
+        return kind.torque(self, scene, joint, amplitude, nonlinear)
 
     def report(
-        self: Effect, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]
+        self: Effect, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]
     ) -> Any:
-        return torque if before(scene) else kind.report(self, scene, joint, torque, amplitude, shape)
+        return torque if before(scene) else kind.report(self, scene, joint, torque, amplitude, nonlinear)
 
     members: dict[str, Any] = {"regressors": regressors, "report": report}
     if kind.torque is not Effect.torque:  # else it is made of the regressors

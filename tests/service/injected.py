@@ -47,13 +47,13 @@ class Injected:
 
     joints: tuple[int, ...]
     amplitude: list[list[float]]
-    shape: tuple[float, ...]
+    nonlinear: tuple[float, ...]
     measured: Callable[[Course, float], np.ndarray]
     close: float = 2e-3
 
     def term(self, name: str) -> Term:
         """As the catalogue says it."""
-        return Term(EFFECTS[name], self.joints, np.array(self.amplitude), self.shape)
+        return Term(EFFECTS[name], self.joints, np.array(self.amplitude), self.nonlinear)
 
 
 def rubbing(effect: plant.PlantEffect, run: Course, start: float) -> np.ndarray:

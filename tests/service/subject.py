@@ -11,7 +11,7 @@ from service.identification.fit import Fit, Problem, evaluate, fit, solve
 from service.identification.folds import Split
 from service.model.description import described, terms_of, torque_along
 from service.model.effects import CATALOGUE, by_name
-from service.model.effects.base import Amplitude, Effect, Shape, on_joint
+from service.model.effects.base import Amplitude, Effect, Nonlinear, on_joint
 from service.model.hypothesis import Hypothesis, Term
 from service.model.mechanism import DecoupledAxes, Delta
 from service.model.parameters import Parameters
@@ -34,6 +34,7 @@ __all__ = [
     "Effect",
     "Fit",
     "Hypothesis",
+    "Nonlinear",
     "Parameters",
     "Problem",
     "Recording",
@@ -42,7 +43,6 @@ __all__ = [
     "Scored",
     "Segment",
     "Selection",
-    "Shape",
     "Split",
     "Term",
     "added",

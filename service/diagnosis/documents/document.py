@@ -132,7 +132,7 @@ def _estimate(value: float, error: float, unit: str, meaning: str = "") -> Estim
 
 def _meaning(effect: Effect, parameter: str, suffix: str) -> str:
     """Of a parameter, named as in `parameters_of`, with the joint where there are several."""
-    quantities = {**effect.amplitudes, **effect.shapes}
+    quantities = {**effect.amplitudes, **effect.nonlinear}
     name, _, joint = (parameter, "", suffix[1:]) if parameter in quantities else parameter.rpartition("_")
     return quantities[name].meaning + (f", joint {joint.partition('_')[0]}" if joint[:1].isdigit() else "")
 
@@ -149,7 +149,7 @@ def _effects(findings: Findings, comparisons: list[ModelComparison]) -> list[Nam
         others = [other for other in hypothesis.terms if other.effect is term.effect]
         suffix = f"_{term.joints[0] + 1}" if len({other.joints for other in others}) > 1 and term.joints else ""
         if sum(other.joints == term.joints for other in others) > 1:
-            suffix += f"_{term.shape[0]:.4g}"
+            suffix += f"_{term.nonlinear[0]:.4g}"
         for known, value, error in zip(every.of_terms[number], every.values[mine], findings.errors[mine], strict=True):
             unit, meaning = in_units_of(findings.robot, known.unit), _meaning(term.effect, known.name, suffix)
             estimate = _estimate(value, error, unit, meaning)
@@ -216,7 +216,9 @@ def _rivals(findings: Findings, comparisons: list[ModelComparison]) -> list[Riva
         shrink = 1.0 - (scored.loss / comparison.before.loss) ** 0.5
         terms = scored.hypothesis.terms
         if shrink > 0:
-            effects = [entry(term, np.zeros(term.amplitude.size + len(term.shape)), findings.robot) for term in terms]
+            effects = [
+                entry(term, np.zeros(term.amplitude.size + len(term.nonlinear)), findings.robot) for term in terms
+            ]
             found.append(Rival(effects=effects, probability=round(probability, 4), shrink=round(shrink, 4)))
     return sorted(found, key=lambda rival: -rival.shrink)
 

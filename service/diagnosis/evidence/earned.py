@@ -29,7 +29,7 @@ LEAST_UNKNOWN = 0.1  # the same of all names together where the noise is not kno
 LEAST_PART = 0.1  # of what tells an effect's figures that a run has to hold to be asked for its own
 Z95 = 1.96
 LIKELY = 0.5  # probability that a name needs where far more than noise is left
-OPEN = 0.5  # standard error over value of a shape without amplitudes, from which it is open whether there is any
+OPEN = 0.5  # standard error over value of a parameter without amplitudes, from which it is open whether there is any
 
 
 def earned(

@@ -1,4 +1,4 @@
-"""Effects that are at work several times on a joint, each time in another shape: cogging of many orders.
+"""Effects that are at work several times on a joint, each time at another order: cogging of many orders.
 
 Once one order is found, the others are looked for at once, by what they leave over the turns of the motor: one by one
 they would be a catalogue's worth of rounds, and each alone explains too little of the rest to be believed.
@@ -38,7 +38,7 @@ def _one_more(problem: Problem, split: Split, best: Scored, effect: Effect, join
         return None
     strength = _left(problem, best, joint)
     for term in mine:
-        near = np.abs(np.arange(len(strength)) - term.shape[0]) < APART
+        near = np.abs(np.arange(len(strength)) - term.nonlinear[0]) < APART
         strength[near] = 0.0
     for order in np.argsort(strength)[::-1][:TRIED]:
         term = Term.blank(effect, (joint,), (float(order),))

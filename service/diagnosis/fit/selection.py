@@ -1,8 +1,8 @@
 """Which effects: forward selection on held-out prediction, every parameter refitted each time, with a backward check.
 
-A dictionary of candidate regressors (every effect, joint and shape on its grid) is turned into normal equations once a
+A dictionary of candidate regressors (every effect, joint and point of its grid) is turned into normal equations once a
 step, one Gram matrix a fold; leaving a fold out, adding any candidate and predicting what was left out then costs a
-small linear solve. The best few are fitted exactly, shapes included, before one is believed.
+small linear solve. The best few are fitted exactly, nonlinear parameters included, before one is believed.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ LEAST_Z = 3.0  # standard errors over blocks
 SIMPLER_SHARE = 0.02  # of a gain that a hypothesis with fewer parameters may lack
 TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
 ROUGH_PROMISE = 0.7  # of the cost: a rough effect that does not get below it is not refined
-ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its shapes, where slopes mislead
+ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its nonlinear parameters, where slopes mislead
 HARM = 0.95  # of the loss on data left out that is left without the timing: then it is not of the plant
-SPREAD_GAIN = 40.0  # squared residual, in units of the noise, that shapes of their own must be worth
+SPREAD_GAIN = 40.0  # squared residual, in units of the noise, that nonlinear parameters of their own must be worth
 ROUGH_JOINT_SHARE = 0.3  # the same where the grid only comes near
 FAR_ABOVE = 2.0  # times the noise, from which what is left is a cause of its own
 JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
@@ -40,15 +40,15 @@ JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single join
 
 @dataclass(frozen=True)
 class Candidate:
-    """One way an effect may be at work: where, in which shape."""
+    """One way an effect may be at work: where, and at which point of its grid."""
 
     effect: Effect
     joints: tuple[int, ...]
-    shape: tuple[float, ...]
+    nonlinear: tuple[float, ...]
 
     def term(self) -> Term:
         """At amplitude zero."""
-        return Term.blank(self.effect, self.joints, self.shape)
+        return Term.blank(self.effect, self.joints, self.nonlinear)
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ class Regressors:
         self.index: dict[tuple[Effect, int, tuple[float, ...]], np.ndarray] = {}
         scenes, low = problem.scenes(start), []
         for effect in self.effects:
-            shapes = dict.fromkeys(shape for scene in scenes for shape in effect.grid(scene))
+            grid = dict.fromkeys(point for scene in scenes for point in effect.grid(scene))
             for joint in range(scenes[0].joints) if effect.per_joint else (0,):
-                for shape in shapes:
+                for nonlinear in grid:
                     own = [amplitude.low for amplitude in effect.amplitudes.values()] or [0.0]
-                    self.index[effect, joint, shape] = len(low) + np.arange(len(own))
+                    self.index[effect, joint, nonlinear] = len(low) + np.arange(len(own))
                     low += own
         self.low = np.array(low)
         self.seen: list[Effect] | None = None
@@ -126,8 +126,8 @@ class Regressors:
         measured = any(term.effect.measured for term in hypothesis.terms)
         parts: list[np.ndarray] = []
         owners: list[np.ndarray] = []  # a column's joint, or -1 for the first of n columns that are one regressor
-        for effect, joint, shape in self.index:
-            values = effect.regressors(scene, joint, shape)
+        for effect, joint, nonlinear in self.index:
+            values = effect.regressors(scene, joint, nonlinear)
             if effect.own_joint and not measured:
                 parts.append(values)
                 owners.append(np.full(values.shape[-1], joint))
@@ -189,7 +189,7 @@ class Dictionary:
     def loss(self, candidate: Candidate) -> float:
         """Squared residual on the folds left out, with the candidate added inside its limits."""
         places = candidate.joints or (0,)
-        chosen = np.concatenate([self.index[candidate.effect, joint, candidate.shape] for joint in places])
+        chosen = np.concatenate([self.index[candidate.effect, joint, candidate.nonlinear] for joint in places])
         chosen = chosen[self.alive[chosen]]
         if not len(chosen):
             return self.nothing
@@ -205,9 +205,9 @@ class Dictionary:
     ) -> list[tuple[float, Candidate]]:
         """The best candidate of every effect, best first. An effect at work is not offered on its own joints again."""
         busy = {(term.effect, place) for term in taken for place in term.places}
-        shapes: dict[Effect, set[tuple[float, ...]]] = {}
-        for effect, _, shape in self.index:
-            shapes.setdefault(effect, set()).add(shape)
+        grids: dict[Effect, set[tuple[float, ...]]] = {}
+        for effect, _, nonlinear in self.index:
+            grids.setdefault(effect, set()).add(nonlinear)
         result = []
         for effect in self.effects:
             options: list[tuple[int, ...]] = [(joint,) for joint in range(joints)] if effect.per_joint else [()]
@@ -221,8 +221,8 @@ class Dictionary:
             scored = [
                 (self.loss(candidate) + 2.0 * self._size(candidate), candidate)
                 for option in options
-                for shape in shapes[effect]
-                for candidate in [Candidate(effect, option, shape)]
+                for nonlinear in grids[effect]
+                for candidate in [Candidate(effect, option, nonlinear)]
             ]
             if scored:
                 found = _prefer_single(scored, self.nothing)
@@ -234,7 +234,7 @@ class Dictionary:
     def _dead(self, candidate: Candidate) -> bool:
         """Whether all data together leave nothing of an effect on one of its joints."""
         total = np.asarray(sum(self.left_out))
-        chosen = [self.index[candidate.effect, joint, candidate.shape] for joint in candidate.joints]
+        chosen = [self.index[candidate.effect, joint, candidate.nonlinear] for joint in candidate.joints]
         every = np.concatenate(chosen)
         low = self.low[every]
         weight = within(total[np.ix_(every, every)], total[every, -1], low, np.full(len(every), np.inf))
@@ -243,7 +243,7 @@ class Dictionary:
         return any(b.any() and part[b].all() for part, b in zip(parts, bounded, strict=True))
 
     def _size(self, candidate: Candidate) -> int:
-        return sum(len(self.index[candidate.effect, joint, candidate.shape]) for joint in candidate.joints or (0,))
+        return sum(len(self.index[candidate.effect, joint, candidate.nonlinear]) for joint in candidate.joints or (0,))
 
 
 def _assembled(own: int, near: np.ndarray, cross: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -410,7 +410,7 @@ def one_cause_first(ordered: list[Scored], without: Scored, rows: int) -> list[S
 def each_arm(term: Term) -> bool:
     """Whether a term is a spring, mass or length that several arms would have, each another: a force on the platform is
     spread over the arms like that. Friction, cogging, play may be in every gear."""
-    return len(term.joints) > 1 and not term.effect.dissipates and not term.effect.shapes
+    return len(term.joints) > 1 and not term.effect.dissipates and not term.effect.nonlinear
 
 
 def with_term(hypothesis: Hypothesis, term: Term) -> Hypothesis:
@@ -421,7 +421,7 @@ def with_term(hypothesis: Hypothesis, term: Term) -> Hypothesis:
 
 def fit_added(problem: Problem, hypothesis: Hypothesis, term: Term) -> Fit:
     """Fit with one more effect, from the best of the starts it asks for."""
-    starts = [with_term(hypothesis, replace(term, shape=shape)) for shape in term.effect.starts(term.shape)]
+    starts = [with_term(hypothesis, replace(term, nonlinear=start)) for start in term.effect.starts(term.nonlinear)]
     if not term.effect.rough:
         return fit(problem, starts[0])
     best = min((fit(problem, start, iterations=1) for start in starts), key=lambda fitted: fitted.cost)
@@ -429,11 +429,11 @@ def fit_added(problem: Problem, hypothesis: Hypothesis, term: Term) -> Fit:
     if best.cost > ROUGH_PROMISE * plain:
         return best
     best = fit(problem, best.hypothesis)
-    for index, shape in enumerate(term.effect.shapes.values()):
-        for factor in ROUGH_STEPS if not shape.fixed else ():
+    for index, searched in enumerate(term.effect.nonlinear.values()):
+        for factor in ROUGH_STEPS if not searched.fixed else ():
             last = best.hypothesis.terms[-1]
-            moved = tuple(v * factor if i == index else v for i, v in enumerate(last.shape))
-            terms = (*best.hypothesis.terms[:-1], replace(last, shape=moved))
+            moved = tuple(v * factor if i == index else v for i, v in enumerate(last.nonlinear))
+            terms = (*best.hypothesis.terms[:-1], replace(last, nonlinear=moved))
             trial = fit(problem, replace(best.hypothesis, terms=terms), iterations=2)
             best = trial if trial.cost < best.cost else best
     return best
@@ -451,9 +451,9 @@ def worth(candidate: np.ndarray, without: np.ndarray, none: np.ndarray, rows: in
 
 
 def spread(problem: Problem, split: Split, best: Scored) -> Scored:
-    """Give the joints of the effect found last shapes of their own, where the data left out gain by it."""
+    """Give the joints of the effect found last their own nonlinear parameters, where the data left out gain by it."""
     term = best.hypothesis.terms[-1]
-    if not term.effect.own_shapes or len(term.joints) < 2:
+    if not term.effect.own_nonlinear or len(term.joints) < 2:
         return best
     apart = tuple(
         replace(term, joints=(joint,), amplitude=term.amplitude[[place]]) for place, joint in enumerate(term.joints)

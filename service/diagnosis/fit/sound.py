@@ -10,7 +10,7 @@ import numpy as np
 from service.identification.fit import Problem
 from service.model.hypothesis import Hypothesis, Term
 
-AT_LIMIT = 1e-6  # of a shape's range: so near to its end it stands there
+AT_LIMIT = 1e-6  # of a nonlinear parameter's range: so near to its end it stands there
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,10 @@ def fault_of(problem: Problem, hypothesis: Hypothesis, given: int) -> Fault | No
             return Fault("beyond_any_robot", term)
         if any(_nothing_of(term, place) for place in range(len(term.amplitude))):
             return Fault("at_limit", term, next(iter(term.effect.amplitudes)))
-        for (name, shape), value in zip(term.effect.shapes.items(), term.shape, strict=True):
-            near = AT_LIMIT * (shape.high - shape.low)
-            at_end = min(value - shape.low, shape.high - value) <= near
-            if at_end and not shape.fixed and not shape.minor:
+        for (name, searched), value in zip(term.effect.nonlinear.items(), term.nonlinear, strict=True):
+            near = AT_LIMIT * (searched.high - searched.low)
+            at_end = min(value - searched.low, searched.high - value) <= near
+            if at_end and not searched.fixed and not searched.minor:
                 return Fault("at_limit", term, name)
     rubbing = [term for term in hypothesis.terms if term.effect.dissipates]
     for term in hypothesis.terms[given:] if rubbing else ():
@@ -59,7 +59,7 @@ def _drives(problem: Problem, hypothesis: Hypothesis, rubbing: list[Term], joint
         for term in rubbing:
             for place, other in enumerate(term.joints):
                 if other == joint:
-                    torque = torque + term.effect.torque(scene, joint, term.amplitude[place], term.shape)[:, joint]
+                    torque = torque + term.effect.torque(scene, joint, term.amplitude[place], term.nonlinear)[:, joint]
         power = torque * speed * scene.segment.moving[:, joint]
         work += power[speed > 0].sum(), power[speed < 0].sum()
     return bool((work < 0).any())

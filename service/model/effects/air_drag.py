@@ -39,7 +39,7 @@ class AirDrag(Effect):
     kinds = frozenset({"delta"})
     settles = "long straight moves at full speed"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 1)."""
         velocity = scene.arms.velocity
         return scene.at_platform(velocity * np.linalg.norm(velocity, axis=1, keepdims=True))[..., None]

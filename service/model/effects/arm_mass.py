@@ -37,12 +37,12 @@ class ArmMass(Effect):
     kinds = frozenset({"delta"})
     settles = "fast moves and slow sweeps over a wide range of this joint's angle"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
         model, motion = scene.delta.model, scene.segment
         inertia = model.active_length[joint] ** 2 / 3 * motion.theta_ddot[:, joint]
         return (inertia - scene.arms.slope[:, joint] @ (model.gravity + scene.lean) / 2)[:, None]
 
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
         """Its inertia."""
         inside.arm[joint] += amplitude[0]

@@ -37,7 +37,7 @@ class AsymmetricFriction(Effect):
     online = staticmethod(_online)
     settles = "the same path at three speeds in both directions"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 2)."""
         speed = np.abs(scene.segment.theta_dot[:, joint])
         return np.stack([np.ones_like(speed), speed], axis=1)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Effect, Inside, Shape
+from service.model.effects.base import Effect, Inside, Nonlinear
 from service.model.scene import Scene
 from service.model.two_masses import two_masses
 
@@ -23,12 +23,12 @@ HALVES = (0.0003, 0.00045, 0.0007, 0.001, 0.0015, 0.0023, 0.0035, 0.005)
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    half: Shape = Shape("rad", "half the lost motion, joint side", HALVES, 1e-4, 0.02)
-    contact_hz: Shape = Shape(
+    half: Nonlinear = Nonlinear("rad", "half the lost motion, joint side", HALVES, 1e-4, 0.02)
+    contact_hz: Nonlinear = Nonlinear(
         "Hz", "natural frequency of the link on the closed flank", (120.0,), 20.0, 400.0, fixed=True
     )
-    contact_damping: Shape = Shape("", "damping ratio of the closed flank", (2.0,), 0.05, 4.0, fixed=True)
-    motor_share: Shape = Shape(
+    contact_damping: Nonlinear = Nonlinear("", "damping ratio of the closed flank", (2.0,), 0.05, 4.0, fixed=True)
+    motor_share: Nonlinear = Nonlinear(
         "", "share of the joint's inertia on the motor side", (0.1, 0.2, 0.35, 0.55), 0.02, 0.9, minor=True
     )
     name = "backlash"
@@ -42,14 +42,14 @@ class Backlash(Effect):
     rough = True
     settles = "moves whose braking torque exceeds gravity, so that the transmitted torque changes sign"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
-        return two_masses(scene, joint, *shape)[..., None]
+        return two_masses(scene, joint, *nonlinear)[..., None]
 
-    def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:
+    def starts(self, nonlinear: tuple[float, ...]) -> list[tuple[float, ...]]:
         """Impacts move in time with the gap: neighbours on the grid's scale."""
-        return [(factor * shape[0], *shape[1:]) for factor in (0.87, 1.0, 1.15)]
+        return [(factor * nonlinear[0], *nonlinear[1:]) for factor in (0.87, 1.0, 1.15)]
 
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
         """A gap and its two flanks."""
-        inside.two_masses[joint] = shape
+        inside.two_masses[joint] = nonlinear

@@ -1,7 +1,7 @@
 """What an effect is: a dataclass of quantities with units, and the torque it adds.
 
-Amplitudes enter the torque linearly and are found by least squares; shapes do not and are searched. An effect on single
-joints has its own amplitudes a joint and shares its shapes; any other has one set for the whole robot.
+Amplitudes enter the torque linearly and are found by least squares; nonlinear parameters are searched. An effect on
+single joints has its own amplitudes a joint and shares its nonlinear parameters; any other has one set for the robot.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Amplitude:
 
 
 @dataclass(frozen=True)
-class Shape:
+class Nonlinear:
     """A quantity that is searched: tried at `grid`, refined between `low` and `high`, kept if `fixed`.
 
     minor: the torque hardly depends on it, so that a limit of its own says nothing about the effect.
@@ -99,18 +99,17 @@ class Shape:
 class Effect(ABC):
     """One unmodelled effect. Fields of a subclass are its quantities, in the order of the documents.
 
-    name: as in the catalogue. title: the same in words of the plant. means: what it means and what to do.
-    per_joint: sits on single joints. own_joint: adds torque to no other joint than its own.
-    measured: alters the reported torque instead of adding to it. rough: its torque is no smooth function of its shapes,
-    so they are kept when a part of the data is left out. own_shapes: each joint may have shapes of its own.
-    repeats: may be at work more than once on a joint. kinds:
-    mechanisms it makes sense for. settles: the motion that tells it from what it resembles. directional: a joint that
-    moves one way only does not show it. dissipates: friction, which together with the base model's takes energy out of
-    the motion in either direction. same: effects that no motion tells it from. takes_timing: it has the place of
-    the timing within a sample. beyond: `size` that no robot which runs has, several times the strongest of the blind
-    test: an effect that large stands in for a wrong description; beyond_together: the same on several joints at once.
-    online: compiled (effect record, Instant, joint) -> N m from the present sample, where there is such a form; of the
-    effects that come along only.
+    name: as in the catalogue. title: the same in words of the plant. means: what it means and what to do. per_joint:
+    sits on single joints. own_joint: adds torque to no other joint than its own. measured: alters the reported torque
+    instead of adding to it. rough: its torque is no smooth function of its nonlinear parameters, so they are kept when
+    a part of the data is left out. own_nonlinear: each joint may have own ones. repeats: may be at work more than once
+    on a joint. kinds: mechanisms it makes sense for. settles: the motion that tells it from what it resembles.
+    directional: a joint that moves one way only does not show it. dissipates: friction, which together with the base
+    model's takes energy out of the motion in either direction. same: effects that no motion tells it from.
+    takes_timing: it has the place of the timing within a sample. beyond: `size` that no robot which runs has, several
+    times the strongest of the blind test: an effect that large stands in for a wrong description; beyond_together: the
+    same on several joints at once. online: compiled (effect record, Instant, joint) -> N m from the present sample,
+    where there is such a form; of the effects that come along only.
     """
 
     name: ClassVar[str]
@@ -120,7 +119,7 @@ class Effect(ABC):
     own_joint: ClassVar[bool] = True
     measured: ClassVar[bool] = False
     rough: ClassVar[bool] = False
-    own_shapes: ClassVar[bool] = False
+    own_nonlinear: ClassVar[bool] = False
     repeats: ClassVar[bool] = False
     kinds: ClassVar[frozenset[str]] = frozenset({"delta", "axes", "chain"})
     settles: ClassVar[str]
@@ -143,12 +142,12 @@ class Effect(ABC):
         return {f.name: f.default for f in fields(self) if isinstance(f.default, Amplitude)}
 
     @property
-    def shapes(self) -> dict[str, Shape]:
+    def nonlinear(self) -> dict[str, Nonlinear]:
         """Searched quantities, name -> description."""
-        return {f.name: f.default for f in fields(self) if isinstance(f.default, Shape)}
+        return {f.name: f.default for f in fields(self) if isinstance(f.default, Nonlinear)}
 
     @abstractmethod
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """Torque per unit of each amplitude at the operating point of `scene`.
 
         joint: from 0; ignored unless `per_joint`. Returns (N, k) on that joint where `own_joint`, else (N, n, k). Where
@@ -164,42 +163,43 @@ class Effect(ABC):
         adds no torque instead."""
 
     def put_inside(  # noqa: B027 - most do not
-        self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
+        self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]
     ) -> None:
         """Put the effect on `joint` into what a simulation carries: where it has neither an online form nor a place in
         the online model's settings, and the inertia of one whose online form depends on the acceleration."""
 
     def grid(self, scene: Scene) -> list[tuple[float, ...]]:
-        """Shapes to try first."""
-        return list(itertools.product(*(shape.grid for shape in self.shapes.values())))
+        """Nonlinear parameters to try first."""
+        return list(itertools.product(*(searched.grid for searched in self.nonlinear.values())))
 
-    def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:
-        """Where the fit of the shapes starts; more than one where its neighbourhood is rough."""
-        return [shape]
+    def starts(self, nonlinear: tuple[float, ...]) -> list[tuple[float, ...]]:
+        """Where the fit of the nonlinear parameters starts; more than one where its neighbourhood is rough."""
+        return [nonlinear]
 
-    def torque(self, scene: Scene, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> np.ndarray:
+    def torque(self, scene: Scene, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> np.ndarray:
         """Torque (N, n) N m that the effect adds; exact where `regressors` is a linearisation."""
-        columns = self.regressors(scene, joint, shape)
+        columns = self.regressors(scene, joint, nonlinear)
         torque = columns @ amplitude if self.amplitudes else columns[..., 0]
         return on_joint(torque, joint, scene.joints) if self.own_joint else torque
 
-    def slopes(self, scene: Scene, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> np.ndarray:
+    def slopes(self, scene: Scene, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> np.ndarray:
         """Slope (N, n, k) of `torque` by each amplitude; only of effects that reach several joints."""
         if type(self).torque is Effect.torque:
-            return self.regressors(scene, joint, shape)
+            return self.regressors(scene, joint, nonlinear)
         steps = 1e-4 * np.eye(len(amplitude))
         columns = [
-            self.torque(scene, joint, amplitude + step, shape) - self.torque(scene, joint, amplitude - step, shape)
+            self.torque(scene, joint, amplitude + step, nonlinear)
+            - self.torque(scene, joint, amplitude - step, nonlinear)
             for step in steps
         ]
         return np.stack(columns, axis=-1) / 2e-4
 
-    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
+    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]):
         """What is reported of a true joint torque (..., n); only where `measured`."""
         raise NotImplementedError
 
     def restore(
-        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
+        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]
     ) -> np.ndarray:
         """`report` undone: the true joint torque (N, n) of a reported one; only where `measured`. period: s."""
         raise NotImplementedError

@@ -30,7 +30,7 @@ class BaseTilt(Effect):
     kinds = frozenset({"delta"})
     settles = "slow sweeps to all sides of the workspace"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 2)."""
         model = scene.delta.model
         link_mass = scene.base.rigid[1] * model.link_mass

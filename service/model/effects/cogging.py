@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.effects.base import Amplitude, Effect, Nonlinear
 from service.model.ripple import MOST_ORDER, standing_out
 from service.model.scene import Scene
 
@@ -24,7 +24,7 @@ MOST_PEAKS = 4  # a joint and run
 
 @kernel
 def _online(effect, now, i):
-    angle = effect.shape[0] * now.gear_ratio * now.theta[i]
+    angle = effect.nonlinear[0] * now.gear_ratio * now.theta[i]
     return effect.amplitude[i, 0] * math.cos(angle) + effect.amplitude[i, 1] * math.sin(angle)
 
 
@@ -32,7 +32,7 @@ def _online(effect, now, i):
 class Cogging(Effect):
     cosine: Amplitude = Amplitude("N m", "cosine part of the amplitude, joint side")
     sine: Amplitude = Amplitude("N m", "sine part of the amplitude, joint side")
-    order: Shape = Shape("", "periods a motor turn", COGGING_ORDERS, 0.5, MOST_ORDER, most_step=0.05)
+    order: Nonlinear = Nonlinear("", "periods a motor turn", COGGING_ORDERS, 0.5, MOST_ORDER, most_step=0.05)
     name = "cogging"
     title = "Torque ripple over the motor turn (cogging)"
     means = (
@@ -51,7 +51,7 @@ class Cogging(Effect):
             orders.update(standing_out(turns[moving, joint], left[moving, joint])[:MOST_PEAKS])
         return [(float(order),) for order in sorted(orders)]
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 2)."""
-        angle = shape[0] * scene.mechanism.gear_ratio[joint] * scene.segment.theta[:, joint]
+        angle = nonlinear[0] * scene.mechanism.gear_ratio[joint] * scene.segment.theta[:, joint]
         return np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Effect, Inside, Shape
+from service.model.effects.base import Amplitude, Effect, Inside, Nonlinear
 from service.model.scene import Scene
 
 
@@ -19,7 +19,7 @@ from service.model.scene import Scene
 class EncoderEccentricity(Effect):
     cosine: Amplitude = Amplitude("rad", "cosine part, true minus measured angle, joint side")
     sine: Amplitude = Amplitude("rad", "sine part, true minus measured angle, joint side")
-    order: Shape = Shape("", "periods a motor turn", (1, 2, 3, 4), 0.5, 20.0)
+    order: Nonlinear = Nonlinear("", "periods a motor turn", (1, 2, 3, 4), 0.5, 20.0)
     name = "encoder_eccentricity"
     title = "The encoder runs out of centre"
     means = (
@@ -30,10 +30,10 @@ class EncoderEccentricity(Effect):
     own_joint = False
     settles = "a constant-speed sweep of this joint at medium speed"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, n, 2)."""
         motion = scene.segment
-        ratio = shape[0] * scene.mechanism.gear_ratio[joint]
+        ratio = nonlinear[0] * scene.mechanism.gear_ratio[joint]
         angle = ratio * motion.theta[:, joint]
         speed, acceleration = ratio * motion.theta_dot[:, joint], ratio * motion.theta_ddot[:, joint]
         cosine, sine = np.cos(angle), np.sin(angle)
@@ -45,6 +45,6 @@ class EncoderEccentricity(Effect):
             axis=-1,
         )
 
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
         """An error of the measured angle."""
-        inside.wobble.append((joint, float(amplitude[0]), float(amplitude[1]), shape[0]))
+        inside.wobble.append((joint, float(amplitude[0]), float(amplitude[1]), nonlinear[0]))

@@ -26,17 +26,17 @@ class GeometryError(Effect):
     own_joint = False
     kinds = frozenset({"delta"})
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 1)."""
         first, _ = scene.by_geometry(self.part, joint)
         return first[..., None]
 
-    def slopes(self, scene: Scene, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> np.ndarray:
+    def slopes(self, scene: Scene, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 1)."""
         first, second = scene.by_geometry(self.part, joint)
         return (first + amplitude[0] * second)[..., None]
 
-    def torque(self, scene: Scene, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> np.ndarray:
+    def torque(self, scene: Scene, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 3), to second order."""
         first, second = scene.by_geometry(self.part, joint)
         return amplitude[0] * (first + 0.5 * amplitude[0] * second)

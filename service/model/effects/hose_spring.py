@@ -37,7 +37,7 @@ class HoseSpring(Effect):
     kinds = frozenset({"delta"})
     settles = "slow sweeps to the edges of the workspace"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 4)."""
         columns = [scene.at_platform(scene.arms.position)]
         columns += [scene.at_platform(axis) for axis in np.eye(3)]

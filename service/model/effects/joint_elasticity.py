@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Effect, Inside, Shape
+from service.model.effects.base import Effect, Inside, Nonlinear
 from service.model.scene import Scene
 from service.model.two_masses import two_masses
 
@@ -21,9 +21,11 @@ NATURAL_HZ = (4.0, 5.4, 7.3, 9.8, 13.0, 18.0, 24.0, 33.0, 45.0, 60.0)
 
 @dataclass(frozen=True)
 class JointElasticity(Effect):
-    natural_hz: Shape = Shape("Hz", "natural frequency of the link against a held motor", NATURAL_HZ, 2.0, 250.0)
-    damping_ratio: Shape = Shape("", "damping ratio of the link", (0.07,), 0.01, 2.0, minor=True)
-    motor_share: Shape = Shape(
+    natural_hz: Nonlinear = Nonlinear(
+        "Hz", "natural frequency of the link against a held motor", NATURAL_HZ, 2.0, 250.0
+    )
+    damping_ratio: Nonlinear = Nonlinear("", "damping ratio of the link", (0.07,), 0.01, 2.0, minor=True)
+    motor_share: Nonlinear = Nonlinear(
         "", "share of the joint's inertia on the motor side", (0.13, 0.35), 0.02, 0.9, minor=True
     )
     name = "joint_elasticity"
@@ -36,14 +38,14 @@ class JointElasticity(Effect):
     rough = True
     settles = "fast moves with jumps in acceleration"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
-        return two_masses(scene, joint, 0.0, shape[0], shape[1], shape[2])[..., None]
+        return two_masses(scene, joint, 0.0, nonlinear[0], nonlinear[1], nonlinear[2])[..., None]
 
-    def starts(self, shape: tuple[float, ...]) -> list[tuple[float, ...]]:
+    def starts(self, nonlinear: tuple[float, ...]) -> list[tuple[float, ...]]:
         """A lightly damped link answers sharply to its natural frequency."""
-        return [(factor * shape[0], *shape[1:]) for factor in (0.9, 1.0, 1.1)]
+        return [(factor * nonlinear[0], *nonlinear[1:]) for factor in (0.9, 1.0, 1.1)]
 
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
         """A spring and a damper."""
-        inside.two_masses[joint] = (0.0, *shape)
+        inside.two_masses[joint] = (0.0, *nonlinear)

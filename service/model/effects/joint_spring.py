@@ -32,7 +32,7 @@ class JointSpring(Effect):
     online = staticmethod(_online)
     settles = "a slow sweep over the whole angle of this joint alone"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 2)."""
         theta = scene.segment.theta[:, joint]
         return np.stack([theta, np.ones_like(theta)], axis=1)

@@ -35,6 +35,6 @@ class LoadDependentFriction(Effect):
     online = staticmethod(_online)
     settles = "fast and slow runs of one path, or the same path with a payload"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
         return (np.abs(scene.load[:, joint]) * scene.direction[:, joint])[:, None]

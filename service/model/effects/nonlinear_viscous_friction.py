@@ -12,28 +12,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.effects.base import Amplitude, Effect, Nonlinear
 from service.model.scene import Scene
 
 
 @kernel
 def _online(effect, now, i):
-    return effect.amplitude[i, 0] * now.direction[i] * abs(now.theta_dot[i]) ** effect.shape[0]
+    return effect.amplitude[i, 0] * now.direction[i] * abs(now.theta_dot[i]) ** effect.nonlinear[0]
 
 
 @dataclass(frozen=True)
 class NonlinearViscousFriction(Effect):
     f: Amplitude = Amplitude("N m (s/rad)^p", "coefficient", low=0.0)
-    p: Shape = Shape("", "exponent of speed", (0.35, 0.6, 1.5, 2.0, 3.0), 0.2, 4.0)
+    p: Nonlinear = Nonlinear("", "exponent of speed", (0.35, 0.6, 1.5, 2.0, 3.0), 0.2, 4.0)
     name = "nonlinear_viscous_friction"
     title = "Friction is not proportional to speed"
     means = "Mostly grease or seals: check the kind and amount of grease; take it over into the model."
     dissipates = True
     directional = True
     online = staticmethod(_online)
-    own_shapes = True
+    own_nonlinear = True
     settles = "runs of one path at 10, 30, 60 and 100 % speed"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
-        return (scene.direction[:, joint] * np.abs(scene.segment.theta_dot[:, joint]) ** shape[0])[:, None]
+        return (scene.direction[:, joint] * np.abs(scene.segment.theta_dot[:, joint]) ** nonlinear[0])[:, None]

@@ -31,7 +31,7 @@ class PassiveJointFriction(Effect):
     kinds = frozenset({"delta"})
     settles = "long moves of the platform at several speeds, where a forearm swings while its own joint rests"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 4)."""
         arms, theta_dot = scene.arms, scene.segment.theta_dot
         length2 = scene.delta.model.passive_length[:, None] ** 2
@@ -56,6 +56,6 @@ class PassiveJointFriction(Effect):
             columns.append((rate, per_joint))
         return np.stack([np.einsum("nax,naxj->nj", rate, per) for rate, per in columns], axis=-1)
 
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
         """In the ball joints."""
         inside.ball_joints[:] += amplitude

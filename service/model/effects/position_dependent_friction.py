@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.effects.base import Amplitude, Effect, Nonlinear
 from service.model.scene import Scene
 
 
 @kernel
 def _online(effect, now, i):
-    angle = effect.shape[0] * now.theta[i]
+    angle = effect.nonlinear[0] * now.theta[i]
     return (effect.amplitude[i, 0] * math.cos(angle) + effect.amplitude[i, 1] * math.sin(angle)) * now.direction[i]
 
 
@@ -27,7 +27,7 @@ def _online(effect, now, i):
 class PositionDependentFriction(Effect):
     cosine: Amplitude = Amplitude("N m", "cosine part of the amplitude")
     sine: Amplitude = Amplitude("N m", "sine part of the amplitude")
-    order: Shape = Shape("", "periods a turn of the joint", (1, 2, 3, 4, 5, 6, 8, 10, 12), 0.5, 40.0)
+    order: Nonlinear = Nonlinear("", "periods a turn of the joint", (1, 2, 3, 4, 5, 6, 8, 10, 12), 0.5, 40.0)
     name = "position_dependent_friction"
     title = "Friction varies over the joint's angle"
     means = "A tight spot: look for a bent shaft, a misaligned or worn gear, or a cable that rubs at these angles."
@@ -36,7 +36,7 @@ class PositionDependentFriction(Effect):
     online = staticmethod(_online)
     settles = "a slow sweep over the whole angle in both directions"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 2)."""
-        angle, sign = shape[0] * scene.segment.theta[:, joint], scene.direction[:, joint]
+        angle, sign = nonlinear[0] * scene.segment.theta[:, joint], scene.direction[:, joint]
         return np.stack([np.cos(angle) * sign, np.sin(angle) * sign], axis=1)

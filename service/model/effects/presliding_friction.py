@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, Inside, Shape, geometric
+from service.model.effects.base import Amplitude, Effect, Inside, Nonlinear, geometric
 from service.model.scene import Scene
 
 
@@ -38,7 +38,7 @@ def deflection(theta: np.ndarray, distance: float) -> np.ndarray:
 @dataclass(frozen=True)
 class PreslidingFriction(Effect):
     f: Amplitude = Amplitude("N m", "part of the Coulomb friction that builds up over the distance", low=0.0)
-    distance: Shape = Shape("rad", "displacement of the build-up", geometric(3e-4, 0.1, 8), 2e-4, 0.3)
+    distance: Nonlinear = Nonlinear("rad", "displacement of the build-up", geometric(3e-4, 0.1, 8), 2e-4, 0.3)
     name = "presliding_friction"
     title = "Friction builds up over a small distance"
     means = (
@@ -46,14 +46,14 @@ class PreslidingFriction(Effect):
         "where small reversals matter."
     )
     directional = True
-    own_shapes = True
+    own_nonlinear = True
     settles = "small reversals (0.001 to 0.05 rad) about several angles"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
-        return (deflection(scene.segment.theta[:, joint], shape[0]) - scene.direction[:, joint])[:, None]
+        return (deflection(scene.segment.theta[:, joint], nonlinear[0]) - scene.direction[:, joint])[:, None]
 
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
         """Bristles."""
         inside.bristle[joint] += amplitude[0]
-        inside.distance[joint] = shape[0]
+        inside.distance[joint] = nonlinear[0]

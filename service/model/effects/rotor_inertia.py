@@ -33,10 +33,10 @@ class RotorInertia(Effect):
     online = staticmethod(_online)
     settles = "fast moves of this joint beside slow ones over the same angles"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
         return scene.segment.theta_ddot[:, [joint]]
 
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
         """Its inertia."""
         inside.rotor[joint] += amplitude[0]

@@ -13,29 +13,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, Shape, geometric
+from service.model.effects.base import Amplitude, Effect, Nonlinear, geometric
 from service.model.scene import Scene
 
 
 @kernel
 def _online(effect, now, i):
-    return effect.amplitude[i, 0] * now.direction[i] * math.exp(-((now.theta_dot[i] / effect.shape[0]) ** 2))
+    return effect.amplitude[i, 0] * now.direction[i] * math.exp(-((now.theta_dot[i] / effect.nonlinear[0]) ** 2))
 
 
 @dataclass(frozen=True)
 class StribeckFriction(Effect):
     f_s: Amplitude = Amplitude("N m", "breakaway friction above the Coulomb level", low=0.0)
-    v_s: Shape = Shape("rad/s", "speed at which it has fallen to 37 %", geometric(0.01, 1.0, 9), 0.005, 2.0)
+    v_s: Nonlinear = Nonlinear("rad/s", "speed at which it has fallen to 37 %", geometric(0.01, 1.0, 9), 0.005, 2.0)
     name = "stribeck_friction"
     title = "More friction at low speed (sticking)"
     means = "Grease or preload of the gear: relubricate, check the seals; expect stick-slip in slow moves until then."
     dissipates = True
     directional = True
     online = staticmethod(_online)
-    own_shapes = True
+    own_nonlinear = True
     settles = "a slow sweep with reversals, 0.005 to 1 rad/s"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
         speed = scene.segment.theta_dot[:, joint]
-        return (scene.direction[:, joint] * np.exp(-((speed / shape[0]) ** 2)))[:, None]
+        return (scene.direction[:, joint] * np.exp(-((speed / nonlinear[0]) ** 2)))[:, None]

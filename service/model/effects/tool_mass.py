@@ -35,12 +35,12 @@ class ToolMass(Effect):
     kinds = frozenset({"delta"})
     settles = "the same path with and without a known mass"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 1)."""
         motion = scene.segment
         held = scene.delta.payload(motion.theta, motion.theta_dot, motion.theta_ddot)
         return (held - scene.at_platform(scene.lean))[..., None]
 
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]) -> None:
+    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
         """Its inertia."""
         inside.tool += float(amplitude[0])

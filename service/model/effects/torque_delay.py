@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Effect, Shape
+from service.model.effects.base import Effect, Nonlinear
 from service.model.scene import Scene
 from service.model.signals import delayed
 
 
 @dataclass(frozen=True)
 class TorqueDelay(Effect):
-    delay: Shape = Shape(
+    delay: Nonlinear = Nonlinear(
         "s", "by which torque is later than position", (-0.003, -0.0015, 0.0008, 0.0015, 0.003, 0.006), -0.02, 0.02
     )
     name = "torque_delay"
@@ -31,16 +31,16 @@ class TorqueDelay(Effect):
     measured = True
     settles = "fast moves with sharp reversals"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
-        return (delayed(scene.total, shape[0], scene.period) - scene.total)[..., None]
+        return (delayed(scene.total, nonlinear[0], scene.period) - scene.total)[..., None]
 
-    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
+    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]):
         """Shifts all joints."""
-        return delayed(torque, shape[0], scene.period)
+        return delayed(torque, nonlinear[0], scene.period)
 
     def restore(
-        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
+        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]
     ) -> np.ndarray:
         """Shifts all joints back."""
-        return delayed(torque, -shape[0], period)
+        return delayed(torque, -nonlinear[0], period)

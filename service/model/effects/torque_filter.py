@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from service.model.effects.base import Effect, Shape
+from service.model.effects.base import Effect, Nonlinear
 from service.model.scene import Scene
 
 CUTOFFS = (1.0, 1.8, 3.0, 5.0, 8.0, 15.0, 25.0, 40.0, 70.0, 120.0)  # the lowest: a drive's filter of what it reports
@@ -20,7 +20,7 @@ CUTOFFS = (1.0, 1.8, 3.0, 5.0, 8.0, 15.0, 25.0, 40.0, 70.0, 120.0)  # the lowest
 
 @dataclass(frozen=True)
 class TorqueFilter(Effect):
-    cutoff: Shape = Shape("Hz", "cut-off frequency", CUTOFFS, 0.3, 300.0)
+    cutoff: Nonlinear = Nonlinear("Hz", "cut-off frequency", CUTOFFS, 0.3, 300.0)
     name = "torque_filter"
     title = "The drive reports a smoothed torque"
     means = (
@@ -32,20 +32,20 @@ class TorqueFilter(Effect):
     measured = True
     settles = "fast moves with sharp reversals"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
-        return (self.report(scene, joint, scene.total, np.zeros(0), shape) - scene.total)[..., None]
+        return (self.report(scene, joint, scene.total, np.zeros(0), nonlinear) - scene.total)[..., None]
 
-    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
+    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]):
         """Filters all joints."""
-        keep = np.exp(-2 * np.pi * shape[0] * scene.period)
+        keep = np.exp(-2 * np.pi * nonlinear[0] * scene.period)
         start = keep * torque[:1]
         return lfilter([1.0 - keep], [1.0, -keep], torque, axis=0, zi=start)[0]
 
     def restore(
-        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
+        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]
     ) -> np.ndarray:
         """The filter turned round; white noise comes out stronger."""
-        keep = np.exp(-2 * np.pi * shape[0] * period)
+        keep = np.exp(-2 * np.pi * nonlinear[0] * period)
         start = -keep * torque[:1]
         return lfilter([1.0, -keep], [1.0 - keep], torque, axis=0, zi=start / (1.0 - keep))[0]

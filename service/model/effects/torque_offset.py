@@ -35,6 +35,6 @@ class TorqueOffset(Effect):
     online = staticmethod(_online)
     settles = "nothing while the joint moves: compare with the brake closed and the drive on"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
         return np.ones((len(scene.time), 1))

@@ -26,7 +26,7 @@ class TorqueScale(Effect):
     measured = True
     settles = "fast moves with a known mass at the platform"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
         return scene.total[:, [joint]]
 
@@ -34,14 +34,14 @@ class TorqueScale(Effect):
         """Scales what is reported."""
         correction.scale[joint] += amplitude[0]
 
-    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, shape: tuple[float, ...]):
+    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]):
         """Scales one joint."""
         torque = torque.copy()
         torque[:, joint] *= 1.0 + amplitude[0]
         return torque
 
     def restore(
-        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, shape: tuple[float, ...]
+        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]
     ) -> np.ndarray:
         """Scales one joint back."""
         torque = torque.copy()

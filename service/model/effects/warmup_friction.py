@@ -13,19 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, Shape
+from service.model.effects.base import Amplitude, Effect, Nonlinear
 from service.model.scene import Scene
 
 
 @kernel
 def _online(effect, now, i):
-    return effect.amplitude[i, 0] * math.exp(-now.seconds / effect.shape[0]) * now.theta_dot[i]
+    return effect.amplitude[i, 0] * math.exp(-now.seconds / effect.nonlinear[0]) * now.theta_dot[i]
 
 
 @dataclass(frozen=True)
 class WarmupFriction(Effect):
     f: Amplitude = Amplitude("N m s/rad", "viscous friction of the cold gear above the warm one", low=0.0)
-    tau: Shape = Shape("s", "time constant of the warm-up", (3.0, 8.0, 20.0, 50.0, 150.0, 600.0), 1.0, 3600.0)
+    tau: Nonlinear = Nonlinear("s", "time constant of the warm-up", (3.0, 8.0, 20.0, 50.0, 150.0, 600.0), 1.0, 3600.0)
     name = "warmup_friction"
     title = "Friction falls while the gear warms up"
     means = "Cold grease: run the machine warm before accurate work, or use a grease for lower temperature."
@@ -33,6 +33,6 @@ class WarmupFriction(Effect):
     online = staticmethod(_online)
     settles = "one path, cold and after half an hour of running, on one clock"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
-        return (np.exp(-scene.time / shape[0]) * scene.segment.theta_dot[:, joint])[:, None]
+        return (np.exp(-scene.time / nonlinear[0]) * scene.segment.theta_dot[:, joint])[:, None]

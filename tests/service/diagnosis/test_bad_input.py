@@ -135,7 +135,7 @@ def test_an_effect_of_ones_own_is_found(write: Write, diagnosed, tmp_path: Path)
         "    stiffness: Amplitude = Amplitude('N m/rad', 'of a rubber stop from 0.5 rad on')\n"
         "    name = 'rubber_stop'\n"
         "    settles = 'a slow sweep to the end'\n"
-        "    def regressors(self, scene, joint, shape):\n"
+        "    def regressors(self, scene, joint, nonlinear):\n"
         "        return np.maximum(scene.segment.theta[:, [joint]] - 0.5, 0.0)\n"
     )
     logs = []

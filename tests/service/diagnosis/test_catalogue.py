@@ -21,7 +21,7 @@ class RubberStop(Effect):
     name = "rubber_stop"
     settles = "a slow sweep into the stop"
 
-    def regressors(self, scene, joint, shape):
+    def regressors(self, scene, joint, nonlinear):
         return np.maximum(scene.segment.theta[:, joint] - 0.5, 0.0)[:, None]
 """
 

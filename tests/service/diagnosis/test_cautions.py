@@ -98,7 +98,7 @@ def test_effects_of_ones_own(tmp_path):
         "    height: Amplitude = Amplitude('N m', 'height')\n"
         "    name = 'bump'\n"
         "    settles = 'a slow sweep'\n"
-        "    def regressors(self, scene, joint, shape):\n"
+        "    def regressors(self, scene, joint, nonlinear):\n"
         "        return scene.segment.theta[:, [joint]] ** 2\n"
     )
     assert catalogue(own)[-1].name == "bump"

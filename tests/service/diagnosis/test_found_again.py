@@ -47,8 +47,8 @@ def test_it_is_found_again_with_its_parameters_inside_their_intervals(name):
     assert set(term.joints) == set(injected.joints)
     assert found.best.fitted.cost / logs.count < 1.1
     errors = statistics.standard_errors(found.best.fitted, split)[11:]
-    values = np.concatenate([term.amplitude.ravel(), term.shape])
-    truth = np.concatenate([np.array(injected.amplitude).ravel(), injected.shape])
+    values = np.concatenate([term.amplitude.ravel(), term.nonlinear])
+    truth = np.concatenate([np.array(injected.amplitude).ravel(), injected.nonlinear])
     assert (np.abs(values - truth) <= 3.0 * errors).all()
 
 
@@ -58,12 +58,12 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("name", "make", "shape"), CASES, ids=[case[0] for case in CASES])
-def test_a_link_behind_a_gear_is_found_again(name, make, shape):
+@pytest.mark.parametrize(("name", "make", "nonlinear"), CASES, ids=[case[0] for case in CASES])
+def test_a_link_behind_a_gear_is_found_again(name, make, nonlinear):
     random = np.random.default_rng(3)
     band, noise = Band.of(PERIOD), 0.3
     recordings = []
-    axis = make(6.0, *shape)
+    axis = make(6.0, *nonlinear)
     for number in range(3):
         part = slice(2000 * number, 2000 * (number + 1))
         one = Axis(axis.time[part], tuple(signal[part] for signal in axis.motion), axis.extra[part])  # pyright: ignore
@@ -80,4 +80,4 @@ def test_a_link_behind_a_gear_is_found_again(name, make, shape):
     term = found.best.hypothesis.terms[0]
     errors = statistics.standard_errors(found.best.fitted, split)[6:]
     # 125 us a step of the catalogue's integration bias damping and share of the motor by 3 %, which no interval covers
-    assert (np.abs(np.array(term.shape) - shape) <= 3.0 * errors + 0.03 * np.array(shape)).all()
+    assert (np.abs(np.array(term.nonlinear) - nonlinear) <= 3.0 * errors + 0.03 * np.array(nonlinear)).all()

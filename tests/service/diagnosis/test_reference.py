@@ -34,7 +34,7 @@ def test_the_stored_diagnosis_is_right(findings):
     for effect in found.effects:
         injected = INJECTED[effect.name]
         assert effect.joints == [joint + 1 for joint in injected.joints]
-        truth = [*(value for row in injected.amplitude for value in row), *injected.shape]
+        truth = [*(value for row in injected.amplitude for value in row), *injected.nonlinear]
         for estimate, value in zip(effect.parameters.values(), truth, strict=True):
             low, high = estimate.ci95
             assert low < estimate.value < high

@@ -17,4 +17,4 @@ def test_the_rivals_are_whole_models_of_the_round_that_is_decided_least(findings
     scored = next(one for one in tried if one.names[-1] == best.effects[-1].name)
     term = terms_of(findings.robot.model_copy(update={"effect": best.effects}))[-1]
     np.testing.assert_allclose(term.amplitude, scored.hypothesis.terms[-1].amplitude, rtol=1e-6)
-    np.testing.assert_allclose(term.shape, scored.hypothesis.terms[-1].shape, rtol=1e-6)
+    np.testing.assert_allclose(term.nonlinear, scored.hypothesis.terms[-1].nonlinear, rtol=1e-6)

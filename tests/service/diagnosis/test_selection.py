@@ -100,18 +100,18 @@ def test_the_dictionarys_loss_is_that_of_least_squares(name):
     here = logs.scenes(fitted.hypothesis)
     assert dictionary.nothing == pytest.approx(sum(r @ r for r in left_out(fitted.moving, fitted.residuals)), rel=1e-6)
     for joints in [(1,), (0, 1, 2)] if effect.per_joint else [()]:
-        shape = effect.grid(here[0])[-1]
+        nonlinear = effect.grid(here[0])[-1]
         columns = []
         for number, scene in enumerate(here):
             parts = []
             for joint in joints or (0,):
-                values = effect.regressors(scene, joint, shape)
+                values = effect.regressors(scene, joint, nonlinear)
                 values = on_joint(values, joint, 3) if effect.own_joint else values
                 parts.append(logs.select(number, logs.band(reported(scene, fitted.hypothesis, values))))
             columns.append(np.hstack([fitted.moving[number], *parts]))
         positive = len(joints) if name == "stribeck_friction" else 0  # friction gives no energy
         truth = sum(float(r @ r) for r in left_out(columns, fitted.residuals, positive=positive))
-        assert dictionary.loss(Candidate(effect, joints, shape)) == pytest.approx(truth, rel=1e-6)
+        assert dictionary.loss(Candidate(effect, joints, nonlinear)) == pytest.approx(truth, rel=1e-6)
 
 
 def test_the_ranking_puts_the_true_effect_first_and_leaves_out_what_is_not_offered():
@@ -256,7 +256,7 @@ def test_joints_get_shapes_of_their_own_where_they_differ():
     best = selection.score(fit(logs, Hypothesis(BASE, (shared,))), split)
     apart = selection.spread(logs, split, best).hypothesis.terms
     assert [term.joints for term in apart] == [(0,), (1,)]
-    assert [term.shape[0] for term in apart] == pytest.approx([0.1, 0.4], rel=0.1)
+    assert [term.nonlinear[0] for term in apart] == pytest.approx([0.1, 0.4], rel=0.1)
     mass = selection.score(fit(logs, Hypothesis(BASE, (Candidate(EFFECTS["arm_mass"], (0, 1), ()).term(),))), split)
     assert selection.spread(logs, split, mass) is mass  # nothing to share
 

@@ -47,7 +47,7 @@ def test_less_than_no_friction_is_no_stribeck_friction():
 @pytest.mark.parametrize("end", ["low", "high"])
 def test_a_shape_at_the_end_of_its_search_is_no_finding(end):
     made = logs(*[np.zeros_like(r.torque) for r in RUNS])
-    cutoff = EFFECTS["torque_filter"].shapes["cutoff"]
+    cutoff = EFFECTS["torque_filter"].nonlinear["cutoff"]
 
     def fault(value):
         return fault_of(made, Hypothesis(BASE, (Term(EFFECTS["torque_filter"], (), np.zeros((1, 0)), (value,)),)), 0)
@@ -60,7 +60,7 @@ def test_a_shape_at_the_end_of_its_search_is_no_finding(end):
 
 def test_what_cannot_be_and_leads_ends_the_search_and_is_told():
     """A ripple of so low an order that the search ends before it."""
-    slow = [2.0 * np.sin(0.3 * EFFECTS["cogging"].shapes["order"].low * 25.0 * r.motion[0][:, 1]) for r in RUNS]
+    slow = [2.0 * np.sin(0.3 * EFFECTS["cogging"].nonlinear["order"].low * 25.0 * r.motion[0][:, 1]) for r in RUNS]
     found = named(logs(*on(1, slow)), "cogging")
     assert found.best.names == ()
     assert found.fault is None or found.fault.code == "at_limit"

@@ -280,7 +280,7 @@ def test_where_a_terms_parameters_stand():
     known = Parameters(Hypothesis(BASE, terms))
     for number, term in enumerate(terms):
         here = known.values[known.free][known.columns(number)]
-        np.testing.assert_array_equal(here, np.concatenate([term.amplitude.ravel(), term.shape]))
+        np.testing.assert_array_equal(here, np.concatenate([term.amplitude.ravel(), term.nonlinear]))
 
 
 def test_of_later_rounds_only_what_was_named_is_ranked():

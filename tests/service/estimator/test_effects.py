@@ -84,7 +84,7 @@ def test_several_joints_have_amplitudes_of_their_own(robot):
     record = pack_effects(terms_of(robot.model_copy(update={"effect": [entry]})))[0]
     assert record["joint"].tolist() == [1, 0, 1]
     assert record["amplitude"][:, 0].tolist() == [1.0, 0.0, 3.0]
-    assert record["shape"][0] == 0.2
+    assert record["nonlinear"][0] == 0.2
 
 
 def test_a_missing_parameter_is_named(robot):

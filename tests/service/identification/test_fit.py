@@ -82,8 +82,8 @@ def test_residuals_are_target_less_prediction_in_units_of_the_noise():
 def test_what_stands_at_a_limit_or_is_rough_does_not_move():
     runs = [course(1, 1.0)]
     logs = problem(runs, [runs[0].torque])
-    stiff = EFFECTS["torque_filter"].shapes["cutoff"].high
-    term = replace(INJECTED["torque_filter"].term("torque_filter"), shape=(stiff,))
+    stiff = EFFECTS["torque_filter"].nonlinear["cutoff"].high
+    term = replace(INJECTED["torque_filter"].term("torque_filter"), nonlinear=(stiff,))
     found = evaluate(logs, Hypothesis(BASE, (term,)))
     assert found.inside.tolist() == [True] * 11 + [False]
     assert found.free.tolist() == found.inside.tolist()
@@ -100,9 +100,9 @@ def test_what_stands_at_a_limit_or_is_rough_does_not_move():
 def test_a_filter_is_fitted_up_to_its_limit_and_no_further():
     run = course(1, 2.0)
     logs = problem([run], [run.torque])  # no filter at all: the best one is the fastest there is
-    term = replace(INJECTED["torque_filter"].term("torque_filter"), shape=(120.0,))
+    term = replace(INJECTED["torque_filter"].term("torque_filter"), nonlinear=(120.0,))
     found = fit(logs, Hypothesis(replace(BASE, timing=0.0), (term,)))
-    assert found.hypothesis.terms[0].shape[0] <= 300.0
+    assert found.hypothesis.terms[0].nonlinear[0] <= 300.0
     low = problem([run], [reports("torque_filter", 1, 2.0)])
-    shape = fit(low, Hypothesis(BASE, (term,))).hypothesis.terms[0].shape[0]
-    assert shape == pytest.approx(35.0, rel=1e-2)
+    nonlinear = fit(low, Hypothesis(BASE, (term,))).hypothesis.terms[0].nonlinear[0]
+    assert nonlinear == pytest.approx(35.0, rel=1e-2)

@@ -13,12 +13,12 @@ import pytest
 from tests.service.subject import CATALOGUE, EFFECTS
 
 INF = math.inf
-FLAGS = ("per_joint", "own_joint", "measured", "rough", "own_shapes", "directional", "takes_timing")
+FLAGS = ("per_joint", "own_joint", "measured", "rough", "own_nonlinear", "directional", "takes_timing")
 
 # name: flags, quantity -> (unit, low, high), what no motion tells it from, beyond any robot's (alone, together), kind
 STATED = {
     "stribeck_friction": (
-        "per_joint own_joint own_shapes directional",
+        "per_joint own_joint own_nonlinear directional",
         {"f_s": ("N m", 0.0, INF), "v_s": ("rad/s", 0.005, 2.0)},
         [],
         INF,
@@ -35,7 +35,7 @@ STATED = {
     ),
     "load_dependent_friction": ("per_joint own_joint directional", {"mu": ("", 0.0, INF)}, [], INF, INF, ""),
     "nonlinear_viscous_friction": (
-        "per_joint own_joint own_shapes directional",
+        "per_joint own_joint own_nonlinear directional",
         {"f": ("N m (s/rad)^p", 0.0, INF), "p": ("", 0.2, 4.0)},
         [],
         INF,
@@ -59,7 +59,7 @@ STATED = {
         "",
     ),
     "presliding_friction": (
-        "per_joint own_joint own_shapes directional",
+        "per_joint own_joint own_nonlinear directional",
         {"f": ("N m", 0.0, INF), "distance": ("rad", 0.0002, 0.3)},
         [],
         INF,
@@ -154,7 +154,7 @@ STATED = {
         "",
     ),
 }
-# largest ratio of neighbours on the grid of a shape that spans ratios, largest step of one that spans steps
+# largest ratio of neighbours on the grid of a parameter that spans ratios, largest step of one that spans steps
 RATIOS = {
     ("stribeck_friction", "v_s"): 1.8,
     ("nonlinear_viscous_friction", "p"): 2.6,
@@ -192,8 +192,8 @@ def test_an_effect_is_what_is_stated(name):
     effect = EFFECTS[name]
     assert {flag for flag in FLAGS if getattr(effect, flag)} == set(flags.split())
     found: dict[str, tuple] = {key: (a.unit, a.low, a.high) for key, a in effect.amplitudes.items()}
-    for key, shape in effect.shapes.items():
-        found[key] = (shape.unit, shape.low, shape.high, *(["fixed"] if shape.fixed else []))
+    for key, searched in effect.nonlinear.items():
+        found[key] = (searched.unit, searched.low, searched.high, *(["fixed"] if searched.fixed else []))
     assert found == {key: tuple(value) for key, value in quantities.items()}
     assert list(found) == list(quantities), "the order of the documents"
     assert sorted(effect.same) == same
@@ -208,7 +208,7 @@ def test_nothing_is_in_the_catalogue_that_is_not_stated():
 
 @pytest.mark.parametrize(("name", "key"), SPANS)
 def test_a_grid_leaves_no_hole(name, key):
-    grid = np.array(EFFECTS[name].shapes[key].grid)
+    grid = np.array(EFFECTS[name].nonlinear[key].grid)
     assert (grid.min(), grid.max()) == pytest.approx(SPANS[name, key])
     assert (np.diff(grid) > 0).all()
     if (name, key) in RATIOS:
@@ -219,12 +219,12 @@ def test_a_grid_leaves_no_hole(name, key):
 
 
 def test_every_grid_is_looked_at():
-    grids = {(effect.name, key) for effect in CATALOGUE for key in effect.shapes}
+    grids = {(effect.name, key) for effect in CATALOGUE for key in effect.nonlinear}
     assert grids == set(SPANS)
 
 
 def test_a_delay_is_looked_for_beyond_a_fraction_of_a_sample_in_both_directions():
-    grid = np.array(EFFECTS["torque_delay"].shapes["delay"].grid)
+    grid = np.array(EFFECTS["torque_delay"].nonlinear["delay"].grid)
     assert np.abs(grid).min() > 2.5e-4
     assert (grid < 0).sum() == 2
     assert np.diff(grid[grid > 0]).max() <= 0.003

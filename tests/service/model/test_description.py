@@ -54,7 +54,7 @@ class Bump(Effect):
     height: Amplitude = Amplitude("N m", "height")
     name = "bump"
     settles = "a slow sweep"
-    def regressors(self, scene, joint, shape):
+    def regressors(self, scene, joint, nonlinear):
         return scene.segment.theta[:, [joint]] ** 2
 """
 
@@ -209,7 +209,7 @@ def test_effects_are_read_as_they_were_written() -> None:
     assert first.parameters["f_s_3"] == EffectParameter(value=2.5, unit="N m", std_error=0.12)
     assert first.parameters["v_s"] == EffectParameter(value=0.3, unit="rad/s", std_error=0.13)
     for found, given in zip(terms_of(written), terms, strict=True):
-        assert (found.effect, found.joints, found.shape) == (given.effect, given.joints, given.shape)
+        assert (found.effect, found.joints, found.nonlinear) == (given.effect, given.joints, given.nonlinear)
         np.testing.assert_array_equal(found.amplitude, given.amplitude)
     parameters = first.parameters
 

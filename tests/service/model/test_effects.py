@@ -83,18 +83,18 @@ def test_a_base_on_a_wall_tilts_about_its_level_axes():
 def test_regressors_are_the_slope_of_its_torque(name):
     effect, here = EFFECTS[name], scene(course(1, 0.4))
     injected = INJECTED[name]
-    joint, shape = (injected.joints or (0,))[-1], injected.shape
+    joint, nonlinear = (injected.joints or (0,))[-1], injected.nonlinear
     linear = not isinstance(effect, GeometryError)
     amplitude = np.array(injected.amplitude[-1]) * linear  # a linearisation holds at zero
     step = 1e-3 * np.abs(injected.amplitude[-1])
-    columns = effect.regressors(here, joint, shape)
+    columns = effect.regressors(here, joint, nonlinear)
     columns = on_joint(columns, joint, 3) if effect.own_joint else columns
     assert columns.shape == (len(here.time), 3, len(effect.amplitudes))
     for k, h in enumerate(np.diag(step)):
         if effect.measured:
-            above, below = (effect.report(here, joint, here.total, amplitude + s * h, shape) for s in (1, -1))
+            above, below = (effect.report(here, joint, here.total, amplitude + s * h, nonlinear) for s in (1, -1))
         else:
-            above, below = (effect.torque(here, joint, amplitude + s * h, shape) for s in (1, -1))
+            above, below = (effect.torque(here, joint, amplitude + s * h, nonlinear) for s in (1, -1))
         slope = (above - below) / (2 * step[k])
         assert np.abs(columns[..., k] - slope).max() < 1e-5 * np.abs(slope).max()
         assert np.abs(slope).max() > 0.0
@@ -102,9 +102,9 @@ def test_regressors_are_the_slope_of_its_torque(name):
 
 @pytest.mark.parametrize("name", ["torque_delay", "torque_filter"])
 def test_a_measured_effects_column_is_what_it_changes_of_the_base(name):
-    effect, here, shape = EFFECTS[name], scene(course(1, 0.4)), INJECTED[name].shape
-    change = effect.report(here, 0, here.total, np.zeros(0), shape) - here.total
-    np.testing.assert_array_equal(effect.regressors(here, 0, shape)[..., 0], change)
+    effect, here, nonlinear = EFFECTS[name], scene(course(1, 0.4)), INJECTED[name].nonlinear
+    change = effect.report(here, 0, here.total, np.zeros(0), nonlinear) - here.total
+    np.testing.assert_array_equal(effect.regressors(here, 0, nonlinear)[..., 0], change)
     assert np.abs(change).max() > 1.0
 
 
@@ -137,7 +137,7 @@ def test_tangents_are_slopes_of_the_prediction(names):
     inside = slice(40, -40)  # the ends are held by a shift in time
     assert slopes.shape[2] == len(values)
     assert np.abs(prediction - at(values))[inside].max() < 1e-9 * np.abs(prediction).max()
-    # exact where the prediction is linear; else one-sided differences over 5 % of the transition, 1 % of a shape (which
+    # exact where the prediction is linear; else one-sided differences over 5 % of the transition, 1 % of others (which
     # turns a ripple's phase by half a radian) and central ones over a sample of the timing
     bound = np.full(len(values), 1e-6)
     bound[9] = 0.04
@@ -153,11 +153,11 @@ def test_tangents_are_slopes_of_the_prediction(names):
 
 
 def approximate(term: Term) -> list[float]:
-    """How far each slope of a term may be off, amplitudes before shapes."""
+    """How far each slope of a term may be off, amplitudes before nonlinear parameters."""
     name = term.effect.name
     amplitude = {"torque_scale": 0.06}.get(name, 1e-6)
-    shape = 0.13 if name in ("cogging", "encoder_eccentricity") else 0.03
-    return [amplitude] * term.amplitude.size + [shape] * len(term.shape)
+    nonlinear = 0.13 if name in ("cogging", "encoder_eccentricity") else 0.03
+    return [amplitude] * term.amplitude.size + [nonlinear] * len(term.nonlinear)
 
 
 def test_torque_is_sampled_later_by_a_fraction_of_a_sample():
@@ -172,12 +172,14 @@ def test_torque_is_sampled_later_by_a_fraction_of_a_sample():
     assert np.median(error) < 0.01  # apart from reversals
 
 
-@pytest.mark.parametrize(("name", "amplitude", "shape"), [("torque_filter", (), (15.0,)), ("torque_scale", (0.1,), ())])
-def test_what_a_drive_does_to_its_report_is_turned_round(name, amplitude, shape):
+@pytest.mark.parametrize(
+    ("name", "amplitude", "nonlinear"), [("torque_filter", (), (15.0,)), ("torque_scale", (0.1,), ())]
+)
+def test_what_a_drive_does_to_its_report_is_turned_round(name, amplitude, nonlinear):
     effect, here, of = EFFECTS[name], scene(course(1, 0.4)), np.array(amplitude)
-    reported = effect.report(here, 1, here.total, of, shape)
+    reported = effect.report(here, 1, here.total, of, nonlinear)
     assert np.abs(reported - here.total).max() > 1.0
-    np.testing.assert_allclose(effect.restore(reported, here.period, 1, of, shape), here.total, atol=1e-9)
+    np.testing.assert_allclose(effect.restore(reported, here.period, 1, of, nonlinear), here.total, atol=1e-9)
 
 
 def test_rotor_and_gear_do_not_grow_with_the_link():
@@ -195,7 +197,9 @@ def test_what_only_a_simulation_carries_is_put_inside_the_robot():
         "backlash": ((), (0.001, 120.0, 2.0, 0.2)), "encoder_eccentricity": ((0.01, -0.02), (2.0,)),
         "passive_joint_friction": ((0.1, 0.2, 0.3, 0.4), ()), "presliding_friction": ((1.5,), (0.002,)),
     }  # fmt: skip
-    terms = [Term(EFFECTS[name], (1,), np.array([amplitude]), shape) for name, (amplitude, shape) in figures.items()]
+    terms = [
+        Term(EFFECTS[name], (1,), np.array([amplitude]), nonlinear) for name, (amplitude, nonlinear) in figures.items()
+    ]
     terms.append(Term(EFFECTS["joint_elasticity"], (2,), np.zeros((1, 0)), (20.0, 0.1, 0.3)))
     inside = inside_of(terms)
     assert inside.tool == 0.4

@@ -33,12 +33,12 @@ def test_the_online_torque_is_the_offline_one(name):
     injected, effect = INJECTED[name], EFFECTS[name]
     arms, motion, model = here.arms, here.segment, here.delta.model
     # an even power of a speed, whole cycles of a turn: not what a sign or a slip shows at
-    shape = tuple(1.13 * value for value in injected.shape)
-    offline = added(here, replace(injected.term(name), shape=shape))
+    nonlinear = tuple(1.13 * value for value in injected.nonlinear)
+    offline = added(here, replace(injected.term(name), nonlinear=nonlinear))
     amplitude = np.zeros((3, 4))
     for place, joint in enumerate(injected.joints or (0,)):
         amplitude[joint, : len(injected.amplitude[place])] = injected.amplitude[place]
-    record = stub(amplitude=amplitude, shape=np.array([*shape, 0.0, 0.0]))
+    record = stub(amplitude=amplitude, nonlinear=np.array([*nonlinear, 0.0, 0.0]))
     # the platform's acceleration by differences of its velocity, which is closed form
     acceleration = np.gradient(arms.velocity, PERIOD, axis=0, edge_order=2)
     lever = np.einsum("nia,nia->ni", arms.forearm, arms.slope)

@@ -41,7 +41,7 @@ def test_every_free_number_goes_where_it_came_from():
     assert np.array_equal(after.values[~after.free], parameters.values[~parameters.free])
     assert moved.base.viscous.tolist() == [8.0, 10.0, 12.0]
     assert moved.terms[0].amplitude.tolist() == [[22.0], [24.0]]
-    assert moved.terms[1].shape[1:3] == (120.0, 2.0)
+    assert moved.terms[1].nonlinear[1:3] == (120.0, 2.0)
 
 
 def test_limits_columns_and_roughness_are_of_the_free_ones():
@@ -86,11 +86,11 @@ def test_a_slope_is_trusted_over_a_part_of_a_bent_value(model):
     linear = [*range(9), 10, 11, 12]  # the torque is straight in them: only their limits end a step
     np.testing.assert_allclose(down[linear], (low - values)[linear])
     np.testing.assert_allclose(up[linear], (high - values)[linear])
-    # half a value and 2 % of its range, the transition's as a shape's
+    # half a value and 2 % of its range, the transition's as a nonlinear one's
     assert (down[13], up[13]) == pytest.approx((-0.1899, 0.1899)), "v_s 0.3 of 0.005 to 2"
     assert (down[9], up[9]) == pytest.approx((-0.001396, 0.001396)), "0.002 of 2e-4 to 2e-2"
     assert (down[14], up[14]) == pytest.approx((-0.000898, 0.000898)), "half, 0.001 of 1e-4 to 0.02"
-    close = Parameters(Hypothesis(BASE, (replace(BACKLASH, shape=(1.2e-4, 120.0, 2.0, 0.2)),)))
+    close = Parameters(Hypothesis(BASE, (replace(BACKLASH, nonlinear=(1.2e-4, 120.0, 2.0, 0.2)),)))
     down, up = close.reach(Delta.of(ROBOT), 1e-3)
     assert (down[11], up[11]) == pytest.approx((-2e-5, 4.58e-4)), "ends at a limit"
 

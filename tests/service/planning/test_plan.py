@@ -145,7 +145,7 @@ def folder_of(path: Path, rivals: list[Term], robot: str = ROBOT.name) -> list[s
     """A diagnosis with these rivals, and the command that plans from it."""
     found = [
         Rival(
-            effects=[entry(term, np.zeros(20)[: term.amplitude.size + len(term.shape)], ROBOT)],
+            effects=[entry(term, np.zeros(20)[: term.amplitude.size + len(term.nonlinear)], ROBOT)],
             probability=0.5,
             shrink=0.3,
         )

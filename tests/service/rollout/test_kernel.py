@@ -156,7 +156,7 @@ def test_an_effect_without_a_form_is_told():
     class Odd(Effect):
         name = "odd"
 
-        def regressors(self, scene, joint, shape):
+        def regressors(self, scene, joint, nonlinear):
             return scene.segment.theta_dot[:, [joint]]
 
     assert not simulated(Odd())
