@@ -52,6 +52,10 @@ def test_what_motion_cannot_tell_is_not_asked(tmp_path: Path) -> None:
     columns = found.rigid(*MOTION).columns.reshape(120, -1)
     assert np.linalg.matrix_rank(columns) == len(found.coefficients) == columns.shape[1]
     assert not {"m_1", "mz_1", "Ixx_1", "m_3", "Izz_1"} & found.coefficients.keys()
+    assert found.links.tolist() == [name[0] in "mI" for name in found.coefficients]
+    lows = {name.split("_")[0]: coefficient.low for name, coefficient in found.coefficients.items()}
+    assert lows.pop("rotor") == 0.0
+    assert set(lows.values()) == {-np.inf}, "what stands for several links may be less than nothing"
     everything = found.arm.columns(*MOTION).reshape(120, -1)
     assert np.linalg.matrix_rank(np.hstack([columns, everything]), tol=1e-4) == columns.shape[1]
 
