@@ -115,7 +115,7 @@ def simulate_case(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
 
     The entry: case, kind, effects, allowed (names that are true besides), joints (from 0, a list an effect), severity,
     wrong, noise (N m rms a sample, of white noise that leaves as much in the band), fx (parameters), lift (gap of the
-    best plain model on test_* over the noise floor).
+    best plain model on test_* over the noise floor), refused (why earlier draws made no case).
 
     Raises:
         KeyError: an effect or quantity that is not there.
@@ -128,6 +128,7 @@ def simulate_case(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
         case = dataclasses.replace(case, truth=case.truth.model_copy(update=sins))
     drawn: tuple[PlantEffect, ...] = ()
     traces: list[Trace] = []
+    refused: list[str] = []
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, 1, attempt])
         drawn = tuple(EFFECTS[effect].draw(rng, case.truth, draw.severity) for effect in draw.effects)
@@ -135,6 +136,7 @@ def simulate_case(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
             traces = run_case(case, drawn, seed)
             break
         except (DataError, PoseError) as error:
+            refused.append(str(error))
             if attempt == ATTEMPTS - 1:
                 what = f"case of seed {seed} with {', '.join(draw.effects) or 'no effect'} at severity {draw.severity}"
                 raise DataError(f"{what}: {error}") from error
@@ -161,6 +163,7 @@ def simulate_case(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
         "noise": noise,
         "fx": {effect: _parameters(made) for effect, made in zip(draw.effects, drawn, strict=True)},
         "lift": round(plain_gap(case, traces) / (noise * (2 * BAND_HZ * PERIOD) ** 0.5), 3),
+        "refused": refused,
     }
 
 

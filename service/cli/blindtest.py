@@ -81,19 +81,23 @@ def command(
         progress.console.print(f"key sealed: {commitment}", highlight=False)
         task = progress.add_task("diagnosing", total=len(list((out / "cases").glob("case_*"))))
         rows = blindtest.answers(out, lambda: progress.advance(task))
-    judged = blindtest.judged(rows, blindtest.unseal(out))
+    keys = blindtest.unseal(out)
+    judged, refused = blindtest.judged(rows, keys), blindtest.refused(keys)
     figures = blindtest.summary(judged)
-    write_page(judged, figures, commitment, out / "blindtest.html")
-    write_text(out / "results.json", json_library.dumps({"summary": figures, "rows": judged}, indent=1))
+    write_page(judged, figures, refused, commitment, out / "blindtest.html")
+    results = {"summary": figures, "refused": refused, "rows": judged}
+    write_text(out / "results.json", json_library.dumps(results, indent=1))
     table = Table("figure", "measured", "bound", title=f"{figures['cases']} cases, {figures['failed']} failed")
     for key, (label, bound) in BOUNDS.items():
         if figures[key] is not None:  # of the families drawn
             table.add_row(label, str(figures[key]), bound)
     late = missed(figures)
     if json:
-        typer.echo(json_library.dumps({"summary": figures, "missed": late}, indent=1))
+        typer.echo(json_library.dumps({"summary": figures, "refused": refused, "missed": late}, indent=1))
     else:
         result_console().print(table)
+        for line in refused:
+            typer.echo(line)
         typer.echo(f"wrote {out / 'blindtest.html'}")
     if late:
         typer.echo(f"bounds missed: {', '.join(late)}", err=True)

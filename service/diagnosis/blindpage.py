@@ -38,14 +38,16 @@ BOUNDS = {
 LIFTS = ((0.0, 1.1), (1.1, 1.5), (1.5, 2.5), (2.5, 5.0), (5.0, float("inf")))
 
 
-def write_page(rows: list[dict[str, Any]], summary: dict[str, Any], commitment: str, path: Path) -> None:
+def write_page(
+    rows: list[dict[str, Any]], summary: dict[str, Any], refused: list[str], commitment: str, path: Path
+) -> None:
     """Write the page."""
     figures = [(label, _shown(summary[key]), bound) for key, (label, bound) in BOUNDS.items()]
     plots = {"Confusion": _confusion(rows), "Detection against lift": _detection(rows), "Shrink": _claims(rows)}
     for figure in plots.values():
         figure.update_layout(template="plotly_white", font_size=11, margin={"t": 30, "r": 20})
-    fields = {"rows": rows, "summary": summary, "commitment": commitment, "figures": figures, "plots": plots}
-    pages.write_page("blindtest", path, **fields)
+    fields = {"rows": rows, "summary": summary, "refused": refused, "figures": figures, "plots": plots}
+    pages.write_page("blindtest", path, commitment=commitment, **fields)
 
 
 def missed(summary: dict[str, Any]) -> list[str]:

@@ -34,20 +34,21 @@ def make(out: Path, cases: int, seed: int, jobs: int, families: Sequence[str]) -
     from drivers.plant.cases import simulate_case
     from drivers.plant.families import Draw, plan
 
-    def one(number: int, draw: Draw) -> dict[str, Any] | None:
+    def one(number: int, draw: Draw) -> dict[str, Any]:
+        name, refused = f"case_{number:03d}", []
         for attempt in range(3):  # drives that cannot hold a robot make no case
             try:
-                folder = out / "cases" / f"case_{number:03d}"
-                return simulate_case(folder, 1000 * seed + number + 500_000 * attempt, draw)
+                key = simulate_case(out / "cases" / name, 1000 * seed + number + 500_000 * attempt, draw)
+                return key | {"refused": refused + key["refused"]}
             except DataError as error:
-                print(f"case_{number:03d}: {error}", file=sys.stderr)
-        return None
+                refused.append(str(error))
+        return {"case": name, "effects": list(draw.effects), "refused": refused}
 
     work = [joblib.delayed(one)(i, draw) for i, draw in enumerate(plan(cases, seed, families))]
     keys: list[dict[str, Any]] = []
     for key in joblib.Parallel(n_jobs=jobs, return_as="generator")(work):
-        if key is not None:
-            keys.append(key)
+        assert key is not None
+        keys.append(key)
         print("made", flush=True)
     text = json.dumps({"nonce": secrets.token_hex(16), "cases": keys}, default=_plain)
     write_text(out / "sealed_key.json", text)
@@ -97,6 +98,19 @@ def unseal(out: Path) -> list[dict[str, Any]]:
     if hashlib.sha256(content).hexdigest() not in (out / "commitment.txt").read_text(encoding="utf-8"):
         raise DataError(f"{out / 'sealed_key.json'}: changed since its hash was written down")
     return json.loads(content)["cases"]
+
+
+def refused(keys: list[dict[str, Any]]) -> list[str]:
+    """A line for each case that was drawn in vain, as the drives did not hold the robot: what that happens to is rarer
+    in the figures than it should be. keys: of the key file; one without a kind was given up.
+    """
+    lines = []
+    for key in keys:
+        if key["refused"]:
+            what = f"{key['case']} ({', '.join(key['effects']) or 'no effect'})"
+            end = "drawn once more" if "kind" in key else "given up"
+            lines.append(f"{what}: drawn in vain {len(key['refused'])} times, then {end}; {key['refused'][-1]}")
+    return lines
 
 
 def answer(folder: Path) -> dict[str, Any]:

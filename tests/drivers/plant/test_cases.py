@@ -14,6 +14,7 @@ from drivers.plant.cases import BAND_HZ, random_case, run_case, simulate_case
 from drivers.plant.effects import CATALOGUE
 from drivers.plant.families import FAMILIES, JITTER_S, RATED_NM, WRONG, Draw, as_recorded, coloured_share, plan
 from drivers.trace import read_trace
+from schemas.errors import DataError, PoseError
 from schemas.robot import Robot, load_robot
 from schemas.trace import Trace
 
@@ -47,6 +48,23 @@ def test_files_are_one_session_of_logs(null: tuple[Path, dict[str, Any]]) -> Non
         assert trace.position_command is not None
         assert trace.torque_command is not None
         np.testing.assert_allclose((trace.torque - trace.torque_command).std(axis=0), key["noise"], rtol=0.06)
+
+
+def test_why_a_draw_made_no_case_is_kept(
+    null: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    traces = [read_trace(path) for path in sorted(null[0].glob("*.csv"))]
+    failures = [DataError("joint 2 strays"), PoseError("comes apart")]
+
+    def ran(*_: object) -> list[Trace]:
+        if failures:
+            raise failures.pop(0)
+        return traces
+
+    monkeypatch.setattr("drivers.plant.cases.run_case", ran)
+    again = simulate_case(tmp_path, 12, Draw("catalogue", ("backlash",)))
+    assert again["refused"] == ["joint 2 strays", "comes apart"]
+    assert null[1]["refused"] == []
 
 
 def test_effects_leave_robot_and_motion_as_they_are_and_the_same_seed_gives_the_same_bits() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from drivers.plant.families import Draw
 from schemas.errors import DataError, StorageError
 from schemas.robot import save_robot
 from service.cli.main import app
@@ -27,7 +28,7 @@ def key(
 ) -> dict[str, Any]:
     return {
         "case": f"case_{case:03d}", "kind": kind, "effects": effects, "allowed": list(allowed), "joints": joints,
-        "severity": 1.0, "wrong": wrong, "noise": 0.3, "lift": lift,
+        "severity": 1.0, "wrong": wrong, "noise": 0.3, "lift": lift, "refused": [],
     }  # fmt: skip
 
 
@@ -88,6 +89,27 @@ def test_the_diagnosis_reads_no_more_than_its_case(sealed: Path, blind: Path, an
     shutil.move(blind / "cases" / "case_001", blind / "alone")
     alone = blindtest.answer(blind / "alone")
     assert without_times([alone | {"case": ""}]) == without_times([with_key | {"case": ""}])
+
+
+def test_robots_that_the_drives_did_not_hold_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    vain = {"case_000": 0, "case_001": 2, "case_002": 3}  # robots that cannot be held, of the three that are tried
+
+    def simulated(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
+        vain[folder.name] -= 1
+        if vain[folder.name] >= 0:
+            raise DataError(f"{folder.name} fell apart")
+        strayed = ["joint 1 strays"] * (folder.name == "case_001")
+        return key(int(folder.name[-1]), draw.kind, list(draw.effects), [], 1.0) | {"refused": strayed}
+
+    monkeypatch.setattr("drivers.plant.cases.simulate_case", simulated)
+    blindtest.make(tmp_path, 3, 5, 1, ["three"])
+    blindtest.seal(tmp_path)
+    keys = blindtest.unseal(tmp_path)
+    assert [entry.get("kind") for entry in keys] == ["three", "three", None]
+    assert blindtest.refused(keys) == [
+        f"case_001 ({', '.join(keys[1]['effects'])}): drawn in vain 3 times, then drawn once more; joint 1 strays",
+        f"case_002 ({', '.join(keys[2]['effects'])}): drawn in vain 3 times, then given up; case_002 fell apart",
+    ]
 
 
 def test_a_key_that_was_changed_is_refused(blind: Path) -> None:
