@@ -25,6 +25,7 @@ from schemas.robot import Robot
 from service.estimator.effects import corrected
 from service.model.description import base_of, terms_of
 from service.model.effects.base import Inside
+from service.model.effects.shaft_friction import SMOOTH as SHAFT_SMOOTH
 from service.model.forward import forward_dynamics
 from service.model.hypothesis import Term, inside_of
 from service.model.nominal import lengthened, pack
@@ -222,6 +223,7 @@ class Effects:
         self.joints = [model.joint(name) for name in {joints!r}]
         self.dry = model.dof_frictionloss
         self.platform = [model.joint(axis).dofadr[0] for axis in "xyz"]
+        self.place = [model.joint(axis).qposadr[0] for axis in "xyz"]
         self.bristle = [0.0, 0.0, 0.0]
         self.last = [None, None, None]
 
@@ -243,10 +245,20 @@ class Effects:
 '''
 _TAIL = """            data.qfrc_applied[dof] = -torque
 """
-_DRAG = """        velocity = [float(data.qvel[dof]) for dof in self.platform]
-        speed = math.sqrt(sum(value**2 for value in velocity))
-        for dof, value in zip(self.platform, velocity):
-            data.qfrc_applied[dof] = -{c!r} * speed * value  # air_drag
+# The force that holds the platform against effects of its own, along axis k: place m, velocity and speed m/s; length m,
+# rate m/s of the way from the middle of the base.
+PLATFORM_FORMS = {
+    "air_drag": "{c} * speed * velocity[k]",
+    "shaft_friction": f"({{dry}} * math.tanh(rate / {SHAFT_SMOOTH}) + {{viscous}} * rate) * place[k] / length",
+}
+_PLATFORM = """        place = [float(data.qpos[address]) for address in self.place]
+        velocity = [float(data.qvel[dof]) for dof in self.platform]
+        length, speed = math.hypot(*place), math.hypot(*velocity)
+        rate = sum(a * b for a, b in zip(place, velocity)) / length
+        for k, dof in enumerate(self.platform):
+            force = 0.0
+"""
+_PLATFORM_TAIL = """            data.qfrc_applied[dof] = -force
 """
 _IN_THE_MODEL = {
     "rotor_inertia", "arm_mass", "tool_mass", "base_tilt", "joint_spring", "hose_spring", "link_length_error",
@@ -257,7 +269,7 @@ _IN_THE_MODEL = {
 
 def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], transition: float | np.ndarray) -> None:
     """Fill callback, by_callback and left_out of `result`."""
-    lines, load, drag = [], "", ""
+    lines, load, pushed = [], "", ""
     for term in terms:
         effect, name = term.effect, term.effect.name
         if name in FORMS or name == "load_dependent_friction":
@@ -269,8 +281,9 @@ def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], transition:
                 lines.append(f"            torque += {FORMS[name].format(**values)}  # {name}\n")
             else:
                 load += _LOAD.format(**values, name=name)
-        elif name == "air_drag":
-            drag = _DRAG.format(c=float(term.amplitude[0, 0]))
+        elif name in PLATFORM_FORMS:
+            values = dict(zip(effect.amplitudes, term.amplitude[0].tolist(), strict=True))
+            pushed += f"            force += {PLATFORM_FORMS[name].format(**values)}  # {name}\n"
         elif name in OF_THE_MEASUREMENT:
             result.left_out[name] = f"of the measurement, not of the robot: {OF_THE_MEASUREMENT[name]}"
             continue
@@ -285,7 +298,8 @@ def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], transition:
         joints = [f"motor{i}" if f"motor{i}" in split else f"arm{i}" for i in range(3)]
         smooth = max(SMOOTH, float(np.max(transition)))
         head = _HEAD.format(name=robot.name, gear_ratio=robot.drive.gear_ratio, joints=joints, smooth=smooth)
-        result.callback = head + "".join(lines) + load + _TAIL + drag
+        platform = _PLATFORM + pushed + _PLATFORM_TAIL if pushed else ""
+        result.callback = head + "".join(lines) + load + _TAIL + platform
 
 
 def to_urdf(robot: Robot) -> str:

@@ -215,6 +215,7 @@ INJECTED: dict[str, Injected] = {
         lambda run, _: swinging(friction.PassiveJointFriction(0.2, 0.03), run),
         0.03,
     ),
+    "shaft_friction": Injected((), [[5.0, 3.0]], (), lambda run, _: pushed(friction.ShaftFriction(5.0, 3.0), run)),
     "rotor_inertia": Injected((1,), [[0.03]], (), lambda run, _: built(mechanics.RotorInertia([0.0, 0.03, 0.0]), run)),
     "arm_mass": Injected((2,), [[0.4]], (), lambda run, _: built(mechanics.ArmMass([0.0, 0.0, 0.4]), run)),
     "tool_mass": Injected((), [[0.3]], (), lambda run, _: built(mechanics.ToolMass(0.3), run)),

@@ -22,6 +22,7 @@ CATALOGUE: dict[str, type[PlantEffect]] = {
     "warmup_friction": friction.WarmupFriction,
     "presliding_friction": friction.PreslidingFriction,
     "passive_joint_friction": friction.PassiveJointFriction,
+    "shaft_friction": friction.ShaftFriction,
     "rotor_inertia": mechanics.RotorInertia,
     "arm_mass": mechanics.ArmMass,
     "tool_mass": mechanics.ToolMass,

@@ -188,3 +188,23 @@ class PassiveJointFriction(PlantEffect):
     def _torque(self, spin: np.ndarray) -> np.ndarray:
         speed = np.linalg.norm(spin, axis=1, keepdims=True)
         return -(self.viscous_nms + self.dry_nm * np.tanh(speed / self.SOFT) / np.maximum(speed, 1e-9)) * spin
+
+
+@dataclass
+class ShaftFriction(PlantEffect):
+    """The halves of a telescopic shaft from the middle of the base to the platform rub along each other."""
+
+    dry_n: float
+    viscous_nspm: float
+
+    # speed below which the dry force fades, m/s: seals are compliant
+    SOFT = 0.005
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(float(severity * rng.uniform(3.0, 7.0)), float(severity * rng.uniform(0.5, 3.0)))
+
+    def platform_force(self, plant: Plant) -> np.ndarray:
+        length = math.sqrt(plant.platform @ plant.platform)
+        rate = float(plant.platform @ plant.platform_dot) / length
+        return -(self.dry_n * math.tanh(rate / self.SOFT) + self.viscous_nspm * rate) / length * plant.platform

@@ -21,6 +21,7 @@ NAMES = (
     "warmup_friction",
     "presliding_friction",
     "passive_joint_friction",
+    "shaft_friction",
     "rotor_inertia",
     "arm_mass",
     "tool_mass",

@@ -79,7 +79,7 @@ def test_an_effect_can_be_written_into_a_truth_file(name: str, truth: PlantTruth
 
 
 def test_catalogue_is_complete_and_apart_from_what_is_outside() -> None:
-    assert len(CATALOGUE) == 28  # and forearm_inertia, which is in every plant
+    assert len(CATALOGUE) == 29  # and forearm_inertia, which is in every plant
     assert len(OUT_OF_CATALOGUE) >= 5
     assert not set(CATALOGUE) & set(OUT_OF_CATALOGUE)
 
@@ -188,6 +188,19 @@ def test_drag_goes_with_the_square_of_the_speed(robot: Robot, truth: PlantTruth,
     speed = watched(plant, run, lambda p: p.platform_dot.copy())
     np.testing.assert_allclose(np.linalg.norm(force, axis=1), 0.8 * (speed**2).sum(axis=1), rtol=1e-9, atol=1e-9)
     assert ((force * speed).sum(axis=1) <= 0).all()
+
+
+def test_a_shaft_rubs_along_itself(robot: Robot, truth: PlantTruth, run: Trajectory) -> None:
+    shaft = friction.ShaftFriction(5.0, 2.0)
+    plant = Plant(robot, truth, (shaft,))
+    force = watched(plant, run, shaft.platform_force)
+    place = watched(plant, run, lambda p: p.platform.copy())
+    rate = np.gradient(np.linalg.norm(place, axis=1), run.period)
+    along = np.sum(force * place, axis=1) / np.linalg.norm(place, axis=1)
+    np.testing.assert_allclose(np.linalg.norm(force, axis=1), np.abs(along), rtol=1e-9)
+    fast = np.abs(rate) > 0.05
+    assert fast.sum() > 50
+    np.testing.assert_allclose(along[fast], -5.0 * np.sign(rate[fast]) - 2.0 * rate[fast], atol=0.05)
 
 
 def test_friction_laws(robot: Robot, truth: PlantTruth) -> None:

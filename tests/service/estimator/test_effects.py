@@ -34,6 +34,7 @@ FOUND = {
     "base_tilt": {"about_x": 0.02, "about_y": -0.03},
     "hose_spring": {"k": 30.0, "force_x": 4.0, "force_y": -6.0, "force_z": 9.0},
     "air_drag": {"c": 1.5},
+    "shaft_friction": {"dry": 5.0, "viscous": 4.0},
 }
 NOT_CARRIED = {
     "presliding_friction", "passive_joint_friction", "joint_elasticity", "backlash", "torque_delay", "torque_filter",

@@ -79,6 +79,7 @@ STATED = {
         INF,
         "delta",
     ),
+    "shaft_friction": ("", {"dry": ("N", 0.0, INF), "viscous": ("N s/m", 0.0, INF)}, [], INF, INF, "delta"),
     "rotor_inertia": ("per_joint own_joint", {"delta_i": ("kg m^2", 0.0, INF)}, [], INF, INF, ""),
     "arm_mass": ("per_joint own_joint", {"delta_m": ("kg", -INF, INF)}, [], INF, INF, "delta"),
     "tool_mass": ("", {"delta_m": ("kg", -INF, INF)}, [], INF, INF, "delta"),

@@ -69,8 +69,8 @@ def run(robot: Robot, seen: Stretch, at: int, torque: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "names",
-    [(), BODIES, ("joint_elasticity",), ("backlash",), CALLED],
-    ids=["wall", "bodies", "spring", "gap", "called"],
+    [(), BODIES, ("joint_elasticity",), ("backlash",), CALLED, ("shaft_friction",)],
+    ids=["wall", "bodies", "spring", "gap", "called", "shaft"],
 )
 def test_it_goes_where_rollout_goes(names: tuple[str, ...]) -> None:
     effects = [effect(name) for name in names]

@@ -34,6 +34,7 @@ INJECTED: dict[str, tuple[list[int], dict[str, float]]] = {
     "joint_spring": ([2], {"k": 4.0, "preload": -2.0}),
     "hose_spring": ([], {"k": 30.0, "force_x": 4.0, "force_y": -6.0, "force_z": 9.0}),
     "air_drag": ([], {"c": 2.0}),
+    "shaft_friction": ([], {"dry": 6.0, "viscous": 5.0}),
     "link_length_error": ([2], {"error": 0.012}),
     "forearm_length_error": ([1], {"error": -0.015}),
     "base_radius_error": ([3], {"error": 0.012}),
