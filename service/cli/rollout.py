@@ -55,10 +55,18 @@ def command(
     robots = _robots(robot, effects)
     console, progress = result_console(), Console(stderr=True)
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
+    last = list(robots)[-1]
     with progress.status("simulating") as status:
-        found = rollout(robots, recorded, horizon, lambda what: status.update(f"simulating {what}"), commands)
-    if not commands:
-        check_sign(list(robots.values())[-1], recorded, found)
+
+        def told(what: str) -> None:
+            status.update(f"simulating {what}")
+
+        # the sign of the torque is asked for with the torque going in, whatever goes in afterwards
+        driven = {last: robots[last]} if commands else robots
+        found = rollout(driven, recorded, horizon, told)
+        check_sign(robots[last], recorded, found)
+        if commands:
+            found = rollout(robots, recorded, horizon, told, commands)
     result = document(found, robots, [trace.name for trace in recorded])
     if out is not None:
         make_folder(out)

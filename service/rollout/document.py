@@ -123,6 +123,8 @@ def sentences(result: RolloutDocument) -> list[str]:
             f"In {len(masses)} of {result.windows} windows {min(masses):.3g} to {max(masses):.3g} kg hang on every "
             "simulated robot: what is carried, as the last description weighs it."
         )
+    if len(masses) == result.windows:
+        lines.append("It is never empty: a tool whose mass the description lacks would look the same.")
     if result.untold_s:
         lines.append(f"{result.untold_s:.3g} s are left out in which it cannot be told what is carried.")
     for robot in result.robots:

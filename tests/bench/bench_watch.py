@@ -3,17 +3,21 @@
 uv run python -m tests.bench.bench_watch --seeds 1 2 3 --minutes 60
 
 Robots are those of `drivers.plant.cases`, identified from its logs without an effect; the motion is pick-and-place with
-masses, of which the bus has the gripper or, with --no-gripper, the estimator alone tells. Time to the name: from the
-change to the moment the diagnosis starts, and the processor's time that it takes. The unchanged hour is five motions of
-two minutes, each six times with torque noise of its own.
+masses, of which the bus has the gripper or, with --no-gripper, the estimator alone tells. A watch as `deltatwin watch`
+makes it learns for 30 s of motion, at 60 s the effect comes on. Time to the name: from the change to the moment the
+diagnosis starts, in samples, and the processor's time of the process that makes it and stores what it found. The
+unchanged hour is five motions of two minutes, each six times with torque noise of its own.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import resource
 import time
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -23,22 +27,22 @@ from drivers.plant.effects import EFFECTS
 from drivers.plant.plant import Plant, Target
 from drivers.plant.simulate import Carrier
 from schemas.messages import Gripper, WatchState
-from schemas.robot import Robot
+from schemas.robot import Robot, save_robot
 from schemas.trace import Trace
 from service.estimator.estimator import Estimator, rate_of
 from service.identification.identify import identify
 from service.identification.regression import summarise
-from service.model.effects import catalogue
 from service.model.nominal import pack
-from service.watch.examine import examine
+from service.watch import node
+from service.watch.node import Examination
 from service.watch.watch import Case as Rise
-from service.watch.watch import Patience, Watch
+from service.watch.watch import Watch
 
 TEN = (
     "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "tool_mass", "arm_mass", "joint_spring",
     "hose_spring", "torque_scale", "torque_offset", "cogging",
 )  # fmt: skip
-LEARN, ONSET, WHOLE = 15.0, 45.0, 84.0  # s
+ONSET, WHOLE = 60.0, 110.0  # s
 MASSES = (0.0, 0.5, 1.5)  # kg
 PIECE, TIMES = 120.0, 6  # s simulated of an unchanged robot, and how often each piece comes
 CHUNK = 500  # samples, as they come
@@ -99,24 +103,42 @@ def over(robot: Robot, watch: Watch, samples: np.ndarray) -> tuple[Rise | None, 
 
 def named(robot: Robot, name: str, joints: list[int], seed: int, trace: Trace) -> bool:
     """Whether what came on at `ONSET` is; prints what was found."""
-    rise, _ = over(robot, Watch(robot, Patience(LEARN)), trace.samples())
+    rise, _ = over(robot, Watch(robot), trace.samples())
     if rise is None:
         print(f"{name:24} seed {seed}: not risen", flush=True)
         return False
-    begin = time.process_time()
-    found = examine(robot, rise, catalogue()).diagnosis
-    took, waited = time.process_time() - begin, float(rise.after.time[-1]) - ONSET
-    names = [one.name for one in found.effects]
-    right = names[:1] in ([name], [SAME.get(name)])
-    right = right and (not found.effects[0].joints or found.effects[0].joints == joints)
+    with TemporaryDirectory() as folder:
+        found, took = examined(robot, rise, Path(folder))
+    waited = float(rise.after.time[-1]) - ONSET
+    names = [one["name"] for one in found["effects"]]
+    where = found["effects"][0]["joints"] if names else []
+    right = names[:1] in ([name], [SAME.get(name)]) and (not where or where == joints)
     late = waited + took > WITHIN
     print(
         f"{name:24} seed {seed}: {'named' if right else 'MISSED'}{', LATE' if late else ''} as "
-        f"{', '.join(names) or 'nothing'} (joints {found.effects[0].joints if names else []}, truly {joints}), "
+        f"{', '.join(names) or 'nothing'} (joints {where}, truly {joints}), "
         f"since {rise.since:.1f} s, after {waited:.0f} s + {took:.0f} s",
         flush=True,
     )
     return right and not late
+
+
+def examined(robot: Robot, rise: Rise, folder: Path) -> tuple[dict, float]:
+    """The diagnosis in finding.json, and processor's s of the process that wrote it."""
+    save_robot(robot, folder / "robot.toml")
+    begin = spent_by_children()
+    examination = Examination(folder / "robot.toml", None, folder, rise)
+    while not examination.done:
+        time.sleep(0.2)
+    examination.result()
+    (written,) = folder.glob("*/finding.json")
+    return json.loads(written.read_text())["diagnosis"], spent_by_children() - begin
+
+
+def spent_by_children() -> float:
+    """Processor's s of processes that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def changed(names: list[str], seed: int, gripper: bool) -> list[bool]:
@@ -141,7 +163,7 @@ def quiet(seed: int, minutes: float, gripper: bool) -> tuple[int, float]:
     robot = identified(case, seed)
     noise = np.array(case.truth.torque_noise_nm)
     plant = Plant(case.robot, case.truth.model_copy(update={"torque_noise_nm": [0.0] * 3}), (), PERIOD, seed)
-    watch, rng, alarms, spent, first = Watch(robot, Patience(LEARN)), np.random.default_rng(seed), 0, 0.0, 0
+    watch, rng, alarms, spent, first = Watch(robot), np.random.default_rng(seed), 0, 0.0, 0
     for piece in range(round(minutes * 60.0 / PIECE / TIMES)):
         motion = production(case, PIECE, seed + 1000 * piece)
         plant.set_payload(0.0)
@@ -171,6 +193,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=60.0, help="of unchanged motion")
     parser.add_argument("--gripper", action=argparse.BooleanOptionalAction, default=True, help="known on the bus")
     given = parser.parse_args()
+    node.NICENESS = 0  # beside other work it would not have its turn; what counts is the processor's time
     hits = [hit for seed in given.seeds if given.effects for hit in changed(given.effects, seed, given.gripper)]
     if hits:
         print(f"named right within {WITHIN:g} s: {sum(hits)} of {len(hits)} (bound 90 %)")

@@ -63,11 +63,14 @@ def test_no_window_spans_a_gap(tmp_path: Path) -> None:
     assert broken.deviations[0].platform_mm < 1.5 * broken.floor.platform_mm
 
 
+@pytest.mark.parametrize("commands", [[], ["--commands"]])
 @pytest.mark.parametrize(("turned", "said"), [((0, 1, 2), "joints 1, 2 and 3"), ((1,), "joint 2")])
-def test_a_torque_of_the_wrong_sign_is_named(tmp_path: Path, turned: tuple[int, ...], said: str) -> None:
+def test_a_torque_of_the_wrong_sign_is_named(
+    tmp_path: Path, turned: tuple[int, ...], said: str, commands: list[str]
+) -> None:
     path = log(tmp_path, identified(), turned)
     save_robot(identified(), tmp_path / "r.toml")
-    told = runner.invoke(app, ["rollout", str(path), "--robot", str(tmp_path / "r.toml")])
+    told = runner.invoke(app, ["rollout", str(path), "--robot", str(tmp_path / "r.toml"), *commands])
     assert isinstance(told.exception, DataError)
     assert f"{path}: the simulated robot runs away" in str(told.exception)
     assert f"with the torque of {said} turned round it does not" in str(told.exception)

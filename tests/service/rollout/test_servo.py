@@ -139,6 +139,10 @@ def test_what_the_log_says_is_carried_hangs_on_the_simulated_robot(carrying, com
     said = sentences(document(found, robots, ["picks"]))
     assert any(line.startswith(f"In {loaded.sum()} of {len(loaded)} windows 2.5") for line in said)
     assert any("s are left out in which it cannot be told what is carried" in line for line in said)
+    never_empty = replace(found, payload=np.full(len(loaded), 0.7))
+    for one, told in ((found, False), (never_empty, True)):
+        said = sentences(document(one, robots, ["picks"]))
+        assert any("a tool whose mass the description lacks" in line for line in said) == told
 
 
 def test_what_cannot_be_weighed_is_not_simulated(carrying) -> None:
