@@ -30,6 +30,7 @@ _OWN = re.compile(r"^position_\d+_(rad|m)$")
 OWN_UNITS = {True: ("rad", "nm"), False: ("m", "n")}  # endings of our own column names: angular, linear
 _STAMP = pl.Decimal(38, 9)
 DATE_FORMATS = tuple(f"{day} %H:%M:%S%.f" for day in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%m/%d/%Y"))
+_ZONE = r"(?<time>:\d\d(\.\d+)?) ?(Z|(?<sign>[+-])(?<hours>\d\d):?(?<minutes>\d\d))$"
 _LATIN = '; from a German or French Windows? encoding = "latin-1" in its [columns], or deltatwin import'
 _FIXED_POINT_LINES = 20  # lines looked at to tell whether the last field has a fixed number of decimals
 
@@ -257,10 +258,17 @@ def _from_dates(table: pl.DataFrame, text: pl.DataFrame, wanted: Plan) -> tuple[
 
 
 def date_times(text: pl.Expr) -> pl.Expr:
-    """Dates with times of day, written in any of the usual ways, as int64 ns since 1970; null where it is none."""
+    """Dates with times of day, written in any of the usual ways, as int64 ns since 1970; null where it is none.
+
+    A zone behind the time, as Z or +02:00, is taken into account; without one the time is taken for UTC.
+    """
     plain = text.str.strip_chars().str.replace(",", ".", literal=True).str.replace("T", " ", literal=True)
-    parsed = (plain.str.to_datetime(form, time_unit="ns", strict=False) for form in DATE_FORMATS)
-    return pl.coalesce(parsed).cast(pl.Int64)
+    zone = plain.str.extract_groups(_ZONE)
+    ahead = 60 * zone.struct["hours"].cast(pl.Int64) + zone.struct["minutes"].cast(pl.Int64)
+    ahead = pl.when(zone.struct["sign"] == "-").then(-ahead).otherwise(ahead).fill_null(0)
+    local = plain.str.replace(_ZONE, "$time")
+    parsed = (local.str.to_datetime(form, time_unit="ns", strict=False) for form in DATE_FORMATS)
+    return pl.coalesce(parsed).cast(pl.Int64) - ahead * 60 * NANOSECONDS
 
 
 def _explain(body: bytes, names: list[str], used: list[int], columns: Columns, error: str) -> str:

@@ -60,6 +60,7 @@ def command(
     from schemas.errors import StorageError
     from schemas.files import make_folder, write_text
     from service.cli.main import MISSED
+    from service.cli.output import as_json
     from service.cli.output import console as result_console
     from service.diagnosis import blindtest
     from service.diagnosis.blindpage import BOUNDS, missed, write_page
@@ -93,7 +94,7 @@ def command(
             table.add_row(label, str(figures[key]), bound)
     late = missed(figures)
     if json:
-        typer.echo(json_library.dumps({"summary": figures, "refused": refused, "missed": late}, indent=1))
+        typer.echo(as_json("blindtest", {"summary": figures, "refused": refused, "missed": late}))
     else:
         result_console().print(table)
         for line in refused:

@@ -21,10 +21,12 @@ def command(
     ] = Path("d3-1200"),
     out: Annotated[Path, typer.Option(help="Folder for page, pictures and figures as JSON.")] = Path("closed-loop"),
     identified: Annotated[
-        Path | None, typer.Option(help="What `identify` wrote. Default: identify on simulated logs first.")
+        Path | None,
+        typer.Option(metavar="FILE|NAME", help="What `identify` wrote. Default: identify on simulated logs first."),
     ] = None,
     truth: Annotated[
-        str | None, typer.Option(help="What the robot really is (TOML), or `ideal`. Default: as `simulate`.")
+        str | None,
+        typer.Option(metavar="FILE", help="What the robot really is (TOML), or `ideal`. Default: as `simulate`."),
     ] = None,
     payload: Annotated[list[float] | None, typer.Option(min=0.0, help="Masses to carry (kg).")] = None,
     duration: Annotated[float, typer.Option(min=3.0, help="Length of each run (s).")] = 10.0,
@@ -38,8 +40,6 @@ def command(
 
     Example: deltatwin closed-loop --robot d3-1200 --payload 1 --payload 3.8 --out closed-loop
     """
-    import json as json_library
-
     import numpy as np
     from rich.table import Table
 
@@ -48,6 +48,7 @@ def command(
     from schemas.errors import RobotError
     from schemas.files import make_folder, write_text
     from schemas.robot import load_robot
+    from service.cli.output import as_json
     from service.cli.output import console as result_console
     from service.cli.signals import terminate_as_interrupt
     from service.cli.simulate import make_plant
@@ -119,7 +120,7 @@ def command(
         }
         for run in runs
     ]
-    text = json_library.dumps(figures, indent=1)
+    text = as_json("closed-loop", {"runs": figures})
     write_text(out / "closed_loop.json", text)
     if json:
         typer.echo(text)
@@ -129,11 +130,14 @@ def command(
 
 
 NOTE = (
-    "rms tracking error, joints and worst mrad, platform mm; times smaller than with feedback alone; "
-    "cycles helped by feed-forward; cycles that began late"
+    "rms tracking error, and the worst of any joint; times smaller than with feedback alone; cycles helped by "
+    "feed-forward; cycles that began late"
 )
 SHORT = (0, 4, 5, 6, 7, 8, 9)  # columns of HEAD that a terminal has room for
-HEAD = ("fed with", "joint 1", "joint 2", "joint 3", "all", "platform", "worst", "times smaller", "helped", "late")
+HEAD = (
+    "fed with", "joint 1, mrad", "joint 2, mrad", "joint 3, mrad", "all, mrad", "platform, mm", "worst, mrad",
+    "times smaller", "helped", "late",
+)  # fmt: skip
 
 
 def _row(run: Tracking, reference: Tracking) -> tuple[str, ...]:

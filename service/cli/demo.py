@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from service.cli.reading import AsJson
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,6 +21,7 @@ def command(
     out: Annotated[Path, typer.Option(help="Folder for the recording, the picture and the logs.")] = Path(
         "deltatwin-demo"
     ),
+    json: AsJson = False,
 ) -> None:
     """Replay a bundled Delta log in real time through player, estimator and monitor, each a process of its own.
 
@@ -39,6 +42,7 @@ def command(
     from schemas.files import make_folder
     from schemas.messages import Role
     from schemas.robot import load_robot
+    from service.cli.output import as_json
     from service.cli.output import console as result_console
     from service.cli.signals import terminate_as_interrupt
     from service.monitor.readback import read_recording
@@ -70,7 +74,11 @@ def command(
     crew.check()
     recorded = read_recording(recording)
     write_page(picture(recorded), f"{LOG.name} replayed: measured against predicted torque", page)
-    for table in _results(recorded):
+    results = {"errors": _errors(recorded), "payload": _payloads(recorded), "bus": _delivery(recorded)}
+    if json:
+        typer.echo(as_json("demo", results | {"recording": str(recording), "picture": str(page)}))
+        return
+    for table in _tables(results):
         result_console().print(table)
     typer.echo(f"{player.last_words()}\nrecording: {recording}\npicture:   {page}")
 
@@ -118,69 +126,75 @@ class _Live:
         return table
 
 
-def _results(recorded: dict[str, Recorded]) -> list[Table]:
-    return [_errors(recorded), _payloads(recorded), _delivery(recorded)]
-
-
-def _errors(recorded: dict[str, Recorded]) -> Table:
-    from rich.table import Table
-
+def _errors(recorded: dict[str, Recorded]) -> dict[str, dict[str, np.ndarray]]:
     from service.monitor.report import errors_by_model
 
-    table = Table("model", *(f"joint {n}: mean, std" for n in (1, 2, 3)), title="measured - predicted torque, N m")
-    for label, (mean, std) in errors_by_model(recorded["error"].records).items():
-        table.add_row(label, *(f"{m:+.2f}, {s:.2f}" for m, s in zip(mean, std, strict=True)))
-    return table
+    errors = errors_by_model(recorded["error"].records)
+    return {model: {"mean_nm": mean, "std_nm": std} for model, (mean, std) in errors.items()}
 
 
-def _payloads(recorded: dict[str, Recorded]) -> Table:
+def _payloads(recorded: dict[str, Recorded]) -> list[dict[str, Any]]:
     import csv
 
     import numpy as np
-    from rich.table import Table
 
     from replay.demo import PAYLOADS
     from schemas.messages import PayloadEvent
     from service.estimator.kalman import SMOOTHING_LAG
 
     payload = recorded["payload"].records
-    table = Table(
-        "picked at, s", "truth, kg", "estimate, kg", "error", "pick seen after, ms", "release seen after, ms",
-        title="payload",
-    )  # fmt: skip
+    rows = []
     sequence, lag = payload["sequence"].astype(np.int64), round(1000 * SMOOTHING_LAG)
     for row in csv.DictReader(PAYLOADS.open()):
         begin, end, truth = (float(row[key]) for key in ("from_s", "until_s", "mass_kg"))
         first, last = (round(1000 * at) for at in (begin, end))  # the log's rate is 1 kHz
 
-        def seen(event: PayloadEvent, since: int, until: int) -> str:
+        def seen(event: PayloadEvent, since: int, until: int) -> int | None:
             found = sequence[(payload["event"] == event) & (sequence >= since) & (sequence < until)]
-            return f"{found[0] + lag - since}" if len(found) else "-"
+            return int(found[0]) + lag - since if len(found) else None
 
         held = payload[(sequence < last) & (sequence >= first)]
-        mass = float(held["mass"][-1]) if len(held) else float("nan")
-        table.add_row(
-            f"{first * 1e-3:.2f}", f"{truth:.2f}", f"{mass:.3f}", f"{100 * (mass / truth - 1):+.1f} %",
-            seen(PayloadEvent.PICK, first, last), seen(PayloadEvent.RELEASE, last, last + 400),
-        )  # fmt: skip
-    return table
+        rows.append(
+            {
+                "picked_s": first * 1e-3,
+                "truth_kg": truth,
+                "mass_kg": float(held["mass"][-1]) if len(held) else float("nan"),
+                "pick_seen_ms": seen(PayloadEvent.PICK, first, last),
+                "release_seen_ms": seen(PayloadEvent.RELEASE, last, last + 400),
+            }
+        )
+    return rows
 
 
-def _delivery(recorded: dict[str, Recorded]) -> Table:
+def _delivery(recorded: dict[str, Recorded]) -> dict[str, Any]:
     import numpy as np
-    from rich.table import Table
 
     samples, answers = recorded["sample"], recorded["feedforward"]
     _, mine, its = np.intersect1d(samples.records["sequence"], answers.records["sequence"], return_indices=True)
     latency = np.sort(answers.arrival[its] - samples.arrival[mine]) * 1e-3
-    table = Table(
-        "samples", "lost", "answered", "sample to feed-forward, µs: median", "p99", "p99.9", "max", title="bus"
-    )
+    quantiles = dict(zip(("median", "p99", "p99.9", "max"), np.quantile(latency, [0.5, 0.99, 0.999, 1.0]), strict=True))
     sent = int(samples.records["sequence"][-1]) + 1
-    table.add_row(
-        str(len(samples.records)),
-        str(sent - len(samples.records)),
-        str(len(mine)),
-        *(f"{value:.0f}" for value in np.quantile(latency, [0.5, 0.99, 0.999, 1.0])),
-    )
-    return table
+    came = len(samples.records)
+    return {"samples": came, "lost": sent - came, "answered": len(mine), "sample_to_feedforward_us": quantiles}
+
+
+def _tables(results: dict[str, Any]) -> list[Table]:
+    from rich.table import Table
+
+    errors = Table("model", *(f"joint {n}: mean, std" for n in (1, 2, 3)), title="measured - predicted torque, N m")
+    for model, error in results["errors"].items():
+        errors.add_row(model, *(f"{m:+.2f}, {s:.2f}" for m, s in zip(error["mean_nm"], error["std_nm"], strict=True)))
+    payload = Table(
+        "picked at, s", "truth, kg", "estimate, kg", "error", "pick seen after, ms", "release seen after, ms",
+        title="payload",
+    )  # fmt: skip
+    for row in results["payload"]:
+        truth, mass = row["truth_kg"], row["mass_kg"]
+        seen = ("-" if row[key] is None else str(row[key]) for key in ("pick_seen_ms", "release_seen_ms"))
+        payload.add_row(
+            f"{row['picked_s']:.2f}", f"{truth:.2f}", f"{mass:.3f}", f"{100 * (mass / truth - 1):+.1f} %", *seen
+        )
+    *counts, latency = results["bus"].values()
+    bus = Table("samples", "lost", "answered", "sample to feed-forward, µs: median", "p99", "p99.9", "max", title="bus")
+    bus.add_row(*map(str, counts), *(f"{value:.0f}" for value in latency.values()))
+    return [errors, payload, bus]

@@ -16,13 +16,20 @@ def command(
     out: Annotated[Path, typer.Option(help="Folder for diagnosis.json, corrected.toml and report.html")],
     columns: ColumnsFrom = None,
     baseline: Annotated[
-        Path | None, typer.Option(help="Identified description whose gap is the one before; default: identify anew")
+        Path | None,
+        typer.Option(
+            metavar="FILE|NAME", help="Identified description whose gap is the one before; default: identify anew"
+        ),
     ] = None,
     effects: OwnEffects = None,
     json: AsJson = False,
     test: Annotated[
-        list[Path] | None, typer.Option(help="Log to try the correction on, used for nothing else; may be repeated")
+        list[Path] | None,
+        typer.Option(metavar="TRACE", help="Log to try the correction on, used for nothing else; may be repeated"),
     ] = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Print the report too (report.pdf), by Chromium or Chrome")
+    ] = False,
 ) -> None:
     """Say where torque and model part, which effect explains it, and how far it shrinks on runs not used for the fit.
 
@@ -33,6 +40,8 @@ def command(
 
     Example: deltatwin diagnose fit_*.csv --robot corrected.toml --out again --effects rubber_stop.py
     """
+    from rich.console import Console
+
     from schemas.axes import load_description, save_axes
     from schemas.files import make_folder, write_text
     from schemas.machine import Machine
@@ -43,15 +52,18 @@ def command(
     from service.diagnosis.documents.report import write_report
     from service.diagnosis.documents.text import paragraphs
     from service.model.effects import catalogue
+    from service.pages import browser, print_page
 
     console = result_console()
+    if pdf:
+        browser()  # that there is one, before anything that takes long
     make_folder(out)
     known = catalogue(effects)
     description = load_description(robot, effects)
     reference = load_description(baseline, effects) if baseline else None
     recorded = list(reading(traces, description, columns, "reading"))
     tests = list(reading(test or [], description, columns, "reading"))
-    with console.status("starting") as status:
+    with Console(stderr=True).status("starting") as status:
         findings = diagnose(description, recorded, known, status.update, reference, tests)
         status.update("writing the report")
         sources = [
@@ -69,6 +81,9 @@ def command(
         else:
             save_robot(fixed, out / "corrected.toml", template=robot)
         write_report(findings, result, out / "report.html")
+        if pdf:
+            status.update("printing it")
+            print_page(out / "report.html", out / "report.pdf")
     if json:
         typer.echo(result.model_dump_json(indent=1, by_alias=True))
         return

@@ -7,12 +7,15 @@ from typing import Annotated
 
 import typer
 
+from service.cli.reading import AsJson
+
 
 def command(
     out: Annotated[Path, typer.Option(help="Folder for everything that is recorded.")] = Path("ethercat-demo"),
     rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second (Hz).")] = 1000.0,
     duration: Annotated[float, typer.Option(min=6.0, help="Length of each of the two pick-and-place runs (s).")] = 8.0,
     product: Annotated[float, typer.Option(min=0.1, help="What the gripper lifts in the second run (kg).")] = 1.5,
+    json: AsJson = False,
 ) -> None:
     """Simulated drives and robot, master, passive tap, capture, estimator and monitor on one wire; needs root.
 
@@ -28,6 +31,7 @@ def command(
     from rich.table import Table
 
     from service.cli.main import MISSED
+    from service.cli.output import as_json
     from service.cli.output import console as result_console
     from service.demonstration import demonstrate
 
@@ -39,12 +43,15 @@ def command(
         product,
         lambda step: progress.print(f"{time.monotonic() - begin:5.1f} s  {step}", highlight=False),
     )
+    if json:
+        typer.echo(as_json("ethercat-demo", {"checks": [vars(check) for check in checks], "out": str(out)}))
     table = Table("", "claim", "measured", "bound", title="EtherCAT demonstration")
     for check in checks:
         table.add_row(
             "[green]holds[/green]" if check.holds else "[red]fails[/red]", check.claim, check.measured, check.bound
         )
-    console.print(table)
-    console.print(f"recorded in {out}", highlight=False)
+    if not json:
+        console.print(table)
+        console.print(f"recorded in {out}", highlight=False)
     if not all(check.holds for check in checks):
         raise typer.Exit(MISSED)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -108,22 +108,17 @@ def _pooled(results: list[Evaluation], which: str = "errors") -> dict[str, Momen
 
 def _json(results: list[Evaluation], unit: str) -> str:
     from dataclasses import asdict
-    from json import dumps
 
+    from service.cli.output import as_json
     from service.model.signals import ANALYSIS_HZ
 
-    def figures(errors: dict[str, Moments]) -> dict[str, dict[str, list[float | None]]]:
+    def figures(errors: dict[str, Moments]) -> dict[str, dict[str, Any]]:
         return {
-            name: {
-                "mean_nm": _finite(moments.mean),
-                "std_nm": _finite(moments.std),
-                "rms_nm": _finite(moments.rms),
-            }
+            name: {"mean_nm": moments.mean, "std_nm": moments.std, "rms_nm": moments.rms}
             for name, moments in errors.items()
         }
 
     document = {
-        "schema": "deltatwin.evaluation/1",
         "analysis_hz": ANALYSIS_HZ,
         "unit": unit,
         "models": figures(_pooled(results)),
@@ -140,11 +135,7 @@ def _json(results: list[Evaluation], unit: str) -> str:
             for result in results
         ],
     }
-    return dumps(document, indent=1)
-
-
-def _finite(values) -> list[float | None]:
-    return [float(value) if value == value else None for value in values]
+    return as_json("evaluation", document)
 
 
 def _table(results: list[Evaluation], unit: str) -> Table:

@@ -34,7 +34,7 @@ def command(
 
     Example: deltatwin experiment --out experiment
     """
-    import json as json_library
+    from dataclasses import asdict
 
     import numpy as np
     from rich.table import Table
@@ -46,6 +46,7 @@ def command(
     from drivers.trace import write_trace
     from schemas.files import make_folder
     from schemas.robot import load_robot, save_robot
+    from service.cli.output import as_json
     from service.cli.output import console as result_console
     from service.experiment.logs import excitations, record
     from service.experiment.paper import page, run, table_1
@@ -82,7 +83,12 @@ def command(
             write_trace(trace, out / f"{trace.name}.csv", robot.name)
     shown = table_1(found)
     if json:
-        typer.echo(json_library.dumps([dict(zip(shown.head, row, strict=True)) for row in shown.rows], indent=1))
+        errors = {
+            model: dict(zip(("mean_nm", "std_nm"), found.stress.moments(torque), strict=True))
+            for model, torque in found.stress.torque.items()
+        }
+        picks = [asdict(score) for score in found.scores]
+        typer.echo(as_json("experiment", {"upsilon_F": errors, "upsilon_P": picks}))
         return
     table = Table(*shown.head, title=shown.title, caption=shown.note)
     for column in table.columns[1:]:

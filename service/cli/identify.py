@@ -41,7 +41,6 @@ def command(
 
     Example: deltatwin identify fit_*.csv --robot robot.toml --out identified.toml --carried 3.0:loaded.csv
     """
-    import json as json_library
     from dataclasses import asdict, replace
 
     from schemas.axes import load_description, save_axes
@@ -49,6 +48,7 @@ def command(
     from schemas.files import make_folder
     from schemas.machine import Machine
     from schemas.robot import save_robot
+    from service.cli.output import as_json
     from service.cli.output import console as result_console
     from service.cli.reading import reading
     from service.identification.axes import identify_axes
@@ -87,10 +87,10 @@ def command(
         parameters = [
             asdict(estimate) | {"unit": in_units_of(description, estimate.unit)} for estimate in result.fit.estimates
         ]
-        document = {"schema": "deltatwin.identification/1", "parameters": parameters, "warnings": list(result.warnings)}
+        document = {"parameters": parameters, "warnings": list(result.warnings)}
         if figures:
             document["calibration"] = [asdict(figure) for figure in figures]
-        typer.echo(json_library.dumps(document | {"out": str(out)}, indent=1, default=float))
+        typer.echo(as_json("identification", document | {"out": str(out)}))
         return
     console.print(_parameters(result.fit.estimates, description))
     if figures:

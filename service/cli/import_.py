@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.reading import AsJson
+
 if TYPE_CHECKING:
     from drivers.trace.tables import Table
     from service.identification.proposal import Proposal, Stated
@@ -48,7 +50,7 @@ def command(
     where: Annotated[
         str | None, typer.Option(metavar="NAME[=VALUE]", help="Rows that count: VALUE (1) in this column.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print channels, proposal and doubts as JSON.")] = False,
+    json: AsJson = False,
 ) -> None:
     """List the channels of foreign logs, propose how to read them, and write the mapping and the log.
 
@@ -90,12 +92,14 @@ def command(
         proposal = propose(table, description, stated)
     if not json:
         _show(table, proposal)
-    log = out or files[0].with_name(
-        files[0].name.split(".")[0] + (".mcap" if len(proposal.columns["position"]) == 3 else ".imported.csv")
-    )
+    ending = ".mcap" if len(proposal.columns["position"]) == 3 else ".csv"
+    told_apart = "" if ending == ".mcap" != files[0].suffix else ".imported"
+    log = out or files[0].with_name(f"{files[0].name.split('.')[0]}{told_apart}{ending}")
     mapping = log.with_name(log.name.split(".")[0] + ".columns.toml")
     check_folder(log.parent)
     for path in (log, mapping):
+        if path.resolve() in (file.resolve() for file in files):
+            raise StorageError(f"{path}: is what is read; --out names another file")
         if path.exists() and not overwrite:
             raise StorageError(f"{path}: exists already; --overwrite replaces it, --out names another")
     if not yes:
@@ -224,10 +228,9 @@ def _toml(table: Table, proposal: Proposal) -> str:
 
 
 def _json(table: Table, proposal: Proposal, log: Path, mapping: Path) -> str:
-    from json import dumps
+    from service.cli.output import as_json
 
     document = {
-        "schema": "deltatwin.import/1",
         "file": str(table.path),
         "kind": table.kind,
         "channels": _channels(table, proposal),
@@ -237,4 +240,4 @@ def _json(table: Table, proposal: Proposal, log: Path, mapping: Path) -> str:
         "log": str(log),
         "mapping": str(mapping),
     }
-    return dumps(document, indent=1)
+    return as_json("import", document)

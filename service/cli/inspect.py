@@ -39,8 +39,6 @@ def command(
 
     Example: deltatwin inspect pick_a.csv pick_b.mcap --robot d3.toml
     """
-    import json as json_library
-
     from rich.console import Console
 
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace
@@ -49,6 +47,7 @@ def command(
     from schemas.axes import load_description, no_axes
     from schemas.errors import TraceError
     from service.cli.capture_tables import show_capture
+    from service.cli.output import as_json
     from service.cli.output import console as result_console
 
     description = load_description(robot) if robot else None
@@ -73,7 +72,7 @@ def command(
         if not json:
             _show(surveys[-1], console)
     if json:
-        typer.echo(json_library.dumps(surveys, indent=2, allow_nan=False))
+        typer.echo(as_json("inspection", {"traces": surveys}))
     if failed:
         raise typer.Exit(1)
 

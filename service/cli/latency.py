@@ -31,12 +31,12 @@ def command(
 
     Example: deltatwin latency --rate 1000 --count 10000
     """
-    import json as json_library
 
     from drivers.trace import read_trace
     from replay.demo import LOG, ROBOT
     from replay.latency import take_turns
     from schemas.robot import load_robot
+    from service.cli.output import as_json
     from service.cli.output import console as result_console
     from service.cli.progress import counting
     from service.cli.signals import terminate_as_interrupt
@@ -55,13 +55,12 @@ def command(
         result_console().print(table)
         return
     document = {
-        "schema": "deltatwin.latency/1",
         "rate_hz": rate,
         "step_us": dict(zip(QUANTILES, steps.tolist(), strict=True)),
         "round_trip_us": {what: dict(zip(QUANTILES, each.tolist(), strict=True)) for what, each in found.items()},
         "lost": {what: sum(part.lost for part in parts) for what, parts in trips.items()},
     }
-    typer.echo(json_library.dumps(document, indent=1))
+    typer.echo(as_json("latency", document))
 
 
 def echo(robot: str) -> None:

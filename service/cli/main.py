@@ -8,9 +8,10 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperGroup
@@ -22,12 +23,13 @@ GROUPS = {
     "From logs to answers": ("identify", "evaluate", "payload", "diagnose", "fleet", "plan-motion", "rollout"),
     "On the bus": ("replay", "estimate", "monitor", "watch", "view", "recover", "keys", "latency"),
     "On an EtherCAT": ("tap", "master", "segment", "ethercat-demo"),
-    "Simulated robots": ("simulate", "closed-loop", "experiment", "blindtest"),
+    "Simulated robots": ("simulate", "export", "closed-loop", "experiment", "blindtest"),
 }
 OTHERS = "More"
 MISSED = 3  # exit code: everything ran, a stated bound does not hold
 LINUX_ONLY = ("fcntl", "pysoem")  # what live commands import; the others run anywhere
 HELP_WIDTH = 120  # characters, where the terminal has as many
+METAVARS = {Path: "PATH", int: "N", float: "NUMBER", str: "TEXT"}  # of options that have none of their own
 _HEAD = '"""`deltatwin '
 
 
@@ -58,8 +60,13 @@ class _Commands(TyperGroup):
             return None
         module = cmd_name.replace("-", "_") + ("_" if cmd_name == "import" else "")
         one = typer.Typer(add_completion=False, rich_markup_mode=None)
-        one.command(cmd_name)(importlib.import_module(f"service.cli.{module}").command)
-        return typer.main.get_command(one)
+        function = importlib.import_module(f"service.cli.{module}").command
+        one.command(cmd_name)(function)
+        found: Any = typer.main.get_command(one)
+        hints = get_type_hints(function, include_extras=True)
+        for parameter in found.params:
+            parameter.metavar = parameter.metavar or _metavar(hints.get(parameter.name))
+        return found
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         grouped = {name for names in GROUPS.values() for name in names}
@@ -69,6 +76,15 @@ class _Commands(TyperGroup):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
+
+
+def _metavar(hint: Any) -> str | None:
+    """What stands in help for a value of this type; None for a flag."""
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return "|".join(one.value for one in hint)
+    if get_origin(hint) is Literal:
+        return "|".join(get_args(hint))
+    return METAVARS.get(hint) or next(filter(None, map(_metavar, get_args(hint))), None)
 
 
 def _show_version(wanted: bool) -> None:

@@ -22,7 +22,8 @@ def command(
     columns: ColumnsFrom = None,
     json: AsJson = False,
     truth: Annotated[
-        list[Path] | None, typer.Option(help="What was really picked: CSV with from_s,until_s,mass_kg; one a trace")
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="What was really picked: CSV with from_s,until_s,mass_kg; one a trace"),
     ] = None,
     predictions: Annotated[
         Path | None, typer.Option(help="Folder for <trace>.csv with mass, std_dev, trusted, event after every sample")
@@ -35,11 +36,11 @@ def command(
 
     Example: deltatwin payload pick_a.csv --robot identified.toml --truth pick_a.payloads.csv
     """
-    import json as json_library
     from dataclasses import asdict
 
     from schemas.errors import DataError
     from schemas.robot import load_robot
+    from service.cli.output import as_json
     from service.cli.output import console as result_console
     from service.identification.payload import levels, payload_history, read_truth, score
 
@@ -62,8 +63,7 @@ def command(
             console.print(_found(trace.path.name, levels(found)))
     if json:
         scored = [asdict(score) for score in scores]
-        text = json_library.dumps({"schema": "deltatwin.payload/1", "traces": weighed, "picks": scored}, indent=1)
-        typer.echo(text.replace("NaN", "null"))
+        typer.echo(as_json("payload", {"traces": weighed, "picks": scored}))
     elif scores:
         for table in _scored(scores):
             console.print(table)

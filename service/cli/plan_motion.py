@@ -57,7 +57,6 @@ def command(
     Example: deltatwin plan-motion --robot r.toml --for identify --out motion.csv
     """
     import time
-    from json import dumps
 
     import numpy as np
 
@@ -66,6 +65,7 @@ def command(
     from schemas.errors import DataError
     from schemas.files import check_folder
     from schemas.robot import load_robot
+    from service.cli.output import as_json
     from service.estimator.bounds import bounds_of
     from service.planning.plan import at_rate, evaluations, plan
     from service.planning.question import PERIOD, Apart, expected
@@ -120,7 +120,8 @@ def command(
         lines += [f"  {name} ± {error:.2g} {unit}".rstrip() for name, (error, unit) in learned.items()]
         result = {"std_errors": {name: error for name, (error, _) in learned.items()}}
     if json:
-        typer.echo(dumps({"motion": str(out), "duration_s": sent.duration, "planned_in_s": round(spent, 1)} | result))
+        run = {"motion": str(out), "duration_s": sent.duration, "planned_in_s": round(spent, 1)}
+        typer.echo(as_json("plan-motion", run | result))
         return
     typer.echo("\n".join(lines))
     typer.echo(f"planned in {spent:.0f} s: {out}, {_used(sent, planner)}")

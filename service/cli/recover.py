@@ -7,12 +7,15 @@ from typing import Annotated
 
 import typer
 
+from service.cli.reading import AsJson
+
 
 def command(
     source: Annotated[
         Path, typer.Argument(metavar="IN", help="Recording whose writer was killed or whose disk was full (.mcap).")
     ],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="Whole file to write; must not exist.")],
+    json: AsJson = False,
 ) -> None:
     """Copy every readable message of a broken MCAP file to a whole one.
 
@@ -22,6 +25,7 @@ def command(
     from rich.console import Console
 
     from schemas.errors import StorageError
+    from service.cli.output import as_json
     from service.monitor.recover import recover
 
     console = Console(stderr=True)
@@ -33,6 +37,9 @@ def command(
         raise StorageError(f"{source}: {error.strerror}") from error
     with opened as stream:
         saved = recover(source, stream, target)
+    if json:
+        typer.echo(as_json("recovery", vars(saved) | {"out": str(target)}))
+        return
     for topic, count in sorted(saved.counts.items()):
         typer.echo(f"{count:>10}  {topic}")
     state = "the file was whole" if saved.whole else "the end was missing or damaged"

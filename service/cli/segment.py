@@ -18,7 +18,9 @@ def command(
     robot: Annotated[
         Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) with its drives and their process data.")
     ],
-    truth: Annotated[Path | None, typer.Option(help="Where the simulated robot departs from it (TOML).")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where the simulated robot departs from it (TOML).")
+    ] = None,
     rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second that the master will run at (Hz).")] = 1000.0,
     product: Annotated[float, typer.Option(min=0.0, help="What the gripper lifts when it is told to grip (kg).")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the sensors' noise.")] = 0,

@@ -50,8 +50,9 @@ def command(
     truth: Annotated[
         str | None,
         typer.Option(
+            metavar="FILE",
             help="What the robot really is (TOML), or `ideal`: exactly as described, no friction, no noise. "
-            "Default: the one that comes along for this robot, else ideal."
+            "Default: the one that comes along for this robot, else ideal.",
         ),
     ] = None,
     live: Annotated[

@@ -21,7 +21,7 @@ def command(
     reference: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="LOG",
+            metavar="TRACE",
             help="Production from when the description was made, whose gap is the level; may be repeated. "
             "Default: the first motion on the bus is.",
         ),

@@ -19,5 +19,8 @@ Jobs = Annotated[int, typer.Option(min=1, help="Processes on this host")]
 OnBackend = Annotated[Backend, typer.Option(help="joblib backend; dask: install deltatwin[dask]")]
 Scheduler = Annotated[
     str | None,
-    typer.Option(help="Dask scheduler, tcp://host:port, whose workers see the same folders; default: this host"),
+    typer.Option(
+        metavar="ADDRESS",
+        help="Dask scheduler, tcp://host:port, whose workers see the same folders; default: this host",
+    ),
 ]

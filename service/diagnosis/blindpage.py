@@ -67,6 +67,7 @@ def _shown(value: float | None) -> str:
 
 def _confusion(rows: list[dict[str, Any]]) -> go.Figure:
     truth, answer, table = confusion(rows)
+    truth, answer = [pages.words(name) for name in truth], [pages.words(name) for name in answer]
     text = [[str(v) if v else "" for v in line] for line in table]
     figure = go.Figure(
         go.Heatmap(x=answer, y=truth, z=table, text=text, texttemplate="%{text}", colorscale="Blues", showscale=False)
@@ -97,8 +98,8 @@ def _claims(rows: list[dict[str, Any]]) -> go.Figure:
     good = [row for row in rows if "error" not in row]
     figure = go.Figure()
     figure.add_scatter(
-        x=[row["shrink"] for row in good], y=[row["claimed"] for row in good], mode="markers",
-        text=[f"{row['case']} {'+'.join(row['truth']) or 'none'}" for row in good], showlegend=False,
+        x=[row["shrink"] for row in good], y=[row["claimed"] for row in good], mode="markers", showlegend=False,
+        text=[f"{pages.words(row['case'])}: {', '.join(map(pages.words, row['truth'])) or 'none'}" for row in good],
     )  # fmt: skip
     figure.add_scatter(x=[0, 1], y=[0, 1], mode="lines", line={"dash": "dot"}, showlegend=False)
     figure.update_xaxes(title_text="shrink measured on test logs")

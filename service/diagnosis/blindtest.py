@@ -27,6 +27,13 @@ from schemas.robot import load_robot
 
 FINDABLE = 1.1  # lift from which an effect counts as findable
 SURE = 0.9  # probability from which names are counted for calibration
+MAKER = """
+try:
+    from service.diagnosis.blindtest import maker
+    maker()
+except KeyboardInterrupt:  # a terminal's Ctrl-C reaches both processes: who asked says so
+    raise SystemExit(130)
+"""
 
 
 def make(out: Path, cases: int, seed: int, jobs: int, families: Sequence[str]) -> None:
@@ -64,7 +71,7 @@ def made(out: Path, cases: int, seed: int, jobs: int, families: Sequence[str]) -
     Raises:
         DataError: it failed, with its last words.
     """
-    command = [sys.executable, "-c", "from service.diagnosis.blindtest import maker; maker()"]
+    command = [sys.executable, "-c", MAKER]
     arguments = [str(out), str(cases), str(seed), str(jobs), ",".join(families)]
     with subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

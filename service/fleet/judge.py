@@ -108,9 +108,10 @@ def _identified(robot: Member, settings: Settings) -> tuple[Path, str | None]:
             if path.is_file() and json.loads(note.read_text(encoding="utf-8")) == state:
                 return path, day
         try:
-            traces = [one for one in _read(logs, description, settings.columns) if isinstance(one, Trace)]
+            read = list(_read(logs, description, settings.columns))
+            traces = [one for one in read if isinstance(one, Trace)]
             if not traces:
-                raise DataError(f"none of its {len(logs)} logs can be read")
+                raise DataError(f"none of its {len(logs)} logs can be read; {read[0]}")
             if isinstance(description, Machine):
                 save_axes(identify_axes(description, traces).axes, path)
             else:

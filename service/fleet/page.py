@@ -54,4 +54,4 @@ def _gap(fleet: Fleet) -> go.Figure:
 def _told(day: DayResult | None) -> str:
     if day is None:
         return "no log"
-    return ", ".join(effect.title for effect in day.effects) or day.error or (day.verdict or "").replace("_", " ")
+    return ", ".join(effect.title for effect in day.effects) or day.error or pages.words(day.verdict or "")

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import tempfile
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from schemas.diagnosis import named_joints
-from schemas.files import make_folder, write_text
+from schemas.errors import StorageError
+from schemas.files import make_folder, whole, write_text
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -15,6 +20,8 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 CONFIG = {"responsive": True, "displaylogo": False}
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")  # that print without a window
+PRINTING_S = 120.0  # a page takes seconds
 
 
 def write_page(template: str, path: Path, **fields: Any) -> None:
@@ -28,6 +35,42 @@ def write_page(template: str, path: Path, **fields: Any) -> None:
     write_text(path, text)
 
 
+def browser() -> str:
+    """What prints pages here.
+
+    Raises:
+        StorageError: there is none.
+    """
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        raise StorageError(f"printing takes Chromium, Chrome or Edge: none of {', '.join(BROWSERS)} is on the path")
+    return found
+
+
+def print_page(page: Path, out: Path) -> None:
+    """Print a page that was written as a PDF.
+
+    Raises:
+        StorageError: there is no browser, or it does not print.
+    """
+    command = [browser(), "--headless=new", "--disable-gpu", "--no-pdf-header-footer", "--virtual-time-budget=10000"]
+    if getattr(os, "geteuid", lambda: 1)() == 0:
+        command.append("--no-sandbox")  # without which it does not start for root; what it shows is ours
+    with whole(out) as partial, tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        command += [f"--user-data-dir={profile}", f"--print-to-pdf={partial.resolve()}", page.resolve().as_uri()]
+        try:
+            said = subprocess.run(command, capture_output=True, text=True, timeout=PRINTING_S, check=False).stderr
+        except subprocess.TimeoutExpired:
+            said = f"not done after {PRINTING_S:g} s"
+        if not partial.is_file() or not partial.stat().st_size:
+            raise StorageError(f"{out}: {command[0]} does not print: {said.strip()[-200:]}")
+
+
+def words(name: str) -> str:
+    """A name of a document as it is read."""
+    return name.replace("_", " ")
+
+
 @cache
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -37,7 +80,7 @@ def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader(__name__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"plot": _plot, "named_joints": named_joints}
+    environment.filters |= {"plot": _plot, "named_joints": named_joints, "words": words}
     environment.globals["plotly"] = Markup(get_plotlyjs())
     return environment
 

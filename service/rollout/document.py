@@ -119,9 +119,10 @@ def sentences(result: RolloutDocument) -> list[str]:
         )
     masses = [mass for mass in result.payload_kg if mass]
     if masses:
+        least, most = f"{min(masses):.3g}", f"{max(masses):.3g}"
         lines.append(
-            f"In {len(masses)} of {result.windows} windows {min(masses):.3g} to {max(masses):.3g} kg hang on every "
-            "simulated robot: what is carried, as the last description weighs it."
+            f"In {len(masses)} of {result.windows} windows {least if least == most else f'{least} to {most}'} kg hang "
+            "on every simulated robot: what is carried, as the last description weighs it."
         )
     if len(masses) == result.windows:
         lines.append("It is never empty: a tool whose mass the description lacks would look the same.")
@@ -146,18 +147,18 @@ def _growth(result: RolloutDocument) -> go.Figure:
         dash = "dot" if robot is result.floor else "solid"
         figure.add_scatter(x=times, y=robot.growth_mm, name=robot.robot, line={"color": colour, "dash": dash})
     figure.update_xaxes(title_text="time from the start of a window, ms")
-    figure.update_yaxes(title_text="rms error of the platform, mm", type="log")
+    figure.update_yaxes(title_text="rms error of the platform, mm", type="log", dtick="D2")
     figure.update_layout(height=380)
     return figure
 
 
 def _by_regime(result: RolloutDocument) -> go.Figure:
     figure = go.Figure()
-    labels = [f"joint {entry.joint}: {entry.regime}" for entry in result.regimes]
+    labels = [[f"joint {entry.joint}" for entry in result.regimes], [entry.regime for entry in result.regimes]]
     for robot, colour in zip((*result.robots, result.floor), _colours(result), strict=True):
         values = [entry.joint_mrad[robot.robot] for entry in result.regimes]
         figure.add_bar(x=labels, y=values, name=robot.robot, marker_color=colour)
-    figure.update_yaxes(title_text=f"rms after {1e3 * result.horizon_s:.0f} ms, mrad", type="log")
+    figure.update_yaxes(title_text=f"rms after {1e3 * result.horizon_s:.0f} ms, mrad", type="log", dtick="D2")
     figure.update_layout(barmode="group", height=420)
     return figure
 

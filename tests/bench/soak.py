@@ -1,6 +1,7 @@
 """Player, estimator and monitor side by side for as long as you like: what they hold, lose, cost and how late they are.
 
     python -m tests.bench.soak --minutes 60 --rate 1000
+    python -m tests.bench.soak --minutes 3 --rate 1000 --view     # beside `view` and a client that takes all it shows
 
 A row a minute, and at the end (or at Ctrl-C) the table as markdown, with what the recording holds of what was sent.
 Lateness is the player's, latency the estimator's, from a sample's arrival to the sending of its answer; both are
@@ -11,6 +12,9 @@ and round, resampled to the rate; the recording takes about 0.2 GB a minute at 8
 from __future__ import annotations
 
 import argparse
+import asyncio
+import json
+import multiprocessing
 import os
 import re
 import signal
@@ -19,11 +23,14 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
 import numpy as np
 from mcap.reader import make_reader
 from scipy.interpolate import CubicSpline
+from tornado.httpclient import HTTPRequest
+from tornado.websocket import websocket_connect
 
 from drivers.bus import Bus, open_bus
 from drivers.trace import read_trace, write_trace
@@ -91,9 +98,10 @@ class Soak:
         self._before: dict[str, Usage] = {}
         self._at = time.monotonic()
         self._counted = {"lost": 0, "late": 0}
+        self._shown = multiprocessing.get_context("spawn").Value("q", 0)
 
-    def start(self, rate: float) -> None:
-        """Monitor and estimator, and when they are there the player."""
+    def start(self, rate: float, view: bool) -> None:
+        """Monitor and estimator, and when they are there the player, with `view` and its client beside them."""
         robot = ["--robot", self._folder / "robot.toml"]
         self._launch("monitor", "monitor", *robot, "--out", self._folder / "run.mcap")
         self._launch("estimator", "estimate", *robot)
@@ -103,6 +111,16 @@ class Soak:
             if time.monotonic() > give_up:
                 raise SystemExit(f"soak: {', '.join(r.name.lower() for r in wanted - self._bus.alive)} did not start")
             time.sleep(0.1)
+        if view:
+            self._launch("view", "view", *robot, "--port", "0")
+            said = self._folder / "view.txt"
+            while not (found := re.search(r"ws://\S+:\d+", said.read_text())) and time.monotonic() < give_up:
+                time.sleep(0.1)
+            assert found, said.read_text()
+            client = multiprocessing.get_context("spawn").Process(
+                target=look, args=(found[0], self._shown), daemon=True
+            )
+            client.start()
         self._launch("player", "replay", self._folder / "log.mcap", *robot, "--loop", "0", "--rate", str(rate))
         self._at = time.monotonic()
         self._before = {name: usage(process.pid) for name, process in self.processes.items()}
@@ -150,7 +168,7 @@ class Soak:
 
     def stop(self) -> str:
         """End the roles one after the other; what was sent and what of it is in the file."""
-        for name in ("player", "estimator", "monitor"):
+        for name in ("player", "estimator", "monitor", "view"):
             process = self.processes.get(name)
             if process is not None and process.poll() is None:
                 process.send_signal(signal.SIGINT)
@@ -169,9 +187,26 @@ class Soak:
             for channel, count in summary.statistics.channel_message_counts.items()
         }
         size = (self._folder / "run.mcap").stat().st_size / 1e9
-        return f"sent {said[1]} samples; the recording ({size:.2f} GB) holds " + ", ".join(
-            f"{count} {topic}" for topic, count in sorted(held.items(), key=lambda item: -item[1])
+        return (
+            f"sent {said[1]} samples; the recording ({size:.2f} GB) holds "
+            + ", ".join(f"{count} {topic}" for topic, count in sorted(held.items(), key=lambda item: -item[1]))
+            + (f"; the view's client took {self._shown.value} messages" if "view" in self.processes else "")
         )
+
+
+def look(address: str, shown: Synchronized) -> None:
+    """Take everything that a view shows, as Foxglove does; shown: how many messages that is."""
+
+    async def take() -> None:
+        client = await websocket_connect(HTTPRequest(address), subprotocols=["foxglove.sdk.v1"])
+        while (message := await client.read_message()) is not None:
+            if isinstance(message, bytes):
+                shown.value += message[0] == 1
+            elif (told := json.loads(message))["op"] == "advertise":
+                wanted = [{"id": one["id"], "channelId": one["id"]} for one in told["channels"]]
+                await client.write_message(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    asyncio.run(take())
 
 
 def line(cells: list[str] | tuple[str, ...]) -> str:
@@ -182,6 +217,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--minutes", type=float, default=10.0)
     arguments.add_argument("--rate", type=float, default=1000.0, help="samples a second")
+    arguments.add_argument("--view", action="store_true", help="beside a view and a client that takes all it shows")
     given = arguments.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -190,10 +226,10 @@ def main() -> None:
         os.environ["XDG_RUNTIME_DIR"] = name
         folder = Path(name)
         lay_out(folder, given.rate)
-        with open_bus("soak", Role.OBSERVER) as bus:
+        with open_bus("soak", Role.WATCH) as bus:  # a view is the observer
             soak = Soak(folder, bus)
             try:
-                soak.start(given.rate)
+                soak.start(given.rate, given.view)
                 begin = time.monotonic()
                 print(line(HEADINGS), line(["---"] * len(HEADINGS)), sep="\n", flush=True)
                 while time.monotonic() - begin < 60 * given.minutes:

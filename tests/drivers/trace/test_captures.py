@@ -143,7 +143,7 @@ def test_inspect_counts_what_tshark_counts(shared: Path, tmp_path: Path) -> None
     path = shared / "captures" / "own_three_drives_4khz.pcap"
     description = Path(__file__).parents[1] / "ethercat" / "robots" / "own_three_drives.toml"
     result = CliRunner().invoke(app, ["inspect", str(path), "--robot", str(description), "--json"])
-    figures = json.loads(result.stdout)[0]
+    figures = json.loads(result.stdout)["traces"][0]
     rows = tshark(path, "ecat.cmd")
 
     assert figures["frames"] == len(rows)

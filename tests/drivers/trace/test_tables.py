@@ -201,6 +201,18 @@ def test_dates_flags_products_percent_and_unsigned(tmp_path: Path) -> None:
     assert "100 of 300 rows have not 1 in column 'on' and were left out" in [f.message for f in kept.findings]
 
 
+@pytest.mark.parametrize(
+    ("form", "hours"),
+    [("2026-11-22T{}Z", 0), ("2026-11-22 {}+02:00", 2), ("22.11.2026 {} -0130", -1.5), ("2026/11/22 {}", 0)],
+)
+def test_a_zone_behind_the_time_of_day_counts(tmp_path: Path, form: str, hours: float) -> None:
+    rows = [",".join(map(str, [form.format(f"09:30:{row[0]:09.6f}"), *row[1:]])) for row in BLOCK.tolist()]
+    (tmp_path / "log.csv").write_text(",".join(NAMES) + "\n" + "\n".join(rows) + "\n")
+    trace = read_trace(tmp_path / "log.csv", columns=mapping(time={"name": "t", "unit": "datetime"}))
+    np.testing.assert_allclose(trace.time, TIME, atol=1e-6)
+    assert trace.epoch_ns / 1e9 == np.datetime64("2026-11-22T09:30:00").astype(int) - 3600 * hours
+
+
 def test_files_side_by_side_at_a_stated_rate(tmp_path: Path) -> None:
     for name, values in (("position", POSITION), ("current", TORQUE)):
         text = "J1,J2,J3\n" + "".join(",".join(map(repr, row)) + "\n" for row in values.tolist())

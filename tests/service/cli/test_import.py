@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
+from mcap.writer import Writer
 from typer.testing import CliRunner
 
 from drivers.motion import Planner
@@ -199,6 +200,26 @@ def test_nothing_is_replaced_or_taken_without_a_word(tmp_path: Path, log: Trace)
     again = CliRunner().invoke(app, ["import", str(path), "--robot", "d3-1200", "--yes"])
     assert "exists already; --overwrite replaces it" in str(again.exception)
     assert (tmp_path / "log.mcap").read_bytes() == before
+
+
+def test_what_is_read_is_never_written(tmp_path: Path, log: Trace) -> None:
+    """A rosbag2 of the ending of our own logs, with --overwrite: it stays, and the log gets another name."""
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        for k, row in enumerate(block(log)[:1500]):
+            writer.add_message(channel, k, joint_state(row), k)
+        writer.finish()
+    before = path.read_bytes()
+    imported(path, "--robot", "d3-1200", "--yes", "--overwrite")
+    assert len(read_trace(tmp_path / "run.imported.mcap")) == 1500
+    command = ["import", str(path), "--robot", "d3-1200", "--yes", "--overwrite", "--out"]
+    done = CliRunner().invoke(app, [*command, str(tmp_path / "." / "run.mcap")])
+    assert "run.mcap: is what is read" in str(done.exception)
+    assert path.read_bytes() == before
 
 
 def test_a_payload_is_no_other_unit(tmp_path: Path) -> None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import re
 import subprocess
 import sys
+from typing import Any
 
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 import service.cli
@@ -56,6 +59,23 @@ def test_help_of_each_command_has_an_example_and_keeps_brackets(name: str) -> No
     shown = CliRunner().invoke(app, [name, "--help"])
     assert shown.exit_code == 0
     assert f"deltatwin {name}" in shown.output.split("Example:", 1)[1]
+
+
+def test_an_option_takes_the_same_everywhere() -> None:
+    """One metavar a name over all commands, and none that is Python's word for a type."""
+    commands: Any = get_command(app)
+    taken: dict[str, dict[str | None, list[str]]] = {}
+    for name in summaries():
+        command = commands.get_command(None, name)
+        shown = CliRunner().invoke(app, [name, "--help"]).output
+        assert not re.search(r"--[a-z-]+ <", shown), name
+        for option in command.params:
+            taken.setdefault(max(option.opts, key=len), {}).setdefault(option.metavar, []).append(name)
+    assert len(taken) > 60
+    several = {option: found for option, found in taken.items() if len(found) > 1}
+    assert set(several) == {"--motion"}, several  # `simulate` also plans by a name
+    asked = {name for names in taken["--json"].values() for name in names}
+    assert {"demo", "experiment", "closed-loop", "diagnose", "fleet", "inspect", "recover", "rollout"} <= asked
 
 
 def test_brackets_in_help_are_kept() -> None:

@@ -110,7 +110,7 @@ def test_inspect_json_has_the_figures(deltatwin: Run, log: Path) -> None:
     log.write_text("\n".join([*lines[:500], *lines[510:], lines[-1]]) + "\n")
     done = deltatwin("inspect", log, "--json")
     assert done.returncode == 0
-    (figures,) = json.loads(done.stdout)
+    (figures,) = json.loads(done.stdout)["traces"]
     assert (figures["samples"], figures["joints"], figures["gaps"], figures["repeats"]) == (991, 3, 1, 1)
     assert figures["rate_hz"] == pytest.approx(1000)
     assert figures["longest_step_s"] == pytest.approx(0.011)
@@ -127,7 +127,7 @@ def test_inspect_measures_jitter(deltatwin: Run, tmp_path: Path) -> None:
     time_s = np.arange(20_000) / 1000 + rng.normal(0, 20e-6, 20_000)
     motion = np.sin(time_s)[:, None] * [0.5, 0.6, 0.7]
     write_trace(Trace(Path("made"), time_s, motion, motion), tmp_path / "a.csv")
-    (figures,) = json.loads(deltatwin("inspect", "a.csv", "--json").stdout)
+    (figures,) = json.loads(deltatwin("inspect", "a.csv", "--json").stdout)["traces"]
     assert figures["jitter_std_s"] == pytest.approx(20e-6 * np.sqrt(2), rel=0.05)  # a step has two stamps
 
 
@@ -145,7 +145,7 @@ def test_inspect_shows_the_others_when_one_is_unusable(deltatwin: Run, log: Path
 def test_inspect_gives_each_channel_its_own_rate(deltatwin: Run, shared: Path, tmp_path: Path) -> None:
     path = shared / "captures" / "twincat_scope_default.csv"
     done = deltatwin("inspect", path, "--columns", "twincat_scope", "--json")
-    (figures,) = json.loads(done.stdout)
+    (figures,) = json.loads(done.stdout)["traces"]
     rates = {name: channel["rate_hz"] for name, channel in figures["channels"].items()}
     assert rates == pytest.approx(
         {

@@ -136,7 +136,7 @@ def test_evaluate_inspect_and_convert_take_axes(emps: Diagnosed, tmp_path: Path)
     assert run(app, ["convert", str(emps.log), str(converted), "--robot", str(emps.robot)]).exit_code == 0
     assert "position_1_m" in converted.read_text()[:200]
     shown = run(app, ["inspect", str(converted), "--robot", str(emps.robot), "--json"])
-    assert json.loads(shown.stdout)[0]["channels"]["torque_1"]["unit"] == "N"
+    assert json.loads(shown.stdout)["traces"][0]["channels"]["torque_1"]["unit"] == "N"
     corrected = str(emps.out / "corrected.toml")
     figures = [
         json.loads(run(app, ["evaluate", str(log), "--robot", corrected, "--json"]).stdout)

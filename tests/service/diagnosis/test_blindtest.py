@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,20 @@ def key(
 
 
 KEYS = [key(0, "null", [], [], 1.0), key(1, "catalogue", ["stribeck_friction"], [[0, 1, 2]], 3.0)]
+
+
+def test_ctrl_c_while_the_maker_loads_says_nothing() -> None:
+    code = """
+import sys
+class Stop:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numpy":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Stop())
+"""
+    command = [sys.executable, "-c", code + blindtest.MAKER]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
 @pytest.fixture(scope="module")

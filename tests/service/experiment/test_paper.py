@@ -20,6 +20,7 @@ from service.experiment.pictures import Diagram, PageTable, Section, write_page,
 from service.identification.evaluation import WITH_PAYLOAD
 from service.model import kinematics
 from service.model.nominal import pack
+from tests.service.pages.browser import looked_at
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +123,8 @@ def test_report_holds_tables_and_figures_in_the_papers_order(found: PaperResult,
     ]  # fmt: skip
     assert not any(title.startswith(("Table", "Figure")) for title in titles[beyond:])
     write_page(report, tmp_path / "experiment.html")
+    seen = looked_at(tmp_path / "experiment.html")
+    assert (seen["errors"], seen["over"]) == ([], [])
     text = (tmp_path / "experiment.html").read_text(encoding="utf-8")
     assert "Every measurement here is simulated" in text
     assert "Chosen to resemble the published figures" in text

@@ -12,13 +12,15 @@ from typing import Any
 
 import pytest
 
-# Every pair of texts of a plot whose boxes cover each other by more than a pixel each way, and every console error.
+# Every pair of texts of a plot, or of a text and the buttons above it, whose boxes cover each other by more than a
+# pixel each way, and every console error.
 LOOK = """
 <script>
 const errors=[];addEventListener('error',e=>errors.push(String(e.message)));
 addEventListener('load',()=>setTimeout(()=>{
   const boxes=[...document.querySelectorAll('svg text')].filter(t=>t.textContent.trim())
-    .map(t=>[t.textContent,t.getBoundingClientRect()]).filter(([,b])=>b.width&&b.height);
+    .concat(...document.querySelectorAll('.modebar-group'))
+    .map(t=>[t.textContent||'buttons',t.getBoundingClientRect()]).filter(([,b])=>b.width&&b.height);
   const over=[];
   boxes.forEach(([a,p],i)=>boxes.slice(i+1).forEach(([b,q])=>{
     if(Math.min(p.right,q.right)-Math.max(p.left,q.left)>1&&Math.min(p.bottom,q.bottom)-Math.max(p.top,q.top)>1)

@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import re
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from schemas.errors import StorageError
+from schemas.robot import Servo
+from schemas.rollout import Reached, RegimeReached, RolloutDocument
+from service.cli.closed_loop import _page as loop_page
+from service.cli.closed_loop import _row as loop_row
+from service.cli.main import app
+from service.diagnosis.blindpage import BOUNDS
+from service.diagnosis.blindpage import write_page as write_blindtest
+from service.experiment.closed_loop import FEEDBACK, Tracking
 from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, write_page
+from service.pages import print_page
+from service.rollout.document import write_rollout
+from service.rollout.gap import REGIMES
 from tests.service.pages.browser import looked_at
 
 
@@ -48,6 +62,85 @@ def test_no_text_lies_over_text(page: Page, tmp_path: Path) -> None:
     assert told["texts"] > 20  # the plots are drawn
     assert told["errors"] == []
     assert told["over"] == []
+
+
+def closed_loop(path: Path) -> None:
+    time = np.arange(0, 3, 1e-3)
+    names = [FEEDBACK, *(f"{model}, m_p = 0" for model in ("M_KH", "M_Id", "M_Id+F", "full")), "full, payload-aware"]
+    runs = [
+        Tracking(name, time, np.sin(time * [[1], [2], [3]]).T * 2e-3 / k, np.full(3, 1e-3 / k), 1e-3, 2e-3, 0.98, 1)
+        for k, name in enumerate([*names, f"{names[-1]}, estimator lost half way"], 1)
+    ]
+    write_page(loop_page("d3-1200", "ideal", (1.0, 3.8), runs, [loop_row(run, runs[0]) for run in runs]), path)
+
+
+def rollout(path: Path) -> None:
+    times, regimes = [0.01 * k for k in range(21)], []
+
+    def reached(robot: str, error: float) -> Reached:
+        grown: list[float | None] = [error * (0.01 + time**2) for time in times]
+        return Reached(
+            robot=robot, joint_mrad=[error] * 3, platform_mm=error, growth_mm=grown, ran_away=0, left_out=[],
+            torque_nm=[1.0, 2.0, 3.0],
+        )  # fmt: skip
+
+    *robots, floor = (reached(name, error) for name, error in (("plain", 9.0), ("corrected", 1.0), ("floor", 0.8)))
+    errors = {robot.robot: robot.platform_mm for robot in (*robots, floor)}
+    for joint in (1, 2, 3):
+        regimes += [RegimeReached(joint=joint, regime=name, windows=9, joint_mrad=errors) for name in REGIMES]
+    three = [20.0, 21.0, 22.0]
+    document = RolloutDocument(
+        schema="deltatwin.rollout/1", traces=["pick", "slow"], horizon_s=0.2, windows=60, payload_kg=[0.0, 1.2],
+        untold_s=0.8, seconds=13.0, used_s=12.0, path_mm=60.0, times_s=times, robots=robots, floor=floor,
+        regimes=regimes, servo=Servo(position_gain_ps=three, velocity_gain_nms=three),
+    )  # fmt: skip
+    write_rollout(document, path)
+    text = path.read_text(encoding="utf-8")
+    assert "under the recorded position commands alone" in text
+    assert "<td>1.000, 2.000, 3.000</td>" in text
+    assert "1 of 60 windows 1.2 kg hang" in text
+
+
+def blind_test(path: Path) -> None:
+    rows = [
+        {
+            "case": f"case_{k:03d}", "kind": "catalogue", "truth": [name], "lift": 3.0, "verdict": "partly_explained",
+            "named": [{"name": name}], "first": name, "hit": True, "before_nm": 2.0, "after_nm": 1.0, "claimed": 0.5,
+            "shrink": 0.4,
+        }
+        for k, name in enumerate(("stribeck_friction", "joint_elasticity", "torque_offset"))
+    ]  # fmt: skip
+    summary = dict.fromkeys(BOUNDS, 1.0) | {"cases": 3, "failed": 0}
+    write_blindtest(rows, summary, "sha256 0", path)
+    outside = re.sub(r"<script.*?</script>", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert "partly explained" in outside
+    assert not re.search(r"[a-z]_[a-z]+_?friction|partly_", outside)
+
+
+@pytest.mark.parametrize("write", [closed_loop, rollout, blind_test])
+def test_pages_are_clear(tmp_path: Path, write: Callable[[Path], None]) -> None:
+    path = tmp_path / "page.html"
+    write(path)
+    told = looked_at(path)
+    assert told["texts"] > 20
+    assert told["errors"] == []
+    assert told["over"] == []
+
+
+def test_a_page_is_printed_where_there_is_a_browser(
+    page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_page(page, tmp_path / "page.html")
+    if shutil.which("chromium"):
+        print_page(tmp_path / "page.html", tmp_path / "page.pdf")
+        printed = (tmp_path / "page.pdf").read_bytes()
+        assert printed.startswith(b"%PDF-")
+        assert len(printed) > 10_000  # plots are on it
+        with pytest.raises(StorageError, match=r"no/page\.pdf"):
+            print_page(tmp_path / "page.html", tmp_path / "no" / "page.pdf")
+    monkeypatch.setenv("PATH", "")
+    done = CliRunner().invoke(app, ["diagnose", "none.csv", "--robot", "d3-1200", "--out", str(tmp_path), "--pdf"])
+    assert "printing takes Chromium, Chrome or Edge" in str(done.exception)  # and not that there is no log
 
 
 def test_a_page_that_cannot_be_written_is_named(page: Page, tmp_path: Path) -> None:
