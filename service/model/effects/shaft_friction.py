@@ -46,7 +46,7 @@ class ShaftFriction(Effect):
     kinds = frozenset({"delta"})
     settles = "straight moves up and down at several speeds"
 
-    def regressors(self, scene: Scene, joint: int, shape: tuple[float, ...]) -> np.ndarray:
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 3, 2)."""
         position, velocity = scene.arms.position, scene.arms.velocity
         along = position / np.linalg.norm(position, axis=1, keepdims=True)
