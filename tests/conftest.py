@@ -59,12 +59,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.nodeid.startswith(ON_THE_CLOCK):
             item.add_marker(again)
-    if not HYPERVISOR.is_alive():
-        HYPERVISOR.start()
 
 
 def pytest_runtest_logstart() -> None:
     """Each test, and each of its repetitions, has its own account."""
+    if HYPERVISOR.ident is None:  # not while collecting: a bench collects once, and forks for every run
+        HYPERVISOR.start()
     HYPERVISOR.worst = 0.0
 
 

@@ -1,0 +1,154 @@
+"""How far the model scatters, block by block of a move, against weighted least squares and by hand."""
+
+import numpy as np
+import pytest
+
+from service.estimator import friction
+from service.estimator.payload import scatter
+from service.estimator.payload.state import BLOCKS, COLOUR, LOADS, STATE, settings, start
+
+PERIOD, PRIOR = 1e-3, np.array([0.6, 0.2, 0.15] * 3)
+SETTINGS = settings(PERIOD, PRIOR, 6.0, np.ones(3), np.ones(3))[()]
+SIZE = int(SETTINGS["block_size"])
+
+
+def fresh(active=1):
+    states = np.zeros(1, STATE)
+    start(states, PRIOR)
+    (state,) = states
+    state["active"] = active
+    return state
+
+
+def fill(state, random, resting):
+    """A block of samples, and what least squares leave of its mean residuals: over the noise, a degree of freedom, and
+    what it says of the mass."""
+    state["friction"]["delta"] = delta = 0.3 * random.standard_normal(9)
+    state["offset"] = offset = random.standard_normal(2) if state["active"] > 1 else np.zeros(2)
+    weight = random.uniform(0.2, 3.0, (SIZE, 3)) * ~np.isin(np.arange(3), resting)
+    column, residual = random.standard_normal((SIZE, 3, LOADS)), random.normal(0.0, 2.0, (SIZE, 3))
+    way = random.standard_normal((SIZE, 3, 3))
+    for n in range(SIZE):
+        state["column"], state["residual"], state["weight"], state["shape"] = column[n], residual[n], weight[n], way[n]
+        scatter.scatter_kernel(SETTINGS, state)
+    known = np.einsum("nia,ia->ni", way, delta.reshape(3, 3)) + column[:, :, 1:] @ offset
+    moving = [joint for joint in range(3) if joint not in resting]
+    mean = {name: np.sum(weight * values, axis=0)[moving] / weight.sum(axis=0)[moving]
+            for name, values in (("left", residual - known), ("phi", column[:, :, 0]))}  # fmt: skip
+    root = np.sqrt(weight.sum(axis=0)[moving])
+    _, rest, *_ = np.linalg.lstsq((root * mean["phi"])[:, None], root * mean["left"], rcond=None)
+    return rest[0] / (len(moving) - 1), np.sum((root * mean["phi"]) ** 2)
+
+
+def inflation(scattered):
+    return max(scatter.LEAST_INFLATION, scattered if scattered < 1 else COLOUR * scattered - (COLOUR - 1))
+
+
+@pytest.mark.parametrize("active", [1, LOADS])
+@pytest.mark.parametrize("resting", [(), (1,)], ids=["all move", "one rests"])
+def test_a_block_is_judged_by_what_no_mass_explains_of_it(active, resting):
+    random, state = np.random.default_rng(2), fresh(active)
+    share = SIZE * PERIOD / scatter.BIAS_TIME
+    excess = leverage = judged = 0.0
+    for block in range(3):
+        state["blocks"][block + 1] = 4.0  # the oldest, which is written next
+        expected, said = fill(state, random, resting)
+        assert state["blocks"][block] == pytest.approx(expected, rel=1e-9)
+        excess += share * (3.0 - excess)
+        leverage += share * (said - leverage)
+        judged += share * (1.0 - judged)
+        assert [state[name] for name in ("excess", "leverage", "judged")] == pytest.approx([excess, leverage, judged])
+        assert (state["block"], state["in_block"], state["clock"]) == (block + 1, 0, (block + 1) * SIZE)
+        assert state["ended"][block] == state["clock"]
+        assert state["fresh"] == (block + 1) * (active > 1)
+        assert not state["sums"][block + 1].any()
+    state["fresh"] = BLOCKS - 2
+    fill(state, random, resting)
+    assert state["fresh"] == BLOCKS - 2, "the next to be written is none"
+
+
+def test_a_block_in_which_one_joint_moves_tells_nothing_of_the_model():
+    state = fresh()
+    state["column"], state["residual"], state["weight"] = 1.0, 5.0, [1.0, 0.0, 0.0]
+    for _ in range(SIZE):
+        scatter.scatter_kernel(SETTINGS, state)
+    assert (state["block"], state["judged"], state["inflation"]) == (0, 0.0, 1.0)
+    assert not state["sums"][0].any()
+    assert (state["blocks"] == 1.0).all()
+
+
+@pytest.mark.parametrize("active", [1, LOADS])
+@pytest.mark.parametrize("late", [0.2, 9.0], ids=["calm", "of late"])
+def test_noise_counts_for_more_by_the_blocks_of_late(active, late):
+    """Where a load swings, those in which a change may lie unfound are left out."""
+    random, state = np.random.default_rng(3), fresh(active)
+    newest = scatter.PENDING if active > 1 else 0
+    ages = random.uniform(0.1, 1.5, BLOCKS)  # age 0 is the newest
+    ages[newest : newest + scatter.NEWEST] = late
+    state["block"] = 5
+    state["blocks"] = ages[(5 - np.arange(BLOCKS)) % BLOCKS]
+    scatter._inflate(state)
+    scattered = max(ages[newest:].mean(), scatter.NEWEST_SHARE * late)
+    assert state["inflation"] == pytest.approx(inflation(scattered))
+    assert scatter._inflation(0.1) == scatter.LEAST_INFLATION
+    assert scatter._inflation(2.0) == pytest.approx(1 + COLOUR)
+
+
+def test_friction_learns_little_from_a_block_that_it_cannot_be():
+    """The block itself counts, however calm those before it were."""
+    learnt = []
+    for scale in (1.0, 60.0):
+        random, state = np.random.default_rng(4), fresh(LOADS)
+        state["column"], state["weight"], state["shape"] = random.standard_normal((3, LOADS)), 1.0, 1.0
+        state["residual"], state["offset"] = scale * np.array([1.0, -2.0, 0.5]), [0.3, -0.8]
+        known = state["column"][:, 1:] @ [0.3, -0.8]
+        for _ in range(SIZE):
+            scatter.scatter_kernel(SETTINGS, state)
+        by_block = inflation(scatter.OUTLYING * state["blocks"][0])
+        learnt.append((state["friction"]["covariance"].copy(), max(state["inflation"], by_block)))
+        expected = fresh()
+        for name in ("column", "weight", "shape", "residual"):
+            expected[name] = state[name]
+        for _ in range(SIZE):
+            friction.gather_kernel(
+                expected["friction"], state["column"], state["residual"], known, state["weight"], state["shape"]
+            )
+        friction.learn_kernel(expected["friction"], PRIOR, SETTINGS["friction_forgetting"], learnt[-1][1])
+        np.testing.assert_allclose(state["friction"]["delta"], expected["friction"]["delta"], rtol=1e-12)
+    assert learnt[1][1] > 10 * learnt[0][1]
+    assert np.trace(learnt[1][0]) > np.trace(learnt[0][0]), "and knows less for it"
+
+
+def test_blocks_since_a_change_are_judged_anew_by_the_place_of_the_load():
+    random, state = np.random.default_rng(5), fresh(LOADS)
+    sums = random.uniform(0.5, 2.0, state["sums"].shape)
+    state["sums"], state["offset"], state["block"], state["fresh"] = sums, [0.3, -0.4], 2, 4
+    scatter._look_again(state)
+    for block in range(BLOCKS):
+        if block not in (1, 0, BLOCKS - 1, BLOCKS - 2):
+            assert state["blocks"][block] == 1.0
+            continue
+        weight, pulled, *columns = sums[block].T
+        left = pulled - np.array(columns[1:]).T @ [0.3, -0.4]
+        root = np.sqrt(weight)
+        _, rest, *_ = np.linalg.lstsq((columns[0] / root)[:, None], left / root, rcond=None)
+        assert state["blocks"][block] == pytest.approx(rest[0] / 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("samples", [3, 8, 30, 95, 10_000])
+def test_the_block_in_which_a_load_changed_says_nothing_of_the_model(samples):
+    """Blocks lie end to end, but for a stretch of rest; 8 samples of the next are in."""
+    state = fresh(LOADS)
+    state["block"], state["in_block"], state["clock"] = 3, 8, 5000
+    ends = 5000 - 8 - SIZE * np.arange(BLOCKS - 1) - 400 * (np.arange(BLOCKS - 1) >= 9)  # newest first
+    ring = (2 - np.arange(BLOCKS - 1)) % BLOCKS
+    state["ended"][ring], state["blocks"], state["sums"] = ends, 7.0, 1.0
+    scatter.part_blocks(SETTINGS, state, samples)
+    begun = 5000 - samples
+    behind = ends - SIZE >= begun
+    doubtful = ~behind & (ends > begun - scatter.ONSET_DOUBT * SETTINGS["bin_size"])
+    assert state["fresh"] == behind.sum()
+    np.testing.assert_array_equal(state["blocks"][ring], np.where(doubtful, 1.0, 7.0))
+    parted = samples < 8
+    assert state["in_block"] == (0 if parted else 8)
+    assert state["sums"][3].any() != parted
