@@ -90,4 +90,5 @@ def command(
     for group in paragraphs(result):
         console.print("\n".join(group), highlight=False, markup=False)
         console.print()
-    console.print(f"wrote diagnosis.json, corrected.toml and report.html in {out}", highlight=False)
+    written = "diagnosis.json, corrected.toml, report.html" + (", report.pdf" if pdf else "")
+    console.print(f"wrote {written} in {out}", highlight=False)
