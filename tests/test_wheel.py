@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -45,6 +46,12 @@ def test_the_wheel_works_outside_the_repository(tmp_path: Path) -> None:
     for arguments in (("inspect", "log.mcap"), ("convert", "log.mcap", "log.csv"), ("demo", "--help")):
         done = run(command, *arguments, folder=tmp_path)
         assert done.returncode == 0, done.stderr
+    lacks = {"simulate": ("--robot", "d3-1200", "--out", "a.csv"), "view": ("--robot", "d3-1200"), "experiment": ()}
+    for name, options in lacks.items():  # heavy parts that are installed on demand
+        done = run(command, name, *options, folder=tmp_path)
+        assert done.returncode == 1
+        extra = "view" if name == "view" else "simulate"
+        assert re.fullmatch(rf"deltatwin: {name} needs \w+: install deltatwin\[{extra}\]\n", done.stderr)
     where = "import service.pages, replay.demo as d; print(service.pages.__file__, d.LOG.exists(), d.ROBOT.exists())"
     told = run(python, "-c", where, folder=tmp_path).stdout.split()
     assert told[0].startswith(str(tmp_path))

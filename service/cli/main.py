@@ -27,6 +27,7 @@ GROUPS = {
 }
 OTHERS = "More"
 MISSED = 3  # exit code: everything ran, a stated bound does not hold
+EXTRAS = {"mujoco": "simulate", "foxglove": "view"}  # module: what it is installed by
 LINUX_ONLY = ("fcntl", "pysoem")  # what live commands import; the others run anywhere
 HELP_WIDTH = 120  # characters, where the terminal has as many
 METAVARS = {Path: "PATH", int: "N", float: "NUMBER", str: "TEXT"}  # of options that have none of their own
@@ -136,9 +137,12 @@ def main() -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left in the buffer goes nowhere
         _end(printable(f"{error.filename or 'output'}: {error.strerror or error}"))
     except ModuleNotFoundError as error:
-        if error.name not in LINUX_ONLY:
+        missing, what = (error.name or "").partition(".")[0], sys.argv[1] if len(sys.argv) > 1 else "this"
+        if missing in EXTRAS:
+            _end(f"{what} needs {missing}: install deltatwin[{EXTRAS[missing]}]")
+        if missing not in LINUX_ONLY:
             raise
-        _end(f"{sys.argv[1] if len(sys.argv) > 1 else 'this'} needs Linux: this system has no {error.name}")
+        _end(f"{what} needs Linux: this system has no {missing}")
     except MemoryError:
         _end("out of memory; a shorter log, or a machine with more")
     except KeyboardInterrupt:

@@ -44,16 +44,8 @@ def command(
         write_text(layout, layout_of(description.name))
         typer.echo(f"wrote {layout}; in Foxglove: Layouts, Import from file")
         return
-    from schemas.errors import BusError
-
-    try:
-        from drivers.view.server import LiveView, run
-    except ModuleNotFoundError as error:
-        if error.name != "foxglove":
-            raise
-        raise BusError("view needs the Foxglove SDK: install deltatwin[view]") from None
-
     from drivers.bus import open_bus
+    from drivers.view.server import LiveView, run
     from schemas.messages import Role
     from service.cli.signals import terminate_as_interrupt
 

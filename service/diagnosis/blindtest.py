@@ -71,6 +71,8 @@ def made(out: Path, cases: int, seed: int, jobs: int, families: Sequence[str]) -
     Raises:
         DataError: it failed, with its last words.
     """
+    import mujoco  # noqa: F401  # what the maker will need
+
     command = [sys.executable, "-c", MAKER]
     arguments = [str(out), str(cases), str(seed), str(jobs), ",".join(families)]
     with subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, text=True) as process:
