@@ -23,11 +23,11 @@ def believing(active, random):
     return state
 
 
-def fill(state, bins, load_of, random):
+def fill(state, bins, load_of, random, clearly=1.0):
     """Bins of what samples say of `load_of` bin, and their sums. `state.head` ends on the newest."""
     active, delta = state["active"], state["friction"]["delta"]
     for n in range(bins):
-        columns = random.standard_normal((6, active)) * [3.0, 20.0, 20.0][:active]
+        columns = clearly * random.standard_normal((6, active)) * [3.0, 20.0, 20.0][:active]
         slopes = random.standard_normal((6, 9))
         pulled = columns.T @ (columns @ load_of(n)[:active] + slopes @ delta + 0.3 * random.standard_normal(6))
         head = state["head"] = (state["head"] + 1) % WINDOW
@@ -57,12 +57,13 @@ def test_loads_are_what_the_normal_equations_say(active):
 
 def distances(state):
     """Squared distance of the loads since each onset from those before it, over its covariance, NaN where it is not
-    looked for; and the information since and before the last of them."""
+    looked for; the information since and before the last of them; and the change that may hide in the newest."""
     active, friction = state["active"], state["friction"]
     prior, before = OFFSETS[:active, :active], np.zeros(0)
     whole, index = state["information"][:active, :active], state["head"]
     since, pulled, dragged = prior.copy(), np.zeros(active), np.zeros((active, 9))
     result = np.full(state["filled"], np.nan)
+    hidden = 0.0  # kg^2 of the mass alone, beyond noise and what the model lacks
     for n in range(state["filled"]):
         since = since + state["bin_information"][index, :active, :active]
         pulled = pulled + state["bin_moment"][index, :active]
@@ -78,9 +79,13 @@ def distances(state):
         contrast = after @ dragged - until @ dragged_before
         spread = after + until + contrast @ friction["covariance"] @ contrast.T
         spread[0, 0] += 2 * state["bias"] * change.BIAS_SIGMAS**2 / change.CHANGE_THRESHOLD
+        noise = after[0, 0] + until[0, 0]
+        if active == 1 and step[0] ** 2 > change.HIDDEN_SIGMAS**2 * noise:
+            beyond = step[0] ** 2 - change.HIDDEN_SIGMAS**2 * noise - change.BIAS_SIGMAS**2 * state["bias"]
+            hidden = max(hidden, min(beyond, PRIOR_STD**2))
         large = abs(step[0]) >= SMALLEST_CHANGE or np.hypot(*[*step[1:], 0.0, 0.0][:2]) >= change.SMALLEST_OFFSET
         result[n] = step @ np.linalg.solve(spread, step) if large else 0.0
-    return result, since, before
+    return result, since, before, hidden
 
 
 @pytest.mark.parametrize(
@@ -90,30 +95,37 @@ def distances(state):
         ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 47, {1, LOADS}),
         ((2.0, 0.0, 0.0), (1.6, 0.0, 0.0), 1e-3, 47, {1, LOADS}),
         ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0), 0.0, change.SHORTEST, {1, LOADS}),
+        ((0.0, 0.0, 0.0), (4.0, 0.0, 0.0), 0.0, change.SHORTEST - 1, {1, LOADS}),
         ((1.0, 0.02, 0.0), (1.0, 0.02, 0.1), 0.0, 47, {LOADS}),
         ((1.0, 0.0, 0.0), (1.11, 0.003, 0.0), 0.0, 47, set()),
         ((1.0, 0.0, 0.0), (1.3, 0.0, 0.0), 0.02, 47, set()),
     ],
-    ids=["pick", "release", "part of it", "just now", "another place", "too little", "of a bad model"],
+    ids=["pick", "release", "part of it", "just now", "too soon", "another place", "too little", "of a bad model"],
 )
 @pytest.mark.parametrize("active", [1, LOADS])
 def test_an_onset_is_where_the_loads_differ_most_from_those_before(active, load, other, bias, onset, told):
     """And from there on the estimate is that of the samples since."""
     random = np.random.default_rng(5)
     state = believing(active, random)
-    state["bias"], state["inflation"], state["head"] = bias, 1.3, 100
-    fill(state, 120, lambda n: np.array(load if n < 120 - onset else other), random)
-    expected, since, since_not = distances(state)
+    state["bias"], state["inflation"], state["head"] = bias, 1.3, -100 % WINDOW
+    for name in ("since_drag", "since_moment", "since_information", "before_moment", "before_information", "hidden"):
+        state[name] = 7.0  # left by the sample before
+    clearly = 1.0 if told else 4.0  # no load, however sure
+    fill(state, 120, lambda n: np.array(load if n < 120 - onset else other), random, clearly)
+    state["filled"] = 100  # what is older has gone into the sums, and is not asked for
+    expected, since, since_not, hidden = distances(state)
     best = int(np.nanargmax(expected)) + 1
     changes = np.nanmax(expected) > change.CHANGE_THRESHOLD
     assert changes == (active in told)
     kept = [(state["head"] - n) % WINDOW for n in range(best)]
     before = {name: state[name].copy() for name in ("information", "moment", "drag", "filled")}
     assert change.find_change(state) == (best if changes else 0)
+    assert state["hidden"] == (0.0 if changes else pytest.approx(hidden, rel=1e-6, abs=1e-12))
     np.testing.assert_allclose(state["since_information"][:active, :active], since, rtol=1e-9)
     np.testing.assert_allclose(state["before_information"][:active, :active], since_not, rtol=1e-9)
     if not changes:
         assert all((state[name] == kept_).all() for name, kept_ in before.items())
+        assert change._step_distance(state, 0.0) == pytest.approx(expected[-1], rel=1e-6)
         return
     assert abs(best - onset) <= 2
     information = OFFSETS[:active, :active] + state["bin_information"][kept, :active, :active].sum(axis=0)
