@@ -24,17 +24,21 @@ ONE_JOINT = 0.6  # of what is left above the noise, from which it is a matter of
 QUIET = 0.6  # of the rows that are searched again at least, where it is not
 OWN = 0.2  # of the rows of such a joint that stay at least: its friction has to be told
 ASKED = 0.5  # of a joint's rows that an effect on it has to be asked of
+WEIGHED = 3.0  # times the level that is still quiet: what is left beyond says no more against a hypothesis
 
 
 @dataclass
 class Quiet:
-    """The rows of `whole` that are searched. problem, split: of them alone. kept: (n,) share a joint."""
+    """The rows of `whole` that are searched. problem, split: of them alone. kept: (n,) share a joint. limit: (n,) level
+    in units of the noise up to which they are. explained: with what was found no more than noise is left of them."""
 
     whole: Problem
     whole_split: Split
     problem: Problem
     split: Split
     kept: np.ndarray
+    limit: np.ndarray
+    explained: bool = False
     _seen: dict[int, Scored] = field(default_factory=dict)
 
     @classmethod
@@ -52,18 +56,25 @@ class Quiet:
             limit[:] = max(FAR_ABOVE, float(np.nanquantile(np.concatenate([level.ravel() for level in levels]), QUIET)))
         quiet = replace(whole, rows=[mask & (level <= limit) for mask, level in zip(whole.rows, levels, strict=True)])
         kept = np.sum([mask.sum(axis=0) for mask in quiet.rows], axis=0) / np.maximum(np.sum(rows, axis=0), 1)
-        return cls(whole, split, quiet, Split.of(quiet), kept)
+        return cls(whole, split, quiet, Split.of(quiet), kept, limit)
 
     def allows(self, effect: Effect, joint: int) -> bool:
         """Whether `effect` may be looked for on `joint`."""
         return not effect.per_joint or bool(self.kept[joint] >= ASKED)
 
     def on_all(self, scored: Scored) -> Scored:
-        """A hypothesis fitted to the quiet rows, on all: what is left out is predicted by quiet rows of the rest."""
+        """A hypothesis fitted to the quiet rows, on all: what is left out is predicted by quiet rows of the rest.
+
+        Where they are explained, the stranger's own size is left out of what weighs: however violent it is, the rest
+        tells one hypothesis from another.
+        """
         if id(scored) not in self._seen:
             fitted = evaluate(self.whole, scored.hypothesis)
             residuals = held_out(fitted, self.whole_split, (scored.fitted, self.split))
-            self._seen[id(scored)] = Scored(fitted, residuals, block_loss(residuals, self.whole_split))
+            high = WEIGHED * self.limit if self.explained else np.full(len(self.limit), np.inf)
+            most = [high[joints] for joints in self.whole.joints_of_rows]
+            weighed = [np.clip(r, -m, m) for r, m in zip(residuals, most, strict=True)]
+            self._seen[id(scored)] = Scored(fitted, residuals, block_loss(weighed, self.whole_split))
         return self._seen[id(scored)]
 
     def selection_on_all(self, selection: Selection) -> Selection:

@@ -53,7 +53,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Scored:
-    """A fitted hypothesis with its squared residuals on data left out."""
+    """A fitted hypothesis with its residuals on data left out. blocks: their squares summed, as they weigh."""
 
     fitted: Fit
     residuals: list[np.ndarray]
@@ -66,8 +66,8 @@ class Scored:
 
     @property
     def loss(self) -> float:
-        """Sum over all blocks."""
-        return float(self.blocks.sum())
+        """Squared residuals in all."""
+        return float(sum(r @ r for r in self.residuals))
 
     @property
     def names(self) -> tuple[str, ...]:

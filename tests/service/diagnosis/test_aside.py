@@ -9,7 +9,7 @@ import pytest
 
 from drivers.trace import read_trace
 from service.diagnosis.diagnose import diagnose
-from service.diagnosis.evidence.aside import Quiet
+from service.diagnosis.evidence.aside import WEIGHED, Quiet
 from tests.service.diagnosis.logs import ROBOT, record, swing
 from tests.service.subject import EFFECTS, Hypothesis, Split, fit, selection
 from tests.service.world import BASE, PERIOD, course, problem, stub
@@ -62,6 +62,20 @@ def test_what_the_quiet_rows_tell_is_held_against_all_rows(quiet):
         true = logs.band(stranger(number, 2000)[:, None])[:, 0][mask[:, JOINT]] / logs.sigma[JOINT]
         assert np.corrcoef(seen.residuals[number][mine], true)[0, 1] > 0.99
     assert seen.loss / logs.count > 5 * scored.loss / found.problem.count
+
+
+def test_where_the_quiet_rows_are_explained_a_stranger_weighs_no_more_for_being_violent(quiet):
+    _, _, found = quiet
+    scored = selection.score(fit(found.problem, Hypothesis(BASE)), found.split)
+    raw, weighed = (replace(found, explained=told, _seen={}).on_all(scored) for told in (False, True))
+    assert raw.blocks.sum() == pytest.approx(raw.loss)
+    assert weighed.loss == raw.loss  # what is told of it is all of it
+    by_hand = 0.0
+    for residual, joints in zip(raw.residuals, found.whole.joints_of_rows, strict=True):
+        least = np.where(joints == JOINT, np.minimum(np.abs(residual), WEIGHED * found.limit[JOINT]), residual)
+        by_hand += float(least @ least)
+    assert weighed.blocks.sum() == pytest.approx(by_hand)
+    assert by_hand < 0.9 * raw.loss
 
 
 def test_where_much_is_left_one_force_on_the_platform_goes_before_one_on_every_arm():
