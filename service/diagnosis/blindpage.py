@@ -43,7 +43,10 @@ def write_page(
 ) -> None:
     """Write the page."""
     figures = [(label, _shown(summary[key]), bound) for key, (label, bound) in BOUNDS.items()]
-    plots = {"Confusion": _confusion(rows), "Detection against lift": _detection(rows), "Shrink": _claims(rows)}
+    kinds = {row["kind"] for row in rows if "error" not in row}
+    plots = {"Confusion": _confusion(rows)} if kinds & {"catalogue", "unknown", "null"} else {}
+    plots |= {"Detection against lift": _detection(rows)} if "catalogue" in kinds else {}
+    plots["Shrink"] = _claims(rows)
     for figure in plots.values():
         figure.update_layout(template="plotly_white", font_size=11, margin={"t": 30, "r": 20})
     fields = {"rows": rows, "summary": summary, "refused": refused, "figures": figures, "plots": plots}
