@@ -24,7 +24,7 @@ from service.diagnosis.fit.selection import FAR_ABOVE, Scored, Selection, score,
 from service.identification import pooled
 from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import Split
-from service.identification.units import refuse_degrees
+from service.identification.units import refuse_wrong_angles
 from service.model.description import hypothesis_of
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
@@ -69,8 +69,8 @@ def diagnose(
     progress("fitting the base model")
     problem, floor = pooled.problem_of(recordings)
     split = Split.of(problem)
-    refuse_degrees(problem, ", ".join(trace.path.name for trace in traces))
     plain = score(pooled.fit(problem, floor.sample, robot).fitted, split)
+    refuse_wrong_angles(problem, ", ".join(trace.path.name for trace in traces), plain.fitted)
     given = _given(robot, baseline)
     timed = Hypothesis(plain.hypothesis.base, given)
     if given:

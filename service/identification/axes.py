@@ -14,7 +14,7 @@ from schemas.trace import Trace
 from service.identification import checks, pooled
 from service.identification.folds import BLOCK, Split, block_loss, held_out
 from service.identification.pooled import Plain
-from service.identification.units import refuse_degrees
+from service.identification.units import refuse_wrong_angles
 from service.model.description import axes_identified
 from service.model.mechanism import SerialArm, mechanism_of
 from service.model.parameters import base_parameters
@@ -54,8 +54,8 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> AxesIdentifica
             f"{names}: too little motion, {np.max(seconds):.1f} s of an axis, at least {least:.0f} s needed"
         )
     problem, noise = pooled.problem_of(recordings)
-    refuse_degrees(problem, ", ".join(trace.path.name for trace in traces))
     fit = pooled.fit(problem, noise.sample, axes)
+    refuse_wrong_angles(problem, ", ".join(trace.path.name for trace in traces), fit.fitted)
     identified = axes_identified(
         axes,
         {estimate.name: (estimate.value, estimate.std_error) for estimate in fit.estimates},

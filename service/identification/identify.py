@@ -21,6 +21,7 @@ from service.identification.regression import (
     VISCOUS,
     NormalEquations,
 )
+from service.identification.units import refuse_wrong_angles
 from service.model.description import digits
 from service.model.nominal import pack
 
@@ -48,6 +49,7 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
     recordings = [replace(part, trace=number) for number, log in enumerate(logs) for part in log.recordings]
     problem, noise = pooled.problem_of(recordings)
     fit = pooled.fit(problem, noise.sample, robot)
+    refuse_wrong_angles(problem, ", ".join(log.name for log in logs), fit.fitted)
     transition = fit.fitted.hypothesis.base.transition
     warnings = checks.check_fit(logs, fit, pack(robot).moving_mass)
     if method == "paper":

@@ -1,5 +1,6 @@
-"""Whether positions that are called radians are degrees: of a small motion every angle is one that a joint can have,
-and masses of a 57th explain the torque. The masses of the URDF tell."""
+"""Whether positions that are called radians are degrees, or the other way round: of a small motion every angle is one
+that a joint can have, and masses of a 57th explain the torque. A Delta's geometry tells, an arm's masses by its URDF.
+"""
 
 from __future__ import annotations
 
@@ -10,29 +11,41 @@ import numpy as np
 
 from schemas.errors import DataError
 from service.identification import fit as solver
-from service.identification.fit import Problem
-from service.identification.pooled import start
+from service.identification.fit import Fit, Problem
+from service.identification.pooled import MOVES, start
 from service.model.mechanism import SerialArm
 from service.model.scene import Recording
 
 CLEAR = 0.25  # of the squared residual that is left at most when read as degrees
+WELL = 0.05  # of a Delta's torque, rms: so little is left by positions in radians alone
 
 
-def refuse_degrees(problem: Problem, files: str) -> None:
-    """
+def refuse_wrong_angles(problem: Problem, files: str, fitted: Fit) -> None:
+    """fitted: the plain model.
+
     Raises:
-        DataError: with the masses of its URDF the arm's torque fits positions in degrees, and not in radians.
+        DataError: no joint of a Delta moves to speak of, or the torque fits positions in degrees and not in radians.
     """
-    mechanism = problem.recordings[0].mechanism
-    if not isinstance(mechanism, SerialArm):
+    mechanism, given = problem.recordings[0].mechanism, list(problem.recordings)
+    if isinstance(mechanism, SerialArm):
+        described = replace(mechanism, asked=False, known=mechanism.arm.weights)
+        given = [replace(recording, mechanism=described) for recording in given]
+        radians, tells = _left(problem, given), "with the masses of the URDF "
+    elif mechanism.kind == "delta":
+        radians, tells = fitted.cost, ""
+        travel = max(float(np.ptp(recording.segment.theta, axis=0).max()) for recording in given)
+        if travel < MOVES:
+            raise DataError(f"{files}: no joint moves further than {travel:.2g} rad: are positions in another unit?")
+        torque = sum(float(np.sum(problem.select(n, target) ** 2)) for n, target in enumerate(problem.target))
+        if radians < WELL**2 * torque:
+            return
+    else:
         return
-    described = replace(mechanism, asked=False, known=mechanism.arm.weights)
-    given = [replace(recording, mechanism=described) for recording in problem.recordings]
-    radians, degrees = (_left(problem, one) for one in (given, [_as_degrees(recording) for recording in given]))
+    degrees = _left(problem, [_as_degrees(recording) for recording in given])
     if degrees < CLEAR * radians:
         share = (degrees / radians) ** 0.5
         raise DataError(
-            f"{files}: with the masses of the URDF the torque fits positions in degrees, not in rad ({share:.0%} is "
+            f"{files}: {tells}the torque fits positions in degrees, not in rad ({share:.0%} is "
             'left of what is left in rad): say unit = "deg" in the mapping'
         )
 

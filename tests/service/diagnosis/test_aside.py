@@ -50,6 +50,15 @@ def test_a_joint_of_which_far_more_than_noise_is_left_is_set_aside_and_asked_for
     assert said.share == pytest.approx(1 - found.problem.count / logs.count, abs=1e-3)
 
 
+def test_of_a_joint_without_rows_nothing_is_set_aside(quiet):
+    logs, _, _ = quiet
+    still = replace(logs, rows=[rows & [False, True, True] for rows in logs.rows])
+    none = selection.score(fit(still, Hypothesis(BASE)), Split.of(still))
+    found = Quiet.of(still, Split.of(still), none.residuals)
+    assert found.caution().joints == [JOINT + 1]
+    assert not any(rows[:, 0].any() for rows in found.problem.rows)
+
+
 def test_what_the_quiet_rows_tell_is_held_against_all_rows(quiet):
     """On quiet rows nothing changes; on the others the stranger is left, as it was not fitted to."""
     logs, _, found = quiet

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -108,3 +109,19 @@ def test_slow_motion_does_not_tell_inertia(robot: Robot, record: Record) -> None
 def test_too_little_motion_is_an_error(robot: Robot, record: Record) -> None:
     with pytest.raises(DataError, match=r"log_1\.csv: too little motion"):
         fit(robot, [record(1, seconds=3.0)])
+
+
+def test_angles_in_another_unit_are_told_where_the_range_does_not(robot: Robot, record: Record) -> None:
+    """Half a degree to either side looks like half a radian; half a radian like half a degree."""
+    logs = []
+    for seed in range(2):
+        theta, theta_dot, theta_ddot = multisine(seed, 8.0, 2.0, 1e-3)
+        small = record(seed, motion=(0.02 * (theta - 0.5), 0.02 * theta_dot, 0.02 * theta_ddot))
+        logs.append(replace(small, position=np.degrees(small.position)))
+    with pytest.raises(DataError, match=r"the torque fits positions in degrees, not in rad \(\d+% is left"):
+        fit(robot, logs)
+    still = [
+        replace(log, position=np.radians(log.position)) for log in (record(seed, amplitude=1.0) for seed in range(2))
+    ]
+    with pytest.raises(DataError, match=r"no joint moves further than 0\.0\d+ rad: are positions in another unit"):
+        fit(robot, still)
