@@ -3,7 +3,7 @@
     uv run python -m tests.bench.bench_fuzz --mutations 1000000 [--start 0] [--processes 2] [--keep FOLDER]
 
 A mutation is made from its number: a run goes on with --start. Findings are printed as they come, one of a kind, with
-the number that makes them again; with --keep the file is kept too.
+the number that makes them again; with --keep the file is kept too. One that ends the process ends the run.
 """
 
 from __future__ import annotations
@@ -15,29 +15,33 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 BATCH = 500  # mutations a task
 _WARM: list[bool] = []  # in this process
 
 
-def batch(arguments: tuple[str, int, int, str | None]) -> tuple[int, list[tuple[str, int, str]]]:
-    """Mutations first to last of a format: how many, and the findings as (format, number, what)."""
+def batch(kind: str, first: int, last: int, keep: Path | None, marks: Path) -> tuple[int, list[tuple[str, int, str]]]:
+    """Mutations first to last of a format: how many, and the findings as (format, number, what). marks: a folder, in
+    which a file of this process tells the one at work."""
     from tests.drivers.fuzz import finding, mutated, warm_up
 
-    kind, first, last, keep = arguments
-    found = []
+    found, mark = [], marks / str(os.getpid())
     with tempfile.TemporaryDirectory(prefix="dt-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as folder:
         if not _WARM:
             warm_up(Path(folder))
             _WARM.append(True)
         for number in range(first, last):
+            mark.write_text(f"{kind} {number}")
             data = mutated(kind, number)
             what = finding(kind, data, Path(folder))
             if what:
                 found.append((kind, number, what))
                 if keep:
-                    (Path(keep) / f"{kind}-{number}").write_bytes(data)
+                    (keep / f"{kind}-{number}").write_bytes(data)
+    mark.unlink()
     return last - first, found
 
 
@@ -57,13 +61,18 @@ def main() -> None:
         given.keep.mkdir(parents=True, exist_ok=True)
     each = -(-given.mutations // len(kinds))
     tasks = [
-        (kind, first, min(first + BATCH, given.start + each), given.keep and str(given.keep))
+        (kind, first, min(first + BATCH, given.start + each), given.keep)
         for first in range(given.start, given.start + each, BATCH)
         for kind in kinds
     ]
     begin, done, seen = time.monotonic(), 0, Counter[str]()
-    with multiprocessing.get_context("spawn").Pool(given.processes) as pool:
-        for count, found in pool.imap_unordered(batch, tasks):
+    spawn = multiprocessing.get_context("spawn")
+    with tempfile.TemporaryDirectory() as marks, ProcessPoolExecutor(given.processes, spawn) as pool:
+        for future in as_completed([pool.submit(batch, *task, Path(marks)) for task in tasks]):
+            try:
+                count, found = future.result()
+            except BrokenProcessPool:
+                sys.exit(f"\na process ended at {' or '.join(mark.read_text() for mark in Path(marks).iterdir())}")
             done += count
             for kind, number, what in found:
                 seen[what.split(": ")[0]] += 1

@@ -20,6 +20,8 @@ DEEPEST = 4  # structures in each other
 MATRIX, COMPRESSED = 14, 15
 VALUES = {1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18}
 HOLDS_MATRICES = {1, 2, 3}  # array classes: cell, structure, object
+PARTS = {4: 4, 5: 6} | dict.fromkeys(range(6, 16), 4)  # of a text, a sparse array, numbers: flags, size, name, values
+IS_COMPLEX = 0x800  # in the flags: one part more
 DEEPEST_ELEMENT = 40
 
 
@@ -50,14 +52,16 @@ def read(path: Path) -> Table:
     return Table(path, "MATLAB .mat", same_length(columns, path))
 
 
-def _check_elements(raw: bytes, at: int, order: str, allowed: set[int], limit: int, depth: int) -> None:
-    """SciPy crashes the process on data of an unknown type.
+def _check_elements(raw: bytes, at: int, order: str, allowed: set[int], limit: int, depth: int) -> int:
+    """How many there are. SciPy crashes the process on data of an unknown type, and takes what follows an array that
+    lacks a part for that part.
 
     Raises:
-        ValueError: an element of no type that can stand there, or longer than what holds it.
+        ValueError: an element of no type that can stand there, longer than what holds it, or without all its parts.
     """
     if depth > DEEPEST_ELEMENT:
         raise ValueError("elements too deep in each other")
+    count = 0
     while at + 8 <= len(raw):
         kind, size = struct.unpack_from(f"{order}II", raw, at)
         begin = at + 8
@@ -70,10 +74,14 @@ def _check_elements(raw: bytes, at: int, order: str, allowed: set[int], limit: i
             _check_elements(inner, 0, order, {MATRIX}, limit, depth + 1)
         elif kind == MATRIX and size:
             inner = raw[begin : begin + size]
-            array_class = struct.unpack_from(f"{order}I", inner.ljust(12, b"\0"), 8)[0] & 0xFF
-            held = VALUES | {MATRIX} if array_class in HOLDS_MATRICES else VALUES
-            _check_elements(inner, 0, order, held, limit, depth + 1)
+            (flags,) = struct.unpack_from(f"{order}I", inner.ljust(12, b"\0"), 8)
+            held = VALUES | {MATRIX} if flags & 0xFF in HOLDS_MATRICES else VALUES
+            parts = _check_elements(inner, 0, order, held, limit, depth + 1)
+            if parts < PARTS.get(flags & 0xFF, 0) + bool(flags & IS_COMPLEX):
+                raise ValueError(f"array of {parts} parts at byte {at}, some are missing")
+        count += 1
         at = at + 8 if begin == at + 4 else begin + size + (-size % 8 if kind != COMPRESSED else 0)
+    return count
 
 
 def _columns(name: str, value: Any, depth: int) -> dict[str, np.ndarray]:

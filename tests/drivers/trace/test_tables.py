@@ -262,6 +262,16 @@ def test_mat_with_data_of_no_type_is_refused_before_scipy_crashes(tmp_path: Path
             read_table(tmp_path / "log.mat")
 
 
+def test_mat_with_an_array_that_lacks_a_part_is_refused_before_scipy_crashes(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "log.mat", {"q": TIME, "z": TIME * 1j})
+    data = bytearray((tmp_path / "log.mat").read_bytes())
+    assert read_table(tmp_path / "log.mat").columns
+    data[data.index(b"\1\0\1\0q") - 23] |= 0x08  # complex: what follows would be taken for the imaginary part
+    (tmp_path / "log.mat").write_bytes(data)
+    with pytest.raises(TraceError, match=r"log\.mat: .*array of 4 parts at byte \d+, some are missing"):
+        read_table(tmp_path / "log.mat")
+
+
 def test_matlab_7_3_says_how_to_save_it(tmp_path: Path) -> None:
     (tmp_path / "log.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(600))
     with pytest.raises(TraceError, match=r"save\('log\.mat', \.\.\., '-v7'\)"):
