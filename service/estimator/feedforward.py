@@ -10,6 +10,7 @@ from schemas.kernels import kernel
 from schemas.messages import FeedforwardSource, SampleFlag
 from service.estimator import friction
 from service.estimator.effects import effects_kernel
+from service.estimator.kalman import ACCELERATION, POSITION, VELOCITY
 from service.estimator.stream import COMMAND_ACCELERATION, SETTLE_TIME, coast_cycles
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, terms_kernel
 from service.model.effects.base import Instant
@@ -103,7 +104,7 @@ def _is_near(settings, state, ahead):
     reach = REFERENCE_DISTANCE + settings.speed * settings.period * (ahead + state.measured.idle)
     near = True
     for i in range(3):
-        near &= abs(state.reference[0, i] - state.measured.seen[i]) <= reach
+        near &= abs(state.reference[POSITION, i] - state.measured.seen[i]) <= reach
     return near
 
 
@@ -123,9 +124,9 @@ def plan_kernel(steps):
         state.reference_valid = 1
         state.reference_sequence = reference.sequence
         for i in range(3):
-            state.reference[0, i] = reference.position[i]
-            state.reference[1, i] = reference.velocity[i]
-            state.reference[2, i] = reference.acceleration[i]
+            state.reference[POSITION, i] = reference.position[i]
+            state.reference[VELOCITY, i] = reference.velocity[i]
+            state.reference[ACCELERATION, i] = reference.acceleration[i]
     state.reference_faults = flags
 
 
@@ -134,7 +135,9 @@ def _for_motion(settings, state, sample):
     """state.wanted (3,) N m: the torque for state.trajectory with payload and friction of now; False where there is no
     pose for it."""
     motion = state.trajectory
-    status = terms_kernel(settings.model, motion[0], motion[1], motion[2], state.pose, state.terms)
+    status = terms_kernel(
+        settings.model, motion[POSITION], motion[VELOCITY], motion[ACCELERATION], state.pose, state.terms
+    )
     if status != REACHED:
         return False
     torque_kernel(settings, state, sample.stamp_sec + sample.stamp_nanosec * 1e-9)
@@ -152,14 +155,14 @@ def torque_kernel(settings, state, seconds):
     terms, motion = state.terms, state.trajectory
     for i in range(3):
         state.load[i] = grey_kernel(settings, terms, i) + settings.forearm * terms[FOREARM, i]
-        state.direction[i] = direction(motion[1, i], settings.transition)
+        state.direction[i] = direction(motion[VELOCITY, i], settings.transition)
         state.full[i] = state.load[i] + dry_and_viscous(settings, state, i)
     now = Instant(
         model=settings.model,
         gear_ratio=settings.gear_ratio,
-        theta=motion[0],
-        theta_dot=motion[1],
-        theta_ddot=motion[2],
+        theta=motion[POSITION],
+        theta_dot=motion[VELOCITY],
+        theta_ddot=motion[ACCELERATION],
         direction=state.direction,
         load=state.load,
         seconds=max(0.0, seconds),
@@ -173,7 +176,7 @@ def torque_kernel(settings, state, seconds):
 @kernel
 def dry_and_viscous(settings, state, i):
     """Coulomb and viscous friction of joint i, N m."""
-    return friction_kernel(settings.viscous[i], settings.coulomb[i], state.trajectory[1, i], settings.transition)
+    return friction_kernel(settings.viscous[i], settings.coulomb[i], state.trajectory[VELOCITY, i], settings.transition)
 
 
 @kernel
@@ -181,7 +184,7 @@ def _learnt_friction(settings, state, i):
     """Reported torque on joint i, N m, of what friction surely is beside the identified one."""
     sure, first = state.payload.friction.sure, friction.PARTS * i
     dry, viscous, offset = sure[first], sure[first + 1], sure[first + 2]
-    return settings.scale[i] * (dry * state.direction[i] + viscous * state.trajectory[1, i]) + offset
+    return settings.scale[i] * (dry * state.direction[i] + viscous * state.trajectory[VELOCITY, i]) + offset
 
 
 @kernel

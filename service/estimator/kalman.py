@@ -21,6 +21,7 @@ from scipy.linalg import solve_discrete_are
 from schemas.kernels import kernel
 
 ORDER = 4  # position, velocity, acceleration, jerk
+POSITION, VELOCITY, ACCELERATION = range(3)
 
 # A pick-and-place at 10 g asks 1000 to 1500 rad/s^3 rms of a joint, with peaks of 8000; twice that leaves headroom.
 EXPECTED_JERK = 3000.0  # rad/s^3

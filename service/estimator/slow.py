@@ -26,8 +26,22 @@ LEAST_STD = 0.01  # kg, no mass is known better beforehand
 STEP_SIGMAS, SMALLEST_STEP = 5.0, 0.12  # of the newest against those before; kg
 
 _SUMS = np.dtype([("load", "f8", 3), ("cross", "f8", 3), ("way", "f8", 3), ("pull", "f8", 3), ("rub", "f8", 3)])
+# One sample, and what is believed beside: a joint where it is three.
+_NOW = np.dtype(
+    [
+        ("phi", "f8", 3),  # N m/kg
+        ("residual", "f8", 3),  # N m
+        ("way", "f8", 3),
+        ("weight", "f8", 3),  # (N m)^-2, 0 where a joint rests
+        ("drift", "f8", 3),  # N m, one standard deviation of a gear's
+        ("mass", "f8"),  # kg
+        ("variance", "f8"),  # kg^2
+    ],
+    align=True,
+)
 STATE = np.dtype(
     [
+        ("now", _NOW),
         ("lasted", "f8"),  # s of slow motion since anything fast
         ("begun", "i8"),
         ("whole", _SUMS),  # of weight times phi^2, phi way, way^2, phi r, way r, a joint
@@ -44,16 +58,12 @@ STATE = np.dtype(
 
 
 @kernel
-def slow_kernel(slow, column, residual, way, weight, period, drift, mass, variance, widest):
-    """Take one sample without anything fast. Returns whether slow.mass and slow.variance say what hangs there.
-
-    column: (3, n), phi in its first, N m/kg. residual, way: (3,) N m, -. weight: (3,) (N m)^-2, 0 where a joint rests.
-    drift: (3,) N m, one standard deviation of a gear's. mass, variance: kg, kg^2, what is believed beside. widest:
-    kg^2, of a mass of which nothing is known.
-    """
-    moving = False
+def slow_kernel(slow, period, widest):
+    """Take the sample in slow.now, without anything fast. Returns whether slow.mass and slow.variance say what hangs
+    there. widest: kg^2, of a mass of which nothing is known."""
+    now, moving = slow.now, False
     for i in range(3):
-        moving |= weight[i] > 0.0
+        moving |= now.weight[i] > 0.0
     if not moving:
         return False
     slow.lasted += period
@@ -61,21 +71,21 @@ def slow_kernel(slow, column, residual, way, weight, period, drift, mass, varian
         return False
     if slow.begun == 0:
         slow.begun = 1
-        slow.mass_before, slow.mass_variance = mass, max(LEAST_STD**2, min(variance, widest))
+        slow.mass_before, slow.mass_variance = now.mass, max(LEAST_STD**2, min(now.variance, widest))
         for i in range(3):
             slow.level_before[i] = 0.0
-            slow.level_variance[i] = (LEVEL_DRIFTS * drift[i]) ** 2
+            slow.level_variance[i] = (LEVEL_DRIFTS * now.drift[i]) ** 2
         _clear(slow.whole)
         _clear(slow.newest)
-    _add(slow.whole, column, residual, way, weight, math.exp(-period / MEMORY_TIME))
-    _add(slow.newest, column, residual, way, weight, math.exp(-period / NEWEST_TIME))
+    _add(slow.whole, now, math.exp(-period / MEMORY_TIME))
+    _add(slow.newest, now, math.exp(-period / NEWEST_TIME))
     _solve(slow)
     if _contradicted(slow):
         _start_anew(slow, widest)
     wander = 0.0
     for i in range(3):
         if slow.whole.way[i] > 0.0:
-            wander += slow.whole.load[i] / slow.whole.way[i] / (WANDER_DRIFTS * drift[i]) ** 2
+            wander += slow.whole.load[i] / slow.whole.way[i] / (WANDER_DRIFTS * now.drift[i]) ** 2
     if wander > 0.0:
         slow.variance = min(slow.variance + 1.0 / wander, widest)
     return True
@@ -112,14 +122,14 @@ def _clear(sums):
 
 
 @kernel
-def _add(sums, column, residual, way, weight, forgetting):
+def _add(sums, now, forgetting):
     for i in range(3):
-        phi = column[i, 0]
-        sums.load[i] = sums.load[i] * forgetting + weight[i] * phi * phi
-        sums.cross[i] = sums.cross[i] * forgetting + weight[i] * phi * way[i]
-        sums.way[i] = sums.way[i] * forgetting + weight[i] * way[i] * way[i]
-        sums.pull[i] = sums.pull[i] * forgetting + weight[i] * phi * residual[i]
-        sums.rub[i] = sums.rub[i] * forgetting + weight[i] * way[i] * residual[i]
+        phi, way, residual, weight = now.phi[i], now.way[i], now.residual[i], now.weight[i]
+        sums.load[i] = sums.load[i] * forgetting + weight * phi * phi
+        sums.cross[i] = sums.cross[i] * forgetting + weight * phi * way
+        sums.way[i] = sums.way[i] * forgetting + weight * way * way
+        sums.pull[i] = sums.pull[i] * forgetting + weight * phi * residual
+        sums.rub[i] = sums.rub[i] * forgetting + weight * way * residual
 
 
 @kernel

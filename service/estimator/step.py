@@ -25,7 +25,10 @@ from service.estimator.feedforward import (
     torque_kernel,
 )  # fmt: skip
 from service.estimator.kalman import (
+    ACCELERATION,
     MAX_LAG,
+    POSITION,
+    VELOCITY,
     acceleration_variance_kernel,
     coast_kernel,
     keep_kernel,
@@ -143,7 +146,8 @@ def lagged_kernel(settings, state, payload_out, error_out):
     flags = past.flags
     if flags & UNUSABLE == 0:
         smooth_kernel(settings.motion.transition, state.slots, state.head, lag, state.adjoint, motion)
-        if terms_kernel(settings.model, motion[0], motion[1], motion[2], state.pose, terms) != REACHED:
+        theta, theta_dot, theta_ddot = motion[POSITION], motion[VELOCITY], motion[ACCELERATION]
+        if terms_kernel(settings.model, theta, theta_dot, theta_ddot, state.pose, terms) != REACHED:
             flags |= RANGE
     if flags & UNUSABLE != 0:
         for i in range(3):
@@ -156,7 +160,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
         swing_kernel(settings, state, weighed.column)
         torque_kernel(settings, state, past.stamp_sec + past.stamp_nanosec * 1e-9)
         for i in range(3):
-            speed = abs(motion[1, i])
+            speed = abs(motion[VELOCITY, i])
             kh = terms[INERTIA, i] + terms[GRAVITY, i] + terms[PLATFORM, i]
             grey = grey_kernel(settings, terms, i)
             friction = dry_and_viscous(settings, state, i)
@@ -166,7 +170,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             weighed.residual[i] = past.torque[i] - state.full[i]
             weighed.column[i, 0] = load_kernel(settings, state, i)
             weighed.shape[i, 0] = settings.scale[i] * state.direction[i]
-            weighed.shape[i, 1] = settings.scale[i] * motion[1, i]
+            weighed.shape[i, 1] = settings.scale[i] * motion[VELOCITY, i]
             weighed.shape[i, 2] = 1.0
             doubt = MODEL_SHARE * (
                 abs(terms[INERTIA, i]) + abs(terms[GRAVITY, i]) + abs(terms[PLATFORM, i]) + abs(friction)
@@ -174,7 +178,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             # a resting joint's friction can be anything within Coulomb's bounds, the same for as long as it rests
             weight = 0.0 if loose else 1.0 / (settings.variance[i] + doubt * doubt)
             weighed.weight[i] = weight if speed > REVERSAL_SPEED else 0.0
-            weighed.slow_weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
+            weighed.slow.now.weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
         weighed.gripper = past.gripper
         event = payload_kernel(settings.payload, weighed)
         load = weighed.usable

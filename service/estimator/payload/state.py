@@ -91,8 +91,6 @@ STATE = np.dtype(
         ("column", "f8", (3, LOADS)),  # of this sample: what each load does, phi N m/kg and swing N m/(kg m)
         ("residual", "f8", 3),  # of this sample, N m, measured minus predicted without payload
         ("weight", "f8", 3),  # of this sample, (N m)^-2, 0 where a joint has nothing to say
-        ("slow_weight", "f8", 3),  # the same of a joint too slow for Coulomb's law
-        ("remains", "f8", 3),  # of the residual, learnt friction taken off
         ("still", "f8"),  # s, without motion that tells the mass
         ("untold", "f8"),  # s of motion that it takes until the mass is known again
         ("gripper", "i8"),  # of this sample, schemas.messages.Gripper

@@ -94,17 +94,16 @@ def _note_rest(settings, state, told):
 def _weigh_slowly(settings, state):
     """Where nothing moves fast: take what gravity says for all that is known of the mass. Returns whether it says
     anything."""
+    now = state.slow.now
     for i in range(3):
         first = friction.PARTS * i
-        state.known[i] = settings.prior[first]
-        state.remains[i] = state.residual[i]
+        now.drift[i], now.phi[i], now.way[i] = settings.prior[first], state.column[i, 0], state.shape[i, 0]
+        now.residual[i] = state.residual[i]
         for a in range(friction.PARTS):
-            state.remains[i] -= state.shape[i, a] * state.friction.delta[first + a]
-        state.slow_weight[i] *= settings.information_weight
-    told = slow.slow_kernel(
-        state.slow, state.column, state.remains, state.shape[:, 0], state.slow_weight, settings.period, state.known,
-        state.mass, state.std_dev * state.std_dev, PRIOR_STD * PRIOR_STD,
-    )  # fmt: skip
+            now.residual[i] -= state.shape[i, a] * state.friction.delta[first + a]
+        now.weight[i] *= settings.information_weight
+    now.mass, now.variance = state.mass, state.std_dev * state.std_dev
+    told = slow.slow_kernel(state.slow, settings.period, PRIOR_STD * PRIOR_STD)
     if told:
         state.information[0, 0] = 1.0 / state.slow.variance
         state.moment[0] = state.slow.mass / state.slow.variance

@@ -92,22 +92,34 @@ def wander(rows):
     return 1 / np.sum(load / rubs / (slow.WANDER_DRIFTS * DRIFT) ** 2)
 
 
-def test_slow_motion_is_least_squares_in_a_mass_and_three_levels():
+def contradicted(rows, found, covariance):
+    """Whether the mass of the newest is another than `found`, by more than either is unsure of."""
+    fading = np.exp(-CYCLE / slow.NEWEST_TIME) ** np.arange(len(rows))[::-1, None]
+    phi, residual, way, weight = (np.array(part) for part in zip(*rows, strict=True))
+    load = np.sum(fading * weight * phi**2)
+    step = np.sum(fading * weight * phi * (residual - way * found[1:] - phi * found[0])) / load
+    rubs = np.sum(fading * weight * phi * way, axis=0) / load
+    spread = 1 / load + rubs**2 @ np.diag(covariance)[1:] + covariance[0, 0]
+    return abs(step) > max(slow.SMALLEST_STEP, slow.STEP_SIGMAS * spread**0.5)
+
+
+@pytest.mark.parametrize("known", [(0.5, 0.09), (1.0, 1e-9), (0.5, 50.0)], ids=["so far", "too well", "not at all"])
+def test_slow_motion_is_least_squares_in_a_mass_and_three_levels(known):
     """First with what was known before; then, the load another, anew from there with what was found of the levels."""
     random, state = np.random.default_rng(2), np.zeros(1, slow.STATE)[0]
-    level, known = np.array([0.2, -0.3, 0.4]), (0.5, 0.09)
+    level = np.array([0.2, -0.3, 0.4])
 
     def take(mass):
-        phi, way = random.uniform(2.0, 4.0, 3), random.choice([-1.0, 1.0], 3)
+        phi, way = random.uniform(2.0, 4.0, 3), random.choice([-1.0, -0.7, 0.6, 1.0], 3)
         weight = random.uniform(20.0, 40.0, 3)
         residual = mass * phi + level * way + random.standard_normal(3) / np.sqrt(weight)
-        told = slow.slow_kernel(
-            state, np.repeat(phi[:, None], 3, axis=1), residual, way, weight, CYCLE, DRIFT, *known, WIDEST
-        )
+        now["phi"], now["residual"], now["way"], now["weight"] = phi, residual, way, weight
+        told = slow.slow_kernel(state, CYCLE, WIDEST)
         return told, (phi, residual, way, weight)
 
-    still = np.zeros(3)
-    assert not slow.slow_kernel(state, np.ones((3, 3)), still, still, still, CYCLE, DRIFT, *known, WIDEST)
+    now = state["now"]
+    now["drift"], now["mass"], now["variance"] = DRIFT, *known
+    assert not slow.slow_kernel(state, CYCLE, WIDEST)
     assert state["lasted"] == 0, "nothing moves"
     early = [take(1.0)[0] for _ in range(round(slow.BEGIN_TIME / CYCLE) - 1)]
     assert not any(early), "what sets out or stops is through it in less"
@@ -116,17 +128,18 @@ def test_slow_motion_is_least_squares_in_a_mass_and_three_levels():
         told, row = take(1.0)
         assert told
         rows.append(row)
-    before = known, (np.zeros(3), (slow.LEVEL_DRIFTS * DRIFT) ** 2)
+    before = (known[0], np.clip(known[1], slow.LEAST_STD**2, WIDEST)), (np.zeros(3), (slow.LEVEL_DRIFTS * DRIFT) ** 2)
     found, covariance = least_squares(rows, *before)
     np.testing.assert_allclose(state["mass"], found[0], rtol=1e-9)
     np.testing.assert_allclose(state["variance"], covariance[0, 0] + wander(rows), rtol=1e-9)
 
-    count = 0
-    while state["variance"] < WIDEST:  # until the step is seen, and all begins anew
+    while True:  # until the step is seen, and all begins anew
         rows.append(take(3.0)[1])
-        count += 1
-        assert count < 30
-    found, covariance = least_squares(rows, *before)
+        found, covariance = least_squares(rows, *before)
+        assert (state["variance"] == WIDEST) == contradicted(rows, found, covariance)
+        if state["variance"] == WIDEST:
+            break
+        assert len(rows) < 130
     anew = (found[0], WIDEST), (found[1:], np.diag(covariance)[1:])
     rows = [take(3.0)[1] for _ in range(40)]
     found, covariance = least_squares(rows, *anew)
@@ -137,3 +150,7 @@ def test_slow_motion_is_least_squares_in_a_mass_and_three_levels():
     assert (state["mass"], state["variance"]) == (pytest.approx(found[0]), WIDEST), "another mass, not yet known"
     slow.fast_kernel(state)
     assert not take(3.0)[0], "what was slow says nothing any more"
+    now["mass"], now["variance"] = 3.0, 0.01
+    while not take(3.0)[0]:
+        pass
+    assert not state["level_before"].any(), "nor of friction"
