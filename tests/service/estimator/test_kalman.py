@@ -5,7 +5,9 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from service.estimator.kalman import (
+    EXPECTED_JERK,
     FILTER,
+    JERK_TIME,
     ORDER,
     SLOT,
     SMALLEST_VARIANCE,
@@ -14,6 +16,7 @@ from service.estimator.kalman import (
     coast_kernel,
     design,
     keep_kernel,
+    largest_innovation,
     predict_kernel,
     restart_kernel,
     smooth_kernel,
@@ -103,22 +106,51 @@ def test_filter_and_smoother_are_filterpys(period, loss):
                 assert motion["acceleration_variance"] == pytest.approx(steady, rel=1e-3)
 
 
-def closed_loops(period, gaps):
-    """Error from sample to sample, (I - K H) F^n, along a sequence of gaps, and the covariance after each."""
+def test_the_largest_innovation_is_filterpys_in_units_of_its_spread():
+    motion, random = settings(1e-3), np.random.default_rng(1)
+    measured = 1e-3 * np.cumsum(random.standard_normal((40, 3)), axis=0)
+    track, joints = np.zeros(1, TRACK)[0], [reference(motion) for _ in range(3)]
+    restart_kernel(motion, track, measured[0])
+    for joint, kalman in enumerate(joints):
+        kalman.x = np.array([[measured[0, joint]], [0.0], [0.0], [0.0]])
+    for row in measured[1:]:
+        predict_kernel(motion, track, 1)
+        update_kernel(motion, track, row)
+        for kalman, value in zip(joints, row, strict=True):
+            kalman.predict()
+            kalman.update(value)
+        expected = max(abs(kalman.y[0, 0]) / kalman.S[0, 0] ** 0.5 for kalman in joints)
+        assert largest_innovation(motion, track) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize(("period", "lag"), [(1e-3, 6), (1.25e-4, 48), (5e-5, 64), (0.02, 1)])
+def test_the_jerk_is_expected_to_be_so_large_for_so_long(period, lag):
+    """As a process that has run for ever: its variance, and what is left of it from sample to sample."""
+    motion = design(period, RESOLUTION)
+    kept = motion.transition[3, 3]
+    assert kept == pytest.approx(np.exp(-period / JERK_TIME))
+    assert motion.noise[3, 3] / (1 - kept**2) == pytest.approx(EXPECTED_JERK**2, rel=1e-6)
+    assert (motion.lag, motion.resolution) == (lag, RESOLUTION)
+
+
+def closed_loops(period, gaps, every=1):
+    """Error from sample to sample, (I - K H) F^n, along a sequence of gaps, and the covariance after each `every`."""
     motion, track = settings(period), np.zeros(1, TRACK)[0]
     restart_kernel(motion, track, np.zeros(3))
-    for gap in gaps:
+    for number, gap in enumerate(gaps, 1):
         predict_kernel(motion, track, gap)
         update_kernel(motion, track, np.zeros(3))
-        carried = np.linalg.matrix_power(motion["transition"], gap)
-        yield (np.eye(ORDER) - np.outer(track["gain"], np.eye(ORDER)[0])) @ carried, track["covariance"].copy()
+        if number % every == 0:
+            carried = np.linalg.matrix_power(motion["transition"], gap)
+            yield (np.eye(ORDER) - np.outer(track["gain"], np.eye(ORDER)[0])) @ carried, track["covariance"].copy()
 
 
 @pytest.mark.parametrize("period", PERIODS)
 def test_every_gap_up_to_the_restart_is_stable(period):
     """Spectral radius of the steady state of every gap, below one by more than rounding."""
     for gap in range(1, int(RESTART_TIME / period) + 2):
-        *_, (closed, _) = closed_loops(period, [gap] * (50 + 350 // gap))
+        count = 50 + 350 // gap
+        ((closed, _),) = closed_loops(period, [gap] * count, count)
         assert np.abs(np.linalg.eigvals(closed)).max() < 0.999, gap
 
 
@@ -143,7 +175,7 @@ def test_any_sequence_of_gaps_forgets_its_errors(period):
 
 def test_the_gain_of_one_cycle_diverges_over_a_gap():
     """What this filter must not do, and the test of it that fails: the gain of no gap applied after one."""
-    *_, (closed, _) = closed_loops(1e-3, [1] * 400)
+    ((closed, _),) = closed_loops(1e-3, [1] * 400, 400)
     transition = settings(1e-3)["transition"]
     assert np.abs(np.linalg.eigvals(closed @ transition)).max() > 3.0
 

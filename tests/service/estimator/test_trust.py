@@ -5,6 +5,7 @@ import pytest
 
 from schemas.messages import Gripper, PayloadEvent, stamp_ns
 from service.estimator.estimator import Estimator
+from service.estimator.payload.verdict import EVENT_BURST, EVENT_RATE
 from service.model.kinematics import jacobian
 from service.model.nominal import pack
 from tests.known import PERIOD
@@ -275,6 +276,20 @@ def test_more_than_the_gripper_carries_is_not_trusted(robot, make):
     payload, time = weigh(light, make(3.0, payload=lambda t: 3.0 * (t >= 1.0), noise=0.25).samples)
     assert payload["mass"].max() <= 1.5
     assert not payload["trusted"][time > 1.1].any()
+
+
+def test_events_come_no_faster_than_a_gripper_makes_them(robot, make):
+    """One more than a burst may have is no gripper, until that has leaked away."""
+    known = make(1.2, payload=lambda t: 2.0 * np.ones_like(t), noise=0.25)
+    estimator = Estimator(robot, PERIOD)
+    assert estimator.run(known.samples[:1000]).payload["trusted"][-1]
+    state = estimator.state["payload"]
+    assert state["burst"] == 0.0, "the first has leaked away"
+    state["burst"] = EVENT_BURST + 0.2
+    trusted = estimator.run(known.samples[1000:]).payload["trusted"]
+    leaked = round(0.2 / EVENT_RATE / PERIOD)
+    assert not trusted[: leaked - 1].any()
+    assert trusted[leaked + 1 :].all()
 
 
 def test_stacked_picks_and_partial_releases_are_events(robot, make):
