@@ -30,8 +30,8 @@ def command(
 ) -> None:
     """Write the robot, as identified and corrected, for MuJoCo, or the actuated part of it for viewers.
 
-    Effects that MuJoCo has no word for come as a Python file beside it, to be called before each step of your own
-    loop; what neither has is listed.
+    Effects that MuJoCo has no word for come as a Python file beside it, to be called in your own loop: friction and the
+    like before each step, what delay, filter and encoder do to a log after it. What neither has is listed.
 
     Example: deltatwin export corrected.toml --to mjcf --out robot.xml
     """
@@ -58,6 +58,11 @@ def command(
     if made.callback is not None:
         beside = out.with_name(f"{out.stem}_effects.py")
         write_text(beside, made.callback)
-        print(f"wrote {beside}: call it before every step for {', '.join(made.by_callback)}")
+        called = [name for name in made.by_callback if name not in made.measured]
+        print(f"wrote {beside}")
+        if called:
+            print(f"  call Effects before every step for {', '.join(called)}")
+        if made.measured:
+            print(f"  Measurement gives what a log shows: {', '.join(made.measured)}")
     for name, why in made.left_out.items():
         print(f"{name} is left out: {why}", file=sys.stderr)

@@ -15,7 +15,9 @@ import numpy as np
 
 from drivers.motion import Trajectory
 from schemas.diagnosis import named_joints
+from schemas.errors import DataError
 from schemas.robot import EffectEntry, Robot
+from service.estimator.bounds import bounds_of
 from service.identification.fit import within
 from service.model.description import base_of, torque_along
 from service.model.hypothesis import Hypothesis, Term
@@ -60,13 +62,14 @@ class Pair:
 @dataclass(frozen=True)
 class View:
     """How runs are looked at. sigma: (3,) N m, noise of the torque in the band. sparse: the band of every `SPARSE`-th
-    sample."""
+    sample. peak: N m that the drives give."""
 
     mechanism: Mechanism
     base: Base
     band: Band
     sparse: Band
     sigma: np.ndarray
+    peak: float
 
     @classmethod
     def of(cls, robot: Robot, sigma: np.ndarray, cutoff_hz: float = ANALYSIS_HZ) -> View:
@@ -74,7 +77,7 @@ class View:
         band, sparse = Band.of(PERIOD, cutoff_hz), Band.of(SPARSE * PERIOD, cutoff_hz)
         base = base_of(robot.identified)
         base = replace(base, transition=np.maximum(base.transition, SHARPEST))
-        return cls(mechanism_of(robot), base, band, sparse, sigma)
+        return cls(mechanism_of(robot), base, band, sparse, sigma, bounds_of(robot).peak_nm)
 
     def scene(self, motion: Trajectory, whole: bool) -> tuple[Scene, Band]:
         """A motion as effects see it: `whole`, or every `SPARSE`-th sample."""
@@ -116,10 +119,17 @@ class Apart:
         ]
 
     def shown(self, motion: Trajectory, whole: bool = False) -> np.ndarray:
-        """(pairs, F + 1, F + 1): slopes of the one that is refitted and, last, the difference; filled up with zeros."""
+        """(pairs, F + 1, F + 1): slopes of the one that is refitted and, last, the difference; filled up with zeros.
+
+        Raises:
+            DataError: a rival asks for more torque than the drives give: what production shows of it in slow motion may
+                grow out of all bounds in a fast one.
+        """
         (scene, band), found = self.view.scene(motion, whole), []
         for hypothesis in self.rivals:  # their bases differ in timing alone, which a scene does not have
             prediction, slopes = tangent(scene, hypothesis, band)
+            if (most := float(np.abs(prediction).max())) > self.view.peak:
+                raise DataError(f"{_in_words(hypothesis)} takes {most:.4g} N m, the drives give {self.view.peak:.4g}")
             found.append((self.view.rows(scene, band, prediction), self.view.rows(scene, band, slopes)))
         grams = [slopes.T @ slopes for _, slopes in found]
         size = max(len(gram) for gram in grams) + 1

@@ -32,27 +32,23 @@ from service.model.nominal import lengthened, pack
 
 STEP = 0.25e-3  # s
 SMOOTH = 0.01  # rad/s over which the callback's friction turns, explicit as it is
-OF_THE_MEASUREMENT = {
-    "torque_delay": "shift a recorded torque by it before it goes in",
-    "torque_filter": "turn it round on a recorded torque before that goes in",
-    "encoder_eccentricity": "add it to the angle that is read",
-}
 
 
 @dataclass
 class Export:
     """spec: the model. callback: Python that runs what MuJoCo has no word for, or None. by_callback: those effects.
-    left_out: effect -> why neither has it."""
+    measured: those of them that are of the measurement. left_out: effect -> why neither has it."""
 
     spec: mujoco.MjSpec
     callback: str | None = None
     by_callback: list[str] = field(default_factory=list)
+    measured: list[str] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
 
 
 def to_mjcf(robot: Robot) -> Export:
     """The closed chain of `robot` in MuJoCo's terms. Joints `arm<i>` turn as the encoders read, actuators `drive<i>`
-    take the torque that a log reports.
+    take the torque that a log reports, but for what the callback's `Measurement` does to both.
 
     Raises:
         RobotError: an effect that is not known, or figures that no body can have.
@@ -260,6 +256,44 @@ _PLATFORM = """        place = [float(data.qpos[address]) for address in self.pl
 """
 _PLATFORM_TAIL = """            data.qfrc_applied[dof] = -force
 """
+# What a log shows of it: drives' torque `now` and motor angles `angle`, three values each.
+_MEASUREMENT = '''
+
+class Measurement:
+    """What a log shows of this robot."""
+
+    def __init__(self, model):
+        self.step = model.opt.timestep
+        self.smooth, self.past = None, []
+
+    def torque(self, torque):
+        """Of the drives' torque, three values; call it once a step."""
+        now = [float(value) for value in torque]
+{torque}        return now
+
+    def angle(self, angle):
+        """Of the angles of the motors, three values."""
+        read = angle = [float(value) for value in angle]
+{angle}        return read
+'''
+_TORQUE_SHOWN = {
+    "torque_filter": """        keep = math.exp(-2.0 * math.pi * {cutoff} * self.step)  # torque_filter
+        last = now if self.smooth is None else self.smooth
+        now = self.smooth = [keep * a + (1.0 - keep) * b for a, b in zip(last, now)]
+""",
+    "torque_delay": """        late = {delay} / self.step  # torque_delay
+        self.past = [now, *self.past[: int(late) + 1]]
+        k = min(int(late), len(self.past) - 1)
+        before = self.past[min(k + 1, len(self.past) - 1)]
+        now = [a + (late - int(late)) * (b - a) for a, b in zip(self.past[k], before)]
+""",
+}
+_ANGLE_SHOWN = """        for _ in range(4):  # what is wrong with the angle turns with the angle that is read
+            turn = [{order} * GEAR_RATIO * value for value in read]
+            off = [{cosine}[i] * math.cos(turn[i]) + {sine}[i] * math.sin(turn[i]) for i in range(3)]
+            read = [value - error for value, error in zip(angle, off)]  # encoder_eccentricity
+        angle = read
+"""
 _IN_THE_MODEL = {
     "rotor_inertia", "arm_mass", "tool_mass", "base_tilt", "joint_spring", "hose_spring", "link_length_error",
     "forearm_length_error", "base_radius_error", "azimuth_error", "joint_offset", "joint_elasticity", "backlash",
@@ -269,14 +303,14 @@ _IN_THE_MODEL = {
 
 def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], transition: float | np.ndarray) -> None:
     """Fill callback, by_callback and left_out of `result`."""
-    lines, load, pushed = [], "", ""
+    lines, load, pushed, torque, angle = [], "", "", "", ""
     for term in terms:
         effect, name = term.effect, term.effect.name
+        spread = np.zeros((3, len(effect.amplitudes)))
+        spread[list(term.joints) or slice(None)] = term.amplitude
+        values: dict[str, object] = {key: tuple(spread[:, n].tolist()) for n, key in enumerate(effect.amplitudes)}
+        values |= {key: float(value) for key, value in zip(effect.nonlinear, term.nonlinear, strict=True)}
         if name in FORMS or name == "load_dependent_friction":
-            spread = np.zeros((3, len(effect.amplitudes)))
-            spread[list(term.joints)] = term.amplitude
-            values = {key: tuple(map(float, spread[:, n])) for n, key in enumerate(effect.amplitudes)}
-            values |= {key: float(value) for key, value in zip(effect.nonlinear, term.nonlinear, strict=True)}
             if name in FORMS:
                 lines.append(f"            torque += {FORMS[name].format(**values)}  # {name}\n")
             else:
@@ -284,9 +318,13 @@ def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], transition:
         elif name in PLATFORM_FORMS:
             values = dict(zip(effect.amplitudes, term.amplitude[0].tolist(), strict=True))
             pushed += f"            force += {PLATFORM_FORMS[name].format(**values)}  # {name}\n"
-        elif name in OF_THE_MEASUREMENT:
-            result.left_out[name] = f"of the measurement, not of the robot: {OF_THE_MEASUREMENT[name]}"
+        elif name == "torque_delay" and term.nonlinear[0] < 0:
+            result.left_out[name] = "a log shows the torque before it is there: shift what you compare with by it"
             continue
+        elif name in _TORQUE_SHOWN or name == "encoder_eccentricity":
+            shown = _TORQUE_SHOWN.get(name, _ANGLE_SHOWN).format(**values)
+            torque, angle = (torque + shown, angle) if name in _TORQUE_SHOWN else (torque, angle + shown)
+            result.measured.append(name)
         elif name not in _IN_THE_MODEL:
             result.left_out[name] = "neither MuJoCo nor the callback has a form for it"
             continue
@@ -299,7 +337,8 @@ def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], transition:
         smooth = max(SMOOTH, float(np.max(transition)))
         head = _HEAD.format(name=robot.name, gear_ratio=robot.drive.gear_ratio, joints=joints, smooth=smooth)
         platform = _PLATFORM + pushed + _PLATFORM_TAIL if pushed else ""
-        result.callback = head + "".join(lines) + load + _TAIL + platform
+        shown = _MEASUREMENT.format(torque=torque, angle=angle) if result.measured else ""
+        result.callback = head + "".join(lines) + load + _TAIL + platform + shown
 
 
 def to_urdf(robot: Robot) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from schemas.robot import Robot, load_robot, save_robot
 from service.cli.main import app
 from service.model.description import described, entry, terms_of
 from service.planning import plan as planning
-from service.planning.question import PERIOD, Apart, Figures, View
+from service.planning.question import PERIOD, Apart, Figures, View, expected
 from tests.service.injected import INJECTED, reports
 from tests.service.rollout.test_kernel import effect
 from tests.service.subject import Hypothesis, Term, fit
@@ -73,6 +74,21 @@ def test_a_plan_keeps_every_limit_and_shows_more_than_a_random_run(short: None) 
     random = planner.multisine(np.random.default_rng(1), 5.0)
     errors = [question.learned(question.shown(run, whole=True))[0].errors for run in (motion, random)]
     assert errors[0] > 1.3 * errors[1]
+
+
+def test_no_rival_is_asked_for_more_torque_than_the_drives_give(short: None) -> None:
+    planner, view = Planner(ROBOT, PERIOD, LIMITS), View.of(KNOWN, SIGMA)
+
+    def most(view: View) -> float:
+        motion = planning.plan(planner, Apart(view, [(STRIBECK,), (VISCOUS,)]), 5.0)
+        entries = [
+            entry(term, np.zeros(20)[: term.amplitude.size + len(term.nonlinear)], ROBOT)
+            for term in (STRIBECK, VISCOUS)
+        ]
+        return max(float(np.abs(expected(KNOWN, [one], motion)).max()) for one in entries)
+
+    free = most(view)
+    assert most(dataclasses.replace(view, peak=0.8 * free)) < 0.82 * free
 
 
 class Travel:
