@@ -7,11 +7,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.ethercat.capture import Capture
 from drivers.ethercat.pdo import joint_pdos
+from drivers.ethercat.process_data.assembly import Assembler
 from drivers.ethercat.process_data.layout import make_layout
 from schemas.errors import RobotError
+from schemas.messages import SampleFlag
 from schemas.robot import Robot
-from tests.drivers.ethercat.wire import INPUT_BYTES, INPUTS, OUTPUT_BYTES, OUTPUTS, robot
+from tests.drivers.ethercat.wire import (
+    INPUT_BYTES,
+    INPUTS,
+    OUTPUT_BYTES,
+    OUTPUTS,
+    cycle,
+    datagram,
+    frame,
+    of_cycles,
+    pcap,
+    robot,
+)
 
 BITS = {"0x6041": 16, "0x6064": 32, "0x606C": 32, "0x6077": 16, "0x6061": 8, ":8": 8,
         "0x6040": 16, "0x607A": 32, "0x6071": 16, "0x60B2": 16, "0x6060": 8}  # fmt: skip
@@ -25,11 +39,12 @@ def entries(objects: list[str]) -> str:
     )
 
 
-def slave(number: int) -> str:
-    """Process image: outputs from byte 4, inputs from byte 100; each in two PDOs whose order Sm3 turns round."""
+def slave(number: int, outputs_at: int = 4, inputs_at: int = 100) -> str:
+    """A drive, the first with its outputs and inputs at these bytes of the process image; each in two PDOs whose order
+    Sm3 turns round."""
     return f"""<Slave><Info><Name>Drive {number}</Name><PhysAddr>{0x1001 + number}</PhysAddr></Info><ProcessData>
-      <Send><BitStart>{(4 + OUTPUT_BYTES * number) * 8}</BitStart><BitLength>96</BitLength></Send>
-      <Recv><BitStart>{(100 + INPUT_BYTES * number) * 8}</BitStart><BitLength>112</BitLength></Recv>
+      <Send><BitStart>{(outputs_at + OUTPUT_BYTES * number) * 8}</BitStart><BitLength>96</BitLength></Send>
+      <Recv><BitStart>{(inputs_at + INPUT_BYTES * number) * 8}</BitStart><BitLength>112</BitLength></Recv>
       <Sm2><Pdo>5632</Pdo></Sm2><Sm3><Pdo>6657</Pdo><Pdo>6656</Pdo></Sm3>
       <RxPdo Sm="2"><Index>#x1600</Index>{entries(OUTPUTS)}</RxPdo>
       <TxPdo Sm="3"><Index>#x1a00</Index>{entries(INPUTS[2:])}</TxPdo>
@@ -68,6 +83,43 @@ def test_a_master_maps_by_the_eni_what_it_maps_by_the_declaration(tmp_path: Path
     assert entries_of(with_eni(tmp_path, ENI)) == entries_of(robot())
     with pytest.raises(RobotError, match=r"drive\.joint\.0\.station: 4097 is no slave of .*machine\.xml"):
         joint_pdos(with_eni(tmp_path, "<EtherCATConfig><Config/></EtherCATConfig>"))
+
+
+def terminal(station: int, area: str, pdo: str, byte: int) -> str:
+    return f"""<Slave><Info><Name>Terminal</Name><PhysAddr>{station}</PhysAddr></Info><ProcessData>
+      <{area}><BitStart>{byte * 8}</BitStart><BitLength>8</BitLength></{area}>
+      <{pdo} Sm="0"><Index>#x1a00</Index>{"<Entry><Index>#x6000</Index><BitLen>1</BitLen></Entry>" * 8}</{pdo}>
+      </ProcessData></Slave>"""
+
+
+def test_stations_that_are_no_drives_are_passed_over(tmp_path: Path) -> None:
+    """A coupler before the drives, digital outputs and inputs between the first two, on the line and in the image."""
+    line = [
+        "<Slave><Info><Name>Coupler</Name><PhysAddr>4096</PhysAddr></Info></Slave>",
+        slave(0, 0, 37),
+        terminal(0x1101, "Send", "RxPdo", 12),
+        terminal(0x1102, "Recv", "TxPdo", 51),
+        slave(1, 1, 38),
+        slave(2, 1, 38),
+    ]
+    command = """<Cyclic><Frame><Cmd><Cmd>12</Cmd><Addr>4096</Addr><DataLength>80</DataLength><Cnt>12</Cnt>
+      <InputOffs>0</InputOffs><OutputOffs>0</OutputOffs></Cmd></Frame></Cyclic>"""
+    description = with_eni(tmp_path, f"<EtherCATConfig><Config>{''.join(line)}{command}</Config></EtherCATConfig>")
+    packets = []
+    for number in range(40):
+        first, *others = cycle(number)
+        data = first.outputs + b"\xa5" + b"".join(drive.outputs for drive in others)
+        data += first.inputs + b"\x5a" + b"".join(drive.inputs for drive in others)
+        answered = 12 if number else 9  # both terminals are missing in the first cycle
+        for delay, counter, returned in ((0, 0, False), (20_000, answered, True)):
+            content = frame(datagram(12, 0x1000, data, counter, number), returned=returned)
+            packets.append((number * 1_000_000 + delay, content))
+    capture = Capture(pcap(tmp_path / "line.pcap", packets, nanoseconds=True))
+    assembler = Assembler(make_layout(description))
+    samples = np.concatenate([assembler.samples(frames)[0] for frames in capture.blocks()])
+
+    of_cycles(samples, range(40))
+    assert np.flatnonzero(samples["flags"] & np.uint32(SampleFlag.BUS_FAULT)).tolist() == [0]
 
 
 def test_a_declared_mapping_wins_over_the_eni(tmp_path: Path) -> None:
