@@ -271,6 +271,7 @@ class Identified(TomlTable):
     )  # forearm mass whose rod coupling is added; 0: two point masses
     torque_noise_nm: JointParameter | None = None  # rms per sample of the torque signal's white noise
     model_error_nm: JointParameter | None = None  # rms of what the model leaves above that noise, while moving
+    torque_commanded: bool = False  # the reported torque is the commanded one and white noise
     friction_transition_radps: NotNegative = 0.0  # speed over which Coulomb friction changes sign; 0: a jump
     torque_timing_s: float = 0.0  # torque sampled later than position by this fraction of a sample
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
 from schemas.robot import Robot
-from service.estimator import effects, friction, kalman, turning
+from service.estimator import commanded, effects, friction, kalman, turning
 from service.estimator.bounds import bounds_of
 from service.estimator.payload import state as payload
 from service.model.description import terms_of
@@ -41,6 +41,7 @@ SETTINGS = np.dtype(
         ("scale", "f8", 3),  # reported over true torque
         ("gear_ratio", "f8"),
         ("variance", "f8", 3),  # (N m)^2 of a torque sample, worth CORRELATION_TIME
+        ("drive_torque", commanded.SETTINGS),
         ("payload", payload.SETTINGS),
     ],
     align=True,
@@ -50,6 +51,8 @@ SETTINGS = np.dtype(
 _PAST = np.dtype(
     [
         ("torque", "f8", 3),
+        ("torque_command", "f8", 3),
+        ("commanded", "i8"),  # whether there was one
         ("stamp_sec", "i4"),
         ("stamp_nanosec", "u4"),
         ("sequence", "u8"),
@@ -82,6 +85,7 @@ STATE = np.dtype(
         ("turn_head", "i8"),
         ("turn_known", "i8"),  # how many in a row
         ("turn_read", "f8"),  # rad, the newest as it was read
+        ("drive_torque", commanded.STATE),
         ("payload", payload.STATE),
         ("torque", "f8", 3),  # N m, last feed-forward
         ("direction_before", "f8", 3),  # direction of motion that it was for
@@ -138,7 +142,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["speed"], record["max_payload"] = robot.limits.joint_speed_radps, robot.limits.max_payload_kg
     record["peak"], record["slope"], record["fade"] = bounds.peak_nm, bounds.slope_nmps, robot.limits.torque_fade_s
     record["rho"] = 1.0
-    noise, left_over = np.full(3, DEFAULT_TORQUE_NOISE), np.zeros(3)
+    noise, left_over, is_commanded = np.full(3, DEFAULT_TORQUE_NOISE), np.zeros(3), False
     if identified is not None:
         record["rho"] = lengthened(identified.rho_1.value, identified.rho_2.value, ratio)
         turning = identified.friction_transition_radps
@@ -149,12 +153,14 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
         record["coulomb"] = identified.coulomb_friction_nm.value
         if identified.torque_noise_nm is not None:
             noise = np.array(identified.torque_noise_nm.value)
+            is_commanded = identified.torque_commanded
         if identified.model_error_nm is not None:
             left_over = np.array(identified.model_error_nm.value)
     record["effect"] = effects.pack_effects(terms)
     record["scale"] = scale
     record["gear_ratio"] = robot.drive.gear_ratio
     record["variance"] = payload.sample_variance(noise, left_over)
+    record["drive_torque"] = commanded.settings(noise, is_commanded, period)
     prior = friction.drift(record["viscous"][0], record["coulomb"][0])
     record["payload"] = payload.settings(period, prior, robot.limits.max_payload_kg, left_over, record["variance"][0])
     return record

@@ -16,6 +16,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from schemas.messages import PayloadEvent
+from service.estimator.commanded import compare_kernel, is_used
 from service.estimator.feedforward import (
     dry_and_viscous,
     feedforward_kernel,
@@ -39,7 +40,7 @@ from service.estimator.kalman import (
     update_kernel,
 )
 from service.estimator.payload.state import PRIOR_STD
-from service.estimator.payload.step import payload_kernel, unseen_kernel
+from service.estimator.payload.step import payload_kernel, unseen_kernel, weigh_anew_kernel
 from service.estimator.stream import (
     BACKWARDS,
     COMMAND_JUMP,
@@ -133,7 +134,12 @@ def _remember(settings, state, sample, flags, gap):
     past.sequence = sample.sequence
     past.flags = flags
     past.gripper = sample.gripper
+    past.commanded = 1 if flags & UNUSABLE == 0 else 0
     for i in range(3):
+        if not math.isfinite(sample.torque_command[i]):
+            past.commanded = 0
+    for i in range(3):
+        past.torque_command[i] = sample.torque_command[i] if past.commanded != 0 else 0.0
         past.torque[i] = sample.torque[i] if flags & UNUSABLE == 0 else 0.0
 
 
@@ -144,6 +150,14 @@ def lagged_kernel(settings, state, payload_out, error_out):
     past = state.past[(state.head - lag + MAX_LAG + 1) % (MAX_LAG + 1)]
     event = PayloadEvent.NONE.value
     flags = past.flags
+    newest = state.past[state.head]
+    if newest.commanded != 0 and compare_kernel(
+        settings.drive_torque, state.drive_torque, newest.torque, newest.torque_command, settings.period
+    ):
+        weigh_anew_kernel(weighed)  # it was by what was no torque
+    drive = past.torque
+    if past.commanded != 0 and is_used(settings.drive_torque, state.drive_torque):
+        drive = past.torque_command
     if flags & UNUSABLE == 0:
         smooth_kernel(settings.motion.transition, state.slots, state.head, lag, state.adjoint, motion)
         theta, theta_dot, theta_ddot = motion[POSITION], motion[VELOCITY], motion[ACCELERATION]
@@ -167,7 +181,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             error_out.kh[i] = past.torque[i] - kh
             error_out.id[i] = past.torque[i] - grey
             error_out.id_friction[i] = past.torque[i] - grey - friction
-            weighed.residual[i] = past.torque[i] - state.full[i]
+            weighed.residual[i] = drive[i] - state.full[i]
             weighed.column[i, 0] = load_kernel(settings, state, i)
             weighed.shape[i, 0] = settings.scale[i] * state.direction[i]
             weighed.shape[i, 1] = settings.scale[i] * motion[VELOCITY, i]
@@ -183,7 +197,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
         event = payload_kernel(settings.payload, weighed)
         load = weighed.usable
         for i in range(3):
-            error_out.full[i] = weighed.residual[i] - load * weighed.column[i, 0]
+            error_out.full[i] = past.torque[i] - state.full[i] - load * weighed.column[i, 0]
     error_out.flags = flags
     payload_out.mass = weighed.mass
     payload_out.std_dev = weighed.std_dev
@@ -220,6 +234,7 @@ def step_kernel(settings, state, sample, feedforward):
         if begins:
             if elsewhere or (state.measured.idle + gap) * settings.period > UNSEEN_TIME:
                 unseen_kernel(state.payload)
+                state.drive_torque.proved = 0.0
             gap = 1
             restart(settings, state, sample)
         else:

@@ -66,6 +66,7 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
         friction_transition_radps=digits(float(transition)),
         torque_noise_nm=JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
         model_error_nm=JointParameter(value=[float(f"{error:.4g}") for error in fit.model_error]),
+        torque_commanded=all(log.commanded for log in logs),
     )
     # what diagnose found on another base does not hold on this one
     if robot.effect:

@@ -11,6 +11,7 @@ import numpy as np
 
 from schemas.errors import PoseError, TraceError
 from schemas.trace import Trace
+from service.identification.commanded import is_commanded
 from service.model.kinematics import jacobian
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel
@@ -38,11 +39,13 @@ class NormalEquations:
     """What one trace has to say, B blocks of 3 joints. Sums are over moving samples, times the sample time.
 
     gram: (B, 3, COLUMNS, COLUMNS) products of the low-passed columns. recordings: the parts that no fault interrupts.
+    commanded: whether the reported torque is the commanded one and white noise.
     """
 
     name: str
     gram: np.ndarray
     recordings: list[Recording]
+    commanded: bool = False
 
     @property
     def seconds(self) -> np.ndarray:
@@ -62,7 +65,7 @@ def summarise(model: DeltaModel, trace: Trace) -> NormalEquations:
         gram = np.concatenate([_blocks(model, recording) for recording in recordings])
     except PoseError as error:
         raise TraceError(f"{trace.path}: {error}") from error
-    return NormalEquations(trace.path.name, gram, recordings)
+    return NormalEquations(trace.path.name, gram, recordings, is_commanded(trace))
 
 
 def regressors(recording: Recording) -> np.ndarray:

@@ -200,6 +200,7 @@ def described(robot: Description, hypothesis: Hypothesis, errors: np.ndarray, no
             viscous_friction_nms=joints(parameters.viscous),
             coulomb_friction_nm=joints(parameters.coulomb),
             torque_noise_nm=JointParameter(value=_digits(noise)),
+            torque_commanded=robot.identified is not None and robot.identified.torque_commanded,
             friction_transition_radps=digits(float(hypothesis.base.transition)),
             torque_timing_s=timing,
         )

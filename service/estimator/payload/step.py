@@ -117,12 +117,12 @@ def _weigh_slowly(settings, state):
 def _grip(state):
     """The gripper opened or closed: what hangs on it is another from here on."""
     if state.gripper_before != UNKNOWN and state.gripper != UNKNOWN:
-        _weigh_anew(state)
+        weigh_anew_kernel(state)
     state.gripper_before = state.gripper
 
 
 @kernel
-def _weigh_anew(state):
+def weigh_anew_kernel(state):
     """Nothing is known of what hangs there."""
     for n in range(WINDOW):
         state.bin_information[n] = 0.0
@@ -143,7 +143,7 @@ def _weigh_anew(state):
 @kernel
 def unseen_kernel(state):
     """Nobody saw what the gripper did."""
-    _weigh_anew(state)
+    weigh_anew_kernel(state)
     state.mass, state.std_dev, state.trusted, state.usable = 0.0, PRIOR_STD, 0, 0.0
 
 

@@ -1,0 +1,50 @@
+"""Whether drives do what they are told is read off logs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.identification.commanded import is_commanded
+from tests.known import make, robot, trace_of
+
+__all__ = ["make", "robot"]
+
+NOISE = 0.5
+
+
+def shifted(torque: np.ndarray, samples: float) -> np.ndarray:
+    """The torque this much later, in samples."""
+    at = np.arange(len(torque), dtype=float)
+    return np.stack([np.interp(at - samples, at, joint) for joint in torque.T], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda torque, noise: (torque + noise, torque), True),
+        (lambda torque, noise: (torque + noise, torque + 0.02 * NOISE), True),
+        (lambda torque, noise: (torque + noise, None), False),
+        (lambda torque, noise: (torque, torque), False),
+        (lambda torque, noise: (torque + noise, shifted(torque, 0.5)), False),
+        (lambda torque, noise: (torque + noise, torque * [1.0, 1.0, 1.05]), False),
+        (lambda torque, noise: (torque + noise, 0.0 * torque), False),
+        (lambda torque, noise: (torque + np.cumsum(noise, axis=0) / 20, torque), False),
+        (lambda torque, noise: ((torque + noise)[:500], torque[:500]), False),
+        (lambda torque, noise: (torque + noise, np.where(np.arange(4000)[:, None] == 7, np.nan, torque)), False),
+    ],
+    ids=[
+        "white noise", "a little off", "no command", "to the last digit", "half a sample late", "one joint's scale",
+        "nothing commanded", "noise with a memory", "half a second", "a hole",
+    ],
+)  # fmt: skip
+def test_a_torque_is_the_commanded_one_where_nothing_but_white_noise_is_between(make, change, expected):
+    known = make(4.0)
+    torque, command = change(known.torque, NOISE * np.random.default_rng(3).standard_normal(known.torque.shape))
+    whole = trace_of(known)
+    count = len(torque)
+    trace = replace(
+        whole, time=whole.time[:count], position=whole.position[:count], torque=torque, torque_command=command,
+        flags=whole.flags[:count],
+    )  # fmt: skip
+    assert is_commanded(trace) is expected
