@@ -9,7 +9,7 @@ import pytest
 
 from drivers.trace import read_trace
 from service.diagnosis.diagnose import diagnose
-from service.diagnosis.evidence.aside import WEIGHED, Quiet
+from service.diagnosis.evidence.aside import WEIGHED, WIDTH, Quiet
 from tests.service.diagnosis.logs import ROBOT, record, swing
 from tests.service.subject import EFFECTS, Hypothesis, Split, fit, selection
 from tests.service.world import BASE, PERIOD, course, problem, stub
@@ -57,6 +57,48 @@ def test_of_a_joint_without_rows_nothing_is_set_aside(quiet):
     found = Quiet.of(still, Split.of(still), none.residuals)
     assert found.caution().joints == [JOINT + 1]
     assert not any(rows[:, 0].any() for rows in found.problem.rows)
+
+
+def noisy(shares, hot):
+    """Residuals of three runs in units of the noise, +-1, above that in the first `hot` of each: joint by joint so much
+    more in the mean square of all."""
+    runs = [course(seed, 2.0) for seed in (1, 2, 3)]
+    logs, residuals = problem(runs, [run.torque for run in runs]), []
+    for mask, joints in zip(logs.rows, logs.joints_of_rows, strict=True):
+        early = np.concatenate([np.flatnonzero(mask[:, j]) < hot * len(mask) for j in range(3)])
+        more = 1.0 + early * np.array(shares)[joints] / hot
+        residuals.append(np.sqrt(more) * (-1.0) ** np.arange(len(joints)))
+    return logs, Quiet.of(logs, Split.of(logs), residuals)
+
+
+@pytest.mark.parametrize("share", [0.55, 0.65])
+def test_it_is_a_matter_of_one_joint_where_most_of_what_is_left_is_on_it(share):
+    """Now and then: rows that are hot are set aside, on that joint or on all."""
+    logs, found = noisy(600.0 * np.array([share, 0.6 * (1 - share), 0.4 * (1 - share)]), 0.3)
+    edge = round(0.5 * WIDTH / (logs.band.period * logs.band.step)) + 1
+    for joint in range(3):
+        for mask, part in zip(logs.rows, found.problem.rows, strict=True):
+            rows = np.flatnonzero(mask[:, joint])
+            apart, hot = ~part[rows, joint], rows < 0.3 * len(mask)
+            far = np.abs(rows - 0.3 * len(mask)) > edge
+            assert (apart == (hot & (share < 0.6 or joint == 0)))[far].all()
+    assert (found.kept[1:] == 1.0).all() == (share > 0.6)
+    assert [found.allows(EFFECTS["joint_spring"], joint) for joint in range(3)] == [True] * 3, "most of it is quiet"
+
+
+def test_most_rows_stay_where_it_is_everywhere(quiet):
+    logs, _, _ = quiet
+    random = np.random.default_rng(4)
+    rising = [20.0 * np.linspace(1, 2, len(j)) * random.choice([-1.0, 1.0], len(j)) for j in logs.joints_of_rows]
+    found = Quiet.of(logs, Split.of(logs), rising)
+    assert found.problem.count / logs.count == pytest.approx(0.6, abs=0.01)
+
+
+def test_a_joint_is_asked_for_effects_of_its_own_where_half_of_it_is_quiet(quiet):
+    _, _, found = quiet
+    halves = replace(found, kept=np.array([0.49, 0.51, 1.0]))
+    assert [halves.allows(EFFECTS["joint_spring"], joint) for joint in range(3)] == [False, True, True]
+    assert halves.caution().joints == [1, 2]
 
 
 def test_what_the_quiet_rows_tell_is_held_against_all_rows(quiet):
