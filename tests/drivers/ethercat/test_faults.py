@@ -25,12 +25,14 @@ import numpy as np
 import pytest
 
 from drivers.bus import Bus, Inbox, open_bus
+from drivers.health import CHANGE_NS
 from schemas.messages import HealthFlag, Role, StopReason
 from tests.drivers.ethercat import rig
 
 RATE = 1000.0
 SOON = 0.5  # s; what is declared is 20 ms, what is said once a second would come too late, this host is loaded
 READY = 180.0  # s for a process to get ready: the first start of all compiles
+FLICKER = 1.5e-9 * CHANGE_NS  # s
 FADE = 0.05  # s, `limits.torque_fade_s`
 STEP_NM = 25.0  # N m a cycle that no torque offset exceeds on its way to zero: far below the torques in use here
 MID_NEAR, MID_FAR = "mid0", "mid1"
@@ -134,7 +136,14 @@ class Heard:
         return [(at, record) for at, record in self._kept["health"].copy() if at >= since and record["role"] == role]
 
     def told(self, role: Role, flag: HealthFlag, since: float, within: float = SOON) -> np.void:
-        """The first message of a role with `flag`, which has to come `within` s after `since`."""
+        """The first message of a role with `flag`, which has to come `within` s after `since`.
+
+        Or the last one before, no older than changes are apart: on a busy host a flag flickers, and one that came
+        behind `loaded` or `calm` and stands when the fault begins is not told a second time.
+        """
+        before = [(at, record) for at, record in self.health(role, since - FLICKER) if at < since]
+        if before and before[-1][1]["flags"] & flag:
+            return before[-1][1]
         return self._first(role, since, within, lambda record: bool(record["flags"] & flag), repr(flag))
 
     def cleared(self, role: Role, flag: HealthFlag, since: float, within: float = 60.0) -> np.void:
@@ -317,13 +326,13 @@ def test_an_estimator_that_stops_and_goes_on(wire: Wire, running: Process) -> No
     wire.heard.cleared(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since)
 
 
-def test_an_estimator_that_is_killed(wire: Wire, running: Process) -> None:
+def test_an_estimator_that_is_killed(wire: Wire, running: Process, until: Callable[..., None]) -> None:
     loaded(wire)
     since = wire.estimator.signal(signal.SIGKILL)
     try:
         wire.heard.told(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since)
         fades(wire, since)
-        assert Role.ESTIMATOR not in wire.bus.alive
+        until(lambda: Role.ESTIMATOR not in wire.bus.alive)  # its memory, a gigabyte, is given back before its sockets
     finally:
         since = time.monotonic()
         wire.estimator = wire.estimate()
