@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,53 +20,36 @@ ON_THE_CLOCK = (
     "tests/service/test_", "tests/service/monitor", "tests/service/cli/test_demo.py",
     "tests/service/cli/test_replay.py", "tests/service/experiment/test_closed_loop.py",
 )  # fmt: skip
-STOLEN = 0.03  # s that a hypervisor takes from a processor at once: half of what the bus and its watchdogs stand
 
 
-class _Hypervisor(threading.Thread):
-    """Watches how long this virtual machine stands still, which no real-time priority in it can help.
+class _Held:
+    """When the hypervisor held this machine up, as `tests/stolen.py` tells it, and when the present test began."""
 
-    Attributes: worst: s stolen from one processor within a tenth of a second, since it was last set to 0.
-    """
+    began = 0.0  # s of CLOCK_MONOTONIC
+    process: subprocess.Popen[bytes] | None = None
+    told = tempfile.TemporaryFile("a+b")  # noqa: SIM115  # as long as this process
 
-    def __init__(self) -> None:
-        super().__init__(daemon=True)
-        self.worst = 0.0
-
-    def run(self) -> None:
-        ticks = os.sysconf("SC_CLK_TCK")
-        before = self._stolen()
-        while before:
-            time.sleep(0.1)
-            now = self._stolen()
-            self.worst = max(self.worst, *((new - old) / ticks for old, new in zip(before, now, strict=True)))
-            before = now
-
-    def _stolen(self) -> list[int]:
-        try:
-            lines = Path("/proc/stat").read_text().splitlines()
-        except OSError:
-            return []
-        return [int(line.split()[8]) for line in lines if line.startswith("cpu") and line[3] != " "]
-
-
-HYPERVISOR = _Hypervisor()
+    @classmethod
+    def during_test(cls) -> bool:
+        cls.told.seek(0)
+        return any(float(line) >= cls.began for line in cls.told)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What watches the clock and failed while this machine was not let run has shown nothing: it is run again, twice at
     most, and listed as such."""
-    again = pytest.mark.flaky(reruns=2, condition=lambda: HYPERVISOR.worst >= STOLEN)
+    again = pytest.mark.flaky(reruns=2, condition=_Held.during_test)
     for item in items:
         if item.nodeid.startswith(ON_THE_CLOCK):
             item.add_marker(again)
 
 
-def pytest_runtest_logstart() -> None:
+def pytest_runtest_logstart(nodeid: str) -> None:
     """Each test, and each of its repetitions, has its own account."""
-    if HYPERVISOR.ident is None:  # not while collecting: a bench collects once, and forks for every run
-        HYPERVISOR.start()
-    HYPERVISOR.worst = 0.0
+    if _Held.process is None and nodeid.startswith(ON_THE_CLOCK):
+        command = [sys.executable, str(REPOSITORY / "tests/stolen.py")]
+        _Held.process = subprocess.Popen(command, stdout=_Held.told, stderr=subprocess.DEVNULL)
+    _Held.began = time.monotonic()
 
 
 @pytest.fixture(scope="session")
@@ -125,6 +109,9 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     """With DELTATWIN_NO_SKIPS=1 a skipped test fails the run: what may skip elsewhere must run in CI."""
+    if _Held.process is not None:
+        _Held.process.kill()
+        _Held.process.wait()
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if os.environ.get("DELTATWIN_NO_SKIPS") == "1" and reporter and reporter.stats.get("skipped") and exitstatus == 0:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
