@@ -45,12 +45,12 @@ def command(
     )
     if json:
         typer.echo(as_json("ethercat-demo", {"checks": [vars(check) for check in checks], "out": str(out)}))
-    table = Table("", "claim", "measured", "bound", title="EtherCAT demonstration")
-    for check in checks:
-        table.add_row(
-            "[green]holds[/green]" if check.holds else "[red]fails[/red]", check.claim, check.measured, check.bound
-        )
-    if not json:
+    else:
+        table = Table("", "claim", "measured", "bound", title="EtherCAT demonstration")
+        for check in checks:
+            table.add_row(
+                "[green]holds[/green]" if check.holds else "[red]fails[/red]", check.claim, check.measured, check.bound
+            )
         console.print(table)
         console.print(f"recorded in {out}", highlight=False)
     if not all(check.holds for check in checks):

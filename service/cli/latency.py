@@ -31,7 +31,6 @@ def command(
 
     Example: deltatwin latency --rate 1000 --count 10000
     """
-
     from drivers.trace import read_trace
     from replay.demo import LOG, ROBOT
     from replay.latency import take_turns

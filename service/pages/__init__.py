@@ -47,17 +47,28 @@ def browser() -> str:
     return found
 
 
+def headless(profile: Path) -> list[str]:
+    """How a browser without a window is called, with what it keeps in the folder `profile`.
+
+    Raises:
+        StorageError: there is none.
+    """
+    kept = f"--user-data-dir={profile}"
+    command = [browser(), "--headless=new", "--disable-gpu", "--virtual-time-budget=10000", kept]
+    if getattr(os, "geteuid", lambda: 1)() == 0:
+        command.append("--no-sandbox")  # without which it does not start for root; what it shows is ours
+    return command
+
+
 def print_page(page: Path, out: Path) -> None:
     """Print a page that was written as a PDF.
 
     Raises:
         StorageError: there is no browser, or it does not print.
     """
-    command = [browser(), "--headless=new", "--disable-gpu", "--no-pdf-header-footer", "--virtual-time-budget=10000"]
-    if getattr(os, "geteuid", lambda: 1)() == 0:
-        command.append("--no-sandbox")  # without which it does not start for root; what it shows is ours
     with whole(out) as partial, tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        command += [f"--user-data-dir={profile}", f"--print-to-pdf={partial.resolve()}", page.resolve().as_uri()]
+        command = [*headless(Path(profile)), "--no-pdf-header-footer", f"--print-to-pdf={partial.resolve()}"]
+        command.append(page.resolve().as_uri())
         try:
             said = subprocess.run(command, capture_output=True, text=True, timeout=PRINTING_S, check=False).stderr
         except subprocess.TimeoutExpired:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 from html import unescape
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from schemas.errors import StorageError
+from service.pages import headless
 
 # Every pair of texts of a plot, or of a text and the buttons above it, whose boxes cover each other by more than a
 # pixel each way, and every console error.
@@ -33,16 +35,16 @@ addEventListener('load',()=>setTimeout(()=>{
 
 
 def looked_at(path: Path) -> dict[str, Any]:
-    """`errors` of the console, pairs of texts `over` each other, number of `texts` in plots. Skips without chromium."""
-    browser = shutil.which("chromium")
-    if browser is None:
-        pytest.skip("chromium is not installed")
+    """`errors` of the console, pairs of texts `over` each other, number of `texts` in plots. Skips without one."""
+    try:
+        browser = headless(path.parent / "profile")
+    except StorageError as error:
+        pytest.skip(str(error))
     text = path.read_text(encoding="utf-8")
     seen = path.with_name("looked_at.html")
     seen.write_text(text.replace("<body>", f"{LOOK}<body>", 1), encoding="utf-8")
     done = subprocess.run(
-        [browser, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={path.parent / 'profile'}",
-         "--window-size=1200,2000", "--virtual-time-budget=10000", "--dump-dom", seen.as_uri()],
+        [*browser, "--window-size=1200,2000", "--dump-dom", seen.as_uri()],
         capture_output=True, text=True, timeout=240, check=True,
     )  # fmt: skip
     found = re.search(r'<pre id="told">(.*?)</pre>', done.stdout, re.DOTALL)
