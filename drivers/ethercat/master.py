@@ -328,13 +328,15 @@ class Master:
         return zip(self._axes, [slaves[place - 1] for place in self._places], strict=True)
 
     def _bring_up(self) -> None:
-        give_up = time.monotonic() + BRING_UP_TIME
+        give_up, before = time.monotonic() + BRING_UP_TIME, ""
         while True:
             try:
                 return self._configure()
-            except BusError:
-                if time.monotonic() > give_up:
+            except BusError as error:
+                late, said = time.monotonic() - give_up, str(error)
+                if late > BRING_UP_TIME or (late > 0 and said == before):  # one alone may be an answer that came late
                     raise
+                before = said
 
     def _configure(self) -> None:
         found = self._soem.config_init()

@@ -215,6 +215,7 @@ class Tap:
         """
         frame = self._frame
         view, counts, flags = frame["data"][0].data, counts_of(self.assembler.state), self._record["flags"]
+        length, at, port = frame["length"], frame["time"], frame["port"]  # to write by name costs three times as much
         self._standing = health.flags
         self._source.start()
         self._reported.sample_ns = time.monotonic_ns()
@@ -224,7 +225,7 @@ class Tap:
             got = self._source.receive(view)
             now = time.monotonic_ns()
             if got is not None:
-                frame["length"], frame["time"], frame["port"] = got
+                length[0], at[0], port[0] = got
                 if assemble_one(frame):
                     put(self._record.tobytes())
                     health.time_one(self._source.age(got[1]))

@@ -12,6 +12,7 @@ import subprocess
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -187,6 +188,23 @@ def test_drives_that_answer_late(space: rig.Namespace, segment: rig.SegmentProce
     plugged_in.start()
     assert len(space.call(lambda: run(robot)))
     plugged_in.join()
+
+
+def test_what_stops_a_bus_from_coming_up_is_believed_the_second_time(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A busy host's answers come late, and are taken for those to what is asked next."""
+    slaves = iter([5, 5, 1, 5, 5])
+
+    def configure(_: Master) -> None:
+        raise BusError(f"bus0: {next(slaves)} slaves on the bus")
+
+    monkeypatch.setattr(Master, "_configure", configure)
+    master = Master(rig.NEAR, robot, PERIOD, lambda _: 0)
+    times = iter([BRING_UP_TIME * tenths / 10 for tenths in (0, 4, 8, 12, 16, 19)])
+    monkeypatch.setattr("drivers.ethercat.master.time", SimpleNamespace(monotonic=lambda: next(times)))
+    with pytest.raises(BusError, match=r"^bus0: 5 slaves on the bus$"):
+        master._bring_up()
 
 
 @pytest.mark.parametrize(
