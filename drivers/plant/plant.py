@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from drivers.plant.drive import Cycle, ServoState, control_kernel, creep_kernel, rest, tune
-from drivers.plant.effects import PlantEffect
+from drivers.plant.effects import PlantEffect, make_effects
 from drivers.plant.mechanism import (
     Design,
     build,
@@ -23,7 +24,7 @@ from drivers.plant.mechanism import (
     holding_torque,
     reflected_inertia,
 )
-from drivers.plant.truth import PlantTruth
+from drivers.plant.truth import PlantTruth, load_truth, shipped_truth
 from schemas.errors import DataError
 from schemas.robot import Robot
 
@@ -304,6 +305,20 @@ class Plant:
         mujoco.mj_step(at.model, data)
         self.time += self.step
         self._observe_motors()
+
+
+def make_plant(robot: Robot, truth: str | Path | None, period: float, seed: int) -> tuple[Plant, str]:
+    """The plant of a truth file, and what it is in words. truth: None for the one that comes along for `robot`, else
+    ideal, as for "ideal".
+
+    Raises:
+        RobotError: naming file, key and value of the first thing that is wrong.
+    """
+    path = shipped_truth(robot) if truth is None else None if truth == "ideal" else Path(truth)
+    if path is None:
+        return Plant(robot, period=period, seed=seed), "ideal: exactly as described"
+    real = load_truth(path, robot)
+    return Plant(robot, real, make_effects(real.effect, str(path)), period, seed), f"truth of {path.name}"
 
 
 def _stride(address: np.ndarray) -> slice:

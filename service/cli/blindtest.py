@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from service.cli.reading import AsJson
-from service.cli.workers import Backend, Jobs, OnBackend, Scheduler
+from service.cli.options import AsJson, Backend, Jobs, OnBackend, Scheduler
+from service.cli.output import as_json, console, table
 
 
 class Family(StrEnum):
@@ -53,15 +53,11 @@ def command(
     """
     import json as json_library
 
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-    from rich.table import Table
 
     from schemas.errors import StorageError
     from schemas.files import make_folder, write_text
     from service.cli.main import MISSED
-    from service.cli.output import as_json
-    from service.cli.output import console as result_console
     from service.diagnosis import blindtest
     from service.diagnosis.blindpage import BOUNDS, missed, write_page
     from service.diagnosis.workers import backend as workers
@@ -69,10 +65,9 @@ def command(
     if (out / "results.json").exists():
         raise StorageError(f"{out}: holds a finished blind test")
     make_folder(out)
-    console = Console(stderr=True)
     bars = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     # the backend first: one that cannot be had is told before hours of simulation
-    with Progress(*bars, console=console) as progress, workers(backend.value, jobs, scheduler):
+    with Progress(*bars, console=console(stderr=True)) as progress, workers(backend.value, jobs, scheduler):
         if not (out / "commitment.txt").exists():
             task = progress.add_task("simulating", total=cases)
             for _ in blindtest.made(out, cases, seed, jobs, [one.value for one in family or Family]):
@@ -88,15 +83,15 @@ def command(
     write_page(judged, figures, refused, commitment, out / "blindtest.html")
     results = {"summary": figures, "refused": refused, "rows": judged}
     write_text(out / "results.json", json_library.dumps(results, indent=1))
-    table = Table("figure", "measured", "bound", title=f"{figures['cases']} cases, {figures['failed']} failed")
-    for key, (label, bound) in BOUNDS.items():
-        if figures[key] is not None:  # of the families drawn
-            table.add_row(label, str(figures[key]), bound)
     late = missed(figures)
     if json:
         typer.echo(as_json("blindtest", {"summary": figures, "refused": refused, "missed": late}))
     else:
-        result_console().print(table)
+        drawn = [
+            (label, str(figures[key]), bound) for key, (label, bound) in BOUNDS.items() if figures[key] is not None
+        ]
+        title = f"{figures['cases']} cases, {figures['failed']} failed"
+        console().print(table(("figure", "measured", "bound"), drawn, title))
         for line in refused:
             typer.echo(line)
         typer.echo(f"wrote {out / 'blindtest.html'}")

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.options import AsJson, OwnEffects, robot_file
+from service.cli.output import as_json, console, table
 from service.cli.progress import bars
-from service.cli.reading import AsJson, OwnEffects
 
 if TYPE_CHECKING:
     from service.experiment.closed_loop import Tracking
@@ -16,9 +17,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    robot: Annotated[
-        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML), or one that comes along.")
-    ] = Path("d3-1200"),
+    robot: Annotated[Path, robot_file(", or one that comes along.")] = Path("d3-1200"),
     out: Annotated[Path, typer.Option(help="Folder for page, pictures and figures as JSON.")] = Path("closed-loop"),
     identified: Annotated[
         Path | None,
@@ -41,17 +40,13 @@ def command(
     Example: deltatwin closed-loop --robot d3-1200 --payload 1 --payload 3.8 --out closed-loop
     """
     import numpy as np
-    from rich.table import Table
 
     from drivers.motion import Planner
+    from drivers.plant.plant import make_plant
     from replay.realtime import go_realtime
     from schemas.errors import RobotError
     from schemas.files import make_folder, write_text
     from schemas.robot import load_robot
-    from service.cli.output import as_json
-    from service.cli.output import console as result_console
-    from service.cli.signals import terminate_as_interrupt
-    from service.cli.simulate import make_plant
     from service.experiment.closed_loop import follow, tracking, variants
     from service.experiment.logs import identification_motions, record
     from service.experiment.pictures import write_page, write_pictures
@@ -59,7 +54,6 @@ def command(
     from service.identification.regression import summarise
     from service.model.nominal import pack
 
-    terminate_as_interrupt()
     description = load_robot(robot)
     period = 1.0 / rate
     make_folder(out)
@@ -99,11 +93,6 @@ def command(
             )
             runs.append(tracking(description, name, run))
     rows = [_row(run, runs[0]) for run in runs]
-    table = Table(*(HEAD[column] for column in SHORT), caption=NOTE)
-    for column in table.columns[1:]:
-        column.justify = "right"
-    for row in rows:
-        table.add_row(*(row[column] for column in SHORT))
     which = make_plant(description, truth, period, seed)[1]
     page = _page(description.name, which, masses, runs, rows)
     write_page(page, out / "closed_loop.html")
@@ -125,7 +114,8 @@ def command(
     if json:
         typer.echo(text)
         return
-    result_console().print(table)
+    short = [[row[column] for column in SHORT] for row in rows]
+    console().print(table([HEAD[column] for column in SHORT], short, caption=NOTE))
     typer.echo(f"wrote {out / 'closed_loop.html'}, .pdf, .json and PNG pictures")
 
 
@@ -186,12 +176,7 @@ def _page(robot: str, which: str, masses: tuple[float, ...], runs: list[Tracking
             "noise are the same in every run; what the drives are fed differs.",
         ),
         (
-            PageTable(
-                "Tracking error",
-                HEAD,
-                tuple(rows),
-                NOTE,
-            ),
+            PageTable("Tracking error", HEAD, tuple(rows), NOTE),
             Figure("closed_loop_error", "Tracking error over time", "Measured minus commanded joint angle.", panels),
             Figure("closed_loop_rms", "Tracking error by model", "rms after the first half second.", (bars,)),
         ),

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.options import ColumnsFrom, robot_file
 from service.cli.progress import bars
-from service.cli.reading import ColumnsFrom
 
 
 def command(
@@ -20,12 +20,7 @@ def command(
         ),
     ],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending says the format.")],
-    robot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE|NAME", help="Robot description (TOML): joint range, gear ratio, columns table, topic."
-        ),
-    ] = None,
+    robot: Annotated[Path | None, robot_file(": joint range, gear ratio, columns table, topic.")] = None,
     columns: ColumnsFrom = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it is there.")] = False,
 ) -> None:
@@ -42,9 +37,7 @@ def command(
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace, write_trace
     from schemas.axes import load_description, no_axes
     from schemas.errors import StorageError
-    from service.cli.signals import terminate_as_interrupt
 
-    terminate_as_interrupt()
     if target.exists() and not overwrite:
         raise StorageError(f"{target}: exists already; --overwrite replaces it")
     description = load_description(robot) if robot else None

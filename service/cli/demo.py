@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.reading import AsJson
+from service.cli.options import AsJson
+from service.cli.output import as_json, console, quantiles, table
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,7 +35,6 @@ def command(
     import time
 
     print("loading; a first run compiles, about half a minute", file=sys.stderr, flush=True)
-    from rich.console import Console
     from rich.live import Live
 
     from drivers.bus import open_bus
@@ -42,21 +42,17 @@ def command(
     from schemas.files import make_folder
     from schemas.messages import Role
     from schemas.robot import load_robot
-    from service.cli.output import as_json
-    from service.cli.output import console as result_console
-    from service.cli.signals import terminate_as_interrupt
     from service.monitor.readback import read_recording
     from service.monitor.report import picture, write_page
     from service.supervisor import Supervisor
 
-    terminate_as_interrupt()
-    console = Console(stderr=True)
+    screen = console(stderr=True)
     robot = load_robot(ROBOT)
     recording, page = out / "demo.mcap", out / "demo.html"
     make_folder(out)
     recording.unlink(missing_ok=True)  # of an earlier run
     with open_bus(robot.name, Role.OBSERVER) as bus, Supervisor(out) as crew:
-        with console.status("starting monitor and estimator (a first run compiles, about half a minute)"):
+        with screen.status("starting monitor and estimator (a first run compiles, about half a minute)"):
             roles = [
                 crew.start(lambda: Role.MONITOR in bus.alive, "monitor", "--robot", ROBOT, "--out", recording),
                 crew.start(lambda: Role.ESTIMATOR in bus.alive, "estimate", "--robot", ROBOT),
@@ -65,7 +61,7 @@ def command(
                 role.wait_ready()
         live = _Live(bus)
         player = crew.start("", "replay", LOG, "--robot", ROBOT, "--wait", 20)
-        with Live(console=console, refresh_per_second=8, transient=True) as display:
+        with Live(console=screen, refresh_per_second=8, transient=True) as display:
             while player.running:
                 crew.check()
                 time.sleep(0.1)
@@ -78,8 +74,8 @@ def command(
     if json:
         typer.echo(as_json("demo", results | {"recording": str(recording), "picture": str(page)}))
         return
-    for table in _tables(results):
-        result_console().print(table)
+    for shown in _tables(results):
+        console().print(shown)
     typer.echo(f"{player.last_words()}\nrecording: {recording}\npicture:   {page}")
 
 
@@ -93,7 +89,6 @@ class _Live:
 
     def table(self) -> Table:
         import numpy as np
-        from rich.table import Table
 
         from schemas.messages import PayloadEvent, stamp_ns
 
@@ -106,13 +101,13 @@ class _Live:
                 event = PayloadEvent(int(record["event"])).name.lower()
                 line = f"{float(stamp_ns(record)) * 1e-9:.2f} s {event}"
                 self._events = [*self._events, line][-4:] if line not in self._events else self._events
-        table = Table("", "joint 1", "joint 2", "joint 3", title="replaying")
+        shown = table(("", "joint 1", "joint 2", "joint 3"), title="replaying")
         if set(self._newest) != set(self._inboxes):
-            return table
+            return shown
         newest = {topic: records[-1] for topic, records in self._newest.items()}
 
         def joints(label: str, values: np.ndarray, form: str) -> None:
-            table.add_row(label, *(format(value, form) for value in values))
+            shown.add_row(label, *(format(value, form) for value in values))
 
         joints("position, rad", newest["sample"]["position"], "+8.3f")
         joints("torque measured, N m", newest["sample"]["torque"], "+8.2f")
@@ -121,9 +116,9 @@ class _Live:
             joints(f"error {label}, rms N m", np.sqrt(np.nanmean(self._newest["error"][field] ** 2, axis=0)), "8.2f")
         payload = newest["payload"]
         trust = "trusted" if payload["trusted"] else "not yet trusted"
-        table.add_row("payload, kg", f"{payload['mass']:.3f} ± {payload['std_dev']:.3f}", trust, "")
-        table.caption = f"bus time {float(stamp_ns(newest['sample'])) * 1e-9:.1f} s   {'   '.join(self._events)}"
-        return table
+        shown.add_row("payload, kg", f"{payload['mass']:.3f} ± {payload['std_dev']:.3f}", trust, "")
+        shown.caption = f"bus time {float(stamp_ns(newest['sample'])) * 1e-9:.1f} s   {'   '.join(self._events)}"
+        return shown
 
 
 def _errors(recorded: dict[str, Recorded]) -> dict[str, dict[str, np.ndarray]]:
@@ -171,30 +166,29 @@ def _delivery(recorded: dict[str, Recorded]) -> dict[str, Any]:
 
     samples, answers = recorded["sample"], recorded["feedforward"]
     _, mine, its = np.intersect1d(samples.records["sequence"], answers.records["sequence"], return_indices=True)
-    latency = np.sort(answers.arrival[its] - samples.arrival[mine]) * 1e-3
-    quantiles = dict(zip(("median", "p99", "p99.9", "max"), np.quantile(latency, [0.5, 0.99, 0.999, 1.0]), strict=True))
     sent = int(samples.records["sequence"][-1]) + 1
     came = len(samples.records)
-    return {"samples": came, "lost": sent - came, "answered": len(mine), "sample_to_feedforward_us": quantiles}
+    latency = quantiles(answers.arrival[its] - samples.arrival[mine])
+    return {"samples": came, "lost": sent - came, "answered": len(mine), "sample_to_feedforward_us": latency}
 
 
 def _tables(results: dict[str, Any]) -> list[Table]:
-    from rich.table import Table
-
-    errors = Table("model", *(f"joint {n}: mean, std" for n in (1, 2, 3)), title="measured - predicted torque, N m")
-    for model, error in results["errors"].items():
-        errors.add_row(model, *(f"{m:+.2f}, {s:.2f}" for m, s in zip(error["mean_nm"], error["std_nm"], strict=True)))
-    payload = Table(
-        "picked at, s", "truth, kg", "estimate, kg", "error", "pick seen after, ms", "release seen after, ms",
-        title="payload",
-    )  # fmt: skip
+    errors = [
+        (model, *(f"{m:+.2f}, {s:.2f}" for m, s in zip(error["mean_nm"], error["std_nm"], strict=True)))
+        for model, error in results["errors"].items()
+    ]
+    payloads = []
     for row in results["payload"]:
         truth, mass = row["truth_kg"], row["mass_kg"]
         seen = ("-" if row[key] is None else str(row[key]) for key in ("pick_seen_ms", "release_seen_ms"))
-        payload.add_row(
-            f"{row['picked_s']:.2f}", f"{truth:.2f}", f"{mass:.3f}", f"{100 * (mass / truth - 1):+.1f} %", *seen
-        )
+        off = f"{100 * (mass / truth - 1):+.1f} %"
+        payloads.append((f"{row['picked_s']:.2f}", f"{truth:.2f}", f"{mass:.3f}", off, *seen))
     *counts, latency = results["bus"].values()
-    bus = Table("samples", "lost", "answered", "sample to feed-forward, µs: median", "p99", "p99.9", "max", title="bus")
-    bus.add_row(*map(str, counts), *(f"{value:.0f}" for value in latency.values()))
-    return [errors, payload, bus]
+    bus = (*map(str, counts), *(f"{value:.0f}" for value in latency.values()))
+    weighed = ("picked at, s", "truth, kg", "estimate, kg", "error", "pick seen after, ms", "release seen after, ms")
+    delivered = ("samples", "lost", "answered", "sample to feed-forward, µs: median", "p99", "p99.9", "max")
+    return [
+        table(("model", *(f"joint {n}: mean, std" for n in (1, 2, 3))), errors, "measured - predicted torque, N m"),
+        table(weighed, payloads, "payload", words=0),
+        table(delivered, [bus], "bus", words=0),
+    ]

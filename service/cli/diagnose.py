@@ -7,12 +7,14 @@ from typing import Annotated
 
 import typer
 
-from service.cli.reading import AsJson, ColumnsFrom, OwnEffects, reading
+from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
+from service.cli.output import console
+from service.cli.reading import reading
 
 
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Logs to diagnose: .csv, .csv.gz or .mcap", metavar="TRACE")],
-    robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML)")],
+    robot: Annotated[Path, robot_file()],
     out: Annotated[Path, typer.Option(help="Folder for diagnosis.json, corrected.toml and report.html")],
     columns: ColumnsFrom = None,
     baseline: Annotated[
@@ -40,13 +42,10 @@ def command(
 
     Example: deltatwin diagnose fit_*.csv --robot corrected.toml --out again --effects rubber_stop.py
     """
-    from rich.console import Console
-
     from schemas.axes import load_description, save_axes
     from schemas.files import make_folder, write_text
     from schemas.machine import Machine
     from schemas.robot import save_robot
-    from service.cli.output import console as result_console
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.documents.document import corrected, document, made_from
     from service.diagnosis.documents.report import write_report
@@ -54,7 +53,6 @@ def command(
     from service.model.effects import catalogue
     from service.pages import browser, print_page
 
-    console = result_console()
     if pdf:
         browser()  # that there is one, before anything that takes long
     make_folder(out)
@@ -63,16 +61,11 @@ def command(
     reference = load_description(baseline, effects) if baseline else None
     recorded = list(reading(traces, description, columns, "reading"))
     tests = list(reading(test or [], description, columns, "reading"))
-    with Console(stderr=True).status("starting") as status:
+    with console(stderr=True).status("starting") as status:
         findings = diagnose(description, recorded, known, status.update, reference, tests)
         status.update("writing the report")
-        sources = [
-            *traces,
-            robot,
-            *filter(None, (baseline, effects)),
-            *(test or []),
-            *([Path(columns)] if columns else []),
-        ]
+        named = filter(None, (baseline, effects, columns and Path(columns)))
+        sources = [*traces, robot, *named, *(test or [])]
         result = document(findings, tests, made_from(sources))
         write_text(out / "diagnosis.json", result.model_dump_json(indent=1, by_alias=True))
         fixed = corrected(findings)
@@ -87,8 +80,9 @@ def command(
     if json:
         typer.echo(result.model_dump_json(indent=1, by_alias=True))
         return
+    screen = console()
     for group in paragraphs(result):
-        console.print("\n".join(group), highlight=False, markup=False)
-        console.print()
+        screen.print("\n".join(group), highlight=False, markup=False)
+        screen.print()
     written = "diagnosis.json, corrected.toml, report.html" + (", report.pdf" if pdf else "")
-    console.print(f"wrote {written} in {out}", highlight=False)
+    typer.echo(f"wrote {written} in {out}")

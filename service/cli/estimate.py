@@ -7,14 +7,11 @@ from typing import Annotated
 
 import typer
 
-from service.cli.network import Insecure, RosDomain, ZenohConfig
-from service.cli.reading import OwnEffects
+from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, robot_file
 
 
 def command(
-    robot: Annotated[
-        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML), best one that `identify` wrote.")
-    ],
+    robot: Annotated[Path, robot_file(", best one that `identify` wrote.")],
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
     ros_domain: RosDomain = None,
@@ -33,14 +30,12 @@ def command(
     from replay.realtime import go_realtime
     from schemas.messages import HealthFlag, Role
     from schemas.robot import load_robot
-    from service.cli.signals import terminate_as_interrupt
     from service.estimator.effects import carried
     from service.estimator.estimator import Estimator
     from service.estimator.keep import Keeper
     from service.estimator.node import run
     from service.model.description import terms_of
 
-    terminate_as_interrupt()
     description = load_robot(robot, effects)
     if description.identified is None:
         typer.echo(

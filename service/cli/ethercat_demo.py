@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from service.cli.reading import AsJson
+from service.cli.options import AsJson
+from service.cli.output import as_json, console, table
 
 
 def command(
@@ -27,31 +28,23 @@ def command(
     """
     import time
 
-    from rich.console import Console
-    from rich.table import Table
-
     from service.cli.main import MISSED
-    from service.cli.output import as_json
-    from service.cli.output import console as result_console
     from service.demonstration import demonstrate
 
-    console, progress, begin = result_console(), Console(stderr=True), time.monotonic()
+    begin = time.monotonic()
     checks = demonstrate(
         out,
         rate,
         duration,
         product,
-        lambda step: progress.print(f"{time.monotonic() - begin:5.1f} s  {step}", highlight=False),
+        lambda step: typer.echo(f"{time.monotonic() - begin:5.1f} s  {step}", err=True),
     )
     if json:
         typer.echo(as_json("ethercat-demo", {"checks": [vars(check) for check in checks], "out": str(out)}))
     else:
-        table = Table("", "claim", "measured", "bound", title="EtherCAT demonstration")
-        for check in checks:
-            table.add_row(
-                "[green]holds[/green]" if check.holds else "[red]fails[/red]", check.claim, check.measured, check.bound
-            )
-        console.print(table)
-        console.print(f"recorded in {out}", highlight=False)
+        said = {True: "[green]holds[/green]", False: "[red]fails[/red]"}
+        rows = [(said[check.holds], check.claim, check.measured, check.bound) for check in checks]
+        console().print(table(("", "claim", "measured", "bound"), rows, "EtherCAT demonstration", words=4))
+        typer.echo(f"recorded in {out}")
     if not all(check.holds for check in checks):
         raise typer.Exit(MISSED)

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.reading import AsJson, ColumnsFrom, OwnEffects, reading
+from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
+from service.cli.output import as_json, console, table
+from service.cli.reading import reading
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -21,10 +23,7 @@ MOST_EVENTS = 4  # told
 
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE")],
-    robot: Annotated[
-        Path,
-        typer.Option(metavar="FILE|NAME", help="Robot description (TOML), plain, identified or corrected; or of axes"),
-    ],
+    robot: Annotated[Path, robot_file(", plain, identified or corrected; or of axes")],
     effects: OwnEffects = None,
     columns: ColumnsFrom = None,
     json: AsJson = False,
@@ -42,7 +41,6 @@ def command(
     from schemas.axes import load_description
     from schemas.errors import TraceError
     from schemas.machine import Machine
-    from service.cli.output import console as result_console
     from service.identification.evaluation import evaluate
 
     description = load_description(robot, effects)
@@ -64,11 +62,10 @@ def command(
     if json:
         print(_json(results, unit))
     else:
-        console = result_console()
-        console.print(_table(results, unit))
+        console().print(_table(results, unit))
         for result in results:
-            for line in _events(result, unit):
-                console.print(line, highlight=False, markup=False, soft_wrap=True)
+            if result.events:
+                print(_events(result, unit))
 
 
 def _csv_name(path: Path) -> str:
@@ -109,7 +106,6 @@ def _pooled(results: list[Evaluation], which: str = "errors") -> dict[str, Momen
 def _json(results: list[Evaluation], unit: str) -> str:
     from dataclasses import asdict
 
-    from service.cli.output import as_json
     from service.model.signals import ANALYSIS_HZ
 
     def figures(errors: dict[str, Moments]) -> dict[str, dict[str, Any]]:
@@ -139,37 +135,30 @@ def _json(results: list[Evaluation], unit: str) -> str:
 
 
 def _table(results: list[Evaluation], unit: str) -> Table:
-    from rich.table import Table
-
     from service.model.signals import ANALYSIS_HZ
 
-    table = Table(
-        "model",
-        *(f"joint {joint + 1}: mean, std" for joint in range(results[0].trace.position.shape[1])),
-        title=f"torque - model, {unit}, below {ANALYSIS_HZ:g} Hz while moving, {len(results)} trace(s)",
-    )
-    for column in table.columns[1:]:
-        column.justify = "right"
     shown = _pooled(results)
     if any(result.events for result in results):
         name, moments = list(_pooled(results, "calm").items())[-1]
         shown[f"{name}, outside events"] = moments
-    for name, moments in shown.items():
-        table.add_row(name, *(f"{m:.3f}, {s:.3f}" for m, s in zip(moments.mean, moments.std, strict=True)))
-    return table
+    rows = [
+        (name, *(f"{m:.3f}, {s:.3f}" for m, s in zip(moments.mean, moments.std, strict=True)))
+        for name, moments in shown.items()
+    ]
+    head = ("model", *(f"joint {joint + 1}: mean, std" for joint in range(len(rows[0]) - 1)))
+    title = f"torque - model, {unit}, below {ANALYSIS_HZ:g} Hz while moving, {len(results)} trace(s)"
+    return table(head, rows, title)
 
 
-def _events(result: Evaluation, unit: str) -> list[str]:
+def _events(result: Evaluation, unit: str) -> str:
     from service.identification.events import rhythm
 
-    if not result.events:
-        return []
     share = 1.0 - result.calm_share
     beat = rhythm(result.events)
     keeping = f", most of them every {beat:.3g} s" if beat is not None else ""
     strongest = sorted(result.events, key=lambda event: -event.level)[:MOST_EVENTS]
     told = "; ".join(f"joint {e.joint + 1} {e.start:.2f} to {e.end:.2f} s ({e.level:.3g} {unit})" for e in strongest)
-    return [
+    return (
         f"{result.trace.path}: {len(result.events)} events stand far above the rest ({100 * share:.0f} % of the motion)"
         f"{keeping}; strongest {told}"
-    ]
+    )

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
+from service.cli.options import AsJson
+from service.cli.output import as_json, console, table
 from service.cli.progress import bars
-from service.cli.reading import AsJson
 
 
 def command(
@@ -37,26 +38,20 @@ def command(
     from dataclasses import asdict
 
     import numpy as np
-    from rich.table import Table
 
     from drivers.motion import Planner
-    from drivers.plant.effects import make_effects
-    from drivers.plant.plant import Plant
-    from drivers.plant.truth import TRUTHS, load_truth
+    from drivers.plant.plant import make_plant
+    from drivers.plant.truth import TRUTHS
     from drivers.trace import write_trace
     from schemas.files import make_folder
     from schemas.robot import load_robot, save_robot
-    from service.cli.output import as_json
-    from service.cli.output import console as result_console
     from service.experiment.logs import excitations, record
     from service.experiment.paper import page, run, table_1
     from service.experiment.pictures import write_page, write_pictures
 
     make_folder(out)
     robot = load_robot("d3-1200")
-    path = TRUTHS / "d3-1200-paper.toml"
-    truth = load_truth(path, robot)
-    plant = Plant(robot, truth, make_effects(truth.effect, str(path)), 1.0 / rate, seed)
+    plant, which = make_plant(robot, TRUTHS / "d3-1200-paper.toml", 1.0 / rate, seed)
     planner = Planner(robot, plant.period)
     rng = np.random.default_rng([seed, 3])
     with bars() as progress:
@@ -74,7 +69,7 @@ def command(
         (picks,) = record(plant, iter([pick_motion]), "upsilon_P")
         progress.update(task, completed=(trajectories + 3) * duration)
     found = run(robot, fit, stress, picks, pick_motion.payloads, forgetting)
-    report = page(found, f"truth of {path.name}")
+    report = page(found, which)
     write_page(report, out / "experiment.html")
     write_pictures(report.drawings, out, "experiment")
     save_robot(found.by_pooled.robot, out / "identified.toml", template=Path("d3-1200"))
@@ -90,10 +85,5 @@ def command(
         picks = [asdict(score) for score in found.scores]
         typer.echo(as_json("experiment", {"upsilon_F": errors, "upsilon_P": picks}))
         return
-    table = Table(*shown.head, title=shown.title, caption=shown.note)
-    for column in table.columns[1:]:
-        column.justify = "right"
-    for row in shown.rows:
-        table.add_row(*row)
-    result_console().print(table)
+    console().print(table(shown.head, shown.rows, shown.title, shown.note))
     typer.echo(f"all of it simulated; wrote {out / 'experiment.html'}, .pdf, PNG pictures and identified.toml")

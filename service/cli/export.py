@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.reading import OwnEffects
+from service.cli.options import OwnEffects
 
 
 class Format(StrEnum):

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.options import AsJson, Backend, ColumnsFrom, Jobs, OnBackend, OwnEffects, Scheduler, robot_file
+from service.cli.output import console, table
 from service.cli.progress import bars
-from service.cli.reading import AsJson, ColumnsFrom, OwnEffects
-from service.cli.workers import Backend, Jobs, OnBackend, Scheduler
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -24,12 +24,7 @@ def command(
         list[Path], typer.Argument(help="Folders of logs, or logs: .csv, .csv.gz, .mcap, .pcapng", metavar="LOGS")
     ],
     out: Annotated[Path, typer.Option(help="Folder for fleet.html, fleet.json and a folder a robot")],
-    robot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE|NAME", help="Robot description (TOML) of robots that have no robot.toml of their own"
-        ),
-    ] = None,
+    robot: Annotated[Path | None, robot_file(" of robots that have no robot.toml of their own")] = None,
     columns: ColumnsFrom = None,
     effects: OwnEffects = None,
     jobs: Jobs = 2,
@@ -47,13 +42,9 @@ def command(
 
     Example: deltatwin fleet logs/ --robot d3-1200 --out fleet     # logs/cell_3/2026-01-31/pick.csv
     """
-    from rich.console import Console
-
     from schemas.errors import DataError
     from schemas.files import make_folder, write_text
-    from service.cli.output import console as result_console
 
-    console = Console(stderr=True)
     with bars() as progress:
         task = progress.add_task("looking at the logs", total=None)
         from drivers.trace import find_columns
@@ -82,27 +73,25 @@ def command(
     if json:
         typer.echo(text)
     else:
-        result_console().print(_table(fleet))
+        console().print(_table(fleet))
         typer.echo(f"wrote fleet.html and fleet.json in {out}")
     for what, why in (line for one in fleet.robots for line in one.unusable):
-        console.print(why if what in why else f"{what}: {why}", highlight=False, markup=False, soft_wrap=True)
+        typer.echo(why if what in why else f"{what}: {why}", err=True)
     if not any(day.verdict for one in fleet.robots for day in one.days):
         raise DataError(f"{out}: no day of any robot could be judged")
 
 
 def _table(fleet: Fleet) -> Table:
-    from rich.table import Table
-
     from service.fleet.page import found, when
 
-    table = Table("robot", "what", "joint", "since", "last on", "days", "how much", title="What has changed")
+    head, rows = ("robot", "what", "joint", "since", "last on", "days", "how much"), []
     for robot, change in found(fleet):
         joints, last = ", ".join(map(str, change.joints)), change.last if change.gone else "still there"
         days = f"{change.days} of {change.of}"
-        table.add_row(robot, change.title, joints, when(change), last, days, "; ".join(change.now[:MOST_TOLD]))
+        rows.append((robot, change.title, joints, when(change), last, days, "; ".join(change.now[:MOST_TOLD])))
     for one in fleet.robots:
         if not one.changes:
             judged = sum(day.judged for day in one.days)
             what = "nothing" if judged else "cannot be told"
-            table.add_row(one.robot, what, "", "", "", f"{judged} of {len(one.days)} judged", "")
-    return table
+            rows.append((one.robot, what, "", "", "", f"{judged} of {len(one.days)} judged", ""))
+    return table(head, rows, "What has changed", words=len(head))

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from service.cli.reading import AsJson, ColumnsFrom
+from service.cli.options import AsJson, ColumnsFrom, robot_file
+from service.cli.output import as_json, console, table
+from service.cli.reading import reading
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,10 +20,12 @@ if TYPE_CHECKING:
     from service.identification.calibration import CalibratedFigure
     from service.identification.pooled import ParameterEstimate, Plain
 
+CHANGED = {True: "put right", False: "left as described"}
+
 
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Logs to identify on: .csv, .csv.gz or .mcap", metavar="TRACE")],
-    robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML)")],
+    robot: Annotated[Path, robot_file()],
     out: Annotated[Path, typer.Option(help="Robot description to write, with its [identified] section")],
     method: Annotated[
         Literal["pooled", "paper"],
@@ -48,9 +52,6 @@ def command(
     from schemas.files import make_folder
     from schemas.machine import Machine
     from schemas.robot import save_robot
-    from service.cli.output import as_json
-    from service.cli.output import console as result_console
-    from service.cli.reading import reading
     from service.identification.axes import identify_axes
     from service.identification.calibration import calibrate
     from service.identification.identify import identify
@@ -58,7 +59,6 @@ def command(
     from service.model.description import in_units_of
     from service.model.nominal import pack
 
-    console = result_console()
     make_folder(out.parent)
     description = load_description(robot)
     loads = [_load(text) for text in carried or ()]
@@ -92,13 +92,14 @@ def command(
             document["calibration"] = [asdict(figure) for figure in figures]
         typer.echo(as_json("identification", document | {"out": str(out)}))
         return
-    console.print(_parameters(result.fit.estimates, description))
+    screen = console()
+    screen.print(_parameters(result.fit.estimates, description))
     if figures:
-        console.print(_calibrated(figures))
-    console.print(_residuals(result.fit, [path.name for path in traces], description))
+        screen.print(_calibrated(figures))
+    screen.print(_residuals(result.fit, [path.name for path in traces], description))
     for warning in result.warnings:
-        console.print(f"warning: {warning}", highlight=False, markup=False, style="yellow", soft_wrap=True)
-    console.print(f"wrote {out}", highlight=False, markup=False, soft_wrap=True)
+        typer.secho(f"warning: {warning}", fg="yellow")
+    typer.echo(f"wrote {out}")
 
 
 def _load(text: str) -> tuple[float, Path]:
@@ -113,44 +114,31 @@ def _load(text: str) -> tuple[float, Path]:
 
 
 def _calibrated(figures: Sequence[CalibratedFigure]) -> Table:
-    from rich.table import Table
-
-    table = Table("", "value", "std. error", "unit", "", title="by the known load")
-    for figure in figures:
-        put = "put right" if figure.changed else "left as described"
-        table.add_row(figure.name, f"{figure.value:.4f}", f"{figure.std_error:.4f}", figure.unit, put)
-    return table
+    rows = [(one.name, f"{one.value:.4f}", f"{one.std_error:.4f}", one.unit, CHANGED[one.changed]) for one in figures]
+    return table(("", "value", "std. error", "unit", ""), rows, "by the known load")
 
 
 def _parameters(estimates: Sequence[ParameterEstimate], robot: Description) -> Table:
-    from rich.table import Table
-
     from service.model.description import in_units_of
 
-    table = Table("parameter", "value", "std. error", "unit", "verdict", "why", title="identified")
-    for column in table.columns[1:3]:
-        column.justify = "right"
-    for estimate in estimates:
-        value, error = f"{estimate.value:.4f}", f"{estimate.std_error:.4f}"
-        table.add_row(estimate.name, value, error, in_units_of(robot, estimate.unit), estimate.verdict, estimate.reason)
-    return table
+    rows = [
+        (one.name, f"{one.value:.4f}", f"{one.std_error:.4f}", in_units_of(robot, one.unit), one.verdict, one.reason)
+        for one in estimates
+    ]
+    return table(("parameter", "value", "std. error", "unit", "verdict", "why"), rows, "identified")
 
 
 def _residuals(fit: Plain, names: Sequence[str], robot: Description) -> Table:
-    from rich.table import Table
-
     from service.model.description import in_units_of
 
     joints = " / ".join(str(joint + 1) for joint in range(len(fit.noise)))
     title = f"rms while moving, below {fit.problem.band.cutoff_hz:g} Hz, {in_units_of(robot, 'N m')}, joints {joints}"
     caption = f"noise of the torque in this band: {_each(fit.noise_floor)}"
-    table = Table("trajectory", "torque", "residual", "held out", title=title, caption=caption)
-    for column in table.columns[1:]:
-        column.justify = "right"
-        column.no_wrap = True
-    for row, name in enumerate(names):
-        table.add_row(name, _each(fit.torque[row]), _each(fit.residual[row]), _each(fit.held_out[row]))
-    return table
+    rows = [
+        (name, _each(fit.torque[row]), _each(fit.residual[row]), _each(fit.held_out[row]))
+        for row, name in enumerate(names)
+    ]
+    return table(("trajectory", "torque", "residual", "held out"), rows, title, caption)
 
 
 def _each(values) -> str:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.reading import AsJson
+from service.cli.options import AsJson, robot_file
+from service.cli.output import as_json, console
 
 if TYPE_CHECKING:
     from drivers.trace.tables import Table
@@ -23,9 +24,7 @@ def command(
             "rosbag2; several files are taken side by side.",
         ),
     ],
-    robot: Annotated[
-        Path | None, typer.Option(metavar="FILE|NAME", help="Robot description (TOML): signs and gear side are tried.")
-    ] = None,
+    robot: Annotated[Path | None, robot_file(": signs and gear side are tried.")] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Log to write. Default: the first file's name, .mcap (.csv if not three joints)."),
@@ -66,18 +65,14 @@ def command(
     import sys
     from dataclasses import replace
 
-    from rich.console import Console
-
     from drivers.trace import read_trace, write_trace
     from drivers.trace.tables import joined, read_table
     from schemas.axes import load_description
     from schemas.columns import load_columns
     from schemas.errors import StorageError, TraceError
     from schemas.files import check_folder, write_text
-    from service.cli.signals import terminate_as_interrupt
     from service.identification.proposal import propose
 
-    terminate_as_interrupt()
     description = load_description(robot) if robot else None
     stated = replace(
         _stated(time, rate, position, torque, position_unit, counts_per_rev, torque_unit),
@@ -87,7 +82,7 @@ def command(
     for path in files[1:]:
         if path.parent.resolve() != files[0].parent.resolve():
             raise TraceError(f"{path}: not in the folder of {files[0]}; files side by side stand beside each other")
-    with Console(stderr=True).status(f"reading {files[0].name}"):
+    with console(stderr=True).status(f"reading {files[0].name}"):
         table = joined([read_table(path) for path in files])
         proposal = propose(table, description, stated)
     if not json:
@@ -109,7 +104,7 @@ def command(
             typer.echo("nothing written; say otherwise with --position, --torque, --time, --torque-unit ...", err=True)
             raise typer.Exit(1)
     write_text(mapping, _toml(table, proposal))
-    with Console(stderr=True).status(f"writing {log.name}"):
+    with console(stderr=True).status(f"writing {log.name}"):
         trace = read_trace(files[0], description, load_columns(mapping))
         write_trace(trace, log, description.name if description else "robot")
     for finding in trace.findings:
@@ -194,8 +189,6 @@ def _show(table: Table, proposal: Proposal) -> None:
     from rich.markup import escape
     from rich.table import Table as Printed
 
-    from service.cli.output import console
-
     screen = console()
     screen.print(f"[bold]{escape(str(table.path))}[/bold]: {table.kind}, {len(table)} rows", highlight=False)
     printed = Printed(box=None, pad_edge=False, header_style="dim")
@@ -228,8 +221,6 @@ def _toml(table: Table, proposal: Proposal) -> str:
 
 
 def _json(table: Table, proposal: Proposal, log: Path, mapping: Path) -> str:
-    from service.cli.output import as_json
-
     document = {
         "file": str(table.path),
         "kind": table.kind,

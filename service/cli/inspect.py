@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.reading import AsJson, ColumnsFrom
+from service.cli.options import AsJson, ColumnsFrom, robot_file
+from service.cli.output import as_json, console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,10 +24,7 @@ def command(
             metavar="TRACE", help="Recorded traces (.csv, .csv.gz, .mcap) or EtherCAT captures (.pcap, .pcapng)."
         ),
     ],
-    robot: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE|NAME", help="Robot description (TOML): joint range, gear ratio, its columns table."),
-    ] = None,
+    robot: Annotated[Path | None, robot_file(": joint range, gear ratio, its columns table.")] = None,
     columns: ColumnsFrom = None,
     json: AsJson = False,
 ) -> None:
@@ -39,30 +37,24 @@ def command(
 
     Example: deltatwin inspect pick_a.csv pick_b.mcap --robot d3.toml
     """
-    from rich.console import Console
-
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace
     from drivers.trace.capture_survey import survey_capture
     from drivers.trace.survey import survey
     from schemas.axes import load_description, no_axes
     from schemas.errors import TraceError
     from service.cli.capture_tables import show_capture
-    from service.cli.output import as_json
-    from service.cli.output import console as result_console
 
     description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
-    console, failed, surveys = result_console(), False, []
+    screen, failed, surveys = console(), False, []
     for path in traces:
         try:
-            if path.name.endswith(CAPTURE_ENDINGS):
-                with Console(stderr=True).status(f"reading {path.name}"):
+            capture = path.name.endswith(CAPTURE_ENDINGS)
+            with console(stderr=True).status(f"reading {path.name}"):
+                if capture:
                     surveys.append(survey_capture(path, no_axes(description, str(path))))
-                if not json:
-                    show_capture(surveys[-1], console)
-                continue
-            with Console(stderr=True).status(f"reading {path.name}"):
-                surveys.append(survey(read_trace(path, description, mapping)))
+                else:
+                    surveys.append(survey(read_trace(path, description, mapping)))
         except TraceError as error:
             failed = True
             surveys.append({"path": str(path), "error": str(error)})
@@ -70,7 +62,7 @@ def command(
                 typer.echo(f"deltatwin: {error}", err=True)
             continue
         if not json:
-            _show(surveys[-1], console)
+            (show_capture if capture else _show)(surveys[-1], screen)
     if json:
         typer.echo(as_json("inspection", {"traces": surveys}))
     if failed:

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.reading import AsJson
+from service.cli.options import AsJson
+from service.cli.output import QUANTILES, as_json, console, quantiles, table
 
 if TYPE_CHECKING:
     import numpy as np
     from rich.table import Table
 
     from replay.latency import RoundTrip
-
-QUANTILES = {"median": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
 
 
 def command(
@@ -35,28 +34,22 @@ def command(
     from replay.demo import LOG, ROBOT
     from replay.latency import take_turns
     from schemas.robot import load_robot
-    from service.cli.output import as_json
-    from service.cli.output import console as result_console
     from service.cli.progress import counting
-    from service.cli.signals import terminate_as_interrupt
 
-    terminate_as_interrupt()
     robot = load_robot(ROBOT)
     samples = read_trace(LOG, robot).samples()
     step = _steps(robot, samples)
     with counting("round trips", 2 * count) as show:
         trips = take_turns({"echo": echo, "estimator": estimator}, samples, rate, count, show)
-    table = latency_table(rate)
-    steps = add_row(table, "estimator step, bytes in to bytes out", step, "")
-    found = add_trips(table, trips)
+    found, rows = round_trips(trips)
     if not json:
-        add_ratio(table, found, "estimator", "echo")
-        result_console().print(table)
+        own = ["estimator step, bytes in to bytes out", *_figures(quantiles(step)), str(len(step)), ""]
+        console().print(latency_table(rate, [own, *rows]))
         return
     document = {
         "rate_hz": rate,
-        "step_us": dict(zip(QUANTILES, steps.tolist(), strict=True)),
-        "round_trip_us": {what: dict(zip(QUANTILES, each.tolist(), strict=True)) for what, each in found.items()},
+        "step_us": quantiles(step),
+        "round_trip_us": found,
         "lost": {what: sum(part.lost for part in parts) for what, parts in trips.items()},
     }
     typer.echo(as_json("latency", document))
@@ -81,7 +74,9 @@ def estimator(robot: str) -> None:
     from replay.demo import ROBOT
     from schemas.robot import load_robot, save_robot
     from service.cli.estimate import command as estimate
+    from service.cli.signals import terminate_as_interrupt
 
+    terminate_as_interrupt()
     with tempfile.TemporaryDirectory() as folder:
         description = Path(folder) / "robot.toml"
         save_robot(load_robot(ROBOT).model_copy(update={"name": robot}), description)
@@ -113,38 +108,24 @@ def _steps(robot, samples: np.ndarray) -> np.ndarray:
     return taken
 
 
-def latency_table(rate: float) -> Table:
-    """A table that `add_row` fills."""
-    from rich.table import Table
-
-    table = Table(title=f"latency at {rate:g} Hz, µs")
-    for heading in ("what", *QUANTILES, "count", "lost"):
-        table.add_column(heading, justify="left" if heading == "what" else "right")
-    return table
-
-
-def add_row(table: Table, name: str, nanoseconds: np.ndarray, lost: str) -> np.ndarray:
-    """One row of (N,) ns; its (4,) quantiles in µs."""
+def round_trips(trips: dict[str, list[RoundTrip]]) -> tuple[dict[str, dict[str, float]], list[list[str]]]:
+    """Quantiles of each that answered, µs; a row of a table for each, and one for the estimator's over the echo's."""
     import numpy as np
 
-    values = np.quantile(nanoseconds, list(QUANTILES.values())) * 1e-3
-    table.add_row(name, *(f"{value:.1f}" for value in values), str(len(nanoseconds)), lost)
-    return values
+    found, rows = {}, []
+    for what, parts in trips.items():
+        latency = np.concatenate([part.latency for part in parts])
+        found[what] = quantiles(latency)
+        counts = str(len(latency)), str(sum(part.lost for part in parts))
+        rows.append([f"round trip, {what}", *_figures(found[what]), *counts])
+    ratio = (f"{found['estimator'][key] / found['echo'][key]:.2f}" for key in QUANTILES)
+    return found, [*rows, ["estimator / echo", *ratio, "", ""]]
 
 
-def add_trips(table: Table, trips: dict[str, list[RoundTrip]]) -> dict[str, np.ndarray]:
-    """A row for each that answered; their quantiles."""
-    import numpy as np
-
-    return {
-        what: add_row(
-            table, f"round trip, {what}", np.concatenate([t.latency for t in parts]), str(sum(t.lost for t in parts))
-        )
-        for what, parts in trips.items()
-    }
+def latency_table(rate: float, rows: list[list[str]]) -> Table:
+    """`rows` with their headings. rate: Hz."""
+    return table(("what", *QUANTILES, "count", "lost"), rows, f"latency at {rate:g} Hz, µs")
 
 
-def add_ratio(table: Table, found: dict[str, np.ndarray], what: str, over: str) -> None:
-    """The quantiles of one over those of another."""
-    ratio = found[what] / found[over]
-    table.add_row(f"{what} / {over}", *(f"{value:.2f}" for value in ratio), "", "", style="bold")
+def _figures(found: dict[str, float]) -> list[str]:
+    return [f"{value:.1f}" for value in found.values()]

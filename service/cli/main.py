@@ -17,6 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from schemas.errors import DeltatwinError, printable
+from service.cli.signals import terminate_as_interrupt
 
 GROUPS = {
     "Begin": ("demo", "import", "inspect", "convert"),
@@ -125,6 +126,7 @@ def main() -> None:
 
     A known error is one line on stderr and exit code 1, wrong usage 2, a bound that is missed 3, Ctrl-C 130.
     """
+    terminate_as_interrupt()
     try:
         try:
             app()

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.network import Insecure, RosDomain, ZenohConfig
-from service.cli.reading import OwnEffects
+from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, robot_file
+from service.cli.output import in_quantiles
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -35,9 +35,7 @@ class Source(enum.StrEnum):
 
 def command(
     interface: Annotated[str, typer.Argument(metavar="INTERFACE", help="Ethernet interface that the drives hang on.")],
-    robot: Annotated[
-        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) with its drives and their process data.")
-    ],
+    robot: Annotated[Path, robot_file(" with its drives and their process data.")],
     feedforward: Annotated[
         Source,
         typer.Option(
@@ -75,9 +73,7 @@ def command(
     from drivers.ethercat.interface import check_interface
     from drivers.ethercat.master import Master, OffsetRamp, follow
     from schemas.robot import load_robot
-    from service.cli.signals import terminate_as_interrupt
 
-    terminate_as_interrupt()
     description = load_robot(robot, effects)
     check_interface(interface)
 
@@ -210,9 +206,5 @@ def summary(done: int, planned: int, counts: Counts, sent: np.ndarray) -> str:
         text += f", {counts.clock} with a clock that cannot be right"
     if done < 2:
         return text
-    times = np.sort(np.diff(sent)) * 1e-3
-    median, p99, p999 = (times[int(len(times) * share)] for share in (0.5, 0.99, 0.999))
-    return (
-        f"{text}; cycle time median {median:.1f}, standard deviation {times.std():.1f}, p99 {p99:.1f}, "
-        f"p99.9 {p999:.1f}, max {times[-1]:.1f} µs"
-    )
+    times = np.diff(sent)
+    return f"{text}; cycle time {in_quantiles(times)}, standard deviation {times.std() * 1e-3:.1f} µs"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.network import Insecure, RosDomain, ZenohConfig
+from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -20,9 +20,7 @@ SILENCE_S = 3.0  # without a sample, until it is said what else runs here
 
 
 def command(
-    robot: Annotated[
-        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML); its name is the robot on the bus.")
-    ],
+    robot: Annotated[Path, robot_file("; its name is the robot on the bus.")],
     out: Annotated[
         Path | None, typer.Option(help="File to write. Default: the robot's name and the time, in this folder.")
     ] = None,

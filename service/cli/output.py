@@ -1,16 +1,19 @@
-"""Where results go: to a terminal as wide as it is, anywhere else as wide as they are."""
+"""What commands print. Results go to a terminal as wide as it is, anywhere else as wide as they are."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import numpy as np
     from rich.console import Console
+    from rich.table import Table
 
 PIPED_WIDTH = 1000  # characters: wider than any of our tables, so that what is piped is never wrapped or cut
+QUANTILES = {"median": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
 
 
 def as_json(name: str, document: Mapping[str, Any]) -> str:
@@ -21,8 +24,35 @@ def as_json(name: str, document: Mapping[str, Any]) -> str:
     return json.dumps(json.loads(text, parse_constant=lambda _: None), indent=1)
 
 
-def console() -> Console:
-    """Of standard output, for results; progress goes to `Console(stderr=True)`."""
+def console(stderr: bool = False) -> Console:
+    """Of standard output, for results, or of standard error, for progress."""
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else PIPED_WIDTH)
+    return Console(stderr=stderr, width=None if stderr or sys.stdout.isatty() else PIPED_WIDTH)
+
+
+def table(
+    head: Iterable[str], rows: Iterable[Sequence[str]] = (), title: str = "", caption: str = "", words: int = 1
+) -> Table:
+    """A table of `rows`. The columns behind the first `words` hold figures, which stand at the right and whole."""
+    from rich.table import Table
+
+    made = Table(title=title or None, caption=caption or None)
+    for place, heading in enumerate(head):
+        made.add_column(heading, justify="left" if place < words else "right", no_wrap=place >= words)
+    for row in rows:
+        made.add_row(*row)
+    return made
+
+
+def quantiles(nanoseconds: np.ndarray) -> dict[str, float]:
+    """The `QUANTILES` of (N,) ns, in µs."""
+    import numpy as np
+
+    found = np.quantile(nanoseconds, list(QUANTILES.values())) * 1e-3
+    return dict(zip(QUANTILES, found.tolist(), strict=True))
+
+
+def in_quantiles(nanoseconds: np.ndarray, decimals: int = 1) -> str:
+    """The `quantiles` as text."""
+    return ", ".join(f"{name} {value:.{decimals}f}" for name, value in quantiles(nanoseconds).items()) + " µs"

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.reading import AsJson, ColumnsFrom, OwnEffects, reading
+from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
+from service.cli.output import as_json, console, table
+from service.cli.reading import reading
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE")],
-    robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) that `identify` wrote")],
+    robot: Annotated[Path, robot_file(" that `identify` wrote")],
     effects: OwnEffects = None,
     columns: ColumnsFrom = None,
     json: AsJson = False,
@@ -40,14 +42,12 @@ def command(
 
     from schemas.errors import DataError
     from schemas.robot import load_robot
-    from service.cli.output import as_json
-    from service.cli.output import console as result_console
     from service.identification.payload import levels, payload_history, read_truth, score
 
     if truth and len(truth) != len(traces):
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one a trace, in their order")
     description = load_robot(robot, effects)
-    console = result_console()
+    screen = console()
     scores: list[Score] = []
     weighed: list[dict[str, Any]] = []
     for number, trace in enumerate(reading(traces, description, columns, "weighing")):
@@ -60,75 +60,61 @@ def command(
             seen = [asdict(level) | {"event": level.event.name.lower()} for level in levels(found)]
             weighed.append({"trace": str(trace.path), "levels": seen})
         else:
-            console.print(_found(trace.path.name, levels(found)))
+            screen.print(_found(trace.path.name, levels(found)))
     if json:
         scored = [asdict(score) for score in scores]
         typer.echo(as_json("payload", {"traces": weighed, "picks": scored}))
     elif scores:
-        for table in _scored(scores):
-            console.print(table)
+        screen.print(*_scored(scores))
 
 
 def _write(found: PayloadHistory, path: Path) -> None:
     import numpy as np
 
-    from schemas.errors import StorageError
-    from schemas.files import whole
+    from schemas.files import make_folder, whole
 
     columns = np.column_stack([found.time, found.mass, found.std_dev, found.trusted, found.event])
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{path.parent}: {error.strerror}") from error
+    make_folder(path.parent)
     with whole(path) as partial:
         header = "time_s,mass_kg,std_dev_kg,trusted,event"
         np.savetxt(partial, columns, ("%.6f", "%.5f", "%.5f", "%d", "%d"), ",", header=header, comments="")
 
 
 def _found(name: str, seen: list[Level]) -> Table:
-    from rich.table import Table
-
-    table = Table("seen at, s", "until, s", "what", "mass, kg", "std dev, kg", "trusted", title=f"{name}: payload")
-    for level in seen:
-        what = level.event.name.lower()
-        table.add_row(
-            f"{level.begin:.3f}", f"{level.end:.3f}", what, f"{level.mass:.3f}", f"{level.std_dev:.3f}",
-            f"{level.trusted:.0%}",
-        )  # fmt: skip
-    return table
+    head = ("seen at, s", "until, s", "what", "mass, kg", "std dev, kg", "trusted")
+    rows = [
+        (f"{one.begin:.3f}", f"{one.end:.3f}", one.event.name.lower(), f"{one.mass:.3f}", f"{one.std_dev:.3f}",
+         f"{one.trusted:.0%}")
+        for one in seen
+    ]  # fmt: skip
+    return table(head, rows, f"{name}: payload", words=0)
 
 
 def _scored(scores: list[Score]) -> list[Table]:
     import numpy as np
-    from rich.table import Table
-
-    each = Table(
-        "picked at, s", "truth, kg", "mass, kg", "found, ms", "pick seen, ms", "release seen, ms",
-        "paper: mass, kg", "paper: found, ms", title="payload: delays after the true pick or release",
-    )  # fmt: skip
 
     def ms(seconds: float) -> str:
         return "never" if np.isnan(seconds) else f"{seconds * 1e3:.0f}"
 
-    for s in scores:
-        each.add_row(
-            f"{s.truth.begin:.3f}", f"{s.truth.mass:.2f}", f"{s.mass:.3f}", ms(s.settled), ms(s.seen), ms(s.released),
-            f"{s.mass_recursion:.3f}", ms(s.settled_recursion),
-        )  # fmt: skip
-    summary = Table("", "estimator", "paper's recursion", title=f"{len(scores)} picks")
+    each = [
+        (f"{s.truth.begin:.3f}", f"{s.truth.mass:.2f}", f"{s.mass:.3f}", ms(s.settled), ms(s.seen), ms(s.released),
+         f"{s.mass_recursion:.3f}", ms(s.settled_recursion))
+        for s in scores
+    ]  # fmt: skip
+    found = np.array([(s.settled, s.settled_recursion) for s in scores]) <= 0.15
+    summary = [("found within 150 ms (5 % or 50 g, and staying)", *(f"{share:.0%}" for share in found.mean(axis=0)))]
     heavy = [s for s in scores if s.truth.mass >= 1.0]
-
-    def row(label: str, of: list[Score], value) -> None:
-        summary.add_row(label, *(value(of, suffix) for suffix in ("", "_recursion")))
-
-    def found(of: list[Score], suffix: str) -> str:
-        return f"{np.mean([getattr(s, f'settled{suffix}') <= 0.15 for s in of]):.0%}"
-
-    def off(of: list[Score], suffix: str) -> np.ndarray:
-        return np.array([abs(getattr(s, f"mass{suffix}") / s.truth.mass - 1) for s in of])
-
-    row("found within 150 ms (5 % or 50 g, and staying)", scores, found)
     if heavy:
-        row("error at the release, median, >= 1 kg", heavy, lambda of, suffix: f"{np.median(off(of, suffix)):.2%}")
-        row("within 4 % at the release, >= 1 kg", heavy, lambda of, suffix: f"{np.mean(off(of, suffix) <= 0.04):.0%}")
-    return [each, summary]
+        off = np.array([np.abs(np.array([s.mass, s.mass_recursion]) / s.truth.mass - 1) for s in heavy])
+        summary += [
+            ("error at the release, median, >= 1 kg", *(f"{middle:.2%}" for middle in np.median(off, axis=0))),
+            ("within 4 % at the release, >= 1 kg", *(f"{share:.0%}" for share in (off <= 0.04).mean(axis=0))),
+        ]
+    head = (
+        "picked at, s", "truth, kg", "mass, kg", "found, ms", "pick seen, ms", "release seen, ms", "paper: mass, kg",
+        "paper: found, ms",
+    )  # fmt: skip
+    return [
+        table(head, each, "payload: delays after the true pick or release", words=0),
+        table(("", "estimator", "paper's recursion"), summary, f"{len(scores)} picks"),
+    ]

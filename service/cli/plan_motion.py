@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.options import AsJson, OwnEffects, robot_file
+from service.cli.output import as_json
 from service.cli.progress import bars
-from service.cli.reading import AsJson, OwnEffects
 
 if TYPE_CHECKING:
     from drivers.motion import Planner, Trajectory
@@ -30,7 +31,7 @@ class Purpose(enum.StrEnum):
 
 
 def command(
-    robot: Annotated[Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML), with its limits")],
+    robot: Annotated[Path, robot_file(", with its limits")],
     out: Annotated[Path, typer.Option(help="Motion to write (.csv): what `simulate`, `master` and `replay` run")],
     diagnosis: Annotated[Path | None, typer.Option(help="Folder that `diagnose` wrote")] = None,
     purpose: Annotated[
@@ -65,7 +66,6 @@ def command(
     from schemas.errors import DataError
     from schemas.files import check_folder
     from schemas.robot import load_robot
-    from service.cli.output import as_json
     from service.estimator.bounds import bounds_of
     from service.planning.plan import at_rate, evaluations, plan
     from service.planning.question import PERIOD, Apart, expected

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from service.cli.output import console
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -19,11 +21,10 @@ REFRESH_S = 0.25
 
 def bars() -> Progress:
     """Bars that go away at the end. Draws only on a terminal."""
-    from rich.console import Console
     from rich.progress import Progress
 
-    console = Console(stderr=True)
-    return Progress(console=console, transient=True, disable=not console.is_terminal)
+    screen = console(stderr=True)
+    return Progress(console=screen, transient=True, disable=not screen.is_terminal)
 
 
 @contextmanager
@@ -53,7 +54,6 @@ def counting(title: str, total: int) -> Iterator[Callable[[int], None]]:
 def _draw(title: str, total: int, done, running, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -66,7 +66,7 @@ def _draw(title: str, total: int, done, running, parent: int) -> None:
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     if total:
         columns.append(TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as progress:
+    with Progress(*columns, console=console(stderr=True), auto_refresh=False) as progress:
         task = progress.add_task(title, total=total or None)
         more = True
         while more:

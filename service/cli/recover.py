@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from service.cli.reading import AsJson
+from service.cli.options import AsJson
+from service.cli.output import as_json, console
 
 
 def command(
@@ -22,16 +23,14 @@ def command(
     Example: deltatwin recover run.mcap run-whole.mcap
     """
     import rich.progress
-    from rich.console import Console
 
     from schemas.errors import StorageError
-    from service.cli.output import as_json
     from service.monitor.recover import recover
 
-    console = Console(stderr=True)
+    screen = console(stderr=True)
     try:
         opened = rich.progress.open(
-            source, "rb", description=f"recover {source.name}", console=console, disable=not console.is_terminal
+            source, "rb", description=f"recover {source.name}", console=screen, disable=not screen.is_terminal
         )
     except OSError as error:
         raise StorageError(f"{source}: {error.strerror}") from error

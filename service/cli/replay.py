@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.network import Insecure, RosDomain, ZenohConfig
-from service.cli.reading import ColumnsFrom
+from service.cli.options import ColumnsFrom, Insecure, RosDomain, ZenohConfig, robot_file
+from service.cli.output import in_quantiles
 
 if TYPE_CHECKING:
     from replay.player import Played
@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 def command(
     trace: Annotated[Path, typer.Argument(metavar="TRACE", help="Recorded trace (.csv, .csv.gz, .mcap).")],
-    robot: Annotated[
-        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML); its name is the robot on the bus.")
-    ],
+    robot: Annotated[Path, robot_file("; its name is the robot on the bus.")],
     columns: ColumnsFrom = None,
     rate: Annotated[
         float | None, typer.Option(min=1e-3, help="Samples a second, evenly (Hz). Default: the recorded times.")
@@ -47,9 +45,7 @@ def command(
     from schemas.messages import HealthFlag, Role
     from schemas.robot import load_robot
     from service.cli.progress import counting
-    from service.cli.signals import terminate_as_interrupt
 
-    terminate_as_interrupt()
     description = load_robot(robot)
     recorded = read_trace(trace, description, find_columns(columns) if columns else None)
     for finding in recorded.findings:
@@ -73,11 +69,7 @@ def summary(played: Played, period_ns: int) -> str:
     planned = "" if played.planned is None else f" of {played.planned}"
     if played.sent == 0:
         return f"sent 0{planned} samples"
-    import numpy as np
-
-    lateness = np.sort(played.lateness) * 1e-3
-    median, p99, p999 = (lateness[int(len(lateness) * part)] for part in (0.5, 0.99, 0.999))
     return (
         f"sent {played.sent}{planned} samples, {played.late} later than the period of {period_ns * 1e-3:.6g} µs; "
-        f"lateness median {median:.2f}, p99 {p99:.2f}, p99.9 {p999:.2f}, max {lateness[-1]:.2f} µs"
+        f"lateness {in_quantiles(played.lateness, 2)}"
     )

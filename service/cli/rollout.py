@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.reading import AsJson, ColumnsFrom, OwnEffects, reading
+from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
+from service.cli.output import console, table
+from service.cli.reading import reading
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -18,12 +20,7 @@ if TYPE_CHECKING:
 
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Logs: .csv, .csv.gz or .mcap", metavar="TRACE")],
-    robot: Annotated[
-        list[Path],
-        typer.Option(
-            metavar="FILE|NAME", help="Robot description (TOML), identified or corrected; repeat to compare, best last"
-        ),
-    ],
+    robot: Annotated[list[Path], robot_file(", identified or corrected; repeat to compare, best last")],
     horizon: Annotated[float, typer.Option(help="Length of a window, s")] = 0.2,
     commands: Annotated[
         bool,
@@ -45,18 +42,14 @@ def command(
 
     Example: deltatwin rollout test_*.csv --robot identified.toml --robot corrected.toml --out rollout
     """
-    from rich.console import Console
-
     from schemas.files import make_folder, write_text
-    from service.cli.output import console as result_console
     from service.rollout.document import document, sentences, write_rollout
     from service.rollout.gap import PLAIN, check_sign, rollout
 
     robots = _robots(robot, effects)
-    console, progress = result_console(), Console(stderr=True)
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
     last = list(robots)[-1]
-    with progress.status("simulating") as status:
+    with console(stderr=True).status("simulating") as status:
 
         def told(what: str) -> None:
             status.update(f"simulating {what}")
@@ -75,12 +68,10 @@ def command(
     if json:
         print(result.model_dump_json(indent=1, by_alias=True))
         return
-    console.print(_table(result))
-    console.print(_regimes(result))
-    for line in sentences(result):
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    console().print(_table(result), _regimes(result))
+    typer.echo("\n".join(sentences(result)))
     if out is not None:
-        console.print(f"wrote rollout.json and rollout.html in {out}", highlight=False)
+        typer.echo(f"wrote rollout.json and rollout.html in {out}")
 
 
 def _robots(paths: list[Path], effects: Path | None) -> dict[str, Robot]:
@@ -110,33 +101,25 @@ def _robots(paths: list[Path], effects: Path | None) -> dict[str, Robot]:
 
 
 def _table(result: RolloutDocument) -> Table:
-    from rich.table import Table
-
-    table = Table(
-        "robot", "joint 1, mrad", "joint 2, mrad", "joint 3, mrad", "platform, mm",
-        title=f"simulated less measured after {1e3 * result.horizon_s:.0f} ms, rms of {result.windows} windows",
-    )  # fmt: skip
+    head, rows = ["robot", "joint 1, mrad", "joint 2, mrad", "joint 3, mrad", "platform, mm"], []
     if result.servo is not None:
-        table.add_column("torque, rms N m, joints 1, 2 and 3")
-    for column in table.columns[1:]:
-        column.justify = "right"
+        head.append("torque, rms N m, joints 1, 2 and 3")
     for robot in (*result.robots, result.floor):
         torque = [", ".join(map(_figure, robot.torque_nm))] if robot.torque_nm else []
-        table.add_row(robot.robot, *map(_figure, robot.joint_mrad), _figure(robot.platform_mm), *torque)
-    return table
+        rows.append((robot.robot, *map(_figure, robot.joint_mrad), _figure(robot.platform_mm), *torque))
+    title = f"simulated less measured after {1e3 * result.horizon_s:.0f} ms, rms of {result.windows} windows"
+    return table(head, rows, title)
 
 
 def _regimes(result: RolloutDocument) -> Table:
-    from rich.table import Table
-
     names = [robot.robot for robot in (*result.robots, result.floor)]
-    table = Table("joint", "its motion", "windows", *(f"{name}, mrad" for name in names), title="by kind of motion")
-    for column in table.columns[2:]:
-        column.justify = "right"
-    for entry in result.regimes:
-        figures = [_figure(entry.joint_mrad[name]) for name in names]
-        table.add_row(str(entry.joint), entry.regime, str(entry.windows), *figures)
-    return table
+    rows = [
+        (str(one.joint), one.regime, str(one.windows), *(_figure(one.joint_mrad[name]) for name in names))
+        for one in result.regimes
+    ]
+    return table(
+        ("joint", "its motion", "windows", *(f"{name}, mrad" for name in names)), rows, "by kind of motion", words=2
+    )
 
 
 def _figure(value: float | None) -> str:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.options import robot_file
+
 if TYPE_CHECKING:
     from drivers.segment.wire import Switches
 
@@ -15,9 +17,7 @@ def command(
     interface: Annotated[
         str, typer.Argument(metavar="INTERFACE", help="Ethernet interface to answer on, e.g. one end of a veth pair.")
     ],
-    robot: Annotated[
-        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) with its drives and their process data.")
-    ],
+    robot: Annotated[Path, robot_file(" with its drives and their process data.")],
     truth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where the simulated robot departs from it (TOML).")
     ] = None,
@@ -40,22 +40,18 @@ def command(
 
     from drivers.ethercat.cia402 import scales
     from drivers.ethercat.pdo import joint_pdos
-    from drivers.plant.plant import Plant
-    from drivers.plant.truth import PlantTruth, load_truth
+    from drivers.plant.plant import make_plant
     from drivers.segment.wire import EthercatSegment, serve
     from drivers.trace import write_trace
     from drivers.trace.mcap_file import to_trace
     from replay.realtime import go_realtime
     from schemas.files import check_folder
     from schemas.robot import load_robot
-    from service.cli.signals import terminate_as_interrupt
 
-    terminate_as_interrupt()
     if out:
         check_folder(out.parent)
     description = load_robot(robot)
-    actual = load_truth(truth, description) if truth else PlantTruth.nominal(description)
-    plant = Plant(description, actual, period=1 / rate, seed=seed)
+    plant, _ = make_plant(description, truth or "ideal", 1 / rate, seed)
     segment = EthercatSegment(joint_pdos(description), scales(description.drive), plant)
     segment.switches.product = product
     threading.Thread(target=_listen, args=(segment.switches,), daemon=True).start()

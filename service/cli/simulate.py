@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.network import Insecure, RosDomain, ZenohConfig
+from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
+from service.cli.output import in_quantiles
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
@@ -22,9 +23,7 @@ KINDS = ("pick", "multisine", "bound", "slow")  # of motions that `drivers.motio
 
 
 def command(
-    robot: Annotated[
-        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML), or one that comes along: d3-1200.")
-    ],
+    robot: Annotated[Path, robot_file(", or one that comes along: d3-1200.")],
     motion: Annotated[
         str,
         typer.Option(
@@ -88,6 +87,7 @@ def command(
     from drivers.motion_file import read_motion
     from drivers.plant.later import changes
     from drivers.plant.later import later as read_later
+    from drivers.plant.plant import make_plant
     from schemas.errors import DataError
     from schemas.files import check_folder
     from schemas.robot import load_robot
@@ -128,20 +128,6 @@ def command(
     typer.echo(f"simulated {description.name}, {which}; workspace {_workspace(planner)}")
 
 
-def make_plant(robot: Robot, truth: str | None, period: float, seed: int) -> tuple[Plant, str]:
-    """The plant of `--truth`, and that option's meaning in words."""
-    from drivers.plant.effects import make_effects
-    from drivers.plant.plant import Plant
-    from drivers.plant.truth import PlantTruth, load_truth, shipped_truth
-
-    path = shipped_truth(robot) if truth is None else None if truth == "ideal" else Path(truth)
-    if path is None:
-        return Plant(robot, PlantTruth.nominal(robot), period=period, seed=seed), "ideal: exactly as described"
-    real = load_truth(path, robot)
-    plant = Plant(robot, real, make_effects(real.effect, str(path)), period, seed)
-    return plant, f"truth of {path.name}"
-
-
 def _plan(
     planner: Planner,
     kind: str,
@@ -160,7 +146,6 @@ def _plan(
 
 
 def _offline(robot: Robot, plant: Plant, motion: Trajectory, changes: dict[int, Plant], out: Path) -> None:
-
     from drivers.plant.simulate import simulate
     from drivers.trace import write_trace
 
@@ -205,9 +190,7 @@ def _live(
     from replay.realtime import go_realtime
     from schemas.messages import Role
     from service.cli.progress import counting
-    from service.cli.signals import terminate_as_interrupt
 
-    terminate_as_interrupt()
     with counting(f"live {robot.name}", len(motion) * loops) as show:
         realtime = go_realtime("simulate")
         with open_bus(robot.name, Role.ROBOT, zenoh_config, insecure, ros_domain) as bus:
@@ -217,13 +200,10 @@ def _live(
     assert run.trace.position_command is not None
     error = np.sqrt(np.mean((run.trace.position - run.trace.position_command) ** 2))
     helped = np.isfinite(run.feedforward).all(axis=1).mean()
-    lateness = np.sort(run.lateness) * 1e-3
     kept = "" if run.cycles == len(run.trace) else f" (of the newest {len(run.trace)}:)"
     typer.echo(
         f"live {robot.name}: {run.cycles} cycles{kept}, feed-forward in {helped:.1%}, "
-        f"tracking error {error * 1e3:.3f} mrad rms; {run.late} cycles late, "
-        f"lateness median {lateness[len(lateness) // 2]:.1f}, "
-        f"p99.9 {lateness[int(len(lateness) * 0.999)]:.1f}, max {lateness[-1]:.1f} µs"
+        f"tracking error {error * 1e3:.3f} mrad rms; {run.late} cycles late, lateness {in_quantiles(run.lateness)}"
     )
     if out is not None:
         write_trace(run.trace, out, robot.name)

@@ -7,17 +7,14 @@ from typing import Annotated
 
 import typer
 
-from service.cli.network import Insecure, RosDomain, ZenohConfig
+from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
 
 
 def command(
     interface: Annotated[
         str, typer.Argument(metavar="INTERFACE", help="Network interface on the bus, or a capture to play as if live.")
     ],
-    robot: Annotated[
-        Path,
-        typer.Option(metavar="FILE|NAME", help="Robot description (TOML): name, scaling and mapping of its drives."),
-    ],
+    robot: Annotated[Path, robot_file(": name, scaling and mapping of its drives.")],
     count: Annotated[int, typer.Option(min=0, help="Samples to publish; 0: until Ctrl-C.")] = 0,
     speed: Annotated[float, typer.Option(min=1e-3, help="Of a capture: times faster than recorded.")] = 1.0,
     wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for a subscriber before the start (s).")] = 1.0,
@@ -39,9 +36,7 @@ def command(
     from replay.realtime import go_realtime
     from schemas.messages import HealthFlag, Role
     from schemas.robot import load_robot
-    from service.cli.signals import terminate_as_interrupt
 
-    terminate_as_interrupt()
     description = load_robot(robot)
     path = Path(interface)
     is_capture = path.is_file() or path.suffix in (".pcap", ".pcapng")

@@ -7,14 +7,11 @@ from typing import Annotated
 
 import typer
 
-from service.cli.network import Insecure, RosDomain, ZenohConfig
+from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
 
 
 def command(
-    robot: Annotated[
-        Path,
-        typer.Option(metavar="FILE|NAME", help="Robot description (TOML); its name is the robot on the bus."),
-    ],
+    robot: Annotated[Path, robot_file("; its name is the robot on the bus.")],
     host: Annotated[
         str, typer.Option(help="Address to listen on; 0.0.0.0 lets every host in, unchecked.")
     ] = "127.0.0.1",
@@ -47,9 +44,7 @@ def command(
     from drivers.bus import open_bus
     from drivers.view.server import LiveView, run
     from schemas.messages import Role
-    from service.cli.signals import terminate_as_interrupt
 
-    terminate_as_interrupt()
     with (
         open_bus(description.name, Role.OBSERVER, zenoh_config, insecure, ros_domain) as bus,
         LiveView(bus, description, host, port) as view,

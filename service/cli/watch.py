@@ -7,14 +7,11 @@ from typing import Annotated
 
 import typer
 
-from service.cli.network import Insecure, ZenohConfig
-from service.cli.reading import OwnEffects
+from service.cli.options import Insecure, OwnEffects, ZenohConfig, robot_file
 
 
 def command(
-    robot: Annotated[
-        Path, typer.Option(metavar="FILE|NAME", help="Robot description (TOML) that `identify` or `diagnose` wrote.")
-    ],
+    robot: Annotated[Path, robot_file(" that `identify` or `diagnose` wrote.")],
     out: Annotated[
         Path | None, typer.Option(help="Folder for findings and the motion behind them. Default: <robot>-watch.")
     ] = None,

@@ -11,7 +11,6 @@ import argparse
 import threading
 
 import zenoh
-from rich.console import Console
 
 from drivers.bus import open_bus
 from drivers.trace import read_trace
@@ -21,7 +20,8 @@ from replay.realtime import go_realtime
 from schemas.keys import topic_key
 from schemas.messages import FEEDFORWARD, Role
 from schemas.robot import load_robot
-from service.cli.latency import add_ratio, add_trips, echo, estimator, latency_table
+from service.cli.latency import echo, estimator, latency_table, round_trips
+from service.cli.output import console
 from service.cli.signals import terminate_as_interrupt
 
 
@@ -55,10 +55,7 @@ def main() -> None:
     samples = read_trace(LOG, load_robot(ROBOT)).samples()
     answerers = {"callback echo": echo_in_callback, "echo": echo, "estimator": estimator}
     trips = take_turns(answerers, samples, given.rate, given.count, lambda _: None)
-    table = latency_table(given.rate)
-    found = add_trips(table, trips)
-    add_ratio(table, found, "estimator", "echo")
-    Console().print(table)
+    console().print(latency_table(given.rate, round_trips(trips)[1]))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,65 @@
+"""Options that several commands have."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def robot_file(about: str = "") -> Any:
+    """`--robot`. about: what there is to say beside, from the punctuation or space behind `Robot description` on."""
+    return typer.Option(metavar="FILE|NAME", help=f"Robot description (TOML){about}")
+
+
+ColumnsFrom = Annotated[
+    str | None,
+    typer.Option(
+        "--columns",
+        metavar="FILE|NAME",
+        help="Column mapping of a foreign table: a TOML file (`deltatwin import` writes one), or emps, twincat_scope.",
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+OwnEffects = Annotated[
+    Path | None, typer.Option("--effects", metavar="FILE", help="Python file with effects of your own")
+]
+
+# of every command that goes on the bus
+ZenohConfig = Annotated[
+    Path | None,
+    typer.Option(help="Zenoh configuration instead of local sockets; across hosts one that `deltatwin keys` made."),
+]
+Insecure = Annotated[
+    bool, typer.Option("--insecure", help="Take a --zenoh-config with which anybody on the network may speak.")
+]
+RosDomain = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        min=0,
+        max=232,
+        help="Speak as ROS 2 nodes with rmw_zenoh do, in this ROS_DOMAIN_ID, by this host's router; every role alike.",
+    ),
+]
+
+
+class Backend(StrEnum):
+    """Where joblib runs the work."""
+
+    LOKY = "loky"
+    DASK = "dask"
+
+
+# of commands that spread their work over processes or hosts
+Jobs = Annotated[int, typer.Option(min=1, help="Processes on this host")]
+OnBackend = Annotated[Backend, typer.Option(help="joblib backend; dask: install deltatwin[dask]")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Dask scheduler, tcp://host:port, whose workers see the same folders; default: this host",
+    ),
+]
