@@ -68,8 +68,9 @@ def diagnose(
         raise DataError(f"{traces[0].path}: no joint moves")
     progress("fitting the base model")
     problem, floor = pooled.problem_of(recordings)
-    split = Split.of(problem)
-    plain = score(pooled.fit(problem, floor.sample, robot).fitted, split)
+    fitted = pooled.fit(problem, floor.sample, robot).fitted
+    split = Split.fair(problem, fitted)
+    plain = score(fitted, split)
     refuse_wrong_angles(problem, ", ".join(trace.path.name for trace in traces), plain.fitted)
     given = _given(robot, baseline)
     timed = Hypothesis(plain.hypothesis.base, given)

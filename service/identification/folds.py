@@ -7,31 +7,37 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.identification.fit import Fit, Problem
+from service.identification.fit import Fit, Problem, solve
 
 BLOCK = 0.5  # s, of bootstrap and jackknife: longer than the residual remembers
 FOLDS = 4  # where fewer than three traces are given
+TURN = 1.0  # s of a trace in a fold, where folds take turns
+UNEVEN = 8.0  # times the spread that equal traces would be predicted with by each other: logs of one kind have 1.4
 
 
 @dataclass(frozen=True)
 class Split:
-    """Who is left out together. fold, block: a (R,) array a recording; blocks are numbered through."""
+    """Who is left out together. fold, block: a (R,) array a recording; blocks are numbered through. mixed: each fold
+    has parts of each trace."""
 
     fold: list[np.ndarray]
     block: list[np.ndarray]
     folds: int
     blocks: int
+    mixed: bool = False
 
     @classmethod
-    def of(cls, problem: Problem) -> Split:
-        """A trace a fold; with fewer than three traces, contiguous stretches."""
+    def of(cls, problem: Problem, mixed: bool = False) -> Split:
+        """A trace a fold; with fewer than three traces, contiguous stretches. mixed: `TURN` s of each trace in turn."""
         recordings = problem.recordings
         traces = sorted({recording.trace for recording in recordings})
         total = sum(len(target) for target in problem.target)
         folds, blocks, done, first = [], [], 0, 0
         for index, (recording, target) in enumerate(zip(recordings, problem.target, strict=True)):
             count = len(target)
-            if len(traces) >= 3:
+            if mixed:
+                fold = (index + np.arange(count) // round(TURN / (problem.band.period * problem.band.step))) % FOLDS
+            elif len(traces) >= 3:
                 fold = np.full(count, traces.index(recording.trace))
             else:
                 fold = (done + np.arange(count)) * FOLDS // total
@@ -40,7 +46,18 @@ class Split:
             first, done = int(block[-1]) + 1, done + count
             folds.append(_rows(problem, index, fold))
             blocks.append(_rows(problem, index, block))
-        return cls(folds, blocks, len(traces) if len(traces) >= 3 else FOLDS, first)
+        return cls(folds, blocks, len(traces) if len(traces) >= 3 and not mixed else FOLDS, first, mixed)
+
+    @classmethod
+    def fair(cls, problem: Problem, fitted: Fit) -> Split:
+        """The same; mixed where the traces say so unequal things that one, left out, would show how far the others
+        reach and not how good a model is: slow production tells little of a fast run. fitted: any model."""
+        split = cls.of(problem)
+        grams, _ = normal_equations(fitted.moving, fitted.residuals, split)
+        total = np.asarray(sum(grams))
+        even = len(total) * split.folds / (split.folds - 1)
+        spread = sum(float(np.trace(solve(total - gram, gram))) for gram in grams)
+        return cls.of(problem, mixed=True) if spread > UNEVEN * even else split
 
 
 def _rows(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:

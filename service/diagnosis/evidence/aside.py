@@ -57,7 +57,7 @@ class Quiet:
         quiet = replace(whole, rows=[mask & (level <= limit) for mask, level in zip(whole.rows, levels, strict=True)])
         every, quiet_rows = np.sum(rows, axis=0), np.sum([mask.sum(axis=0) for mask in quiet.rows], axis=0)
         kept = np.where(every > 0, quiet_rows / np.maximum(every, 1), 1.0)  # of a joint at rest nothing is set aside
-        return cls(whole, split, quiet, Split.of(quiet), kept, limit)
+        return cls(whole, split, quiet, Split.of(quiet, split.mixed), kept, limit)
 
     def allows(self, effect: Effect, joint: int) -> bool:
         """Whether `effect` may be looked for on `joint`."""

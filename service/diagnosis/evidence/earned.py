@@ -46,7 +46,7 @@ def earned(
             refits[effect] = without = _without(problem, split, selection, best, effect)
             caution = (
                 _open(best, split, effect)
-                or _varies(problem, split, best, effect)
+                or _varies(problem, best, effect)
                 or _carries_over(problem, split, best, without, effect, kept_out)
                 or (_rivalled(selection, split, problem.count, best, effect) if far else None)
             )
@@ -112,9 +112,10 @@ def _open(best: Scored, split: Split, effect: Effect) -> Caution | None:
     return _fell("left_open", effect, best)
 
 
-def _varies(problem: Problem, split: Split, best: Scored, effect: Effect) -> Caution | None:
+def _varies(problem: Problem, best: Scored, effect: Effect) -> Caution | None:
     """Said of an effect whose figures one run alone would have otherwise, all other parameters left as they are."""
     runs = {recording.trace: recording.name for recording in problem.recordings}
+    split = Split.of(problem)
     if len(runs) != split.folds:  # stretches of one or two runs
         return None
     names = [runs[trace] for trace in sorted(runs)]

@@ -61,6 +61,29 @@ def test_two_traces_are_cut_into_four_stretches():
         np.testing.assert_array_equal(split.fold[number], expected)
 
 
+def test_traces_that_tell_unequal_things_share_every_fold():
+    slow = [course(seed, 3.0, 0.06, 1.0, 3.0) for seed in (1, 2)]
+    for fast, mixed in ((course(3, 3.0, 0.06, 1.0, 3.0), False), (course(3, 5.0), True)):
+        runs = [*slow, fast]
+        torques = [run.torque + 0.3 * RANDOM(7).standard_normal(run.torque.shape) for run in runs]
+        logs = problem(runs, torques)
+        fitted = fit(logs, Hypothesis(BASE))
+        split = Split.fair(logs, fitted)
+        assert split.mixed == mixed
+        given = np.concatenate(split.fold)
+        assert len(given) == logs.count
+        if not mixed:
+            np.testing.assert_array_equal(given, np.concatenate(Split.of(logs).fold))
+            continue
+        for number, fold in enumerate(split.fold):
+            _, place = logs.rows[number].T.nonzero()
+            np.testing.assert_array_equal(fold, (number + place // 200) % 4)  # a second a turn
+        # the truth is left with its noise; a trace a fold, it would be off by what slow runs leave open
+        whole, apart = (selection.score(fitted, one).loss / logs.count for one in (split, Split.of(logs)))
+        assert whole < 1.05
+        assert apart > 1.2
+
+
 def test_held_out_residuals_are_those_of_refits():
     random = RANDOM(1)
     columns = [random.standard_normal((50, 4)) for _ in range(3)]
