@@ -44,7 +44,7 @@ def command(
     """
     from schemas.files import make_folder, write_text
     from service.rollout.document import document, sentences, write_rollout
-    from service.rollout.gap import PLAIN, check_sign, rollout
+    from service.rollout.gap import PLAIN, check_sign, cut_up, rollout
 
     robots = _robots(robot, effects)
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
@@ -56,10 +56,11 @@ def command(
 
         # the sign of the torque is asked for with the torque going in, whatever goes in afterwards
         driven = {last: robots[last]} if commands else robots
-        found = rollout(driven, recorded, horizon, told)
-        check_sign(robots[last], recorded, found)
+        cuts = cut_up(robots, recorded, horizon)
+        found = rollout(driven, cuts, told)
+        check_sign(robots[last], cuts, found)
         if commands:
-            found = rollout(robots, recorded, horizon, told, commands)
+            found = rollout(robots, cuts, told, commands)
     result = document(found, robots, [trace.name for trace in recorded])
     if out is not None:
         make_folder(out)

@@ -22,17 +22,6 @@ class DriveGains(NamedTuple):
     peak: float
 
 
-class Runs(NamedTuple):
-    """start: (W, 5, 3). command: (W, S, 3, 3). torque: (W, 3) N m that the drives give at the start. payload: (W,)
-    kg. seconds: (W,)."""
-
-    start: np.ndarray
-    command: np.ndarray
-    torque: np.ndarray
-    payload: np.ndarray
-    seconds: np.ndarray
-
-
 @kernel
 def _drive(gains, state, command, later, integral, i):
     """Torque of drive i and its push, N m, `later` s after a sample's command (3, 3)."""
@@ -44,21 +33,22 @@ def _drive(gains, state, command, later, integral, i):
 
 
 @kernel(nogil=True)
-def follow_kernel(forward, scratch, gains, runs, period, substeps, motor, pushed):
-    """W `Runs` of S samples, as `run_kernel`, whose torque the drives make. Filled: motor, pushed (W, S, 3)."""
+def follow_kernel(forward, scratch, gains, runs, command, pace, motor, pushed):
+    """As `run_kernel`, with torque that the drives make. command: (W, S, 3, 3) angle, speed, acceleration. Filled:
+    motor, pushed (W, S, 3)."""
     f, s = forward[0], scratch[0]
-    start, command, torque = runs.start, runs.command, runs.torque
+    period, substeps = pace.period, pace.substeps
     h = period / substeps
     integral = np.zeros(3)
     count = command.shape[1]
-    for w in range(len(start)):
-        set_out_kernel(s, start[w], runs.payload[w])
+    for w in range(len(runs.start)):
+        set_out_kernel(s, runs.start[w], runs.payload[w])
         for i in range(3):
             integral[i] = 0.0
-            integral[i] = torque[w, i] - _drive(gains, s.state, command[w, 0], 0.0, integral, i)[0]
+            integral[i] = runs.torque[w, 0, i] - _drive(gains, s.state, command[w, 0], 0.0, integral, i)[0]
         sound = True
         for k in range(count):
-            sound &= near_kernel(s, start[w])
+            sound &= near_kernel(s, runs.start[w])
             for i in range(3):
                 free, _ = _drive(gains, s.state, command[w, k], 0.0, integral, i)
                 motor[w, k, i] = s.state[2, i] if sound else np.nan

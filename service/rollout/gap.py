@@ -17,22 +17,22 @@ import numpy as np
 
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError, NoWindowError, PoseError, TraceError
-from schemas.robot import Robot, Servo
+from schemas.robot import Identified, Robot, Servo
 from schemas.trace import Trace
 from service.estimator.bounds import bounds_of
 from service.identification.noise import white_noise
 from service.identification.payload import carried
 from service.identification.pooled import SAME_RATE
 from service.model import kinematics
-from service.model.description import hypothesis_of
+from service.model.description import base_of, hypothesis_of
 from service.model.dynamics import REST_SPEED
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel
 from service.model.scene import Recording
 from service.model.signals import EDGE, Segment, segments, smooth
 from service.model.torque import predict
-from service.rollout.cascade import DriveGains, Runs
-from service.rollout.kernel import LONGEST_STEP, SCRATCH, run_kernel
+from service.rollout.cascade import DriveGains
+from service.rollout.kernel import SCRATCH, Pace, Runs, run_kernel
 from service.rollout.robot import Stretch, stretch
 from service.rollout.servo import commands_of, follow, gains_of, identified
 
@@ -111,8 +111,19 @@ class Windows:
         part, clock, period = self.cut(torque), self.segment.time[self.starts], self.segment.period
         if self.command is None or self.gains is None:
             return simulate(seen, start, part, clock, period, self.payload), part
-        runs = Runs(start, self.cut(self.command), np.ascontiguousarray(part[:, 0]), self.payload, clock)
-        return follow(seen, self.gains, runs, period)
+        return follow(seen, self.gains, Runs(start, part, self.payload, clock), self.cut(self.command), period)
+
+
+@dataclass(frozen=True)
+class Cuts:
+    """Logs in windows, a part without a fault each. period, horizon: s. untold: s left out as it could not be told what
+    is carried. seconds: of the logs."""
+
+    parts: list[tuple[Trace, Windows]]
+    period: float
+    horizon: float
+    untold: float
+    seconds: float
 
 
 @dataclass(frozen=True)
@@ -149,32 +160,25 @@ def plain(robot: Robot) -> Robot:
 
 
 def rollout(
-    robots: dict[str, Robot],
-    traces: Sequence[Trace],
-    horizon: float = HORIZON,
-    progress: Callable[[str], None] = lambda _: None,
-    commands: bool = False,
+    robots: dict[str, Robot], cuts: Cuts, progress: Callable[[str], None] = lambda _: None, commands: bool = False
 ) -> Rollout:
-    """Simulate the robots, by name, over `traces`; the floor is the last one's. progress: told what is at hand.
+    """Simulate the robots, by name, over `cuts`; the floor is the last one's. The instant at which torque was sampled
+    is of the recording: all have it as the last one has. progress: told what is at hand.
 
     commands: the recorded position commands go in, not the torque, through the drives that the last robot's description
     has in [servo], or else those that the logs show.
 
     Raises:
-        NoWindowError: no window of the horizon moves.
-        DataError: the horizon makes no sense, or logs of several rates; without commands, or with torque that does not
-            follow them.
-        TraceError: a trace without a usable part, or with positions that are no pose, naming the file.
-        RobotError: an effect that is not known.
+        DataError: with commands that the logs do not hold, or torque that does not follow them.
+        TraceError: positions that are no pose, naming the file. RobotError: an effect that is not known.
     """
-    given = list(robots.values())[-1]
-    parts, untold = _cut_up(given, traces, horizon)
+    given, parts = list(robots.values())[-1], cuts.parts
     windows = [cut for _, cut in parts]
-    count = sum(len(cut.starts) for cut in windows)
-    if not count:
-        why = f" and it can be told what is carried (not for {untold:.3g} s)" if untold else ""
-        raise NoWindowError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves{why}")
-    period, samples = windows[0].segment.period, windows[0].samples
+    clock = {"torque_timing_s": base_of(given.identified).timing}
+    robots = {
+        name: robot.model_copy(update={"identified": (robot.identified or Identified()).model_copy(update=clock)})
+        for name, robot in robots.items()
+    }
     servo = None
     if commands:
         servo = given.servo or identified(
@@ -189,8 +193,6 @@ def rollout(
         last = name == list(robots)[-1]
         of_parts, of_floor = [], []
         for trace, cut in parts:
-            if not len(cut.starts):
-                continue
             progress(f"{name}, {trace.name}")
             try:
                 seen = stretch(robot, cut.segment, trace.position[cut.segment.rows])
@@ -206,22 +208,28 @@ def rollout(
             floor = _joined("floor", of_floor)
     assert floor is not None
     return Rollout(
-        period=period,
-        horizon=(samples - 1) * period,
+        period=cuts.period,
+        horizon=cuts.horizon,
         deviations=tuple(deviations),
         floor=floor,
-        regime=np.concatenate([_regimes(cut.segment, cut.starts, samples) for cut in windows]),
+        regime=np.concatenate([_regimes(cut) for cut in windows]),
         runs=tuple(trace.name for trace, cut in parts for _ in cut.starts),
         payload=np.concatenate([cut.payload for cut in windows]),
-        untold=untold,
-        seconds=float(sum(len(trace) * period for trace in traces)),
-        used=count * horizon,
+        untold=cuts.untold,
+        seconds=cuts.seconds,
+        used=sum(len(cut.starts) for cut in windows) * cuts.horizon,
         servo=servo,
     )
 
 
-def _cut_up(robot: Robot, traces: Sequence[Trace], horizon: float) -> tuple[list[tuple[Trace, Windows]], float]:
-    """Windows of parts without a fault, and for how many s `robot` cannot tell what is carried."""
+def cut_up(robots: dict[str, Robot], traces: Sequence[Trace], horizon: float = HORIZON) -> Cuts:
+    """Windows of `horizon` s in which a joint moves and what is carried stays, by the last of `robots`.
+
+    Raises:
+        NoWindowError: there is none. DataError: the horizon makes no sense, or logs of several rates.
+        TraceError: a trace without a usable part, naming the file.
+    """
+    robot = list(robots.values())[-1]
     if not SHORTEST <= horizon <= LONGEST:
         raise DataError(f"horizon of {horizon:g} s: must be {SHORTEST:g} to {LONGEST:g} s")
     parts = [(trace, segment) for trace in traces for segment in segments(trace)]
@@ -237,8 +245,13 @@ def _cut_up(robot: Robot, traces: Sequence[Trace], horizon: float) -> tuple[list
         mass = masses[id(trace)][segment.rows]
         starts = _windows(segment, samples, mass)
         untold += period * int(np.sum(np.isnan(mass)))
-        result.append((trace, Windows(segment, starts, samples, mass[starts])))
-    return result, untold
+        if len(starts):
+            result.append((trace, Windows(segment, starts, samples, mass[starts])))
+    if not result:
+        why = f" and it can be told what is carried (not for {untold:.3g} s)" if untold else ""
+        raise NoWindowError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves{why}")
+    seconds = float(sum(len(trace) * period for trace in traces))
+    return Cuts(result, period, (samples - 1) * period, untold, seconds)
 
 
 def _windows(segment: Segment, samples: int, mass: np.ndarray) -> np.ndarray:
@@ -250,8 +263,9 @@ def _windows(segment: Segment, samples: int, mass: np.ndarray) -> np.ndarray:
     return np.array([at for at in starts if segment.moving[at : at + samples].any()], np.int64)
 
 
-def _regimes(segment: Segment, starts: np.ndarray, samples: int) -> np.ndarray:
+def _regimes(cut: Windows) -> np.ndarray:
     """(W, 3) index into `REGIMES`."""
+    segment, starts, samples = cut.segment, cut.starts, cut.samples
     usual = np.sqrt(np.mean(segment.theta_dot**2, axis=0))
     result = np.empty((len(starts), 3), np.int64)
     for number, at in enumerate(starts):
@@ -276,10 +290,9 @@ def simulate(
     clock: (W,) s. payload: (W,) kg, None: nothing is carried.
     """
     payload = np.zeros(len(start)) if payload is None else payload
-    substeps = max(1, int(np.ceil(period / LONGEST_STEP - 1e-6)))
     motor, motor_dot = np.empty(torque.shape), np.empty(torque.shape)
-    start, torque = np.ascontiguousarray(start), np.ascontiguousarray(torque)
-    run_kernel(seen.forward, np.zeros(1, SCRATCH), start, torque, payload, clock, period, substeps, motor, motor_dot)
+    runs = Runs(np.ascontiguousarray(start), np.ascontiguousarray(torque), payload, clock)
+    run_kernel(seen.forward, np.zeros(1, SCRATCH), runs, Pace.of(period), motor, motor_dot)
     return seen.measured(motor)
 
 
@@ -351,7 +364,7 @@ def _joined(name: str, deviations: Sequence[Deviation]) -> Deviation:
     )
 
 
-def check_sign(robot: Robot, traces: Sequence[Trace], found: Rollout) -> None:
+def check_sign(robot: Robot, cuts: Cuts, found: Rollout) -> None:
     """See whether the last deviation of `found`, which is `robot`'s, runs away because of a torque's sign.
 
     Raises:
@@ -361,15 +374,14 @@ def check_sign(robot: Robot, traces: Sequence[Trace], found: Rollout) -> None:
     deviation = found.deviations[-1]
     if deviation.good.all() and deviation.platform_mm < deviation.path_mm:
         return
-    parts, _ = _cut_up(robot, traces, found.horizon)
+    parts = cuts.parts
     best, error = None, _typical(deviation)
     for signs in ((-1, -1, -1), (-1, 1, 1), (1, -1, 1), (1, 1, -1), (-1, -1, 1), (-1, 1, -1), (1, -1, -1)):
         turned = []
         for trace, cut in parts:
-            if len(cut.starts):
-                other = replace(cut.segment, torque=cut.segment.torque * signs)
-                seen = stretch(robot, other, trace.position[other.rows])
-                turned.append(_deviation("", seen, replace(cut, segment=other)))
+            other = replace(cut.segment, torque=cut.segment.torque * signs)
+            seen = stretch(robot, other, trace.position[other.rows])
+            turned.append(_deviation("", seen, replace(cut, segment=other)))
         left = _typical(_joined("", turned))
         if left < TURNED * error:
             best, error = signs, left

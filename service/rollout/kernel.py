@@ -11,6 +11,7 @@ angle is measured, and the rigid body on the link.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -95,6 +96,29 @@ SCRATCH = np.dtype(
     ],
     align=True,
 )
+
+
+class Runs(NamedTuple):
+    """W runs of S samples. start: (W, 5, 3) link, link speed, motor, motor speed, bristles. torque: (W, S, 3) N m at
+    the joints, straight between samples; drives, where there are any, begin with the first. payload: (W,) kg. seconds:
+    (W,) of the log's clock at the start."""
+
+    start: np.ndarray
+    torque: np.ndarray
+    payload: np.ndarray
+    seconds: np.ndarray
+
+
+class Pace(NamedTuple):
+    """period: s between samples. substeps: of each."""
+
+    period: float
+    substeps: int
+
+    @classmethod
+    def of(cls, period: float) -> Pace:
+        """No step longer than `LONGEST_STEP`."""
+        return cls(period, max(1, int(np.ceil(period / LONGEST_STEP - 1e-6))))
 
 
 @_compiled
@@ -356,21 +380,20 @@ def near_kernel(s, start):
 
 
 @_compiled
-def run_kernel(forward, scratch, start, torque, payload, seconds, period, substeps, motor, motor_dot):
-    """W runs of S samples each from their own start.
+def run_kernel(forward, scratch, runs, pace, motor, motor_dot):
+    """`Runs`, each from its own start.
 
-    forward, scratch: one record each. start: (W, 5, 3) link, link speed, motor, motor speed, bristles. torque:
-    (W, S, 3) N m at the joints, straight between samples. payload: (W,) kg. seconds: (W,) of the log's clock at the
-    start. Filled: motor, motor_dot (W, S, 3), NaN from where a run left the workspace.
+    forward, scratch: one record each. Filled: motor, motor_dot (W, S, 3), NaN from where a run left the workspace.
     """
-    f, s = forward[0], scratch[0]
+    f, s, torque = forward[0], scratch[0], runs.torque
+    period, substeps = pace.period, pace.substeps
     h = period / substeps
     count = torque.shape[1]
-    for w in range(len(start)):
-        set_out_kernel(s, start[w], payload[w])
+    for w in range(len(runs.start)):
+        set_out_kernel(s, runs.start[w], runs.payload[w])
         sound = True
         for k in range(count):
-            sound &= near_kernel(s, start[w])
+            sound &= near_kernel(s, runs.start[w])
             for i in range(3):
                 motor[w, k, i] = s.state[2, i] if sound else np.nan
                 motor_dot[w, k, i] = s.state[3, i] if sound else np.nan
@@ -381,6 +404,6 @@ def run_kernel(forward, scratch, start, torque, payload, seconds, period, subste
                     change = torque[w, k + 1, i] - torque[w, k, i]
                     s.before[i] = torque[w, k, i] + change * part / substeps
                     s.after[i] = torque[w, k, i] + change * (part + 1) / substeps
-                sound = step_kernel(f, s, seconds[w] + k * period + part * h, h) == REACHED
+                sound = step_kernel(f, s, runs.seconds[w] + k * period + part * h, h) == REACHED
                 if not sound:
                     break

@@ -19,8 +19,8 @@ from schemas.robot import Servo
 from schemas.trace import Trace
 from service.identification.fit import solve
 from service.model.signals import Band, Segment
-from service.rollout.cascade import DriveGains, Runs, follow_kernel
-from service.rollout.kernel import LONGEST_STEP, SCRATCH
+from service.rollout.cascade import DriveGains, follow_kernel
+from service.rollout.kernel import SCRATCH, Pace, Runs
 from service.rollout.robot import Stretch
 
 MOST_LEFT = 0.3  # of the torque's rms that a drive's law may leave to be believed
@@ -96,9 +96,13 @@ def identified(parts: Sequence[tuple[Trace, Segment, Stretch]]) -> Servo:
     )
 
 
-def follow(seen: Stretch, gains: DriveGains, runs: Runs, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Angles that the encoders give, rad, and torque, N m, (W, S, 3) each, NaN once a run ends."""
-    substeps = max(1, int(np.ceil(period / LONGEST_STEP - 1e-6)))
-    motor, pushed = np.empty(runs.command[:, :, 0].shape), np.empty(runs.command[:, :, 0].shape)
-    follow_kernel(seen.forward, np.zeros(1, SCRATCH), gains, runs, period, substeps, motor, pushed)
+def follow(
+    seen: Stretch, gains: DriveGains, runs: Runs, command: np.ndarray, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angles that the encoders give, rad, and torque, N m, (W, S, 3) each, NaN once a run ends.
+
+    command: (W, S, 3, 3) angle, speed, acceleration.
+    """
+    motor, pushed = np.empty(runs.torque.shape), np.empty(runs.torque.shape)
+    follow_kernel(seen.forward, np.zeros(1, SCRATCH), gains, runs, command, Pace.of(period), motor, pushed)
     return seen.measured(motor), pushed

@@ -2,6 +2,7 @@
 
     python -m tests.bench.soak --minutes 60 --rate 1000
     python -m tests.bench.soak --minutes 3 --rate 1000 --view     # beside `view` and a client that takes all it shows
+    python -m tests.bench.soak --minutes 3 --rate 1000 --watch    # beside `watch`, which finds friction to diagnose
 
 A row a minute, and at the end (or at Ctrl-C) the table as markdown, with what the recording holds of what was sent.
 Lateness is the player's, latency the estimator's, from a sample's arrival to the sending of its answer; both are
@@ -43,6 +44,7 @@ COMMAND = Path(sys.executable).with_name("deltatwin")
 ROW_S = 60.0
 POLL_S = 0.1
 START_S = 300.0  # a role that compiles its kernels on a busy host takes a minute
+RUBS, TURNS = np.array([3.0, 0.0, 0.0]), 0.05  # N m, rad/s
 ROLES = {"player": Role.PLAYER, "estimator": Role.ESTIMATOR, "monitor": Role.MONITOR}
 HEADINGS = (
     "min", *(f"{role} {what}" for role in ROLES for what in ("RSS MiB", "fds", "CPU %")),
@@ -71,7 +73,7 @@ def usage(process: int) -> Usage:
 
 
 def lay_out(folder: Path, rate: float) -> None:
-    """The demo robot under a name of its own, and its log at `rate`."""
+    """The demo robot under a name of its own, its log at `rate`, and the same with a friction it did not have."""
     robot = load_robot(ROBOT).model_copy(update={"name": "soak"})
     save_robot(robot, folder / "robot.toml")
     log = read_trace(LOG, robot)
@@ -81,9 +83,10 @@ def lay_out(folder: Path, rate: float) -> None:
         CubicSpline(log.time - log.time[0], values)(instants)
         for values in (log.position, log.torque, log.position_command)
     )
-    write_trace(
-        Trace(Path("soak"), instants, position, torque, position_command=command), folder / "log.mcap", robot.name
-    )
+    rubbing = torque + RUBS * np.tanh(np.gradient(position, 1.0 / rate, axis=0) / TURNS)
+    for name, felt in (("log", torque), ("rubbing", rubbing)):
+        trace = Trace(Path("soak"), instants, position, felt, position_command=command)
+        write_trace(trace, folder / f"{name}.mcap", robot.name)
 
 
 class Soak:
@@ -100,12 +103,16 @@ class Soak:
         self._counted = {"lost": 0, "late": 0}
         self._shown = multiprocessing.get_context("spawn").Value("q", 0)
 
-    def start(self, rate: float, view: bool) -> None:
-        """Monitor and estimator, and when they are there the player, with `view` and its client beside them."""
+    def start(self, rate: float, view: bool, watch: bool) -> None:
+        """Monitor and estimator, and when they are there the player, with `view` and its client or `watch` beside."""
         robot = ["--robot", self._folder / "robot.toml"]
         self._launch("monitor", "monitor", *robot, "--out", self._folder / "run.mcap")
         self._launch("estimator", "estimate", *robot)
         wanted = {Role.MONITOR, Role.ESTIMATOR}
+        if watch:
+            known = ["--reference", self._folder / "log.mcap", "--out", self._folder / "findings"]
+            self._launch("watch", "watch", *robot, *known)
+            wanted |= {Role.WATCH}
         give_up = time.monotonic() + START_S
         while not wanted <= self._bus.alive:
             if time.monotonic() > give_up:
@@ -121,7 +128,8 @@ class Soak:
                 target=look, args=(found[0], self._shown), daemon=True
             )
             client.start()
-        self._launch("player", "replay", self._folder / "log.mcap", *robot, "--loop", "0", "--rate", str(rate))
+        played = self._folder / ("rubbing.mcap" if watch else "log.mcap")
+        self._launch("player", "replay", played, *robot, "--loop", "0", "--rate", str(rate))
         self._at = time.monotonic()
         self._before = {name: usage(process.pid) for name, process in self.processes.items()}
 
@@ -168,7 +176,7 @@ class Soak:
 
     def stop(self) -> str:
         """End the roles one after the other; what was sent and what of it is in the file."""
-        for name in ("player", "estimator", "monitor", "view"):
+        for name in ("player", "estimator", "monitor", "view", "watch"):
             process = self.processes.get(name)
             if process is not None and process.poll() is None:
                 process.send_signal(signal.SIGINT)
@@ -191,6 +199,7 @@ class Soak:
             f"sent {said[1]} samples; the recording ({size:.2f} GB) holds "
             + ", ".join(f"{count} {topic}" for topic, count in sorted(held.items(), key=lambda item: -item[1]))
             + (f"; the view's client took {self._shown.value} messages" if "view" in self.processes else "")
+            + (f"\n\n{(self._folder / 'watch.txt').read_text()}" if "watch" in self.processes else "")
         )
 
 
@@ -217,7 +226,9 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--minutes", type=float, default=10.0)
     arguments.add_argument("--rate", type=float, default=1000.0, help="samples a second")
-    arguments.add_argument("--view", action="store_true", help="beside a view and a client that takes all it shows")
+    beside = arguments.add_mutually_exclusive_group()  # one of them, as this is the other one on the bus
+    beside.add_argument("--view", action="store_true", help="beside a view and a client that takes all it shows")
+    beside.add_argument("--watch", action="store_true", help="beside a watch, on a robot with a friction to find")
     given = arguments.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -226,10 +237,10 @@ def main() -> None:
         os.environ["XDG_RUNTIME_DIR"] = name
         folder = Path(name)
         lay_out(folder, given.rate)
-        with open_bus("soak", Role.WATCH) as bus:  # a view is the observer
+        with open_bus("soak", Role.OBSERVER if given.watch else Role.WATCH) as bus:  # a view is the observer
             soak = Soak(folder, bus)
             try:
-                soak.start(given.rate, given.view)
+                soak.start(given.rate, given.view, given.watch)
                 begin = time.monotonic()
                 print(line(HEADINGS), line(["---"] * len(HEADINGS)), sep="\n", flush=True)
                 while time.monotonic() - begin < 60 * given.minutes:

@@ -22,7 +22,7 @@ from service.model.parameters import Parameters
 from service.model.scene import Recording
 from service.model.signals import Band, segments, thin
 from service.rollout.document import reached
-from service.rollout.gap import rollout
+from service.rollout.gap import cut_up, rollout
 from service.rollout.robot import left_out
 
 
@@ -75,7 +75,7 @@ def _simulated(findings: Findings, trace: Trace) -> Simulated | None:
     for name, hypothesis in (("before", findings.reference), ("after", findings.best.hypothesis)):
         robots[name] = described(robot, hypothesis, np.zeros(len(Parameters(hypothesis).values)), findings.noise)
     try:
-        found = rollout(robots, [trace])
+        found = rollout(robots, cut_up(robots, [trace]))
     except NoWindowError:  # there is nothing to simulate
         return None
     before, after, floor = (reached(deviation) for deviation in (*found.deviations, found.floor))

@@ -14,9 +14,9 @@ from schemas.errors import DataError
 from schemas.messages import Gripper, SampleFlag
 from schemas.robot import Robot, Servo
 from schemas.trace import Trace
-from service.rollout.cascade import Runs
 from service.rollout.document import document, sentences
-from service.rollout.gap import PLAIN, plain, rollout
+from service.rollout.gap import PLAIN, cut_up, plain, rollout
+from service.rollout.kernel import Runs
 from service.rollout.robot import stretch
 from service.rollout.servo import commands_of, follow, gains_of
 from tests.service.subject import Hypothesis, described, segments
@@ -58,7 +58,7 @@ def known() -> Robot:
 
 def test_the_drives_are_found_and_the_known_robot_follows_as_the_real_one_does(plant: Plant, trace: Trace) -> None:
     robots = {PLAIN: plain(ROBOT), "known": known()}
-    found = rollout(robots, [trace], commands=True)
+    found = rollout(robots, cut_up(robots, [trace]), commands=True)
     servo = found.servo
     assert servo is not None
     np.testing.assert_allclose(servo.velocity_gain_nms, plant.tuning.velocity_gain, rtol=0.1)
@@ -76,7 +76,7 @@ def test_the_drives_are_found_and_the_known_robot_follows_as_the_real_one_does(p
 def test_described_drives_are_taken_as_they_are(trace: Trace) -> None:
     soft = Servo(position_gain_ps=[5.0] * 3, velocity_gain_nms=[2.0] * 3)
     robots = {"soft": known().model_copy(update={"servo": soft})}
-    found = rollout(robots, [trace], commands=True)
+    found = rollout(robots, cut_up(robots, [trace]), commands=True)
     assert found.servo == soft
     assert found.deviations[0].platform_mm > 1.0  # drives as weak as these do not hold the course
 
@@ -84,14 +84,14 @@ def test_described_drives_are_taken_as_they_are(trace: Trace) -> None:
 def test_a_log_without_commands_or_whose_torque_does_not_follow_them_is_refused(trace: Trace) -> None:
     robots = {"known": known()}
     with pytest.raises(DataError, match="log: holds no position commands"):
-        rollout(robots, [replace(trace, position_command=None)], commands=True)
+        rollout(robots, cut_up(robots, [replace(trace, position_command=None)]), commands=True)
     assert trace.position_command is not None
     holed = trace.position_command.copy()
     holed[700, 1] = np.nan
     with pytest.raises(DataError, match="row 701: no position command of joint 2"):
-        rollout(robots, [replace(trace, position_command=holed)], commands=True)
+        rollout(robots, cut_up(robots, [replace(trace, position_command=holed)]), commands=True)
     with pytest.raises(DataError, match=r"torque of joint 1 does not follow .* describe the drives in \[servo\]"):
-        rollout(robots, [replace(trace, position_command=trace.position.copy())], commands=True)
+        rollout(robots, cut_up(robots, [replace(trace, position_command=trace.position.copy())]), commands=True)
 
 
 def test_the_drives_begin_with_the_torque_that_there_is_and_hold_no_more_than_their_peak(trace: Trace) -> None:
@@ -101,12 +101,13 @@ def test_the_drives_begin_with_the_torque_that_there_is_and_hold_no_more_than_th
     command = commands_of(trace, segment)
     begin, length = np.array([300, 700, 1100]), 80
     windows = np.stack([command[row : row + length] for row in begin])
-    given = segment.torque[begin]
+    driven = np.stack([segment.torque[row : row + length] for row in begin])
+    given = driven[:, 0]
     described = Servo(position_gain_ps=[30.0] * 3, velocity_gain_nms=[20.0] * 3, integral_time_s=[0.05] * 3)
     for peak in (250.0, 8.0):
         gains = gains_of(described.model_copy(update={"peak_torque_nm": peak}), 1.0)
-        runs = Runs(seen.start[begin], windows, given, np.zeros(3), segment.time[begin] - segment.time[0])
-        motor, torque = follow(seen, gains, runs, segment.period)
+        runs = Runs(seen.start[begin], driven, np.zeros(3), segment.time[begin] - segment.time[0])
+        motor, torque = follow(seen, gains, runs, windows, segment.period)
         np.testing.assert_array_equal(motor[:, 0], seen.start[begin, 2])
         np.testing.assert_allclose(torque[:, 0], np.clip(given, -peak, peak), atol=1e-9)
         assert np.abs(torque).max() <= peak
@@ -125,7 +126,7 @@ def carrying(plant: Plant) -> tuple[Trace, tuple[Payload, ...]]:
 def test_what_the_log_says_is_carried_hangs_on_the_simulated_robot(carrying, commands: bool) -> None:
     trace, picks = carrying
     robots = {PLAIN: plain(ROBOT), "known": known()}
-    found = rollout(robots, [trace], 0.1, commands=commands)
+    found = rollout(robots, cut_up(robots, [trace], 0.1), commands=commands)
     loaded = found.payload > 0.5
     assert min(loaded.sum(), (~loaded).sum()) >= 4
     np.testing.assert_allclose(found.payload[loaded], MASS, rtol=0.03)
@@ -150,12 +151,12 @@ def test_what_cannot_be_weighed_is_not_simulated(carrying) -> None:
     clock = trace.time[:, None] - trace.time[0]
     held = ((clock >= [pick.pick for pick in picks]) & (clock < [pick.release for pick in picks])).any(axis=1)
     drawn = {"drawn": plain(ROBOT)}
-    blind = rollout(drawn, [trace])
+    blind = rollout(drawn, cut_up(drawn, [trace]))
     assert blind.untold == 0.0
     assert not blind.payload.any()
     gripping = replace(trace, gripper=np.where(held, Gripper.CLOSED, Gripper.OPEN).astype(np.uint32))
     flagged = replace(trace, flags=trace.flags | (held * np.uint32(SampleFlag.LOADED)))
     for told in (gripping, flagged):
-        found = rollout(drawn, [told])
+        found = rollout(drawn, cut_up(drawn, [told]))
         assert found.untold > 1.0
         assert len(found.runs) < 0.7 * len(blind.runs)
