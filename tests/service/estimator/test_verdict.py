@@ -1,0 +1,212 @@
+"""What is said of a mass, rule by rule, each just inside and just outside of it."""
+
+import numpy as np
+import pytest
+
+from schemas.messages import Gripper, PayloadEvent
+from service.estimator.payload import verdict
+from service.estimator.payload.state import COLOUR, LOADS, STATE, settings, start
+
+PERIOD, DRIFT = 1e-3, np.array([0.6, 0.2, 0.15] * 3)
+SETTINGS = settings(PERIOD, DRIFT, 6.0, 0.3 * np.ones(3), np.ones(3))[()]
+NONE, PICK, RELEASE = PayloadEvent.NONE, PayloadEvent.PICK, PayloadEvent.RELEASE
+TORQUE_SHARE = 0.03
+
+
+def believing(mass, std_dev, **fields):
+    """A state that has known `mass` for long; std_dev: kg, by its information."""
+    states = np.zeros(1, STATE)
+    start(states, DRIFT)
+    (state,) = states
+    state["information"][0, 0], state["moment"][0] = std_dev**-2, mass * std_dev**-2
+    state["load"], state["load_std"], state["untold"], state["quiet"] = mass, 0.0, 0.0, 100_000
+    state["last_event"] = PICK
+    for name, value in fields.items():
+        state[name] = value
+    state["raw_information"] = std_dev**-2 * state["inflation"]
+    return state
+
+
+def told(state, times=1):
+    for _ in range(times):
+        event = verdict.conclude(SETTINGS, state)
+    return event
+
+
+@pytest.mark.parametrize("active", [1, LOADS])
+@pytest.mark.parametrize("worse", [1.0, 2.0], ids=["as ever", "no longer fits"])
+@pytest.mark.parametrize("excess", [0.9, 0.0])
+def test_the_error_of_a_mass_is_all_that_is_not_known_of_it(active, worse, excess):
+    random, state = np.random.default_rng(1), believing(2.0, 0.02, hidden=0.03**2, inflation=1.25)
+    columns = 3.0 * random.standard_normal((60, active))
+    information, drag = columns.T @ columns, columns.T @ random.standard_normal((60, 9))
+    root = 0.05 * random.standard_normal((9, 9))
+    state["active"], state["friction"]["covariance"], state["friction"]["delta"] = active, root @ root.T, root[0]
+    state["information"][:active, :active], state["drag"][:active] = information, drag
+    state["moment"][:active] = information @ np.array([2.0, 0.03, -0.02])[:active] + drag @ root[0]
+    state["raw_information"] = information[0, 0] * 1.25 / (worse if worse > 1.0 else 0.3)
+    state["excess"], state["judged"], state["leverage"] = excess, 0.6, 400.0
+    assert told(state) == NONE
+    inverse = np.linalg.inv(information)
+    bias = 0.5**2 * (SETTINGS["model_error"] + max(excess / 0.6, 0.25 / COLOUR)) * 0.6 / 400.0
+    doubt = inverse[0] @ drag @ root
+    assert state["mass"] == pytest.approx(2.0)
+    assert state["bias"] == pytest.approx(bias)
+    square = worse * inverse[0, 0] + doubt @ doubt + bias + 0.03**2 + (TORQUE_SHARE * 2.0) ** 2
+    assert state["std_dev"] ** 2 == pytest.approx(square)
+    state["leverage"] = 0.0
+    told(state)
+    assert state["std_dev"] ** 2 == pytest.approx(square - bias)
+
+
+@pytest.mark.parametrize(
+    ("mass", "std_dev", "fields", "trusted"),
+    [
+        (2.0, 0.224, {}, True), (2.0, 0.226, {}, False),  # a tenth of it and 25 g
+        (0.05, 0.029, {}, True), (0.05, 0.031, {}, False),
+        (2.0, 0.2, {"hidden": 0.1**2}, True), (2.0, 0.2, {"hidden": 0.11**2}, False),
+        (2.0, 0.02, {"inflation": 11.9}, True), (2.0, 0.02, {"inflation": 12.1}, False),
+        (2.0, 0.02, {"untold": 0.001}, False),
+        (2.0, 0.02, {"burst": 3.0 + 4e-3}, True), (2.0, 0.02, {"burst": 3.0 + 6e-3}, False),  # 5 a second leak away
+        (6.08, 0.02, {}, True), (6.1, 0.02, {}, False),  # two standard deviations and 50 g above what is carried
+        (-0.08, 0.02, {"load": 1.0}, True), (-0.1, 0.02, {"load": 1.0}, False),
+        (2.0, 0.02, {"gripper": Gripper.CLOSED}, True), (2.0, 0.02, {"gripper": Gripper.CLOSED, "untold": 0.1}, False),
+        (0.2, 0.02, {"gripper": Gripper.OPEN, "untold": 0.1, "hidden": 9.0}, True),
+        (0.25, 0.02, {"gripper": Gripper.OPEN}, False),  # five standard deviations and 120 g
+    ],
+)  # fmt: skip
+def test_a_mass_is_trusted_where_it_is_sure_and_can_be(mass, std_dev, fields, trusted):
+    state = believing(mass, std_dev, **fields)
+    told(state)
+    assert state["trusted"] == trusted
+
+
+@pytest.mark.parametrize(
+    ("mass", "fields", "held", "std_dev"),
+    [
+        (6.5, {}, 6.0, 0.5),
+        (-0.3, {"load": 1.0}, 0.0, 0.3),
+        (2.0, {"burst": 4.0}, 2.0, 0.02),
+        (0.25, {"gripper": Gripper.OPEN}, 0.25, 0.25),
+        (0.1, {"gripper": Gripper.OPEN}, 0.0, 0.0),
+    ],
+)
+def test_what_cannot_be_is_held_to_what_can_and_off_by_the_rest(mass, fields, held, std_dev):
+    state = believing(mass, 0.02, **fields)
+    told(state)
+    assert state["mass"] == pytest.approx(held)
+    assert state["std_dev"] == pytest.approx(np.hypot(std_dev, TORQUE_SHARE * held))
+
+
+def fallen_short(wrong, samples):
+    """Closed form of what is remembered: it nears `wrong` over 0.3 s and is forgotten over 30 s."""
+    keep = np.exp(-PERIOD / 30.0) * (1.0 - PERIOD / 0.3)
+    return PERIOD / 0.3 * wrong * (1.0 - keep**samples) / (1.0 - keep)
+
+
+def test_a_mass_that_cannot_be_counts_against_all_that_come_after():
+    open_ = believing(-0.2, 0.02, gripper=Gripper.OPEN)
+    told(open_, 100)
+    assert open_["shortfall"] == pytest.approx(fallen_short(0.2 - 0.04 - 0.02, 100))
+    unknown = believing(-0.2, 0.02, load=1.0)
+    told(unknown, 295)
+    assert unknown["shortfall"] == 0.0, "a release is not seen at once"
+    unknown["moment"][0] *= -1
+    told(unknown)
+    unknown["moment"][0] *= -1
+    told(unknown, 295)
+    assert unknown["shortfall"] == 0.0, "nothing that lasts"
+    told(unknown, 105)
+    assert unknown["shortfall"] == pytest.approx(fallen_short(0.14, 100), rel=0.02)
+    later = believing(2.0, 0.02, shortfall=0.1)
+    told(later, 200)
+    assert later["std_dev"] ** 2 == pytest.approx(0.02**2 + (0.1 * np.exp(-0.2 / 30)) ** 2 + 0.06**2)
+
+
+@pytest.mark.parametrize(("std_dev", "counts"), [(0.09, True), (0.11, False)])
+def test_a_mass_that_is_not_sure_shows_no_shortfall(std_dev, counts):
+    state = believing(-0.5, std_dev, gripper=Gripper.OPEN)
+    told(state, 5)
+    assert (state["shortfall"] > 0.0) == counts
+
+
+@pytest.mark.parametrize(
+    ("mass", "fields", "std_dev"),
+    [
+        (0.11, {"load": 0.0}, np.hypot(0.01, 0.11 - 0.04)),
+        (0.11, {"load": 0.0, "shortfall": 0.2}, np.hypot(0.01, 0.2)),
+        (0.11, {"load": 0.13}, 0.01),
+        (0.13, {"load": 0.0}, 0.01),
+        (0.11, {"load": 0.0, "gripper": Gripper.CLOSED}, 0.01),
+    ],
+)
+def test_where_nothing_can_hang_what_is_weighed_is_error(mass, fields, std_dev):
+    state = believing(mass, 0.01, **fields)
+    told(state)
+    assert state["std_dev"] == pytest.approx(np.hypot(std_dev, TORQUE_SHARE * mass), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("load", "mass", "std_dev", "fields", "event"),
+    [
+        (0.0, 2.0, 0.05, {}, PICK), (2.0, 0.0, 0.02, {}, RELEASE),
+        (0.0, 2.0, 0.19, {"inflation": 13.0}, PICK), (0.0, 2.0, 0.21, {"inflation": 13.0}, NONE),  # ten of them
+        (2.0, 0.3, 0.16, {"inflation": 13.0}, RELEASE),
+        (1.0, 1.13, 0.01, {}, PICK), (1.0, 1.11, 0.01, {}, NONE),
+        (1.0, 0.87, 0.01, {}, RELEASE), (1.0, 0.89, 0.01, {}, NONE),
+        (1.0, 1.41, 0.1, {"load_std": 0.1}, NONE), (1.0, 1.44, 0.1, {"load_std": 0.1}, PICK),  # three of both
+        # less than half of it, so soon, is the estimate settling
+        (1.0, 0.6, 0.02, {"quiet": 148}, NONE), (1.0, 0.6, 0.02, {"quiet": 151}, RELEASE),
+        (1.0, 0.49, 0.02, {"quiet": 148}, RELEASE),
+        # another step the same way
+        (1.0, 2.0, 0.02, {"quiet": 298}, NONE), (1.0, 2.0, 0.02, {"quiet": 301}, PICK),
+        # no gripper lets go again so soon
+        (2.0, 0.5, 0.02, {"quiet": 28}, NONE), (2.0, 0.5, 0.02, {"quiet": 31}, RELEASE),
+        (2.0, 0.1, 0.01, {"quiet": 28}, RELEASE),
+        (0.0, 1.5, 0.02, {"quiet": 28, "last_event": RELEASE, "load_before": 2.0}, NONE),
+        (0.0, 1.93, 0.02, {"quiet": 28, "last_event": RELEASE, "load_before": 2.0}, PICK),
+    ],
+)  # fmt: skip
+def test_a_change_of_load_is_an_event(load, mass, std_dev, fields, event):
+    state = believing(mass, std_dev, load=load, untold=0.15, burst=1.0, **fields)
+    quiet, before = state["quiet"], (state["last_event"], state["load_before"])
+    sure = "inflation" not in fields
+    assert told(state) == event
+    assert state["load"] == pytest.approx(mass if event or sure else load)
+    leaked = 1.0 - 5.0 * PERIOD
+    if event:
+        assert state["load_std"] == pytest.approx(std_dev)
+        assert (state["last_event"], state["load_before"], state["quiet"]) == (event, load, 0)
+        assert (state["untold"], state["burst"]) == pytest.approx((0.02, leaked + 1.0)), "weighed anew"
+    else:
+        assert (state["last_event"], state["load_before"]) == before
+        assert state["quiet"] == quiet + 1
+        assert (state["untold"], state["burst"]) == pytest.approx((0.15, leaked))
+
+
+@pytest.mark.parametrize(("quiet", "load"), [(298, 0.5), (299, 1.0)])
+def test_the_rest_of_a_release_is_no_second_one(quiet, load):
+    state = believing(0.5, 0.1, load=1.0, last_event=RELEASE, quiet=quiet)
+    assert told(state) == NONE
+    assert state["load"] == pytest.approx(load)
+
+
+LIGHTER, LEAVING = np.exp(-PERIOD / 0.05), np.exp(-PERIOD / 1.0)
+
+
+@pytest.mark.parametrize(
+    ("fields", "usable"),
+    [
+        ({}, 2.0),
+        ({"hidden": 1.0}, 2.0 + LIGHTER),  # a change may hide: what is lighter leaves
+        ({"hidden": 1.0, "usable": 1.0}, 1.0),
+        ({"untold": 0.1}, LEAVING * (2.0 + LIGHTER)),
+        ({"hidden": 1.0, "last_event": RELEASE, "quiet": 149}, 2.0),  # a step by nature
+        ({"hidden": 1.0, "last_event": RELEASE, "quiet": 151}, 2.0 + LIGHTER),
+        ({"hidden": 1.0, "quiet": 149}, 2.0 + LIGHTER),
+    ],
+)
+def test_what_the_feed_forward_torque_reckons_with(fields, usable):
+    state = believing(2.0, 0.02, **({"usable": 3.0} | fields))
+    told(state)
+    assert state["usable"] == pytest.approx(usable)

@@ -1,0 +1,213 @@
+"""One sample into the payload estimate, against sums by matrices."""
+
+import numpy as np
+import pytest
+
+from schemas.messages import Gripper
+from service.estimator import slow
+from service.estimator.payload import step
+from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, STATE, settings, start
+
+PERIOD, DRIFT = 1e-3, np.array([0.6, 0.2, 0.15] * 3)
+SETTINGS = settings(PERIOD, DRIFT, 6.0, np.zeros(3), np.ones(3))[()]
+PRIOR = np.diag([PRIOR_STD**-2, OFFSET_STD**-2, OFFSET_STD**-2])
+
+
+def fresh(**fields):
+    states = np.zeros(1, STATE)
+    start(states, DRIFT)
+    (state,) = states
+    for name, value in fields.items():
+        state[name] = value
+    return state
+
+
+def rest(state, times=1):
+    """Samples that say nothing."""
+    for _ in range(times):
+        state["weight"], state["column"], state["residual"] = 0.0, 0.0, 0.0
+        step.payload_kernel(SETTINGS, state)
+
+
+@pytest.mark.parametrize("active", [1, LOADS])
+def test_every_sample_adds_what_it_says_and_the_past_fades(active):
+    """Seven of them, two a bin, in the metric of noise that scatters 1.7 times as much as it should."""
+    random, state = np.random.default_rng(1), fresh(inflation=1.7)
+    information, moment, drag, raw = PRIOR[:active, :active], np.zeros(active), np.zeros((active, 9)), PRIOR[0, 0]
+    bins = np.zeros((4, active, active + 1 + 9))
+    fade = np.exp(-PERIOD / 3.0)
+    for n in range(7):
+        column = random.standard_normal((3, active)) * [3.0, 20.0, 20.0][:active]
+        slopes = np.zeros((3, 9))
+        for joint in range(3):
+            slopes[joint, 3 * joint : 3 * joint + 3] = random.standard_normal(3)
+            state["shape"][joint] = slopes[joint, 3 * joint : 3 * joint + 3]
+        weight = random.uniform(0.2, 2.0, 3)
+        residual = column @ [0.5, 0.02, 0.01][:active] + 0.01 * random.standard_normal(3)
+        state["column"][:, :active], state["residual"], state["weight"] = column, residual, weight
+        step.payload_kernel(SETTINGS, state)
+        worth = np.diag(weight) * PERIOD / 0.003  # noise is alike for 3 ms
+        raw = PRIOR[0, 0] + fade * (raw - PRIOR[0, 0]) + column[:, 0] @ worth @ column[:, 0]
+        worth = worth / 1.7
+        gained, pulled, dragged = column.T @ worth @ column, column.T @ worth @ residual, column.T @ worth @ slopes
+        information = PRIOR[:active, :active] * (1 - fade) + fade * information + gained
+        moment, drag = fade * moment + pulled, fade * drag + dragged
+        bins[n // 2] += np.hstack([gained, pulled[:, None], dragged])
+    assert (state["head"], state["filled"], state["in_bin"], state["active"]) == (3, 4, 1, active)
+    assert state["inflation"] == 1.7
+    np.testing.assert_allclose(state["information"][:active, :active], information)
+    np.testing.assert_allclose(state["moment"][:active], moment)
+    np.testing.assert_allclose(state["drag"][:active], drag)
+    np.testing.assert_allclose(state["raw_information"], raw)
+    mine = slice(active)
+    np.testing.assert_allclose(state["bin_information"][:4, mine, mine], bins[:, :, :active])
+    np.testing.assert_allclose(state["bin_moment"][:4, mine], bins[:, :, active])
+    np.testing.assert_allclose(state["bin_drag"][:4, mine], bins[:, :, active + 1 :])
+    assert state["untold"] == pytest.approx(0.02 - 7 * PERIOD)
+    assert state["turning"] == (15_000 if active > 1 else 0), "samples of 5 times 3 s"
+
+
+def test_a_bin_that_comes_round_again_starts_at_nothing():
+    state = fresh(bin_information=1.0, bin_moment=1.0, bin_drag=1.0, head=148, filled=149)
+    rest(state, 2)
+    assert (state["head"], state["filled"], state["in_bin"]) == (149, 150, 0)
+    rest(state, 2)
+    assert (state["head"], state["filled"]) == (0, 150)
+    for name in ("bin_information", "bin_moment", "bin_drag"):
+        empty = ~state[name].reshape(150, -1).any(axis=1)
+        np.testing.assert_array_equal(np.flatnonzero(empty), [0, 149])
+
+
+def test_what_a_rest_hides_takes_motion_to_be_known_again():
+    state = fresh(untold=0.0)
+    rest(state, 119)
+    assert state["untold"] == 0.0
+    rest(state, 2)
+    assert state["untold"] == 0.15
+    known = fresh(untold=0.0, gripper=Gripper.CLOSED)
+    rest(known, 200)
+    assert (known["untold"], known["still"]) == (0.0, 0.0), "a gripper that says so"
+    for _ in range(2):
+        state["weight"], state["column"][:, 0] = 1.0, 1.0
+        step.payload_kernel(SETTINGS, state)
+    assert (state["untold"], state["still"]) == (pytest.approx(0.15 - 2 * PERIOD), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "anew"),
+    [
+        (Gripper.OPEN, Gripper.CLOSED, True),
+        (Gripper.CLOSED, Gripper.OPEN, True),
+        (Gripper.UNKNOWN, Gripper.CLOSED, False),
+        (Gripper.CLOSED, Gripper.UNKNOWN, False),
+        (Gripper.CLOSED, Gripper.CLOSED, False),
+    ],
+)
+def test_what_hangs_on_a_gripper_that_worked_is_another(before, now, anew):
+    kept = ("information", "moment", "drag", "bin_information", "bin_moment", "bin_drag")
+    state = fresh(gripper_before=before, gripper=now, filled=80, untold=0.0, raw_information=900.0)
+    for name in kept:
+        state[name] += 7.0
+    state["slow"]["begun"], state["slow"]["level_variance"], state["slow"]["variance"] = 1, 1.0, 0.1
+    rest(state)
+    assert state["gripper_before"] == now
+    assert (state["filled"] == 1) == anew
+    assert state["slow"]["variance"] == (PRIOR_STD**2 if anew else 0.1)
+    if anew:
+        np.testing.assert_allclose(state["information"], PRIOR)
+        assert not any(state[name].any() for name in kept[1:])
+        assert (state["in_bin"], state["untold"]) == (1, 0.02)
+        assert state["raw_information"] == pytest.approx(PRIOR[0, 0])
+    else:
+        assert (state["moment"] > 6.0).all()
+        assert (state["bin_drag"] == 7.0).all()
+
+
+def test_what_nobody_saw_the_gripper_do_is_not_known():
+    state = fresh(mass=2.0, std_dev=0.1, trusted=1, usable=2.0, moment=9.0)
+    step.unseen_kernel(state)
+    assert [state[name] for name in ("mass", "std_dev", "trusted", "usable")] == [0.0, PRIOR_STD, 0, 0.0]
+    assert not state["moment"].any()
+
+
+def test_a_place_on_the_axis_is_forgotten_some_time_after_it_turned():
+    state = fresh(active=LOADS, turning=2, offset=0.1)
+    for name in ("moment", "drag"):
+        state[name] = 3.0
+    state["information"] = np.diag([50.0, 60.0, 70.0]) + 1.0
+    rest(state)
+    assert (state["active"], state["turning"]) == (LOADS, 1)
+    assert (state["moment"] > 2.9).all()
+    rest(state)
+    assert state["active"] == 1
+    expected = PRIOR.copy()
+    expected[0, 0] = PRIOR[0, 0] + (51.0 - PRIOR[0, 0]) * np.exp(-2 * PERIOD / 3.0)
+    np.testing.assert_allclose(state["information"], expected)
+    for left in (state["moment"][1:], state["offset"], state["drag"][1:]):
+        assert not left.any()
+    assert state["moment"][0] == pytest.approx(3.0 * np.exp(-2 * PERIOD / 3.0))
+    rest(state)
+    assert state["turning"] == 0
+
+
+def test_slow_motion_hands_on_what_gravity_says():
+    """The sample as the slow branch takes it, its friction taken off, and all that is known replaced by its answer."""
+    random, state = np.random.default_rng(2), fresh(inflation=1.5, mass=1.0, std_dev=0.4, drag=2.0, in_bin=0)
+    delta = 0.2 * random.standard_normal(9)
+    state["friction"]["delta"] = delta
+    expected = state["slow"].copy()
+    slowly = 2.5e-3  # s, the fewer samples it takes
+    rule = settings(slowly, DRIFT, 6.0, np.zeros(3), np.ones(3))[()]
+    for _ in range(140):
+        phi, shape, weight = (
+            random.uniform(1.0, 3.0, 3),
+            random.choice([-1.0, 1.0], (3, 3)),
+            random.uniform(1.0, 2.0, 3),
+        )
+        residual = 1.2 * phi + 0.1 * random.standard_normal(3)
+        mass, variance = state["mass"], state["std_dev"] ** 2
+        state["column"], state["weight"], state["residual"], state["shape"] = 0.0, 0.0, residual, shape
+        state["column"][:, 0], state["slow"]["now"]["weight"] = phi, weight
+        step.payload_kernel(rule, state)
+        now = expected["now"]
+        now["phi"], now["way"], now["drift"], now["weight"] = phi, shape[:, 0], DRIFT[::3], weight * slowly / 0.003
+        now["residual"] = residual - np.einsum("ja,ja->j", shape, delta.reshape(3, 3))
+        now["mass"], now["variance"] = mass, variance
+        said = slow.slow_kernel(expected, slowly, PRIOR_STD**2)
+    assert said
+    assert state["information"][0, 0] == pytest.approx(1.0 / expected["variance"])
+    assert state["moment"][0] == pytest.approx(expected["mass"] / expected["variance"])
+    assert state["raw_information"] == pytest.approx(1.5 / expected["variance"])
+    assert not state["drag"][0].any()
+    assert state["untold"] == 0.0, "it is told"
+    assert state["mass"] == pytest.approx(1.2, abs=0.2)
+    state["weight"] = 1.0
+    step.payload_kernel(rule, state)
+    assert state["slow"]["lasted"] == 0.0, "something fast ends it"
+
+
+@pytest.mark.parametrize("active", [1, LOADS])
+def test_behind_a_change_a_mass_and_the_models_error_are_told_anew(active):
+    random, state = np.random.default_rng(4), fresh(untold=0.15, fresh=9, block=10, active=active, turning=1000)
+    state["friction"]["covariance"] = 0.0
+    for n in range(60):
+        state["column"][:, :active] = random.standard_normal((3, active)) * [3.0, 20.0, 20.0][:active]
+        state["residual"] = state["column"][:, 0] * 2.0 * (n >= 31) + 0.05 * random.standard_normal(3)
+        state["weight"], state["in_block"] = 100.0, 3
+        before = state["filled"]
+        step.payload_kernel(SETTINGS, state)
+        if state["filled"] < before:
+            break
+        state["untold"] = 0.15
+    since = 2 * (state["filled"] - 1)
+    assert since == 6, "samples; no change is looked for in fewer than three bins"
+    assert state["untold"] == pytest.approx(0.02 - since * PERIOD)
+    assert state["fresh"] == (0 if active > 1 else 9)
+
+
+@pytest.mark.parametrize("load", [1, 2])
+def test_an_axis_turns_whichever_way_its_load_pulls(load):
+    state = fresh()
+    state["column"][2, load], state["weight"] = 0.1, 1.0
+    step.payload_kernel(SETTINGS, state)
+    assert (state["active"], state["turning"]) == (LOADS, 15_000)
