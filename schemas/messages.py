@@ -122,6 +122,7 @@ class HealthFlag(enum.IntFlag):
     WRONG_DECLARATION = 32  # drives contradict the robot description
     STALE_FEEDFORWARD = 64  # the drives get no fresh feed-forward: it fades to zero or is zero
     FRICTION_DRIFT = 256  # friction is further from the identified one than the robot description allows
+    COMMAND_REFUTED = 512  # the drives do not do what torque_command says, as identified: masses are weighed without it
     STOPPED = 128  # the last word of this role; `reason` says why
 
 

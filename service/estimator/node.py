@@ -40,7 +40,7 @@ class Node:
         self._estimator: Estimator | None = None
         self._every = 1  # samples from report to report
         self._published = self._invalid = self._received = 0
-        self._heard_ns, self._silent, self._drifted = time.monotonic_ns(), False, False
+        self._heard_ns, self._silent, self._found = time.monotonic_ns(), False, HealthFlag(0)
         self._stale_ns = STALE_NS
 
     def step(self) -> None:
@@ -71,20 +71,19 @@ class Node:
             self._set_flags()
 
     def _set_flags(self) -> None:
-        flags = self._flags
-        if self._silent:
-            flags |= HealthFlag.STALE_INPUT
-        if self._drifted:
-            flags |= HealthFlag.FRICTION_DRIFT
-        self.health.flags = flags
+        silence = HealthFlag.STALE_INPUT if self._silent else HealthFlag(0)
+        self.health.flags = self._flags | silence | self._found
 
-    def _tell_friction(self, estimator: Estimator) -> None:
-        friction = estimator.friction()
+    def _tell_findings(self, estimator: Estimator) -> None:
+        friction, found = estimator.friction(), HealthFlag(0)
         self._put["friction"](friction.tobytes())
         self._published += 1
-        drifted = bool((friction["drift"] > self._robot.limits.friction_drift).any())
-        if drifted != self._drifted:
-            self._drifted = drifted
+        if (friction["drift"] > self._robot.limits.friction_drift).any():
+            found |= HealthFlag.FRICTION_DRIFT
+        if estimator.state["drive_torque"]["refuted"]:
+            found |= HealthFlag.COMMAND_REFUTED
+        if found != self._found:
+            self._found = found
             self._set_flags()
 
     def _wait_for_rate(self, message: bytes, came: int) -> None:
@@ -129,7 +128,7 @@ class Node:
         """Publish health."""
         self._recent.clear()  # read the rate anew
         if self._estimator is not None and not self._silent:
-            self._tell_friction(self._estimator)
+            self._tell_findings(self._estimator)
             if self._keeper is not None:
                 self._keeper.note(self._estimator)
         self.health.publish(

@@ -78,8 +78,9 @@ class Calibration:
     warnings: tuple[str, ...]
 
     def true(self, trace: Trace) -> Trace:
-        """`trace` with its torque put right."""
-        return replace(trace, torque=trace.torque / self.scale)
+        """`trace` with its torque put right, and what the drives were told of it."""
+        command = None if trace.torque_command is None else trace.torque_command / self.scale
+        return replace(trace, torque=trace.torque / self.scale, torque_command=command)
 
     def carried(self, robot: Robot) -> Robot:
         """`robot`, identified on torque that was put right, as the description of what the drives report."""

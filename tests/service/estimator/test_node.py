@@ -75,6 +75,18 @@ def test_health_says_that_friction_is_not_what_was_identified(bench, tmp_path, r
     assert "counted 100%" in Keeper(tmp_path / KEPT, robot).begin(Estimator(robot, 1e-3))
 
 
+@pytest.mark.parametrize(("late", "refuted"), [(0, False), (3, True)], ids=["at once", "3 ms late"])
+def test_health_says_that_drives_do_not_do_what_they_are_told(bench, robot, make, late, refuted):
+    """Only of a robot of which `identify` found that they do."""
+    known = make(0.4, noise=0.25)
+    known.samples["torque_command"] = np.roll(known.torque, -late, axis=0)
+    told = robot.identified.model_copy(update={"torque_commanded": True})
+    bench.node._robot = robot.model_copy(update={"identified": told})
+    bench.take(known.samples)
+    _, health = bench.report()
+    assert (HealthFlag.COMMAND_REFUTED in HealthFlag(int(health["flags"]))) == refuted
+
+
 def test_every_sample_is_answered_and_counted(bench, make):
     """At 4 kHz payload and errors are told every fourth cycle; what was lost, doubled and not usable is in the health;
     all that went out is counted."""

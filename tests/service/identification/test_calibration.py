@@ -53,6 +53,8 @@ def test_torque_constants_and_platform_are_put_right(found: tuple[Calibration, l
         assert figure.std_error < 0.01
     assert [figure.changed for figure in calibration.figures] == [True, True, False, True]
     said = " ".join(calibration.warnings)
+    told = replace(found[1][0], torque_command=found[1][0].torque)
+    np.testing.assert_array_equal(calibration.true(told).torque_command, calibration.true(told).torque)
     assert all(
         words in said for words in ("joint 1: the drive reports 1.05", "joint 2: the drive", "mass.platform: 1.4")
     )
