@@ -68,7 +68,9 @@ def conclude(settings, state):
     state.wrong_for = state.wrong_for + settings.period if lasting else 0.0
     if state.wrong_for > (0.0 if known_empty else SETTLING_TIME):
         state.shortfall += settings.period / SETTLING_TIME * (wrong - state.shortfall)
-    std_dev = math.hypot(std_dev, max(state.shortfall, wrong) if empty else state.shortfall)
+    std_dev = math.hypot(std_dev, state.shortfall)
+    if empty:
+        std_dev = max(std_dev, (abs(mass) - SHORTFALL_FLOOR) / CONTRADICTION)
     trusted = _is_sure(std_dev, mass) and state.inflation < FOREIGN
     state.quiet += 1
     state.burst = max(0.0, state.burst - EVENT_RATE * settings.period)
