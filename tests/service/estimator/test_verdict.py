@@ -133,7 +133,7 @@ def test_a_mass_that_is_not_sure_shows_no_shortfall(std_dev, counts):
 @pytest.mark.parametrize(
     ("mass", "fields", "std_dev"),
     [
-        (0.11, {"load": 0.0}, np.hypot(0.01, 0.11 - 0.04)),
+        (0.11, {"load": 0.0}, (0.11 - 0.02) / 2.0),  # so that nothing is within two of them and 20 g
         (0.11, {"load": 0.0, "shortfall": 0.2}, np.hypot(0.01, 0.2)),
         (0.11, {"load": 0.13}, 0.01),
         (0.13, {"load": 0.0}, 0.01),
