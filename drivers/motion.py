@@ -339,12 +339,16 @@ class Planner:
         return at(_fullest(excess, 1e-3 / top, 1.5 / top, what))
 
 
-def limits_of(robot: Robot) -> MotionLimits:
-    """What a motion of `robot` stays within, unless other limits are given; the torque without friction."""
-    peak = robot.limits.peak_torque_nm or math.inf
-    speed = min(MotionLimits.speed, robot.limits.joint_speed_radps)
-    # the rest is for friction, a payload and the feedback
-    return MotionLimits(speed=speed, torque=0.6 * min(peak, peak_torque(robot)))
+def limits_of(
+    robot: Robot, speed: float | None = None, acceleration: float | None = None, torque: float | None = None
+) -> MotionLimits:
+    """What a motion of `robot` stays within, where it is not given otherwise; the torque without friction."""
+    peak = min(robot.limits.peak_torque_nm or math.inf, peak_torque(robot))
+    return MotionLimits(
+        speed or min(MotionLimits.speed, robot.limits.joint_speed_radps),
+        acceleration or MotionLimits.acceleration,
+        torque or 0.6 * peak,  # the rest is for friction, a payload and the feedback
+    )
 
 
 def peak_torque(robot: Robot) -> float:

@@ -25,7 +25,7 @@ from schemas.columns import MAX_JOINTS
 from schemas.errors import RobotError
 from schemas.files import write_text
 from schemas.machine import JointFriction, Machine
-from schemas.robot import JointParameter, Positive, Robot, load_robot, toml_item
+from schemas.robot import JointParameter, Positive, Robot, load_robot, save_robot, toml_item
 from schemas.toml import TomlTable, read_toml, validate
 from schemas.urdf import read_urdf
 
@@ -141,15 +141,18 @@ def load_axes(path: str | Path, effects: Path | None = None) -> Axes | Chain:
     return machine
 
 
-def save_axes(machine: Axes | Chain, path: Path) -> None:
-    """Write a description; files that it names are named as seen from `path`.
+def save_description(description: Description, path: Path, template: Path | None = None) -> None:
+    """Write a description; files that it names are named as seen from `path`. template: of a Delta, see `save_robot`.
 
     Raises:
         StorageError: the file cannot be written.
     """
+    if isinstance(description, Robot):
+        save_robot(description, path, template)
+        return
     document: Any = tomlkit.document()
-    values = machine.model_dump(exclude_none=True, exclude_defaults=True)
-    values |= {key: os.path.relpath(file, path.parent) for key, file in machine.files.items()}
+    values = description.model_dump(exclude_none=True, exclude_defaults=True)
+    values |= {key: os.path.relpath(file, path.parent) for key, file in description.files.items()}
     for key in sorted(values, key=lambda key: isinstance(toml_item(values[key]), (AoT, Table))):  # those come last
         document[key] = toml_item(values[key])
     write_text(path, tomlkit.dumps(document))

@@ -27,6 +27,7 @@ Positive = Annotated[float, Field(gt=0)]
 
 MAX_LINE = 10_000  # of the header; what exports put above it are some dozens
 MAX_JOINTS = 64
+MAX_COLUMNS = 4096  # of a table
 _LISTED = Field(max_length=MAX_JOINTS)
 
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # per second

@@ -366,7 +366,10 @@ def load_robot(path: str | Path, effects: Path | None = None) -> Robot:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
     path = robot_file(path)
-    robot = validate(Robot, read_toml(path, RobotError), path, RobotError)
+    values = read_toml(path, RobotError)
+    if (kind := values.get("kind", "delta")) != "delta":
+        raise RobotError(f'{path}: kind = "{kind}": a Delta robot is needed')
+    robot = validate(Robot, values, path, RobotError)
     robot._folder, robot._effects_file = path.parent, effects
     return robot
 

@@ -72,9 +72,9 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
     else:
         fallback = robot.columns if robot else None
     if path.name.endswith(".mcap"):
-        from drivers.trace.mcap_file import holds_samples, read_mcap
+        from drivers.trace.mcap_file import read_mcap, robots_and_start
 
-        if not ((columns or fallback) and not holds_samples(path)):
+        if not (columns or fallback) or (told := robots_and_start(path)) is None or told[0]:
             return read_mcap(path, robot)
     mapping = columns or fallback
     if path.name.endswith(CSV_ENDINGS) and not (mapping and (mapping.beside or _is_codesys(path))):
@@ -137,9 +137,9 @@ def write_trace(
     path = Path(path)
     with whole(path) as partial:
         if path.name.endswith(".mcap"):
-            from drivers.trace.mcap_file import write_mcap
+            from drivers.trace.mcap_file import write_samples
 
-            write_mcap(trace, partial, robot, show)
+            write_samples([trace.samples()], partial, robot, trace.path, show)
         elif path.name.endswith(CSV_ENDINGS):
             from drivers.trace.csv_file import write_csv
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +35,7 @@ class CaptureReader:
         self.assembler = Assembler(make_layout(robot))
         self._declaration = Declaration(robot)
         self._kinds = np.zeros(len(Kind), np.int64)
-        self._flags = np.zeros(8, np.int64)
+        self._flagged = Counter[FrameFlag]()
         self._seen: dict[tuple[int, int, int], int] = {}
 
     def blocks(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -46,7 +47,7 @@ class CaptureReader:
         made = 0
         for frames in self.capture.blocks():
             samples, raw = self.assembler.samples(frames)
-            self._flags += [np.count_nonzero(frames.flags & (1 << bit)) for bit in range(8)]
+            self._flagged.update({flag: np.count_nonzero(frames.flags & flag) for flag in FrameFlag})
             if made == 0:
                 self._look(frames)  # once samples come there is nothing to explain
             made += len(samples)
@@ -70,9 +71,9 @@ class CaptureReader:
             (count("lost"), "cycles lost"),
             (count("pauses"), "pauses in which the master sent nothing"),
             (count("incomplete"), "cycles of which a part is missing, left out"),
-            (int(self._flags[_bit(FrameFlag.DAMAGED)]), "frames left out that the analyzer marked as damaged"),
-            (int(self._flags[_bit(FrameFlag.SNAPPED)]), "frames snapped by the capture"),
-            (int(self._flags[_bit(FrameFlag.PSEUDO)]), "GPIO events of the analyzer, no frames"),
+            (self._flagged[FrameFlag.DAMAGED], "frames left out that the analyzer marked as damaged"),
+            (self._flagged[FrameFlag.SNAPPED], "frames snapped by the capture"),
+            (self._flagged[FrameFlag.PSEUDO], "GPIO events of the analyzer, no frames"),
         ):
             if number:
                 said.append(f"{number} {text}")
@@ -94,11 +95,11 @@ class CaptureReader:
     def _why_nothing(self) -> str:
         capture, kinds = self.capture, self._kinds
         damage = "".join(f"; {text}" for text in capture.findings)
-        if snapped := int(self._flags[_bit(FrameFlag.SNAPPED)]):
+        if snapped := self._flagged[FrameFlag.SNAPPED]:
             damage += f"; {snapped} frames are snapped, so not whole: capture again without a snap length"
         if capture.frames == 0:
             return f"no frames{damage}"
-        if self._flags[_bit(FrameFlag.FOREIGN)] == capture.frames:
+        if self._flagged[FrameFlag.FOREIGN] == capture.frames:
             types = ", ".join(map(str, sorted(capture.link_types)))
             return f"link type {types} carries no Ethernet (1, 240 and 241 are read)"
         ethercat = int(kinds[1:].sum())
@@ -127,10 +128,6 @@ class CaptureReader:
         ]
         about = f" of {', '.join(missing)}" if missing else ""
         return f"the inputs{about} that the robot description maps never came whole; on the bus: {seen}{damage}"
-
-
-def _bit(flag: FrameFlag) -> int:
-    return flag.value.bit_length() - 1
 
 
 def read_capture(path: Path, robot: Robot) -> Trace:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -40,13 +41,12 @@ class Survey:
 
     def __init__(self) -> None:
         self._kinds = np.zeros(len(Kind), np.int64)
-        self._flags = np.zeros(4, np.int64)
+        self._flagged = Counter(dict.fromkeys(FrameFlag, 0))
         self._datagrams = 0
         self._first: int | None = None  # ns, of the first frame
         self._before = self._earliest = self._latest = 0  # of the frame before, and of all
-        self._backwards: list[
-            tuple[int, int]
-        ] = []  # number of a frame whose time is below that before, and how far, ns
+        # number of a frame whose time is below that before, and how far, ns
+        self._backwards: list[tuple[int, int]] = []
         self._slaves = 0
         self._stations: set[int] = set()
         self._plain = False
@@ -59,7 +59,7 @@ class Survey:
         """Count one block."""
         datagrams, kinds = decode(frames)
         self._kinds += np.bincount(kinds, minlength=len(Kind))
-        self._flags += [np.count_nonzero(frames.flags & flag) for flag in FrameFlag]
+        self._flagged.update({flag: np.count_nonzero(frames.flags & flag) for flag in FrameFlag})
         self._datagrams += len(datagrams)
         self._add_times(frames)
         if len(datagrams) == 0:
@@ -157,11 +157,7 @@ class Survey:
             "ethercat_frames": int(self._kinds[1:].sum()),
             "datagrams": self._datagrams,
             "cut_frames": int(self._kinds[Kind.CUT]),
-            **{
-                f"{flag.name.lower()}_frames": int(n)
-                for flag, n in zip(FrameFlag, self._flags, strict=True)
-                if flag.name
-            },
+            **{f"{str(flag.name).lower()}_frames": number for flag, number in self._flagged.items()},
             "link_types": sorted(capture.link_types),
             "duration_s": (self._latest - self._earliest) * 1e-9,
             "slaves": self._slaves,

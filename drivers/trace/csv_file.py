@@ -15,7 +15,7 @@ import polars as pl
 from drivers.trace.assembly import Plan, assemble, plan
 from drivers.trace.quality import EXACT_SECONDS
 from schemas.axes import Description
-from schemas.columns import CHANNELS, TIME_UNITS, Columns
+from schemas.columns import CHANNELS, MAX_COLUMNS, TIME_UNITS, Columns
 from schemas.errors import TraceError
 from schemas.files import MAX_LOG_BYTES, MIB, most_unpacked, read_bytes
 from schemas.messages import NANOSECONDS, Gripper, SampleFlag
@@ -23,7 +23,6 @@ from schemas.robot import Robot
 from schemas.trace import Finding, Trace
 
 MAX_LINE_BYTES = 1 << 20  # of a header; one of a thousand signals with their paths has 100 kB
-MAX_COLUMNS = 4096
 LATEST_S = 2.0**31 - 1  # year 2038: no stamp of a message is later
 MISSING = ["", " ", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]  # cells that say there is no value
 _OWN = re.compile(r"^position_\d+_(rad|m)$")

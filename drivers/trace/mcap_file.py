@@ -39,26 +39,16 @@ def read_mcap(path: Path, robot: Description | None = None) -> Trace:
     return check(to_trace(samples, path), RowNames("message", np.arange(1, len(samples) + 1)), robot)
 
 
-def holds_samples(path: Path) -> bool:
-    """Whether an MCAP file has samples of ours, or cannot be told to have none."""
-    with opened(path, TraceError) as stream:
-        try:
-            summary = read_summary(stream, path)
-        except (MessageError, StorageError):
-            return True  # to be told by who reads it
-    return summary is None or any(_SAMPLE_TOPIC.match(channel.topic) for channel in summary.channels.values())
-
-
-def robots_and_start(path: Path) -> tuple[list[str], int]:
-    """Names of the robots whose samples an MCAP file has, and the log time of its first message, ns since 1970; none
-    and 0 where its summary does not say."""
+def robots_and_start(path: Path) -> tuple[list[str], int] | None:
+    """Names of the robots whose samples an MCAP file has, and the log time of its first message, ns since 1970; None
+    where its summary does not say, for a reason that is told by who reads it."""
     try:
         with opened(path, TraceError) as stream:
             summary = read_summary(stream, path)
-    except (MessageError, StorageError, TraceError, OSError):
-        return [], 0  # to be told by who reads it
+    except (StorageError, TraceError, OSError):
+        return None
     if summary is None:
-        return [], 0
+        return None
     names = {m["robot"] for c in summary.channels.values() if (m := _SAMPLE_TOPIC.match(c.topic))}
     return sorted(names), summary.statistics.message_start_time if summary.statistics else 0
 
@@ -154,16 +144,6 @@ def to_trace(samples: np.ndarray, path: Path) -> Trace:
         epoch_ns=epoch,
         **commands,
     )
-
-
-def write_mcap(trace: Trace, path: Path, robot: str, show: Callable[[int], object] = lambda done: None) -> None:
-    """Write `trace` as sample messages of `robot`; log time is bus time.
-
-    Raises:
-        TraceError: stamps before zero, or joints other than three.
-        OSError: the file cannot be written.
-    """
-    write_samples([trace.samples()], path, robot, trace.path, show)
 
 
 def write_samples(

@@ -43,7 +43,8 @@ def command(
     from schemas.messages import Role
     from schemas.robot import load_robot
     from service.monitor.readback import read_recording
-    from service.monitor.report import picture, write_page
+    from service.monitor.report import picture
+    from service.pages import write_page
     from service.supervisor import Supervisor
 
     screen = console(stderr=True)
@@ -69,7 +70,8 @@ def command(
         time.sleep(0.5)  # the last answers
     crew.check()
     recorded = read_recording(recording)
-    write_page(picture(recorded), f"{LOG.name} replayed: measured against predicted torque", page)
+    title = f"{LOG.name} replayed: measured against predicted torque"
+    write_page("recording", page, title=title, figure=picture(recorded))
     results = {"errors": _errors(recorded), "payload": _payloads(recorded), "bus": _delivery(recorded)}
     if json:
         typer.echo(as_json("demo", results | {"recording": str(recording), "picture": str(page)}))

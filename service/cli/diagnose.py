@@ -42,10 +42,8 @@ def command(
 
     Example: deltatwin diagnose fit_*.csv --robot corrected.toml --out again --effects rubber_stop.py
     """
-    from schemas.axes import load_description, save_axes
+    from schemas.axes import load_description, save_description
     from schemas.files import make_folder, write_text
-    from schemas.machine import Machine
-    from schemas.robot import save_robot
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.documents.document import corrected, document, made_from
     from service.diagnosis.documents.report import write_report
@@ -68,11 +66,7 @@ def command(
         sources = [*traces, robot, *named, *(test or [])]
         result = document(findings, tests, made_from(sources))
         write_text(out / "diagnosis.json", result.model_dump_json(indent=1, by_alias=True))
-        fixed = corrected(findings)
-        if isinstance(fixed, Machine):
-            save_axes(fixed, out / "corrected.toml")
-        else:
-            save_robot(fixed, out / "corrected.toml", template=robot)
+        save_description(corrected(findings), out / "corrected.toml", template=robot)
         write_report(findings, result, out / "report.html")
         if pdf:
             status.update("printing it")

@@ -37,15 +37,11 @@ def command(
     """
     import sys
 
-    from schemas.axes import load_description
-    from schemas.errors import DataError
     from schemas.files import make_folder, write_text
-    from schemas.machine import Machine
+    from schemas.robot import load_robot
     from service.rollout.export import to_mjcf, to_urdf
 
-    description = load_description(robot, effects)
-    if isinstance(description, Machine):
-        raise DataError(f'{robot}: kind = "{description.kind}": only Delta robots are exported')
+    description = load_robot(robot, effects)
     make_folder(out.parent)
     if to is Format.urdf:
         write_text(out, to_urdf(description))

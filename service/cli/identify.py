@@ -47,11 +47,10 @@ def command(
     """
     from dataclasses import asdict, replace
 
-    from schemas.axes import load_description, save_axes
+    from schemas.axes import load_description, save_description
     from schemas.errors import RobotError
     from schemas.files import make_folder
     from schemas.machine import Machine
-    from schemas.robot import save_robot
     from service.identification.axes import identify_axes
     from service.identification.calibration import calibrate
     from service.identification.identify import identify
@@ -70,7 +69,6 @@ def command(
         if method == "paper":
             raise RobotError(f"{robot}: --method paper: the paper's method is for a Delta robot")
         result = identify_axes(description, list(logs))
-        save_axes(result.axes, out)
     else:
         found = None
         if loads:
@@ -82,7 +80,7 @@ def command(
         result = identify(description, [summarise(model, trace) for trace in logs], method)
         if found is not None:
             result = replace(result, robot=found.carried(result.robot), warnings=(*found.warnings, *result.warnings))
-        save_robot(result.robot, out, template=robot)
+    save_description(result.robot, out, template=robot)
     if json:
         parameters = [
             asdict(estimate) | {"unit": in_units_of(description, estimate.unit)} for estimate in result.fit.estimates

@@ -61,7 +61,7 @@ def command(
 
     import numpy as np
 
-    from drivers.motion import MotionLimits, Planner, limits_of
+    from drivers.motion import Planner, limits_of
     from drivers.motion_file import write_motion
     from schemas.errors import DataError
     from schemas.files import check_folder
@@ -72,8 +72,7 @@ def command(
 
     check_folder(out.parent)
     description = load_robot(robot, effects)
-    given = {"speed": max_speed, "acceleration": max_acceleration, "torque": max_torque}
-    limits = MotionLimits(**(vars(limits_of(description)) | {key: value for key, value in given.items() if value}))
+    limits = limits_of(description, max_speed, max_acceleration, max_torque)
     if limits.speed > (most := description.limits.joint_speed_radps):
         raise DataError(
             f"--max-speed {limits.speed:g} rad/s: limits.joint_speed_radps of {description.name} is {most:g}"

@@ -79,18 +79,15 @@ def _robots(paths: list[Path], effects: Path | None) -> dict[str, Robot]:
     """Name -> description: the first one as it was drawn up, then each by its file.
 
     Raises:
-        DataError: a description of axes, or of another robot than the first.
+        RobotError: a description of axes. DataError: of another robot than the first.
     """
-    from schemas.axes import load_description
     from schemas.errors import DataError
-    from schemas.machine import Machine
+    from schemas.robot import load_robot
     from service.rollout.gap import PLAIN, plain
 
     robots: dict[str, Robot] = {}
     for path in paths:
-        description = load_description(path, effects)
-        if isinstance(description, Machine):
-            raise DataError(f'{path}: kind = "{description.kind}": rollout simulates Delta robots')
+        description = load_robot(path, effects)
         if not robots:
             robots[PLAIN] = plain(description)
         for key in ("geometry", "mass", "drive"):

@@ -83,7 +83,7 @@ def command(
     """
     import numpy as np
 
-    from drivers.motion import MotionLimits, Planner
+    from drivers.motion import Planner, limits_of
     from drivers.motion_file import read_motion
     from drivers.plant.later import changes
     from drivers.plant.later import later as read_later
@@ -103,9 +103,7 @@ def command(
             check_folder(path.parent)
     description = load_robot(robot)
     plant, which = make_plant(description, truth, 1.0 / rate, seed)
-    planner = Planner(description, plant.period)
-    given = {"speed": max_speed, "acceleration": max_acceleration, "torque": max_torque}
-    planner.limits = MotionLimits(**(vars(planner.limits) | {key: value for key, value in given.items() if value}))
+    planner = Planner(description, plant.period, limits_of(description, max_speed, max_acceleration, max_torque))
     if planner.limits.torque > plant.truth.peak_torque_nm:
         raise DataError(f"--max-torque {max_torque} N m: the drives give {plant.truth.peak_torque_nm:.6g} N m at most")
     coming = [read_later(text, plant.described, seed) for text in later or ()]

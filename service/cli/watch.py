@@ -44,13 +44,13 @@ def command(
     from functools import partial
 
     from drivers.bus import check_free, open_bus
+    from replay.process import process
     from schemas.errors import DataError
     from schemas.files import make_folder
     from schemas.messages import Role
     from schemas.robot import load_robot
     from service.cli.reading import reading
     from service.cli.signals import stop_requested
-    from service.estimator.estimator import Estimator, rate_of
     from service.watch.node import Examination, Node, run
     from service.watch.watch import Patience, Watch
 
@@ -62,8 +62,7 @@ def command(
     make_folder(folder)  # before anything runs: a watch that cannot store has nothing to do
     watch = Watch(description, Patience(learn, after))
     for trace in reading(reference or [], description, None, "learning"):
-        samples = trace.samples()
-        watch.learn(trace, Estimator(description, *rate_of(samples)).run(samples).payload)
+        watch.learn(trace, process(description, trace.samples()).payload)
     watch.settle()
     stopped = stop_requested()
     os.nice(10)  # nobody steers by it

@@ -20,8 +20,9 @@ from service.experiment.diagrams import IDENTIFICATION, WEIGHING
 from service.experiment.pictures import Figure, Heat, Line, Page, PageTable, Panel, Section
 from service.identification import paper, payload
 from service.identification.evaluation import WITH_PAYLOAD, Evaluation, evaluate
-from service.identification.identify import Identification, identify
+from service.identification.identify import identify
 from service.identification.payload import PayloadHistory, Pick, Score, payload_history, recursion
+from service.identification.pooled import Identification
 from service.identification.regression import COULOMB, RHO_1, RHO_2, VISCOUS, NormalEquations, summarise
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
@@ -64,8 +65,8 @@ class PaperResult:
     robot: Robot
     equations: list[NormalEquations]
     literal: Robot
-    by_paper: Identification
-    by_pooled: Identification
+    by_paper: Identification[Robot]
+    by_pooled: Identification[Robot]
     stress: PaperRun
     picks: PaperRun
     evaluated: Evaluation

@@ -17,13 +17,13 @@ import joblib
 import numpy as np
 
 from drivers.trace import find_columns, read_trace
-from schemas.axes import Description, load_description, save_axes
+from schemas.axes import Description, load_description, save_description
 from schemas.diagnosis import Provenance
 from schemas.errors import DataError, DeltatwinError, StorageError
 from schemas.files import make_folder, write_text
 from schemas.fleet import DayResult, Fleet, LogResult, RobotHistory
 from schemas.machine import Machine
-from schemas.robot import robot_file, save_robot
+from schemas.robot import robot_file
 from schemas.trace import Trace
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
@@ -113,10 +113,10 @@ def _identified(robot: Member, settings: Settings) -> tuple[Path, str | None]:
             if not traces:
                 raise DataError(f"none of its {len(logs)} logs can be read; {read[0]}")
             if isinstance(description, Machine):
-                save_axes(identify_axes(description, traces).axes, path)
+                found = identify_axes(description, traces)
             else:
-                figures = [summarise(pack(description), trace) for trace in traces]
-                save_robot(identify(description, figures).robot, path, template=robot.description)
+                found = identify(description, [summarise(pack(description), trace) for trace in traces])
+            save_description(found.robot, path, template=robot.description)
         except StorageError:
             raise
         except DeltatwinError as error:

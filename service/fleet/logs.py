@@ -98,7 +98,7 @@ def _undated(folder: Path) -> Path:
 
 def _apart(name: str, logs: list[Path]) -> list[tuple[str, list[Path], dict[Path, int]]]:
     """(name, logs, start of recordings in ns) of each robot among the logs of a folder."""
-    told = {log: robots_and_start(log) for log in logs if log.name.endswith(".mcap")}
+    told = {log: robots_and_start(log) or ([], 0) for log in logs if log.name.endswith(".mcap")}
     starts = {log: start for log, (_, start) in told.items()}
     if len({robot for robots, _ in told.values() for robot in robots}) < 2:
         return [(name, logs, starts)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from schemas.errors import DataError
 from schemas.trace import Trace
 from service.identification import checks, pooled
 from service.identification.folds import BLOCK, Split, block_loss, held_out
-from service.identification.pooled import Plain
+from service.identification.pooled import Identification, Plain
 from service.identification.units import refuse_wrong_angles
 from service.model.description import axes_identified
 from service.model.mechanism import SerialArm, mechanism_of
@@ -24,16 +23,7 @@ from service.model.signals import segments, thin
 BLOCKS_A_PARAMETER = {"axes": 2, "chain": 1}  # a mass shows in the torque of several joints of an arm
 
 
-@dataclass(frozen=True)
-class AxesIdentification:
-    """axes: the description with what was found. fit: numbers and verdicts. warnings: what a user has to know."""
-
-    axes: Axes | Chain
-    fit: Plain
-    warnings: tuple[str, ...]
-
-
-def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> AxesIdentification:
+def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification[Axes | Chain]:
     """Fit axes to traces by pooled least squares.
 
     Raises:
@@ -64,7 +54,7 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> AxesIdentifica
     )
     # what diagnose found on another base does not hold on this one
     found = axes.model_copy(update={"identified": identified, "effect": []})
-    return AxesIdentification(found, fit, tuple(_warnings(fit, traces)))
+    return Identification(found, fit, tuple(_warnings(fit, traces)))
 
 
 def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from schemas.errors import DataError
 from schemas.robot import Identified, JointParameter, Parameter, Robot
 from service.identification import checks, paper, pooled
-from service.identification.pooled import ParameterEstimate, Plain
+from service.identification.pooled import Identification, ParameterEstimate
 from service.identification.regression import (
     COULOMB,
     FOREARM_MASS,
@@ -29,16 +29,7 @@ Method = Literal["pooled", "paper"]
 MINIMUM_BLOCKS = 2 * PARAMETERS
 
 
-@dataclass(frozen=True)
-class Identification:
-    """robot: the description with what was found. fit: numbers and verdicts. warnings: what a user has to know."""
-
-    robot: Robot
-    fit: Plain
-    warnings: tuple[str, ...]
-
-
-def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "pooled") -> Identification:
+def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "pooled") -> Identification[Robot]:
     """Fit `robot` to `logs`, by pooled least squares or as in the paper.
 
     Raises:

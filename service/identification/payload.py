@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from replay.process import process
 from schemas.errors import DataError, TraceError
 from schemas.files import MIB, read_bytes
 from schemas.messages import Gripper, PayloadEvent, SampleFlag, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Trace
-from service.estimator.estimator import Estimator, rate_of
 from service.estimator.recursion import FORGETTING, fixed_forgetting
 from service.model import kinematics
 from service.model.nominal import pack
@@ -94,7 +94,7 @@ def weighed(robot: Robot, trace: Trace) -> Weighed:
     if robot.identified is None:
         raise DataError(f"{robot.name} was never identified, so nothing can be weighed: deltatwin identify ... first")
     samples = trace.samples()
-    result = Estimator(robot, *rate_of(samples)).run(samples).payload
+    result = process(robot, samples).payload
     lag = len(samples) - len(result)
 
     def known(values: np.ndarray) -> np.ndarray:

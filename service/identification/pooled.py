@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -46,6 +47,8 @@ NEGLIGIBLE_SHARE = 0.05
 COLLINEAR = 1e-5
 MOVES = 0.02  # rad of travel below which a joint does not move
 REVERSES = 0.05  # share of the motion time that must go in each direction
+
+Described = TypeVar("Described", bound=Description)
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,15 @@ class Plain:
         change = values - parameters.values[:count]
         pairs = zip(self.fitted.residuals, self.fitted.tangents, strict=True)
         return self.problem.rms([r - parameters.widened(t, count) @ change for r, t in pairs])
+
+
+@dataclass(frozen=True)
+class Identification(Generic[Described]):
+    """robot: the description with what was found. fit: numbers and verdicts. warnings: what a user has to know."""
+
+    robot: Described
+    fit: Plain
+    warnings: tuple[str, ...]
 
 
 def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:

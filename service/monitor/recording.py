@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -72,12 +73,10 @@ class RecordingWriter:
             self._append("health", records, log_ns, stamp_ns(records) if shift is None else log_ns + shift)
 
     def _append(self, topic: str, records: np.ndarray, log_ns: np.ndarray, publish_ns: np.ndarray) -> None:
-        try:
+        with self._disk():
             self._bag.add(self._names[topic], records, log_ns, np.maximum(publish_ns, 0))
             if self._scene and topic == "sample" and len(records) and log_ns[-1] >= self._draw_at:
                 self._draw(self._scene, records[-1], int(log_ns[-1]), max(int(publish_ns[-1]), 0))
-        except OSError as error:
-            raise self._refused(error) from error
         self.written += len(records)
 
     def _draw(self, scene: Scene, sample: np.void, log_ns: int, publish_ns: int) -> None:
@@ -94,10 +93,8 @@ class RecordingWriter:
         Raises:
             StorageError: the disk refuses.
         """
-        try:
+        with self._disk():
             self._bag.note(name, facts)
-        except OSError as error:
-            raise self._refused(error) from error
 
     def flush(self) -> None:
         """Hand everything so far to the operating system.
@@ -105,10 +102,8 @@ class RecordingWriter:
         Raises:
             StorageError: the disk refuses.
         """
-        try:
+        with self._disk():
             self._bag.flush()
-        except OSError as error:
-            raise self._refused(error) from error
 
     def close(self) -> None:
         """Write the end of the file and close it.
@@ -117,18 +112,19 @@ class RecordingWriter:
             StorageError: the disk refuses.
         """
         self._write_waiting()
-        try:
+        with self._disk():
             self._bag.finish()
             self._stream.close()
-        except OSError as error:
-            raise self._refused(error) from error
 
     def abandon(self) -> None:
         """Close after the disk refused: what was flushed stays, without an end."""
         with suppress(OSError):  # it tries once more to write what the disk refused, and closes all the same
             self._stream.close()
 
-    def _refused(self, error: OSError) -> StorageError:
-        return StorageError(
-            f"{self.path}: recording stopped: {error.strerror}; what is on disk: deltatwin recover {self.path} OUT.mcap"
-        )
+    @contextmanager
+    def _disk(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            how = f"what is on disk: deltatwin recover {self.path} OUT.mcap"
+            raise StorageError(f"{self.path}: recording stopped: {error.strerror}; {how}") from error

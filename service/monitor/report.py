@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from schemas.messages import stamp_ns
-from service import pages
 from service.monitor.readback import Recorded
 
 POINTS = 5000  # a line; more than a screen has, few enough to draw without WebGL, which remote desktops lack
@@ -64,12 +61,3 @@ def picture(recorded: dict[str, Recorded]) -> go.Figure:
         template="plotly_white", height=1000, legend={"orientation": "h", "y": 1.06, "x": 1, "xanchor": "right"}
     )
     return figure
-
-
-def write_page(figure: go.Figure, title: str, path: Path) -> None:
-    """`figure` as one HTML file that needs nothing else.
-
-    Raises:
-        StorageError: it cannot be written.
-    """
-    pages.write_page("recording", path, title=title, figure=figure)

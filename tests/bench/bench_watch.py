@@ -26,10 +26,10 @@ from drivers.plant.cases import PERIOD, Case, random_case, run_case
 from drivers.plant.effects import EFFECTS
 from drivers.plant.plant import Plant, Target
 from drivers.plant.simulate import Carrier
+from replay.process import process
 from schemas.messages import Gripper, WatchState
 from schemas.robot import Robot, save_robot
 from schemas.trace import Trace
-from service.estimator.estimator import Estimator, rate_of
 from service.identification.identify import identify
 from service.identification.regression import summarise
 from service.model.nominal import pack
@@ -91,7 +91,7 @@ def identified(case: Case, seed: int) -> Robot:
 
 def over(robot: Robot, watch: Watch, samples: np.ndarray) -> tuple[Rise | None, int]:
     """Samples through estimator and watch, to the first case; and seconds above the level."""
-    raised, payload = 0, Estimator(robot, *rate_of(samples)).run(samples).payload
+    raised, payload = 0, process(robot, samples).payload
     for k in range(0, len(samples), CHUNK):
         told = watch.add(samples[k : k + CHUNK], payload[k : k + CHUNK])
         raised += sum(int(gap["state"][0]) == WatchState.RAISED for gap in told)

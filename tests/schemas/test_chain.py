@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.axes import load_axes, save_axes
+from schemas.axes import load_axes, save_description
 from schemas.chain import Chain
 from schemas.errors import RobotError
 from tests.service import arm
@@ -65,7 +65,7 @@ def test_a_file_written_elsewhere_finds_its_urdf_and_columns(tmp_path: Path, mon
     monkeypatch.chdir(tmp_path)
     description = load_axes("small.toml")
     (tmp_path / "out").mkdir()
-    save_axes(description, Path("out/again.toml"))
+    save_description(description, Path("out/again.toml"))
     again = load_axes(Path("out/again.toml"))
     assert isinstance(again, Chain)
     assert isinstance(description, Chain)

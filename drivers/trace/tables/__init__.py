@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from schemas.columns import MAX_COLUMNS
 from schemas.errors import TraceError
-
-MAX_COLUMNS = 4096
 
 READERS = {
     ".npy": "numpy_file",

@@ -16,38 +16,16 @@ from drivers.trace.csv_file import MISSING, date_times, load, read_cells
 from drivers.trace.tables import Table
 from drivers.trace.tables.codesys import FIRST_LINE as CODESYS_CSV
 from drivers.trace.tables.codesys import read_csv as read_codesys
-from schemas.columns import Columns
+from schemas.columns import MAX_COLUMNS, Columns
 from schemas.errors import TraceError
 from schemas.messages import NANOSECONDS
 
 LOOKED_AT = 400  # lines from the top in which the numbers have to begin
 RUN = 8  # lines of one shape that make a table, fewer only where the file ends
 SEPARATORS = ("\t", ";", ",", " ", "|")
-MAX_COLUMNS = 4096
-UNIT_WORDS = frozenset(
-    (
-        "s",
-        "ms",
-        "us",
-        "µs",
-        "ns",
-        "rad",
-        "deg",
-        "°",
-        "m",
-        "mm",
-        "nm",
-        "n",
-        "n m",
-        "n*m",
-        "a",
-        "ma",
-        "v",
-        "%",
-        "‰",
-        "inc",
-    )
-)
+UNIT_WORDS = frozenset({
+    "s", "ms", "us", "µs", "ns", "rad", "deg", "°", "m", "mm", "nm", "n", "n m", "n*m", "a", "ma", "v", "%", "‰", "inc",
+})  # fmt: skip
 
 
 def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:

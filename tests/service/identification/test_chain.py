@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.trace import read_trace
-from schemas.axes import load_axes, save_axes
+from schemas.axes import load_axes, save_description
 from schemas.chain import Chain, ChainIdentified
 from schemas.errors import DataError
 from service.cli.main import app
@@ -84,7 +84,7 @@ def test_an_effect_sits_on_a_joint_of_an_arm(bench: Path, tmp_path: Path) -> Non
     assert (effect.name, effect.joints) == ("stribeck_friction", [2])
     fixed = corrected(findings)
     assert isinstance(fixed, Chain)
-    save_axes(fixed, tmp_path / "corrected.toml")
+    save_description(fixed, tmp_path / "corrected.toml")
     again = run("evaluate", logs[0], "--robot", tmp_path / "corrected.toml", "--json")
     assert max(json.loads(again)["models"]["full"]["rms_nm"]) < 0.08
 
