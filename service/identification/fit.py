@@ -139,7 +139,8 @@ def solve(gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
     """Least squares from normal equations (P, P) and (P,) or (P, m); directions without information stay at zero."""
     if not len(gram):
         return moment
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    told = np.diag(gram) > 0  # the others' sums beside a zero are rounding
+    scale = np.where(told, 1.0 / np.sqrt(np.where(told, np.diag(gram), 1.0)), 0.0)
     values, vectors = np.linalg.eigh(gram * scale[:, None] * scale)
     keep = values > 1e-10 * values[-1]
     root = vectors[:, keep] / np.sqrt(values[keep]) * scale[:, None]

@@ -34,6 +34,16 @@ def test_directions_without_information_stay_at_zero():
     assert found[0] == pytest.approx(found[3])
 
 
+def test_what_rounding_leaves_beside_a_column_without_information_is_none():
+    """As in a Gram matrix of which one was subtracted that holds all there is of the last two."""
+    told = np.diag([10210.6, 27.0, 3e-4])
+    gram = np.zeros((5, 5))
+    gram[:3, :3], gram[3:, :3], gram[3, 4] = told, 7e-13, 7.6e-14
+    gram = np.maximum(gram, gram.T)
+    found = solve(gram, np.array([27724.6, 3.0, 1e-3, 5e-12, -4e-12]))
+    np.testing.assert_allclose(found, [27724.6 / 10210.6, 3.0 / 27.0, 1e-3 / 3e-4, 0.0, 0.0], rtol=1e-9)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_a_step_stays_within_its_limits(seed):
     """What leaves them is held there, which is the constrained optimum where columns are hardly correlated."""
