@@ -3,6 +3,7 @@ holds is not worked out again, so that a run that was stopped goes on."""
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -164,6 +165,14 @@ def _judge(robot: Member, day: str, known: RobotHistory, settings: Settings) -> 
         found["error"] = _said(error)
     result = DayResult(made_of=made_of, robot=robot.name, day=day, **found)
     write_text(folder / "day.json", result.model_dump_json(indent=1))
+    _give_back()
+
+
+def _give_back() -> None:
+    """Free memory to the system: every thread's share of it is as large as its largest day, and the C library keeps it
+    where it is not asked. Other systems' libraries cannot be asked."""
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _evaluated(path: Path, identified: Description, trace: Trace | Exception) -> LogResult:

@@ -4,6 +4,7 @@ broken is told and ends nothing."""
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -141,9 +142,19 @@ def fleet_of(folder: Path, robot: Path) -> Fleet:
     return survey(members([folder / "logs"], robot), Settings(folder / "out"), lambda: None)
 
 
-def test_nothing_judged_is_an_error(tmp_path: Path) -> None:
+def resident() -> int:
+    """Bytes of this process in memory."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+
+
+def test_nothing_judged_is_an_error_and_the_memory_of_a_day_goes_back(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("")
+    pieces = [b"x" * (60_000 + number) for number in range(5000)]  # 300 MB, in pieces that no system maps by themselves
+    holding = pieces[::50]  # so that what is free lies between
+    del pieces
+    before = resident()
     done = CliRunner().invoke(app, ["fleet", str(tmp_path), "--out", str(tmp_path / "out"), "--jobs", "1"])
+    assert resident() < before - 200e6, f"{len(holding)} pieces are held"
     assert isinstance(done.exception, DataError)
     assert "no day of any robot could be judged" in str(done.exception)
     assert "no robot.toml in its folder, and no --robot" in done.output
