@@ -14,6 +14,7 @@ from service.cli.reading import reading
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
     from rich.table import Table
 
     from schemas.axes import Description
@@ -133,11 +134,15 @@ def _residuals(fit: Plain, names: Sequence[str], robot: Description) -> Table:
     title = f"rms while moving, below {fit.problem.band.cutoff_hz:g} Hz, {in_units_of(robot, 'N m')}, joints {joints}"
     caption = f"noise of the torque in this band: {_each(fit.noise_floor)}"
     rows = [
-        (name, _each(fit.torque[row]), _each(fit.residual[row]), _each(fit.held_out[row]))
+        (name, *(_each(rms[row], fit.torque[row] > 0) for rms in (fit.torque, fit.residual, fit.held_out)))
         for row, name in enumerate(names)
     ]
     return table(("trajectory", "torque", "residual", "held out"), rows, title, caption)
 
 
-def _each(values) -> str:
-    return " / ".join(f"{value:.3g}" for value in values)
+def _each(values: np.ndarray, moves: np.ndarray | None = None) -> str:
+    """A figure a joint; a joint of which no row counts has none."""
+    import numpy as np
+
+    told = ["-" if np.isnan(value) else f"{value:.3g}" for value in values]
+    return " / ".join(told if moves is None else np.where(moves, told, "never moves"))

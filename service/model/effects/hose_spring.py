@@ -25,9 +25,9 @@ def _online(effect, now, i):
 @dataclass(frozen=True)
 class HoseSpring(Effect):
     k: Amplitude = Amplitude("N/m", "stiffness", low=0.0)
-    force_x: Amplitude = Amplitude("N", "-k x_0")
-    force_y: Amplitude = Amplitude("N", "-k y_0")
-    force_z: Amplitude = Amplitude("N", "-k z_0")
+    force_x: Amplitude = Amplitude("N", "force on the hose along x, were the platform at the base's origin")
+    force_y: Amplitude = Amplitude("N", "force on the hose along y, were the platform at the base's origin")
+    force_z: Amplitude = Amplitude("N", "force on the hose along z, were the platform at the base's origin")
     name = "hose_spring"
     title = "A hose or cable pulls at the platform"
     means = "Give the hose more slack or guide it otherwise; if it must stay, take it over into the model."

@@ -24,7 +24,7 @@ def _online(effect, now, i):
 @dataclass(frozen=True)
 class JointSpring(Effect):
     k: Amplitude = Amplitude("N m/rad", "stiffness", low=0.0)
-    preload: Amplitude = Amplitude("N m", "torque at angle zero, -k theta_0")
+    preload: Amplitude = Amplitude("N m", "torque at angle zero")
     name = "joint_spring"
     title = "Something springs back at the joint"
     means = "A balancing spring, a stiff cable or a rubber stop: enter it in the model, or free the cable."

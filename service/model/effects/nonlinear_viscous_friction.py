@@ -23,7 +23,7 @@ def _online(effect, now, i):
 
 @dataclass(frozen=True)
 class NonlinearViscousFriction(Effect):
-    f: Amplitude = Amplitude("N m (s/rad)^p", "coefficient", low=0.0)
+    f: Amplitude = Amplitude("N m (s/rad)^p", "friction at 1 rad/s", low=0.0)
     p: Nonlinear = Nonlinear("", "exponent of speed", (0.35, 0.6, 1.5, 2.0, 3.0), 0.2, 4.0)
     name = "nonlinear_viscous_friction"
     title = "Friction is not proportional to speed"

@@ -134,3 +134,5 @@ def test_a_joint_that_never_moves_and_logs_of_two_arms(bench: Path, tmp_path: Pa
     np.savetxt(tmp_path / "still.csv", table, "%.10g", ",", header=text[0], comments="")
     told = run("identify", tmp_path / "still.csv", "--robot", bench / "small.toml", "--out", tmp_path / "still.toml")
     assert "joint 3 never moves" in " ".join(told.split())
+    (left,) = [line for line in told.splitlines() if "still.csv" in line and " / " in line]
+    assert left.count("never moves") == 3  # of torque, residual and held out

@@ -201,6 +201,9 @@ def test_an_effect_is_what_is_stated(name):
     assert (effect.beyond, effect.beyond_together) == (beyond, together)
     assert effect.kinds == (frozenset({"delta"}) if kind else frozenset({"delta", "axes", "chain"}))
     assert effect.settles
+    for quantity in (*effect.amplitudes.values(), *effect.nonlinear.values()):  # what a report calls it: no symbols
+        assert not set("_=<>") & set(quantity.meaning)
+        assert " -" not in f" {quantity.meaning}"
 
 
 def test_nothing_is_in_the_catalogue_that_is_not_stated():
