@@ -3,12 +3,10 @@ log, and motors that may turn with several of them."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-from pydantic import BaseModel, PrivateAttr
+from pydantic import BaseModel
 
-from schemas.robot import EffectEntry, JointParameter, NotNegative, Positive, RobotName, check_joints
+from schemas.robot import Described, EffectEntry, JointParameter, NotNegative, Positive, check_joints
 from schemas.toml import TomlTable
 
 MOST_COUPLED = 1e6  # condition of a coupling matrix
@@ -28,47 +26,19 @@ class JointFriction(TomlTable):
     torque_timing_s: float = 0.0
 
 
-class Machine(TomlTable):
+class Machine(Described):
     """n servo joints. coupling: row i, how far motor i, behind its gear, turns for a turn of each joint; default: its
     own."""
 
-    name: RobotName
     columns: str | None = None
     coupling: list[list[float]] | None = None
     effect: list[EffectEntry] = []
-    _folder: Path = PrivateAttr(Path())
-    _effects_file: Path | None = PrivateAttr(None)
-
-    @property
-    def count(self) -> int:
-        """n."""
-        raise NotImplementedError
-
-    @property
-    def gear_ratios(self) -> list[float]:
-        """Motor turns a joint turn, a number a joint."""
-        raise NotImplementedError
-
-    @property
-    def linear(self) -> bool:
-        """Metres and newtons, on all joints."""
-        return False
-
-    @property
-    def angular(self) -> bool:
-        """Radians and newton metres, on all joints."""
-        return not self.linear
 
     @property
     def files(self) -> dict[str, str]:
         """Files beside the description that it names, by key, as found from here."""
         beside = self._folder / (self.columns or "")
         return {"columns": str(beside)} if beside.is_file() else {}
-
-    @property
-    def effects_file(self) -> Path | None:
-        """Python file with effects of the user's own that `effect` may name."""
-        return self._effects_file
 
     @property
     def motors(self) -> np.ndarray:

@@ -300,10 +300,47 @@ def _robot_name(name: str) -> str:
 RobotName = Annotated[str, AfterValidator(_robot_name)]
 
 
-class Robot(TomlTable):
-    """A Delta robot with three actuated joints."""
+class Described(TomlTable):
+    """What descriptions of all kinds say of n joints."""
 
     name: RobotName
+    _folder: Path = PrivateAttr(Path())
+    _effects_file: Path | None = PrivateAttr(None)
+
+    @property
+    def folder(self) -> Path:
+        """Where the description was read from: files that it names are relative to it."""
+        return self._folder
+
+    @property
+    def effects_file(self) -> Path | None:
+        """Python file with effects of the user's own that `effect` may name."""
+        return self._effects_file
+
+    @property
+    def count(self) -> int:
+        """n."""
+        raise NotImplementedError
+
+    @property
+    def gear_ratios(self) -> list[float]:
+        """Motor turns a joint turn, a number a joint."""
+        raise NotImplementedError
+
+    @property
+    def linear(self) -> bool:
+        """Metres and newtons, on all joints."""
+        return False
+
+    @property
+    def angular(self) -> bool:
+        """Radians and newton metres, on all joints."""
+        return not self.linear
+
+
+class Robot(Described):
+    """A Delta robot with three actuated joints."""
+
     kind: Literal["delta"] = "delta"
     gravity_mps2: Gravity = [0.0, 0.0, -9.81]  # in the base frame: [-9.81, 0, 0] with the x axis up a wall
     geometry: Geometry
@@ -315,13 +352,6 @@ class Robot(TomlTable):
     columns: Columns | None = None
     identified: Identified | None = None
     effect: list[EffectEntry] = []
-    _folder: Path = PrivateAttr(Path())
-    _effects_file: Path | None = PrivateAttr(None)
-
-    @property
-    def effects_file(self) -> Path | None:
-        """Python file with effects of the user's own that `effect` may name."""
-        return self._effects_file
 
     @model_validator(mode="after")
     def _for_each_joint(self) -> Robot:
@@ -329,9 +359,13 @@ class Robot(TomlTable):
         return self
 
     @property
-    def folder(self) -> Path:
-        """Where the description was read from: files that it names are relative to it."""
-        return self._folder
+    def count(self) -> int:
+        return 3
+
+    @property
+    def gear_ratios(self) -> list[float]:
+        every = self.drive.gear_ratio
+        return [joint.gear_ratio or every for joint in self.drive.joint] or [every] * 3
 
     @property
     def arm_angles(self) -> list[float]:

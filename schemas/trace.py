@@ -26,6 +26,11 @@ class Finding:
     def __post_init__(self) -> None:
         object.__setattr__(self, "message", printable(self.message))
 
+    @classmethod
+    def note(cls, message: str) -> Finding:
+        """Something only to be known."""
+        return cls(SampleFlag(0), message, np.zeros(0, np.intp))
+
 
 @dataclass(frozen=True)
 class Trace:

@@ -15,7 +15,7 @@ from schemas.axes import Description
 from schemas.columns import CHANNELS, EXTRAS, TIME_UNITS, Columns, GripperColumn, PositionColumn, TorqueColumn
 from schemas.errors import TraceError
 from schemas.machine import Machine
-from schemas.messages import Gripper, SampleFlag
+from schemas.messages import Gripper
 from schemas.trace import Finding, Trace
 
 COUNTED = -1  # index of the stamps where the table has none and `time.rate_hz` says how far apart its rows are
@@ -144,7 +144,7 @@ def assemble(
                 f"{np.count_nonzero(~counts)} of {len(rows)} rows have not {columns.where.equals:g} in column "
                 f"{columns.where.name!r} and were left out"
             )
-            notes.append(Finding(SampleFlag(0), message, np.zeros(0, np.intp)))
+            notes.append(Finding.note(message))
         rows = rows[counts]
     joints = 1 + max(channel.joint for channel in channels if channel.name in CHANNELS)
     time = stamps[base][rows]
@@ -205,7 +205,7 @@ def _stamped(stamps: np.ndarray, lines: RowNames) -> tuple[np.ndarray, list[Find
     if len(bad) == 0:
         return rows, []
     message = f"{len(bad)} rows without a possible time stamp were left out: {lines.name(bad)}"
-    return rows, [Finding(SampleFlag(0), message, np.zeros(0, np.intp))]
+    return rows, [Finding.note(message)]
 
 
 def _bring(
@@ -227,7 +227,7 @@ def _bring(
         f"{channel.label} is sampled every {np.median(np.diff(own)) * 1e3:.6g} ms, {how} at the "
         f"{np.median(np.diff(time)) * 1e3:.6g} ms stamps of {base.label}; {len(outside)} of {len(time)} rows outside"
     )
-    return values, Finding(SampleFlag(0), message, np.zeros(0, np.intp))
+    return values, Finding.note(message)
 
 
 def signed(values: np.ndarray, bits: int | None) -> np.ndarray:
@@ -263,14 +263,8 @@ def _refuse_wraps(raw: np.ndarray, channel: Channel, lines: RowNames, path: Path
 
 
 def _gear_ratio(robot: Description | None, joint: int) -> float | None:
-    if robot is None:
-        return None
-    if isinstance(robot, Machine):
-        return robot.gear_ratios[joint] if joint < robot.count else None
-    if joint == FOURTH:
-        return None  # `drive` is of the arms
-    own = robot.drive.joint[joint].gear_ratio if robot.drive.joint else None
-    return own or robot.drive.gear_ratio
+    """Of a joint of `robot`; the fourth behind a Delta's three has none."""
+    return None if robot is None or joint >= robot.count else robot.gear_ratios[joint]
 
 
 def _uncouple(arrays: dict[str, np.ndarray], name: str, sides: set[str], machine: Machine, path: Path) -> None:

@@ -18,7 +18,6 @@ from drivers.trace.mcap_file import to_trace, write_samples
 from drivers.trace.quality import RowNames, check
 from schemas.errors import TraceError
 from schemas.files import whole
-from schemas.messages import SampleFlag
 from schemas.robot import Robot
 from schemas.trace import Finding, Trace
 
@@ -79,8 +78,7 @@ class CaptureReader:
                 said.append(f"{number} {text}")
         if count("sent") == 0:
             said.append("only returned frames were captured")
-        nowhere = np.zeros(0, np.int64)
-        return [Finding(SampleFlag(0), text, nowhere) for text in said + self._declaration.findings()]
+        return [Finding.note(text) for text in said + self._declaration.findings()]
 
     def _look(self, frames: Frames) -> None:
         datagrams, kinds = decode(frames)

@@ -18,7 +18,7 @@ from schemas.axes import Description
 from schemas.columns import CHANNELS, MAX_COLUMNS, TIME_UNITS, Columns
 from schemas.errors import TraceError
 from schemas.files import MAX_LOG_BYTES, MIB, most_unpacked, read_bytes
-from schemas.messages import NANOSECONDS, Gripper, SampleFlag
+from schemas.messages import NANOSECONDS, Gripper
 from schemas.robot import Robot
 from schemas.trace import Finding, Trace
 
@@ -190,7 +190,7 @@ def _without_cut_line(body: bytes, columns: Columns) -> tuple[bytes, list[Findin
     line = columns.first_line + body.count(b"\n")
     what = f"{fields + 1} of {expected + 1} fields" if fields < expected else "its last number lacks digits"
     message = f"the last line ({line}) is cut off ({what}) and was left out: {last[-40:].decode('utf-8', 'replace')!r}"
-    return body[: len(body) - len(last)], [Finding(SampleFlag(0), message, np.zeros(0, np.intp))]
+    return body[: len(body) - len(last)], [Finding.note(message)]
 
 
 def _decimals(line: bytes, separator: bytes, decimal: str) -> int:

@@ -147,20 +147,11 @@ def _row(run: Tracking, reference: Tracking) -> tuple[str, ...]:
 def _page(robot: str, which: str, masses: tuple[float, ...], runs: list[Tracking], rows: list[tuple[str, ...]]) -> Page:
     import numpy as np
 
-    from service.experiment.pictures import Figure, Line, Page, PageTable, Panel
+    from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, by_joint
 
     shown = [runs[0], *runs[3:]]  # feedback alone, M_Id+F, full, payload-aware, estimator lost
-    panels = tuple(
-        Panel(
-            "time / s",
-            "error / mrad",
-            tuple(
-                Line(run.name, run.time, run.error[:, joint] * 1e3, colour, "thin") for colour, run in enumerate(shown)
-            ),
-            f"joint {joint + 1}",
-        )
-        for joint in range(3)
-    )
+    lines = [Line(run.name, run.time, run.error * 1e3, colour, "thin") for colour, run in enumerate(shown)]
+    panels = by_joint(lines, "error / mrad", "joint {}")
     joints = np.array(["joint 1", "joint 2", "joint 3"])
     bars = Panel(
         "",

@@ -40,11 +40,11 @@ def command(
     """
     from schemas.axes import load_description
     from schemas.errors import TraceError
-    from schemas.machine import Machine
     from service.identification.evaluation import evaluate
+    from service.model.description import in_units_of
 
     description = load_description(robot, effects)
-    unit = "N" if isinstance(description, Machine) and description.linear else "N m"
+    unit = in_units_of(description, "N m")
     targets = [predictions / _csv_name(path) for path in traces] if predictions else []
     for number, target in enumerate(targets):
         if target in targets[:number]:

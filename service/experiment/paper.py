@@ -17,7 +17,7 @@ from schemas.robot import Robot
 from schemas.trace import Trace
 from service.estimator.recursion import FORGETTING
 from service.experiment.diagrams import IDENTIFICATION, WEIGHING
-from service.experiment.pictures import Figure, Heat, Line, Page, PageTable, Panel, Section
+from service.experiment.pictures import Figure, Heat, Line, Page, PageTable, Panel, Section, by_joint
 from service.identification import paper, payload
 from service.identification.evaluation import WITH_PAYLOAD, Evaluation, evaluate
 from service.identification.identify import identify
@@ -232,20 +232,15 @@ def _empty_and_loaded(found: PaperResult) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _figure_of_model(found: PaperResult, number: int, model: str) -> Figure:
-    trace, since = found.stress.trace, _since(found.stress.trace)
-    panels = tuple(
-        Panel(
-            "time / s",
-            f"τ{joint + 1} / N m",
-            (
-                Line("τ", since, trace.torque[:, joint], 0, "thin"),
-                Line(f"τ̂, {model}", since, found.stress.torque[model][:, joint], number - 2),
-            ),
-        )
-        for joint in range(3)
+    trace = found.stress.trace
+    lines = (
+        Line("τ", _since(trace), trace.torque, 0, "thin"),
+        Line(f"τ̂, {model}", _since(trace), found.stress.torque[model], number - 2),
     )
     caption = "Stress motion near the bounds of the workspace, not used to identify. Simulated."
-    return Figure(f"figure_{number}", f"Figure {number}: τ and τ̂ of {model} over υ_F", caption, panels)
+    return Figure(
+        f"figure_{number}", f"Figure {number}: τ and τ̂ of {model} over υ_F", caption, by_joint(lines, "τ{} / N m")
+    )
 
 
 def _figure_6(found: PaperResult) -> Figure:
@@ -262,19 +257,13 @@ def _figure_6(found: PaperResult) -> Figure:
 def _figure_7(found: PaperResult) -> Figure:
     trace = found.picks.trace
     empty, loaded = _empty_and_loaded(found)
-    panels = tuple(
-        Panel(
-            "time / s",
-            f"τ{joint + 1} / N m",
-            (
-                Line("τ", _since(trace), trace.torque[:, joint], 0, "thin"),
-                Line("τ̂, m_p = 0", _since(trace), empty[:, joint], 1),
-                Line("τ̂, m_p = m̂_p", _since(trace), loaded[:, joint], 2),
-            ),
-            shade=_held(found),
-        )
-        for joint in range(3)
+    since = _since(trace)
+    lines = (
+        Line("τ", since, trace.torque, 0, "thin"),
+        Line("τ̂, m_p = 0", since, empty, 1),
+        Line("τ̂, m_p = m̂_p", since, loaded, 2),
     )
+    panels = by_joint(lines, "τ{} / N m", shade=_held(found))
     caption = (
         "Grey: the payload is on. m̂_p by the paper's recursion, as known at each sample. At rest sign θ̇ is noise, and "
         "the friction term of the literal model chatters between its bounds. Simulated."
@@ -468,18 +457,11 @@ def _per_trajectory(found: PaperResult) -> Figure:
 
 def _error(found: PaperResult) -> Figure:
     stress = found.stress
-    errors = {name: error_in_band(stress.trace, stress.along, stress.torque[name]) for name in PUBLISHED}
-    panels = tuple(
-        Panel(
-            "time / s",
-            f"τ{joint + 1} − τ̂{joint + 1} / N m",
-            tuple(
-                Line(name, _since(stress.trace), error[:, joint], colour)
-                for colour, (name, error) in enumerate(errors.items(), start=1)
-            ),
-        )
-        for joint in range(3)
-    )
+    lines = [
+        Line(name, _since(stress.trace), error_in_band(stress.trace, stress.along, stress.torque[name]), colour)
+        for colour, name in enumerate(PUBLISHED, start=1)
+    ]
+    panels = by_joint(lines, "τ{0} − τ̂{0} / N m")
     caption = "Through the common zero-phase low-pass; joints at rest are left out. Simulated."
     return Figure("error", "Error over υ_F in the band", caption, panels)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -56,6 +56,22 @@ class Panel:
     title: str = ""
     heat: Heat | None = None
     shade: tuple[tuple[float, float], ...] = ()
+
+
+def by_joint(
+    lines: Sequence[Line], label: str, title: str = "", shade: tuple[tuple[float, float], ...] = ()
+) -> tuple[Panel, ...]:
+    """A panel a joint over time. lines: with y (N, 3). label, title: with {} for the joint's number."""
+    return tuple(
+        Panel(
+            "time / s",
+            label.format(joint + 1),
+            tuple(replace(line, y=line.y[:, joint]) for line in lines),
+            title.format(joint + 1),
+            shade=shade,
+        )
+        for joint in range(3)
+    )
 
 
 @dataclass(frozen=True)

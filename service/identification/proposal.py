@@ -78,7 +78,7 @@ def propose(table: Table, robot: Description | None, stated: Stated) -> Proposal
         DataError: it cannot be told which columns are meant, or how far apart its rows are in time, naming the option
             that says so.
     """
-    joints = None if robot is None else robot.count if isinstance(robot, Machine) else 3
+    joints = None if robot is None else robot.count
     channels = guess(table, joints)
     channels = replace(
         channels,
@@ -232,7 +232,7 @@ class _Units:
         self._table, self._channels, self._robot, self._rate = table, channels, robot, rate
         self._stated = stated
         self._values = np.column_stack([table.columns[name] for name in channels.position])
-        self._gear = _gear(robot)
+        self._gear = robot.gear_ratios[0] if robot else 1.0
         self.torque_said = True
 
     def positions(self, reasons: list[str], doubts: list[str]) -> list[dict[str, Any]]:
@@ -251,7 +251,7 @@ class _Units:
         if said is not None:
             reasons.append(f"positions are {said}: " + ("told" if stated.position_unit else "it stands there"))
             return self._sides({"unit": said}, SCALES[said])
-        if isinstance(robot, Machine) and robot.linear:
+        if robot is not None and robot.linear:
             unit = "mm" if np.nanmax(np.abs(self._values)) > 10 else "m"
             doubts.append(f"positions taken as {unit}, by their range")
             return [{"unit": unit}]
@@ -282,7 +282,6 @@ class _Units:
 
     def torque(self, reasons: list[str], doubts: list[str]) -> dict[str, Any]:
         """Without a scale where it takes a constant that nobody has said."""
-        linear = isinstance(self._robot, Machine) and self._robot.linear
         self.torque_said = True
         if self._stated.torque_unit is not None:
             unit, factor = self._stated.torque_unit
@@ -291,7 +290,7 @@ class _Units:
             if unit is not None:
                 reasons.append(f"torques are {unit}: it stands there")
         if unit is None:
-            unit, self.torque_said = "N" if linear else "N m", False
+            unit, self.torque_said = "N" if self._robot and self._robot.linear else "N m", False
             if isinstance(self._robot, Robot):
                 return {"unit": unit}
             doubts.append(f"torques taken as {unit}: nothing says so")
@@ -307,12 +306,6 @@ class _Units:
                 f"{self._table.path}: torques are {unit}; the {what} is not known: say --torque-unit '{unit} NUMBER'"
             )
         return entry
-
-
-def _gear(robot: Description | None) -> float:
-    if isinstance(robot, Machine):
-        return robot.gear_ratios[0]
-    return robot.drive.gear_ratio if robot else 1.0
 
 
 def _counts(robot: Description | None) -> float | None:

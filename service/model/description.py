@@ -33,7 +33,7 @@ def entry(term: Term, errors: np.ndarray, robot: Description) -> EffectEntry:
 
 def in_units_of(robot: Description, unit: str) -> str:
     """A unit of angle and torque as that of the description's axes."""
-    if isinstance(robot, Machine) and robot.linear:
+    if robot.linear:
         return unit.replace("kg m^2", "kg").replace("N m", "N").replace("rad", "m")
     return unit
 
@@ -59,9 +59,8 @@ def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -
     if effect is None:
         hint = f"nor in {robot.effects_file}" if robot.effects_file else "give the file that has it with --effects"
         raise RobotError(f"{at}: not in the catalogue; {hint}")
-    count = robot.count if isinstance(robot, Machine) else 3
-    if any(joint > count for joint in entry_.joints):
-        raise RobotError(f"{at}: joints {entry_.joints}, there are 1 to {count}")
+    if any(joint > robot.count for joint in entry_.joints):
+        raise RobotError(f"{at}: joints {entry_.joints}, there are 1 to {robot.count}")
     joints = tuple(joint - 1 for joint in entry_.joints) if effect.per_joint else ()
     blank = Term.blank(effect, joints, (0.0,) * len(effect.nonlinear))
     keys = [parameter.name for parameter in parameters_of(blank)]
