@@ -287,11 +287,11 @@ def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
             )
         ),
         noise,
-        np.full((1, n), np.nan),
+        np.full((1, len(noise)), np.nan),
         problem.rms(plain.residuals),
         problem.rms([problem.select(i, target) for i, target in enumerate(problem.target)]),
         without,
-        np.full((len(left), n), np.nan),
+        np.full((len(left), len(noise)), np.nan),
     )
     if alone:
         return replace(result, alone=result.residual)

@@ -26,7 +26,7 @@ class EncoderEccentricity(Effect):
         "The measured angle wobbles over a turn: check how the encoder disc or magnet is seated, recalibrate "
         "or replace it."
     )
-    beyond = 0.05
+    beyond = 0.03  # rad: a magnet half a millimetre off a ring of 17 mm
     own_joint = False
     settles = "a constant-speed sweep of this joint at medium speed"
 

@@ -24,7 +24,10 @@ class TorqueDelay(Effect):
     )
     name = "torque_delay"
     title = "Torque and position are not of the same instant"
-    means = "A matter of the log, not of the machine: correct the delay of the torque channel in drive or recorder."
+    means = (
+        "A matter of the log, not of the machine: correct the delay of the torque channel in drive or recorder. "
+        "Torque that comes first is what the drive was asked for: log the measured current."
+    )
     takes_timing = True
     per_joint = False
     own_joint = False

@@ -53,6 +53,13 @@ def test_axes_that_do_not_feel_each_other_have_no_such_doubt():
     assert {one.code for one in found.cannot_tell} == set()
 
 
+def test_a_weight_that_the_description_denies_is_not_cogging_of_order_one():
+    """Of a swinging arm inertia takes most of the weight's torque: what follows the sine is asked beside it."""
+    found = told(axes(gravity=False), [two_axes(seed, 0.0, weight=2.0) for seed in (1, 2, 3)], ("cogging",))
+    assert found.effects == []
+    assert ("sine_of_angle", [2]) in [(one.code, one.joints) for one in found.cannot_tell]
+
+
 def answered(seed: int, delay: int = 0) -> Trace:
     """One axis on a spring drive: torque is 40 N m/rad times the position error, `delay` samples later."""
     made = two_axes(seed, 0.0, noise=0.0)

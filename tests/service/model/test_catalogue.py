@@ -150,7 +150,7 @@ STATED = {
         "per_joint",
         {"cosine": ("rad", -INF, INF), "sine": ("rad", -INF, INF), "order": ("", 0.5, 20.0)},
         [],
-        0.05,
+        0.03,
         INF,
         "",
     ),
