@@ -17,14 +17,14 @@ import numpy as np
 
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError, NoWindowError, PoseError, TraceError
-from schemas.robot import Identified, Robot, Servo
+from schemas.robot import Robot, Servo
 from schemas.trace import Trace
 from service.estimator.bounds import bounds_of
 from service.identification.noise import white_noise
 from service.identification.payload import carried
 from service.identification.pooled import SAME_RATE
 from service.model import kinematics
-from service.model.description import base_of, hypothesis_of
+from service.model.description import hypothesis_of
 from service.model.dynamics import REST_SPEED
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel
@@ -162,8 +162,7 @@ def plain(robot: Robot) -> Robot:
 def rollout(
     robots: dict[str, Robot], cuts: Cuts, progress: Callable[[str], None] = lambda _: None, commands: bool = False
 ) -> Rollout:
-    """Simulate the robots, by name, over `cuts`; the floor is the last one's. The instant at which torque was sampled
-    is of the recording: all have it as the last one has. progress: told what is at hand.
+    """Simulate the robots, by name, over `cuts`; the floor is the last one's. progress: told what is at hand.
 
     commands: the recorded position commands go in, not the torque, through the drives that the last robot's description
     has in [servo], or else those that the logs show.
@@ -174,11 +173,6 @@ def rollout(
     """
     given, parts = list(robots.values())[-1], cuts.parts
     windows = [cut for _, cut in parts]
-    clock = {"torque_timing_s": base_of(given.identified).timing}
-    robots = {
-        name: robot.model_copy(update={"identified": (robot.identified or Identified()).model_copy(update=clock)})
-        for name, robot in robots.items()
-    }
     servo = None
     if commands:
         servo = given.servo or identified(

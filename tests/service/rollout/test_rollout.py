@@ -15,7 +15,7 @@ from schemas.errors import DataError
 from schemas.robot import Robot, save_robot
 from service.cli.main import app
 from service.rollout.gap import PLAIN, Rollout, cut_up, plain, rollout
-from tests.service.rollout.test_kernel import PERIOD, effect, identified, recorded
+from tests.service.rollout.test_kernel import effect, identified, recorded
 from tests.service.world import ROBOT
 
 NOISE, ENCODER = 0.3, 2e-5  # N m, rad
@@ -54,17 +54,6 @@ def test_the_right_model_comes_down_to_the_floor_and_the_wrong_one_does_not(tmp_
     assert corrected.growth_mm[0] < 0.1 * corrected.growth_mm[-1]
     assert len(found.runs) == 13
     assert found.floor.path_mm > 100
-
-
-def test_when_torque_was_sampled_is_of_the_recording_and_holds_for_every_robot(tmp_path: Path) -> None:
-    known = identified().identified
-    assert known is not None
-    late = identified().model_copy(update={"identified": known.model_copy(update={"torque_timing_s": 0.4 * PERIOD})})
-    path = log(tmp_path, late, seconds=1.5)
-    before, after = run(path, identified=identified(), corrected=late).deviations
-    np.testing.assert_array_equal(before.angle, after.angle)
-    (alone,) = run(path, identified=identified()).deviations
-    assert np.abs(alone.angle - after.angle).max() > 1e-4, "it matters"
 
 
 def test_no_window_spans_a_gap(tmp_path: Path) -> None:
