@@ -74,7 +74,7 @@ class LiveRun:
     """What happened in the newest N cycles: the trace, and the feed-forward torque and payload in force.
 
     feedforward (N, 3) N m, NaN where the drives were on feedback alone; payload (N,) kg. cycles: of the whole run.
-    late: how many of them began after the next was due; lateness (N,) ns.
+    late: how many of them began after the next was due; lateness (N,) ns. interrupted: ended by Ctrl-C.
     """
 
     trace: Trace
@@ -83,6 +83,7 @@ class LiveRun:
     cycles: int
     late: int
     lateness: np.ndarray
+    interrupted: bool = False
 
 
 def run_live(
@@ -179,7 +180,8 @@ def run_live(
         torque_command=rows["torque_command"],
         flags=np.zeros(len(rows), np.uint32),
     )
-    return LiveRun(trace, rows["feedforward"], rows["payload"], done, late_count, rows["late"])
+    interrupted = ended is StopReason.INTERRUPTED
+    return LiveRun(trace, rows["feedforward"], rows["payload"], done, late_count, rows["late"], interrupted)
 
 
 def _cycles(loops: int, count: int) -> Iterator[int]:

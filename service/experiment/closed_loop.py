@@ -102,7 +102,10 @@ def follow(
                 process.kill()
             progress(cycle)
 
-        return run_live(make_plant(), motion, bus, pace or Pacer(), realtime=realtime, progress=on_cycle)
+        run = run_live(make_plant(), motion, bus, pace or Pacer(), realtime=realtime, progress=on_cycle)
+        if run.interrupted:  # half a run has no figures
+            raise KeyboardInterrupt
+        return run
 
 
 def tracking(robot: Robot, name: str, run: LiveRun) -> Tracking:

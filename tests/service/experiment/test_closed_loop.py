@@ -70,6 +70,15 @@ def alone(robot: Robot, make_plant: Callable[[], Plant], motion: Trajectory) -> 
     return follow(robot, make_plant, motion, None, pace=unhurried)
 
 
+def test_an_interrupted_run_has_no_figures(robot: Robot, make_plant: Callable[[], Plant], motion: Trajectory) -> None:
+    def interrupt(cycle: int) -> None:
+        if cycle == 100:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        follow(robot, make_plant, motion, None, pace=lambda _: 0, progress=interrupt)
+
+
 def test_variants_are_stages_of_what_was_identified(robot: Robot) -> None:
     feeds = variants(robot)
     assert list(feeds) == [
