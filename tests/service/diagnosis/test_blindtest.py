@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -161,6 +162,27 @@ def row(
         "before_nm": 1.0, "after_nm": 0.085, "band_hz": 40.0, "period_s": 1e-3,
         "seconds": 10.0 + case, "cpu_seconds": 5.0,
     }  # fmt: skip
+
+
+def test_a_scheduler_of_ones_own_is_used_and_told_where_it_is_of_no_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs dask[distributed], of the dev dependencies")
+    monkeypatch.setattr(workers, "REACHED_S", 0.3)
+    here = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "protocol": "tcp", "processes": False}
+    with distributed.LocalCluster(n_workers=0, **here) as cluster:
+        for address in ("tcp://127.0.0.1:1", "nowhere://", cluster.scheduler_address):
+            with pytest.raises(DataError, match=f"--scheduler {address}: "), workers.backend("dask", 1, address):
+                pytest.fail("was taken")
+        cluster.scale(1)
+        monkeypatch.setattr(workers, "REACHED_S", 20.0)
+        with workers.backend("dask", 1, cluster.scheduler_address):
+            assert joblib.Parallel()(joblib.delayed(worker_of)(number) for number in (1, 2)) == [(1, True), (2, True)]
+
+
+def worker_of(number: int) -> tuple[int, bool]:
+    """Its argument, and whether a Dask worker ran it."""
+    from distributed import get_worker
+
+    return number, bool(get_worker().address)
 
 
 def test_the_table_counts_right() -> None:
