@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from schemas.diagnosis import Diagnosis
+from schemas.diagnosis import Diagnosis, DocumentPart
 
 
-class Finding(BaseModel):
+class Finding(DocumentPart):
     """What has changed in a robot: since when, where, which effect, how much.
 
     since_s: s of bus time, 1970 where the bus keeps that. joints: from 1, in which the gap has risen. before_nm,
@@ -17,8 +17,6 @@ class Finding(BaseModel):
     the torque's noise. compared: whether there was motion from before to compare with; else the effects are what the
     description lacks. text: the finding in one line.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     schema_: Literal["deltatwin.finding/1"] = Field("deltatwin.finding/1", alias="schema")
     robot: str

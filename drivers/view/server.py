@@ -7,7 +7,6 @@ are passed on, evenly chosen: who looks does not see more, and what runs beside 
 from __future__ import annotations
 
 import time
-from types import TracebackType
 
 import foxglove
 import numpy as np
@@ -87,7 +86,7 @@ class LiveView:
     def __enter__(self) -> LiveView:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._server.stop()
 
 

@@ -13,8 +13,6 @@ from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, ro
 from service.cli.output import in_quantiles
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     import numpy as np
 
     from drivers.ethercat.master import Counts, Master, OffsetRamp
@@ -183,7 +181,7 @@ class HealthReport:
     def __enter__(self) -> HealthReport:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *raised: object) -> None:
         if self._health:
             self()
             self._health.publish(**self._counts())  # the last word repeats these counts

@@ -47,8 +47,6 @@ def write_page(
     plots = {"Confusion": _confusion(rows)} if kinds & {"catalogue", "unknown", "null"} else {}
     plots |= {"Detection against lift": _detection(rows)} if "catalogue" in kinds else {}
     plots["Shrink"] = _claims(rows)
-    for figure in plots.values():
-        figure.update_layout(template="plotly_white", font_size=11, margin={"t": 30, "r": 20})
     fields = {"rows": rows, "summary": summary, "refused": refused, "figures": figures, "plots": plots}
     pages.write_page("blindtest", path, commitment=commitment, **fields)
 

@@ -211,7 +211,6 @@ def _interactive(figure: Figure) -> Any:
         drawn.update_xaxes(title_text=panel.x_label, row=row, col=1)
         drawn.update_yaxes(title_text=panel.y_label, row=row, col=1)
     drawn.update_layout(
-        template="plotly_white",
         height=height + 140,
         margin={"l": 70, "r": 20, "t": 90, "b": 50},  # above: Plotly's buttons, below them the legend
         legend={"orientation": "h", "y": 1.0 + 30 / height, "yanchor": "bottom"},

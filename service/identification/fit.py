@@ -72,10 +72,13 @@ class Problem:
             count[group] += np.bincount(joint, minlength=shape[1])
         return np.sqrt(square / np.maximum(count, 1)) * self.sigma
 
+    def pick(self, index: int, values: np.ndarray) -> np.ndarray:
+        """Rows that count of (M, n, ...) of recording `index`, joint after joint."""
+        return np.concatenate([values[rows, joint] for joint, rows in enumerate(self.rows[index].T)])
+
     def select(self, index: int, values: np.ndarray) -> np.ndarray:
-        """Rows that count of (M, n, ...) of recording `index`, in units of the noise, joint after joint."""
-        scaled = values / self.sigma.reshape(1, -1, *([1] * (values.ndim - 2)))
-        return np.concatenate([scaled[self.rows[index][:, j], j] for j in range(values.shape[1])])
+        """The same in units of the noise."""
+        return self.pick(index, values / self.sigma.reshape(1, -1, *([1] * (values.ndim - 2))))
 
 
 @dataclass(frozen=True)

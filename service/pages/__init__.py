@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 CONFIG = {"responsive": True, "displaylogo": False}
+LOOK = {"font": {"size": 12}, "margin": {"l": 60, "r": 20, "t": 40, "b": 45}}  # of plots that say nothing else
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")  # that print without a window
 PRINTING_S = 120.0  # a page takes seconds
 
@@ -86,8 +87,10 @@ def words(name: str) -> str:
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
+    from plotly.io import templates
     from plotly.offline import get_plotlyjs
 
+    templates["deltatwin"] = {"layout": LOOK}
     environment = Environment(
         loader=PackageLoader(__name__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -99,4 +102,5 @@ def _environment() -> Environment:
 def _plot(figure: go.Figure) -> Markup:
     from markupsafe import Markup
 
+    figure.update_layout(template="plotly_white+deltatwin")
     return Markup(figure.to_html(full_html=False, include_plotlyjs=False, config=CONFIG))

@@ -86,8 +86,6 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 def write_rollout(result: RolloutDocument, path: Path) -> None:
     """Write the page of a rollout."""
     plots = {"How the platform's error grows": _growth(result), "By joint and kind of motion": _by_regime(result)}
-    for figure in plots.values():
-        figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 40, "b": 45}, font_size=12)
     write_page("rollout", path, document=result, sentences=sentences(result), plots=plots)
 
 

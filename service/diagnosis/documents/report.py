@@ -29,7 +29,6 @@ WINDOW = 512  # samples of a spectrum, where a run has as many
 def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
     """Write the report of a diagnosis."""
     _, *rest = paragraphs(document, figures=False)
-    levels = _levels(document)
     plots = {
         "Gap over time, before and after": _over_time(findings),
         "What the gap is made of": _budget(document),
@@ -39,12 +38,9 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
         "Which effect": _ranking(document),
         "Spectrum of what is left": _spectrum(findings),
     }
-    for figure in (levels, *plots.values()):
-        if figure is not None:
-            figure.update_layout(template="plotly_white", margin={"l": 60, "r": 20, "t": 40, "b": 45}, font_size=12)
     write_page(
-        "diagnosis", path, document=document, answer=answer(document), levels=levels, paragraphs=rest, plots=plots,
-        said=ONLINE, in_words=in_words,
+        "diagnosis", path, document=document, answer=answer(document), levels=_levels(document), paragraphs=rest,
+        plots=plots, said=ONLINE, in_words=in_words,
     )  # fmt: skip
 
 

@@ -44,17 +44,13 @@ class RowStates:
             clock = np.repeat((segment.time - segment.time[0])[:, None], scene.joints, axis=1)
             states = (segment.theta, segment.theta_dot, segment.theta_ddot, scene.load, clock)
             for part, state in zip(parts, states, strict=True):
-                part.append(_select(problem, index, state[::step]))
+                part.append(problem.pick(index, state[::step]))
             if isinstance(recording.mechanism, Delta):
                 place = np.repeat(recording.arms.position[::step, None, :], scene.joints, axis=1)
-                platforms.append(_select(problem, index, place))
+                platforms.append(problem.pick(index, place))
         theta, speed, acceleration, load, clock = (np.concatenate(part) for part in parts)
         platform = np.concatenate(platforms) if platforms else None
         return cls(np.concatenate(problem.joints_of_rows), theta, speed, acceleration, load, clock, platform)
-
-
-def _select(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
-    return np.concatenate([values[problem.rows[index][:, joint], joint] for joint in range(values.shape[1])])
 
 
 def budget(findings: Findings, joint: int) -> dict[str, float]:
