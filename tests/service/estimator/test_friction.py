@@ -100,6 +100,10 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     assert state["held"]
     beyond = np.sign(found) * np.maximum(0.0, np.abs(found) - np.sqrt(np.diag(covariance)))
     np.testing.assert_allclose(state["sure"], beyond, rtol=1e-6, atol=1e-9)
+    state["moment"][6] = 0.0
+    friction.learn_kernel(state, prior, forgetting, 1.0)
+    assert not state["held"], "nothing is beyond a gear's any more"
+    covariance = state["covariance"]
     one, other = random.standard_normal((2, 9))
     assert friction.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
 
@@ -157,6 +161,30 @@ def change(path, **fields):
 
 def ago(**time):
     return (datetime.now(UTC) - timedelta(**time)).isoformat()
+
+
+def test_what_is_learnt_is_written_while_it_runs_but_not_all_the_time(robot, tmp_path, capsys):
+    path, estimator = tmp_path / "kept" / "friction.json", Estimator(robot, PERIOD)
+    path.parent.mkdir()
+    keeper = Keeper(path, robot)
+
+    def noted():
+        keeper.note(estimator)
+        if keeper._writing is not None:
+            keeper._writing.join()
+        return path.exists()
+
+    assert not noted(), "within a minute"
+    keeper._due -= timedelta(minutes=1)
+    assert noted()
+    Keeper(path, robot)  # is whole
+    path.unlink()
+    assert not noted(), "written a moment ago"
+    path.parent.rmdir()
+    for _ in range(2):
+        keeper._due -= timedelta(minutes=1)
+        noted()
+    assert capsys.readouterr().err.count("estimate: --keep: ") == 1, "told once, and the estimator goes on"
 
 
 def test_friction_outlives_a_restart(robot, make, kept):

@@ -58,7 +58,7 @@ def bench(bus_folder, tmp_path, robot, until):
 
 
 @pytest.mark.parametrize(("share", "drifted"), [(0.1, False), (0.5, True)], ids=["within", "beyond"])
-def test_health_says_that_friction_is_not_what_was_identified(bench, tmp_path, robot, make, share, drifted):
+def test_health_says_that_friction_is_not_what_was_identified(bench, tmp_path, robot, make, share, drifted, capsys):
     """The description allows 30 %; the flag is in the health that others hear, with the friction that it is about,
     which is kept."""
     known = make(3.0, noise=0.25)
@@ -69,6 +69,8 @@ def test_health_says_that_friction_is_not_what_was_identified(bench, tmp_path, r
     )
     bench.take(known.samples)
     told, health = bench.report()
+    assert "friction learnt will be kept here" in capsys.readouterr().err
+    assert (np.diff([one["sequence"] for one in told["payload"]]) == 1).all(), "no more than a thousand a second come"
     assert (told["friction"][-1]["drift"] > robot.limits.friction_drift).any() == drifted
     assert (HealthFlag.FRICTION_DRIFT in HealthFlag(int(health["flags"]))) == drifted
     bench.node.close()
@@ -107,11 +109,13 @@ def test_every_sample_is_answered_and_counted(bench, make):
     for record, ahead in zip(planned, (0, 1), strict=True):
         record["sequence"], record["position"] = 800 + ahead, known.theta[-1]
         bench.plan(record.tobytes())
+    bench.plan(b"no plan")
     time.sleep(LINK_S)
     after = records[-1:].copy()
     after["sequence"] += 1
     bench.take(after)
-    told, _ = bench.report()
+    told, health = bench.report()
+    assert health["rejected"] == 1
     assert told["feedforward"][-1]["source"] == FeedforwardSource.REFERENCE
     assert told["feedforward"][-1]["target_sequence"] == 801, "the newest plan"
 

@@ -6,7 +6,7 @@ import pytest
 from schemas.messages import Gripper
 from service.estimator import slow
 from service.estimator.payload import step
-from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, STATE, settings, start
+from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, STATE, sample_variance, settings, start
 
 PERIOD, DRIFT = 1e-3, np.array([0.6, 0.2, 0.15] * 3)
 SETTINGS = settings(PERIOD, DRIFT, 6.0, np.zeros(3), np.ones(3))[()]
@@ -27,6 +27,28 @@ def rest(state, times=1):
     for _ in range(times):
         state["weight"], state["column"], state["residual"] = 0.0, 0.0, 0.0
         step.payload_kernel(SETTINGS, state)
+
+
+@pytest.mark.parametrize(
+    ("period", "bins", "block", "worth"), [(1e-3, 2, 20, 1 / 3), (2.5e-4, 8, 80, 1 / 12), (5e-3, 1, 4, 1.0)]
+)
+def test_times_become_samples(period, bins, block, worth):
+    """2 and 20 ms, what is forgotten a sample or a block, and the share of a sample that is news."""
+    found = settings(period, DRIFT, 5.0, np.array([0.1, 0.2, 0.4]), np.array([0.01, 0.08, 0.04]))
+    assert (found["bin_size"], found["block_size"]) == (bins, block)
+    forgotten = {"forgetting": 3.0, "remember": 30.0, "lighten": 0.05, "leave": 1.0}
+    assert [-np.log(found[name]) for name in forgotten] == pytest.approx([period / t for t in forgotten.values()])
+    assert -np.log(found["friction_forgetting"]) == pytest.approx(block * period / 20.0)
+    assert found["information_weight"] == pytest.approx(worth)
+    assert found["model_error"] == pytest.approx(block * worth * (1.0 + 0.5 + 4.0) / 3)
+    assert (found["period"], found["max_payload"]) == (period, 5.0)
+    np.testing.assert_array_equal(found["prior"], DRIFT)
+
+
+def test_what_a_model_left_counts_for_as_long_as_it_lasts_where_it_stands_out():
+    """Five times as long as noise; 0.4 beside 0.3 N m shows to 0.64."""
+    found = sample_variance(np.array([0.3, 0.0, 0.2]), np.array([0.4, 0.5, 0.0]))
+    assert found == pytest.approx([0.09 + 0.64 * 0.16 * 5, 0.25 * 5, 0.04])
 
 
 @pytest.mark.parametrize("active", [1, LOADS])
