@@ -104,6 +104,9 @@ def test_a_rhythm_is_its_period():
     assert events.rhythm(beats(missing)) == pytest.approx(0.8, rel=0.02)
     assert events.rhythm(beats(np.sort(random.uniform(0, 10, 12)))) is None
     assert events.rhythm(beats(even[:5])) is None
+    for period in np.linspace(0.7, 0.9, 21):  # known to half a tenth of a beat over all of them
+        moments = 1.0 + period * np.arange(12)
+        assert events.rhythm(beats(moments)) == pytest.approx(period, rel=0.051 * period / np.ptp(moments))
 
 
 def test_events_of_residuals_are_in_units_of_torque_and_noise():
@@ -122,6 +125,11 @@ def test_events_of_residuals_are_in_units_of_torque_and_noise():
     assert burst.over_noise == pytest.approx(event.level / 0.4, abs=0.01)
     assert (burst.from_s, burst.to_s) == pytest.approx((event.start, event.end), abs=1e-3)
     assert 5.0 < burst.over_noise < 20.0
+    first = np.flatnonzero(logs.joints_of_rows[0] == 0)
+    knock = np.array([1, -1, 1, -1, 1, -1])
+    for size, count in ((2.0, 1), (20.0, 2)):  # twice the noise is none yet
+        residuals[0][first[100:106]] = size * knock
+        assert len(events.events_of(logs, residuals)) == count
 
 
 @pytest.mark.parametrize("sigma", [[0.05, 0.3, 2.0]])

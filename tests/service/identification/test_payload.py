@@ -11,11 +11,13 @@ from schemas.errors import TraceError
 from schemas.messages import PayloadEvent
 from schemas.robot import load_robot
 from service.estimator.recursion import fixed_forgetting
+from service.identification import evaluation
 from service.identification.evaluation import WITH_PAYLOAD, evaluate
 from service.identification.identify import identify
 from service.identification.payload import (
     PayloadHistory,
     Pick,
+    Weighed,
     levels,
     payload_history,
     picks,
@@ -24,8 +26,9 @@ from service.identification.payload import (
     settled,
 )
 from service.identification.regression import summarise
+from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
-from service.model.prediction import FULL
+from service.model.prediction import FULL, motion
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +101,25 @@ def test_the_papers_recursion_finds_a_constant_mass():
     y = 2.5 * x + random.normal(0, 5, x.shape)
     assert fixed_forgetting(y, x, 1.0)[-1] == pytest.approx((x * y).sum() / (x * x).sum(), abs=1e-5)
     assert fixed_forgetting(y, x, 0.99)[-1] == pytest.approx(2.5, abs=0.1)
+
+
+def test_what_is_carried_has_been_trusted_once_and_was_no_lighter_since(robot, record, monkeypatch):
+    trace = record(3, seconds=0.5)
+    event, trusted = np.zeros(500, int), np.zeros(500, bool)
+    mass = np.repeat([0.5, 2.0, 3.0, 1.0, 2.5], 100)
+    trusted[100:200] = trusted[450:] = True
+
+    def carried():
+        monkeypatch.setattr(evaluation, "weighed", lambda *_: Weighed(trace.time, mass, 0 * mass, trusted, event))
+        return evaluation._carried(robot, trace, motion(trace))
+
+    event[20] = PayloadEvent.RELEASE
+    assert carried() is None, "nothing was picked"
+    event[120] = PayloadEvent.PICK
+    along = motion(trace)
+    a_kilogram = torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)[:, PAYLOAD]
+    held = np.repeat([0.0, 2.0, 2.0, 1.0, 2.0, 2.5], [100, 100, 100, 100, 50, 50])
+    np.testing.assert_allclose(carried(), held[:, None] * a_kilogram)
 
 
 TIME = np.arange(1000) * 0.01

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.trace.quality import ANY_JOINT, MAX_SPEED
 from drivers.trace.tables import Table
 from schemas.axes import Axes
 from schemas.errors import DataError
 from schemas.robot import Drive, Robot
 from schemas.trace import Trace
+from service.identification import proposal
+from service.identification.channels import Channels
 from service.identification.proposal import Proposal, Stated, propose
 
 GEAR = 25.0
@@ -224,3 +227,94 @@ def test_a_linear_axis_is_in_metres_or_millimetres_by_its_range(scale: float, un
     assert entries(found, "position") == [{"unit": unit}]
     assert entries(found, "torque") == [{"unit": "N"}]
     assert f"positions taken as {unit}, by their range" in found.doubts
+
+
+def test_of_the_rows_that_count_the_longest_run_is_taken() -> None:
+    mode = np.array([1.0, 0, 1, 1, 0, 1, 1, 1, 0, 1, 1])
+    made = Table(Path("log.csv"), "text", {"mode": mode, "row": np.arange(11.0)})
+    assert proposal._stretch(made, "mode", 1.0).columns["row"].tolist() == [5, 6, 7]
+    with pytest.raises(DataError, match=r"log\.csv: no row has 2 in column 'mode'"):
+        proposal._stretch(made, "mode", 2.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "unsigned"),
+    [
+        ([0, 65535], True), ([16383, 49153], True), ([0, 16384, 49152, 65535], True), ([np.inf, 0, 65535], True),
+        ([16384, 65535], False), ([0, 49152], False), ([0, 65536], False), ([-1, 65535], False),
+        ([0, 16385, 65535], False), ([0, 49151, 65535], False), ([0.5, 65535], False), ([np.nan], False),
+    ],
+)  # fmt: skip
+def test_numbers_that_lost_their_sign_leave_the_middle_of_their_range_empty(
+    values: list[float], unsigned: bool
+) -> None:
+    assert proposal._without_sign(np.array(values, float), 16) is unsigned
+
+
+def units(values: np.ndarray, rate: float = 1.0, robot: Robot | None = None) -> proposal._Units:
+    made = Table(Path("log.csv"), "text", {"q": values})
+    return proposal._Units(made, Channels(position=("q",)), robot, rate, Stated())
+
+
+def test_positions_are_what_a_joint_could_do() -> None:
+    """No further than half a turn, and all but one in a hundred no faster than any Delta."""
+    ramp = np.linspace(0.0, -1.0, 1001)
+    jumps = ramp.copy()
+    jumps[::300] *= 0.5
+    assert units(ramp)._plausible(0.99 * ANY_JOINT)
+    assert not units(ramp)._plausible(1.01 * ANY_JOINT)
+    for values in (ramp, jumps):
+        assert units(values, 0.99 * MAX_SPEED * 1000 / 2)._plausible(2.0)
+        assert not units(values, 1.01 * MAX_SPEED * 1000 / 2)._plausible(2.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "increments"),
+    [
+        (np.arange(0, 1002.0), True), (np.arange(0, 1000.0), False), (np.arange(0, 1002.0) + 0.3, False),
+        (np.r_[np.arange(0, 1002.0), 1e4, np.nan], True),
+        (np.where(np.arange(1200) % 8, 0.3, 0) + np.arange(1200), True),
+        (np.where(np.arange(1200) % 12, 0.3, 0) + np.arange(1200), False),
+    ],
+)  # fmt: skip
+def test_increments_are_many_whole_numbers(values: np.ndarray, increments: bool) -> None:
+    assert units(values)._integers() is increments
+
+
+@pytest.mark.parametrize(
+    ("farthest", "sides"), [(3.0, ["", "motor"]), (3.2, ["motor"]), (78.0, ["motor"]), (79.0, [""])]
+)
+def test_a_side_of_the_gear_is_one_on_which_a_joint_could_turn_so_far(
+    geared: Robot, farthest: float, sides: list[str]
+) -> None:
+    found = units(np.array([-farthest / 2, 0.0]), 1.0, geared)._sides({"unit": "rad"}, 2.0)
+    assert [entry.get("side", "") for entry in found] == sides
+
+
+def test_the_part_of_a_log_that_moves_most_is_tried() -> None:
+    """Ten seconds of thirty, evenly stamped; a row that is no number is flagged."""
+    time = np.arange(300) * 0.1
+    position = (
+        np.where(time < 12.0, 0.1, np.where(time < 22.0, 1.0, 0.3))[:, None] * np.sin(5 * time)[:, None] * np.ones(3)
+    )
+    torque = position.copy()
+    torque[150, 1] = np.nan
+    found = proposal._trial(Table(Path("a/log.csv"), "text", {"t": time}), 10.0, position, torque)
+    first = int(np.flatnonzero((position == found.position[0]).all(axis=1))[0])
+    assert 118 <= first <= 122
+    assert len(found.time) == 100
+    np.testing.assert_allclose(found.time, np.arange(100) * 0.1)
+    np.testing.assert_array_equal(found.torque, torque[first : first + 100])
+    assert np.flatnonzero(found.flags).tolist() == [150 - first]
+
+
+@pytest.mark.parametrize(
+    ("position", "scale"),
+    [
+        ({"unit": "deg"}, np.pi / 180), ({"unit": "turns", "side": "motor"}, 2 * np.pi / GEAR), ({"unit": "mm"}, 1e-3),
+        ({"unit": "counts", "counts_per_rev": 4096.0}, 2 * np.pi / 4096),
+        ({"unit": "counts", "counts_per_rev": 4096.0, "side": "motor"}, 2 * np.pi / 4096 / GEAR),
+    ],
+)  # fmt: skip
+def test_the_scale_of_a_position(position: dict[str, Any], scale: float) -> None:
+    assert proposal._scale(position, GEAR) == pytest.approx(scale)
