@@ -35,7 +35,7 @@ OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
 NAMES = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "argmin": "argmax", "argmax": "argmin",
          "all": "any", "any": "all", "sin": "cos", "cos": "sin"}  # fmt: skip
 ABOUT = ("annotation", "returns", "decorator_list", "bases", "keywords")
-UNWRAPPED = {"abs", "sqrt", "sorted", "float"}  # calls whose argument alone is left
+UNWRAPPED = {"abs", "sqrt", "sorted"}  # calls whose argument alone is left; float is not: a NumPy float is one
 
 
 Path = tuple[tuple[str, int | None], ...]
@@ -99,6 +99,8 @@ def _places(tree: ast.Module) -> Iterator[Place]:
             scope = f"{outer}{node.name}."
         if isinstance(node, ast.Raise | ast.JoinedStr | ast.Import | ast.ImportFrom):
             return
+        if isinstance(node, ast.keyword) and node.arg == "strict":
+            return  # that a zip's parts are as long as each other is checked, and acts on nothing
         for name, value in ast.iter_fields(node):
             if name in ABOUT and not isinstance(node, ast.Call):
                 continue

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from drivers.trace import read_trace
 from schemas.diagnosis import Follows
@@ -15,9 +16,10 @@ from schemas.errors import DataError, RobotError
 from schemas.robot import load_robot
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
-from service.diagnosis.evidence.cautions import base_doubts, limits_of
+from service.diagnosis.evidence.cautions import base_doubts, faults_of, limits_of, loops_of, noise_of
+from service.identification.noise import Floor
 from service.model.effects import CATALOGUE, by_name, catalogue
-from tests.service.world import stub
+from tests.service.world import course, problem, stub
 
 EFFECTS = by_name(CATALOGUE)
 
@@ -60,6 +62,60 @@ def test_a_short_log_is_too_little():
     scope = limits_of(motion(*[SWING[:200]] * 3))
     assert not scope.enough
     assert [(one.code, one.advice) for one in scope.cautions] == [("too_little_motion", "record_runs")]
+
+
+@pytest.mark.parametrize(
+    ("back", "seconds", "one_way", "still"),
+    [(0.019, 10.0, True, False), (0.021, 10.0, False, False), (0.5, 2.9, False, True), (0.5, 3.1, False, False)],
+)
+def test_a_joint_reverses_and_moves_if_it_does_for_some_of_the_time(back, seconds, one_way, still):
+    """Two in a hundred, and three seconds."""
+    count = round(seconds * 100)
+    speed = np.where(np.arange(1000) < count, 1.0, 0.0)
+    speed[: round(back * count)] *= -1.0
+    for way in (1.0, -1.0):
+        codes = [(one.code, one.joints) for one in limits_of(motion(way * speed, SWING)).cautions]
+        assert (("one_way", [1]) in codes) == one_way
+        assert (("joints_at_rest", [1]) in codes) == still
+
+
+@pytest.mark.parametrize(
+    ("noise", "gain", "closed"),
+    [(0.0, 40.0, True), (0.1, 40.0, True), (0.2, 40.0, False), (0.05, 0.0, False)],
+)
+def test_a_torque_that_is_the_controllers_answer_is_told_by_its_gain(noise, gain, closed):
+    """Joint 2's is a PD controller's of its position error, but for noise of so much of it (2 % of its square may be),
+    or follows its speed alone; the others' are the robot's, of which one has no error at all."""
+    run, random = course(1, 2.0), np.random.default_rng(3)
+    error = lfilter([0.02], [1.0, -0.98], random.standard_normal((2000, 3)), axis=0)
+    error[:, 0] = 0.0
+    controlled = gain * (error[:, 1] + 0.0075 * np.gradient(error[:, 1], 1e-3)) + 0.5 * run.motion[1][:, 1]
+    torque = run.torque.copy()
+    made = problem([run], [run.torque])
+    smooth = made.band(np.column_stack([controlled, controlled, controlled]))
+    loud = made.band(random.standard_normal((2000, 3)))
+    torque[:, 1] = controlled + noise * smooth.std() / loud.std() * random.standard_normal(2000)
+    position = run.motion[0]
+    trace = SimpleNamespace(position=position, position_command=position + error)
+    found = loops_of(problem([run], [torque]), [trace])
+    assert list(found) == ([1] if closed else [])
+    if closed:
+        assert found[1] == pytest.approx(gain, rel=0.05)
+    trace.position_command = None
+    assert loops_of(problem([run], [torque]), [trace]) == {}
+
+
+def test_what_is_said_of_the_noise_and_of_what_cannot_be():
+    none = np.zeros(3, bool)
+    floor = Floor(np.ones(3), np.ones(3), np.array([True, False, True]), none)
+    assert [(one.code, one.joints) for one in noise_of(floor)] == [("noise_coloured", [1, 3])]
+    floor = Floor(np.ones(3), np.ones(3), none, np.array([False, True, False]))
+    assert [(one.code, one.joints) for one in noise_of(floor)] == [("noise_unknown", [2])]
+    assert faults_of(stub(fault=None)) == []
+    term = stub(joints=(0, 2), effect=stub(name="arm_mass"))
+    (caution,) = faults_of(stub(fault=stub(term=term, quantity="", code="at_limit")))
+    assert (caution.code, caution.joints, caution.effect) == ("at_limit", [1, 3], "arm_mass")
+    assert (caution.quantity, caution.advice) == (None, "check_base")
 
 
 @pytest.fixture(scope="module")

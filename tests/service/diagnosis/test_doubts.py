@@ -110,6 +110,15 @@ def test_runs_of_several_robots_fit_alone_but_not_together():
     assert evaluate(made, Hypothesis(BASE)).cost > together.cost
 
 
+@pytest.mark.parametrize(("left", "alone", "told"), [(9.0, 3.3, True), (9.0, 3.5, False), (3.99, 1.0, False)])
+def test_runs_differ_where_each_fits_alone(monkeypatch, left, alone, told):
+    """Seven tenths of what is above the noise, of twice the noise or more, and effects take no more than six."""
+    monkeypatch.setattr(cautions, "_alone", lambda *_: alone)
+    small = INJECTED["cogging"].term("cogging")
+    codes = [one.code for one in found(small, left=left, gap=(left - 0.4) / 0.6 + 0.3)]
+    assert ("runs_differ" in codes) == told
+
+
 def test_noise_is_no_reason_to_doubt():
     runs = [course(seed, 1.0) for seed in SEEDS]
     random = np.random.default_rng(0)

@@ -298,6 +298,7 @@ def test_nothing_is_found_on_noise():
     )
     assert found.best is found.none
     assert found.best.names == ()
+    assert len(found.path) <= 1, "a round that brings nothing is the last"
 
 
 def test_two_effects_are_both_found():

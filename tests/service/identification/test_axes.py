@@ -12,7 +12,9 @@ from typer.testing import CliRunner
 from schemas.axes import Axes, load_axes
 from schemas.errors import RobotError
 from service.cli.main import app
+from service.identification import axes
 from tests.service.sines import sines
+from tests.service.world import stub
 
 run = CliRunner().invoke
 
@@ -149,3 +151,26 @@ def test_what_cannot_be_is_one_line(tmp_path: Path, line: str, words: str) -> No
         load_axes(path)
     assert "\n" not in str(told.value)
     assert str(path) in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("noise", "alone", "worst", "told"),
+    [
+        (0.5, 1.5, 0.49, ["the logs fit one by one and not together, a.csv least of all (44%"]),
+        (0.5, 1.5, 0.51, ["b.csv: the model leaves 51 % of the torque of axis 1", "the logs fit one by one"]),
+        (1.7, 1.5, 0.49, []),  # hardly twice the noise
+        (0.5, 1.95, 0.49, []),  # alone they leave much of it too
+    ],
+)
+def test_logs_of_two_machines_and_a_model_that_is_none_are_told(monkeypatch, noise, alone, worst, told):
+    """Two logs of two axes; what each sheds alone is summed over its axes."""
+    monkeypatch.setattr(axes, "_described_better", lambda fit: [])
+    residual = np.array([[3.1, 3.1], [4.0, 0.5]])
+    fit = stub(
+        residual=residual, torque=np.array([[10.0, 10.0], [4.0 / worst, 10.0]]), noise_floor=np.full(2, noise),
+        alone=np.array([[alone, alone], [alone, 0.5]]),
+    )  # fmt: skip
+    found = axes._warnings(fit, [stub(path=Path(name)) for name in ("a.csv", "b.csv")])
+    assert len(found) == len(told)
+    for line, words in zip(found, told, strict=True):
+        assert line.startswith(words)

@@ -233,4 +233,5 @@ def test_steps_are_a_floor():
     for part in made:
         part.segment.torque[:] = 0.05 * np.rint(part.segment.torque / 0.05)
     found = noise.floor(made, values, band)
+    np.testing.assert_allclose(found.sample, 0.05 / 12**0.5, rtol=0.2)
     assert (found.sample >= 0.05 / 12**0.5 * (1 - 1e-9)).all()

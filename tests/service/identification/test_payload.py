@@ -1,6 +1,7 @@
 """Payload within one pick: on logs of another plant and on our own, each identified on its own free motion."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,10 @@ import pytest
 
 from drivers.trace import read_trace
 from schemas.errors import TraceError
-from schemas.messages import PayloadEvent
-from schemas.robot import load_robot
+from schemas.messages import PayloadEvent, SampleFlag
+from schemas.robot import Identified, load_robot
 from service.estimator.recursion import fixed_forgetting
-from service.identification import evaluation
+from service.identification import evaluation, payload
 from service.identification.evaluation import WITH_PAYLOAD, evaluate
 from service.identification.identify import identify
 from service.identification.payload import (
@@ -29,6 +30,7 @@ from service.identification.regression import summarise
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, motion
+from service.model.signals import moving
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +122,27 @@ def test_what_is_carried_has_been_trusted_once_and_was_no_lighter_since(robot, r
     a_kilogram = torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)[:, PAYLOAD]
     held = np.repeat([0.0, 2.0, 2.0, 1.0, 2.0, 2.5], [100, 100, 100, 100, 50, 50])
     np.testing.assert_allclose(carried(), held[:, None] * a_kilogram)
+
+
+@pytest.mark.parametrize(("std_dev", "trusted", "mass"), [(0.99, True, 2.0), (1.01, True, 0.0), (0.1, False, np.nan)])
+def test_what_hangs_is_one_mass_from_event_to_event_and_unknown_before_the_next(
+    robot, record, monkeypatch, std_dev, trusted, mass
+):
+    """Up to a quarter of a second of motion before it; what is not twice its error is none."""
+    trace = record(3, seconds=2.0)
+    trace = replace(trace, flags=np.where(np.arange(2000) < 5, np.uint32(SampleFlag.LOADED), np.uint32(0)))
+    robot = robot.model_copy(update={"identified": Identified()})
+    event = np.zeros(2000, int)
+    found = Weighed(trace.time, np.full(2000, 2.0), np.full(2000, std_dev), np.full(2000, trusted), event)
+    monkeypatch.setattr(payload, "weighed", lambda *_: found)
+    expected = np.where(np.arange(2000) < 5, np.nan, 0.0)
+    np.testing.assert_array_equal(payload.carried(robot, trace), expected)
+    event[1000] = PayloadEvent.PICK
+    moves = moving(trace.position, trace.period).any(axis=1)
+    expected[1000:] = mass
+    for end in (1000, 2000):
+        expected[np.flatnonzero(moves[:end])[-249] : end] = np.nan
+    np.testing.assert_array_equal(payload.carried(robot, trace), expected)
 
 
 TIME = np.arange(1000) * 0.01

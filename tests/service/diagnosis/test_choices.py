@@ -1,0 +1,218 @@
+"""What a search decides, on fits made up for it: each rule just inside and just outside of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.service.subject import EFFECTS, Hypothesis, Term, selection
+from tests.service.world import BASE, stub
+
+BLOCKS = 50
+
+
+def made(loss: float, size: int = 1, noise: float = 0.0, term: object = None, name: str = ""):
+    """A fit of `size` parameters; noise: of its blocks, about their mean."""
+    away = np.random.default_rng(1).standard_normal(BLOCKS)
+    away = noise * (away - away.mean()) / away.std()
+    return stub(
+        name=name, loss=loss, blocks=loss / BLOCKS + away, fitted=stub(tangents=[np.zeros((1, size))]),
+        hypothesis=stub(terms=[term]),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("loss", "noise", "size", "leads"),
+    [
+        (1009.9, 2.0, 1, "small"),  # 2 % of what is gained, and not told apart
+        (1010.1, 2.0, 1, "large"),
+        (1009.9, 0.74, 1, "small"),
+        (1009.9, 0.66, 1, "large"),  # told apart by two standard errors, 9.9 / (0.66 sqrt(50))
+        (1009.9, 2.0, 3, "large"),
+    ],
+)
+def test_the_one_with_fewer_parameters_leads_where_it_does_as_well(loss, noise, size, leads):
+    small, large = made(loss, size, noise, name="small"), made(1000.0, 3, name="large")
+    third = made(1200.0, 1, name="third")
+    order = selection.simplest_first([third, small, large], made(1500.0))
+    assert order[0].name == leads
+    assert order[2] is third
+
+
+@pytest.mark.parametrize(("loss", "leads"), [(103.9, "small"), (104.1, "large")])
+def test_of_two_that_are_told_apart_a_parameter_is_worth_two_rows(loss, leads):
+    small, large = made(loss, 1, name="small"), made(100.0, 3, name="large")
+    assert selection.simplest_first([small, large], made(110.0))[0].name == leads
+
+
+@pytest.mark.parametrize(("scatter", "worth"), [(4.04, True), (5.66, False)])
+def test_an_addition_stands_out_of_three_standard_errors(scatter, worth):
+    """A tenth of the noise gained in 1000 rows, 2 a block; 3.5 and 2.5 of them."""
+    without = 22.0 + np.tile([scatter, -scatter], BLOCKS // 2)
+    assert selection.worth(np.full(BLOCKS, 20.0), without, without, 1000) is worth
+
+
+@pytest.mark.parametrize(
+    ("rough", "lacks", "single"), [(False, 0.049, True), (False, 0.051, False), (True, 0.29, True), (True, 0.31, False)]
+)
+def test_an_effect_on_all_joints_has_to_gain_by_the_others(rough, lacks, single):
+    """A twentieth of what it gains, and a third where the grid only comes near."""
+    effect = stub(rough=rough)
+    every, one, other = (stub(joints=joints, effect=effect) for joints in ((0, 1, 2), (1,), (0,)))
+    scored = [(50.0, every), (50.0 + lacks * 50.0, one), (99.0, other)]
+    assert selection._prefer_single(scored, 100.0)[1] is (one if single else every)
+
+
+@pytest.mark.parametrize(
+    ("low", "truth", "dead"),
+    [
+        ((0.0, 0.0), ((1.0,), (-1.0,)), True),  # friction that would drive
+        ((0.0, 0.0), ((1.0,), (2.0,)), False),
+        ((-np.inf, -np.inf), ((1.0,), (-1.0,)), False),
+        ((0.0, -np.inf, 0.0, -np.inf), ((1.0, -1.0), (-1.0, 2.0)), True),
+        ((0.0, 0.0, 0.0, 0.0), ((1.0, -1.0), (2.0, 1.0)), False),  # something of it is left
+    ],
+)
+def test_an_effect_is_dead_on_a_joint_that_would_want_less_than_none_of_it(low, truth, dead):
+    random, size = np.random.default_rng(0), len(truth[0])
+    grams = []
+    for _ in range(2):
+        columns = random.standard_normal((40, 2 * size))
+        whole = np.column_stack([columns, columns @ np.concatenate(truth)])
+        grams.append(whole.T @ whole)
+    index = {("effect", joint, ()): np.arange(joint * size, (joint + 1) * size) for joint in (0, 1)}
+    dictionary = stub(left_out=grams, index=index, low=np.array(low))
+    assert selection.Dictionary._dead(dictionary, stub(effect="effect", joints=(0, 1), nonlinear=())) is dead
+
+
+def apart(joints: tuple[int, ...], dissipates: bool = False, nonlinear: tuple[str, ...] = ()):
+    return stub(joints=joints, effect=stub(dissipates=dissipates, nonlinear=nonlinear))
+
+
+@pytest.mark.parametrize(
+    ("term", "loss", "lacks", "leads"),
+    [
+        (apart((0, 1)), 410.0, 0.049, "platform"),  # of 100 rows; it lacks so much of what is gained
+        (apart((0, 1)), 410.0, 0.051, "springs"),
+        (apart((0, 1)), 390.0, 0.01, "springs"),  # what is left is not twice the noise
+        (apart((0,)), 410.0, 0.01, "springs"),
+        (apart((0, 1), dissipates=True), 410.0, 0.01, "springs"),
+        (apart((0, 1), nonlinear=("width",)), 410.0, 0.01, "springs"),
+    ],
+)
+def test_one_force_on_the_platform_goes_before_what_each_arm_would_have(term, loss, lacks, leads):
+    platform = loss + lacks * (1000.0 - loss)
+    springs, other = made(loss, term=term, name="springs"), made(loss, term=apart((2,)), name="other")
+    one = made(platform, term=apart(()), name="platform")
+    order = [scored.name for scored in selection.one_cause_first([springs, other, one], made(1000.0), 100)]
+    assert order == (["platform", "springs", "other"] if leads == "platform" else ["springs", "other", "platform"])
+
+
+FAULT = stub(code="a fault")
+
+
+@pytest.mark.parametrize(
+    ("losses", "faulty", "order", "fault"),
+    [
+        ((100.0, 150.0), (), (0, 1), None),
+        ((100.0, 150.0), (1,), (0,), None),
+        ((100.0, 103.9, 104.5), (0,), (1, 2), None),  # 5 % of a gain of 80
+        ((100.0, 150.0, 103.9), (0,), (2, 1), None),
+        ((100.0, 104.1, 150.0), (0,), (1, 2), FAULT),
+        ((100.0, 104.1), (0, 1), (0, 1), FAULT),
+        ((178.0, 179.9), (0,), (1,), None),  # not worth it: no fault either
+    ],
+)
+def test_what_cannot_be_is_out_and_its_fault_where_it_leads_alone(monkeypatch, losses, faulty, order, fault):
+    tried = [made(loss, noise=0.001 * (loss > 100.0)) for loss in losses]
+    wrong = {id(tried[k].hypothesis) for k in faulty}
+    monkeypatch.setattr(selection, "fault_of", lambda _, hypothesis, given: FAULT if id(hypothesis) in wrong else None)
+    found, told = selection._sound_first(
+        stub(count=80), list(tried), made(180.0, noise=0.01), made(180.0, noise=0.01), 0
+    )
+    assert [tried.index(scored) for scored in found] == list(order)
+    assert told is fault
+
+
+def test_what_blocks_do_not_tell_apart_is_as_good(monkeypatch):
+    lead, near = made(100.0, noise=0.0), made(110.0, noise=2.0)
+    monkeypatch.setattr(
+        selection, "fault_of", lambda _, hypothesis, given: FAULT if hypothesis is lead.hypothesis else None
+    )
+    assert selection._sound_first(stub(count=80), [lead, near], made(1800.0), made(1800.0), 0) == ([near], None)
+
+
+@pytest.mark.parametrize(
+    ("loss", "rows", "gain", "kept"),
+    [
+        (9000.0, 9000, 39.0, False),
+        (9000.0, 9000, 41.0, True),
+        (19000.0, 9000, 99.0, False),
+        (19000.0, 9000, 101.0, True),
+    ],
+)  # fmt: skip
+def test_widths_of_their_own_are_worth_something_and_a_hundredth_of_what_is_left(monkeypatch, loss, rows, gain, kept):
+    term = Term(EFFECTS["stribeck_friction"], (0, 2), np.array([[1.0], [2.0]]), (0.2,))
+    best = stub(hypothesis=Hypothesis(BASE, (term,)), loss=loss)
+    monkeypatch.setattr(selection, "fit", lambda problem, hypothesis: hypothesis)
+    monkeypatch.setattr(selection, "score", lambda fitted, split: stub(hypothesis=fitted, loss=loss - gain))
+    found = selection.spread(stub(count=rows), None, best)
+    assert (found is not best) == kept
+    if kept:
+        assert [(t.joints, t.amplitude.tolist()) for t in found.hypothesis.terms] == [((0,), [[1.0]]), ((2,), [[2.0]])]
+
+
+@pytest.mark.parametrize(
+    ("none", "lost", "joints"),
+    [(400.0, 11.9, (0,)), (400.0, 12.1, (0, 2)), (1100.0, 19.9, (0,)), (1100.0, 20.1, (0, 2))],
+)
+def test_a_joint_goes_that_is_worth_no_more_than_chance_or_a_fiftieth(monkeypatch, none, lost, joints):
+    """Twelve in units of the noise, or that share of what the effects gain: here of joint 3, and joint 1 of all."""
+    terms = (Term(EFFECTS["torque_offset"], (0, 2), np.array([[1.0], [2.0]]), ()),)
+
+    def scored(fitted, split):
+        (term,) = fitted.terms
+        return stub(
+            hypothesis=fitted, loss=100.0 + (0.0 if 2 in term.joints else lost) + (0.0 if 0 in term.joints else 1e3)
+        )
+
+    monkeypatch.setattr(selection, "fit", lambda problem, hypothesis, iterations=6: hypothesis)
+    monkeypatch.setattr(selection, "score", scored)
+    best = stub(hypothesis=Hypothesis(BASE, terms), loss=100.0)
+    (term,) = selection.pruned(stub(), None, best, stub(loss=none), 80, 0).hypothesis.terms
+    assert term.joints == joints
+    assert term.amplitude.tolist() == [[1.0], [2.0]][: len(joints)]
+
+
+def test_a_rough_effect_is_searched_where_it_promises_something(monkeypatch):
+    """Play is tried at three widths; one that takes less than 30 % of the squares off is left there, another refined by
+    steps of 12 % and less, each kept that helps."""
+    term = Term(
+        EFFECTS["backlash"], (1,), np.zeros((1, 0)), (1e-3, *([0.1] * (len(EFFECTS["backlash"].nonlinear) - 1)))
+    )
+    asked = []
+
+    def valley(bottom: float, best: float):
+        def fit(problem, hypothesis, iterations=6):
+            asked.append(iterations)
+            if not hypothesis.terms:
+                return stub(hypothesis=hypothesis, cost=100.0)
+            off = np.log(hypothesis.terms[-1].nonlinear[0] / best) ** 2
+            return stub(hypothesis=hypothesis, cost=bottom + 100.0 * off)
+
+        return fit
+
+    monkeypatch.setattr(selection, "fit", valley(75.0, 1.4e-3))
+    found = selection.fit_added(stub(), Hypothesis(BASE), term)
+    assert found.hypothesis.terms[-1].nonlinear[0] == pytest.approx(1.15e-3)
+    assert asked == [1, 1, 1, 0]
+    monkeypatch.setattr(selection, "fit", valley(10.0, 1.4e-3))
+    found = selection.fit_added(stub(), Hypothesis(BASE), term)
+    assert found.hypothesis.terms[-1].nonlinear[0] == pytest.approx(1.15e-3 * 1.13 * 1.06 * 1.03, rel=1e-9)
+    assert found.hypothesis.terms[-1].nonlinear[1:] == term.nonlinear[1:]
+    monkeypatch.setattr(selection, "fit", valley(10.0, 0.7e-3))
+    found = selection.fit_added(stub(), Hypothesis(BASE), term)
+    assert found.hypothesis.terms[-1].nonlinear[0] == pytest.approx(0.87e-3 * 0.88 * 0.94 * 0.97, rel=1e-9)
+    plain = Term(EFFECTS["torque_offset"], (1,), np.zeros((1, 1)), ())
+    monkeypatch.setattr(selection, "fit", lambda problem, hypothesis, iterations=6: (hypothesis, iterations))
+    assert selection.fit_added(stub(), Hypothesis(BASE), plain) == (Hypothesis(BASE, (plain,)), 6)
