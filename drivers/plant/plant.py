@@ -63,8 +63,9 @@ class Plant:
     closes the drive loops for the first time; `run` lets the physics go to the end of the cycle.
 
     Attributes read by effects: time s (since power-on); theta, theta_dot (3,) of the links; motor, motor_dot (3,);
-    platform, platform_dot (3,) m; load (3,) N m, torque last passed through the gears; payload kg; rng. They follow the
-    physics: copy what has to last. robot, described: what it was made of, before effects.
+    platform, platform_dot (3,) m; load (3,) N m, torque last passed through the gears, beyond the friction before them;
+    payload kg; rng. They follow the physics: copy what has to last. robot, described: what it was made of, before
+    effects.
     """
 
     def __init__(
@@ -292,10 +293,10 @@ class Plant:
             passed = self._drive_train()
             data.qfrc_applied[at.motor] = np.where(self.split, rubbed - passed, 0.0)
             self._arm_force[:] = np.where(self.split, passed, rubbed)
-            self.load = np.where(self.split, passed, torque)
+            self.load = np.where(self.split, passed, rubbed - self.friction.viscous * self.motor_dot)
         else:
             self._arm_force[:] = rubbed
-            self.load = torque
+            self.load = rubbed - self.friction.viscous * self.motor_dot
         for effect in self._on_joint:
             self._arm_force += effect.joint_torque(self)
         if self._on_platform:

@@ -203,6 +203,18 @@ def test_a_shaft_rubs_along_itself(robot: Robot, truth: PlantTruth, run: Traject
     np.testing.assert_allclose(along[fast], -5.0 * np.sign(rate[fast]) - 2.0 * rate[fast], atol=0.05)
 
 
+def test_the_load_of_the_gear_is_what_friction_leaves_of_the_torque(
+    robot: Robot, truth: PlantTruth, run: Trajectory
+) -> None:
+    creeping = truth.model_copy(update={"creep_radps": 0.006})
+    plant = Plant(robot, creeping, (friction.LoadDependentFriction([0.05] * 3),))
+    seen = watched(plant, run, lambda p: np.array([p.torque, p.load, p.motor_dot]))
+    torque, load, speed = seen.transpose(1, 0, 2)
+    fast = np.abs(speed) > 0.5
+    rubs = np.sign(speed) * (3.0 + 0.05 * np.abs(load)) + speed
+    np.testing.assert_allclose((torque - load)[fast], rubs[fast], atol=0.1)
+
+
 def test_friction_laws(robot: Robot, truth: PlantTruth) -> None:
     plant = Plant(robot, truth)
 
