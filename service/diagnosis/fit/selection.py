@@ -24,8 +24,10 @@ SHORTLIST = 5  # candidates fitted exactly a step
 MOST_EFFECTS = 4
 # What an effect has to be worth on data left out, as a fall of the mean square in units of the noise:
 LEAST_GAIN = 0.03  # 1.5 % of the noise floor's rms
-LEAST_SHARE_OF_GAP = 0.01  # of the gap above the noise
-LEAST_SHARE_OF_REST = 0.25  # of what was still above the noise when it was added
+LEAST_SHARE_OF_GAP = 0.01  # of the gap above the noise; or, as beside a strong effect a weak one is less,
+MOST_OF_REST = 0.6  # of what was still above the noise when it was added, and
+LEAST_BESIDE = 0.12  # more than what a strong effect's own model leaves, which passes for noise
+LEAST_SHARE_OF_REST = 0.25  # of the same, in any case
 LEAST_Z = 3.0  # standard errors over blocks
 SIMPLER_SHARE = 0.02  # of a gain that a hypothesis with fewer parameters may lack
 TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
@@ -446,7 +448,8 @@ def worth(candidate: np.ndarray, without: np.ndarray, none: np.ndarray, rows: in
     """
     gain = float(without.sum() - candidate.sum()) / rows
     gap, rest = float(none.sum()) / rows - 1.0, float(without.sum()) / rows - 1.0
-    least = max(LEAST_GAIN, LEAST_SHARE_OF_GAP * gap, LEAST_SHARE_OF_REST * rest)
+    share = min(LEAST_SHARE_OF_GAP * gap, max(MOST_OF_REST * rest, LEAST_BESIDE))
+    least = max(LEAST_GAIN, share, LEAST_SHARE_OF_REST * rest)
     return gain > least and z_score(without, candidate) > LEAST_Z
 
 

@@ -207,7 +207,11 @@ class TestWorth:
             (1.00, 1.04, 1.04, True),
             (1.00, 1.025, 1.025, False),  # less than LEAST_GAIN
             (1.03, 1.2, 8.0, True),
-            (1.14, 1.2, 8.0, False),  # less than 1 % of the gap
+            (1.14, 1.2, 8.0, False),  # less than 1 % of the gap and 60 % of the rest
+            (1.35, 2.0, 100.0, True),  # a weak effect beside a strong one: most of what is left
+            (1.45, 2.0, 100.0, False),
+            (1.0, 1.15, 60.0, True),
+            (1.0, 1.1, 60.0, False),  # what the strong effect's own model leaves
             (4.0, 5.5, 5.5, True),
             (5.0, 5.5, 5.5, False),  # less than a quarter of the rest
         ],
