@@ -191,6 +191,6 @@ def _tables(results: dict[str, Any]) -> list[Table]:
     delivered = ("samples", "lost", "answered", "sample to feed-forward, µs: median", "p99", "p99.9", "max")
     return [
         table(("model", *(f"joint {n}: mean, std" for n in (1, 2, 3))), errors, "measured - predicted torque, N m"),
-        table(weighed, payloads, "payload", words=0),
-        table(delivered, [bus], "bus", words=0),
+        table(weighed, payloads, "payload", figures=slice(None)),
+        table(delivered, [bus], "bus", figures=slice(None)),
     ]

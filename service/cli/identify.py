@@ -114,7 +114,7 @@ def _load(text: str) -> tuple[float, Path]:
 
 def _calibrated(figures: Sequence[CalibratedFigure]) -> Table:
     rows = [(one.name, f"{one.value:.4f}", f"{one.std_error:.4f}", one.unit, CHANGED[one.changed]) for one in figures]
-    return table(("", "value", "std. error", "unit", ""), rows, "by the known load")
+    return table(("", "value", "std. error", "unit", ""), rows, "by the known load", figures=slice(1, 3))
 
 
 def _parameters(estimates: Sequence[ParameterEstimate], robot: Description) -> Table:
@@ -124,7 +124,9 @@ def _parameters(estimates: Sequence[ParameterEstimate], robot: Description) -> T
         (one.name, f"{one.value:.4f}", f"{one.std_error:.4f}", in_units_of(robot, one.unit), one.verdict, one.reason)
         for one in estimates
     ]
-    return table(("parameter", "value", "std. error", "unit", "verdict", "why"), rows, "identified")
+    return table(
+        ("parameter", "value", "std. error", "unit", "verdict", "why"), rows, "identified", figures=slice(1, 3)
+    )
 
 
 def _residuals(fit: Plain, names: Sequence[str], robot: Description) -> Table:

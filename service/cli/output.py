@@ -32,14 +32,19 @@ def console(stderr: bool = False) -> Console:
 
 
 def table(
-    head: Iterable[str], rows: Iterable[Sequence[str]] = (), title: str = "", caption: str = "", words: int = 1
+    head: Sequence[str],
+    rows: Iterable[Sequence[str]] = (),
+    title: str = "",
+    caption: str = "",
+    figures: slice = slice(1, None),
 ) -> Table:
-    """A table of `rows`. The columns behind the first `words` hold figures, which stand at the right and whole."""
+    """A table of `rows`. figures: columns that hold figures, which stand at the right."""
     from rich.table import Table
 
     made = Table(title=title or None, caption=caption or None)
+    right = range(len(head))[figures]
     for place, heading in enumerate(head):
-        made.add_column(heading, justify="left" if place < words else "right", no_wrap=place >= words)
+        made.add_column(heading, justify="right" if place in right else "left")
     for row in rows:
         made.add_row(*row)
     return made

@@ -87,7 +87,7 @@ def _found(name: str, seen: list[Level]) -> Table:
          f"{one.trusted:.0%}")
         for one in seen
     ]  # fmt: skip
-    return table(head, rows, f"{name}: payload", words=0)
+    return table(head, rows, f"{name}: payload", figures=slice(None))
 
 
 def _scored(scores: list[Score]) -> list[Table]:
@@ -115,6 +115,6 @@ def _scored(scores: list[Score]) -> list[Table]:
         "paper: found, ms",
     )  # fmt: skip
     return [
-        table(head, each, "payload: delays after the true pick or release", words=0),
+        table(head, each, "payload: delays after the true pick or release", figures=slice(None)),
         table(("", "estimator", "paper's recursion"), summary, f"{len(scores)} picks"),
     ]
