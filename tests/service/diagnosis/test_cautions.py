@@ -87,7 +87,7 @@ def test_a_torque_that_is_the_controllers_answer_is_told_by_its_gain(noise, gain
     """Joint 2's is a PD controller's of its position error, but for noise of so much of it (2 % of its square may be),
     or follows its speed alone; the others' are the robot's, of which one has no error at all."""
     run, random = course(1, 2.0), np.random.default_rng(3)
-    error = lfilter([0.02], [1.0, -0.98], random.standard_normal((2000, 3)), axis=0)
+    error = np.asarray(lfilter([0.02], [1.0, -0.98], random.standard_normal((2000, 3)), axis=0))
     error[:, 0] = 0.0
     controlled = gain * (error[:, 1] + 0.0075 * np.gradient(error[:, 1], 1e-3)) + 0.5 * run.motion[1][:, 1]
     torque = run.torque.copy()
@@ -96,7 +96,7 @@ def test_a_torque_that_is_the_controllers_answer_is_told_by_its_gain(noise, gain
     loud = made.band(random.standard_normal((2000, 3)))
     torque[:, 1] = controlled + noise * smooth.std() / loud.std() * random.standard_normal(2000)
     position = run.motion[0]
-    trace = SimpleNamespace(position=position, position_command=position + error)
+    trace = stub(position=position, position_command=position + error)
     found = loops_of(problem([run], [torque]), [trace])
     assert list(found) == ([1] if closed else [])
     if closed:

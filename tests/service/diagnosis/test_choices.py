@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -34,7 +36,7 @@ def made(loss: float, size: int = 1, noise: float = 0.0, term: object = None, na
 def test_the_one_with_fewer_parameters_leads_where_it_does_as_well(loss, noise, size, leads):
     small, large = made(loss, size, noise, name="small"), made(1000.0, 3, name="large")
     third = made(1200.0, 1, name="third")
-    order = selection.simplest_first([third, small, large], made(1500.0))
+    order: list[Any] = selection.simplest_first([third, small, large], made(1500.0))
     assert order[0].name == leads
     assert order[2] is third
 
@@ -42,7 +44,8 @@ def test_the_one_with_fewer_parameters_leads_where_it_does_as_well(loss, noise, 
 @pytest.mark.parametrize(("loss", "leads"), [(103.9, "small"), (104.1, "large")])
 def test_of_two_that_are_told_apart_a_parameter_is_worth_two_rows(loss, leads):
     small, large = made(loss, 1, name="small"), made(100.0, 3, name="large")
-    assert selection.simplest_first([small, large], made(110.0))[0].name == leads
+    order: list[Any] = selection.simplest_first([small, large], made(110.0))
+    assert order[0].name == leads
 
 
 @pytest.mark.parametrize(("scatter", "worth"), [(4.04, True), (5.66, False)])
@@ -104,8 +107,10 @@ def test_one_force_on_the_platform_goes_before_what_each_arm_would_have(term, lo
     platform = loss + lacks * (1000.0 - loss)
     springs, other = made(loss, term=term, name="springs"), made(loss, term=apart((2,)), name="other")
     one = made(platform, term=apart(()), name="platform")
-    order = [scored.name for scored in selection.one_cause_first([springs, other, one], made(1000.0), 100)]
-    assert order == (["platform", "springs", "other"] if leads == "platform" else ["springs", "other", "platform"])
+    order: list[Any] = selection.one_cause_first([springs, other, one], made(1000.0), 100)
+    assert [scored.name for scored in order] == (
+        ["platform", "springs", "other"] if leads == "platform" else ["springs", "other", "platform"]
+    )
 
 
 FAULT = stub(code="a fault")
@@ -156,7 +161,7 @@ def test_widths_of_their_own_are_worth_something_and_a_hundredth_of_what_is_left
     best = stub(hypothesis=Hypothesis(BASE, (term,)), loss=loss)
     monkeypatch.setattr(selection, "fit", lambda problem, hypothesis: hypothesis)
     monkeypatch.setattr(selection, "score", lambda fitted, split: stub(hypothesis=fitted, loss=loss - gain))
-    found = selection.spread(stub(count=rows), None, best)
+    found = selection.spread(stub(count=rows), stub(), best)
     assert (found is not best) == kept
     if kept:
         assert [(t.joints, t.amplitude.tolist()) for t in found.hypothesis.terms] == [((0,), [[1.0]]), ((2,), [[2.0]])]
@@ -179,7 +184,7 @@ def test_a_joint_goes_that_is_worth_no_more_than_chance_or_a_fiftieth(monkeypatc
     monkeypatch.setattr(selection, "fit", lambda problem, hypothesis, iterations=6: hypothesis)
     monkeypatch.setattr(selection, "score", scored)
     best = stub(hypothesis=Hypothesis(BASE, terms), loss=100.0)
-    (term,) = selection.pruned(stub(), None, best, stub(loss=none), 80, 0).hypothesis.terms
+    (term,) = selection.pruned(stub(), stub(), best, stub(loss=none), 80, 0).hypothesis.terms
     assert term.joints == joints
     assert term.amplitude.tolist() == [[1.0], [2.0]][: len(joints)]
 

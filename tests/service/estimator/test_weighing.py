@@ -177,7 +177,7 @@ def test_slow_motion_hands_on_what_gravity_says():
     random, state = np.random.default_rng(2), fresh(inflation=1.5, mass=1.0, std_dev=0.4, drag=2.0, in_bin=0)
     delta = 0.2 * random.standard_normal(9)
     state["friction"]["delta"] = delta
-    expected = state["slow"].copy()
+    expected, said = state["slow"].copy(), False
     slowly = 2.5e-3  # s, the fewer samples it takes
     rule = settings(slowly, DRIFT, 6.0, np.zeros(3), np.ones(3))[()]
     for _ in range(140):

@@ -121,7 +121,9 @@ def test_what_is_carried_has_been_trusted_once_and_was_no_lighter_since(robot, r
     along = motion(trace)
     a_kilogram = torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)[:, PAYLOAD]
     held = np.repeat([0.0, 2.0, 2.0, 1.0, 2.0, 2.5], [100, 100, 100, 100, 50, 50])
-    np.testing.assert_allclose(carried(), held[:, None] * a_kilogram)
+    found = carried()
+    assert found is not None
+    np.testing.assert_allclose(found, held[:, None] * a_kilogram)
 
 
 @pytest.mark.parametrize(("std_dev", "trusted", "mass"), [(0.99, True, 2.0), (1.01, True, 0.0), (0.1, False, np.nan)])
@@ -138,7 +140,7 @@ def test_what_hangs_is_one_mass_from_event_to_event_and_unknown_before_the_next(
     expected = np.where(np.arange(2000) < 5, np.nan, 0.0)
     np.testing.assert_array_equal(payload.carried(robot, trace), expected)
     event[1000] = PayloadEvent.PICK
-    moves = moving(trace.position, trace.period).any(axis=1)
+    moves = np.any(moving(trace.position, trace.period), axis=1)
     expected[1000:] = mass
     for end in (1000, 2000):
         expected[np.flatnonzero(moves[:end])[-249] : end] = np.nan
