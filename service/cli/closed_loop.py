@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from service.experiment.closed_loop import Tracking
     from service.experiment.pictures import Page
 
+LOGS, LOG_S = 4, 6.0  # to identify on: how many, and the length of each, s
+
 
 def command(
     robot: Annotated[Path, robot_file(", or one that comes along.")] = Path("d3-1200"),
@@ -61,15 +63,10 @@ def command(
     runs: list[Tracking] = []
     with bars() as progress:
         if identified is None:
-            rng = np.random.default_rng([seed, 2])
-            task = progress.add_task("logs to identify on", total=4 * 6.0)
+            task = progress.add_task("logs to identify on", total=LOGS * LOG_S)
             plant, _ = make_plant(description, truth, period, seed + 1)
-            logs = record(
-                plant,
-                identification_motions(planner, rng, 4, 6.0),
-                "fit",
-                lambda seconds: progress.update(task, completed=seconds),
-            )
+            motions = identification_motions(planner, np.random.default_rng([seed, 2]), LOGS, LOG_S)
+            logs = record(plant, motions, "fit", lambda seconds: progress.update(task, completed=seconds))
             known = identify(description, [summarise(pack(description), log) for log in logs]).robot
         else:
             known = load_robot(identified, effects)

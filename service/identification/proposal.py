@@ -4,7 +4,7 @@ needs, and what cannot be told."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,7 @@ CLEAR = 0.6  # a reading is told from another that leaves this many times as muc
 HOPELESS = 0.5  # share of the torque left, from which nothing can be said
 SAME = 1.25  # factor within which a torque's scale goes with the masses of the description
 _WHENCE = "by the masses of the description; the data sheet is better: --torque-unit"
+AS_GIVEN = (1, 1, 1)  # signs
 SCALES = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "m": 1.0, "mm": 1e-3}
 
 
@@ -339,68 +340,67 @@ def _trial(table: Table, rate: float, position: np.ndarray, torque: np.ndarray) 
 class _Reading:
     """One way to read a Delta's log. share: of the torque's rms, that the robot's equations leave."""
 
-    share: float
     position: dict[str, Any]
-    signs: Sequence[int]
     torque: dict[str, Any]
-    torque_signs: Sequence[int]
-    reasons: list[str]
-    doubts: list[str]
+    share: float = np.inf
+    signs: Sequence[int] = AS_GIVEN
+    torque_signs: Sequence[int] = AS_GIVEN
+    reasons: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
 
 
-def _by_delta(
-    table: Table,
-    channels: Channels,
-    robot: Robot,
-    rate: float,
-    position: dict[str, Any],
-    torque: dict[str, Any],
-    said: bool,
-) -> _Reading:
-    """Signs, side and scale with which the robot's equations explain the torque. said: whether its unit is known."""
+def _fits(
+    table: Table, robot: Robot, rate: float, positions: np.ndarray, torques: np.ndarray, known: bool, said: bool
+) -> list[tuple[float, Sequence[int], TorqueReading]]:  # fmt: skip
+    """(share left, signs of the positions, the torque's reading), the best first. positions: (N, 3) rad of the joints.
+    torques: (N, 3), in N m if `known`; said: by the file or the user."""
     model, gear = pack(robot), robot.drive.gear_ratio
-    raw = np.column_stack([table.columns[name] for name in channels.position]) * _scale(position, gear)
-    given = np.column_stack([table.columns[name] for name in channels.torque])
-    factor = torque.get("constant") or torque.get("rated")
-    known = not ("constant" in torque or "rated" in torque) or factor is not None
-    per = {"percent": 100.0, "permille": 1000.0}.get(torque["unit"], 1.0)
-    scaled = given * (factor / per if factor else 1.0)
-
-    def gram(signs: Sequence[int]) -> np.ndarray | None:
-        try:
-            log = summarise(model, _trial(table, rate, raw * np.array(signs), scaled))
-            return log.gram.sum(axis=0) if log.seconds.sum(axis=0).min() > SHORTEST else None
-        except (TraceError, DataError):  # no pose of this robot
-            return None
 
     def fitted(signs: Sequence[int]) -> TorqueReading | None:
-        sums = gram(signs)
-        if sums is None:
+        try:
+            log = summarise(model, _trial(table, rate, positions * np.array(signs), torques))
+        except (TraceError, DataError):  # no pose of this robot
             return None
+        if log.seconds.sum(axis=0).min() <= SHORTEST:
+            return None
+        sums = log.gram.sum(axis=0)
         named = best_reading(sums, gear) if known else None
         free = best_reading(sums, gear, free_scale=True) if named is None or (not said and named.share > FITS) else None
         if named is None or (free is not None and free.share < min(SUSPECT, CLEAR * named.share)):
             return free
         return named
 
-    plain: tuple[int, ...] = (1, 1, 1)
-    first = fitted(plain)
-    found = {plain: first}
-    if first is None or first.share > SUSPECT:
-        found |= {signs: fitted(signs) for signs in product((1, -1), repeat=3) if signs != plain}
-    ranked = sorted(((fit.share, signs, fit) for signs, fit in found.items() if fit), key=lambda entry: entry[0])
-    reasons: list[str] = []
-    doubts: list[str] = []
+    found = {AS_GIVEN: fitted(AS_GIVEN)}
+    if (first := found[AS_GIVEN]) is None or first.share > SUSPECT:
+        found |= {signs: fitted(signs) for signs in product((1, -1), repeat=3) if signs != AS_GIVEN}
+    return sorted(((fit.share, signs, fit) for signs, fit in found.items() if fit), key=lambda entry: entry[0])
+
+
+def _by_delta(
+    table: Table, channels: Channels, robot: Robot, rate: float, position: dict[str, Any], torque: dict[str, Any],
+    said: bool,
+) -> _Reading:  # fmt: skip
+    """Signs, side and scale with which the robot's equations explain the torque. said: whether its unit is known."""
+    gear = robot.drive.gear_ratio
+    positions = np.column_stack([table.columns[name] for name in channels.position]) * _scale(position, gear)
+    given = np.column_stack([table.columns[name] for name in channels.torque])
+    factor = torque.get("constant") or torque.get("rated")
+    known = not ("constant" in torque or "rated" in torque) or factor is not None
+    per = {"percent": 100.0, "permille": 1000.0}.get(torque["unit"], 1.0)
+    ranked = _fits(table, robot, rate, positions, given * (factor / per if factor else 1.0), known, said)
+    reading = _Reading(position, torque)
+    reasons, doubts = reading.reasons, reading.doubts
     if not ranked:
         doubts.append(
             f"read as {_named(position)} the positions are no poses of {robot.name}, or hardly move: zero or geometry?"
         )
-        return _Reading(np.inf, position, plain, torque, plain, reasons, doubts)
+        return reading
     share, signs, fit = ranked[0]
+    reading = replace(reading, share=share)
     line = f"with these readings the robot's equations leave {100 * share:.2g} % of the torque"
     if share > HOPELESS:
         doubts.append(f"{line}: signs and gear side cannot be told from this log")
-        return _Reading(share, position, plain, torque, plain, reasons, doubts)
+        return reading
     second = ranked[1][0] if len(ranked) > 1 else np.inf
     if share > CLEAR * second:
         doubts.append(f"{line}, with other signs of the positions {100 * second:.2g} %: signs are not certain")
@@ -409,7 +409,7 @@ def _by_delta(
     if fit.order != (0, 1, 2):
         order = ", ".join(str(k + 1) for k in fit.order)
         doubts.append(f"the torques fit better in the order {order}: cables swapped? --torque says it otherwise")
-        return _Reading(share, position, plain, torque, plain, reasons, doubts)
+        return reading
     for what, which in (("torque", fit.signs), ("position", signs)):
         turned = named_joints([j + 1 for j in range(3) if which[j] < 0])
         if turned:
@@ -428,7 +428,7 @@ def _by_delta(
         fits = share < SUSPECT
         line = "torques taken as N m: nothing says so" + ("; the fit goes with it" if fits else ", and the fit is poor")
         (reasons if fits else doubts).append(line)
-    return _Reading(share, position, signs, torque, [int(s) for s in fit.signs], reasons, doubts)
+    return replace(reading, signs=signs, torque=torque, torque_signs=[int(s) for s in fit.signs])
 
 
 def _named(position: Mapping[str, Any]) -> str:
