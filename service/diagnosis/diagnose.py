@@ -91,7 +91,7 @@ def diagnose(
     unknown = bool(floor.unknown.any())
 
     def followed(scored: Scored) -> list[Follows]:
-        return follows(problem, split, scored, traces, angular)
+        return follows(problem, split, scored.residuals, traces, angular)
 
     doubts: list[Caution] = []
     if scope.enough:

@@ -24,7 +24,8 @@ WRONG_MODEL = 0.10  # rms left, of the torque's own rms: a description that leav
 CARRIES_OVER = 0.6  # of the gap above the noise that effects remove on runs left out: then they are no accident
 EXCUSED = 0.95  # the same, from which effects may leave more than `WRONG_MODEL`: it is little of the gap
 FOLLOWS = 0.3  # of the gap above the noise that follows what the base model lacks: then the base is wrong, not a part
-AS_GOOD = 0.05  # of the same by which an effect has to do better than that
+AS_GOOD = 0.05  # of the same by which an effect has to do better than that,
+BETTER = 0.2  # or leave less than this of what that leaves: a spring and a weight differ by a hundredth of a large gap
 LOOP = 0.98  # of the torque's variance that position error and speeds explain: it is what the controller makes of them
 LOOP_ALONE = 0.25  # of what speed leaves of it that is left at most when the error is known
 
@@ -144,6 +145,13 @@ def base_doubts(
     above = [np.maximum(level**2 - 1.0, 1e-9) for level in levels]
     removed = 1.0 - above[1] / above[0]
     cautions = {}
+    for term in best.hypothesis.terms:
+        for joint in term.joints:
+            if term.effect.is_weight(problem.recordings[0].mechanism.gear_ratio[joint], term.nonlinear):
+                caution = Caution(
+                    code="sine_of_angle", joints=[joint + 1], share=round(removed[joint], 4), advice="check_base"
+                )
+                cautions[caution.code, joint + 1] = caution
     for found, level, least in (
         (before, levels[0], np.maximum(removed - AS_GOOD, FOLLOWS)),
         (after, levels[1], np.full(len(removed), FOLLOWS)),
@@ -151,6 +159,8 @@ def base_doubts(
         for one in found:
             place = one.joint - 1
             if one.what == "position_error" or level[place] < FOREIGN_LEFT or one.share < least[place]:
+                continue
+            if found is before and above[1][place] < BETTER * (1.0 - one.share) * above[0][place]:
                 continue
             code = "other_joints" if one.what == "motion" else "sine_of_angle"
             joints = [one.joint] if one.other is None else [one.joint, one.other]

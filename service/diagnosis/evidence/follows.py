@@ -11,7 +11,6 @@ import numpy as np
 
 from schemas.diagnosis import Follows
 from schemas.trace import Trace
-from service.diagnosis.fit.selection import Scored
 from service.identification.fit import Problem, solve
 from service.identification.folds import Split
 from service.model.friction import mean_direction
@@ -20,24 +19,24 @@ What = Literal["motion", "sine_of_angle", "position_error"]
 LEAST_SHARE = 0.05  # of the energy above the noise that is worth telling
 
 
-def follows(problem: Problem, split: Split, scored: Scored, traces: Sequence[Trace], angular: bool) -> list[Follows]:
-    """What the residuals on data left out follow, strongest first; each share on data left out, and with what was
-    fitted refitted: inertia and friction have taken some of a weight's torque before it is asked for.
+def follows(
+    problem: Problem, split: Split, residuals: Sequence[np.ndarray], traces: Sequence[Trace], angular: bool
+) -> list[Follows]:
+    """What residuals (R,) a recording, in units of the noise, follow, strongest first; each share on data left out.
 
     traces: that the recordings are of, for their position commands. angular: the axes turn.
     """
     found: list[Follows] = []
     joints = len(problem.sigma)
     for joint in range(joints):
-        values = [r[j == joint] for r, j in zip(scored.residuals, problem.joints_of_rows, strict=True)]
-        tangents = [t[j == joint] for t, j in zip(scored.fitted.moving, problem.joints_of_rows, strict=True)]
+        values = [r[j == joint] for r, j in zip(residuals, problem.joints_of_rows, strict=True)]
         fold = [f[j == joint] for f, j in zip(split.fold, problem.joints_of_rows, strict=True)]
         count = sum(map(len, values))
         energy = sum(float(v @ v) for v in values)
         if count < 50 or energy < 1.2 * count:
             continue
         for what, other, columns in _groups(problem, joint, traces, angular):
-            share = _share(_beside(columns, tangents), values, fold, split.folds, energy - count)
+            share = _share(columns, values, fold, split.folds, energy - count)
             if share > LEAST_SHARE:
                 found.append(Follows(joint=joint + 1, what=what, other=other, share=round(share, 4)))
     return sorted(found, key=lambda one: -one.share)
@@ -58,14 +57,6 @@ def _groups(
         if any(np.ptp(error[:, 0]) > 0 for error in errors if len(error)):
             groups.append(("position_error", None, errors))
     return groups
-
-
-def _beside(columns: list[np.ndarray], tangents: list[np.ndarray]) -> list[np.ndarray]:
-    """Columns (R, C + 1) a recording less what tangents (R, F) can make of all but the constant."""
-    gram = np.asarray(sum(t.T @ t for t in tangents))
-    moment = np.asarray(sum(t.T @ c[:, :-1] for t, c in zip(tangents, columns, strict=True)))
-    weight = solve(gram, moment)
-    return [np.c_[c[:, :-1] - t @ weight, c[:, -1:]] for t, c in zip(tangents, columns, strict=True)]
 
 
 def _numbers(problem: Problem) -> range:

@@ -154,6 +154,10 @@ class Effect(ABC):
         an effect has no amplitude: its whole torque, k = 1.
         """
 
+    def is_weight(self, gear_ratio: float, nonlinear: tuple[float, ...]) -> bool:
+        """Whether it is the torque of a weight that turns with the joint, and so the base model's."""
+        return False
+
     def size(self, mechanism: Mechanism, amplitude: np.ndarray) -> float:
         """How large amplitudes (J, k) are, in the terms of `beyond`."""
         return float(np.abs(amplitude).max(initial=0.0))

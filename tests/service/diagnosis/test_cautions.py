@@ -176,17 +176,22 @@ def test_effects_of_ones_own(tmp_path):
         (2, "position_error", None, 0.9, []),
         (3, "motion", 1, 0.9, []),  # hardly a gap
         (4, "motion", 1, 0.95, [("other_joints", [4, 1], 0.95)]),  # more of it than effects take
+        (5, "sine_of_angle", None, 0.99, []),  # effects leave 0.1 noise powers of 2499, the sine 25
+        (5, "sine_of_angle", None, 0.9999, [("sine_of_angle", [5], 0.9999)]),
     ],
 )
 def test_a_base_that_lacks_something_is_doubted(joint, what, other, share, told):
-    levels = {"none": [5.0, 5.0, 1.0, 5.0], "best": [3.0, 5.0, 1.0, 1.5]}  # rms left, over the noise
-    joints = np.repeat([0, 1, 2, 3], 50)
-    none, best = (stub(residuals=[np.array(level)[joints]]) for level in levels.values())
+    levels = {"none": [5.0, 5.0, 1.0, 5.0, 50.0], "best": [3.0, 5.0, 1.0, 1.5, 1.05]}  # rms left, over the noise
+    joints = np.repeat([0, 1, 2, 3, 4], 50)
+    bare = stub(terms=())
+    none, best = (stub(residuals=[np.array(level)[joints]], hypothesis=bare) for level in levels.values())
     one = Follows(joint=joint, what=what, other=other, share=share)
 
     def doubts(before: list[Follows], after: list[Follows], kind: str = "axes") -> list[tuple]:
         made = stub(
-            recordings=[stub(mechanism=stub(kind=kind))], sigma=np.array([0.5, 2.0, 1.0, 1.0]), joints_of_rows=[joints]
+            recordings=[stub(mechanism=stub(kind=kind))],
+            sigma=np.array([0.5, 2.0, 1.0, 1.0, 1.0]),
+            joints_of_rows=[joints],
         )
         found = base_doubts(made, before, after, none, best)
         return [(caution.code, caution.joints, caution.share) for caution in found]
