@@ -50,16 +50,13 @@ def find_files(config: zenoh.Config, folder: Path) -> None:
             config.insert_json5(f"{_TLS}/{name}", json.dumps(str(found.absolute())))
 
 
-def check(
-    config: zenoh.Config, path: Path, robot: str, role: Role, insecure: bool, now: datetime.datetime | None = None
-) -> list[str]:
+def check(config: zenoh.Config, path: Path, robot: str, role: Role, insecure: bool) -> list[str]:
     """Refuse what would let strangers speak; what else there is to say about the configuration, one line each.
 
     Raises:
         BusError: it leaves the host without TLS, certificates on both sides and access control (and not `insecure`), or
             a certificate has expired or belongs to another role.
     """
-    now = now or datetime.datetime.now(datetime.UTC)
     open_door = next(_open_doors(config), None)
     if open_door and not insecure:
         raise BusError(
@@ -69,15 +66,15 @@ def check(
     notes = [f"{path}: {open_door}: whoever reaches it can speak for any role (--insecure)"] if open_door else []
     tls = json.loads(config.get_json(_TLS))
     for file in dict.fromkeys(Path(tls[name]) for name in _FILES if tls[name] and name.endswith("certificate")):
-        notes += _check_certificate(file, robot, role, now)
+        notes += _check_certificate(file, robot, role)
     for file in dict.fromkeys(Path(tls[name]) for name in _FILES if tls[name] and name.endswith("key")):
         if file.exists() and (mode := file.stat().st_mode & 0o777) & 0o077:
             notes.append(f"{file}: a private key that others may read (mode {mode:04o}); chmod 600 it")
     return notes
 
 
-def _check_certificate(path: Path, robot: str, role: Role, now: datetime.datetime) -> list[str]:
-    certificate = load_certificate(path)
+def _check_certificate(path: Path, robot: str, role: Role) -> list[str]:
+    certificate, now = load_certificate(path), datetime.datetime.now(datetime.UTC)
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     name = str(names[0].value) if names else ""
     if name.startswith("deltatwin/") and name not in (common_name(robot, role), common_name(None, role)):

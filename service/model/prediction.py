@@ -66,18 +66,14 @@ def _rows(part: Segment, trace: Trace) -> np.ndarray:
     return rows[usable(trace)[rows]]
 
 
-def predict(robot: Description, trace: Trace) -> dict[str, np.ndarray]:
-    """Torque (N, n), N m or N, of every row of `trace` by each of `MODELS` that `robot` carries figures for.
+def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, np.ndarray]:
+    """Torque (N, n), N m or N, of every row of `trace` by each of `MODELS` that `robot` carries figures for. along: its
+    smoothed motion.
 
     Raises:
-        TraceError: no part of the trace is long enough, or its positions are no pose of the robot, naming the file.
+        TraceError: its positions are no pose of the robot, naming the file.
         RobotError: the robot carries an effect that is not known. DataError: it describes axes without figures.
     """
-    return predict_along(robot, trace, motion(trace))
-
-
-def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, np.ndarray]:
-    """`predict` for a motion that is smoothed already."""
     if isinstance(robot, Axes) and robot.identified is None:
         raise DataError(f"robot {robot.name}: no [identified] parameters: run `deltatwin diagnose` on its logs first")
     try:

@@ -27,9 +27,9 @@ class ModelComparison:
         return next((p for scored, p in self.candidates if scored.names[-1] == name), 0.0)
 
 
-def comparisons(selection: Selection, split: Split, rows: int, seed: int = 0) -> list[ModelComparison]:
+def comparisons(selection: Selection, split: Split, rows: int) -> list[ModelComparison]:
     """The rounds of a search, weighed on bootstrap draws of its blocks."""
-    draw = np.random.default_rng(seed).integers(0, split.blocks, (DRAWS, split.blocks))
+    draw = np.random.default_rng(0).integers(0, split.blocks, (DRAWS, split.blocks))
     parent, result = selection.none, []
     for tried, taken in selection.path:
         hypotheses = [*tried, parent]

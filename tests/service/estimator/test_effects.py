@@ -9,7 +9,7 @@ from service.estimator.effects import carried, pack_effects
 from service.estimator.estimator import Estimator
 from service.model.description import terms_of
 from service.model.effects import CATALOGUE
-from service.model.prediction import FULL, predict
+from service.model.prediction import FULL, motion, predict_along
 from tests.known import PERIOD, trace_of
 
 FOUND = {
@@ -59,7 +59,8 @@ def test_the_online_torque_is_the_offline_one(robot, make, name):
     trace = trace_of(known)
     online = Estimator(corrected, PERIOD).run(known.samples).feedforward["torque"]
     plain = Estimator(robot, PERIOD).run(known.samples).feedforward["torque"]
-    offline = predict(corrected, trace)[FULL] - predict(robot, trace)[FULL]
+    along = motion(trace)
+    offline = predict_along(corrected, trace, along)[FULL] - predict_along(robot, trace, along)[FULL]
     moving = (
         (np.abs(known.theta_dot) > 0.05)
         & (np.arange(len(trace)) > 60)[:, None]

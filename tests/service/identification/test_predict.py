@@ -16,7 +16,7 @@ from schemas.trace import Trace
 from service.identification.identify import identify
 from service.identification.regression import summarise
 from service.model.nominal import pack
-from service.model.prediction import MODELS, error_in_band, motion, predict
+from service.model.prediction import MODELS, error_in_band, motion, predict_along
 
 Record = Callable[..., Trace]
 
@@ -34,7 +34,7 @@ def test_reference_plant_is_left_at_its_noise(shared: Path) -> None:
     square, count = 0.0, 0
     for path in sorted(folder.glob("test_*.csv")):
         trace = read_trace(path, robot)
-        error = error_in_band(trace, motion(trace), predict(robot, trace)["full"])
+        error = error_in_band(trace, motion(trace), predict_along(robot, trace, motion(trace))["full"])
         square, count = square + np.nansum(error**2), count + np.isfinite(error).sum()
     floor = 0.48900295 * np.sqrt(2 * 40 / 1000)  # white noise of the plant's torque, key.json
     assert np.sqrt(square / count) <= 1.1 * floor
@@ -42,7 +42,7 @@ def test_reference_plant_is_left_at_its_noise(shared: Path) -> None:
 
 def test_each_model_is_closer(identified: Robot, record: Record) -> None:
     trace = record(9)
-    torque = predict(identified, trace)
+    torque = predict_along(identified, trace, motion(trace))
     along = motion(trace)
     spread = [np.nanstd(error_in_band(trace, along, torque[name])) for name in MODELS]
     assert all(more < less for less, more in pairwise(spread))
@@ -50,16 +50,17 @@ def test_each_model_is_closer(identified: Robot, record: Record) -> None:
 
 
 def test_plain_description_predicts_the_textbook_model_only(robot: Robot, record: Record) -> None:
-    assert list(predict(robot, record(9))) == ["M_KH"]
+    trace = record(9)
+    assert list(predict_along(robot, trace, motion(trace))) == ["M_KH"]
 
 
 def test_faulty_rows_are_bridged_and_not_counted(identified: Robot, record: Record) -> None:
     whole, broken = record(9), record(9)
-    clean = predict(identified, whole)["full"]
+    clean = predict_along(identified, whole, motion(whole))["full"]
     broken.flags[4000:4003] |= np.uint32(SampleFlag.NOT_A_NUMBER)
     broken.position[4000:4003] = np.nan
     along = motion(broken)
-    torque = predict(identified, broken)["full"]
+    torque = predict_along(identified, broken, along)["full"]
     assert torque.shape == clean.shape
     assert np.isfinite(torque).all()
     assert not along.measured[4000:4003].any()
@@ -71,6 +72,8 @@ def test_faulty_rows_are_bridged_and_not_counted(identified: Robot, record: Reco
 def test_written_description_predicts_the_same(identified: Robot, record: Record, tmp_path: Path) -> None:
     save_robot(identified, tmp_path / "identified.toml")
     trace = record(9)
-    assert np.array_equal(
-        predict(load_robot(tmp_path / "identified.toml"), trace)["full"], predict(identified, trace)["full"]
+    read, written = (
+        predict_along(robot, trace, motion(trace))["full"]
+        for robot in (load_robot(tmp_path / "identified.toml"), identified)
     )
+    assert np.array_equal(read, written)

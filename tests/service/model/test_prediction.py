@@ -15,7 +15,7 @@ from schemas.robot import Robot
 from schemas.trace import Trace
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PLATFORM, torque_terms
 from service.model.nominal import pack
-from service.model.prediction import Motion, error_in_band, motion, predict, predict_along
+from service.model.prediction import Motion, error_in_band, motion, predict_along
 from service.model.signals import UNUSABLE
 from tests.known import Known, make, robot, trace_of
 from tests.service import arm
@@ -28,7 +28,8 @@ __all__ = ["make", "robot"]  # fixtures
 def test_each_model_is_the_one_before_and_its_own_part(robot: Robot, make: Callable[..., Known]) -> None:
     known, identified = make(2.0), robot.identified
     assert identified is not None
-    found = predict(robot, trace_of(known))
+    trace = trace_of(known)
+    found = predict_along(robot, trace, motion(trace))
     assert list(found) == ["M_KH", "M_Id", "M_Id+F", "full"]
     terms = torque_terms(pack(robot), known.theta, known.theta_dot, known.theta_ddot)
     inertia, gravity, platform = (terms[:, part] for part in (INERTIA, GRAVITY, PLATFORM))
@@ -61,7 +62,7 @@ def test_faulty_rows_are_bridged_by_row(robot: Robot, make: Callable[..., Known]
     for signal in (along.theta, along.theta_dot, along.theta_ddot):
         np.testing.assert_allclose(signal[700:705], signal[699] * (1 - share) + signal[705] * share)
     # what is left of a torque that is right but for 2 N m is those, where joints move and rows were measured
-    full = predict(robot, trace)["full"]
+    full = predict_along(robot, trace, along)["full"]
     left = error_in_band(trace, along, full - 2.0)
     assert np.isnan(left[~along.moving]).all()
     assert np.isfinite(left[along.moving]).all()
@@ -74,8 +75,9 @@ def test_faulty_rows_are_bridged_by_row(robot: Robot, make: Callable[..., Known]
 def test_axes_without_figures_have_no_prediction(tmp_path: Path, make: Callable[..., Known]) -> None:
     path = tmp_path / "axes.toml"
     path.write_text('name = "bench"\nkind = "axes"\n' + 3 * "[[axis]]\n")
+    trace = trace_of(make(2.0))
     with pytest.raises(DataError, match=r"robot bench: no \[identified\] parameters"):
-        predict(load_axes(path), trace_of(make(2.0)))
+        predict_along(load_axes(path), trace, motion(trace))
 
 
 def test_an_arm_is_predicted_by_its_urdf_too(tmp_path: Path) -> None:
