@@ -106,7 +106,7 @@ def diagnose(
     if scope.enough and mechanism.kind == "delta" and selection.best.loss > far**2 * problem.count:
         quiet = Quiet.of(problem, split, selection.best.residuals)
         again = searched(quiet.problem, quiet.split, lambda e, j: scope.allows(e, j) and quiet.allows(e, j))
-        quiet.explained = again.best.loss <= limit**2 * quiet.problem.count
+        quiet = replace(quiet, explained=again.best.loss <= limit**2 * quiet.problem.count)
         less = doubts_of(quiet.problem, again, limit)
         judged = _judged(quiet.problem, quiet.split, again, less, len(given), kept, unknown, limit)
         # names that the rest bears out too give way only to others that leave next to nothing of the quiet rows

@@ -27,7 +27,7 @@ ASKED = 0.5  # of a joint's rows that an effect on it has to be asked of
 WEIGHED = 3.0  # times the level that is still quiet: what is left beyond says no more against a hypothesis
 
 
-@dataclass
+@dataclass(frozen=True)
 class Quiet:
     """The rows of `whole` that are searched. problem, split: of them alone. kept: (n,) share a joint. limit: (n,) level
     in units of the noise up to which they are. explained: with what was found no more than noise is left of them."""
