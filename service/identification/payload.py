@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -192,7 +193,7 @@ def levels(found: Weighed) -> list[Level]:
     """Every level that the estimator saw; its figures are those of its later half."""
     starts = np.flatnonzero(found.event != PayloadEvent.NONE)
     result = []
-    for start, stop in zip(starts, [*starts[1:], len(found.time)], strict=True):
+    for start, stop in pairwise([*starts, len(found.time)]):
         last = int(stop) - 1
         late = slice(start + (stop - start) // 2, stop)  # when most is known of it
         result.append(

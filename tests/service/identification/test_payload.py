@@ -170,6 +170,8 @@ def test_picks_and_levels_are_what_lies_between_events():
     assert (one.event, empty.event, two.event) == (PayloadEvent.PICK, PayloadEvent.RELEASE, PayloadEvent.PICK)
     assert one.trusted == pytest.approx(110 / 205)
     assert (empty.begin, empty.end, empty.mass, empty.trusted) == pytest.approx((4.1, 6.99, 0.0, 0.0))
+    nothing = replace(seen(), event=np.zeros(1000, int))
+    assert (picks(nothing), levels(nothing)) == ([], [])
     rising = PayloadHistory(TIME, TIME, TIME, TIME > 0, seen().event, TIME)
     assert levels(rising)[0].mass == pytest.approx(np.median(TIME[205 + 102 : 410])), "the later half counts"
 
