@@ -121,6 +121,7 @@ def _squared(state, step, spread):
 def _start_anew(state, bins):
     """Take only the newest `bins` into the estimate."""
     active = state.active
+    state.told = 0.0
     for p in range(active):
         state.moment[p] = 0.0
         for q in range(active):
@@ -129,6 +130,7 @@ def _start_anew(state, bins):
             state.drag[p, a] = 0.0
     index = state.head
     for _ in range(bins):
+        state.told += state.bin_told[index]
         for p in range(active):
             state.moment[p] += state.bin_moment[index, p]
             for q in range(active):

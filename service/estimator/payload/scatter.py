@@ -44,6 +44,7 @@ def scatter_kernel(settings, state):
         oldest = (state.block + 1) % BLOCKS
         share = settings.block_size * settings.period / BIAS_TIME
         state.excess += share * (max(0.0, state.blocks[oldest] - 1.0) - state.excess)
+        state.scatter += share * (state.blocks[oldest] - state.scatter)
         state.leverage += share * (leverage - state.leverage)
         state.judged += share * (1.0 - state.judged)
         state.blocks[state.block], state.ended[state.block] = own, state.clock

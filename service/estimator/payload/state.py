@@ -42,6 +42,8 @@ STATE = np.dtype(
         ("bin_information", "f8", (WINDOW, LOADS, LOADS)),
         ("bin_moment", "f8", (WINDOW, LOADS)),
         ("bin_drag", "f8", (WINDOW, LOADS, friction.COUNT)),
+        ("bin_told", "f8", WINDOW),
+        ("told", "f8"),  # samples that the information is from
         ("active", "i8"),  # loads to be found: the mass alone, or all where the fourth axis turns
         ("turning", "i8"),  # samples for which they still are
         ("offset", "f8", 2),  # kg m, of the load from the fourth axis
@@ -59,8 +61,9 @@ STATE = np.dtype(
         ("inflation", "f8"),  # of the variance of the noise, of now
         ("raw_information", "f8"),  # information without inflation
         ("excess", "f8"),  # of the blocks' scatter over the noise, over BIAS_TIME
+        ("scatter", "f8"),  # of the blocks, over the same
         ("leverage", "f8"),  # kg^-2, what a block says of the mass, over the same
-        ("judged", "f8"),  # share of BIAS_TIME that the two have been averaged over so far
+        ("judged", "f8"),  # share of BIAS_TIME that the three have been averaged over so far
         ("bias", "f8"),  # kg^2, variance of what the model's error does to a mass for good
         ("hidden", "f8"),  # kg^2, of a change that the newest samples suggest and that may be the model's error
         ("wrong_for", "f8"),  # s

@@ -52,7 +52,10 @@ def payload_kernel(settings, state):
         state.bin_moment[head, p] += gained
     state.raw_information = prior_of(0) + (state.raw_information - prior_of(0)) * settings.forgetting + raw
     told = raw > 0.0
+    state.told *= settings.forgetting
     if told:
+        state.told += 1.0
+        state.bin_told[head] += 1.0
         slow.fast_kernel(state.slow)
     elif state.active == 1:
         told = _weigh_slowly(settings, state)
@@ -63,6 +66,7 @@ def payload_kernel(settings, state):
         onset = find_change(state)
         head = state.head = (head + 1) % WINDOW
         state.filled = min(WINDOW, state.filled + 1)
+        state.bin_told[head] = 0.0
         for p in range(LOADS):
             state.bin_moment[head, p] = 0.0
             for q in range(LOADS):
@@ -108,6 +112,7 @@ def _weigh_slowly(settings, state):
         state.information[0, 0] = 1.0 / state.slow.variance
         state.moment[0] = state.slow.mass / state.slow.variance
         state.raw_information = state.information[0, 0] * state.inflation
+        state.told = 0.0
         for a in range(friction.COUNT):
             state.drag[0, a] = 0.0
     return told
@@ -128,6 +133,7 @@ def weigh_anew_kernel(state):
         state.bin_information[n] = 0.0
         state.bin_moment[n] = 0.0
         state.bin_drag[n] = 0.0
+        state.bin_told[n] = 0.0
     state.in_bin = 0
     state.filled = 1
     state.information[:] = 0.0
@@ -136,6 +142,7 @@ def weigh_anew_kernel(state):
         state.moment[p] = 0.0
         state.drag[p] = 0.0
     state.raw_information = prior_of(0)
+    state.told = 0.0
     state.untold = LEAST_TIME
     slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
 

@@ -9,7 +9,8 @@ import math
 from schemas.kernels import kernel
 from schemas.messages import Gripper, PayloadEvent
 from service.estimator import friction
-from service.estimator.payload.loads import locate
+from service.estimator.payload.loads import locate, prior_of
+from service.estimator.payload.scatter import LEAST_INFLATION
 from service.estimator.payload.state import COLOUR, LEAST_TIME, SMALLEST_CHANGE, WINDOW
 
 # So soon after an event a smaller part of the load than this is the estimate settling, not the next event.
@@ -54,10 +55,14 @@ def conclude(settings, state):
     # what was learnt while the model fitted says less once it no longer does
     worse = max(1.0, state.inflation * state.information[0, 0] / state.raw_information)
     state.shortfall *= settings.remember
-    state.bias = 0.0
+    state.bias = gentle = 0.0
     if state.leverage > 0.0:  # averages that are not full yet are judged by what is in them
         lacking = settings.model_error + max(state.excess / state.judged, (state.inflation - 1.0) / COLOUR)
         state.bias = BIAS_SHARE * BIAS_SHARE * lacking * state.judged / state.leverage
+        gained = state.raw_information - prior_of(0)
+        if gained > 0.0:  # a block since the last change may tell less of the mass, in a gentle move
+            lacking = max(lacking, state.scatter / state.judged - LEAST_INFLATION)
+            gentle = BIAS_SHARE * BIAS_SHARE * lacking * state.told / (settings.block_size * gained)
     std_dev = math.sqrt(worse * inverse[0, 0] + doubt + state.bias)
     known_empty = state.gripper == OPEN
     contradicted = known_empty and mass > EMPTY_SIGMAS * std_dev + SMALLEST_CHANGE
@@ -93,7 +98,7 @@ def conclude(settings, state):
     state.mass = held
     borne_out = trusted and (known_empty or state.untold == 0.0)
     if not known_empty:  # a change may hide in what passes for the model's error; none to take a load away for
-        std_dev = math.sqrt(std_dev * std_dev + state.hidden)
+        std_dev = math.sqrt(std_dev * std_dev + state.hidden + max(0.0, gentle - state.bias))
     state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
     state.trusted = 1 if borne_out and (known_empty or _is_sure(std_dev, mass)) else 0
     _reckon(settings, state, borne_out)

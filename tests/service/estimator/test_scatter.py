@@ -49,15 +49,17 @@ def inflation(scattered):
 def test_a_block_is_judged_by_what_no_mass_explains_of_it(active, resting):
     random, state = np.random.default_rng(2), fresh(active)
     share = SIZE * PERIOD / scatter.BIAS_TIME
-    excess = leverage = judged = 0.0
+    excess = scattered = leverage = judged = 0.0
     for block in range(3):
         state["blocks"][block + 1] = 4.0  # the oldest, which is written next
         expected, said = fill(state, random, resting)
         assert state["blocks"][block] == pytest.approx(expected, rel=1e-9)
         excess += share * (3.0 - excess)
+        scattered += share * (4.0 - scattered)
         leverage += share * (said - leverage)
         judged += share * (1.0 - judged)
-        assert [state[name] for name in ("excess", "leverage", "judged")] == pytest.approx([excess, leverage, judged])
+        averages = [state[name] for name in ("excess", "scatter", "leverage", "judged")]
+        assert averages == pytest.approx([excess, scattered, leverage, judged])
         assert (state["block"], state["in_block"], state["clock"]) == (block + 1, 0, (block + 1) * SIZE)
         assert state["ended"][block] == state["clock"]
         assert state["fresh"] == (block + 1) * (active > 1)

@@ -60,6 +60,24 @@ def test_the_error_of_a_mass_is_all_that_is_not_known_of_it(active, worse, exces
 
 
 @pytest.mark.parametrize(
+    ("samples", "a_block", "scatter", "lacking"),
+    [
+        (1000, 2499.75 / 50, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
+        (1000, 2499.75 / 50, 3.0, 3.0 / 0.6 - 0.4),  # what is beyond white noise
+        (10, 400.0 / 0.6, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
+    ],
+    ids=["gentle", "and scattering", "as ever"],
+)
+def test_what_the_model_lacks_counts_for_more_in_a_gentle_move(samples, a_block, scatter, lacking):
+    """Of 0.02 kg known by so many samples, blocks of 20, beside the 400/kg^2 of the moves before."""
+    state = believing(2.0, 0.02, excess=0.9, judged=0.6, leverage=400.0, told=samples, scatter=scatter)
+    told(state)
+    events = 0.5**2 * (SETTINGS["model_error"] + 0.9 / 0.6) * 0.6 / 400.0
+    assert state["bias"] == pytest.approx(events), "what events stand out of is that of all moves"
+    assert state["std_dev"] ** 2 == pytest.approx(0.02**2 + 0.5**2 * lacking / a_block + (TORQUE_SHARE * 2.0) ** 2)
+
+
+@pytest.mark.parametrize(
     ("mass", "std_dev", "fields", "trusted"),
     [
         (2.0, 0.224, {}, True), (2.0, 0.226, {}, False),  # a tenth of it and 25 g
