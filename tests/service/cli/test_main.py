@@ -78,6 +78,16 @@ def test_an_option_takes_the_same_everywhere() -> None:
     assert {"demo", "experiment", "closed-loop", "diagnose", "fleet", "inspect", "recover", "rollout"} <= asked
 
 
+def test_any_command_ends_by_sigterm_as_by_ctrl_c() -> None:
+    code = """
+import os, signal
+from service.cli import main
+main.app = lambda: os.kill(os.getpid(), signal.SIGTERM) or signal.pause()
+main.main()
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 130
+
+
 def test_brackets_in_help_are_kept() -> None:
     assert "[identified] section" in CliRunner().invoke(app, ["identify", "--help"]).output
 
