@@ -76,7 +76,7 @@ def diagnose(
     timed = Hypothesis(plain.hypothesis.base, given)
     if given:
         plain = score(fit(problem, timed), split)
-    scope = limits_of(problem, loops_of(problem, traces))
+    scope = limits_of(problem, loops_of(problem, traces, plain.residuals))
 
     def searched(rows: Problem, folds: Split, allows: Callable[[Effect, int], bool]) -> Selection:
         return search(rows, folds, timed, effects if scope.enough else (), progress, allows, more_orders)

@@ -27,6 +27,7 @@ FOLLOWS = 0.3  # of the gap above the noise that follows what the base model lac
 AS_GOOD = 0.05  # of the same by which an effect has to do better than that,
 BETTER = 0.2  # or leave less than this of what that leaves: a spring and a weight differ by a hundredth of a large gap
 LOOP = 0.98  # of the torque's variance that position error and speeds explain: it is what the controller makes of them
+TOLD_BETTER = 4.0  # times what the base model leaves of the square: from there the torque is the robot's
 LOOP_ALONE = 0.25  # of what speed leaves of it that is left at most when the error is known
 
 
@@ -77,14 +78,15 @@ def limits_of(problem: Problem, loops: dict[int, float] | None = None) -> Search
     return SearchScope(still, one_way, frozenset(loops or ()), enough, cautions)
 
 
-def loops_of(problem: Problem, traces: Sequence[Trace]) -> dict[int, float]:
+def loops_of(problem: Problem, traces: Sequence[Trace], plain: Sequence[np.ndarray]) -> dict[int, float]:
     """Gain, N m/rad or N/m, of each joint (from 0) whose torque the controller makes of its position error at once.
 
-    Such a torque shows the controller: a delay, viscous friction and inertia trade places in it.
+    Such a torque shows the controller: a delay, viscous friction and inertia trade places in it. One that the base
+    model tells better was measured, however directly the drives answer. plain: (R,) a recording, what that leaves.
     """
     if any(trace.position_command is None for trace in traces):
         return {}
-    loops = {}
+    loops, physics = {}, statistics.rms_per_joint(problem, plain) ** 2
     for joint in range(len(problem.sigma)):
         columns, torque = [], []
         for number, recording in enumerate(problem.recordings):
@@ -99,7 +101,8 @@ def loops_of(problem: Problem, traces: Sequence[Trace]) -> dict[int, float]:
             continue
         weight, left = _least_squares(basis, wanted)
         _, without = _least_squares(basis[:, 2:], wanted)
-        if left < (1.0 - LOOP) * float(np.var(wanted)) and left < LOOP_ALONE * without and abs(weight[0]) > 0:
+        most = min((1.0 - LOOP) * float(np.var(wanted)), TOLD_BETTER * physics[joint])
+        if left < most and left < LOOP_ALONE * without and abs(weight[0]) > 0:
             loops[joint] = float(f"{weight[0]:.4g}")
     return loops
 

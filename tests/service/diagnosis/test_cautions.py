@@ -17,9 +17,11 @@ from schemas.robot import load_robot
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
 from service.diagnosis.evidence.cautions import base_doubts, faults_of, limits_of, loops_of, noise_of
+from service.identification.fit import evaluate
 from service.identification.noise import Floor
 from service.model.effects import CATALOGUE, by_name, catalogue
-from tests.service.world import course, problem, stub
+from service.model.hypothesis import Hypothesis
+from tests.service.world import BASE, course, problem, stub
 
 EFFECTS = by_name(CATALOGUE)
 
@@ -97,12 +99,15 @@ def test_a_torque_that_is_the_controllers_answer_is_told_by_its_gain(noise, gain
     torque[:, 1] = controlled + noise * smooth.std() / loud.std() * random.standard_normal(2000)
     position = run.motion[0]
     trace = stub(position=position, position_command=position + error)
-    found = loops_of(problem([run], [torque]), [trace])
+    logs = problem([run], [torque])
+    left = evaluate(logs, Hypothesis(BASE)).residuals
+    found = loops_of(logs, [trace], left)
     assert list(found) == ([1] if closed else [])
+    assert loops_of(logs, [trace], [0.0 * values for values in left]) == {}, "told better by the robot's own model"
     if closed:
         assert found[1] == pytest.approx(gain, rel=0.05)
     trace.position_command = None
-    assert loops_of(problem([run], [torque]), [trace]) == {}
+    assert loops_of(logs, [trace], left) == {}
 
 
 def test_what_is_said_of_the_noise_and_of_what_cannot_be():
