@@ -27,7 +27,7 @@ def command(
     """Replay a bundled Delta log in real time through player, estimator and monitor, each a process of its own.
 
     Shows a live table for 10 s, then errors of each model, payload against truth, latency and loss. Leaves demo.mcap
-    (opens in Foxglove and PlotJuggler) and demo.html in the folder.
+    (opens in Foxglove and PlotJuggler) and demo.html in the folder. A robot has one observer: end its `view` first.
 
     Example: deltatwin demo --out /tmp/demo
     """
