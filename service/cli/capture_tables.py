@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-from rich.console import Console
 from rich.markup import escape
+
+from service.cli.output import say
 
 ROWS_SHOWN = 12
 
 
-def show_capture(figures: dict[str, Any], console: Console) -> None:
+def show_capture(figures: dict[str, Any]) -> None:
     """Print what `drivers.trace.capture_survey.survey_capture` found."""
-
-    def say(text: str) -> None:
-        console.print(text, highlight=False, soft_wrap=True)
 
     say(
         f"[bold]{escape(figures['path'])}[/bold]: {figures['frames']} frames, {figures['ethercat_frames']} EtherCAT, "
@@ -24,7 +21,7 @@ def show_capture(figures: dict[str, Any], console: Console) -> None:
     stations = ", ".join(f"{station:#06x}" for station in figures["stations"]) or "none"
     say(f"slaves: {figures['slaves']}; configured stations: {stations}")
     for entry in figures["cyclic"]:
-        _say_cyclic(entry, say)
+        _say_cyclic(entry)
     for name, text in (
         ("cut_frames", "EtherCAT frames that are not whole"),
         ("snapped_frames", "frames snapped by the capture"),
@@ -39,20 +36,20 @@ def show_capture(figures: dict[str, Any], console: Console) -> None:
         who = "all slaves" if change["station"] is None else f"station {change['station']:#06x}"
         code = f", AL status code {change['al_status_code']:#06x}" if "al_status_code" in change else ""
         say(f"{change['time_s']:12.6f} s  {who}: {change['state']}{code}")
-    _more(len(changes), say)
+    _more(len(changes))
     for area in figures["mapping"]:
         say(
             f"station {area['station']:#06x} maps {area['bytes']} bytes of {area['direction']} "
             f"({area['physical_address']:#06x}) at logical address {area['logical_address']:#x}"
         )
     if "robot" in figures:
-        _show_robot(figures["robot"], say)
+        _show_robot(figures["robot"])
     for finding in figures["findings"]:
         say(f"[yellow]{escape(finding)}[/yellow]")
     say("")
 
 
-def _say_cyclic(entry: dict[str, Any], say: Callable[[str], None]) -> None:
+def _say_cyclic(entry: dict[str, Any]) -> None:
     name = f"{entry['command']} {entry['logical_address']:#x}, {entry['bytes']} bytes"
     say(f"[bold]{name}[/bold]: {entry['sent']} sent, {entry['returned']} returned")
     if entry["cycle_s"] is not None:
@@ -68,7 +65,7 @@ def _say_cyclic(entry: dict[str, Any], say: Callable[[str], None]) -> None:
         )
 
 
-def _show_robot(robot: dict[str, Any], say: Callable[[str], None]) -> None:
+def _show_robot(robot: dict[str, Any]) -> None:
     for joint in (1, 2, 3):
         objects = [entry for entry in robot["objects"] if entry["joint"] == joint]
         say(f"joint {joint}: " + ", ".join(f"{o['object']} at {o['logical_address']:#x}" for o in objects))
@@ -79,12 +76,12 @@ def _show_robot(robot: dict[str, Any], say: Callable[[str], None]) -> None:
     changes = robot["drive_state_changes"]
     for change in changes[:ROWS_SHOWN]:
         say(f"{change['stamp_s']:.6f} s  joint {change['joint']}: {change['state'].replace('_', ' ')}")
-    _more(len(changes), say)
+    _more(len(changes))
     for finding in robot["findings"]:
         say(f"[dim]note:[/dim] {escape(finding)}")
 
 
-def _more(found: int, say: Callable[[str], None]) -> None:
+def _more(found: int) -> None:
     if found > ROWS_SHOWN:
         say(f"... {found - ROWS_SHOWN} more (--json)")
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.options import AsJson, robot_file
-from service.cli.output import as_json, console
+from service.cli.output import as_json, console, say
+from service.cli.output import table as printed
 
 if TYPE_CHECKING:
     from drivers.trace.tables import Table
@@ -187,23 +188,19 @@ def _channels(table: Table, proposal: Proposal) -> list[dict[str, Any]]:
 
 def _show(table: Table, proposal: Proposal) -> None:
     from rich.markup import escape
-    from rich.table import Table as Printed
 
-    screen = console()
-    screen.print(f"[bold]{escape(str(table.path))}[/bold]: {table.kind}, {len(table)} rows", highlight=False)
-    printed = Printed(box=None, pad_edge=False, header_style="dim")
-    for heading in ("channel", "unit said", "min", "max", "rate", "taken for"):
-        right = heading in ("min", "max", "rate")
-        printed.add_column(heading, justify="right" if right else "left", no_wrap=True)
+    say(f"[bold]{escape(str(table.path))}[/bold]: {table.kind}, {len(table)} rows")
+    rows = []
     for row in _channels(table, proposal):
         low, high = ("-" if row[key] is None else f"{row[key]:.5g}" for key in ("min", "max"))
         rate = f"{row['rate_hz']:.6g} Hz"
-        printed.add_row(escape(row["channel"]), escape(row["unit"]), low, high, rate, row["taken_for"])
-    screen.print(printed, highlight=False)
+        rows.append((escape(row["channel"]), escape(row["unit"]), low, high, rate, row["taken_for"]))
+    head = ("channel", "unit said", "min", "max", "rate", "taken for")
+    console().print(printed(head, rows, figures=slice(2, 5), bare=True), highlight=False)
     for reason in proposal.reasons:
-        screen.print(f"  {escape(reason)}", highlight=False, soft_wrap=True)
+        say(f"  {escape(reason)}")
     for doubt in proposal.doubts:
-        screen.print(f"  [yellow]check:[/yellow] {escape(doubt)}", highlight=False, soft_wrap=True)
+        say(f"  [yellow]check:[/yellow] {escape(doubt)}")
 
 
 def _toml(table: Table, proposal: Proposal) -> str:

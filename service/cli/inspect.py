@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, robot_file
-from service.cli.output import as_json, console
-
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
+from service.cli.output import as_json, console, say, table
 
 STAMPS = ("rate_hz", "jitter_std_s", "jitter_p99_s", "jitter_max_s", "gaps", "repeats", "backwards")
 
@@ -46,7 +42,7 @@ def command(
 
     description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
-    screen, failed, surveys = console(), False, []
+    failed, surveys = False, []
     for path in traces:
         try:
             capture = path.name.endswith(CAPTURE_ENDINGS)
@@ -62,20 +58,17 @@ def command(
                 typer.echo(f"deltatwin: {error}", err=True)
             continue
         if not json:
-            (show_capture if capture else _show)(surveys[-1], screen)
+            (show_capture if capture else _show)(surveys[-1])
     if json:
         typer.echo(as_json("inspection", {"traces": surveys}))
     if failed:
         raise typer.Exit(1)
 
 
-def _show(figures: dict[str, Any], console: Console) -> None:
+def _show(figures: dict[str, Any]) -> None:
     from rich.markup import escape
 
     from service.cli.capture_tables import count
-
-    def say(text: str) -> None:
-        console.print(text, highlight=False, soft_wrap=True)
 
     say(
         f"[bold]{escape(figures['path'])}[/bold]: {figures['samples']} samples, {figures['joints']} joints, "
@@ -84,7 +77,7 @@ def _show(figures: dict[str, Any], console: Console) -> None:
     bases: dict[tuple, list[str]] = {}  # channels with the same stamps
     for name, channel in figures["channels"].items():
         bases.setdefault(tuple(channel[key] for key in STAMPS), []).append(name)
-    stamps = _table(["stamps of"], ["rate", "jitter std", "p99", "max", "gaps", "repeats", "back"])
+    stamps = table(("stamps of", "rate", "jitter std", "p99", "max", "gaps", "repeats", "back"), bare=True)
     for base, names in bases.items():
         rate, *jitter, gaps, repeats, back = base
         stamps.add_row(
@@ -93,8 +86,9 @@ def _show(figures: dict[str, Any], console: Console) -> None:
             *(f"{value * 1e6:.3f} µs" for value in jitter),
             *(count(value) for value in (gaps, repeats, back)),
         )
-    console.print(stamps, highlight=False)
-    values = _table(["channel", "unit"], ["min", "max", "smallest step", "longest hold", "missing"])
+    console().print(stamps, highlight=False)
+    head = ("channel", "unit", "min", "max", "smallest step", "longest hold", "missing")
+    values = table(head, figures=slice(2, None), bare=True)
     for name, channel in figures["channels"].items():
         hold = channel["longest_hold_s"]
         values.add_row(
@@ -104,7 +98,7 @@ def _show(figures: dict[str, Any], console: Console) -> None:
             "-" if hold is None else f"{hold * 1e3:.4g} ms",
             count(channel["missing"]),
         )
-    console.print(values, highlight=False)
+    console().print(values, highlight=False)
     if figures["missing"]:
         say(f"not recorded: {', '.join(figures['missing'])}")
     for finding in figures["findings"]:
@@ -113,15 +107,6 @@ def _show(figures: dict[str, Any], console: Console) -> None:
     if not figures["findings"]:
         say("[green]nothing wrong found[/green]")
     say("")
-
-
-def _table(left: list[str], right: list[str]) -> Table:
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for heading in (*left, *right):
-        table.add_column(heading, justify="left" if heading in left else "right", no_wrap=True)
-    return table
 
 
 def _number(value: float | None) -> str:

@@ -31,20 +31,28 @@ def console(stderr: bool = False) -> Console:
     return Console(stderr=stderr, width=None if stderr or sys.stdout.isatty() else PIPED_WIDTH)
 
 
+def say(text: str) -> None:
+    """A line of a result, with rich's markup in it."""
+    console().print(text, highlight=False, soft_wrap=True)
+
+
 def table(
     head: Sequence[str],
     rows: Iterable[Sequence[str]] = (),
     title: str = "",
     caption: str = "",
     figures: slice = slice(1, None),
+    bare: bool = False,
 ) -> Table:
-    """A table of `rows`. figures: columns that hold figures, which stand at the right."""
+    """A table of `rows`. figures: columns that hold figures, which stand at the right. bare: no lines, no wraps."""
     from rich.table import Table
 
     made = Table(title=title or None, caption=caption or None)
+    if bare:
+        made = Table(box=None, pad_edge=False, header_style="dim")
     right = range(len(head))[figures]
     for place, heading in enumerate(head):
-        made.add_column(heading, justify="right" if place in right else "left")
+        made.add_column(heading, justify="right" if place in right else "left", no_wrap=bare)
     for row in rows:
         made.add_row(*row)
     return made
