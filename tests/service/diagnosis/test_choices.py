@@ -169,24 +169,23 @@ def test_widths_of_their_own_are_worth_something_and_a_hundredth_of_what_is_left
 
 @pytest.mark.parametrize(
     ("none", "lost", "joints"),
-    [(400.0, 11.9, (0,)), (400.0, 12.1, (0, 2)), (1100.0, 19.9, (0,)), (1100.0, 20.1, (0, 2))],
+    [(400.0, 11.9, (0, 1)), (400.0, 12.1, (0, 1, 2)), (1100.0, 19.9, (0, 1)), (1100.0, 20.1, (0, 1, 2))],
 )
 def test_a_joint_goes_that_is_worth_no_more_than_chance_or_a_fiftieth(monkeypatch, none, lost, joints):
-    """Twelve in units of the noise, or that share of what the effects gain: here of joint 3, and joint 1 of all."""
-    terms = (Term(EFFECTS["torque_offset"], (0, 2), np.array([[1.0], [2.0]]), ()),)
+    """Twelve in units of the noise, or that share of what the effects gain: here of joint 3; the others are needed."""
+    terms = (Term(EFFECTS["torque_offset"], (0, 1, 2), np.array([[1.0], [2.0], [3.0]]), ()),)
 
     def scored(fitted, split):
         (term,) = fitted.terms
-        return stub(
-            hypothesis=fitted, loss=100.0 + (0.0 if 2 in term.joints else lost) + (0.0 if 0 in term.joints else 1e3)
-        )
+        needed = len({0, 1}.difference(term.joints))
+        return stub(hypothesis=fitted, loss=100.0 + lost * (2 not in term.joints) + 1e3 * needed)
 
     monkeypatch.setattr(selection, "fit", lambda problem, hypothesis, iterations=6: hypothesis)
     monkeypatch.setattr(selection, "score", scored)
     best = stub(hypothesis=Hypothesis(BASE, terms), loss=100.0)
     (term,) = selection.pruned(stub(), stub(), best, stub(loss=none), 80, 0).hypothesis.terms
     assert term.joints == joints
-    assert term.amplitude.tolist() == [[1.0], [2.0]][: len(joints)]
+    assert term.amplitude.tolist() == [[1.0], [2.0], [3.0]][: len(joints)]
 
 
 def test_a_rough_effect_is_searched_where_it_promises_something(monkeypatch):

@@ -110,12 +110,15 @@ def test_runs_of_several_robots_fit_alone_but_not_together():
     assert evaluate(made, Hypothesis(BASE)).cost > together.cost
 
 
-@pytest.mark.parametrize(("left", "alone", "told"), [(9.0, 3.3, True), (9.0, 3.5, False), (3.99, 1.0, False)])
-def test_runs_differ_where_each_fits_alone(monkeypatch, left, alone, told):
+@pytest.mark.parametrize(
+    ("left", "gap", "alone", "told"),
+    [(9.0, 20.9, 3.3, True), (9.0, 21.1, 3.3, False), (9.0, 14.0, 3.5, False), (3.99, 6.0, 1.0, False)],
+)
+def test_runs_differ_where_each_fits_alone(monkeypatch, left, gap, alone, told):
     """Seven tenths of what is above the noise, of twice the noise or more, and effects take no more than six."""
     monkeypatch.setattr(cautions, "_alone", lambda *_: alone)
     small = INJECTED["cogging"].term("cogging")
-    codes = [one.code for one in found(small, left=left, gap=(left - 0.4) / 0.6 + 0.3)]
+    codes = [one.code for one in found(small, left=left, gap=gap)]
     assert ("runs_differ" in codes) == told
 
 
