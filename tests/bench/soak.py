@@ -2,7 +2,7 @@
 
     python -m tests.bench.soak --minutes 60 --rate 1000
     python -m tests.bench.soak --minutes 3 --rate 1000 --view     # beside `view` and a client that takes all it shows
-    python -m tests.bench.soak --minutes 3 --rate 1000 --watch    # beside `watch`, which finds friction to diagnose
+    python -m tests.bench.soak --minutes 3 --rate 1000 --watch    # beside `watch`, with the log for its level
 
 A row a minute, and at the end (or at Ctrl-C) the table as markdown, with what the recording holds of what was sent.
 Lateness is the player's, latency the estimator's, from a sample's arrival to the sending of its answer; both are
@@ -44,7 +44,6 @@ COMMAND = Path(sys.executable).with_name("deltatwin")
 ROW_S = 60.0
 POLL_S = 0.1
 START_S = 300.0  # a role that compiles its kernels on a busy host takes a minute
-RUBS, TURNS = np.array([3.0, 0.0, 0.0]), 0.05  # N m, rad/s
 ROLES = {"player": Role.PLAYER, "estimator": Role.ESTIMATOR, "monitor": Role.MONITOR}
 HEADINGS = (
     "min", *(f"{role} {what}" for role in ROLES for what in ("RSS MiB", "fds", "CPU %")),
@@ -73,7 +72,7 @@ def usage(process: int) -> Usage:
 
 
 def lay_out(folder: Path, rate: float) -> None:
-    """The demo robot under a name of its own, its log at `rate`, and the same with a friction it did not have."""
+    """The demo robot under a name of its own, and its log at `rate`."""
     robot = load_robot(ROBOT).model_copy(update={"name": "soak"})
     save_robot(robot, folder / "robot.toml")
     log = read_trace(LOG, robot)
@@ -83,10 +82,8 @@ def lay_out(folder: Path, rate: float) -> None:
         CubicSpline(log.time - log.time[0], values)(instants)
         for values in (log.position, log.torque, log.position_command)
     )
-    rubbing = torque + RUBS * np.tanh(np.gradient(position, 1.0 / rate, axis=0) / TURNS)
-    for name, felt in (("log", torque), ("rubbing", rubbing)):
-        trace = Trace(Path("soak"), instants, position, felt, position_command=command)
-        write_trace(trace, folder / f"{name}.mcap", robot.name)
+    trace = Trace(Path("soak"), instants, position, torque, position_command=command)
+    write_trace(trace, folder / "log.mcap", robot.name)
 
 
 class Soak:
@@ -128,8 +125,7 @@ class Soak:
                 target=look, args=(found[0], self._shown), daemon=True
             )
             client.start()
-        played = self._folder / ("rubbing.mcap" if watch else "log.mcap")
-        self._launch("player", "replay", played, *robot, "--loop", "0", "--rate", str(rate))
+        self._launch("player", "replay", self._folder / "log.mcap", *robot, "--loop", "0", "--rate", str(rate))
         self._at = time.monotonic()
         self._before = {name: usage(process.pid) for name, process in self.processes.items()}
 
@@ -228,7 +224,7 @@ def main() -> None:
     arguments.add_argument("--rate", type=float, default=1000.0, help="samples a second")
     beside = arguments.add_mutually_exclusive_group()  # one of them, as this is the other one on the bus
     beside.add_argument("--view", action="store_true", help="beside a view and a client that takes all it shows")
-    beside.add_argument("--watch", action="store_true", help="beside a watch, on a robot with a friction to find")
+    beside.add_argument("--watch", action="store_true", help="beside a watch")
     given = arguments.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     signal.signal(signal.SIGINT, signal.default_int_handler)
