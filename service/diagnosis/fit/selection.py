@@ -353,7 +353,8 @@ def search(
         if problem.recordings[0].mechanism.kind == "delta":
             ordered = one_cause_first(ordered, best, rows)
         exact, fault = _sound_first(problem, ordered, best, none, given)
-        if fault is not None or not worth(exact[0].blocks, best.blocks, none.blocks, rows):
+        rough = any(term.effect.rough for term in best.hypothesis.terms)
+        if fault is not None or not worth(exact[0].blocks, best.blocks, none.blocks, rows, rough):
             path.append((exact, None))
             break
         path.append((exact, exact[0]))
@@ -441,14 +442,15 @@ def fit_added(problem: Problem, hypothesis: Hypothesis, term: Term) -> Fit:
     return best
 
 
-def worth(candidate: np.ndarray, without: np.ndarray, none: np.ndarray, rows: int) -> bool:
+def worth(candidate: np.ndarray, without: np.ndarray, none: np.ndarray, rows: int, rough: bool = False) -> bool:
     """Whether the data left out support an addition: enough, of enough of the gap, and not by chance.
 
-    candidate, without, none: (blocks,) held-out losses with the addition, without it, and of the base model.
+    candidate, without, none: (blocks,) held-out losses with the addition, without it, and of the base model. rough: an
+    effect is at work whose own model leaves more.
     """
     gain = float(without.sum() - candidate.sum()) / rows
     gap, rest = float(none.sum()) / rows - 1.0, float(without.sum()) / rows - 1.0
-    share = min(LEAST_SHARE_OF_GAP * gap, max(MOST_OF_REST * rest, LEAST_BESIDE))
+    share = LEAST_SHARE_OF_GAP * gap if rough else min(LEAST_SHARE_OF_GAP * gap, max(MOST_OF_REST * rest, LEAST_BESIDE))
     least = max(LEAST_GAIN, share, LEAST_SHARE_OF_REST * rest)
     return gain > least and z_score(without, candidate) > LEAST_Z
 

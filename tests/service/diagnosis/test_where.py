@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from schemas.diagnosis import Regime
+from service.diagnosis.documents import report
 from tests.service.subject import Hypothesis, evaluate, where
-from tests.service.world import BASE, course, problem
+from tests.service.world import BASE, course, problem, stub
 
 
 def test_the_budget_adds_up_to_the_gap_of_the_base_model(findings):
@@ -158,3 +159,13 @@ def test_the_section_names_joints_and_runs(findings):
     assert [entry["after_over_noise"] for entry in worst] == sorted(rms[e["run"]].round(3) for e in worst)[::-1]
     assert section["bursts"] == []
     assert evaluate(findings.problem, findings.reference).cost > 2 * findings.problem.count
+
+
+def test_a_spectrum_of_runs_shorter_than_its_window():
+    """400 samples each, where 512 are wanted: as long as the longest run, at the level of the noise."""
+    random = np.random.default_rng(3)
+    runs = [course(seed, 0.4) for seed in (1, 2, 3)]
+    logs = problem(runs, [run.torque + 0.3 * random.standard_normal(run.torque.shape) for run in runs])
+    frequency, density = report._density(stub(problem=logs), Hypothesis(BASE))
+    assert len(frequency) == len(density) == 200
+    assert np.median(density) == pytest.approx(0.3 * (2e-3) ** 0.5, rel=0.2)  # one-sided, N m a root of a hertz
