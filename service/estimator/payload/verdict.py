@@ -22,6 +22,9 @@ EVENT_SIGMAS = 3.0  # standard deviations of now and then that a change of load 
 CLEAR_STEP = 10.0
 # What the model lacks is this many times the noise: what it says of the mass is not to be used.
 FOREIGN = 12.0
+# What it lacks is so many times the noise over some seconds of motion and, learnt friction taken off, now: a torque
+# constant that has changed does more along the mass than at right angles to it, where that shows.
+LASTING, STILL_LASTING = 1.5, 3.0
 # What the model lacks over some seconds of motion comes again with every move: this share of it, brought to the
 # platform, does not average out of the mass.
 BIAS_SHARE = 0.5
@@ -100,7 +103,8 @@ def conclude(settings, state):
     if not known_empty:  # a change may hide in what passes for the model's error; none to take a load away for
         std_dev = math.sqrt(std_dev * std_dev + state.hidden + max(0.0, gentle - state.bias))
     state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
-    state.trusted = 1 if borne_out and (known_empty or _is_sure(std_dev, mass)) else 0
+    fits = state.scatter <= LASTING * state.judged or state.inflation < STILL_LASTING
+    state.trusted = 1 if borne_out and (known_empty or (fits and _is_sure(std_dev, mass))) else 0
     _reckon(settings, state, borne_out)
     return event
 

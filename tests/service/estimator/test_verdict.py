@@ -84,6 +84,10 @@ def test_what_the_model_lacks_counts_for_more_in_a_gentle_move(samples, a_block,
         (0.05, 0.029, {}, True), (0.05, 0.031, {}, False),
         (2.0, 0.2, {"hidden": 0.1**2}, True), (2.0, 0.2, {"hidden": 0.11**2}, False),
         (2.0, 0.02, {"inflation": 11.9}, True), (2.0, 0.02, {"inflation": 12.1}, False),
+        (2.0, 0.02, {"scatter": 0.74, "judged": 0.5, "inflation": 3.1}, True),
+        (2.0, 0.02, {"scatter": 0.76, "judged": 0.5, "inflation": 3.1}, False),
+        (2.0, 0.02, {"scatter": 0.76, "judged": 0.5, "inflation": 2.9}, True),
+        (0.0, 0.02, {"scatter": 0.76, "judged": 0.5, "inflation": 3.1, "gripper": Gripper.OPEN}, True),
         (2.0, 0.02, {"untold": 0.001}, False),
         (2.0, 0.02, {"burst": 3.0 + 4e-3}, True), (2.0, 0.02, {"burst": 3.0 + 6e-3}, False),  # 5 a second leak away
         (6.08, 0.02, {}, True), (6.1, 0.02, {}, False),  # two standard deviations and 50 g above what is carried
