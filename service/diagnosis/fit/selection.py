@@ -353,7 +353,7 @@ def search(
         if problem.recordings[0].mechanism.kind == "delta":
             ordered = one_cause_first(ordered, best, rows)
         exact, fault = _sound_first(problem, ordered, best, none, given)
-        rough = any(term.effect.rough for term in best.hypothesis.terms)
+        rough = any(not term.effect.amplitudes for term in best.hypothesis.terms)
         if fault is not None or not worth(exact[0].blocks, best.blocks, none.blocks, rows, rough):
             path.append((exact, None))
             break
