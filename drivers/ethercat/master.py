@@ -38,6 +38,8 @@ STOP_TIME = 0.5  # s at most for the drives' quick stop before they are switched
 STILL_CYCLES = 10  # without motion in which a quick stop is over
 ENABLE_TIME = 2.0  # s for all drives to get into operation
 RECEIVE_SHARE = 0.8  # of a cycle to wait for the frame to come back
+SILENCE = 0.02  # s, SOEM's longest wait for an answer: what has not come by then is not on its way
+_LATE_FRAMES = 1024  # read at once at most
 
 _NEXT_CONTROL = {
     DriveState.FAULT: Control.FAULT_RESET,
@@ -330,6 +332,8 @@ class Master:
     def _bring_up(self) -> None:
         give_up, before = time.monotonic() + BRING_UP_TIME, ""
         while True:
+            while select.select([self._wire], [], [], SILENCE)[0] and time.monotonic() < give_up:
+                self._drop_late()
             try:
                 return self._configure()
             except BusError as error:
@@ -369,8 +373,16 @@ class Master:
     def _exchange(self) -> int:
         for axis, slave in self._pairs():
             slave.output = axis.rx.pack(axis.outputs)
+        self._drop_late()
         self._soem.send_processdata()
         return self._receive()
+
+    def _drop_late(self) -> None:
+        """Read what came too late: SOEM counts its frames modulo 16, and where a bus held up so many, each frame would
+        be answered by the one 16 before it from then on."""
+        with contextlib.suppress(OSError):  # nothing more; of a dead interface nothing comes back, which is told
+            for _ in range(_LATE_FRAMES):
+                os.read(self._wire, 2048)
 
     def _receive(self) -> int:
         """Working counter of the frame that was sent, -1 where it does not come back in time.

@@ -6,9 +6,11 @@ import contextlib
 import ctypes
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -164,6 +166,12 @@ class SegmentProcess:
         self._process.stdin.flush()
         while "segment: switched" not in self._process.stderr.readline():
             pass
+
+    def hold(self, seconds: float) -> None:
+        """Let it stand still; the frames that come meanwhile wait."""
+        self._process.send_signal(signal.SIGSTOP)
+        time.sleep(seconds)
+        self._process.send_signal(signal.SIGCONT)
 
     def stop(self) -> str:
         """End it; what it said of itself."""

@@ -7,7 +7,9 @@ import functools
 import math
 import os
 import re
+import select
 import signal
+import socket
 import subprocess
 import threading
 from collections.abc import Callable, Iterator
@@ -18,7 +20,7 @@ import numpy as np
 import pytest
 
 from drivers.ethercat.cia402 import Scale
-from drivers.ethercat.master import BRING_UP_TIME, FAULTY_TIME, Master, OffsetRamp, follow
+from drivers.ethercat.master import BRING_UP_TIME, FAULTY_TIME, SILENCE, Master, OffsetRamp, follow
 from drivers.ethercat.setpoints import Setpoints, setpoints
 from drivers.motion import Planner, Trajectory
 from drivers.segment.wire import INPUT_DELAY_CYCLES
@@ -200,11 +202,60 @@ def test_what_stops_a_bus_from_coming_up_is_believed_the_second_time(
         raise BusError(f"bus0: {next(slaves)} slaves on the bus")
 
     monkeypatch.setattr(Master, "_configure", configure)
+    monkeypatch.setattr("drivers.ethercat.master.select.select", lambda *_: ([],))
     master = Master(rig.NEAR, robot, PERIOD, lambda _: 0)
     times = iter([BRING_UP_TIME * tenths / 10 for tenths in (0, 4, 8, 12, 16, 19)])
     monkeypatch.setattr("drivers.ethercat.master.time", SimpleNamespace(monotonic=lambda: next(times)))
     with pytest.raises(BusError, match=r"^bus0: 5 slaves on the bus$"):
         master._bring_up()
+
+
+def test_what_comes_too_late_is_read_before_anything_is_asked_anew(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    near.setblocking(False)
+    waiting: list[bool] = []
+
+    def look(_: Master) -> int:
+        waiting.append(bool(select.select([near], [], [], 0)[0]))
+        return 0
+
+    monkeypatch.setattr(Master, "_configure", look)
+    master = Master(rig.NEAR, robot, PERIOD, lambda _: 0)
+    monkeypatch.setattr(master, "_wire", near.fileno())
+    monkeypatch.setattr(master, "_pairs", list)
+    monkeypatch.setattr(master, "_soem", SimpleNamespace(send_processdata=lambda: look(master)))
+    monkeypatch.setattr(master, "_receive", lambda: 0)
+    with near, far:
+        far.send(b"a late answer")
+        still_coming = threading.Timer(0.5 * SILENCE, far.send, (b"a later one",))
+        still_coming.start()
+        master._bring_up()
+        far.send(b"of a cycle that was given up")
+        master._exchange()
+        still_coming.join()
+    assert waiting == [False, False]
+
+
+def test_a_bus_that_held_frames_up_answers_the_one_that_was_sent(
+    space: rig.Namespace, segment: rig.SegmentProcess, robot: Robot
+) -> None:
+    """For 22 cycles, which is more than the 16 frames that SOEM tells apart: answers that wait would be of before."""
+
+    def held_up() -> list[bool]:
+        with Master(rig.NEAR, robot, PERIOD, wait_until) as master:
+            master.operate()
+            holding = threading.Thread(target=segment.hold, args=(22 * PERIOD,))
+            holding.start()
+            waiting = []
+            for _ in range(100):
+                master.cycle()
+                waiting.append(bool(select.select([master._wire], [], [], 0)[0]))
+            holding.join()
+        return waiting[-20:]
+
+    assert not any(space.call(held_up))
 
 
 @pytest.mark.parametrize(
