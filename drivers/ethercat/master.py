@@ -380,8 +380,10 @@ class Master:
     def _drop_late(self) -> None:
         """Read what came too late: SOEM counts its frames modulo 16, and where a bus held up so many, each frame would
         be answered by the one 16 before it from then on."""
-        with contextlib.suppress(OSError):  # nothing more; of a dead interface nothing comes back, which is told
-            for _ in range(_LATE_FRAMES):
+        for _ in range(_LATE_FRAMES):
+            if not select.select([self._wire], [], [], 0)[0]:
+                break
+            with contextlib.suppress(OSError):  # of a dead interface nothing comes back, which is told
                 os.read(self._wire, 2048)
 
     def _receive(self) -> int:
