@@ -338,7 +338,7 @@ class Master:
                 return self._configure()
             except BusError as error:
                 late, said = time.monotonic() - give_up, str(error)
-                if late > BRING_UP_TIME or (late > 0 and said == before):  # one alone may be an answer that came late
+                if late > BRING_UP_TIME or (late > 0 and said == before):  # one alone may be a frame that was lost
                     raise
                 before = said
 

@@ -155,15 +155,15 @@ def base_doubts(
                     code="sine_of_angle", joints=[joint + 1], share=round(removed[joint], 4), advice="check_base"
                 )
                 cautions[caution.code, joint + 1] = caution
-    for found, level, least in (
-        (before, levels[0], np.maximum(removed - AS_GOOD, FOLLOWS)),
-        (after, levels[1], np.full(len(removed), FOLLOWS)),
+    for found, level, least, beaten in (
+        (before, levels[0], np.maximum(removed - AS_GOOD, FOLLOWS), BETTER * above[0]),
+        (after, levels[1], np.full(len(removed), FOLLOWS), np.zeros(len(removed))),
     ):
         for one in found:
             place = one.joint - 1
             if one.what == "position_error" or level[place] < FOREIGN_LEFT or one.share < least[place]:
                 continue
-            if found is before and above[1][place] < BETTER * (1.0 - one.share) * above[0][place]:
+            if above[1][place] < (1.0 - one.share) * beaten[place]:
                 continue
             code = "other_joints" if one.what == "motion" else "sine_of_angle"
             joints = [one.joint] if one.other is None else [one.joint, one.other]

@@ -195,7 +195,7 @@ def test_drives_that_answer_late(space: rig.Namespace, segment: rig.SegmentProce
 def test_what_stops_a_bus_from_coming_up_is_believed_the_second_time(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A busy host's answers come late, and are taken for those to what is asked next."""
+    """Frames get lost: what the last try says need not be what stands in the way."""
     slaves = iter([5, 5, 1, 5, 5])
 
     def configure(_: Master) -> None:
