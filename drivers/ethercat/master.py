@@ -193,7 +193,7 @@ class Master:
             self._wait_until(self._deadline)
             self._deadline = max(self._deadline, time.monotonic_ns() - self._period_ns) + self._period_ns
             good = self._exchange() == self._soem.expected_wkc
-            self._faulty_run = 0 if good else self._faulty_run + 1  # Ctrl-C may have left a frame half received
+            self._faulty_run = 0 if good else self._faulty_run + 1
             if self._faulty_run >= self._faulty_limit:
                 break
             if not good:

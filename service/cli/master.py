@@ -15,12 +15,9 @@ from service.cli.output import in_quantiles
 if TYPE_CHECKING:
     import numpy as np
 
-    from drivers.ethercat.master import Counts, Master, OffsetRamp
+    from drivers.ethercat.master import Counts
     from drivers.health import Health
-    from schemas.messages import HealthFlag
     from service.feedforward import InCycle, OverBus
-
-FAULT_TIME = 1.0  # s that BUS_FAULT stands after the last fault, so that a fault of one cycle is seen
 
 
 class Source(enum.StrEnum):
@@ -78,6 +75,7 @@ def command(
     import numpy as np
 
     from drivers.bus import Bus, open_bus
+    from drivers.ethercat.report import Report
     from drivers.ethercat.setpoints import setpoints
     from drivers.health import Health
     from drivers.motion import Planner
@@ -86,6 +84,7 @@ def command(
     from schemas.errors import BusError, RoleTakenError
     from schemas.messages import HealthFlag, Role, StopReason
     from service.cli.progress import counting
+    from service.cli.signals import stop_requested
     from service.estimator.bounds import bounds_of
     from service.estimator.estimator import Estimator
     from service.feedforward import InCycle, OverBus, nothing
@@ -121,75 +120,27 @@ def command(
         done, interrupted = 0, False
         with Master(interface, description, period, wait_until) as master:
             plan = setpoints(master.operate(), planned)
+            stopped = stop_requested()  # asked between two cycles; torn out of one, a Ctrl-C could be swallowed there
             limit = peak if max_torque is None else min(peak, max_torque)
             offset = OffsetRamp(master.scale, limit, slope, description.limits.torque_fade_s, period)
             typer.echo(
                 f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True
             )
             sent = np.zeros(len(plan), np.int64)
-            with HealthReport(health, standing, master, offset, torque) as tell:
-                try:
-                    for done, _ in enumerate(follow(master, plan, torque or nothing, offset), start=1):
-                        sent[done - 1] = master.sent_ns
-                        if done % 256 == 0:
-                            show(done)
-                        tell()
-                except KeyboardInterrupt:
-                    interrupted = True
+            with Report(health, master, offset, torque.counts if torque else None) as tell:
+                for done, _ in enumerate(follow(master, plan, torque or nothing, offset), start=1):
+                    sent[done - 1] = master.sent_ns
+                    if done % 256 == 0:
+                        show(done)
+                    tell()
+                    if interrupted := stopped():
+                        break
         if health and interrupted:
             health.stop(StopReason.INTERRUPTED)
         show(done)
     typer.echo(summary(done, len(plan), master.counts, sent[:done]))
     if torque:
         typer.echo(torque.summary())
-
-
-class HealthReport:
-    """Publishes the master's health, when it changes or is due."""
-
-    def __init__(
-        self,
-        health: Health | None,
-        standing: HealthFlag,
-        master: Master,
-        offset: OffsetRamp,
-        torque: InCycle | OverBus | None,
-    ) -> None:
-        self._health, self._standing = health, standing
-        self._master, self._offset, self._torque = master, offset, torque
-        self._faulty_ns = -(1 << 62)  # when the last fault was
-
-    def __call__(self) -> None:
-        """After each cycle."""
-        from schemas.messages import NANOSECONDS, HealthFlag
-
-        health, master = self._health, self._master
-        if health is None:
-            return
-        flags = self._standing
-        if master.in_trouble:
-            self._faulty_ns = master.sent_ns
-        if master.sent_ns - self._faulty_ns < FAULT_TIME * NANOSECONDS:
-            flags |= HealthFlag.BUS_FAULT
-        if self._offset.stale:
-            flags |= HealthFlag.STALE_FEEDFORWARD
-        if flags != health.flags:
-            health.flags = flags
-        if health.due:
-            health.publish(**self._counts())
-
-    def __enter__(self) -> HealthReport:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        if self._health:
-            self()
-            self._health.publish(**self._counts())  # the last word repeats these counts
-
-    def _counts(self) -> dict[str, int]:
-        counts = self._master.counts
-        said = {"received": counts.cycles, "lost": counts.lost, "invalid": counts.faulty, "late": counts.missed}
-        return said | (self._torque.counts() if self._torque else {})
 
 
 def summary(done: int, planned: int, counts: Counts, sent: np.ndarray) -> str:

@@ -2,12 +2,13 @@
 
     python -m tests.bench.soak --minutes 60 --rate 1000
     python -m tests.bench.soak --minutes 3 --rate 1000 --view     # beside `view` and a client that takes all it shows
-    python -m tests.bench.soak --minutes 3 --rate 1000 --watch    # beside `watch`, with the log for its level
+    python -m tests.bench.soak --minutes 3 --rate 1000 --watch    # beside `watch`, which finds the gears worn
 
 A row a minute, and at the end (or at Ctrl-C) the table as markdown, with what the recording holds of what was sent.
 Lateness is the player's, latency the estimator's, from a sample's arrival to the sending of its answer; both are
 medians over the minute of what `health` says every second, p99 and max the largest of it. The demo log is played round
-and round, resampled to the rate; the recording takes about 0.2 GB a minute at 8 kHz.
+and round, resampled to the rate; the recording takes about 0.2 GB a minute at 8 kHz. `watch` knows the log as it is and
+hears it with more Coulomb friction, so that its diagnosis runs beside the others.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ COMMAND = Path(sys.executable).with_name("deltatwin")
 ROW_S = 60.0
 POLL_S = 0.1
 START_S = 300.0  # a role that compiles its kernels on a busy host takes a minute
+WORN_NM = 3.0  # Coulomb friction of each joint that `watch` does not know of
 ROLES = {"player": Role.PLAYER, "estimator": Role.ESTIMATOR, "monitor": Role.MONITOR}
 HEADINGS = (
     "min", *(f"{role} {what}" for role in ROLES for what in ("RSS MiB", "fds", "CPU %")),
@@ -72,7 +74,7 @@ def usage(process: int) -> Usage:
 
 
 def lay_out(folder: Path, rate: float) -> None:
-    """The demo robot under a name of its own, and its log at `rate`."""
+    """The demo robot under a name of its own, and its log at `rate`, as it is and with worn gears."""
     robot = load_robot(ROBOT).model_copy(update={"name": "soak"})
     save_robot(robot, folder / "robot.toml")
     log = read_trace(LOG, robot)
@@ -82,8 +84,10 @@ def lay_out(folder: Path, rate: float) -> None:
         CubicSpline(log.time - log.time[0], values)(instants)
         for values in (log.position, log.torque, log.position_command)
     )
-    trace = Trace(Path("soak"), instants, position, torque, position_command=command)
-    write_trace(trace, folder / "log.mcap", robot.name)
+    worn = torque + WORN_NM * np.tanh(np.gradient(position, instants, axis=0) / 0.05)
+    for name, felt in (("log", torque), ("worn", worn)):
+        trace = Trace(Path("soak"), instants, position, felt, position_command=command)
+        write_trace(trace, folder / f"{name}.mcap", robot.name)
 
 
 class Soak:
@@ -125,7 +129,8 @@ class Soak:
                 target=look, args=(found[0], self._shown), daemon=True
             )
             client.start()
-        self._launch("player", "replay", self._folder / "log.mcap", *robot, "--loop", "0", "--rate", str(rate))
+        played = self._folder / ("worn.mcap" if watch else "log.mcap")
+        self._launch("player", "replay", played, *robot, "--loop", "0", "--rate", str(rate))
         self._at = time.monotonic()
         self._before = {name: usage(process.pid) for name, process in self.processes.items()}
 
