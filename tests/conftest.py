@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -33,6 +34,11 @@ class _Held:
     def during_test(cls) -> bool:
         cls.told.seek(0)
         return any(float(line) >= cls.began for line in cls.told)
+
+
+def pytest_configure() -> None:
+    """Under `nohup` all that is started here would ignore SIGHUP."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

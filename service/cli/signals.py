@@ -5,16 +5,23 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable
 
+ENDING = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None))]
+
+
+def _handle(handler: Callable[..., object]) -> None:
+    for number in ENDING:
+        # a shell starts background jobs with SIGINT ignored; `nohup` means what it says
+        if number == signal.SIGINT or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, handler)
+
 
 def terminate_as_interrupt() -> None:
-    """Let SIGTERM end a command the way Ctrl-C does: files whole, counts reported."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts background jobs with it ignored
+    """Let SIGTERM, and a terminal that is closed, end a command the way Ctrl-C does: files whole, counts reported."""
+    _handle(signal.default_int_handler)
 
 
 def stop_requested() -> Callable[[], bool]:
-    """A question that is answered True once Ctrl-C or SIGTERM came; for loops that must not be torn out of a step."""
+    """A question that is answered True once one of them came; for loops that must not be torn out of a step."""
     came: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda received, _: came.append(received))
+    _handle(lambda received, _: came.append(received))
     return lambda: bool(came)

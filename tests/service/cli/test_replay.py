@@ -56,7 +56,7 @@ def test_without_a_listener_it_says_so_and_plays(folder: Path) -> None:
     assert out.startswith("sent 101 of 101 samples")
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupt_ends_an_endless_replay_with_its_report(
     folder: Path, how: int, until: Callable[[Callable[[], bool]], None]
 ) -> None:

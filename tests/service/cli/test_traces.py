@@ -17,6 +17,7 @@ import pytest
 from drivers.trace import read_trace, write_trace
 from schemas.trace import Trace
 from service.cli.main import main
+from service.cli.signals import ENDING
 
 Run = Callable[..., "Done"]
 
@@ -30,7 +31,7 @@ class Done(NamedTuple):
 @pytest.fixture
 def deltatwin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
     """The command in this process, run in `tmp_path`; the signal handlers it sets are put back."""
-    handlers = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {kind: signal.getsignal(kind) for kind in ENDING}
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments: str | Path) -> Done:

@@ -79,7 +79,7 @@ def recorded(path: Path, topic: str) -> np.ndarray:
     return np.frombuffer(b"".join(data), TOPICS[topic].dtype)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_everything_on_the_bus_is_in_a_whole_file(watched: Watched, tmp_path: Path, until: Until, how: int) -> None:
     path = tmp_path / "run.mcap"
     process = watched.start(path, until)
