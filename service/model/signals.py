@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
-from scipy.signal import butter, decimate, freqz_sos, sosfiltfilt
+from scipy.ndimage import correlate1d
+from scipy.signal import butter, decimate, freqz_sos, lfilter, sosfiltfilt
 
 from schemas.errors import TraceError
 from schemas.kernels import kernel
@@ -351,6 +352,23 @@ def delayed(values: np.ndarray, seconds: float, period: float) -> np.ndarray:
     return sum(
         weight * held[first + tap : first + tap + count] for tap, weight in zip((-2, -1, 0, 1), weights, strict=True)
     )  # pyright: ignore[reportReturnType]
+
+
+def lagging(values: np.ndarray, seconds: float, period: float) -> np.ndarray:
+    """(N, ...) behind a first-order low-pass of time constant `seconds`, settled at the start.
+
+    Exact where values go straight from sample to sample: one that holds them would be half a sample early or late.
+    """
+    steps = period / seconds
+    keep = np.exp(-steps)
+    mean = (1.0 - keep) / steps
+    return lfilter([1.0 - mean, mean - keep], [1.0, -keep], values, axis=0, zi=mean * values[:1])[0]
+
+
+def leading(values: np.ndarray, seconds: float, period: float) -> np.ndarray:
+    """(N, ...) such that a first-order low-pass of time constant `seconds` makes them of it; fourth-order slopes."""
+    slope = correlate1d(values, np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0, axis=0, mode="nearest") / period
+    return values + seconds * slope
 
 
 @dataclass(frozen=True)

@@ -163,6 +163,21 @@ def said(effect: plant.PlantEffect, run: Course) -> np.ndarray:
     return np.array([effect.report(stub(step=PERIOD), torque) for torque in run.torque])
 
 
+def drawn_out(effect: plant.PlantEffect, run: Course) -> np.ndarray:
+    """The same where torque goes on between two cycles: the middle of every eighth of one, after which it is read."""
+    fine, last = 8, len(run.time) - 1
+    at = (np.arange(last * fine) + 0.5) / fine
+    between = np.stack([np.interp(at, np.arange(last + 1), column) for column in run.torque.T], axis=1)
+    effect.start(stub(load=run.torque[0]))
+    said = [effect.report(stub(step=PERIOD / fine), torque) for torque in between]
+    return np.array([run.torque[0], *said[fine - 1 :: fine]])
+
+
+def asked(hertz: float, run: Course) -> np.ndarray:
+    """What a drive of first order has to be asked for so that the true torque comes of it."""
+    return run.torque + np.gradient(run.torque, PERIOD, axis=0) / (2 * math.pi * hertz)
+
+
 def rub(effect: Callable[[], plant.PlantEffect]) -> Callable[[Course, float], np.ndarray]:
     return lambda run, start: rubbing(effect(), run, start)
 
@@ -241,7 +256,8 @@ INJECTED: dict[str, Injected] = {
     "torque_scale": Injected((0,), [[0.05]], (), lambda run, _: driven(sensing.TorqueScale([0.05, 0.0, 0.0]), run)),
     "torque_offset": Injected((1,), [[0.9]], (), lambda run, _: driven(sensing.TorqueOffset([0.0, 0.9, 0.0]), run)),
     "torque_delay": Injected((), [[]], (DELAY,), lambda run, _: said(sensing.TorqueDelay(DELAY), run), 0.01),
-    "torque_filter": Injected((), [[]], (35.0,), lambda run, _: said(sensing.TorqueFilter(35.0), run)),
+    "torque_filter": Injected((), [[]], (35.0,), lambda run, _: drawn_out(sensing.TorqueFilter(35.0), run)),
+    "drive_lag": Injected((), [[]], (35.0,), lambda run, _: asked(35.0, run), 0.005),
     "cogging": Injected(
         (1,),
         [[-1.1 * part for part in WAVE]],

@@ -41,6 +41,7 @@ CATALOGUE: dict[str, type[PlantEffect]] = {
     "torque_offset": sensing.TorqueOffset,
     "torque_delay": sensing.TorqueDelay,
     "torque_filter": sensing.TorqueFilter,
+    "drive_lag": sensing.DriveLag,
     "cogging": sensing.Cogging,
     "encoder_eccentricity": sensing.EncoderEccentricity,
 }

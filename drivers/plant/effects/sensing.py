@@ -86,6 +86,25 @@ class TorqueFilter(PlantEffect):
 
 
 @dataclass
+class DriveLag(PlantEffect):
+    """The motor's torque lags the command, which is what the drive reports."""
+
+    cutoff_hz: float
+    _value: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
+        return cls(float(rng.uniform(40.0, 100.0) / severity))
+
+    def start(self, plant: Plant) -> None:
+        self._value = plant.load.copy()
+
+    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+        self._value = torque + (self._value - torque) * math.exp(-2 * math.pi * self.cutoff_hz * plant.step)
+        return self._value
+
+
+@dataclass
 class Cogging(JointEffect):
     """Torque ripple of the motor, periodic in its angle; the drive does not see it in its current."""
 

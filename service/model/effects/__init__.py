@@ -40,6 +40,7 @@ NAMES = (
     "torque_offset",
     "torque_delay",
     "torque_filter",
+    "drive_lag",
     "cogging",
     "encoder_eccentricity",
 )

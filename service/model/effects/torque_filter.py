@@ -1,7 +1,7 @@
 """The reported torque is low-passed.
 
 Physics: a first-order filter in the drive, y' = 2 pi f (u - y).
-Implementation: the exact filter for a piecewise constant torque, on the whole prediction.
+Implementation: `lagging` of the whole prediction.
 Limitations: above a few hundred Hz it is a delay of 1 / (2 pi f).
 """
 
@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from service.model.effects.base import Effect, Nonlinear
 from service.model.scene import Scene
+from service.model.signals import lagging, leading
 
 CUTOFFS = (1.0, 1.8, 3.0, 5.0, 8.0, 15.0, 25.0, 40.0, 70.0, 120.0)  # the lowest: a drive's filter of what it reports
 
@@ -38,14 +38,10 @@ class TorqueFilter(Effect):
 
     def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]):
         """Filters all joints."""
-        keep = np.exp(-2 * np.pi * nonlinear[0] * scene.period)
-        start = keep * torque[:1]
-        return lfilter([1.0 - keep], [1.0, -keep], torque, axis=0, zi=start)[0]
+        return lagging(torque, 0.5 / (np.pi * nonlinear[0]), scene.period)
 
     def restore(
         self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]
     ) -> np.ndarray:
-        """The filter turned round; white noise comes out stronger."""
-        keep = np.exp(-2 * np.pi * nonlinear[0] * period)
-        start = -keep * torque[:1]
-        return lfilter([1.0, -keep], [1.0 - keep], torque, axis=0, zi=start / (1.0 - keep))[0]
+        """The filter turned round; noise comes out stronger."""
+        return leading(torque, 0.5 / (np.pi * nonlinear[0]), period)

@@ -79,7 +79,7 @@ def test_an_effect_can_be_written_into_a_truth_file(name: str, truth: PlantTruth
 
 
 def test_catalogue_is_complete_and_apart_from_what_is_outside() -> None:
-    assert len(CATALOGUE) == 29  # and forearm_inertia, which is in every plant
+    assert len(CATALOGUE) == 30  # and forearm_inertia, which is in every plant
     assert len(OUT_OF_CATALOGUE) >= 5
     assert not set(CATALOGUE) & set(OUT_OF_CATALOGUE)
 
@@ -126,6 +126,20 @@ def test_delay_and_filter_act_on_the_report_alone(
     for _ in range(count):
         through = step.report(plant, start + 1.0)
     np.testing.assert_allclose(through - start, 1 - np.exp(-count * plant.step * 2 * np.pi * 40.0), rtol=1e-9)
+
+
+def test_a_drive_that_lags_moves_the_robot_otherwise_and_reports_what_it_was_asked_for(
+    robot: Robot, truth: PlantTruth, run: Trajectory, plain: Trace
+) -> None:
+    lagging = simulate(Plant(robot, truth, (sensing.DriveLag(40.0),)), run)
+    assert np.abs(lagging.position - plain.position).max() > 1e-4
+    assert lagging.torque_command is not None
+    np.testing.assert_array_equal(lagging.torque, lagging.torque_command)
+    lag, plant = sensing.DriveLag(40.0), Plant(robot, truth)
+    lag.start(plant)
+    start, count = plant.load.copy(), round(1 / (2 * np.pi * 40.0) / plant.step)
+    acts = [lag.motor_torque(plant, start + 1.0) for _ in range(count)][-1]
+    np.testing.assert_allclose(acts - start, 1 - np.exp(-count * plant.step * 2 * np.pi * 40.0), rtol=1e-9)
 
 
 def test_scale_offset_and_ripple_change_what_acts_not_what_is_said(

@@ -16,13 +16,15 @@ from tests.service.world import PERIOD, direction, sines
 SECONDS = 5.0
 
 
-def two_axes(seed: int, coupling: float, weight: float = 0.0, noise: float = 0.05) -> Trace:
-    """Two axes of 0.5 kg m^2; `coupling` kg m^2 of the first in the second, `weight` N m on the second."""
+def two_axes(seed: int, coupling: float, weight: float = 0.0, noise: float = 0.05, lag: float = 0.0) -> Trace:
+    """Two axes of 0.5 kg m^2; `coupling` kg m^2 of the first in the second, `weight` N m on the second. lag: s by which
+    first-order drives lag the command, which is what is logged."""
     time = np.arange(round(SECONDS / PERIOD)) * PERIOD
     theta, speed, acceleration = (signal[:, :2] for signal in sines(seed, 0.8)(time))
     random = np.random.default_rng([seed, 3])
     torque = 0.5 * acceleration + 0.4 * speed + 0.6 * direction(speed)
     torque[:, 1] += coupling * acceleration[:, 0] + weight * np.sin(theta[:, 1])
+    torque += lag * np.gradient(torque, PERIOD, axis=0)
     torque += noise * random.standard_normal(torque.shape)
     return Trace(Path(f"run_{seed}.csv"), time, theta + 1e-7 * random.standard_normal(theta.shape), torque)
 
@@ -58,6 +60,22 @@ def test_a_weight_that_the_description_denies_is_not_cogging_of_order_one():
     found = told(axes(gravity=False), [two_axes(seed, 0.0, weight=2.0) for seed in (1, 2, 3)], ("cogging",))
     assert found.effects == []
     assert ("sine_of_angle", [2]) in [(one.code, one.joints) for one in found.cannot_tell]
+
+
+def test_a_drive_that_lags_its_logged_command_is_no_elastic_gear():
+    """At 25 Hz the torque is a delay to first order; what that leaves was an elastic gear at 100 %."""
+    names = (
+        "drive_lag",
+        "torque_filter",
+        "torque_delay",
+        "joint_elasticity",
+        "rotor_inertia",
+        "load_dependent_friction",
+    )
+    found = told(axes(), [two_axes(seed, 0.0, 1.0, lag=0.5 / (25 * np.pi)) for seed in (1, 2, 3)], names)
+    assert [effect.name for effect in found.effects] == ["drive_lag"]
+    assert found.effects[0].parameters["cutoff"].value == pytest.approx(25.0, rel=0.03)
+    assert found.verdict == "explained"
 
 
 def answered(seed: int, delay: int = 0, uneven: float = 0.0) -> Trace:

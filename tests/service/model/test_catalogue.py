@@ -138,6 +138,7 @@ STATED = {
     ),
     "torque_delay": ("measured takes_timing", {"delay": ("s", -0.02, 0.02)}, [], INF, INF, ""),
     "torque_filter": ("measured", {"cutoff": ("Hz", 0.3, 300.0)}, [], INF, INF, ""),
+    "drive_lag": ("measured", {"cutoff": ("Hz", 1.0, 300.0)}, [], INF, INF, ""),
     "cogging": (
         "per_joint own_joint",
         {"cosine": ("N m", -INF, INF), "sine": ("N m", -INF, INF), "order": ("", 0.5, 500.0)},
@@ -166,6 +167,7 @@ RATIOS = {
     ("backlash", "half"): 1.6,
     ("backlash", "motor_share"): 2.1,
     ("torque_filter", "cutoff"): 1.9,
+    ("drive_lag", "cutoff"): 1.9,
 }
 SPANS = {
     ("stribeck_friction", "v_s"): (0.01, 1.0),
@@ -182,6 +184,7 @@ SPANS = {
     ("backlash", "motor_share"): (0.1, 0.55),
     ("torque_delay", "delay"): (-0.003, 0.006),
     ("torque_filter", "cutoff"): (1.0, 120.0),
+    ("drive_lag", "cutoff"): (3.0, 120.0),
     ("cogging", "order"): (1, 36),
     ("encoder_eccentricity", "order"): (1, 4),
 }

@@ -28,7 +28,7 @@ from tests.service.subject import (
     reported,
     tangent,
 )
-from tests.service.world import BASE, ROBOT, TRUTH, course, problem, rigid_torque, scene, segment
+from tests.service.world import BASE, PERIOD, ROBOT, TRUTH, course, problem, rigid_torque, scene, segment, stub
 
 SECONDS = 3.0
 
@@ -100,7 +100,7 @@ def test_regressors_are_the_slope_of_its_torque(name):
         assert np.abs(slope).max() > 0.0
 
 
-@pytest.mark.parametrize("name", ["torque_delay", "torque_filter"])
+@pytest.mark.parametrize("name", ["torque_delay", "torque_filter", "drive_lag"])
 def test_a_measured_effects_column_is_what_it_changes_of_the_base(name):
     effect, here, nonlinear = EFFECTS[name], scene(course(1, 0.4)), INJECTED[name].nonlinear
     change = effect.report(here, 0, here.total, np.zeros(0), nonlinear) - here.total
@@ -114,6 +114,7 @@ PAIRS = [
     ("torque_scale", "torque_delay"), ("link_length_error", "warmup_friction"), ("joint_offset", "torque_filter"),
     ("position_dependent_friction", "encoder_eccentricity"), ("base_tilt", "nonlinear_viscous_friction"),
     ("stribeck_friction", "torque_filter"), ("presliding_friction", "asymmetric_friction"),
+    ("drive_lag", "torque_scale"),
 ]  # fmt: skip
 
 
@@ -173,13 +174,33 @@ def test_torque_is_sampled_later_by_a_fraction_of_a_sample():
 
 
 @pytest.mark.parametrize(
-    ("name", "amplitude", "nonlinear"), [("torque_filter", (), (15.0,)), ("torque_scale", (0.1,), ())]
+    ("name", "amplitude", "nonlinear"),
+    [("torque_filter", (), (15.0,)), ("drive_lag", (), (15.0,)), ("torque_scale", (0.1,), ())],
 )
 def test_what_a_drive_does_to_its_report_is_turned_round(name, amplitude, nonlinear):
-    effect, here, of = EFFECTS[name], scene(course(1, 0.4)), np.array(amplitude)
-    reported = effect.report(here, 1, here.total, of, nonlinear)
-    assert np.abs(reported - here.total).max() > 1.0
-    np.testing.assert_allclose(effect.restore(reported, here.period, 1, of, nonlinear), here.total, atol=1e-9)
+    effect, of = EFFECTS[name], np.array(amplitude)
+    time = np.arange(1000) * PERIOD  # 25 Hz and below, settled
+    torque = np.sin(2 * np.pi * time[:, None] * [3.0, 10.0, 25.0]) * np.minimum(1.0, time[:, None] / 0.3) ** 3
+    here = stub(period=PERIOD)
+    reported = effect.report(here, 1, torque, of, nonlinear)
+    assert np.abs(reported - torque)[:, 1].max() > 0.05
+    error = effect.restore(reported, PERIOD, 1, of, nonlinear) - torque
+    assert np.abs(error[:-2]).max() < 3e-3
+
+
+@pytest.mark.parametrize("rate", [250.0, 1000.0])
+@pytest.mark.parametrize("hertz", [4.0, 25.0])
+def test_a_filter_is_as_late_as_it_is_whatever_the_rate_of_the_log(hertz, rate):
+    """A sine through 1 / (1 + j f / f_c), to half a percent; held from sample to sample it is half a sample off."""
+    time = np.arange(0.0, 2.0, 1 / rate)
+    for frequency in (1.0, 10.0):
+        passed = 1 / (1 + 1j * frequency / hertz)
+        wave, here = np.exp(2j * np.pi * frequency * time)[:, None], stub(period=1 / rate)
+        true, settled = np.imag(passed * wave), slice(round(rate), -3)
+        late = EFFECTS["torque_filter"].report(here, 0, np.imag(wave), np.zeros(0), (hertz,))
+        np.testing.assert_allclose(late[settled], true[settled], atol=6e-3 * abs(passed))
+        early = EFFECTS["drive_lag"].report(here, 0, true, np.zeros(0), (hertz,))
+        np.testing.assert_allclose(early[settled], np.imag(wave)[settled], atol=3e-3)
 
 
 def test_rotor_and_gear_do_not_grow_with_the_link():

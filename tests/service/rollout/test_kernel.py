@@ -46,6 +46,7 @@ INJECTED: dict[str, tuple[list[int], dict[str, float]]] = {
     "torque_offset": ([3], {"offset": 1.3}),
     "torque_delay": ([], {"delay": 0.004}),
     "torque_filter": ([], {"cutoff": 20.0}),
+    "drive_lag": ([], {"cutoff": 20.0}),
     "cogging": ([2], {"cosine": 0.8, "sine": 1.5, "order": 1.0}),
     "encoder_eccentricity": ([1], {"cosine": 0.003, "sine": -0.002, "order": 1.0}),
 }  # fmt: skip

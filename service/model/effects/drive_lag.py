@@ -1,0 +1,40 @@
+"""The torque that acts lags the one that is reported: what a log holds is what the drive was asked for.
+
+Physics: a current loop or amplifier of first order, y' = 2 pi f (u - y), of which u is reported and y moves the robot.
+Implementation: `torque_filter` turned round.
+Limitations: above a few hundred Hz it is a torque reported 1 / (2 pi f) too early.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Nonlinear
+from service.model.effects.torque_filter import TorqueFilter
+from service.model.scene import Scene
+from service.model.signals import lagging
+
+CUTOFFS = (3.0, 5.0, 8.0, 15.0, 25.0, 40.0, 70.0, 120.0)  # a robot is hardly held through less
+
+
+@dataclass(frozen=True)
+class DriveLag(TorqueFilter):
+    cutoff: Nonlinear = Nonlinear("Hz", "cut-off frequency of the drive", CUTOFFS, 1.0, 300.0)
+    name = "drive_lag"
+    title = "The drive follows its torque command late"
+    means = (
+        "The log holds what the drive was asked for, not what it did: log the measured current. If that lags too, "
+        "the current loop is tuned too softly, or a filter of the command is set too low."
+    )
+
+    def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]):
+        """What all joints have to be asked for."""
+        return super().restore(torque, scene.period, joint, amplitude, nonlinear)
+
+    def restore(
+        self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]
+    ) -> np.ndarray:
+        """What acts."""
+        return lagging(torque, 0.5 / (np.pi * nonlinear[0]), period)
