@@ -161,7 +161,7 @@ def simulate_case(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
         "severity": draw.severity,
         "wrong": draw.wrong,
         "noise": noise,
-        "fx": {effect: _parameters(made) for effect, made in zip(draw.effects, drawn, strict=True)},
+        "fx": {effect: made.figures for effect, made in zip(draw.effects, drawn, strict=True)},
         "lift": round(plain_gap(case, traces) / (noise * (2 * BAND_HZ * PERIOD) ** 0.5), 3),
         "refused": refused,
     }
@@ -243,10 +243,6 @@ def _moving(position: np.ndarray, rate: float) -> np.ndarray:
             if end - start >= shortest:
                 moving[max(0, start - margin) : end + margin, joint] = False
     return moving
-
-
-def _parameters(effect: PlantEffect) -> dict[str, Any]:
-    return {field.name: getattr(effect, field.name) for field in dataclasses.fields(effect) if field.init}
 
 
 def _round(value: float) -> float:

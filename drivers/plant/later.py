@@ -29,7 +29,7 @@ class Later:
     @property
     def in_words(self) -> str:
         """Name, time and figures."""
-        figures = [f"{key} {_shown(value)}" for key, value in _figures(self.effect).items()]
+        figures = [f"{key} {_shown(value)}" for key, value in self.effect.figures.items()]
         return f"{self.name} from {self.at:g} s: {', '.join(figures)}"
 
 
@@ -76,12 +76,8 @@ def _number(text: str, number: str) -> float:
     return value
 
 
-def _figures(effect: PlantEffect) -> dict[str, float | list[float]]:
-    return {field.name: getattr(effect, field.name) for field in dataclasses.fields(effect) if field.init}
-
-
 def _sized(effect: PlantEffect, value: float) -> PlantEffect:
-    name, drawn = next(iter(_figures(effect).items()))
+    name, drawn = next(iter(effect.figures.items()))
     if not isinstance(drawn, list):
         return dataclasses.replace(effect, **{name: value})
     largest = max(drawn, key=abs)

@@ -14,11 +14,8 @@ from pydantic import Field
 from drivers.motion import peak_torque
 from schemas.errors import RobotError
 from schemas.robot import Robot
-from schemas.toml import TomlTable, read_toml, validate
+from schemas.toml import NotNegative, Positive, Three, TomlTable, read_toml, validate
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-PerJoint = Annotated[list[float], Field(min_length=3, max_length=3)]
 PositivePerJoint = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 NotNegativePerJoint = Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
 
@@ -31,17 +28,17 @@ POSITION_BANDWIDTH, VELOCITY_BANDWIDTH, INTEGRAL_TIME = 8.0, 30.0, 0.05  # Hz, H
 class PlantTruth(TomlTable):
     """Everything the physics is made of. Joint side, SI, one entry an arm where three."""
 
-    gravity_mps2: PerJoint  # vector in the base frame
+    gravity_mps2: Three  # vector in the base frame
     # geometry
     active_link_length_m: PositivePerJoint
     passive_link_length_m: PositivePerJoint
     base_radius_m: PositivePerJoint  # of the joints' axes
     platform_radius_m: Positive
-    arm_angles_deg: PerJoint
-    joint_offset_rad: PerJoint = [0.0, 0.0, 0.0]  # true minus measured angle
+    arm_angles_deg: Three
+    joint_offset_rad: Three = [0.0, 0.0, 0.0]  # true minus measured angle
     # inertia
     active_link_kg: PositivePerJoint
-    active_link_centre_m: PerJoint  # mass centre from the joint axis, along the link
+    active_link_centre_m: Three  # mass centre from the joint axis, along the link
     active_link_inertia_kgm2: PositivePerJoint  # about the joint axis, rotor and gear not included
     forearm_kg: PositivePerJoint  # both rods
     platform_kg: Positive

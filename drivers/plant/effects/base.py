@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, get_type_hints
 
 import numpy as np
 
@@ -16,17 +16,55 @@ if TYPE_CHECKING:
 JOINTS = np.arange(3)
 
 
+class Size(NamedTuple):
+    """A figure of a fault that maintenance would want to know of: between `low` and `high`, of either sign if `either`,
+    on one random joint, on each, or of the robot. grows: times the severity (1), over it (-1), or neither (0)."""
+
+    low: float
+    high: float
+    on: Literal["robot", "one", "each"] = "robot"
+    grows: Literal[1, 0, -1] = 1
+    either: bool = False
+
+    def draw(self, rng: np.random.Generator, severity: float) -> float | list[float]:
+        """A random one."""
+        if self.either:
+            value = signed(rng, self.low, self.high)
+        else:
+            value = rng.uniform(self.low, self.high, 3 if self.on == "each" else None)
+        value = value * severity if self.grows > 0 else value / severity if self.grows else value
+        return on_one(rng, float(value)) if self.on == "one" else np.asarray(value).tolist()
+
+
+class Among(NamedTuple):
+    """A figure that is one of `values`."""
+
+    values: tuple[float, ...]
+
+    def draw(self, rng: np.random.Generator, severity: float) -> float:
+        """A random one."""
+        return float(rng.choice(self.values))
+
+
 @dataclass
 class PlantEffect:
     """One unmodelled effect: override the hooks that its physics needs. All vectors are (3,), SI, joint side.
 
-    The hooks run in every integration step (0.25 ms or less).
+    Fields are its figures, annotated with their `Size`. The hooks run in every integration step (0.25 ms or less).
     """
 
     @classmethod
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        """A random instance; severity 1 is a fault that maintenance would want to know of."""
-        raise NotImplementedError
+        """A random instance, figure by figure as annotated; severity 1 is a fault that maintenance would want to know
+        of."""
+        hints = get_type_hints(cls, include_extras=True)
+        figures = [field.name for field in fields(cls) if field.init]
+        return cls(*(hints[name].__metadata__[0].draw(rng, severity) for name in figures))
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """By name, the first one its size."""
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.init}
 
     @property
     def joints(self) -> list[int]:
@@ -73,8 +111,7 @@ class JointEffect(PlantEffect):
     @property
     def joints(self) -> list[int]:
         """Joints, from 0, whose figure is not zero."""
-        figures: list[float] = getattr(self, fields(self)[0].name)
-        return [joint for joint, figure in enumerate(figures) if figure]
+        return [joint for joint, figure in enumerate(next(iter(self.figures.values()))) if figure]
 
 
 def on_one(rng: np.random.Generator, value: float) -> list[float]:

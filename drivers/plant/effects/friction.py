@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import JointEffect, PlantEffect, on_one, signed
+from drivers.plant.effects.base import Among, JointEffect, PlantEffect, Size, on_one, signed
 
 if TYPE_CHECKING:
     from drivers.plant.plant import Friction, Plant
@@ -19,12 +19,8 @@ if TYPE_CHECKING:
 class StribeckFriction(PlantEffect):
     """Extra breakaway friction that dies out with speed as the lubricant film builds up: f_s exp(-(v/v_s)^2)."""
 
-    breakaway_nm: list[float]
-    stribeck_speed_radps: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls((severity * rng.uniform(1.2, 2.5, 3)).tolist(), float(rng.uniform(0.08, 0.35)))
+    breakaway_nm: Annotated[list[float], Size(1.2, 2.5, "each")]
+    stribeck_speed_radps: Annotated[float, Size(0.08, 0.35, grows=0)]
 
     def friction(self, plant: Plant, friction: Friction) -> None:
         extra = np.asarray(self.breakaway_nm) * np.exp(-((plant.motor_dot / self.stribeck_speed_radps) ** 2))
@@ -61,11 +57,7 @@ class AsymmetricFriction(JointEffect):
 class LoadDependentFriction(PlantEffect):
     """Tooth friction grows with the torque through the gear: mu times its magnitude."""
 
-    mu: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls((severity * rng.uniform(0.035, 0.08, 3)).tolist())
+    mu: Annotated[list[float], Size(0.035, 0.08, "each")]
 
     def friction(self, plant: Plant, friction: Friction) -> None:
         extra = np.asarray(self.mu) * np.abs(plant.load)
@@ -77,11 +69,7 @@ class LoadDependentFriction(PlantEffect):
 class NonlinearViscousFriction(PlantEffect):
     """Churning (positive) or shear-thinning (negative) lubricant: c v |v| beside the viscous friction."""
 
-    quadratic_nms2: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls((severity * rng.uniform(0.06, 0.15, 3)).tolist())
+    quadratic_nms2: Annotated[list[float], Size(0.06, 0.15, "each")]
 
     def friction(self, plant: Plant, friction: Friction) -> None:
         friction.viscous += np.asarray(self.quadratic_nms2) * np.abs(plant.motor_dot)
@@ -91,15 +79,9 @@ class NonlinearViscousFriction(PlantEffect):
 class PositionDependentFriction(JointEffect):
     """A bearing or gear wheel that runs out of true: the Coulomb level varies with the joint angle."""
 
-    amplitude_nm: list[float]
-    order: float
-    phase_rad: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(
-            on_one(rng, severity * rng.uniform(0.8, 1.8)), float(rng.integers(2, 7)), rng.uniform(0, 2 * math.pi)
-        )
+    amplitude_nm: Annotated[list[float], Size(0.8, 1.8, "one")]
+    order: Annotated[float, Among((2.0, 3.0, 4.0, 5.0, 6.0))]
+    phase_rad: Annotated[float, Size(0.0, 2 * math.pi, grows=0)]
 
     def friction(self, plant: Plant, friction: Friction) -> None:
         extra = np.asarray(self.amplitude_nm) * np.sin(self.order * plant.motor + self.phase_rad)
@@ -113,12 +95,8 @@ class PositionDependentFriction(JointEffect):
 class WarmupFriction(PlantEffect):
     """Cold grease: viscous friction is (1 + gain) times its warm value at power-on and decays with a time constant."""
 
-    gain: list[float]
-    time_constant_s: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls((severity * rng.uniform(0.5, 1.2, 3)).tolist(), float(rng.uniform(10.0, 40.0)))
+    gain: Annotated[list[float], Size(0.5, 1.2, "each")]
+    time_constant_s: Annotated[float, Size(10.0, 40.0, grows=0)]
 
     def friction(self, plant: Plant, friction: Friction) -> None:
         friction.viscous *= 1.0 + np.asarray(self.gain) * math.exp(-plant.time / self.time_constant_s)
@@ -131,13 +109,8 @@ class PreslidingFriction(PlantEffect):
     dz/dt = v - |v| z sigma_0 / f_c, torque sigma_0 z: after a reversal it changes sides along exp(-x sigma_0 / f_c).
     """
 
-    stiffness_nmprad: list[float]
+    stiffness_nmprad: Annotated[list[float], Size(60.0, 200.0, "each", grows=-1)]
     bristle: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        # softer is worse
-        return cls((rng.uniform(60.0, 200.0, 3) / severity).tolist())
 
     def start(self, plant: Plant) -> None:
         self.bristle = np.zeros(3)
@@ -159,17 +132,13 @@ class PreslidingFriction(PlantEffect):
 class PassiveJointFriction(PlantEffect):
     """Friction in the twelve ball joints of the forearms: dry and viscous torque against the relative rotation."""
 
-    dry_nm: float
-    viscous_nms: float
+    dry_nm: Annotated[float, Size(0.10, 0.25)]
+    viscous_nms: Annotated[float, Size(0.0, 0.03)]
     _rods: list[int] = field(default_factory=list, init=False, repr=False, compare=False)
     _arms: list[int] = field(default_factory=list, init=False, repr=False, compare=False)
 
     # relative speed below which the dry torque fades, rad/s: a ball seat is compliant
     SOFT = 0.05
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(float(severity * rng.uniform(0.10, 0.25)), float(severity * rng.uniform(0.0, 0.03)))
 
     def start(self, plant: Plant) -> None:
         model = plant.mechanism.model
@@ -194,15 +163,11 @@ class PassiveJointFriction(PlantEffect):
 class ShaftFriction(PlantEffect):
     """The halves of a telescopic shaft from the middle of the base to the platform rub along each other."""
 
-    dry_n: float
-    viscous_nspm: float
+    dry_n: Annotated[float, Size(3.0, 7.0)]
+    viscous_nspm: Annotated[float, Size(0.5, 3.0)]
 
     # speed below which the dry force fades, m/s: seals are compliant
     SOFT = 0.005
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(float(severity * rng.uniform(3.0, 7.0)), float(severity * rng.uniform(0.5, 3.0)))
 
     def platform_force(self, plant: Plant) -> np.ndarray:
         length = math.sqrt(plant.platform @ plant.platform)

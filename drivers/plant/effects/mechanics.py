@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import JointEffect, PlantEffect, below, on_one, signed
+from drivers.plant.effects.base import JointEffect, PlantEffect, Size, below
 
 if TYPE_CHECKING:
     from drivers.plant.mechanism import Design
@@ -24,11 +24,7 @@ def _plus(values: list[float], change: list[float]) -> list[float]:
 class RotorInertia(JointEffect):
     """Another motor or gear on one joint: more (or less) inertia reflected to it."""
 
-    inertia_kgm2: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * rng.uniform(0.012, 0.035)))
+    inertia_kgm2: Annotated[list[float], Size(0.012, 0.035, "one")]
 
     def shape(self, design: Design) -> Design:
         return design.change(rotor_inertia_kgm2=_plus(design.truth.rotor_inertia_kgm2, self.inertia_kgm2))
@@ -38,11 +34,7 @@ class RotorInertia(JointEffect):
 class ArmMass(JointEffect):
     """A cable, valve or repair on one active link: mass spread along it, so inertia and gravity change together."""
 
-    mass_kg: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * rng.uniform(0.2, 0.5)))
+    mass_kg: Annotated[list[float], Size(0.2, 0.5, "one")]
 
     def shape(self, design: Design) -> Design:
         truth = design.truth
@@ -68,11 +60,7 @@ class ArmMass(JointEffect):
 class ToolMass(PlantEffect):
     """A gripper that the description does not know: mass at the platform."""
 
-    mass_kg: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(float(severity * rng.uniform(0.10, 0.30)))
+    mass_kg: Annotated[float, Size(0.10, 0.30)]
 
     def shape(self, design: Design) -> Design:
         return design.change(platform_kg=design.truth.platform_kg + self.mass_kg)
@@ -102,11 +90,7 @@ class BaseTilt(PlantEffect):
 class LinkLengthError(JointEffect):
     """An active link was machined longer or shorter than drawn: its mass centre and inertia go with it."""
 
-    length_m: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * signed(rng, 0.006, 0.012)))
+    length_m: Annotated[list[float], Size(0.006, 0.012, "one", either=True)]
 
     def shape(self, design: Design) -> Design:
         truth = design.truth
@@ -123,11 +107,7 @@ class LinkLengthError(JointEffect):
 class ForearmLengthError(JointEffect):
     """A forearm's rods are longer or shorter than drawn, of the same mass."""
 
-    length_m: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * signed(rng, 0.004, 0.008)))
+    length_m: Annotated[list[float], Size(0.004, 0.008, "one", either=True)]
 
     def shape(self, design: Design) -> Design:
         return design.change(passive_link_length_m=_plus(design.truth.passive_link_length_m, self.length_m))
@@ -137,11 +117,7 @@ class ForearmLengthError(JointEffect):
 class BaseRadiusError(JointEffect):
     """A joint's axis is farther from the base's centre than drawn, or nearer."""
 
-    radius_m: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * signed(rng, 0.004, 0.008)))
+    radius_m: Annotated[list[float], Size(0.004, 0.008, "one", either=True)]
 
     def shape(self, design: Design) -> Design:
         return design.change(base_radius_m=_plus(design.truth.base_radius_m, self.radius_m))
@@ -151,11 +127,7 @@ class BaseRadiusError(JointEffect):
 class AzimuthError(JointEffect):
     """An arm is mounted at another angle round the base than drawn, and its feet on the platform with it."""
 
-    azimuth_rad: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * signed(rng, 0.008, 0.02)))
+    azimuth_rad: Annotated[list[float], Size(0.008, 0.02, "one", either=True)]
 
     def shape(self, design: Design) -> Design:
         turned = [math.degrees(angle) for angle in self.azimuth_rad]
@@ -166,11 +138,7 @@ class AzimuthError(JointEffect):
 class JointOffset(JointEffect):
     """Homing error: the encoder's zero is not where the link is horizontal. Figures are true minus measured angle."""
 
-    offset_rad: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * signed(rng, 0.02, 0.045)))
+    offset_rad: Annotated[list[float], Size(0.02, 0.045, "one", either=True)]
 
     def shape(self, design: Design) -> Design:
         return design.change(joint_offset_rad=_plus(design.truth.joint_offset_rad, self.offset_rad))
@@ -180,12 +148,8 @@ class JointOffset(JointEffect):
 class JointSpring(JointEffect):
     """A counterbalance spring or a stiff cable bundle on a joint: -k (theta - theta_0)."""
 
-    stiffness_nmprad: list[float]
-    zero_rad: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * rng.uniform(1.5, 4.0)), rng.uniform(-0.3, 0.6, 3).tolist())
+    stiffness_nmprad: Annotated[list[float], Size(1.5, 4.0, "one")]
+    zero_rad: Annotated[list[float], Size(-0.3, 0.6, "each", grows=0)]
 
     def joint_torque(self, plant: Plant) -> np.ndarray:
         return -np.asarray(self.stiffness_nmprad) * (plant.theta - np.asarray(self.zero_rad))
@@ -211,11 +175,7 @@ class HoseSpring(PlantEffect):
 class AirDrag(PlantEffect):
     """Air against a flat gripper or product: c v |v| against the platform's motion."""
 
-    drag_ns2pm2: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(float(severity * rng.uniform(0.5, 1.2)))
+    drag_ns2pm2: Annotated[float, Size(0.5, 1.2)]
 
     def platform_force(self, plant: Plant) -> np.ndarray:
         return -self.drag_ns2pm2 * math.sqrt(plant.platform_dot @ plant.platform_dot) * plant.platform_dot

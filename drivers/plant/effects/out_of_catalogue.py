@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import JointEffect, PlantEffect, below, on_one, signed
+from drivers.plant.effects.base import JointEffect, PlantEffect, Size, below, on_one, signed
 from drivers.plant.mechanism import BaseMode
 
 if TYPE_CHECKING:
@@ -21,15 +21,9 @@ if TYPE_CHECKING:
 class ContactRail(JointEffect):
     """A cable carrier rubs over an edge in one place: the link has to climb a bell of energy there."""
 
-    torque_nm: list[float]  # largest
-    centre_rad: float
-    width_rad: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(
-            on_one(rng, severity * rng.uniform(2.0, 4.0)), float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.03, 0.07))
-        )
+    torque_nm: Annotated[list[float], Size(2.0, 4.0, "one")]  # largest
+    centre_rad: Annotated[float, Size(0.1, 0.4, grows=0)]
+    width_rad: Annotated[float, Size(0.03, 0.07, grows=0)]
 
     def joint_torque(self, plant: Plant) -> np.ndarray:
         x = (plant.theta - self.centre_rad) / self.width_rad
@@ -40,16 +34,10 @@ class ContactRail(JointEffect):
 class StickEvents(JointEffect):
     """Dirt passes through a gear: at random moments its friction is higher for a while."""
 
-    level_nm: list[float]
-    rate_hz: float
-    length_s: float
+    level_nm: Annotated[list[float], Size(2.5, 5.0, "one")]
+    rate_hz: Annotated[float, Size(1.0, 2.5, grows=0)]
+    length_s: Annotated[float, Size(0.04, 0.12, grows=0)]
     _until: float = field(default=-1.0, init=False, repr=False, compare=False)
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(
-            on_one(rng, severity * rng.uniform(2.5, 5.0)), float(rng.uniform(1.0, 2.5)), float(rng.uniform(0.04, 0.12))
-        )
 
     def friction(self, plant: Plant, friction: Friction) -> None:
         if plant.time > self._until and plant.rng.random() < self.rate_hz * plant.step:
@@ -63,19 +51,10 @@ class StickEvents(JointEffect):
 class BaseResonance(PlantEffect):
     """The frame that carries the robot swings on its feet when the platform is thrown about."""
 
-    frame_kg: float
-    frequency_hz: float
-    damping_ratio: float
-    azimuth_rad: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(
-            float(rng.uniform(20.0, 40.0) / severity),
-            float(rng.uniform(6.0, 14.0)),
-            float(rng.uniform(0.01, 0.03)),
-            float(rng.uniform(0, math.pi)),
-        )
+    frame_kg: Annotated[float, Size(20.0, 40.0, grows=-1)]
+    frequency_hz: Annotated[float, Size(6.0, 14.0, grows=0)]
+    damping_ratio: Annotated[float, Size(0.01, 0.03, grows=0)]
+    azimuth_rad: Annotated[float, Size(0.0, math.pi, grows=0)]
 
     def shape(self, design: Design) -> Design:
         mode = BaseMode(self.frame_kg, self.frequency_hz, self.damping_ratio, self.azimuth_rad)
@@ -148,15 +127,9 @@ class HoseJerk(PlantEffect):
 class BeltTooth(PlantEffect):
     """The platform drags a toothed belt along the base's y axis: a force with the pitch of its teeth."""
 
-    force_n: float
-    pitch_m: float
-    phase_rad: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(
-            float(severity * rng.uniform(3.0, 6.0)), float(rng.uniform(0.03, 0.08)), float(rng.uniform(0, 2 * math.pi))
-        )
+    force_n: Annotated[float, Size(3.0, 6.0)]
+    pitch_m: Annotated[float, Size(0.03, 0.08, grows=0)]
+    phase_rad: Annotated[float, Size(0.0, 2 * math.pi, grows=0)]
 
     def platform_force(self, plant: Plant) -> np.ndarray:
         return np.array(
@@ -168,13 +141,9 @@ class BeltTooth(PlantEffect):
 class CableMemory(JointEffect):
     """A cable bundle creeps: a spring in series with a damper on a joint, which forgets where it was."""
 
-    stiffness_nmprad: list[float]
-    relaxation_s: float
+    stiffness_nmprad: Annotated[list[float], Size(2.0, 5.0, "one")]
+    relaxation_s: Annotated[float, Size(0.2, 0.6, grows=0)]
     _rest: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * rng.uniform(2.0, 5.0)), float(rng.uniform(0.2, 0.6)))
 
     def start(self, plant: Plant) -> None:
         self._rest = plant.theta.copy()

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
 
-from drivers.plant.effects.base import JointEffect, PlantEffect, on_one, signed
+from drivers.plant.effects.base import Among, JointEffect, PlantEffect, Size, on_one
 
 if TYPE_CHECKING:
     from drivers.plant.plant import Plant
@@ -20,11 +20,7 @@ if TYPE_CHECKING:
 class TorqueScale(JointEffect):
     """Torque constant or gear ratio off: the drive reports (1 + error) times the torque that acts."""
 
-    error: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * signed(rng, 0.04, 0.08)))
+    error: Annotated[list[float], Size(0.04, 0.08, "one", either=True)]
 
     def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
         return torque / (1.0 + np.asarray(self.error))
@@ -34,11 +30,7 @@ class TorqueScale(JointEffect):
 class TorqueOffset(JointEffect):
     """A current sensor with an offset: the drive reports, and regulates, a constant too much."""
 
-    offset_nm: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * signed(rng, 0.5, 1.2)))
+    offset_nm: Annotated[list[float], Size(0.5, 1.2, "one", either=True)]
 
     def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
         return torque - np.asarray(self.offset_nm)
@@ -48,12 +40,8 @@ class TorqueOffset(JointEffect):
 class TorqueDelay(PlantEffect):
     """The drive reports the torque of a while ago beside the position of now; fractions of a sample too."""
 
-    delay_s: float
+    delay_s: Annotated[float, Size(0.001, 0.003)]
     _past: deque[np.ndarray] = field(default_factory=deque, init=False, repr=False, compare=False)
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(float(severity * rng.uniform(0.001, 0.003)))
 
     def start(self, plant: Plant) -> None:
         self._past = deque([plant.load.copy()], maxlen=math.floor(self.delay_s / plant.step) + 2)
@@ -70,12 +58,8 @@ class TorqueDelay(PlantEffect):
 class TorqueFilter(PlantEffect):
     """The reported torque went through a first-order low-pass in the drive."""
 
-    cutoff_hz: float
+    cutoff_hz: Annotated[float, Size(30.0, 80.0, grows=-1)]
     _value: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(float(rng.uniform(30.0, 80.0) / severity))
 
     def start(self, plant: Plant) -> None:
         self._value = plant.load.copy()
@@ -108,17 +92,9 @@ class DriveLag(PlantEffect):
 class Cogging(JointEffect):
     """Torque ripple of the motor, periodic in its angle; the drive does not see it in its current."""
 
-    amplitude_nm: list[float]
-    order: float  # periods a motor turn
-    phase_rad: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(
-            on_one(rng, severity * rng.uniform(0.5, 1.4)),
-            float(rng.choice((1.0, 2.0, 4.0))),
-            float(rng.uniform(0, 2 * math.pi)),
-        )
+    amplitude_nm: Annotated[list[float], Size(0.5, 1.4, "one")]
+    order: Annotated[float, Among((1.0, 2.0, 4.0))]  # periods a motor turn
+    phase_rad: Annotated[float, Size(0.0, 2 * math.pi, grows=0)]
 
     def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
         angle = self.order * plant.truth.gear_ratio * plant.motor + self.phase_rad

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-
-from drivers.plant.effects.base import JointEffect, on_one
+from drivers.plant.effects.base import JointEffect, Size
 
 if TYPE_CHECKING:
     from drivers.plant.mechanism import Design
-    from drivers.plant.truth import PlantTruth
 
 # Stiffness of a gear whose play is the point; its teeth bend some 0.5 mrad at 20 N m.
 TOOTH_STIFFNESS = 4e4  # N m/rad
@@ -22,12 +19,8 @@ TOOTH_DAMPING_RATIO = 0.15
 class JointElasticity(JointEffect):
     """Compliance of gear and coupling: spring and damper between rotor and link."""
 
-    stiffness_nmprad: list[float]  # 0: stiff
-    damping_ratio: float
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, rng.uniform(1500.0, 4000.0) / severity), float(rng.uniform(0.03, 0.10)))
+    stiffness_nmprad: Annotated[list[float], Size(1500.0, 4000.0, "one", grows=-1)]  # 0: stiff
+    damping_ratio: Annotated[float, Size(0.03, 0.10, grows=0)]
 
     def shape(self, design: Design) -> Design:
         return design.soften(self.stiffness_nmprad, self.damping_ratio)
@@ -37,11 +30,7 @@ class JointElasticity(JointEffect):
 class Backlash(JointEffect):
     """Lost motion: rotor and link touch only at the two ends of a gap, through teeth that are stiff but not rigid."""
 
-    half_gap_rad: list[float]
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(on_one(rng, severity * rng.uniform(0.001, 0.0025)))
+    half_gap_rad: Annotated[list[float], Size(0.001, 0.0025, "one")]
 
     def shape(self, design: Design) -> Design:
         stiff = [TOOTH_STIFFNESS if gap else 0.0 for gap in self.half_gap_rad]
