@@ -25,8 +25,8 @@ from schemas.columns import MAX_JOINTS
 from schemas.errors import RobotError
 from schemas.files import write_text
 from schemas.machine import JointFriction, Machine
-from schemas.robot import JointParameter, Positive, Robot, load_robot, save_robot, toml_item
-from schemas.toml import TomlTable, read_toml, validate
+from schemas.robot import JointParameter, Robot, load_robot, save_robot, toml_item
+from schemas.toml import Positive, TomlTable, read_toml, validate
 from schemas.urdf import read_urdf
 
 
@@ -101,7 +101,9 @@ def load_description(path: str | Path, effects: Path | None = None) -> Descripti
     Raises:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
-    return load_axes(path, effects) if kind_of(path) in KINDS else load_robot(path, effects)
+    path = Path(path)
+    kind = read_toml(path, RobotError).get("kind") if path.suffix == ".toml" else None
+    return load_axes(path, effects) if str(kind) in KINDS else load_robot(path, effects)
 
 
 def no_axes(robot: Description | None, what: str) -> Robot | None:
@@ -115,16 +117,6 @@ def no_axes(robot: Description | None, what: str) -> Robot | None:
     return robot
 
 
-def kind_of(path: str | Path) -> str | None:
-    """What the description at `path` says for its `kind`, if it is a file that does.
-
-    Raises:
-        RobotError: it cannot be read.
-    """
-    kind = read_toml(Path(path), RobotError).get("kind") if Path(path).suffix == ".toml" else None
-    return kind if isinstance(kind, str) else None
-
-
 def load_axes(path: str | Path, effects: Path | None = None) -> Axes | Chain:
     """Read a description of axes, or of an arm and its URDF.
 
@@ -132,7 +124,8 @@ def load_axes(path: str | Path, effects: Path | None = None) -> Axes | Chain:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
     path = Path(path)
-    machine = validate(KINDS[kind_of(path) or "axes"], read_toml(path, RobotError), path, RobotError)
+    values = read_toml(path, RobotError)
+    machine = validate(KINDS.get(str(values.get("kind")), Axes), values, path, RobotError)
     machine._folder, machine._effects_file = path.parent, effects
     if isinstance(machine, Chain):
         machine._arm = read_urdf(path.parent / machine.urdf, machine.joints, machine.held)

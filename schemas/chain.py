@@ -21,8 +21,8 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from schemas.columns import MAX_JOINTS
 from schemas.machine import JointFriction, Machine
-from schemas.robot import Gravity, NotNegative, Parameter, Positive, Three
-from schemas.toml import TomlTable
+from schemas.robot import Gravity, Parameter
+from schemas.toml import NotNegative, Positive, Three, TomlTable
 from schemas.urdf import Urdf
 
 Names = Annotated[list[str], Field(max_length=MAX_JOINTS)]

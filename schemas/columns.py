@@ -21,9 +21,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from schemas.errors import TraceError
-from schemas.toml import TomlTable, read_toml, validate
-
-Positive = Annotated[float, Field(gt=0)]
+from schemas.toml import Positive, TomlTable, read_toml, validate
 
 MAX_LINE = 10_000  # of the header; what exports put above it are some dozens
 MAX_JOINTS = 64

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from pydantic import BaseModel
 
-from schemas.robot import Described, EffectEntry, JointParameter, NotNegative, Positive, check_joints
-from schemas.toml import TomlTable
+from schemas.robot import Described, EffectEntry, JointParameter, check_joints
+from schemas.toml import NotNegative, Positive, TomlTable
 
 MOST_COUPLED = 1e6  # condition of a coupling matrix
 

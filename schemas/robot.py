@@ -13,11 +13,7 @@ from schemas.columns import Columns
 from schemas.errors import RobotError
 from schemas.files import make_folder, write_text
 from schemas.keys import check_robot_name
-from schemas.toml import TomlTable, read_toml, validate
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Three = Annotated[list[float], Field(min_length=3, max_length=3)]
+from schemas.toml import NotNegative, Positive, Three, TomlTable, read_toml, validate
 
 
 def _vector(value: Any) -> Any:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import re
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from schemas.errors import DeltatwinError
 from schemas.files import read_bytes
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 MAX_BYTES = 256 << 10  # the longest description in use, all effects in it, has 20 kB
 MAX_DEPTH = 12  # tables and lists in each other; descriptions have four
