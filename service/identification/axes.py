@@ -14,7 +14,7 @@ from service.identification import checks, pooled
 from service.identification.folds import BLOCK, Split, block_loss, held_out
 from service.identification.pooled import Identification, Plain
 from service.identification.units import refuse_wrong_angles
-from service.model.description import axes_identified
+from service.model.description import identified_of
 from service.model.mechanism import SerialArm, mechanism_of
 from service.model.parameters import base_parameters
 from service.model.scene import Recording
@@ -46,7 +46,7 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
     problem, noise = pooled.problem_of(recordings)
     fit = pooled.fit(problem, noise.sample, axes)
     refuse_wrong_angles(problem, ", ".join(trace.path.name for trace in traces), fit.fitted)
-    identified = axes_identified(
+    identified = identified_of(
         axes,
         {estimate.name: (estimate.value, estimate.std_error) for estimate in fit.estimates},
         fit.fitted.hypothesis.base,

@@ -9,20 +9,12 @@ from typing import Literal
 import numpy as np
 
 from schemas.errors import DataError
-from schemas.robot import Identified, JointParameter, Parameter, Robot
+from schemas.robot import JointParameter, Robot
 from service.identification import checks, paper, pooled
-from service.identification.pooled import Identification, ParameterEstimate
-from service.identification.regression import (
-    COULOMB,
-    FOREARM_MASS,
-    PARAMETERS,
-    RHO_1,
-    RHO_2,
-    VISCOUS,
-    NormalEquations,
-)
+from service.identification.pooled import Identification
+from service.identification.regression import PARAMETERS, NormalEquations
 from service.identification.units import refuse_wrong_angles
-from service.model.description import digits
+from service.model.description import identified_of
 from service.model.nominal import pack
 
 Method = Literal["pooled", "paper"]
@@ -41,23 +33,20 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
     problem, noise = pooled.problem_of(recordings)
     fit = pooled.fit(problem, noise.sample, robot)
     refuse_wrong_angles(problem, ", ".join(log.name for log in logs), fit.fitted)
-    transition = fit.fitted.hypothesis.base.transition
+    base = fit.fitted.hypothesis.base
     warnings = checks.check_fit(logs, fit, pack(robot).moving_mass)
     if method == "paper":
-        fit, transition = paper.refit(logs, fit), 0.0
+        fit, base = paper.refit(logs, fit), replace(base, transition=0.0)
         warnings = [*warnings, *paper.edges(logs)]
-    estimates = fit.estimates
-    identified = Identified(
-        method=method,
-        rho_1=_parameter(estimates[RHO_1]),
-        rho_2=_parameter(estimates[RHO_2]),
-        viscous_friction_nms=_joints(estimates[VISCOUS]),
-        coulomb_friction_nm=_joints(estimates[COULOMB]),
-        forearm_inertia_kg=_parameter(estimates[FOREARM_MASS]),
-        friction_transition_radps=digits(float(transition)),
-        torque_noise_nm=JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
-        model_error_nm=JointParameter(value=[float(f"{error:.4g}") for error in fit.model_error]),
-        torque_commanded=all(log.commanded for log in logs),
+    figures = {estimate.name: (estimate.value, estimate.std_error) for estimate in fit.estimates}
+    verdicts = {estimate.name: estimate.verdict for estimate in fit.estimates}
+    identified = identified_of(robot, figures, base, verdicts).model_copy(
+        update={
+            "method": method,
+            "torque_noise_nm": JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
+            "model_error_nm": JointParameter(value=[float(f"{error:.4g}") for error in fit.model_error]),
+            "torque_commanded": all(log.commanded for log in logs),
+        }
     )
     # what diagnose found on another base does not hold on this one
     if robot.effect:
@@ -77,19 +66,3 @@ def _enough(logs: Sequence[NormalEquations]) -> None:
             f"{', '.join(t.name for t in logs)}: too little motion, {seconds.max(axis=1).sum():.1f} s; "
             f"nine parameters and their errors need {MINIMUM_BLOCKS / 2:.0f} s or more"
         )
-
-
-def _parameter(estimate: ParameterEstimate) -> Parameter:
-    return Parameter.model_validate(
-        {"value": digits(estimate.value), "std_error": digits(estimate.std_error), "verdict": estimate.verdict}
-    )
-
-
-def _joints(estimates: Sequence[ParameterEstimate]) -> JointParameter:
-    return JointParameter.model_validate(
-        {
-            "value": [digits(estimate.value) for estimate in estimates],
-            "std_error": [digits(estimate.std_error) for estimate in estimates],
-            "verdict": [estimate.verdict for estimate in estimates],
-        }
-    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from schemas.axes import Axes, AxesIdentified, Description
 from schemas.chain import Chain, ChainIdentified
 from schemas.errors import RobotError
 from schemas.machine import Machine
-from schemas.robot import EffectEntry, EffectParameter, Identified, JointParameter, Parameter, Robot
+from schemas.robot import EffectEntry, EffectParameter, Identified, JointParameter, Robot
 from service.model.effects import by_name, catalogue
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
@@ -75,9 +76,16 @@ def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -
     return replace(blank, amplitude=amplitude, nonlinear=tuple(float(v) for v in numbers[blank.amplitude.size :]))
 
 
-def base_of(identified: Identified | None) -> Base:
-    """The base model that a Delta's description carries."""
-    identified = identified or Identified()
+def base_of(robot: Description) -> Base:
+    """The base model that a description carries. Without one a Delta is as drawn, and of axes and arms nothing is known
+    but that they move, and what a URDF says.
+
+    Raises:
+        RobotError: a coefficient of the arm is missing or none of its; a transition is missing.
+    """
+    if isinstance(robot, Machine):
+        return _base_of_machine(robot)
+    identified = robot.identified or Identified()
     rigid = [identified.rho_1.value, identified.rho_2.value, identified.forearm_inertia_kg.value]
     return Base(
         np.array(rigid),
@@ -88,13 +96,7 @@ def base_of(identified: Identified | None) -> Base:
     )
 
 
-def base_of_axes(machine: Axes | Chain) -> Base:
-    """The base model that a description of axes or of an arm carries; without one nothing is known but that they move,
-    and what a URDF says.
-
-    Raises:
-        RobotError: a coefficient of the arm is missing or none of its; a transition is missing.
-    """
+def _base_of_machine(machine: Axes | Chain) -> Base:
     mechanism, known = mechanism_of(machine), machine.identified
     if known is None:
         zero = np.zeros(len(mechanism.frictions))
@@ -153,8 +155,7 @@ def base_errors(robot: Description) -> np.ndarray:
         if isinstance(figure, dict) and "value" in figure:
             value, error = figure["value"], figure["std_error"]
             figure["value"] = (error or [0.0] * len(value)) if isinstance(value, list) else error
-    errors = robot.model_copy(update={"identified": type(robot.identified).model_validate(known)})
-    base = base_of(errors.identified) if isinstance(errors, Robot) else base_of_axes(errors)
+    base = base_of(robot.model_copy(update={"identified": type(robot.identified).model_validate(known)}))
     return np.concatenate([base.rigid, base.viscous, base.coulomb])
 
 
@@ -164,93 +165,66 @@ def hypothesis_of(robot: Description) -> Hypothesis:
     Raises:
         RobotError: an effect that is not known, or not described in full.
     """
-    base = base_of(robot.identified) if isinstance(robot, Robot) else base_of_axes(robot)
-    return Hypothesis(base, terms_of(robot))
+    return Hypothesis(base_of(robot), terms_of(robot))
 
 
 def described(robot: Description, hypothesis: Hypothesis, errors: np.ndarray, noise: np.ndarray) -> Description:
     """The description with a hypothesis and its standard errors (P,) written in. noise: (n,) N m a sample."""
     parameters = Parameters(hypothesis)
     entries = [entry(term, errors[mine], robot) for term, mine in zip(hypothesis.terms, parameters.terms, strict=True)]
-
-    def joints(part: slice) -> JointParameter:
-        return JointParameter(value=_digits(parameters.values[part]), std_error=_digits(errors[part]))
-
-    timing = digits(hypothesis.base.timing)
-    identified: AxesIdentified | ChainIdentified | Identified
-    if isinstance(robot, Machine):
-        known = base_parameters(mechanism_of(robot))
-        identified = axes_identified(
-            robot,
-            {p.name: (float(v), float(e)) for p, v, e in zip(known, parameters.values, errors, strict=False)},
-            hypothesis.base,
-        )
-    else:
-        rho_1, rho_2, forearm = (
-            Parameter(value=value, std_error=error)
-            for value, error in zip(
-                _digits(parameters.values[parameters.rigid]), _digits(errors[parameters.rigid]), strict=True
-            )
-        )
-        identified = Identified(
-            rho_1=rho_1,
-            rho_2=rho_2,
-            forearm_inertia_kg=forearm,
-            viscous_friction_nms=joints(parameters.viscous),
-            coulomb_friction_nm=joints(parameters.coulomb),
-            torque_noise_nm=JointParameter(value=_digits(noise)),
-            torque_commanded=robot.identified is not None and robot.identified.torque_commanded,
-            friction_transition_radps=digits(float(hypothesis.base.transition)),
-            torque_timing_s=timing,
-        )
+    known = base_parameters(mechanism_of(robot))
+    figures = {p.name: (float(v), float(e)) for p, v, e in zip(known, parameters.values, errors, strict=False)}
+    identified = identified_of(robot, figures, hypothesis.base)
+    if isinstance(robot, Robot):
+        commanded = robot.identified is not None and robot.identified.torque_commanded
+        noise_nm = JointParameter(value=_digits(noise))
+        identified = identified.model_copy(update={"torque_noise_nm": noise_nm, "torque_commanded": commanded})
     return robot.model_copy(update={"identified": identified, "effect": entries})
 
 
-def axes_identified(
-    machine: Axes | Chain, figures: dict[str, tuple[float, float]], base: Base, verdicts: dict[str, str] | None = None
-) -> AxesIdentified | ChainIdentified:
-    """The `[identified]` section of axes or of an arm. figures: name as in `base_parameters` -> value, standard error;
-    what a coefficient does not stand for on a joint is zero."""
-    count = range(1, machine.count + 1)
+def identified_of(
+    robot: Description, figures: dict[str, tuple[float, float]], base: Base, verdicts: dict[str, str] | None = None
+) -> Identified | AxesIdentified | ChainIdentified:
+    """The `[identified]` section with a fitted base model. figures: name as in `base_parameters` -> value, standard
+    error; what a coefficient does not stand for on a joint is zero."""
+    told = verdicts or {}
 
-    def joints(name: str) -> JointParameter | None:
-        keys = [name.format(number) for number in count]
+    def one(name: str) -> dict[str, Any]:
+        value, error = figures[name]
+        return {"value": digits(value), "std_error": digits(error), "verdict": told.get(name, "identifiable")}
+
+    def joints(name: str) -> dict[str, Any] | None:
+        keys = [name.format(number) for number in range(1, robot.count + 1)]
         if not any(key in figures for key in keys):
             return None
         values, errors = ([figures.get(key, (0.0, 0.0))[part] for key in keys] for part in (0, 1))
-        told = [verdicts.get(key, "identifiable") for key in keys] if verdicts else []
-        return JointParameter.model_validate({"value": _digits(values), "std_error": _digits(errors), "verdict": told})
+        said = [told.get(key, "identifiable") for key in keys] if verdicts else []
+        return {"value": _digits(values), "std_error": _digits(errors), "verdict": said}
 
+    timing = {"torque_timing_s": digits(base.timing)}
+    if isinstance(robot, Robot):
+        return Identified.model_validate(
+            {name: one(name) for name in ("rho_1", "rho_2", "forearm_inertia_kg")}
+            | {"viscous_friction_nms": joints("f_v_{}"), "coulomb_friction_nm": joints("f_c_{}")}
+            | {"friction_transition_radps": digits(float(base.transition))}
+            | timing
+        )
     transition = base.transition
-    friction = {
+    friction = timing | {
         "viscous_friction": joints("f_v_{}"),
         "coulomb_friction": joints("f_c_{}"),
         "motor_viscous_friction": joints("f_v_motor_{}"),
         "motor_coulomb_friction": joints("f_c_motor_{}"),
         "friction_transition": _digits(transition) if isinstance(transition, np.ndarray) else digits(transition),
-        "torque_timing_s": digits(base.timing),
     }
-    if isinstance(machine, Chain):
-        given = {} if machine.identified is None or machine.masses == "identified" else machine.identified.rigid
-        told = verdicts or {}
-        rigid = {
-            name: Parameter.model_validate(
-                {"value": digits(value), "std_error": digits(error), "verdict": told.get(name, "identifiable")}
-            )
-            for name, (value, error) in figures.items()
-            if not name.startswith(("f_v_", "f_c_"))
-        }
+    if isinstance(robot, Chain):
+        given = {} if robot.identified is None or robot.masses == "identified" else robot.identified.rigid
+        rigid = {name: one(name) for name in figures if not name.startswith(("f_v_", "f_c_"))}
         return ChainIdentified.model_validate({"rigid": given | rigid} | friction)
-    return AxesIdentified.model_validate(
-        {
-            "inertia": joints("inertia_{}"),
-            "offset": joints("offset_{}"),
-            "gravity_sin": joints("gravity_sin_{}"),
-            "gravity_cos": joints("gravity_cos_{}"),
-            "motor_inertia": joints("inertia_motor_{}"),
-        }
-        | friction
-    )
+    names = {"motor_inertia": "inertia_motor_{}"} | {
+        name: f"{name}_{{}}" for name in ("inertia", "offset", "gravity_sin", "gravity_cos")
+    }
+    return AxesIdentified.model_validate({key: joints(name) for key, name in names.items()} | friction)
 
 
 def _digits(values: np.ndarray | list[float]) -> list[float]:

@@ -75,7 +75,7 @@ class View:
     def of(cls, robot: Robot, sigma: np.ndarray, cutoff_hz: float = ANALYSIS_HZ) -> View:
         """By the base model that a description carries."""
         band, sparse = Band.of(PERIOD, cutoff_hz), Band.of(SPARSE * PERIOD, cutoff_hz)
-        base = base_of(robot.identified)
+        base = base_of(robot)
         base = replace(base, transition=np.maximum(base.transition, SHARPEST))
         return cls(mechanism_of(robot), base, band, sparse, sigma, bounds_of(robot).peak_nm)
 

@@ -63,7 +63,7 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     Raises:
         RobotError: an effect that is not known, or not described in full. PoseError: a pose out of reach.
     """
-    terms, base = terms_of(robot), base_of(robot.identified)
+    terms, base = terms_of(robot), base_of(robot)
     changed, ratio, _ = corrected(robot)
     inside = inside_of(terms)
     encoders = segment.theta
