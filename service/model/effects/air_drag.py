@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, at_platform
+from service.model.effects.base import Amplitude, WholeDelta, at_platform
 from service.model.scene import Scene
 
 
@@ -25,7 +25,7 @@ def _online(effect, now, i):
 
 
 @dataclass(frozen=True)
-class AirDrag(Effect):
+class AirDrag(WholeDelta):
     c: Amplitude = Amplitude("N s^2/m^2", "drag force at 1 m/s", low=0.0)
     name = "air_drag"
     title = "Air drag of the platform"
@@ -34,9 +34,6 @@ class AirDrag(Effect):
         "or hoses that catch air."
     )
     online = staticmethod(_online)
-    per_joint = False
-    own_joint = False
-    kinds = frozenset({"delta"})
     settles = "long straight moves at full speed"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:

@@ -209,6 +209,14 @@ class Effect(ABC):
         raise NotImplementedError
 
 
+class WholeDelta(Effect):
+    """An effect on a Delta as a whole: one set of amplitudes, felt by all joints."""
+
+    per_joint = False
+    own_joint = False
+    kinds = frozenset({"delta"})
+
+
 def geometric(low: float, high: float, count: int) -> tuple[float, ...]:
     """A grid of equal ratios."""
     return tuple(float(value) for value in np.geomspace(low, high, count))

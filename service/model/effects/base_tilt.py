@@ -12,22 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, WholeDelta
 from service.model.nominal import Correction, leaning
 from service.model.scene import Scene
 
 
 @dataclass(frozen=True)
-class BaseTilt(Effect):
+class BaseTilt(WholeDelta):
     about_x: Amplitude = Amplitude("rad", "tilt about the base's x axis")
     about_y: Amplitude = Amplitude("rad", "tilt about the base's y axis")
     name = "base_tilt"
     title = "The base is not level"
     means = "Put a level on the base frame and shim it, or enter the tilt in the description."
     beyond = 0.35
-    per_joint = False
-    own_joint = False
-    kinds = frozenset({"delta"})
     settles = "slow sweeps to all sides of the workspace"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:

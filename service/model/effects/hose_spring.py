@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, at_platform
+from service.model.effects.base import Amplitude, WholeDelta, at_platform
 from service.model.scene import Scene
 
 
@@ -23,7 +23,7 @@ def _online(effect, now, i):
 
 
 @dataclass(frozen=True)
-class HoseSpring(Effect):
+class HoseSpring(WholeDelta):
     k: Amplitude = Amplitude("N/m", "stiffness", low=0.0)
     force_x: Amplitude = Amplitude("N", "force on the hose along x, were the platform at the base's origin")
     force_y: Amplitude = Amplitude("N", "force on the hose along y, were the platform at the base's origin")
@@ -32,9 +32,6 @@ class HoseSpring(Effect):
     title = "A hose or cable pulls at the platform"
     means = "Give the hose more slack or guide it otherwise; if it must stay, take it over into the model."
     online = staticmethod(_online)
-    per_joint = False
-    own_joint = False
-    kinds = frozenset({"delta"})
     settles = "slow sweeps to the edges of the workspace"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Effect, Inside
+from service.model.effects.base import Amplitude, Inside, WholeDelta
 from service.model.scene import Scene
 
 
 @dataclass(frozen=True)
-class PassiveJointFriction(Effect):
+class PassiveJointFriction(WholeDelta):
     dry_elbow: Amplitude = Amplitude("N m", "dry friction of one forearm's ball joints at the elbow", low=0.0)
     dry_platform: Amplitude = Amplitude("N m", "dry friction of one forearm's ball joints at the platform", low=0.0)
     viscous_elbow: Amplitude = Amplitude("N m s/rad", "viscous friction at the elbow", low=0.0)
@@ -26,9 +26,6 @@ class PassiveJointFriction(Effect):
     name = "passive_joint_friction"
     title = "Friction in the forearms' ball joints"
     means = "Clean or replace the ball joints' shells and check the tension of their springs."
-    per_joint = False
-    own_joint = False
-    kinds = frozenset({"delta"})
     settles = "long moves of the platform at several speeds, where a forearm swings while its own joint rests"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:

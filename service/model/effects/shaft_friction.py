@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, at_platform
+from service.model.effects.base import Amplitude, WholeDelta, at_platform
 from service.model.scene import Scene
 
 SMOOTH = 5e-3  # m/s
@@ -31,7 +31,7 @@ def _online(effect, now, i):
 
 
 @dataclass(frozen=True)
-class ShaftFriction(Effect):
+class ShaftFriction(WholeDelta):
     dry: Amplitude = Amplitude("N", "dry friction along the shaft", low=0.0)
     viscous: Amplitude = Amplitude("N s/m", "viscous friction along the shaft", low=0.0)
     name = "shaft_friction"
@@ -41,9 +41,6 @@ class ShaftFriction(Effect):
         "slides between base and platform."
     )
     online = staticmethod(_online)
-    per_joint = False
-    own_joint = False
-    kinds = frozenset({"delta"})
     settles = "straight moves up and down at several speeds"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:

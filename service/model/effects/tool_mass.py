@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, Inside, at_platform
+from service.model.effects.base import Amplitude, Inside, WholeDelta, at_platform
 from service.model.scene import Scene
 
 
@@ -24,15 +24,12 @@ def _online(effect, now, i):
 
 
 @dataclass(frozen=True)
-class ToolMass(Effect):
+class ToolMass(WholeDelta):
     delta_m: Amplitude = Amplitude("kg", "mass at the platform beyond the description")
     name = "tool_mass"
     title = "The tool's mass differs from the description"
     means = "Weigh tool, gripper and what hangs on it, then correct the mass in the description."
     online = staticmethod(_online)
-    per_joint = False
-    own_joint = False
-    kinds = frozenset({"delta"})
     settles = "the same path with and without a known mass"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
