@@ -11,7 +11,10 @@ platform and active link, so that rho_1, rho_2 and forearm come out as they were
 
 from __future__ import annotations
 
+import inspect
+import re
 from dataclasses import dataclass, field, replace
+from typing import Any
 from xml.etree import ElementTree as xml
 
 import mujoco
@@ -22,10 +25,9 @@ from drivers.plant.truth import PlantTruth
 from drivers.view.scene import shape
 from schemas.errors import RobotError
 from schemas.robot import Robot
-from service.estimator.effects import corrected
+from service.estimator.effects import carried, corrected
 from service.model.description import base_of, terms_of
-from service.model.effects.base import Inside
-from service.model.effects.shaft_friction import SMOOTH as SHAFT_SMOOTH
+from service.model.effects.base import Effect, Inside
 from service.model.forward import forward_dynamics
 from service.model.hypothesis import Term, inside_of
 from service.model.nominal import lengthened, pack
@@ -53,7 +55,7 @@ def to_mjcf(robot: Robot) -> Export:
     Raises:
         RobotError: an effect that is not known, or figures that no body can have.
     """
-    terms, base = terms_of(robot), base_of(robot.identified)
+    terms, base = terms_of(robot), base_of(robot)
     changed, ratio, scale = corrected(robot)
     model, (rho_1, rho_2) = pack(changed), lengthened(base.rigid[0], base.rigid[1], ratio)
     amount = _amounts(terms)
@@ -117,7 +119,7 @@ def to_mjcf(robot: Robot) -> Export:
             spec.joint(axis).springref = float(-amount("hose_spring", f"force_{axis}")[0] / hose)
     _add_home(spec, design, model.joint_offset)
     result = Export(spec)
-    _callback(result, robot, terms, base.transition)
+    _callback(result, robot, terms, inside, max(SMOOTH, float(np.max(base.transition))))
     return result
 
 
@@ -178,26 +180,6 @@ def _add_home(spec: mujoco.MjSpec, design: Design, offset: np.ndarray) -> None:
     spec.add_key(name="home", qpos=pose)
 
 
-# The torque of effects MuJoCo has no word for, on joint i: q rad, v rad/s, direction of motion, time s; {name} is a
-# tuple of three, or the shape's value.
-FORMS = {
-    "stribeck_friction": "{f_s}[i] * direction * math.exp(-((v / {v_s}) ** 2))",
-    "asymmetric_friction": "{delta_c}[i] + {delta_v}[i] * abs(v)",
-    "nonlinear_viscous_friction": "{f}[i] * direction * abs(v) ** {p}",
-    "position_dependent_friction": (
-        "({cosine}[i] * math.cos({order} * q) + {sine}[i] * math.sin({order} * q)) * direction"
-    ),
-    "warmup_friction": "{f}[i] * math.exp(-time / {tau}) * v",
-    "cogging": ("{cosine}[i] * math.cos({order} * GEAR_RATIO * q) + {sine}[i] * math.sin({order} * GEAR_RATIO * q)"),
-    "presliding_friction": "{f}[i] * self.slide(i, q, {distance})",
-}
-
-# What is left of the drive's torque goes through the gear, load, and load + mu |load| direction = what is left.
-_LOAD = """            push = float(data.qfrc_actuator[dof] + data.qfrc_passive[dof])
-            left = push - self.dry[dof] * direction - torque
-            torque += {mu}[i] * abs(left) * direction / (1.0 + {mu}[i] * direction * math.copysign(1.0, left))  # {name}
-"""
-
 _HEAD = '''"""What MuJoCo has no word for in robot {name}. Made by `deltatwin export`.
 
     effects = Effects(model)
@@ -207,9 +189,22 @@ _HEAD = '''"""What MuJoCo has no word for in robot {name}. Made by `deltatwin ex
 """
 
 import math
+from types import SimpleNamespace
 
 GEAR_RATIO = {gear_ratio!r}
 SMOOTH = {smooth!r}  # rad/s over which friction turns
+BRISTLE, DISTANCE = {bristle!r}, {distance!r}  # N m of friction that builds up, over rad
+
+
+def at_platform(now, k, x, y, z):
+    """Along axis k: forces act on the platform itself."""
+    return (x, y, z)[k]
+
+
+{forms}
+AT_JOINTS = [{at_joints}]
+BY_LOAD = [{by_load}]
+AT_PLATFORM = [{at_platform}]
 
 
 class Effects:
@@ -218,8 +213,7 @@ class Effects:
     def __init__(self, model):
         self.joints = [model.joint(name) for name in {joints!r}]
         self.dry = model.dof_frictionloss
-        self.platform = [model.joint(axis).dofadr[0] for axis in "xyz"]
-        self.place = [model.joint(axis).qposadr[0] for axis in "xyz"]
+        self.platform = [model.joint(axis) for axis in "xyz"]
         self.bristle = [0.0, 0.0, 0.0]
         self.last = [None, None, None]
 
@@ -232,30 +226,25 @@ class Effects:
         return self.bristle[i]
 
     def apply(self, data):
-        time = data.time
+        q, place = ([float(data.qpos[one.qposadr[0]]) for one in part] for part in (self.joints, self.platform))
+        v, velocity = ([float(data.qvel[one.dofadr[0]]) for one in part] for part in (self.joints, self.platform))
+        now = SimpleNamespace(
+            theta=q, theta_dot=v, direction=[math.tanh(speed / SMOOTH) for speed in v], load=[0.0, 0.0, 0.0],
+            seconds=data.time, gear_ratio=GEAR_RATIO, pose=SimpleNamespace(position=place, velocity=velocity),
+        )
         for i, joint in enumerate(self.joints):
             dof = joint.dofadr[0]
-            q, v = float(data.qpos[joint.qposadr[0]]), float(data.qvel[dof])
-            direction = math.tanh(v / SMOOTH)
-            torque = 0.0
+            torque = BRISTLE[i] * self.slide(i, q[i], DISTANCE[i])
+            torque += sum(form(effect, now, i) for form, effect in AT_JOINTS)
+            for form, effect in BY_LOAD:
+                # what is left of the drive's torque goes through the gear: load and friction by the load together
+                left = float(data.qfrc_actuator[dof] + data.qfrc_passive[dof])
+                now.load[i] = left = left - self.dry[dof] * now.direction[i] - torque
+                torque += form(effect, now, i) / (1.0 + form(effect, now, i) / left) if left else 0.0
+            data.qfrc_applied[dof] = -torque
+        for k, axis in enumerate(self.platform):
+            data.qfrc_applied[axis.dofadr[0]] = -sum(form(effect, now, k) for form, effect in AT_PLATFORM)
 '''
-_TAIL = """            data.qfrc_applied[dof] = -torque
-"""
-# The force that holds the platform against effects of its own, along axis k: place m, velocity and speed m/s; length m,
-# rate m/s of the way from the middle of the base.
-PLATFORM_FORMS = {
-    "air_drag": "{c} * speed * velocity[k]",
-    "shaft_friction": f"({{dry}} * math.tanh(rate / {SHAFT_SMOOTH}) + {{viscous}} * rate) * place[k] / length",
-}
-_PLATFORM = """        place = [float(data.qpos[address]) for address in self.place]
-        velocity = [float(data.qvel[dof]) for dof in self.platform]
-        length, speed = math.hypot(*place), math.hypot(*velocity)
-        rate = sum(a * b for a, b in zip(place, velocity)) / length
-        for k, dof in enumerate(self.platform):
-            force = 0.0
-"""
-_PLATFORM_TAIL = """            data.qfrc_applied[dof] = -force
-"""
 # What a log shows of it: drives' torque `now` and motor angles `angle`, three values each.
 _MEASUREMENT = '''
 
@@ -274,7 +263,13 @@ class Measurement:
     def angle(self, angle):
         """Of the angles of the motors, three values."""
         read = angle = [float(value) for value in angle]
-{angle}        return read
+        for _ in range(4):  # what is wrong with the angle turns with the angle that is read
+            off = [0.0, 0.0, 0.0]
+            for i, cosine, sine, order in {wobble!r}:
+                turn = order * GEAR_RATIO * read[i]
+                off[i] += cosine * math.cos(turn) + sine * math.sin(turn)
+            read = [value - error for value, error in zip(angle, off)]
+        return read
 '''
 _TORQUE_SHOWN = {
     "torque_filter": """        keep = math.exp(-2.0 * math.pi * {cutoff} * self.step)  # torque_filter
@@ -288,12 +283,6 @@ _TORQUE_SHOWN = {
         now = [a + (late - int(late)) * (b - a) for a, b in zip(self.past[k], before)]
 """,
 }
-_ANGLE_SHOWN = """        for _ in range(4):  # what is wrong with the angle turns with the angle that is read
-            turn = [{order} * GEAR_RATIO * value for value in read]
-            off = [{cosine}[i] * math.cos(turn[i]) + {sine}[i] * math.sin(turn[i]) for i in range(3)]
-            read = [value - error for value, error in zip(angle, off)]  # encoder_eccentricity
-        angle = read
-"""
 _IN_THE_MODEL = {
     "rotor_inertia", "arm_mass", "tool_mass", "base_tilt", "joint_spring", "hose_spring", "link_length_error",
     "forearm_length_error", "base_radius_error", "azimuth_error", "joint_offset", "joint_elasticity", "backlash",
@@ -301,44 +290,57 @@ _IN_THE_MODEL = {
 }  # fmt: skip
 
 
-def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], transition: float | np.ndarray) -> None:
-    """Fill callback, by_callback and left_out of `result`."""
-    lines, load, pushed, torque, angle = [], "", "", "", ""
+def _form(effect: Effect) -> str:
+    """The source of an effect's online form under the effect's name, with the constants of its file in it."""
+    function: Any = getattr(effect.online, "py_func", None)
+    text = inspect.getsource(function).partition("\n")[2].replace("_online(", f"{effect.name}(")  # without @kernel
+    for name in function.__code__.co_names:
+        if isinstance(value := function.__globals__.get(name), float):
+            text = re.sub(rf"\b{name}\b", repr(value), text)
+    return f"{text}\n"
+
+
+def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], inside: Inside, smooth: float) -> None:
+    """Fill callback, by_callback, measured and left_out of `result`. smooth: rad/s over which friction turns."""
+    forms: dict[str, str] = {}
+    at: dict[str, list[str]] = {"at_joints": [], "by_load": [], "at_platform": []}
+    torque = ""
     for term in terms:
         effect, name = term.effect, term.effect.name
-        spread = np.zeros((3, len(effect.amplitudes)))
-        spread[list(term.joints) or slice(None)] = term.amplitude
-        values: dict[str, object] = {key: tuple(spread[:, n].tolist()) for n, key in enumerate(effect.amplitudes)}
-        values |= {key: float(value) for key, value in zip(effect.nonlinear, term.nonlinear, strict=True)}
-        if name in FORMS or name == "load_dependent_friction":
-            if name in FORMS:
-                lines.append(f"            torque += {FORMS[name].format(**values)}  # {name}\n")
-            else:
-                load += _LOAD.format(**values, name=name)
-        elif name in PLATFORM_FORMS:
-            values = dict(zip(effect.amplitudes, term.amplitude[0].tolist(), strict=True))
-            pushed += f"            force += {PLATFORM_FORMS[name].format(**values)}  # {name}\n"
+        if name in _IN_THE_MODEL:
+            continue
+        if effect.online is not None and carried(effect):
+            forms[name] = _form(effect)
+            amplitude = np.zeros((3, len(effect.amplitudes)))
+            amplitude[list(term.places)] = term.amplitude
+            figures = {place: float(value) for place, value in np.ndenumerate(amplitude)}
+            where = "by_load" if "now.load" in forms[name] else "at_joints"
+            at[where if effect.own_joint else "at_platform"].append(
+                f"({name}, SimpleNamespace(amplitude={figures!r}, nonlinear={term.nonlinear!r}))"
+            )
         elif name == "torque_delay" and term.nonlinear[0] < 0:
             result.left_out[name] = "a log shows the torque before it is there: shift what you compare with by it"
             continue
         elif name in _TORQUE_SHOWN or name == "encoder_eccentricity":
-            shown = _TORQUE_SHOWN.get(name, _ANGLE_SHOWN).format(**values)
-            torque, angle = (torque + shown, angle) if name in _TORQUE_SHOWN else (torque, angle + shown)
+            torque += _TORQUE_SHOWN.get(name, "").format(**dict(zip(effect.nonlinear, term.nonlinear, strict=True)))
             result.measured.append(name)
-        elif name not in _IN_THE_MODEL:
+        elif name != "presliding_friction":
             result.left_out[name] = "neither MuJoCo nor the callback has a form for it"
-            continue
-        else:
             continue
         result.by_callback.append(name)
     if result.by_callback:
         split = {joint.name for joint in result.spec.joints if joint.name.startswith("motor")}
-        joints = [f"motor{i}" if f"motor{i}" in split else f"arm{i}" for i in range(3)]
-        smooth = max(SMOOTH, float(np.max(transition)))
-        head = _HEAD.format(name=robot.name, gear_ratio=robot.drive.gear_ratio, joints=joints, smooth=smooth)
-        platform = _PLATFORM + pushed + _PLATFORM_TAIL if pushed else ""
-        shown = _MEASUREMENT.format(torque=torque, angle=angle) if result.measured else ""
-        result.callback = head + "".join(lines) + load + _TAIL + platform + shown
+        head = _HEAD.format(
+            name=robot.name,
+            gear_ratio=robot.drive.gear_ratio,
+            smooth=smooth,
+            joints=[f"motor{i}" if f"motor{i}" in split else f"arm{i}" for i in range(3)],
+            bristle=inside.bristle.tolist(),
+            distance=inside.distance.tolist(),
+            forms="\n".join(forms.values()),
+            **{where: ", ".join(entries) for where, entries in at.items()},
+        )
+        result.callback = head + (_MEASUREMENT.format(torque=torque, wobble=inside.wobble) if result.measured else "")
 
 
 def to_urdf(robot: Robot) -> str:
