@@ -143,7 +143,7 @@ class Planner:
         omega = 2 * math.pi * np.array(chosen) / duration
         weight = rng.uniform(0.5, 1.0, omega.shape) / omega**0.7
         phase = rng.uniform(0, 2 * math.pi, omega.shape)
-        window = _window(time, duration, min(0.8, duration / 4))
+        window = _window(time, duration, 0.8)
         return self._largest(_even(_windowed(_waves(time, omega, weight, phase), window), rng), speed)
 
     def swing(
@@ -158,7 +158,7 @@ class Planner:
         omega = 2 * math.pi * frequency * np.arange(1, weight.shape[1] + 1)
         wave = _waves(time, omega, weight / omega, phase)
         wave[0] += middle / omega[0]
-        window = _window(time, duration, min(0.5, duration / 4))
+        window = _window(time, duration, 0.5)
         return self._largest(_windowed(wave, window), share, what="swing")
 
     def slow(self, rng: np.random.Generator, duration: float) -> Trajectory:
@@ -167,14 +167,14 @@ class Planner:
         omega = 2 * math.pi * rng.uniform(0.5, 3.2, (3, 3)) / max(duration, 4.0)
         weight = rng.uniform(0.4, 1.0, omega.shape)
         phase = rng.uniform(0, 2 * math.pi, omega.shape)
-        window = _window(time, duration, min(0.8, duration / 4))
+        window = _window(time, duration, 0.8)
         limits = MotionLimits(speed=1.3, acceleration=self.limits.acceleration, torque=self.limits.torque)
         return self._largest(_even(_windowed(_waves(time, omega, weight, phase), window), rng), 1.0, limits)
 
     def bound(self, rng: np.random.Generator, duration: float, speed: float = 1.0) -> Trajectory:
         """Round the rim of the workspace, up and down its wall, both ways round: what stresses geometry and gears."""
         space, time = self.workspace, self._clock(duration)
-        window = _window(time, duration, min(0.8, duration / 4))
+        window = _window(time, duration, 0.8)
         heights = (space.top - space.bottom) / 2
         phase, turn = rng.uniform(0, 2 * math.pi, 3), rng.uniform(0.30, 0.45)
         middle = (space.top + space.bottom) / 2
@@ -424,7 +424,8 @@ def _smooth_step(time: np.ndarray, start: float, end: float) -> np.ndarray:
 
 
 def _window(time: np.ndarray, duration: float, ramp: float) -> np.ndarray:
-    """Fades in and out over `ramp` s; (3, N) with its derivatives."""
+    """Fades in and out over `ramp` s, a quarter of `duration` at most; (3, N) with its derivatives."""
+    ramp = min(ramp, duration / 4)
     return _smooth_step(time, 0.0, ramp) - _smooth_step(time, duration - ramp, duration)
 
 

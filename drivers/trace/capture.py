@@ -35,7 +35,7 @@ class CaptureReader:
         self._declaration = Declaration(robot)
         self._kinds = np.zeros(len(Kind), np.int64)
         self._flagged = Counter[FrameFlag]()
-        self._seen: dict[tuple[int, int, int], int] = {}
+        self._seen: set[tuple[int, int, int]] = set()  # logical commands: command, address, length
 
     def blocks(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """(M,) records of SAMPLE and (M, 3, 6) int64 of their INPUTS in drive units, some at a time.
@@ -84,11 +84,7 @@ class CaptureReader:
         datagrams, kinds = decode(frames)
         self._kinds += np.bincount(kinds, minlength=len(Kind))
         logical = datagrams[np.isin(datagrams["command"], [Command.LRD, Command.LWR, Command.LRW])]
-        for row in np.unique(logical[["command", "address", "length"]])[:20]:
-            key = (int(row["command"]), int(row["address"]), int(row["length"]))
-            same = (logical["command"] == key[0]) & (logical["address"] == key[1]) & (logical["length"] == key[2])
-            highest = int(logical["working_counter"][same].max())
-            self._seen[key] = max(self._seen.get(key, 0), highest)
+        self._seen.update(np.unique(logical[["command", "address", "length"]])[:20].tolist())
 
     def _why_nothing(self) -> str:
         capture, kinds = self.capture, self._kinds

@@ -86,12 +86,11 @@ class Figure:
 
 @dataclass(frozen=True)
 class Box:
-    """A block of a diagram, its middle in column and row of a grid, rows downwards. plain: text without a frame."""
+    """A block of a diagram, its middle in column and row of a grid, rows downwards."""
 
     text: str
     column: float
     row: float
-    plain: bool = False
 
 
 @dataclass(frozen=True)
@@ -281,7 +280,7 @@ def _sketched(diagram: Diagram, title: str) -> Any:
     canvas.suptitle(title, fontsize=11)
     drawn = []
     for box in diagram.boxes:
-        frame = None if box.plain else {"boxstyle": "round,pad=0.5", "facecolor": "#f6f8fa", "edgecolor": "#555555"}
+        frame = {"boxstyle": "round,pad=0.5", "facecolor": "#f6f8fa", "edgecolor": "#555555"}
         text = axis.text(box.column, box.row, box.text, ha="center", va="center", fontsize=8, bbox=frame, clip_on=False)
         drawn.append(text)
     for arrow in diagram.arrows:
@@ -290,7 +289,7 @@ def _sketched(diagram: Diagram, title: str) -> Any:
             "", (end.column, end.row), (start.column, start.row),
             arrowprops={"arrowstyle": "-|>", "color": "#333333", "linewidth": 1.0,
                         "patchA": drawn[arrow.start].get_bbox_patch(), "patchB": drawn[arrow.end].get_bbox_patch(),
-                        "shrinkA": 12 if start.plain else 2, "shrinkB": 12 if end.plain else 2},
+                        "shrinkA": 2, "shrinkB": 2},
             annotation_clip=False,
         )  # fmt: skip
         if arrow.text:
