@@ -14,6 +14,7 @@ from schemas.errors import BusError
 
 READY_TIME = 600.0  # s for a process to say that it is ready: the first start of all compiles, on any host
 STOP_TIME = 20.0  # s to end after Ctrl-C, files whole
+STOP_TIME_STARTING = 0.3  # s for one that was not ready yet and has nothing to make whole; it may be compiling
 PROGRAM = (sys.executable, "-m", "service.cli.main")
 
 Ready = str | Path | Callable[[], bool]  # what it says, the file it makes, or what becomes true when it is ready
@@ -24,6 +25,7 @@ class Process:
 
     def __init__(self, name: str, command: Sequence[str], log: Path, environment: dict[str, str], ready: Ready) -> None:
         self.name, self.log, self._ready = name, log, ready
+        self._give_up: float | None = None
         with log.open("w") as file:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=file, stderr=subprocess.STDOUT, env=environment, text=True
@@ -84,12 +86,19 @@ class Process:
         if self._process.poll():
             raise BusError(f"{self.name} failed: {self.last_words()}")
 
+    def interrupt(self) -> None:
+        """Ask it to end, as Ctrl-C does, and do not wait."""
+        if self.running and self._give_up is None:
+            self._give_up = time.monotonic() + (STOP_TIME if self._is_ready() else STOP_TIME_STARTING)
+            self._process.send_signal(signal.SIGINT)
+
     def stop(self) -> None:
         """End it as Ctrl-C does, and by force if that does not help."""
+        self.interrupt()
         if self.running:
-            self._process.send_signal(signal.SIGINT)
+            assert self._give_up is not None
             try:
-                self._process.wait(STOP_TIME)
+                self._process.wait(max(self._give_up - time.monotonic(), 0.0))
             except subprocess.TimeoutExpired:
                 self.kill()
         if self._process.stdin is not None:
@@ -107,7 +116,8 @@ class Process:
 
 
 class Supervisor:
-    """Starts processes that log to `folder`, and ends what is left of them, the last one first, when it is left itself.
+    """Starts processes that log to `folder`, and ends what is left of them when it is left itself: the last one first,
+    or all at once where an exception leaves it.
 
     runtime_folder: where they meet on the bus; this process's own if None.
     """
@@ -121,6 +131,9 @@ class Supervisor:
         return self
 
     def __exit__(self, *raised: object) -> None:
+        if raised[0] is not None:
+            for process in self._started:
+                process.interrupt()
         for process in reversed(self._started):
             process.stop()
 

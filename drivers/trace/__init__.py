@@ -24,7 +24,7 @@ from pathlib import Path
 
 from drivers.trace.tables import READERS
 from schemas.axes import Description, no_axes
-from schemas.columns import Columns, load_columns
+from schemas.columns import CHANNELS, Columns, load_columns
 from schemas.errors import TraceError
 from schemas.files import opened, whole
 from schemas.machine import Machine
@@ -104,7 +104,10 @@ def _foreign(path: Path, robot: Description | None, columns: Columns) -> Trace:
 
     layout = columns.model_dump(include=LAYOUT, exclude_defaults=True)
     tables = [read_table(path, layout or None), *(read_table(path.parent / name) for name in columns.beside)]
-    table = joined(tables)
+    own = {entry.time for role in CHANNELS for entry in columns.channel(role) if entry.time}
+    stems = [other.path.name.split(".")[0] for other in tables]
+    clocks = [next((name[len(stem) + 1 :] for name in own if name.startswith(f"{stem}:")), None) for stem in stems]
+    table = joined(tables, clocks)
     wanted = plan(list(table.columns), columns, path)
     frame = pl.DataFrame({str(index): values for index, values in enumerate(table.columns.values())})
     return assemble(frame, wanted, columns, robot, path, [], table.epoch_ns, "row")

@@ -72,6 +72,7 @@ def command(
     from schemas.columns import load_columns
     from schemas.errors import StorageError, TraceError
     from schemas.files import check_folder, write_text
+    from service.identification.channels import clocks_of
     from service.identification.proposal import propose
 
     description = load_description(robot) if robot else None
@@ -84,7 +85,8 @@ def command(
         if path.parent.resolve() != files[0].parent.resolve():
             raise TraceError(f"{path}: not in the folder of {files[0]}; files side by side stand beside each other")
     with console(stderr=True).status(f"reading {files[0].name}"):
-        table = joined([read_table(path) for path in files])
+        tables = [read_table(path) for path in files]
+        table = joined(tables, clocks_of(tables, time))
         proposal = propose(table, description, stated)
     if not json:
         _show(table, proposal)

@@ -10,6 +10,7 @@ import numpy as np
 
 from drivers.trace.tables import Table
 from schemas.columns import TIME_UNITS
+from schemas.errors import DataError
 
 # Words of column names, English and German, as controllers and loggers write them.
 WORDS = {
@@ -81,6 +82,20 @@ def guess(table: Table, joints: int | None) -> Channels:
     return Channels(time, **ordered, reasons=reasons)
 
 
+def clocks_of(tables: Sequence[Table], time: str | None) -> list[str | None]:
+    """The column that stamps each of several files side by side. time: of the first, where the user says it.
+
+    Raises:
+        DataError: their stamps have several units.
+    """
+    clocks = [next(iter(_named_times(table)), None) for table in tables]
+    clocks[0] = time if time in tables[0].columns else clocks[0]
+    units = {f"{t.path.name}: {time_unit(t, clock)[0]}" for t, clock in zip(tables, clocks, strict=True) if clock}
+    if len({unit.rpartition(" ")[2] for unit in units}) > 1:
+        raise DataError(f"stamps of several units ({', '.join(sorted(units))}): write them in one")
+    return clocks
+
+
 def time_unit(table: Table, name: str) -> tuple[str, bool]:
     """Unit of a column of stamps, and whether the file or the name says so; else by the rate that it gives."""
     said = table.units.get(name, "").lower().replace("µ", "u")
@@ -113,14 +128,20 @@ def said_unit(table: Table, name: str, known: Mapping[str, str]) -> str | None:
 
 
 def _time(table: Table) -> str | None:
+    if named := _named_times(table):
+        return named[0]
+    first = next(iter(table.columns))
+    alone = _role(first, table) is None and not table.layout.get("beside")
+    return first if alone and _rises(table.columns[first]) else None
+
+
+def _named_times(table: Table) -> list[str]:
+    """Columns that rise and are called stamps, or dates; the clocks of a TwinCAT export."""
     rising = [name for name, values in table.columns.items() if _rises(values)]
     named = [name for name in rising if WORDS["time"] & set(tokens(name)) or table.units.get(name) == "datetime"]
     if not named and table.kind.startswith("TwinCAT"):
         named = [name for name in table.columns if name in table.time_of.values()]
-    if named:
-        return named[0]
-    first = next(iter(table.columns))
-    return first if first in rising and _role(first, table) is None and not table.layout.get("beside") else None
+    return named
 
 
 def _rises(values: np.ndarray) -> bool:

@@ -97,19 +97,25 @@ def best_reading(gram: np.ndarray, gear_ratio: float, free_scale: bool = False) 
 
 
 def _scaled(gram: np.ndarray, order: Sequence[int], signs: Sequence[float]) -> TorqueReading:
-    """The fit with the torque's scale among what is fitted: that of the platform's known torque is 1."""
+    """The reading whose scale makes the platform's known torque as large as the fit wants it, beside the others' own.
+
+    The torque is what is explained: among what explains it, its noise and what the model lacks would shrink its scale.
+    """
     left = np.zeros((PARAMETERS + 1, PARAMETERS + 1))
     right = np.zeros(PARAMETERS + 1)
+    square = 0.0
     for joint in range(3):
-        measured = np.zeros((COLUMNS, 1))
-        measured[TORQUE_COLUMN + order[joint]] = signs[joint]
-        chosen = np.hstack([selection(joint), -measured])
+        platform, torque = np.zeros((COLUMNS, 1)), np.zeros(COLUMNS)
+        platform[PLATFORM_COLUMN], torque[TORQUE_COLUMN + order[joint]] = 1.0, signs[joint]
+        chosen = np.hstack([selection(joint), platform])
         left += chosen.T @ gram[joint] @ chosen
-        right -= chosen.T @ gram[joint, :, PLATFORM_COLUMN]
-    scale = float(np.linalg.lstsq(left, right, rcond=1e-10)[0][-1])
-    if scale <= 0:
+        right += chosen.T @ gram[joint] @ torque
+        square += torque @ gram[joint] @ torque
+    values = np.linalg.lstsq(left, right, rcond=1e-10)[0]
+    if values[-1] <= 0:
         return TorqueReading(np.inf, order, signs, 1.0)
-    return TorqueReading(_left(gram, order, signs, scale), order, signs, scale)
+    share = np.sqrt(max(square - right @ values, 0.0) / max(square, 1e-12))
+    return TorqueReading(float(share), order, signs, 1.0 / float(values[-1]))
 
 
 def _reading(gram: np.ndarray, gear_ratio: float) -> str:

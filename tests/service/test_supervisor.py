@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
 import psutil
@@ -14,6 +15,20 @@ from service.supervisor import Supervisor
 
 POLITE = "import time\nprint('ready', flush=True)\ntry:\n time.sleep(99)\nexcept KeyboardInterrupt:\n print('whole')"
 DEAF = "import signal, time\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\nprint('ready', flush=True)\ntime.sleep(99)"
+
+# Ends when the other one of a folder has been asked to end too, or says that it has not.
+TOGETHER = """
+import pathlib, sys, time
+print('ready', flush=True)
+try:
+    time.sleep(99)
+except KeyboardInterrupt:
+    pathlib.Path(sys.argv[1], sys.argv[2]).touch()
+    give_up = time.monotonic() + 10
+    while len(list(pathlib.Path(sys.argv[1]).iterdir())) < 2 and time.monotonic() < give_up:
+        time.sleep(0.01)
+    print('together' if time.monotonic() < give_up else 'alone')
+"""
 
 
 def python(script: str) -> tuple[str, ...]:
@@ -55,3 +70,25 @@ def test_what_is_left_is_ended_politely_and_then_by_force(tmp_path: Path, monkey
         torn_out()
     assert not any(psutil.pid_exists(pid) for pid in pids)
     assert (tmp_path / "polite.log").read_text() == "ready\nwhole\n"
+
+
+def test_where_an_exception_leaves_it_all_are_asked_at_once_and_who_was_not_ready_is_not_waited_for(
+    tmp_path: Path,
+) -> None:
+    asked = tmp_path / "asked"
+    asked.mkdir()
+    since = time.monotonic()
+
+    def torn_out() -> None:
+        with Supervisor(tmp_path) as crew:
+            for name in ("one", "two"):
+                crew.launch(name, (*python(TOGETHER), str(asked), name), "ready").wait_ready()
+            compiling = crew.launch("deaf", python(DEAF), "never said")
+            while not compiling.log.read_text():
+                time.sleep(0.01)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        torn_out()
+    assert [(tmp_path / f"{name}.log").read_text() for name in ("one", "two")] == ["ready\ntogether\n"] * 2
+    assert time.monotonic() - since < supervisor.STOP_TIME

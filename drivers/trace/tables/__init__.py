@@ -14,6 +14,7 @@ import numpy as np
 
 from schemas.columns import MAX_COLUMNS
 from schemas.errors import TraceError
+from schemas.messages import NANOSECONDS
 
 READERS = {
     ".npy": "numpy_file",
@@ -75,26 +76,34 @@ def read_table(path: Path, layout: Mapping[str, object] | None = None) -> Table:
     return read(path, layout)
 
 
-def joined(tables: Sequence[Table]) -> Table:
+def joined(tables: Sequence[Table], clocks: Sequence[str | None] = ()) -> Table:
     """Files side by side as one: the first one's columns, then those of the others called `file:column`.
 
+    clocks: the column that stamps each file, None where its rows are those of the first.
+
     Raises:
-        TraceError: they have not the same number of rows.
+        TraceError: a file without stamps of its own has not as many rows as the first.
     """
     first, *others = tables
     columns = dict(first.columns)
     units, time_of = dict(first.units), dict(first.time_of)
-    for other in others:
-        if len(other) != len(first):
-            raise TraceError(f"{other.path}: {len(other)} rows, {first.path.name} beside it has {len(first)}")
+    for number, other in enumerate(others, 1):
         stem = other.path.name.split(".")[0]
-        columns |= {f"{stem}:{name}": values for name, values in other.columns.items()}
-        units |= {f"{stem}:{name}": unit for name, unit in other.units.items()}
-        time_of |= {f"{stem}:{name}": f"{stem}:{time}" for name, time in other.time_of.items()}
+        clock = clocks[number] if clocks else None
+        if len(other) != len(first) and clock is None:
+            raise TraceError(f"{other.path}: {len(other)} rows, {first.path.name} beside it has {len(first)}")
+        later_s = (other.epoch_ns - first.epoch_ns) / NANOSECONDS if first.epoch_ns else 0.0
+        for name, values in other.columns.items():
+            unit, time = other.units.get(name), other.time_of.get(name, clock)
+            columns[f"{stem}:{name}"] = values + later_s if unit == "datetime" else values
+            if unit:
+                units[f"{stem}:{name}"] = unit
+            if time and time != name:
+                time_of[f"{stem}:{name}"] = f"{stem}:{time}"
     layout = dict(first.layout)
     if others:
         layout["beside"] = [other.path.name for other in others]
-    return Table(first.path, first.kind, columns, units, time_of, first.epoch_ns, layout)
+    return Table(first.path, first.kind, padded(columns), units, time_of, first.epoch_ns, layout)
 
 
 def padded(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

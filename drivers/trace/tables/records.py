@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 
-from drivers.trace.tables import Table, padded
+from drivers.trace.tables import Table
 from drivers.trace.tables.numpy_file import same_length
+from drivers.trace.tables.text import numbers_of
 from schemas.errors import TraceError
 from schemas.files import MIB, read_bytes
 
@@ -36,7 +38,8 @@ def read(path: Path) -> Table:
     if not lists:
         raise TraceError(f"{path}: no list of records, and no lists of numbers, in this JSON")
     records = max(lists, key=len)
-    return Table(path, "JSON records", same_length(_columns(records), path))
+    columns, units, epoch_ns = _columns(records)
+    return Table(path, "JSON records", same_length(columns, path), units, epoch_ns=epoch_ns)
 
 
 def _lists(document: Any) -> list[list[dict[str, Any]]]:
@@ -54,25 +57,37 @@ def _lists(document: Any) -> list[list[dict[str, Any]]]:
 
 
 def _numbers(values: list[Any]) -> bool:
-    return len(values) > 1 and all(isinstance(value, (int, float, list)) for value in values)
+    return len(values) > 1 and all(isinstance(value, (int, float, str, list)) for value in values)
 
 
-def _columns(records: list[dict[str, Any]]) -> dict[str, np.ndarray]:
-    found: dict[str, np.ndarray] = {}
+def _columns(records: list[dict[str, Any]]) -> tuple[dict[str, np.ndarray], dict[str, str], int]:
+    """Columns, units and the epoch of dates, as of `Table`."""
+    cells: dict[str, list[Any]] = {}
     for k, record in enumerate(records):
         for name, value in _flat("", record):
-            if name not in found:
-                found[name] = np.full(len(records), np.nan)
-            found[name][k] = value
-    return padded(found)
+            cells.setdefault(name, [None] * len(records))[k] = value
+    found: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+    epoch_ns = 0
+    for name, values in cells.items():
+        if not any(isinstance(value, str) for value in values):
+            found[name] = np.array(values, np.float64)
+            continue
+        text = pl.Series([None if value is None else str(value) for value in values], dtype=pl.String)
+        array, unit, epoch_ns = numbers_of(text, ".", epoch_ns)
+        if array is not None:
+            found[name], units[name] = array, unit
+    return found, units, epoch_ns
 
 
-def _flat(name: str, value: Any) -> list[tuple[str, float]]:
-    """A record's numbers by name: `motor.position_1` for the first of a list inside an object."""
+def _flat(name: str, value: Any) -> list[tuple[str, float | str]]:
+    """A record's numbers and texts by name: `motor.position_1` for the first of a list inside an object."""
     if isinstance(value, dict):
         return [pair for key, inner in value.items() for pair in _flat(f"{name}.{key}" if name else str(key), inner)]
     if isinstance(value, list):
         return [pair for k, inner in enumerate(value) for pair in _flat(f"{name}_{k + 1}", inner)]
+    if isinstance(value, str):
+        return [(name, value)]
     if isinstance(value, (bool, int, float)) and abs(value) < 1e300:
         return [(name, float(value))]
     return []

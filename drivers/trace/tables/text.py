@@ -46,9 +46,10 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
     values: dict[str, np.ndarray] = {}
     kept_units: dict[str, str] = {}
     time_of: dict[str, str] = {}
-    clock = ""
+    clock, epoch_ns = "", 0
     for index, name in enumerate(names):
-        name, array, unit = _unique(name, values), *_numbers(cells[str(index)], columns.decimal)
+        name = _unique(name, values)
+        array, unit, epoch_ns = numbers_of(cells[str(index)], columns.decimal, epoch_ns)
         if array is None:
             continue
         values[name] = array
@@ -59,7 +60,7 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
         elif clock:
             time_of[name] = clock
     kind = "TwinCAT Scope export" if _twincat(head) else "table with a header" if columns.header_line else "table"
-    return Table(path, kind, values, kept_units, time_of, layout=found)
+    return Table(path, kind, values, kept_units, time_of, epoch_ns, found)
 
 
 def _encoding(raw: bytes) -> str:
@@ -138,6 +139,9 @@ def _header(head: list[str], separator: str, decimal: str, start: int, fields: i
     """Line of the names, from 1 (0: none), and of the first numbers: names stand on the first line of as many fields
     in the block above the numbers, blank lines aside."""
     named = 0
+    if _twincat(head):  # comments of which most are empty stand between names and numbers
+        named = max((k for k, line in enumerate(head[:start], 1) if line.startswith("Name")), default=0)
+        return {"header_line": named, "data_line": start + 1}
     for index in range(start - 1, -1, -1):
         if not head[index].strip():
             if named:
@@ -166,15 +170,19 @@ def _unique(name: str, taken: Mapping[str, object]) -> str:
     return next(n for n in (name, *(f"{name} ({k})" for k in range(2, MAX_COLUMNS + 2))) if n not in taken)
 
 
-def _numbers(cells: pl.Series, decimal: str) -> tuple[np.ndarray | None, str]:
-    """A column as float64 and the unit `datetime` where it is dates; None where it is text."""
+def numbers_of(cells: pl.Series, decimal: str, epoch_ns: int = 0) -> tuple[np.ndarray | None, str, int]:
+    """A column as float64, its unit where it is dates (`datetime`), and what those count from; None where it is text.
+
+    epoch_ns: what dates have to count from, ns since 1970; 0: from their first.
+    """
     text = cells.str.strip_chars()
     lower = text.str.to_lowercase().replace({"true": "1", "false": "0"})
     values = lower.str.replace(decimal, ".", literal=True).cast(pl.Float64, strict=False)
     filled = len(text.drop_nulls())
     if filled and values.count() >= 0.5 * filled:
-        return values.to_numpy(), ""
+        return values.to_numpy(), "", epoch_ns
     dates = pl.DataFrame({"text": text}).select(date_times(pl.col("text"))).to_series()
     if filled and dates.count() >= 0.5 * filled:
-        return ((dates - dates.drop_nulls()[0]).cast(pl.Float64) / NANOSECONDS).to_numpy(), "datetime"
-    return None, ""
+        epoch_ns = epoch_ns or int(dates.drop_nulls()[0])
+        return ((dates - epoch_ns).cast(pl.Float64) / NANOSECONDS).to_numpy(), "datetime", epoch_ns
+    return None, "", epoch_ns

@@ -46,16 +46,17 @@ def text(path: Path, block: np.ndarray, separator: str = ",", head: str = "", de
 
 
 def twincat(folder: Path, log: Trace) -> Path:
-    """Degrees and the motor's torque, decimal comma, joint 2 the other way round."""
+    """Degrees and the motor's torque, each group with a clock, decimal comma, joint 2 the other way round."""
     turned = np.array([1.0, -1.0, 1.0])
     cells = [
-        [t * 1e3, *np.degrees(q * turned), *(m * turned / GEAR)]
+        [t * 1e3, *np.degrees(q * turned), t * 1e3, *(m * turned / GEAR)]
         for t, q, m in zip(log.time, log.position, log.torque, strict=True)
     ]
-    signals = [f"Axis {j} ActPos [°]" for j in (1, 2, 3)] + [f"Axis {j} ActTorque" for j in (1, 2, 3)]
     head = "Name\tScope\nFile\tscope.csv\nStarttime of export\t132959733843760000\n\n\n\n"
-    head += "\t".join(["Name", *signals]) + "\n"
-    head += "\t".join(["Data-Type", *["REAL64"] * 6]) + "\n" + "\t".join(["SampleTime[ms]", *["1"] * 6]) + "\n\n"
+    groups = [[f"Axis {j} {what}" for j in (1, 2, 3)] for what in ("ActPos [°]", "ActTorque")]
+    for first, cells_of in (("Name", groups), ("SymbolComment", [[""] * 3] * 2), ("Data-Type", [["REAL64"] * 3] * 2)):
+        head += "\t".join(cell for group in cells_of for cell in (first, *group)) + "\n"
+    head += "\t".join(["SampleTime[ms]", *["1"] * 3] * 2) + "\n\n"
     text(folder / "log.csv", np.array(cells), "\t", head, ",")
     return folder / "log.csv"
 
@@ -100,7 +101,11 @@ def no_header(folder: Path, log: Trace) -> Path:
 
 
 def records(folder: Path, log: Trace) -> Path:
-    entries = [dict(zip(NAMES, row, strict=True)) for row in block(log).tolist()]
+    """Stamps are dates."""
+    rows = block(log).tolist()
+    entries = [
+        {"when": f"2026-11-22T09:30:{t:09.6f}Z", "q": q, "tau": m} for t, *q, m in ([*r[:4], r[4:]] for r in rows)
+    ]
     (folder / "log.json").write_text(json.dumps({"robot": "d3", "entries": entries}))
     return folder / "log.json"
 
@@ -160,6 +165,24 @@ def test_files_side_by_side_in_per_mille(tmp_path: Path, log: Trace) -> None:
     np.testing.assert_allclose(back.torque, log.torque, atol=1e-3)
 
 
+def test_files_with_stamps_of_their_own(tmp_path: Path, log: Trace) -> None:
+    """The torque begins 0.2 s later and is sampled half as often: there it is what it was, before it is unknown."""
+    for name, rows, values in (("Lage", slice(None), log.position), ("Moment", slice(200, None, 2), log.torque)):
+        lines = ["Zeit;" + ";".join(f"{name} A{j} [{'rad' if name == 'Lage' else 'Nm'}]" for j in (1, 2, 3))]
+        lines += [
+            ";".join([f"22.11.2026 09:30:{t:09.6f}", *(f"{v:.6f}" for v in row)])
+            for t, row in zip(log.time[rows], values[rows], strict=True)
+        ]
+        (tmp_path / f"{name}.csv").write_text("\n".join(lines) + "\n")
+    said = imported(tmp_path / "Lage.csv", tmp_path / "Moment.csv", "--robot", "d3-1200", "--yes")
+    assert "is sampled every 2 ms, interpolated linearly at the 1 ms stamps" in said
+    back = read_trace(tmp_path / "Lage.mcap", load_robot("d3-1200"))
+    np.testing.assert_allclose(back.position, log.position, atol=1e-6)
+    assert np.isnan(back.torque[:200]).all()
+    np.testing.assert_allclose(back.torque[200::2], log.torque[200::2], atol=1e-5)
+    assert back.time_ns[0] == np.datetime64("2026-11-22T09:30:05", "ns").astype(int)
+
+
 def test_sixteen_bits_without_sign_rows_that_count_and_a_product(tmp_path: Path, log: Trace) -> None:
     """Torque is a reading of 16 bits that lost its sign, times a column; rows in which the flag is 0 are rubbish."""
     raw = np.round(log.torque * 20)
@@ -170,7 +193,7 @@ def test_sixteen_bits_without_sign_rows_that_count_and_a_product(tmp_path: Path,
     text(tmp_path / "log.csv", data, ",", ",".join([*NAMES, "ready", "u"]) + "\n")
     options = ["--torque-unit", "V 0.05", "--torque-times", "u", "--where", "ready=1", "--yes"]
     said = imported(tmp_path / "log.csv", "--robot", "d3-1200", *options)
-    assert "'tau1' is of 16 bits without its sign: 65535 stands for -1" in said
+    assert "'tau1', 'tau2', 'tau3' are of 16 bits without their sign: 65535 stands for -1" in said
     assert "500 of 4000 rows have not 1 in column 'ready'" in said
     back = read_trace(tmp_path / "log.mcap")
     assert len(back) == 3500

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +99,28 @@ def test_an_unknown_constant_is_what_the_masses_say(geared: Robot, log: Trace, u
     key = "rated" if unit == "permille" else "constant"
     assert first[key] == pytest.approx(5.0 * per, rel=0.15)
     assert any("by the masses of the description" in doubt for doubt in found.doubts)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("A", 0.2), ("", 2.0), ("", 0.4)])
+def test_what_the_model_lacks_shrinks_no_constant(geared: Robot, log: Trace, unit: str, factor: float) -> None:
+    """A tenth of the load as friction, which the model has not; nor is that taken for torques in N m."""
+    speed = np.gradient(log.position, log.time, axis=0)
+    rough = replace(log, torque=log.torque + 0.1 * np.abs(log.torque) * np.sign(speed))
+    found = propose(written(rough, torque=factor), geared, Stated(torque_unit=(unit, None)) if unit else Stated())
+    assert [e["constant"] for e in entries(found, "torque")] == pytest.approx([1 / factor] * 3, rel=0.05)
+    assert any("by the masses of the description" in doubt for doubt in found.doubts)
+
+
+def test_torque_with_stamps_of_its_own_is_read_at_those_of_the_positions(geared: Robot, log: Trace) -> None:
+    made = written(log, torque=1 / GEAR)
+    columns, half = dict(made.columns), len(log.time) // 2
+    for name in ("t", "tau1", "tau2", "tau3"):  # every other sample, from the hundredth on
+        kept = made.columns[name][100::2]
+        columns["clock" if name == "t" else name] = np.r_[kept, np.full(2 * half - len(kept), np.nan)]
+    own = replace(made, columns=columns, time_of=dict.fromkeys(("tau1", "tau2", "tau3"), "clock"))
+    found = propose(own, geared, Stated())
+    assert entries(found, "torque") == [{"unit": "N m", "side": "motor", "time": "clock"}] * 3
+    assert not any("not certain" in doubt or "cannot be told" in doubt for doubt in found.doubts)
 
 
 def test_a_constant_that_is_told_is_taken(geared: Robot, log: Trace) -> None:
@@ -237,18 +260,30 @@ def test_of_the_rows_that_count_the_longest_run_is_taken() -> None:
         proposal._stretch(made, "mode", 2.0)
 
 
+WAVE = np.round(20_000 * np.sin(np.arange(400) / 40))
+
+
 @pytest.mark.parametrize(
     ("values", "unsigned"),
     [
-        ([0, 65535], True), ([16383, 49153], True), ([0, 16384, 49152, 65535], True), ([np.inf, 0, 65535], True),
-        ([16384, 65535], False), ([0, 49152], False), ([0, 65536], False), ([-1, 65535], False),
-        ([0, 16385, 65535], False), ([0, 49151, 65535], False), ([0.5, 65535], False), ([np.nan], False),
+        (WAVE % 65536, True), (WAVE / 1e3 % 65536 // 1, True), ([0, 65535], True), ([np.inf, 0, 65535], True),
+        (WAVE + 30_000, False), (np.abs(WAVE), False), (65_000 + WAVE[:40] / 100 // 1, False), (WAVE, False),
+        ([0, 65536], False), ([-1, 65535], False), ([0.5, 65535], False), ([np.nan], False), ([0, 32767], False),
     ],
 )  # fmt: skip
-def test_numbers_that_lost_their_sign_leave_the_middle_of_their_range_empty(
-    values: list[float], unsigned: bool
-) -> None:
+def test_numbers_that_lost_their_sign_leap_and_hardly_do_with_it(values: np.ndarray, unsigned: bool) -> None:
     assert proposal._without_sign(np.array(values, float), 16) is unsigned
+
+
+def test_where_one_joint_lost_its_sign_all_did(geared: Robot, log: Trace) -> None:
+    """Of a joint that pushes one way only no reading leaps."""
+    counts = np.round(20000 * log.torque / np.abs(log.torque).max())
+    counts[:, 2] = -np.abs(counts[:, 2]) - 1
+    made = written(log)
+    columns = {**made.columns, **{f"tau{j + 1}": counts[:, j] % 65536 for j in range(3)}}
+    found = propose(replace(made, columns=columns), geared, Stated(torque_unit=("A", 0.001)))
+    assert [entry["bits"] for entry in entries(found, "torque")] == [16, 16, 16]
+    assert "'tau1', 'tau2', 'tau3' are of 16 bits without their sign: 65535 stands for -1" in found.reasons
 
 
 def units(values: np.ndarray, rate: float = 1.0, robot: Robot | None = None) -> proposal._Units:
