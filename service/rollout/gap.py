@@ -31,10 +31,9 @@ from service.model.nominal import DeltaModel
 from service.model.scene import Recording
 from service.model.signals import EDGE, Segment, segments, smooth
 from service.model.torque import predict
-from service.rollout.cascade import DriveGains
 from service.rollout.kernel import SCRATCH, Pace, Runs, run_kernel
 from service.rollout.robot import Stretch, stretch
-from service.rollout.servo import commands_of, follow, gains_of, identified
+from service.rollout.servo import DriveGains, commands_of, follow, gains_of, identified
 
 HORIZON = 0.2  # s
 SHORTEST, LONGEST = 0.01, 5.0  # s of horizon that make sense
@@ -42,6 +41,7 @@ DRAWS = 4  # runs with noise a window, for the floor
 SEED = 2026
 PLAIN = "plain"
 SLOW_SHARE = 0.5  # of a joint's rms speed, below which a window is slow for it
+PARTS = ("angle", "platform", "path", "torque")  # of a `Deviation`, in its order
 REGIMES = ("at rest", "reversal", "slow", "fast")
 TURNED = 0.5  # share of the error that is left with the torque turned round, if its sign is wrong
 
@@ -328,11 +328,8 @@ def _floor(robot: Robot, seen: Stretch, trace: Trace, windows: Windows) -> Devia
         seen_off = driven - pushed if windows.gains is None else driven - pushed + windows.cut(noise)
         draws.append(_compared("floor", seen.model, moved, clean, seen_off))
     # window by window, as the other deviations are
-    angle, platform, path, torque = (
-        np.stack([getattr(draw, part) for draw in draws], axis=1).reshape(-1, *getattr(draws[0], part).shape[1:])
-        for part in ("angle", "platform", "path", "torque")
-    )
-    return Deviation("floor", angle, platform, path, torque)
+    of_parts = (np.stack([getattr(draw, part) for draw in draws], axis=1) for part in PARTS)
+    return Deviation("floor", *(values.reshape(-1, *values.shape[2:]) for values in of_parts))
 
 
 def noise_of(robot: Robot, trace: Trace, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
@@ -349,13 +346,7 @@ def noise_of(robot: Robot, trace: Trace, segment: Segment) -> tuple[np.ndarray, 
 
 
 def _joined(name: str, deviations: Sequence[Deviation]) -> Deviation:
-    return Deviation(
-        name,
-        np.concatenate([deviation.angle for deviation in deviations]),
-        np.concatenate([deviation.platform for deviation in deviations]),
-        np.concatenate([deviation.path for deviation in deviations]),
-        np.concatenate([deviation.torque for deviation in deviations]),
-    )
+    return Deviation(name, *(np.concatenate([getattr(one, part) for one in deviations]) for part in PARTS))
 
 
 def check_sign(robot: Robot, cuts: Cuts, found: Rollout) -> None:
