@@ -102,10 +102,7 @@ class Plain:
 
     def left(self, values: np.ndarray) -> np.ndarray:
         """(T, n) N m rms that other parameters (P,) leave of each log."""
-        parameters, count = Parameters(self.fitted.hypothesis), len(values)
-        change = values - parameters.values[:count]
-        pairs = zip(self.fitted.residuals, self.fitted.tangents, strict=True)
-        return self.problem.rms([r - parameters.widened(t, count) @ change for r, t in pairs])
+        return _left(self.problem, self.fitted, values)
 
 
 @dataclass(frozen=True)
@@ -131,8 +128,7 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:
                 f"{1e3 * period:.3g} ms: give logs of one rate"
             )
     band = Band.of(period, resolved_hz([recording.segment for recording in recordings]))
-    noise, share = white_noise(recordings), band.white_share**0.5
-    problem = Problem.of(recordings, band, np.maximum(noise, 1e-9) * share)
+    problem = Problem.of(recordings, band, np.maximum(white_noise(recordings), 1e-9))  # how joints weigh, for now
     first = solver.fit(problem, start(problem), iterations=2).hypothesis
     left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first)]
     above = [values - lowpass(values, period, band.cutoff_hz) for values in left]
@@ -239,35 +235,29 @@ def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
     held |= np.diag(total_left) == 0
     if fitted.hypothesis.base.wanted is not None:
         unwanted = np.flatnonzero(~fitted.hypothesis.base.wanted)
-        held[unwanted] = True
         reasons |= {known[index].name: "data left out do as well without" for index in unwanted}
-    while True:
-        tolerance = _tolerance(total_left, held)
-        collinear = ~held & (tolerance < COLLINEAR)
-        if not collinear.any():
-            break
-        worst = int(np.flatnonzero(collinear)[np.argmin(tolerance[collinear])])
+    while (tolerance := _tolerance(total_left, held)).min() < COLLINEAR:
+        worst = int(np.argmin(tolerance))
         reasons.setdefault(known[worst].name, "the other parameters explain it as well on these logs")
         held[worst] = True
+    low = np.array([parameter.low for parameter in known])
     while True:
         values = _solve(total_left, total_right, held, fallback)
         error = _jackknife(left, right, held, fallback)
         relative = error / np.maximum(np.abs(values), scale)
         # without a nominal value, as zero, it would bend the others: left in, flagged below
         vague = (relative > NOT_IDENTIFIABLE) & ~held & np.isfinite(nominal)
-        if not vague.any():
+        below = ~held & (values < low)
+        if vague.any():
+            worst = int(np.argmax(np.where(vague, relative, 0.0)))
+            reasons[known[worst].name] = f"these logs leave it open by {100 * relative[worst]:.0f} %"
+        elif below.any():
+            worst = int(np.argmax(np.where(below, (low - values) / np.maximum(error, 1e-300), 0.0)))
+            reasons[known[worst].name] = "these logs ask for less of it than there can be"
+            fallback[worst] = low[worst]
+        else:
             break
-        worst = int(np.argmax(np.where(vague, relative, 0.0)))
-        reasons[known[worst].name] = f"these logs leave it open by {100 * relative[worst]:.0f} %"
         held[worst] = True
-    low = np.array([parameter.low for parameter in known])
-    while (below := ~held & (values < low)).any():
-        worst = int(np.argmax(np.where(below, (low - values) / np.maximum(error, 1e-300), 0.0)))
-        reasons[known[worst].name] = "these logs ask for less of it than there can be"
-        held[worst], fallback[worst] = True, low[worst]
-        values = _solve(total_left, total_right, held, fallback)
-        error = _jackknife(left, right, held, fallback)
-        relative = error / np.maximum(np.abs(values), scale)
     base = fitted.hypothesis.base
     k, n = len(base.rigid), len(base.viscous)
     rigid, viscous, coulomb = np.split(values, [k, k + n])
@@ -275,28 +265,30 @@ def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
     plain = solver.evaluate(problem, Hypothesis(base, timed=False))
     logs = [np.full(len(rows), number) for rows, number in zip(plain.residuals, problem.logs, strict=True)]
     left, right = _normal_equations(plain, values, logs, max(problem.logs) + 1)
-    alone = len(left) < 2
-    without = _solve(left if alone else total_left - left, right if alone else total_right - right, held, fallback)
-    result = Plain(
-        problem,
-        plain,
-        tuple(
-            _estimate(parameter, value, one_error, share, was_held, reasons.get(parameter.name, ""))
-            for parameter, value, one_error, share, was_held in zip(
-                known, values.tolist(), error.tolist(), relative.tolist(), held.tolist(), strict=True
-            )
-        ),
-        noise,
-        np.full((1, len(noise)), np.nan),
-        problem.rms(plain.residuals),
-        problem.rms([problem.select(i, target) for i, target in enumerate(problem.target)]),
-        without,
-        np.full((len(left), len(noise)), np.nan),
+    residual = problem.rms(plain.residuals)
+    without, held_out, alone = values[None], np.full(residual.shape, np.nan), residual
+    if len(left) > 1:
+        without = _solve(total_left - left, total_right - right, held, fallback)
+        held_out, alone = (
+            np.array([_left(problem, plain, one)[log] for log, one in enumerate(found)])
+            for found in (without, _solve(left, right, held, fallback))
+        )
+    estimates = (
+        _estimate(parameter, value, one_error, share, was_held, reasons.get(parameter.name, ""))
+        for parameter, value, one_error, share, was_held in zip(
+            known, values.tolist(), error.tolist(), relative.tolist(), held.tolist(), strict=True
+        )
     )
-    if alone:
-        return replace(result, alone=result.residual)
-    own = np.array([result.left(values)[t] for t, values in enumerate(_solve(left, right, held, fallback))])
-    return replace(result, alone=own, held_out=np.array([result.left(others)[t] for t, others in enumerate(without)]))
+    torque = problem.rms([problem.select(i, target) for i, target in enumerate(problem.target)])
+    return Plain(problem, plain, tuple(estimates), noise, held_out, residual, torque, without, alone)
+
+
+def _left(problem: Problem, fitted: solver.Fit, values: np.ndarray) -> np.ndarray:
+    """(T, n) N m rms that parameters (P,) leave of each log."""
+    parameters, count = Parameters(fitted.hypothesis), len(values)
+    change = values - parameters.values[:count]
+    pairs = zip(fitted.residuals, fitted.tangents, strict=True)
+    return problem.rms([r - parameters.widened(t, count) @ change for r, t in pairs])
 
 
 def _normal_equations(
@@ -363,9 +355,7 @@ def _scale(problem: Problem, fitted: solver.Fit, nominal: np.ndarray) -> np.ndar
 def _structure(problem: Problem) -> dict[str, str]:
     """Reasons that the motion alone gives, by parameter."""
     segments = [recording.segment for recording in problem.recordings]
-    forward, backward = (
-        sum(((sign * s.theta_dot > 0) & s.moving).sum(axis=0) * s.period for s in segments) for sign in (1, -1)
-    )
+    forward, backward = (sum(((way * s.theta_dot > 0) & s.moving).sum(axis=0) for s in segments) for way in (1, -1))
     travel = np.max([np.ptp(s.theta, axis=0) for s in segments], axis=0)
     reasons: dict[str, str] = {}
     for joint, (there, back) in enumerate(zip(np.asarray(forward), np.asarray(backward), strict=True), start=1):

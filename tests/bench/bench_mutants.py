@@ -250,7 +250,7 @@ def written(mutant: Mutant, tree: Path, kernels: Path) -> Iterator[Path]:
 
 def room_of(room: str, count: int, seed: int, only: set[int]) -> tuple[int, int]:
     """Killed and tried of a room, told one by one."""
-    known = {line.split(" # ")[0].strip() for line in EQUIVALENT.read_text().splitlines() if " # " in line}
+    known = {line.rsplit(" # ", 1)[0].strip() for line in EQUIVALENT.read_text().splitlines() if " # " in line}
     every = sites(room)
     chosen = random.Random(f"{room} {seed}").sample(every, min(count, len(every)))
     picked = [(n, m) for n, m in enumerate(chosen, 1) if n in only or not only]
