@@ -63,6 +63,12 @@ def command(
     watch = Watch(description, Patience(learn, after))
     for trace in reading(reference or [], description, None, "learning"):
         watch.learn(trace, process(description, trace.samples()).payload)
+    if reference and watch.learnt < learn:
+        typer.echo(
+            f"watch: {watch.learnt:.1f} s of free motion in the reference, {learn:g} s make a level: motion of other "
+            "kinds is learnt from the bus and raises no alarm",
+            err=True,
+        )
     watch.settle()
     stopped = stop_requested()
     os.nice(10)  # nobody steers by it

@@ -18,6 +18,7 @@ from service.model.scene import Recording
 
 CLEAR = 0.25  # of the squared residual that is left at most when read as degrees
 WELL = 0.05  # of a Delta's torque, rms: so little is left by positions in radians alone
+FAIRLY = 0.2  # of the torque, rms, that positions in degrees leave at most: else neither fits
 
 
 def refuse_wrong_angles(problem: Problem, files: str, fitted: Fit) -> None:
@@ -27,6 +28,7 @@ def refuse_wrong_angles(problem: Problem, files: str, fitted: Fit) -> None:
         DataError: no joint of a Delta moves to speak of, or the torque fits positions in degrees and not in radians.
     """
     mechanism, given = problem.recordings[0].mechanism, list(problem.recordings)
+    torque = sum(float(np.sum(problem.select(n, target) ** 2)) for n, target in enumerate(problem.target))
     if isinstance(mechanism, SerialArm):
         described = replace(mechanism, asked=False, known=mechanism.arm.weights)
         given = [replace(recording, mechanism=described) for recording in given]
@@ -36,13 +38,12 @@ def refuse_wrong_angles(problem: Problem, files: str, fitted: Fit) -> None:
         travel = max(float(np.ptp(recording.segment.theta, axis=0).max()) for recording in given)
         if travel < MOVES:
             raise DataError(f"{files}: no joint moves further than {travel:.2g} rad: are positions in another unit?")
-        torque = sum(float(np.sum(problem.select(n, target) ** 2)) for n, target in enumerate(problem.target))
         if radians < WELL**2 * torque:
             return
     else:
         return
     degrees = _left(problem, [_as_degrees(recording) for recording in given])
-    if degrees < CLEAR * radians:
+    if degrees < min(CLEAR * radians, FAIRLY**2 * torque):
         share = (degrees / radians) ** 0.5
         raise DataError(
             f"{files}: {tells}the torque fits positions in degrees, not in rad ({share:.0%} is "

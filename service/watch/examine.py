@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.trace import write_trace
+from drivers.trace.quality import RowNames, check
 from schemas.diagnosis import NamedEffect, named_joints
 from schemas.files import make_folder, write_text
 from schemas.robot import Robot, load_robot
@@ -58,9 +59,9 @@ def examine(robot: Robot, case: Case, effects: Sequence[Effect]) -> Finding:
     Raises:
         TraceError, DataError, PoseError: as `diagnose`.
     """
-    parts, known, first = _parts(case.after, AFTER_PARTS), robot, 0
+    parts, known, first = _parts(case.after, AFTER_PARTS, robot), robot, 0
     if case.before is not None:
-        earlier, first = _parts(case.before, BEFORE_PARTS), BEFORE_PARTS
+        earlier, first = _parts(case.before, BEFORE_PARTS, robot), BEFORE_PARTS
         known = standing(robot, earlier, effects)
         parts, effects = earlier + parts, changes(effects, first)
     found = diagnose(known, parts, effects)
@@ -129,8 +130,9 @@ def _effect(effect: NamedEffect) -> str:
     return f"{effect.name}{where} ({', '.join(figures)}{doubt})"
 
 
-def _parts(trace: Trace, count: int) -> list[Trace]:
-    """`trace` as runs of equal length, named alike with a number."""
+def _parts(trace: Trace, count: int, robot: Robot) -> list[Trace]:
+    """`trace` as runs of equal length, named alike with a number, flagged as a log that is read."""
+    trace = check(trace, RowNames("sample", np.arange(len(trace))), robot)
     return [
         replace(
             trace,

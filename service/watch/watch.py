@@ -72,7 +72,7 @@ class Watch:
         self._kept = Kept()
         self._measure: Measure | None = None
         self._level: Level | None = None
-        self._learnt = 0.0  # s of motion
+        self.learnt = 0.0  # s of free motion that the level is from
         self._looks: deque[Look] = deque(maxlen=round(KEEP_S / EVERY_S))
         self._due = BEFORE_S + EVERY_S + 2 * EDGE
         self._calm = True
@@ -90,7 +90,7 @@ class Watch:
         Raises:
             DataError: nothing in it tells the gap, naming the file.
         """
-        samples, learnt = trace.samples(), self._learnt
+        samples, learnt = trace.samples(), self.learnt
         self._kept.carry(payload)
         self._patience, given = Patience(np.inf), self._patience
         for k in range(0, len(samples), step := max(1, round(EVERY_S / trace.period))):
@@ -98,12 +98,12 @@ class Watch:
         self._patience = given
         self._anew()
         self._kept = Kept()
-        if self._learnt == learnt:
+        if self.learnt == learnt:
             raise DataError(f"{trace.path}: no free motion of {self._robot.name} that tells the gap")
 
     def settle(self) -> None:
         """What was learnt is the level."""
-        if self._level is not None and self._learnt > 0.0:
+        if self._level is not None and self.learnt > 0.0:
             self._level.settle()
             self.state = WatchState.WATCHING
 
@@ -163,8 +163,8 @@ class Watch:
             if not self.raised and self._calm:
                 self._level.learn(stretch.square, stretch.count)
             if self.state == WatchState.LEARNING:
-                self._learnt += float(stretch.seconds.mean())
-                if self._learnt >= self._patience.learn:
+                self.learnt += float(stretch.seconds.mean())
+                if self.learnt >= self._patience.learn:
                     self.settle()
         window = [look for look in self._looks if look.time > stop - WINDOW * EVERY_S]
         ratio = _typical(window)

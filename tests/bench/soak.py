@@ -2,13 +2,13 @@
 
     python -m tests.bench.soak --minutes 60 --rate 1000
     python -m tests.bench.soak --minutes 3 --rate 1000 --view     # beside `view` and a client that takes all it shows
-    python -m tests.bench.soak --minutes 3 --rate 1000 --watch    # beside `watch`, which finds the gears worn
+    python -m tests.bench.soak --minutes 3 --rate 1000 --watch    # beside `watch`, which finds a cogging
 
 A row a minute, and at the end (or at Ctrl-C) the table as markdown, with what the recording holds of what was sent.
 Lateness is the player's, latency the estimator's, from a sample's arrival to the sending of its answer; both are
 medians over the minute of what `health` says every second, p99 and max the largest of it. The demo log is played round
 and round, resampled to the rate; the recording takes about 0.2 GB a minute at 8 kHz. `watch` knows the log as it is and
-hears it with more Coulomb friction, so that its diagnosis runs beside the others.
+hears it with a cogging on joint 2, so that its diagnosis runs beside the others.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
@@ -36,8 +36,8 @@ from tornado.websocket import websocket_connect
 
 from drivers.bus import Bus, open_bus
 from drivers.trace import read_trace, write_trace
-from replay.demo import LOG, ROBOT
-from schemas.messages import Role
+from replay.demo import LOG, PAYLOADS, ROBOT
+from schemas.messages import Gripper, Role
 from schemas.robot import load_robot, save_robot
 from schemas.trace import Trace
 
@@ -45,7 +45,7 @@ COMMAND = Path(sys.executable).with_name("deltatwin")
 ROW_S = 60.0
 POLL_S = 0.1
 START_S = 300.0  # a role that compiles its kernels on a busy host takes a minute
-WORN_NM = 3.0  # Coulomb friction of each joint that `watch` does not know of
+COGGING_NM, COGGING_PER_RAD = 2.0, 50.0  # of joint 2, twice a motor turn, which `watch` does not know of
 ROLES = {"player": Role.PLAYER, "estimator": Role.ESTIMATOR, "monitor": Role.MONITOR}
 HEADINGS = (
     "min", *(f"{role} {what}" for role in ROLES for what in ("RSS MiB", "fds", "CPU %")),
@@ -74,7 +74,7 @@ def usage(process: int) -> Usage:
 
 
 def lay_out(folder: Path, rate: float) -> None:
-    """The demo robot under a name of its own, and its log at `rate`, as it is and with worn gears."""
+    """The demo robot under a name of its own, and its log at `rate`, as it is and with cogging."""
     robot = load_robot(ROBOT).model_copy(update={"name": "soak"})
     save_robot(robot, folder / "robot.toml")
     log = read_trace(LOG, robot)
@@ -84,10 +84,13 @@ def lay_out(folder: Path, rate: float) -> None:
         CubicSpline(log.time - log.time[0], values)(instants)
         for values in (log.position, log.torque, log.position_command)
     )
-    worn = torque + WORN_NM * np.tanh(np.gradient(position, instants, axis=0) / 0.05)
-    for name, felt in (("log", torque), ("worn", worn)):
-        trace = Trace(Path("soak"), instants, position, felt, position_command=command)
-        write_trace(trace, folder / f"{name}.mcap", robot.name)
+    trace = Trace(Path("soak"), instants, position, torque, position_command=command)
+    write_trace(trace, folder / "log.mcap", robot.name)
+    picks = np.loadtxt(PAYLOADS, delimiter=",", skiprows=1)  # `watch` leaves out what is carried, and cogging weighs
+    carries = ((picks[:, :1] <= instants) & (instants < picks[:, 1:2])).any(axis=0)
+    cogging = COGGING_NM * np.sin(COGGING_PER_RAD * position) * [0, 1, 0]
+    gripper = np.where(carries, Gripper.CLOSED, Gripper.OPEN).astype(np.uint8)
+    write_trace(replace(trace, torque=torque + cogging, gripper=gripper), folder / "cogging.mcap", robot.name)
 
 
 class Soak:
@@ -111,8 +114,8 @@ class Soak:
         self._launch("estimator", "estimate", *robot)
         wanted = {Role.MONITOR, Role.ESTIMATOR}
         if watch:
-            known = ["--reference", self._folder / "log.mcap", "--out", self._folder / "findings"]
-            self._launch("watch", "watch", *robot, *known)
+            known = ["--reference", self._folder / "log.mcap"] * 15  # 2 s of free motion each
+            self._launch("watch", "watch", *robot, *known, "--out", self._folder / "findings")
             wanted |= {Role.WATCH}
         give_up = time.monotonic() + START_S
         while not wanted <= self._bus.alive:
@@ -129,7 +132,7 @@ class Soak:
                 target=look, args=(found[0], self._shown), daemon=True
             )
             client.start()
-        played = self._folder / ("worn.mcap" if watch else "log.mcap")
+        played = self._folder / ("cogging.mcap" if watch else "log.mcap")
         self._launch("player", "replay", played, *robot, "--loop", "0", "--rate", str(rate))
         self._at = time.monotonic()
         self._before = {name: usage(process.pid) for name, process in self.processes.items()}

@@ -125,3 +125,13 @@ def test_angles_in_another_unit_are_told_where_the_range_does_not(robot: Robot, 
     ]
     with pytest.raises(DataError, match=r"no joint moves further than 0\.0\d+ rad: are positions in another unit"):
         fit(robot, still)
+
+
+def test_where_neither_fits_the_unit_is_not_blamed(robot: Robot, record: Record) -> None:
+    """Positions that jump untold are thousands of times too fast, and a 57th of that is less wrong."""
+    rows, logs = np.r_[2000:6000, 500:4000], []
+    for log in (record(seed) for seed in range(2)):
+        position, torque = log.position[rows], log.torque[rows]
+        logs.append(Trace(log.path, log.time[: len(rows)], position, torque, flags=log.flags[: len(rows)]))
+    with pytest.raises(DataError, match="of the torque unexplained"):
+        fit(robot, logs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from schemas.trace import Trace
 from service.watch.examine import examine
 from service.watch.watch import Case
 from tests.service.subject import EFFECTS
@@ -28,6 +29,20 @@ def test_a_change_of_friction_is_named_as_one_and_measured() -> None:
     assert finding.after_nm[2] > 2 * finding.before_nm[2]
     assert finding.left_nm[2] == pytest.approx(finding.before_nm[2], rel=0.1)
     assert "friction_level on joint 3" in finding.text
+
+
+def test_where_the_positions_jump_is_left_out() -> None:
+    """As where a log is played round and round."""
+    after = motion(10.0)
+    worn = after.torque + [0.0, 0.0, 3.0]
+    whole = log(after, worn)
+    rows = np.r_[2000:5000, 0:4000, 1000:5000]
+    position, torque = whole.position[rows], whole.torque[rows]
+    jumps = Trace(whole.path, 1e-3 * np.arange(len(rows)), position, torque, position_command=position)
+    finding = examine(KNOWN, Case(0.0, np.array([False, False, True]), None, jumps), SOME)
+    (effect,) = finding.diagnosis.effects
+    assert (effect.name, effect.joints) == ("torque_offset", [3])
+    assert effect.parameters["offset"].value == pytest.approx(3.0, rel=0.05)
 
 
 def test_what_was_there_before_is_no_change() -> None:
