@@ -23,7 +23,7 @@ GROUPS = {
     "Begin": ("demo", "import", "inspect", "convert"),
     "From logs to answers": ("identify", "evaluate", "payload", "diagnose", "fleet", "plan-motion", "rollout"),
     "On the bus": ("replay", "estimate", "monitor", "watch", "view", "recover", "keys", "latency"),
-    "On an EtherCAT": ("tap", "master", "segment", "ethercat-demo"),
+    "On EtherCAT": ("tap", "master", "segment", "ethercat-demo"),
     "Simulated robots": ("simulate", "export", "closed-loop", "experiment", "blindtest"),
 }
 OTHERS = "More"
