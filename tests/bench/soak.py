@@ -1,6 +1,7 @@
 """Player, estimator and monitor side by side for as long as you like: what they hold, lose, cost and how late they are.
 
     python -m tests.bench.soak --minutes 60 --rate 1000
+    python -m tests.bench.soak --minutes 10 --rate 8000 --pin     # each role on one processor, as `taskset -c` has it
     python -m tests.bench.soak --minutes 3 --rate 1000 --view     # beside `view` and a client that takes all it shows
     python -m tests.bench.soak --minutes 3 --rate 1000 --watch    # beside `watch`, which finds a cogging
 
@@ -96,8 +97,9 @@ def lay_out(folder: Path, rate: float) -> None:
 class Soak:
     """The three processes and what their `health` has said since the last row."""
 
-    def __init__(self, folder: Path, bus: Bus) -> None:
-        self._folder, self._bus = folder, bus
+    def __init__(self, folder: Path, bus: Bus, processors: dict[str, int]) -> None:
+        """processors: role -> the one that it has to stay on."""
+        self._folder, self._bus, self._processors = folder, bus, processors
         self._health = bus.subscribe("health")
         self._said: list[np.ndarray] = []
         self._last: dict[str, np.void] = {}
@@ -138,8 +140,9 @@ class Soak:
         self._before = {name: usage(process.pid) for name, process in self.processes.items()}
 
     def _launch(self, name: str, *arguments: object) -> None:
+        place = ["taskset", "-c", str(self._processors[name])] if name in self._processors else []
         with (self._folder / f"{name}.txt").open("w") as out:
-            self.processes[name] = subprocess.Popen([COMMAND, *map(str, arguments)], stdout=out, stderr=out)
+            self.processes[name] = subprocess.Popen([*place, COMMAND, *map(str, arguments)], stdout=out, stderr=out)
 
     def listen(self) -> None:
         """Take what was said; a role that has died ends the run."""
@@ -230,6 +233,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--minutes", type=float, default=10.0)
     arguments.add_argument("--rate", type=float, default=1000.0, help="samples a second")
+    arguments.add_argument("--pin", action="store_true", help="player and monitor on one processor, estimator on another")
     beside = arguments.add_mutually_exclusive_group()  # one of them, as this is the other one on the bus
     beside.add_argument("--view", action="store_true", help="beside a view and a client that takes all it shows")
     beside.add_argument("--watch", action="store_true", help="beside a watch")
@@ -237,12 +241,14 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     rows: list[list[str]] = []
+    first, last = min(os.sched_getaffinity(0)), max(os.sched_getaffinity(0))
+    processors = {"player": first, "monitor": first, "estimator": last} if given.pin else {}
     with tempfile.TemporaryDirectory(prefix="dt-") as name:
         os.environ["XDG_RUNTIME_DIR"] = name
         folder = Path(name)
         lay_out(folder, given.rate)
         with open_bus("soak", Role.OBSERVER if given.watch else Role.WATCH) as bus:  # a view is the observer
-            soak = Soak(folder, bus)
+            soak = Soak(folder, bus, processors)
             try:
                 soak.start(given.rate, given.view, given.watch)
                 begin = time.monotonic()
