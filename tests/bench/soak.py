@@ -233,7 +233,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--minutes", type=float, default=10.0)
     arguments.add_argument("--rate", type=float, default=1000.0, help="samples a second")
-    arguments.add_argument("--pin", action="store_true", help="player and monitor on one processor, estimator on another")
+    arguments.add_argument("--pin", action="store_true", help="player and monitor on a processor, estimator on another")
     beside = arguments.add_mutually_exclusive_group()  # one of them, as this is the other one on the bus
     beside.add_argument("--view", action="store_true", help="beside a view and a client that takes all it shows")
     beside.add_argument("--watch", action="store_true", help="beside a watch")
