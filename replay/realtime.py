@@ -7,14 +7,16 @@ import gc
 import os
 import sys
 
+from schemas.messages import HealthFlag
+
 PRIORITY = 50  # SCHED_FIFO, above ordinary work and below the kernel's own threads
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _PR_SET_TIMERSLACK = 29
 
 
-def go_realtime(role: str, priority: int = PRIORITY) -> bool:
-    """Take SCHED_FIFO, lock memory, 1 ns timer slack, no garbage collection; whether all of it was granted.
+def go_realtime(role: str, priority: int = PRIORITY) -> HealthFlag:
+    """Take SCHED_FIFO, lock memory, 1 ns timer slack, no garbage collection; NO_REALTIME unless all of it was granted.
 
     Where the system refuses, one line on stderr says so and the process runs on with what it got. The collector is off
     for good: the loops of this project make no reference cycles.
@@ -38,4 +40,4 @@ def go_realtime(role: str, priority: int = PRIORITY) -> bool:
             f"{role}: no {' and no '.join(refused)}: timing is best effort; see 'Real time' in the README",
             file=sys.stderr,
         )
-    return not refused
+    return HealthFlag.NO_REALTIME if refused else HealthFlag(0)

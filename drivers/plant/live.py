@@ -7,8 +7,9 @@ integrators taking over the torque that was, so that nothing jumps.
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -18,8 +19,8 @@ import numpy as np
 from drivers.bus import Bus, Inbox
 from drivers.health import Health
 from drivers.motion import Trajectory
-from drivers.plant.plant import Plant, Target
-from drivers.plant.simulate import Carrier
+from drivers.plant.plant import Plant
+from drivers.plant.simulate import Course
 from schemas.messages import NANOSECONDS, REFERENCE, SAMPLE, HealthFlag, StopReason, set_stamp
 from schemas.trace import Trace
 
@@ -94,23 +95,23 @@ def run_live(
     *,
     loops: int = 1,
     changes: Mapping[int, Plant] = MappingProxyType({}),
-    realtime: bool = False,
+    standing: HealthFlag = HealthFlag(0),
     progress: Callable[[int], object] = lambda cycle: None,
     stop: Callable[[int], bool] = lambda cycle: False,
 ) -> LiveRun:
     """Run `motion` `loops` times (0: until Ctrl-C; it has to end where it starts) at the period of `plant`.
 
     changes: cycle -> the plant that goes on from there.
+    standing: of the process, in every health message.
     pace: waits for a deadline, ns of CLOCK_MONOTONIC, and says how late it is (`replay.clock.wait_until`). stop: asked
     every cycle whether to end. Ctrl-C ends the run; the newest `REMEMBERED` cycles come back.
     """
     sample_out, reference_out = bus.publisher("sample"), bus.publisher("reference")
     intake = FeedforwardIntake(bus.subscribe("feedforward"), plant.truth.peak_torque_nm)
-    standing = HealthFlag(0) if realtime else HealthFlag.NO_REALTIME
     health = Health(bus, standing | HealthFlag.STALE_FEEDFORWARD)
     period_ns = round(plant.period * NANOSECONDS)
     count = len(motion)
-    carrier = Carrier(motion)
+    course = Course(motion)
     sample, reference = SAMPLE.empty(1), REFERENCE.empty(1)
     rows = np.zeros(min(loops * count, REMEMBERED) if loops else REMEMBERED, _CYCLE)
     done = late_count = 0
@@ -124,7 +125,7 @@ def run_live(
     fed: np.ndarray | None = None
     with health:
         try:
-            for cycle in _cycles(loops, count):
+            for cycle in range(loops * count) if loops else itertools.count():
                 k = cycle % count
                 late = pace(start + cycle * period_ns)
                 late_count += late > period_ns
@@ -135,12 +136,7 @@ def run_live(
                 if (fed is None) != (fed_before is None):
                     plant.take_over(fed_before, fed)
                     health.flags = standing if fed is not None else standing | HealthFlag.STALE_FEEDFORWARD
-                carrier.apply(plant, k)
-                measured = plant.latch(
-                    Target(motion.position[k], motion.velocity[k]),
-                    Target(motion.position[k + 1], motion.velocity[k + 1]),
-                    fed,
-                )
+                measured = course.latch(plant, k, fed)
                 stamp = epoch + cycle * period_ns
                 set_stamp(reference, stamp + period_ns)
                 reference["sequence"] = cycle + 1
@@ -182,10 +178,3 @@ def run_live(
     )
     interrupted = ended is StopReason.INTERRUPTED
     return LiveRun(trace, rows["feedforward"], rows["payload"], done, late_count, rows["late"], interrupted)
-
-
-def _cycles(loops: int, count: int) -> Iterator[int]:
-    cycle = 0
-    while loops == 0 or cycle < loops * count:
-        yield cycle
-        cycle += 1

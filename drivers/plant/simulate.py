@@ -9,21 +9,26 @@ from types import MappingProxyType
 import numpy as np
 
 from drivers.motion import Trajectory
-from drivers.plant.plant import Plant, Target
+from drivers.plant.plant import Measured, Plant, Target
 from schemas.trace import Trace
 
 
-class Carrier:
-    """Says what is on the platform in every cycle of a motion."""
+class Course:
+    """A motion as a plant is taken through it, with what is on the platform in every cycle."""
 
     def __init__(self, motion: Trajectory):
+        self.motion = motion
         self.mass = np.zeros(len(motion))
         for payload in motion.payloads:
             self.mass[round(payload.pick / motion.period) : round(payload.release / motion.period)] = payload.mass
 
-    def apply(self, plant: Plant, cycle: int) -> None:
+    def latch(self, plant: Plant, cycle: int, feedforward: np.ndarray | None) -> Measured:
+        """As `Plant.latch`."""
         if self.mass[cycle] != plant.payload:
             plant.set_payload(float(self.mass[cycle]))
+        position, velocity = self.motion.position, self.motion.velocity
+        now, then = (Target(position[k], velocity[k]) for k in (cycle, cycle + 1))
+        return plant.latch(now, then, feedforward)
 
 
 def simulate(
@@ -43,23 +48,17 @@ def simulate(
         DataError: the motion tears the mechanism apart.
     """
     count = len(motion)
-    carrier = Carrier(motion)
+    course = Course(motion)
     plant.set_payload(0.0)
     plant.reset(motion.position[0])
     started = plant.time
     position, torque, command = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
-    nothing = np.zeros(3)
     for k in range(count):
         if k in changes:
             changes[k].adopt(plant)
             plant = changes[k]
-        carrier.apply(plant, k)
-        measured = plant.latch(
-            Target(motion.position[k], motion.velocity[k]),
-            Target(motion.position[k + 1], motion.velocity[k + 1]),
-            nothing if feedforward is None else feedforward[k],
-        )
-        position[k], torque[k], command[k] = measured
+        fed = None if feedforward is None else feedforward[k]
+        position[k], torque[k], command[k] = course.latch(plant, k, fed)
         plant.run()
         progress(k)
     plant.set_payload(0.0)

@@ -74,7 +74,7 @@ def command(
                 raise RobotError(f"{identified}: describes {known.name}, not {description.name}")
         masses = tuple(payload) if payload else (1.0, 3.8)
         motion = planner.pick_and_place(np.random.default_rng([seed, 1]), duration, masses)
-        realtime = go_realtime("closed-loop")
+        standing = go_realtime("closed-loop")
         feeds = variants(known)
         lost = f"{list(feeds)[-1]}, estimator lost half way"
         for name, feed in [*feeds.items(), (lost, known)]:
@@ -84,7 +84,7 @@ def command(
                 lambda: make_plant(description, truth, period, seed)[0],
                 motion,
                 feed,
-                realtime=realtime,
+                standing=standing,
                 progress=lambda cycle, task=task: None if cycle % 100 else progress.update(task, completed=cycle),
                 lose_estimator_at=len(motion) // 2 if name == lost else None,
             )

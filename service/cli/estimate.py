@@ -28,7 +28,7 @@ def command(
     """
     from drivers.bus import check_free, open_bus
     from replay.realtime import go_realtime
-    from schemas.messages import HealthFlag, Role
+    from schemas.messages import Role
     from schemas.robot import load_robot
     from service.estimator.effects import carried
     from service.estimator.estimator import Estimator
@@ -48,10 +48,10 @@ def command(
     check_free(description.name, Role.ESTIMATOR, zenoh_config, insecure)
     typer.echo("estimate: starting; a first run compiles, about half a minute", err=True)
     Estimator(description, 1e-3).warm_up()  # before anybody can hear that the role is alive
-    realtime = go_realtime("estimate")
+    standing = go_realtime("estimate")
     with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure, ros_domain) as bus:
         typer.echo(f"estimating for {description.name}; Ctrl-C ends it", err=True)
         try:
-            run(description, bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME, keeper=keeper)
+            run(description, bus, standing, keeper=keeper)
         except KeyboardInterrupt:
             typer.echo("estimate: stopped", err=True)

@@ -82,7 +82,7 @@ def command(
     from replay.clock import wait_until
     from replay.realtime import go_realtime
     from schemas.errors import BusError, RoleTakenError
-    from schemas.messages import HealthFlag, Role, StopReason
+    from schemas.messages import Role, StopReason
     from service.cli.progress import counting
     from service.cli.signals import stop_requested
     from service.estimator.bounds import bounds_of
@@ -105,7 +105,7 @@ def command(
         torque: InCycle | OverBus | None = None
         if feedforward is Source.CYCLE:
             torque = InCycle(Estimator(description, period))
-        standing = HealthFlag(0) if go_realtime("master") else HealthFlag.NO_REALTIME
+        standing = go_realtime("master")
         bus: Bus | None = None
         health: Health | None = None
         try:

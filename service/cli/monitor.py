@@ -42,7 +42,7 @@ def command(
     from replay.realtime import PRIORITY, go_realtime
     from schemas.errors import StorageError
     from schemas.files import check_folder
-    from schemas.messages import HealthFlag, Role
+    from schemas.messages import Role
     from schemas.robot import load_robot
     from service.cli.progress import counting
     from service.cli.signals import stop_requested
@@ -57,10 +57,10 @@ def command(
     check_folder(path.parent)  # before anything runs: a monitor that cannot record has nothing to do
     scene, stopped = Scene(description), stop_requested()
     with counting(f"monitor {name}", 0) as show:
-        realtime = go_realtime("monitor", PRIORITY - 10)  # below those whose work it watches
+        standing = go_realtime("monitor", PRIORITY - 10)  # below those whose work it watches
         with open_bus(name, Role.MONITOR, zenoh_config, insecure, ros_domain) as bus:
             writer = WriterThread(path, name, scene)
-            monitor = Monitor(bus, writer, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME)
+            monitor = Monitor(bus, writer, standing)
             hint = _Silence(name, monitor.tally.received, running)
             try:
                 run(monitor, stopped, lambda count: (show(count), hint()))

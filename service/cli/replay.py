@@ -42,7 +42,7 @@ def command(
     from drivers.trace import find_columns, read_trace
     from replay.player import play, schedule
     from replay.realtime import go_realtime
-    from schemas.messages import HealthFlag, Role
+    from schemas.messages import Role
     from schemas.robot import load_robot
     from service.cli.progress import counting
 
@@ -52,14 +52,14 @@ def command(
         typer.echo(f"{trace}: {finding.message}", err=True)
     plan = schedule(recorded, rate=rate, speed=speed, loops=loop, start=start, stop=stop)
     with counting(f"replay {description.name}", len(plan) * loop) as show:
-        realtime = go_realtime("replay")
+        standing = go_realtime("replay")
         with open_bus(description.name, Role.PLAYER, zenoh_config, insecure, ros_domain) as bus:
             publisher = bus.publisher("sample")
             if not publisher.wait_until_heard(wait):
                 typer.echo(
                     f"nobody subscribes to the samples of {description.name} yet; playing all the same", err=True
                 )
-            with Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME) as health:
+            with Health(bus, standing) as health:
                 played = play(plan, publisher.put, health, show)
     typer.echo(summary(played, plan.period_ns))
 

@@ -190,9 +190,9 @@ def _live(
     from service.cli.progress import counting
 
     with counting(f"live {robot.name}", len(motion) * loops) as show:
-        realtime = go_realtime("simulate")
+        standing = go_realtime("simulate")
         with open_bus(robot.name, Role.ROBOT, zenoh_config, insecure, ros_domain) as bus:
-            run = run_live(plant, motion, bus, Pacer(), loops=loops, changes=changes, realtime=realtime, progress=show)
+            run = run_live(plant, motion, bus, Pacer(), loops=loops, changes=changes, standing=standing, progress=show)
     if not len(run.trace):
         return
     assert run.trace.position_command is not None

@@ -34,7 +34,7 @@ def command(
     from drivers.health import Health
     from replay.clock import wait_until
     from replay.realtime import go_realtime
-    from schemas.messages import HealthFlag, Role
+    from schemas.messages import Role
     from schemas.robot import load_robot
 
     description = load_robot(robot)
@@ -42,12 +42,12 @@ def command(
     is_capture = path.is_file() or path.suffix in (".pcap", ".pcapng")
     source = FileSource(path, wait_until, speed) if is_capture else InterfaceSource(interface)
     tap = Tap(source, description, lambda line: typer.echo(line, err=True))
-    realtime = go_realtime("tap")
+    standing = go_realtime("tap")
     try:
         with open_bus(description.name, Role.TAP, zenoh_config, insecure, ros_domain) as bus:
             publisher = bus.publisher("sample")
             publisher.wait_until_heard(wait)
-            with Health(bus, HealthFlag(0) if realtime else HealthFlag.NO_REALTIME) as health:
+            with Health(bus, standing) as health:
                 tap.run(publisher.put, health, count)
     except KeyboardInterrupt:
         pass

@@ -18,7 +18,7 @@ from drivers.motion import Trajectory
 from drivers.plant.live import LiveRun, run_live
 from drivers.plant.plant import Plant
 from replay.clock import Pacer
-from schemas.messages import Role
+from schemas.messages import HealthFlag, Role
 from schemas.robot import Identified, JointParameter, Parameter, Robot, save_robot
 from service.model import kinematics
 from service.model.nominal import pack
@@ -83,7 +83,7 @@ def follow(
     feed: Robot | None,
     *,
     pace: Callable[[int], int] | None = None,
-    realtime: bool = False,
+    standing: HealthFlag = HealthFlag(0),
     progress: Callable[[int], object] = lambda cycle: None,
     lose_estimator_at: int | None = None,
 ) -> LiveRun:
@@ -102,7 +102,7 @@ def follow(
                 process.kill()
             progress(cycle)
 
-        run = run_live(make_plant(), motion, bus, pace or Pacer(), realtime=realtime, progress=on_cycle)
+        run = run_live(make_plant(), motion, bus, pace or Pacer(), standing=standing, progress=on_cycle)
         if run.interrupted:  # half a run has no figures
             raise KeyboardInterrupt
         return run

@@ -24,8 +24,8 @@ import numpy as np
 from drivers.motion import MotionLimits, Planner, Trajectory
 from drivers.plant.cases import PERIOD, Case, random_case, run_case
 from drivers.plant.effects import EFFECTS
-from drivers.plant.plant import Plant, Target
-from drivers.plant.simulate import Carrier
+from drivers.plant.plant import Plant
+from drivers.plant.simulate import Course
 from replay.process import process
 from schemas.messages import Gripper, WatchState
 from schemas.robot import Robot, save_robot
@@ -58,11 +58,9 @@ def production(case: Case, seconds: float, seed: int) -> Trajectory:
 
 def along(plant: Plant, motion: Trajectory, first: int, last: int) -> np.ndarray:
     """(last - first, 2, 3): position and torque in these cycles of a motion that `plant` is in."""
-    carrier, rows = Carrier(motion), np.empty((last - first, 2, 3))
+    course, rows = Course(motion), np.empty((last - first, 2, 3))
     for k in range(first, last):
-        carrier.apply(plant, k)
-        here, there = (Target(motion.position[at], motion.velocity[at]) for at in (k, k + 1))
-        rows[k - first, 0], rows[k - first, 1], _ = plant.latch(here, there, np.zeros(3))
+        rows[k - first, 0], rows[k - first, 1], _ = course.latch(plant, k, None)
         plant.run()
     return rows
 
