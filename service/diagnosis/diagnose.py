@@ -14,13 +14,12 @@ from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.aside import Quiet
 from service.diagnosis.evidence.cautions import base_doubts, doubts_of, faults_of, limits_of, loops_of, noise_of
-from service.diagnosis.evidence.earned import LIKELY, earned, together
+from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.evidence.follows import follows
-from service.diagnosis.evidence.rivals import comparisons, probability_of
 from service.diagnosis.evidence.unseen import kept_out
 from service.diagnosis.findings import Findings
 from service.diagnosis.fit.orders import more_orders
-from service.diagnosis.fit.selection import FAR_ABOVE, Scored, Selection, score, search
+from service.diagnosis.fit.selection import FAR_ABOVE, Regressors, Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import Split
@@ -78,10 +77,12 @@ def diagnose(
         plain = score(fit(problem, timed), split)
     scope = limits_of(problem, loops_of(problem, traces, plain.residuals))
 
-    def searched(rows: Problem, folds: Split, allows: Callable[[Effect, int], bool]) -> Selection:
-        return search(rows, folds, timed, effects if scope.enough else (), progress, allows, more_orders)
+    regressors = Regressors(problem, split, effects if scope.enough else (), timed)
 
-    selection = searched(problem, split, scope.allows)
+    def searched(seen: Regressors) -> Selection:
+        return search(seen.problem, split, timed, seen.effects, progress, scope.allows, more_orders, seen)
+
+    selection = searched(regressors)
     progress("checking on data left out")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     coloured = bool((floor.coloured | floor.unknown).any())
@@ -103,20 +104,15 @@ def diagnose(
     found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
     errors = statistics.standard_errors(found.best.fitted, split)
     far = FAR_ABOVE * limit
-    if scope.enough and mechanism.kind == "delta" and selection.best.loss > far**2 * problem.count:
-        quiet = Quiet.of(problem, split, selection.best.residuals)
-        again = searched(quiet.problem, quiet.split, lambda e, j: scope.allows(e, j) and quiet.allows(e, j))
-        quiet = replace(quiet, explained=again.best.loss <= limit**2 * quiet.problem.count)
+    if regressors.effects and mechanism.kind == "delta" and selection.best.loss > far**2 * problem.count:
+        quiet = Quiet.beside(regressors, selection.none, len(given), scope.allows, progress)
+        again = searched(quiet.regressors)
         less = doubts_of(quiet.problem, again, limit)
-        judged = _judged(quiet.problem, quiet.split, again, less, len(given), kept, unknown, limit)
-        # names that the rest bears out too give way only to others that leave next to nothing of the quiet rows
-        if judged.selection.names and (not found.names or again.best.loss <= far**2 * quiet.problem.count):
-            whole = quiet.selection_on_all(judged.selection)
-            rounds = comparisons(whole, split, problem.count)
-            if min(probability_of(rounds, name) for name in whole.names) >= LIKELY:
-                errors = statistics.standard_errors(judged.selection.best.fitted, quiet.split)
-                found, chosen = whole, [quiet.on_all(one) for one in judged.chosen]
-                cautions = [quiet.caution(), *judged.cautions]
+        judged = _judged(quiet.problem, split, again, less, len(given), kept, unknown, limit)
+        if judged.selection.names:
+            errors = statistics.standard_errors(judged.selection.best.fitted, split)
+            found, chosen = quiet.selection_on_all(judged.selection), [quiet.on_all(one) for one in judged.chosen]
+            cautions = [quiet.caution(), *judged.cautions]
     selection = found
     after = statistics.by_fold(chosen, split)
     gap, reference = plain.residuals, plain.hypothesis
@@ -148,7 +144,7 @@ def _judged(
     if doubts:
         selection = replace(selection, best=selection.none, path=_untaken(selection))
     else:
-        far = selection.best.loss > (FAR_ABOVE * limit) ** 2 * problem.count
+        far = bool(problem.weights) or selection.best.loss > (FAR_ABOVE * limit) ** 2 * problem.count
         selection, fell = earned(problem, split, selection, given, tests, far)
         fallen += fell
     chosen = statistics.walked(selection, split, problem.count)

@@ -26,6 +26,7 @@ class Problem:
     """Recordings, their torque in the analysis band, and the rows that count.
 
     target: (M, n) a recording. rows: (M, n) bool. sigma: (n,) N m, rms of the noise in the band, the unit of residuals.
+    weights: (M, n) a recording, by which residuals are multiplied besides; none: 1.
     """
 
     recordings: Sequence[Recording]
@@ -33,6 +34,7 @@ class Problem:
     sigma: np.ndarray
     target: list[np.ndarray] = field(default_factory=list)
     rows: list[np.ndarray] = field(default_factory=list)
+    weights: Sequence[np.ndarray] = ()
 
     @classmethod
     def of(cls, recordings: Sequence[Recording], band: Band, sigma: np.ndarray) -> Problem:
@@ -49,7 +51,9 @@ class Problem:
 
     @property
     def count(self) -> int:
-        """Rows in all recordings and joints."""
+        """Rows in all recordings and joints, as they weigh: squared residual that noise alone leaves."""
+        if self.weights:
+            return round(float(sum((w[rows] ** 2).sum() for w, rows in zip(self.weights, self.rows, strict=True))))
         return int(sum(rows.sum() for rows in self.rows))
 
     @property
@@ -77,8 +81,9 @@ class Problem:
         return np.concatenate([values[rows, joint] for joint, rows in enumerate(self.rows[index].T)])
 
     def select(self, index: int, values: np.ndarray) -> np.ndarray:
-        """The same in units of the noise."""
-        return self.pick(index, values / self.sigma.reshape(1, -1, *([1] * (values.ndim - 2))))
+        """The same in units of the noise, as they weigh."""
+        unit = self.sigma / self.weights[index] if self.weights else self.sigma[None]
+        return self.pick(index, values / unit.reshape(*unit.shape, *([1] * (values.ndim - 2))))
 
 
 @dataclass(frozen=True)

@@ -1,86 +1,87 @@
-"""What a catalogue explains beside something that it does not hold: rows in which far more than noise is left are set
-aside, and the others are searched again, under the same rules.
+"""What a catalogue explains beside something that it does not hold: rows in which far more than noise is left weigh
+little, and all is searched again, under the same rules.
 
-A stranger sits on one joint, or comes and goes. An effect of the catalogue is at work in the quiet rows too, and what
-is left of them with it is noise. A joint of which most is set aside is asked for no effect of its own.
+A stranger sits on one joint, acts in one place, or comes and goes. An effect of the catalogue is at work in the other
+rows too, and what is left of them with it is noise. Which they are shows only once the effects are known: one by one,
+that is added which does most for rows that weigh by what the others leave of them, and the rows are weighed again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from schemas.diagnosis import Caution
-from service.diagnosis.fit.selection import FAR_ABOVE, Scored, Selection
-from service.identification.fit import Problem, evaluate
-from service.identification.folds import Split, block_loss, held_out
+from service.diagnosis.fit.selection import (
+    FAR_ABOVE,
+    LEAST_GAIN,
+    LEAST_Z,
+    MOST_EFFECTS,
+    Regressors,
+    Scored,
+    Selection,
+    additions,
+    score,
+    z_score,
+)  # fmt: skip
+from service.identification.fit import Problem, fit
+from service.identification.folds import Split
 from service.model.effects.base import Effect
 
 WIDTH = 0.06  # s over which the level of what is left is taken
-ONE_JOINT = 0.6  # of what is left above the noise, from which it is a matter of one joint
-QUIET = 0.6  # of the rows that are searched again at least, where it is not
-OWN = 0.2  # of the rows of such a joint that stay at least: its friction has to be told
-ASKED = 0.5  # of a joint's rows that an effect on it has to be asked of
-WEIGHED = 3.0  # times the level that is still quiet: what is left beyond says no more against a hypothesis
+EVEN = 1.5  # level from which rows weigh less while effects are looked for, all that are above it alike
+SETTLING = 3  # times that the rows are weighed by what is left and the parameters fitted to them
+LESS = 0.9  # of a joint's rows: one that keeps more is not told as set aside
 
 
 @dataclass(frozen=True)
 class Quiet:
-    """The rows of `whole` that are searched. problem, split: of them alone. kept: (n,) share a joint. limit: (n,) level
-    in units of the noise up to which they are. explained: with what was found no more than noise is left of them."""
+    """The rows of `whole` as they weigh beside a stranger: where it is at work the less, the more it leaves."""
 
     whole: Problem
-    whole_split: Split
-    problem: Problem
-    split: Split
-    kept: np.ndarray
-    limit: np.ndarray
-    explained: bool = False
-    _seen: dict[int, Scored] = field(default_factory=dict)
+    regressors: Regressors
+
+    @property
+    def problem(self) -> Problem:
+        """With these weights."""
+        return self.regressors.problem
 
     @classmethod
-    def of(cls, whole: Problem, split: Split, residuals: Sequence[np.ndarray]) -> Quiet:
-        """Where `residuals`, (R,) a recording, in units of the noise, are low."""
-        levels = [_levels(whole, number, residual) for number, residual in enumerate(residuals)]
-        rows = [mask.sum(axis=0) for mask in whole.rows]
-        above = np.sum([np.nansum(level**2, axis=0) for level in levels], axis=0) - np.sum(rows, axis=0)
-        limit = np.full(len(whole.sigma), np.inf)
-        if above.max() > ONE_JOINT * above.clip(0.0).sum():
-            joint = int(np.argmax(above))
-            own = np.concatenate([level[:, joint] for level in levels])
-            limit[joint] = max(FAR_ABOVE, float(np.nanquantile(own, OWN)))
-        else:
-            limit[:] = max(FAR_ABOVE, float(np.nanquantile(np.concatenate([level.ravel() for level in levels]), QUIET)))
-        quiet = replace(whole, rows=[mask & (level <= limit) for mask, level in zip(whole.rows, levels, strict=True)])
-        every, quiet_rows = np.sum(rows, axis=0), np.sum([mask.sum(axis=0) for mask in quiet.rows], axis=0)
-        kept = np.where(every > 0, quiet_rows / np.maximum(every, 1), 1.0)  # of a joint at rest nothing is set aside
-        return cls(whole, split, quiet, Split.of(quiet, split.mixed), kept, limit)
-
-    def allows(self, effect: Effect, joint: int) -> bool:
-        """Whether `effect` may be looked for on `joint`."""
-        return not effect.per_joint or bool(self.kept[joint] >= ASKED)
+    def beside(
+        cls, regressors: Regressors, none: Scored, given: int, allows: Callable[[Effect, int], bool],
+        progress: Callable[[str], None],
+    ) -> Quiet:  # fmt: skip
+        """Effects are added while that helps, none of them believed yet; what they leave far above the noise is the
+        stranger's. none: the base model on rows that weigh alike."""
+        whole, split = regressors.problem, regressors.split
+        problem, best = _settled(whole, split, none, none.residuals)
+        base = best
+        for _ in range(MOST_EFFECTS):
+            exact, fault = additions(regressors.weighing(problem), best, base, given, allows, progress)
+            if not exact or fault is not None:
+                break
+            gain = float((best.blocks - exact[0].blocks).sum())
+            if gain < LEAST_GAIN * problem.count or z_score(best.blocks, exact[0].blocks) < LEAST_Z:
+                break
+            problem, best = _settled(whole, split, exact[0], _unweighed(problem, exact[0].residuals))
+        levels = _levels(whole, _unweighed(problem, best.residuals))
+        weights = [np.where(level > FAR_ABOVE, 1.0 / level**2, 1.0) for level in levels]
+        return cls(whole, regressors.weighing(replace(whole, weights=weights)))
 
     def on_all(self, scored: Scored) -> Scored:
-        """A hypothesis fitted to the quiet rows, on all: what is left out is predicted by quiet rows of the rest.
-
-        Where they are explained, the stranger's own size is left out of what weighs: however violent it is, the rest
-        tells one hypothesis from another.
-        """
-        if id(scored) not in self._seen:
-            fitted = evaluate(self.whole, scored.hypothesis)
-            residuals = held_out(fitted, self.whole_split, (scored.fitted, self.split))
-            high = WEIGHED * self.limit if self.explained else np.full(len(self.limit), np.inf)
-            most = [high[joints] for joints in self.whole.joints_of_rows]
-            weighed = [np.clip(r, -m, m) for r, m in zip(residuals, most, strict=True)]
-            self._seen[id(scored)] = Scored(fitted, residuals, block_loss(weighed, self.whole_split))
-        return self._seen[id(scored)]
+        """A hypothesis with all that it leaves, however little it weighs against it."""
+        return replace(scored, residuals=_unweighed(self.problem, scored.residuals))
 
     def selection_on_all(self, selection: Selection) -> Selection:
         """The same of a whole search."""
-        see = self.on_all
+        seen: dict[int, Scored] = {}
+
+        def see(scored: Scored) -> Scored:
+            return seen.setdefault(id(scored), self.on_all(scored))
+
         path = [([see(one) for one in tried], taken and see(taken)) for tried, taken in selection.path]
         taken = [taken for _, taken in selection.path if taken is not None]
         trimmed = {id(see(one)): see(selection.after(one)) for one in taken}
@@ -89,17 +90,38 @@ class Quiet:
 
     def caution(self) -> Caution:
         """What was set aside."""
-        joints = [joint + 1 for joint, kept in enumerate(self.kept) if kept < 1.0]
+        weights = zip(self.problem.weights, self.whole.rows, strict=True)
+        weighs = np.sum([(weight**2 * rows).sum(axis=0) for weight, rows in weights], axis=0)
+        every = np.sum([rows.sum(axis=0) for rows in self.whole.rows], axis=0)
+        kept = np.where(every > 0, weighs / np.maximum(every, 1), 1.0)
+        joints = [joint + 1 for joint, part in enumerate(kept) if part < max(LESS, kept.min() + 1e-9)]
         share = 1.0 - self.problem.count / self.whole.count
         return Caution(code="set_aside", joints=joints, share=round(share, 4), advice="look_there")
 
 
-def _levels(problem: Problem, number: int, residual: np.ndarray) -> np.ndarray:
-    """(M, n) rms around each row of recording `number`, NaN where there is none."""
-    rows, joints = problem.rows[number], problem.joints_of_rows[number]
-    square = np.zeros(rows.shape)
-    for joint in range(rows.shape[1]):
-        square[rows[:, joint], joint] = residual[joints == joint] ** 2
+def _settled(whole: Problem, split: Split, best: Scored, left: Sequence[np.ndarray]) -> tuple[Problem, Scored]:
+    """`best` fitted to rows that weigh by what it leaves of them. left: that, (R,) a recording, in units of the
+    noise."""
+    problem = whole
+    for _ in range(SETTLING):
+        problem = replace(whole, weights=[1.0 / np.maximum(level / EVEN, 1.0) for level in _levels(whole, left)])
+        best = score(fit(problem, best.hypothesis, iterations=2), split)
+        left = _unweighed(problem, best.residuals)
+    return problem, best
+
+
+def _unweighed(problem: Problem, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return [r / problem.pick(number, problem.weights[number]) for number, r in enumerate(residuals)]
+
+
+def _levels(problem: Problem, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """(M, n) a recording: rms around each row, of the rows there are; 1 where there are none."""
+    result = []
     width = max(1, round(WIDTH / (problem.band.period * problem.band.step)))
-    mean, filled = (uniform_filter1d(x, width, axis=0, mode="constant") for x in (square, rows.astype(float)))
-    return np.where(rows, np.sqrt(mean.clip(0.0) / np.maximum(filled, 1.0 / width)), np.nan)
+    for rows, joints, residual in zip(problem.rows, problem.joints_of_rows, residuals, strict=True):
+        square = np.zeros(rows.shape)
+        for joint in range(rows.shape[1]):
+            square[rows[:, joint], joint] = residual[joints == joint] ** 2
+        mean, filled = (uniform_filter1d(x, width, axis=0, mode="constant") for x in (square, rows.astype(float)))
+        result.append(np.where(rows, np.sqrt(mean.clip(0.0) / np.maximum(filled, 1.0 / width)), 1.0))
+    return result

@@ -185,7 +185,8 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caut
             return [Caution(code="several_arms", joints=which, advice="check_description")]
     left = best.loss / problem.count
     gap = selection.none.loss / problem.count
-    platform = problem.recordings[0].mechanism.kind == "delta" and left**0.5 > FAR_ABOVE * limit
+    beside = bool(problem.weights) or left**0.5 > FAR_ABOVE * limit
+    platform = problem.recordings[0].mechanism.kind == "delta" and beside
     for term in best.hypothesis.terms[len(selection.none.hypothesis.terms) :] if platform else ():
         if each_arm(term):
             which = [joint + 1 for joint in term.joints]
@@ -202,7 +203,7 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caut
         for target, rows in zip(problem.target, problem.rows, strict=True)
     )
     noise = float(np.mean(problem.sigma**2))
-    share = (left * noise / (torque / problem.count)) ** 0.5
+    share = (left * noise / (torque / sum(len(joints) for joints in problem.joints_of_rows))) ** 0.5
     if share > WRONG_MODEL and gap - left <= EXCUSED * (gap - 1.0):
         return [Caution(code="much_is_left", share=round(share, 4), advice="check_description")]
     return []
@@ -218,6 +219,7 @@ def _alone(problem: Problem, selection: Selection) -> float:
             recordings=[problem.recordings[i] for i in mine],
             target=[problem.target[i] for i in mine],
             rows=[problem.rows[i] for i in mine],
+            weights=[problem.weights[i] for i in mine] if problem.weights else (),
         )
         cost += fit(part, selection.best.hypothesis, iterations=3).cost
     return cost / problem.count

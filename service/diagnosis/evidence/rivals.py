@@ -36,7 +36,8 @@ def comparisons(selection: Selection, split: Split, rows: int) -> list[ModelComp
         sizes = np.array([h.fitted.tangents[0].shape[1] for h in hypotheses])
         loss = np.stack([h.blocks[draw].sum(axis=1) for h in hypotheses]) + 2.0 * sizes[:, None]
         loss[-1] -= LEAST_GAIN * rows  # an addition has to be worth it
-        loss[sizes > sizes[0]] += SIMPLER_SHARE * max(parent.loss - tried[0].loss, 0.0)  # as the search weighs them
+        gain = float(parent.blocks.sum() - tried[0].blocks.sum())
+        loss[sizes > sizes[0]] += SIMPLER_SHARE * max(gain, 0.0)  # as the search weighs them
         wins = np.bincount(np.argmin(loss, axis=0), minlength=len(hypotheses)) / DRAWS
         result.append(ModelComparison(parent, list(zip(tried, wins[:-1].tolist(), strict=True)), float(wins[-1])))
         if taken is not None:
@@ -66,13 +67,13 @@ def confusable(selection: Selection, name: str) -> list[str]:
         if taken is None:
             break
         if taken.names[-1] == name:
-            gain = parent.loss - taken.loss
+            gains = [float((parent.blocks - scored.blocks).sum()) for scored in (taken, *tried)]
             return [
                 rival.names[-1]
-                for rival in tried
+                for rival, gain in zip(tried, gains[1:], strict=True)
                 if rival is not taken
-                and (z_score(rival.blocks, taken.blocks) < TOLD_APART or parent.loss - rival.loss > SAME_SHARE * gain)
-                and parent.loss - rival.loss > 0.5 * gain
+                and (z_score(rival.blocks, taken.blocks) < TOLD_APART or gain > SAME_SHARE * gains[0])
+                and gain > 0.5 * gains[0]
             ]
         parent = selection.after(taken)
     return []

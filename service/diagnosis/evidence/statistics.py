@@ -81,7 +81,7 @@ def walked(selection: Selection, split: Split, rows: int) -> list[Scored]:
     result = []
     for fold in range(split.folds):
         outside = [f != fold for f in split.fold]
-        share = sum(int(o.sum()) for o in outside)
+        share = round(rows * float(np.mean(np.concatenate(outside))))
         chosen = selection.none
         for tried, taken in selection.path:
             if taken is None:  # what fell, or was not worth it, is not in the model whose gap this is

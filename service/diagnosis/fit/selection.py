@@ -8,6 +8,7 @@ small linear solve. The best few are fitted exactly, nonlinear parameters includ
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -112,12 +113,25 @@ class Regressors:
         bent = [term.effect for term in hypothesis.terms if term.effect.measured and not term.effect.amplitudes]
         if bent == self.seen:
             return
-        self.seen, split = bent, self.split
+        self.seen = bent
         scenes = self.problem.scenes(hypothesis)
         self.columns = list(
             THREADS.map(lambda n, scene: self._columns(n, scene, hypothesis), range(len(scenes)), scenes)
         )
-        self.grams = [
+        self.grams = self._grams()
+
+    def weighing(self, problem: Problem) -> Regressors:
+        """The same where rows that weighed alike weigh as in `problem`."""
+        other = copy(self)
+        other.problem = problem
+        rows = (problem.pick(number, weights) for number, weights in enumerate(problem.weights))
+        other.columns = [columns * row[:, None] for columns, row in zip(self.columns, rows, strict=True)]
+        other.grams = other._grams()
+        return other
+
+    def _grams(self) -> list[np.ndarray]:
+        split = self.split
+        return [
             np.asarray(sum(c[f == k].T @ c[f == k] for c, f in zip(self.columns, split.fold, strict=True)))
             for k in range(split.folds)
         ]
@@ -322,10 +336,12 @@ def search(
     progress: Callable[[str], None],
     allows: Callable[[Effect, int], bool] = lambda effect, joint: True,
     grow: Callable[[Problem, Split, Scored], Scored] = lambda problem, split, best: best,
+    regressors: Regressors | None = None,
 ) -> Selection:
     """Add effects one by one while each is worth it on data left out; then see whether one can go again.
 
     allows: whether the data let an effect be looked for on a joint at all. grow: what else an effect just found brings.
+    regressors: of the effects, where they are known already.
     """
     given = len(start.terms)
     rows = problem.count
@@ -337,22 +353,11 @@ def search(
     path: list[tuple[list[Scored], Scored | None]] = []
     trimmed: dict[int, Scored] = {}
     fault: Fault | None = None
-    regressors = Regressors(problem, split, effects, start)
+    regressors = regressors or Regressors(problem, split, effects, start)
     for _ in range(MOST_EFFECTS if effects else 0):
-        progress("weighing the catalogue")
-        dictionary = Dictionary(regressors, best.fitted)
-        ranking = dictionary.ranking(best.hypothesis.terms, problem.recordings[0].mechanism.joints, allows)
-        shortlist = [item for item in ranking[:SHORTLIST] if dictionary.nothing - item[0] > 0.3 * LEAST_GAIN * rows]
-        exact: list[Scored] = []
-        for _, candidate in shortlist:
-            progress(f"fitting {candidate.effect.name.replace('_', ' ')}")
-            exact.append(score(fit_added(problem, best.hypothesis, candidate.term()), split))
+        exact, fault = additions(regressors, best, none, given, allows, progress)
         if not exact:
             break
-        ordered = simplest_first(exact, best)
-        if problem.recordings[0].mechanism.kind == "delta":
-            ordered = one_cause_first(ordered, best, rows)
-        exact, fault = _sound_first(problem, ordered, best, none, given)
         rough = any(not term.effect.amplitudes for term in best.hypothesis.terms)
         if fault is not None or not worth(exact[0].blocks, best.blocks, none.blocks, rows, rough):
             path.append((exact, None))
@@ -363,6 +368,28 @@ def search(
         if best.loss / rows < 1.0 + LEAST_GAIN:
             break
     return Selection(none, best, path, trimmed, fault)
+
+
+def additions(
+    regressors: Regressors, best: Scored, none: Scored, given: int, allows: Callable[[Effect, int], bool],
+    progress: Callable[[str], None],
+) -> tuple[list[Scored], Fault | None]:  # fmt: skip
+    """What one more effect would make of `best`, those that promise most, in the order in which they are believed; and
+    what is wrong with the first of them."""
+    problem, mechanism = regressors.problem, regressors.problem.recordings[0].mechanism
+    progress("weighing the catalogue")
+    dictionary = Dictionary(regressors, best.fitted)
+    exact: list[Scored] = []
+    for loss, candidate in dictionary.ranking(best.hypothesis.terms, mechanism.joints, allows)[:SHORTLIST]:
+        if dictionary.nothing - loss > 0.3 * LEAST_GAIN * problem.count:
+            progress(f"fitting {candidate.effect.name.replace('_', ' ')}")
+            exact.append(score(fit_added(problem, best.hypothesis, candidate.term()), regressors.split))
+    if not exact:
+        return [], None
+    ordered = simplest_first(exact, best)
+    if mechanism.kind == "delta":
+        ordered = one_cause_first(ordered, best, 0 if problem.weights else problem.count)
+    return _sound_first(problem, ordered, best, none, given)
 
 
 def _sound_first(

@@ -107,6 +107,8 @@ def test_runs_of_several_robots_fit_alone_but_not_together():
     ]
     expected = sum(fit(part, Hypothesis(BASE)).cost for part in each) / made.count
     assert alone == pytest.approx(expected, rel=0.05)
+    half = replace(made, weights=[np.full(rows.shape, 0.5) for rows in made.rows])
+    assert cautions._alone(half, Selection(best, best, [], {})) == pytest.approx(alone, rel=1e-3)
     assert evaluate(made, Hypothesis(BASE)).cost > together.cost
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.service.subject import diagnose, document, terms_of
+from tests.service.subject import Selection, diagnose, document, evidence, terms_of
+from tests.service.world import stub
 
 
 def test_the_rivals_are_whole_models_of_the_round_that_is_decided_least(findings: diagnose.Findings) -> None:
@@ -18,3 +19,18 @@ def test_the_rivals_are_whole_models_of_the_round_that_is_decided_least(findings
     term = terms_of(findings.robot.model_copy(update={"effect": best.effects}))[-1]
     np.testing.assert_allclose(term.amplitude, scored.hypothesis.terms[-1].amplitude, rtol=1e-6)
     np.testing.assert_allclose(term.nonlinear, scored.hypothesis.terms[-1].nonlinear, rtol=1e-6)
+
+
+def test_rivals_are_weighed_as_their_search_weighed_them():
+    """Not by all that is left, most of which may be a stranger's."""
+
+    def of(name, weighed, loss):
+        away = np.tile([0.5, -0.5], 20)
+        return stub(names=(name,), blocks=weighed / 40 + away * (name == "near"), loss=loss)
+
+    none, taken = of("none", 400.0, 5000.0), of("taken", 80.0, 4000.0)
+    near, far = of("near", 100.0, 4990.0), of("far", 300.0, 4000.0)
+    found = Selection(none, taken, [([taken, near, far], taken)], {})  # pyright: ignore[reportArgumentType]
+    assert evidence.confusable(found, "taken") == []
+    near.blocks = near.blocks - 0.3
+    assert evidence.confusable(found, "taken") == ["near"]

@@ -87,6 +87,13 @@ def test_residuals_are_target_less_prediction_in_units_of_the_noise():
     assert found.cost == pytest.approx(float(expected @ expected))
     assert logs.count == len(expected) == int(logs.rows[0].sum())
     np.testing.assert_array_equal(logs.joints_of_rows[0], np.repeat([0, 1, 2], logs.rows[0].sum(axis=0)))
+    weights = random.uniform(0.1, 1.0, logs.rows[0].shape)
+    heavy = replace(logs, weights=[weights])
+    mine = np.concatenate([weights[logs.rows[0][:, j], j] for j in range(3)])
+    weighed = evaluate(heavy, hypothesis)
+    np.testing.assert_allclose(weighed.residuals[0], mine * expected, rtol=1e-8)
+    np.testing.assert_allclose(weighed.tangents[0], mine[:, None] * found.tangents[0], rtol=1e-8)
+    assert heavy.count == round(float(mine @ mine))
 
 
 def test_what_stands_at_a_limit_or_is_rough_does_not_move():
