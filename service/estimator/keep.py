@@ -39,7 +39,7 @@ _Row = Annotated[list[float], Field(min_length=COUNT, max_length=COUNT)]
 class _Kept(BaseModel):
     """Joint by joint Coulomb N m, viscous N m s/rad, offset N m: information in the inverse squares of these."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     schema_: Literal["deltatwin.friction/1"] = Field(alias="schema")
     robot: str
@@ -119,7 +119,7 @@ class Keeper:
             information=friction["information"].tolist(),
             moment=friction["moment"].tolist(),
         )
-        return kept.model_dump_json(by_alias=True, indent=1)
+        return kept.model_dump_json(by_alias=True)
 
     def _write_beside(self, text: str) -> None:
         if hasattr(os, "sched_setscheduler"):  # macOS has the constants alone
@@ -155,7 +155,7 @@ def _read(path: Path, name: str, digest: str) -> _Kept:
         raise StorageError(f"{path}: written_at: {kept.written_at.isoformat()} is still to come; {again}")
     information = np.array(kept.information)
     size = np.abs(information).max()
-    if np.abs(information - information.T).max() > SYMMETRY * size:
+    if (information - information.T).max() > SYMMETRY * size:
         raise StorageError(f"{path}: information: not symmetric, as an information matrix is; {again}")
     if np.linalg.eigvalsh(information)[0] < -SYMMETRY * size:
         raise StorageError(f"{path}: information: not positive, as an information matrix is; {again}")

@@ -98,7 +98,6 @@ class Node:
         assert self._estimator is not None
         for first in self._waiting:
             self._answer(self._estimator, first, int.from_bytes(first[SEQUENCE_BYTES], "little"), came)
-        self._waiting.clear()
 
     def _start(self, rate: Rate) -> None:
         self._estimator = Estimator(self._robot, *rate)

@@ -105,6 +105,9 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     assert not state["held"], "nothing is beyond a gear's any more"
     covariance = state["covariance"]
     one, other = random.standard_normal((2, 9))
+    departure, spread = friction.learnt(state)
+    np.testing.assert_array_equal(departure.ravel(), state["delta"])
+    np.testing.assert_allclose(spread.ravel() ** 2, np.diag(covariance))
     assert friction.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
 
 
@@ -205,11 +208,36 @@ def test_what_was_learnt_yesterday_says_little_of_a_cold_gear(robot, make, kept)
     np.testing.assert_allclose(departure(estimator), departure(anew), atol=0.02)
 
 
-def test_what_was_learnt_at_another_rate_is_not_used(robot, kept):
+@pytest.mark.parametrize(("period", "used"), [(5e-4, False), (1.0005e-3, True), (0.9995e-3, True), (1.0015e-3, False)])
+def test_what_was_learnt_at_another_rate_is_not_used(robot, kept, period, used):
     path, _ = kept
-    estimator = Estimator(robot, 5e-4)
-    assert "period_s 0.001" in Keeper(path, robot).begin(estimator)
-    assert not estimator.state["payload"]["friction"]["information"].any()
+    estimator = Estimator(robot, period)
+    assert ("period_s 0.001" in Keeper(path, robot).begin(estimator)) is not used
+    assert estimator.state["payload"]["friction"]["information"].any() == used
+
+
+def test_an_hour_leaves_a_third_of_what_was_learnt(robot, kept):
+    """By the drift of what was identified; a joint that never moved is no fault of the file."""
+    path, _ = kept
+    information = np.diag([0.0, *range(1, 9)]).astype(float)
+    change(path, written_at=ago(hours=1), information=information.tolist(), moment=[0.0, *[2.0] * 8])
+    estimator = Estimator(robot, PERIOD)
+    assert "60 min ago, counted 37%" in Keeper(path, robot).begin(estimator)
+    found = robot.identified
+    prior = friction.drift(np.array(found.viscous_friction_nms.value), np.array(found.coulomb_friction_nm.value))
+    left = friction.aged(information, np.array([0.0, *[2.0] * 8]), prior, np.exp(-1.0))
+    begun = estimator.state["payload"]["friction"]
+    np.testing.assert_allclose(begun["information"], left[0], rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(begun["moment"], left[1], rtol=1e-3, atol=1e-9)
+
+
+def test_clocks_may_differ_by_a_minute(robot, kept):
+    path, _ = kept
+    change(path, written_at=ago(seconds=-50))
+    assert "counted 100%" in Keeper(path, robot).begin(Estimator(robot, PERIOD))
+    change(path, written_at=ago(seconds=-90))
+    with pytest.raises(StorageError, match="still to come"):
+        Keeper(path, robot)
 
 
 SKEW = np.eye(9)
@@ -223,7 +251,7 @@ SKEW[0, 1] = 0.5
         ({"description": "0" * 64}, "description: kept for another"),
         ({"written_at": ago(days=-1)}, "written_at: "),
         ({"information": SKEW.tolist()}, "information: not symmetric"),
-        ({"information": (-np.eye(9)).tolist()}, "information: not positive"),
+        ({"information": np.diag([1.0] * 8 + [-1.0]).tolist()}, "information: not positive"),
         ({"moment": [float("nan")] * 9}, "moment.0: "),
         ({"moment": [0.0] * 8}, "moment: "),
         ({"schema": "deltatwin.friction/9"}, "schema: "),
