@@ -131,36 +131,31 @@ def _errors(recorded: dict[str, Recorded]) -> dict[str, dict[str, np.ndarray]]:
 
 
 def _payloads(recorded: dict[str, Recorded]) -> list[dict[str, Any]]:
-    import csv
-
-    import numpy as np
-
     from replay.demo import PAYLOADS
-    from schemas.messages import PayloadEvent
+    from schemas.messages import PayloadEvent, stamp_ns
     from service.estimator.kalman import SMOOTHING_LAG
+    from service.identification.payload import Weighed, delay, read_truth
 
-    payload = recorded["payload"].records
+    records = recorded["payload"].records
+    known = stamp_ns(records) * 1e-9 + SMOOTHING_LAG
+    found = Weighed(known, *(records[name] for name in ("mass", "std_dev", "trusted", "event")))
     rows = []
-    sequence, lag = payload["sequence"].astype(np.int64), round(1000 * SMOOTHING_LAG)
-    for row in csv.DictReader(PAYLOADS.open()):
-        begin, end, truth = (float(row[key]) for key in ("from_s", "until_s", "mass_kg"))
-        first, last = (round(1000 * at) for at in (begin, end))  # the log's rate is 1 kHz
-
-        def seen(event: PayloadEvent, since: int, until: int) -> int | None:
-            found = sequence[(payload["event"] == event) & (sequence >= since) & (sequence < until)]
-            return int(found[0]) + lag - since if len(found) else None
-
-        held = payload[(sequence < last) & (sequence >= first)]
+    for pick in read_truth(PAYLOADS):
+        held = found.mass[found.held(pick)]
         rows.append(
             {
-                "picked_s": first * 1e-3,
-                "truth_kg": truth,
-                "mass_kg": float(held["mass"][-1]) if len(held) else float("nan"),
-                "pick_seen_ms": seen(PayloadEvent.PICK, first, last),
-                "release_seen_ms": seen(PayloadEvent.RELEASE, last, last + 400),
+                "picked_s": pick.begin,
+                "truth_kg": pick.mass,
+                "mass_kg": float(held[-1]) if len(held) else float("nan"),
+                "pick_seen_ms": _ms(delay(found, PayloadEvent.PICK, pick.begin, pick.end)),
+                "release_seen_ms": _ms(delay(found, PayloadEvent.RELEASE, pick.end, pick.end + 0.4)),
             }
         )
     return rows
+
+
+def _ms(seconds: float) -> int | None:
+    return None if seconds != seconds else round(1000 * seconds)
 
 
 def _delivery(recorded: dict[str, Recorded]) -> dict[str, Any]:

@@ -42,6 +42,10 @@ class Weighed:
     trusted: np.ndarray
     event: np.ndarray
 
+    def held(self, truth: Pick) -> np.ndarray:
+        """(N,) bool: while `truth` was on the platform."""
+        return (self.time >= truth.begin) & (self.time < truth.end)
+
 
 @dataclass(frozen=True)
 class PayloadHistory(Weighed):
@@ -211,21 +215,22 @@ def levels(found: Weighed) -> list[Level]:
 
 def score(found: PayloadHistory, truth: Pick) -> Score:
     """Hold what was found against one true pick."""
-    held = (found.time >= truth.begin) & (found.time < truth.end)
-
-    def delay(event: PayloadEvent, since: float, until: float) -> float:
-        rows = np.flatnonzero((found.event == event) & (found.time >= since) & (found.time < until))
-        return float(found.time[rows[0]] - since) if len(rows) else np.nan
-
+    held = found.held(truth)
     return Score(
         truth=truth,
-        seen=delay(PayloadEvent.PICK, truth.begin, truth.end),
-        released=delay(PayloadEvent.RELEASE, truth.end, truth.end + (truth.end - truth.begin)),
+        seen=delay(found, PayloadEvent.PICK, truth.begin, truth.end),
+        released=delay(found, PayloadEvent.RELEASE, truth.end, truth.end + (truth.end - truth.begin)),
         settled=settled(found.time, found.mass, truth),
         mass=float(found.mass[held][-1]),
         settled_recursion=settled(found.time, found.recursion, truth),
         mass_recursion=float(found.recursion[held][-1]),
     )
+
+
+def delay(found: Weighed, event: PayloadEvent, since: float, until: float) -> float:
+    """s from `since` to the first such event before `until`; NaN: there is none."""
+    rows = np.flatnonzero((found.event == event) & (found.time >= since) & (found.time < until))
+    return float(found.time[rows[0]] - since) if len(rows) else np.nan
 
 
 def settled(time: np.ndarray, mass: np.ndarray, truth: Pick) -> float:
