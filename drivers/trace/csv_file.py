@@ -108,9 +108,12 @@ def load(path: Path) -> bytes:
         raw = _unzipped(raw, path)
     if not raw[:4096].strip() and not raw.strip():
         raise TraceError(f"{path}: empty file")
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):  # "Unicode text" of Windows
+        raw = raw.decode("utf-16", "replace").encode()
     zero = raw.find(b"\0", 0, 1 << 16)
     if zero >= 0:
-        raise TraceError(f"{path}: not a text table: zero byte at offset {zero} (starts with {raw[:8]!r})")
+        what = "an Excel file or an archive, save it as CSV" if raw.startswith(b"PK") else f"starts with {raw[:8]!r}"
+        raise TraceError(f"{path}: not a text table: zero byte at offset {zero} ({what})")
     return raw.removeprefix(b"\xef\xbb\xbf")
 
 
@@ -280,7 +283,7 @@ def _explain(body: bytes, names: list[str], used: list[int], columns: Columns, e
         for index in used:
             cell = fields[index] if index < len(fields) else ""
             try:
-                float(cell.replace(columns.decimal, ".") if cell not in MISSING else 0)
+                float(cell.replace(columns.decimal, ".").replace("_", "x") if cell not in MISSING else 0)
             except ValueError:
                 return f"line {line}, column {names[index]!r}: {cell!r} is not a number"
     fields = _first_line(body).count(columns.separator.encode()) + 1

@@ -66,7 +66,7 @@ def command(
     import sys
     from dataclasses import replace
 
-    from drivers.trace import read_trace, write_trace
+    from drivers.trace import CAPTURE_ENDINGS, read_trace, write_trace
     from drivers.trace.tables import joined, read_table
     from schemas.axes import load_description
     from schemas.columns import load_columns
@@ -81,7 +81,9 @@ def command(
         torque_times=torque_times,
         where=None if where is None else _row_filter(where),
     )
-    for path in files[1:]:
+    for path in files:
+        if path.name.endswith(CAPTURE_ENDINGS):
+            raise TraceError(f"{path}: a capture needs no import: every command reads it with its --robot")
         if path.parent.resolve() != files[0].parent.resolve():
             raise TraceError(f"{path}: not in the folder of {files[0]}; files side by side stand beside each other")
     with console(stderr=True).status(f"reading {files[0].name}"):

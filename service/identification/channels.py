@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drivers.trace.tables import Table
-from schemas.columns import TIME_UNITS
+from schemas.columns import CHANNELS, TIME_UNITS
 from schemas.errors import DataError
 
 # Words of column names, English and German, as controllers and loggers write them.
@@ -64,12 +64,15 @@ def guess(table: Table, joints: int | None) -> Channels:
     """Channels by their names, and by how smooth they are where names say nothing. joints: of the robot, if known."""
     time = _time(table)
     clocks = {time, *table.time_of.values()} - {None}
-    names = [n for n, v in table.columns.items() if n not in clocks and _moves(v)]
-    found: dict[str, list[str]] = {"position": [], "torque": [], "position_command": [], "torque_command": []}
-    for name in names:
-        role = _role(name, table)
-        if role:
-            found[role].append(name)
+    roles = {name: _role(name, table) for name in table.columns if name not in clocks}
+    names = [name for name in roles if _moves(table.columns[name])]
+    found: dict[str, list[str]] = {}
+    for told in (names, list(roles)):  # a joint that rests all through is one where without it they do not go together
+        found = {role: [name for name in told if roles[name] == role] for role in CHANNELS}
+        if len(found["position"]) == len(found["torque"]) == (joints or len(found["position"])) > 0:
+            break
+    else:
+        found = {role: [name for name in names if roles[name] == role] for role in CHANNELS}
     reasons = ["columns are told by their names"]
     if not (found["position"] and found["torque"]):
         by_shape = _by_smoothness(table, names, joints)

@@ -171,6 +171,7 @@ def test_a_column_twice(own_csv: Path) -> None:
     ("change", "message"),
     [
         (lambda lines: field(lines, 90, 4, "abc"), r"own\.csv: line 90, column 'torque_1_nm': 'abc' is not a number"),
+        (lambda lines: field(lines, 90, 4, "1_0"), r"own\.csv: line 90, column 'torque_1_nm': '1_0' is not a number"),
         (lambda lines: field(lines, 90, 0, "0:12"), r"own\.csv: line 90, column 'time_s': '0:12' is not a number"),
         (lambda lines: lines.__setitem__(1, "0,1,1,1"), r"own\.csv: line 2 has 4 fields, the header has 7"),
         (lambda lines: field(lines, 90, 4, "1,5"), r"own\.csv: line 90 has 8 fields, the header has 7"),
@@ -179,6 +180,14 @@ def test_a_column_twice(own_csv: Path) -> None:
 def test_text_and_extra_fields_name_their_cell(own_csv: Path, change: Callable[[Lines], None], message: str) -> None:
     with pytest.raises(TraceError, match=message):
         read_trace(spoil(own_csv, change))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le"])
+def test_the_texts_that_windows_writes_are_read(own_csv: Path, encoding: str) -> None:
+    plain = read_trace(own_csv)
+    mark = "\ufeff" if encoding == "utf-16-le" else ""
+    own_csv.write_bytes((mark + own_csv.read_text()).replace("\n", "\r\n").encode(encoding))
+    np.testing.assert_array_equal(read_trace(own_csv).torque, plain.torque)
 
 
 def test_rows_without_a_stamp_and_blank_lines_are_left_out_and_told(own_csv: Path) -> None:
@@ -220,6 +229,7 @@ def test_time_that_does_not_rise(own_csv: Path) -> None:
         ("a.csv", b"\n \n", "a.csv: empty file"),
         ("a.csv", b"time_s,position_1_rad\n", "no data rows: the file ends before line 2"),
         ("a.csv", b"\x7fELF\x02\x01\x01\x00\x00", "not a text table: zero byte at offset 7"),
+        ("a.csv", b"PK\x03\x04\x14\x00", "an Excel file or an archive, save it as CSV"),
         ("a.csv", bytes(range(1, 256)) * 40, "is missing|is not utf-8 text"),
         ("a.csv.gz", b"\x1f\x8b\x08 broken", "broken gzip file"),
         ("a.csv.gz", gzip.compress(b"time_s\n0\n" * 1000)[:-20], "broken gzip file"),

@@ -76,6 +76,18 @@ def test_names_tell_what_a_column_is(names: str, position: str, torque: str, com
     assert found.reasons == ["columns are told by their names"]
 
 
+@pytest.mark.parametrize(("joints", "position"), [(3, "q1,q2,q3"), (2, "q1,q2"), (None, "q1,q2")])
+def test_a_joint_that_rests_is_one_where_the_others_alone_are_too_few(joints: int | None, position: str) -> None:
+    made = table("t,q1,q2,q3,tau1,tau2,tau3")
+    still = {name: np.full(ROWS, 0.3) if name in ("q3", "tau3") else v for name, v in made.columns.items()}
+    assert ",".join(guess(Table(made.path, made.kind, still), joints).position) == position
+    still["tau3"] = rough(6)  # its weight's torque
+    position = "q1,q2,q3" if joints != 2 else "q1,q2"
+    found = guess(Table(made.path, made.kind, still), joints)
+    assert ",".join(found.position) == position
+    assert len(found.torque) == (3 if joints != 2 else 0)
+
+
 @pytest.mark.parametrize(
     ("names", "ordered"),
     [
