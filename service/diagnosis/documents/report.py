@@ -22,6 +22,7 @@ COLOURS = {"before": "#b0b7c3", "after": "#1f6feb", "noise": "#d0d7de"}
 EFFECTS = ("#1f6feb", "#2da44e", "#8250df", "#bf8700")
 BINS = 24
 MOST_NAMES = 12  # on the time axis
+MOST_LETTERS = 24  # of each
 MOST_POINTS = 5000  # a line
 WINDOW = 512  # samples of a spectrum, where a run has as many
 
@@ -83,13 +84,20 @@ def _over_time(findings: Findings) -> go.Figure:
     if len(starts) > 1:
         shown = list(starts)[:: -(-len(starts) // MOST_NAMES)]
         figure.update_xaxes(
-            tickvals=[starts[name] for name in shown], ticktext=shown, gridcolor="#8c959f", range=[-0.01 * total, total]
-        )
+            tickvals=[starts[name] for name in shown], ticktext=[_short(name) for name in shown], gridcolor="#8c959f",
+            range=[-0.01 * total, total],
+        )  # fmt: skip
         figure.update_xaxes(title_text="log, each from its beginning; its own time under the pointer", row=n, col=1)
     else:
         figure.update_xaxes(title_text=f"time in {next(iter(starts))}, s", row=n, col=1)
     figure.update_layout(height=190 * n + 60, legend={"orientation": "h", "y": 1.06})
     return figure
+
+
+def _short(name: str) -> str:
+    """A log's name without its middle: what does not fit on the axis would not be shown at all."""
+    half = MOST_LETTERS // 2
+    return name if len(name) <= MOST_LETTERS else f"{name[:half]}…{name[-half:]}"
 
 
 def _one_after_another(findings: Findings) -> tuple[list[float], dict[str, float], float]:

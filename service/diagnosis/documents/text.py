@@ -140,7 +140,9 @@ def answer(document: Diagnosis) -> Answer:
         check = check or [ADVICE["check_description"], ADVICE["record_more"]]
     check += _settling(document)
     gap = f"{level(before)} → {level(after)}" if causes else level(before)
-    return Answer(causes, gap, _verdict(document), list(dict.fromkeys(check))[:MOST_NEAR])
+    verdict = _verdict(document)
+    check = [line for line in dict.fromkeys(check) if not any(line in said for said in verdict)]
+    return Answer(causes, gap, verdict, check[:MOST_NEAR])
 
 
 def _settling(document: Diagnosis) -> list[str]:

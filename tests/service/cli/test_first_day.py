@@ -86,10 +86,13 @@ def test_offline_commands_run_without_posix(tmp_path: Path, own: Path) -> None:
         ("import", "own.csv", *robot, "--yes", "--out", "again.mcap"),
         ("evaluate", "own.csv", *robot, "--predictions", "predicted"),
         ("payload", "own.csv", *robot),
+        ("identify", str(LOG), *robot, "--out", "identified.toml"),
+        ("diagnose", "own.csv", *robot, "--out", "found"),
+        ("rollout", "own.csv", *robot, "--horizon", "0.1"),
         ("simulate", "--robot", "d3-1200", "--duration", "1.5", "--motion", "slow", "--out", "slow.csv"),
     )
-    assert ends == ["ended 0"] * 6
-    for name in ("own.mcap", "again.mcap", "slow.csv", "predicted/own.csv"):
+    assert ends == ["ended 0"] * 9
+    for name in ("own.mcap", "again.mcap", "slow.csv", "predicted/own.csv", "identified.toml", "found/report.html"):
         assert (tmp_path / name).stat().st_size > 0
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from schemas.diagnosis import Estimate, Simulated
+from schemas.diagnosis import Caution, Estimate, Simulated
 from service.diagnosis.documents.document import made_from
-from service.diagnosis.documents.report import write_report
-from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, paragraphs, sentences
+from service.diagnosis.documents.report import _short, write_report
+from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, caution, paragraphs, sentences
 from service.model.effects import CATALOGUE
 from tests.service.pages.browser import looked_at
 from tests.service.subject import document
@@ -63,6 +63,15 @@ def test_where_no_name_is_earned_the_box_says_what_to_check(findings):
     assert said.causes == []
     assert said.check == [ADVICE["check_description"], ADVICE["record_more"], PLANNED]
     assert answer(nothing.model_copy(update={"verdict": "within_noise"})).check == []
+    short = Caution(code="too_little_motion", advice="record_runs")
+    said = answer(nothing.model_copy(update={"cannot_tell": [short]}))
+    assert said.verdict == [caution(short)]
+    assert said.check == [PLANNED], "what to record is said in the verdict already"
+
+
+def test_a_long_name_keeps_its_ends_on_the_axis():
+    assert _short("fit_a_pick") == "fit_a_pick"
+    assert _short("export_of_monday_morning_fit_a_pick") == "export_of_mo…g_fit_a_pick"
 
 
 def test_a_gap_hardly_above_the_noise_is_said_to_be_one(findings):
