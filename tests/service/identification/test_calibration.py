@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from drivers.trace import write_trace
 from schemas.errors import DataError
-from schemas.robot import Robot
+from schemas.robot import Robot, load_robot, save_robot
 from schemas.trace import Trace
+from service.cli.main import app
 from service.identification.calibration import Calibration, calibrate
 from service.identification.identify import identify
 from service.identification.regression import summarise
@@ -84,6 +89,28 @@ def test_the_description_carries_what_was_found(robot: Robot, found: tuple[Calib
     again = identify(description, logs)
     assert again.robot.effect == []
     assert any(warning.startswith("torque_scale: found on an earlier identification") for warning in again.warnings)
+
+
+def test_the_command_takes_a_loaded_log_and_saves_what_it_tells(
+    robot: Robot, found: tuple[Calibration, list[Trace], Trace], tmp_path: Path
+) -> None:
+    calibration, empty, loaded = found
+    save_robot(robot, tmp_path / "robot.toml")
+    for name, log in (("a", empty[0]), ("b", empty[1]), ("c", empty[2]), ("loaded", loaded)):
+        write_trace(log, tmp_path / f"{name}.csv")
+    command = ["identify", *(str(tmp_path / f"{name}.csv") for name in "abc"), "--robot", str(tmp_path / "robot.toml")]
+    command += ["--out", str(tmp_path / "out.toml"), "--carried"]
+    done = CliRunner().invoke(app, [*command, f"3.0:{tmp_path / 'loaded.csv'}", "--json"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    assert [figure["changed"] for figure in told["calibration"]] == [True, True, False, True]
+    true = identify(calibration.robot, [summarise(pack(calibration.robot), calibration.true(log)) for log in empty])
+    assert [one["value"] for one in told["parameters"]] == pytest.approx(list(true.fit.values), rel=1e-6)
+    saved = load_robot(tmp_path / "out.toml")
+    assert saved.mass.platform == pytest.approx(calibration.robot.mass.platform)
+    assert [(effect.name, effect.joints) for effect in saved.effect] == [("torque_scale", [1, 2])]
+    for wrong in ("loaded.csv", "three:loaded.csv"):
+        assert CliRunner().invoke(app, [*command, wrong]).exit_code == 2
 
 
 def test_what_is_as_described_is_left_alone(robot: Robot) -> None:
