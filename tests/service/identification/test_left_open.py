@@ -49,6 +49,17 @@ def test_frictions_that_always_turn_together_are_not_told_apart() -> None:
     assert known["f_v_1"].reason.startswith("joint 1 never moves")
 
 
+def test_a_joint_that_only_quivers_has_no_friction() -> None:
+    axes = Axes.model_validate({"name": "two", "kind": "axes", "axis": [{"gravity": False}] * 2})
+    angle, speed, acceleration = swing(1.0)
+    quiver = 0.009 * np.array([np.sin(30 * TIME), 30 * np.cos(30 * TIME)])
+    torque = 0.2 * acceleration + 0.5 * speed + 1.5 * np.sign(speed)
+    known = found(axes, np.column_stack([angle, quiver[0]]), np.column_stack([torque, 1.5 * np.sign(quiver[1])]))
+    for name in ("f_v_2", "f_c_2"):
+        assert (known[name].value, known[name].reason) == (0.0, "joint 2 never moves; 0 assumed")
+    assert known["f_c_1"].value == pytest.approx(1.5, rel=0.02)
+
+
 @pytest.mark.parametrize("width", [0.05, 0.4])
 def test_friction_that_turns_over_slowly_is_found_from_a_start_far_off(width: float) -> None:
     axes = Axes.model_validate({"name": "servo", "kind": "axes", "axis": [{"gravity": False}]})
