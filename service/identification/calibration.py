@@ -106,9 +106,9 @@ def calibrate(robot: Robot, empty: Sequence[Trace], carried: Sequence[tuple[floa
     free = np.ones(_COUNT, bool)
     values, errors = _solve(logs, masses, model.moving_mass, noise, free)
     _check(logs[len(empty) :], loads[len(empty) :], masses[len(empty) :], model.moving_mass, values, errors)
-    off = np.abs(values - _nominal()) > np.maximum(Z * errors, [LEAST_SCALE] * 3 + [LEAST_MASS] + [0.0] * (_COUNT - 4))
+    off = np.abs(values - _nominal())[:4] > np.maximum(Z * errors[:4], [LEAST_SCALE] * 3 + [LEAST_MASS])
     off[_SCALE] &= errors[_SCALE] < TOLD
-    free[: _MASS + 1] = off[: _MASS + 1]
+    free[: _MASS + 1] = off
     final, _ = _solve(logs, masses, model.moving_mass, noise, free)
     scale, change = final[_SCALE], float(final[_MASS])
     described = robot.mass.platform
@@ -116,7 +116,7 @@ def calibrate(robot: Robot, empty: Sequence[Trace], carried: Sequence[tuple[floa
     told = [*values[_SCALE], described + values[_MASS]]
     figures = [
         CalibratedFigure(name, unit, float(value), float(error), bool(changed))
-        for name, unit, value, error, changed in zip(names, ["", "", "", "kg"], told, errors, off, strict=False)
+        for name, unit, value, error, changed in zip(names, ["", "", "", "kg"], told, errors[:4], off, strict=True)
     ]
     if described + change <= 0.0:
         raise DataError(

@@ -139,8 +139,5 @@ def _quiet(levels: np.ndarray, freedom: float) -> float:
     mean = float(np.mean(ordered[: max(1, len(ordered) // 5)])) / max(1.0 - 1.4 * spread, 0.1)
     for _ in range(20):
         kept = ordered[ordered < mean * (1.0 + CLIP * spread)]
-        following = float(np.mean(kept)) if len(kept) else mean
-        if abs(following - mean) < 1e-6 * mean:
-            break
-        mean = following
+        mean = float(np.mean(kept)) if len(kept) else mean
     return mean

@@ -110,6 +110,21 @@ def test_a_torque_that_is_the_controllers_answer_is_told_by_its_gain(noise, gain
     assert loops_of(logs, [trace], left) == {}
 
 
+@pytest.mark.parametrize(("share", "closed"), [(0.22, True), (0.28, False)])
+def test_beside_speed_the_error_has_to_tell_three_quarters_of_the_rest(share, closed):
+    """Nearly all of it is a damper's torque, beside 40 N m/rad and noise that leaves so much of what those make."""
+    run, random = course(1, 2.0), np.random.default_rng(3)
+    error = np.asarray(lfilter([0.02], [1.0, -0.98], random.standard_normal((2000, 3)), axis=0))
+    made, noise = problem([run], [run.torque]), random.standard_normal((2000, 3))
+    size = 40.0 * made.band(error).std(axis=0) / made.band(noise).std(axis=0) * np.sqrt(share / (1 - share))
+    torque = run.torque.copy()
+    torque[:, 1] = (40.0 * error + size * noise + 300.0 * run.motion[1])[:, 1]
+    logs = problem([run], [torque])
+    trace = stub(position=run.motion[0], position_command=run.motion[0] + error)
+    left = evaluate(logs, Hypothesis(BASE)).residuals
+    assert (1 in loops_of(logs, [trace], left)) is closed
+
+
 def test_what_is_said_of_the_noise_and_of_what_cannot_be():
     none = np.zeros(3, bool)
     floor = Floor(np.ones(3), np.ones(3), np.array([True, False, True]), none)

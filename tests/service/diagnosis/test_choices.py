@@ -220,3 +220,76 @@ def test_a_rough_effect_is_searched_where_it_promises_something(monkeypatch):
     plain = Term(EFFECTS["torque_offset"], (1,), np.zeros((1, 1)), ())
     monkeypatch.setattr(selection, "fit", lambda problem, hypothesis, iterations=6: (hypothesis, iterations))
     assert selection.fit_added(stub(), Hypothesis(BASE), plain) == (Hypothesis(BASE, (plain,)), 6)
+
+
+def searched(monkeypatch, *rounds: list[float], none: float = 200.0, promise: float = 50.0, fault: object = None):
+    """A search of 100 rows from `none`; rounds: the losses of what is tried. promise: that all of them are ranked at.
+    fault: found in the second round."""
+    effect, asked = stub(name="an_effect", amplitudes={"size": 0}), []
+
+    class Dictionary:
+        nothing = 100.0
+
+        def __init__(self, regressors: object, fitted: object) -> None:
+            asked.append(fitted)
+
+        def ranking(self, taken: object, joints: int, allows: object):
+            losses = rounds[len(asked) - 1]
+            return [(promise, stub(effect=effect, term=lambda loss=loss: loss)) for loss in losses]
+
+    def sound(problem, ordered, best, none, given):
+        return ordered, fault if len(asked) == 2 else None
+
+    parts = {
+        "Regressors": lambda *parts: None, "Dictionary": Dictionary, "_sound_first": sound,
+        "fit": lambda problem, start, iterations=6: none if start.timed else 0.94 * none,
+        "fit_added": lambda problem, hypothesis, term: term,
+        "score": lambda loss, split: made(loss, noise=1e-4 * loss, term=stub(effect=effect)),
+        "spread": lambda problem, split, best: best, "pruned": lambda problem, split, best, none, rows, given: best,
+        "one_cause_first": lambda ordered, best, rows: ordered,
+    }  # fmt: skip
+    for name, part in parts.items():
+        monkeypatch.setattr(selection, name, part)
+    problem = stub(count=100, recordings=[stub(mechanism=stub(kind="delta", joints=3))])
+    found = selection.search(problem, stub(), Hypothesis(BASE, timed=False), [EFFECTS["cogging"]], lambda _: None)
+    path = [([scored.loss for scored in tried], taken and taken.loss) for tried, taken in found.path]
+    return found, path
+
+
+@pytest.mark.parametrize(
+    ("rounds", "path"),
+    [
+        (([190.0, 150.0], [148.0, 149.0]), [([150.0, 190.0], 150.0), ([148.0, 149.0], None)]),  # 2 of 100 rows
+        (([150.0], [103.1], [101.0]), [([150.0], 150.0), ([103.1], 103.1), ([101.0], None)]),
+        (([150.0], [102.9]), [([150.0], 150.0), ([102.9], 102.9)]),  # three rows above the noise: done
+        (([600.0], [400.0], [300.0], [220.0], [160.0]), [([600.0], 600.0), ([400.0], 400.0), ([300.0], 300.0),
+                                                        ([220.0], 220.0)]),
+        (([151.0, 152.0, 153.0, 154.0, 155.0, 150.0], [151.0]), [([151.0, 152.0, 153.0, 154.0, 155.0], 151.0),
+                                                                ([151.0], None)]),
+    ],
+)  # fmt: skip
+def test_a_search_goes_on_while_something_is_gained(monkeypatch, rounds, path):
+    """Five candidates a round, four rounds; what was tried last and not taken is kept too."""
+    none = 900.0 if len(rounds) == 5 else 200.0
+    found, told = searched(monkeypatch, *rounds, none=none / 0.94)
+    assert told == path
+    assert found.none.loss == pytest.approx(none)
+    assert found.best.loss == [taken for _, taken in path if taken is not None][-1]
+    assert found.fault is None
+
+
+def test_a_search_ends_at_a_fault_and_where_nothing_promises_anything(monkeypatch):
+    found, path = searched(monkeypatch, [150.0], [110.0], fault=FAULT)
+    assert path == [([150.0], 150.0), ([110.0], None)]
+    assert found.fault is FAULT
+    assert searched(monkeypatch, [150.0], promise=99.5)[1] == []
+
+
+@pytest.mark.parametrize(("share", "timed"), [(0.94, False), (0.96, True)])
+def test_a_timing_that_does_harm_on_data_left_out_is_held(monkeypatch, share, timed):
+    monkeypatch.setattr(selection, "fit", lambda problem, start, iterations=6: 100.0 if start.timed else 100.0 * share)
+    monkeypatch.setattr(selection, "score", lambda loss, split: made(loss))
+    monkeypatch.setattr(selection, "Regressors", lambda *parts: None)
+    found = selection.search(stub(count=100), stub(), Hypothesis(BASE), [], lambda _: None)
+    assert found.none.loss == pytest.approx(100.0 if timed else 94.0)
+    assert found.best is found.none

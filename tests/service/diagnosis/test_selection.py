@@ -24,7 +24,7 @@ from tests.service.subject import (
     selection,
     statistics,
 )
-from tests.service.world import BASE, course, problem
+from tests.service.world import BASE, course, problem, stub
 
 RANDOM = np.random.default_rng
 
@@ -137,6 +137,25 @@ def test_the_dictionarys_loss_is_that_of_least_squares(name):
         assert dictionary.loss(Candidate(effect, joints, nonlinear)) == pytest.approx(truth, rel=1e-6)
 
 
+def test_what_the_hypothesis_already_has_is_nothing_new():
+    """A candidate that is a sum of its own columns, to rounding; beside another it does not bend that one's weight."""
+    random = RANDOM(12)
+    own = [random.standard_normal((60, 2)) for _ in range(3)]
+    new = [random.standard_normal((60, 1)) for _ in range(3)]
+    target = [random.standard_normal(60) + 2.0 * column[:, 0] for column in new]
+    split, again, other = split_of(3, 60, 4), EFFECTS["cogging"], EFFECTS["torque_offset"]
+    columns = [np.hstack([mine @ [[3.0], [-1.0]], column]) for mine, column in zip(own, new, strict=True)]
+    regressors = stub(
+        along=lambda hypothesis: None, index={(again, 0, ()): np.array([0]), (other, 0, ()): np.array([1])},
+        effects=[again, other], low=np.full(2, -np.inf), split=split, columns=columns,
+        grams=[part.T @ part for part in columns],
+    )  # fmt: skip
+    dictionary = Dictionary(regressors, stub(hypothesis=None, moving=own, residuals=target))
+    assert dictionary.loss(Candidate(again, (), ())) == dictionary.nothing
+    truth = left_out([np.hstack(pair) for pair in zip(own, new, strict=True)], target)
+    assert dictionary.loss(Candidate(other, (), ())) == pytest.approx(sum(r @ r for r in truth))
+
+
 def test_the_ranking_puts_the_true_effect_first_and_leaves_out_what_is_not_offered():
     logs = logs_of("joint_spring")
     split = Split.of(logs)
@@ -214,11 +233,20 @@ class TestWorth:
             (1.0, 1.1, 60.0, False),  # what the strong effect's own model leaves
             (4.0, 5.5, 5.5, True),
             (5.0, 5.5, 5.5, False),  # less than a quarter of the rest
+            (1.0, 1.105, 11.0, True),  # 1 % of a gap of 10, which is less than 60 % of the rest or what a model leaves
+            (1.0, 1.095, 11.0, False),
+            (1.0, 1.041, 1.041, True),
         ],
     )
     def test_enough_of_the_gap(self, candidate, without, none, worth):
         noisy = self.losses(without) + RANDOM(1).normal(0, 0.02, 50)
         assert selection.worth(self.losses(candidate), noisy, self.losses(none), 1000) is worth
+
+    @pytest.mark.parametrize(("candidate", "worth"), [(0.99, True), (1.03, False)])
+    def test_beside_a_rough_effect_it_is_a_hundredth_of_the_gap(self, candidate, worth):
+        noisy = self.losses(2.0) + RANDOM(1).normal(0, 0.02, 50)
+        assert selection.worth(self.losses(candidate), noisy, self.losses(101.0), 1000, rough=True) is worth
+        assert selection.worth(self.losses(candidate), noisy, self.losses(101.0), 1000)
 
     def test_not_by_chance(self):
         chance = self.losses(1.04) + 20 * RANDOM(2).normal(0, 0.3, 50)

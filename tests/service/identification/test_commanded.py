@@ -48,3 +48,16 @@ def test_a_torque_is_the_commanded_one_where_nothing_but_white_noise_is_between(
         flags=whole.flags[:count],
     )  # fmt: skip
     assert is_commanded(trace) is expected
+
+
+def test_white_noise_is_white_whatever_the_draw(make):
+    """Sixty blocks, whose squares scatter by a fifth; with a slow part of half as much, it is not."""
+    known, rows = make(4.0), slice(1400, 2600)
+    whole = trace_of(known)
+    whole = replace(whole, time=whole.time[rows], position=whole.position[rows], flags=whole.flags[rows])
+    torque = known.torque[rows]
+    for seed in range(12):
+        noise = NOISE * np.random.default_rng(seed).standard_normal((1200, 3))
+        slow = 0.5 * NOISE * np.random.default_rng([seed, 1]).standard_normal((24, 3)).repeat(50, axis=0)
+        assert is_commanded(replace(whole, torque=torque + noise, torque_command=torque))
+        assert not is_commanded(replace(whole, torque=torque + noise + slow, torque_command=torque))

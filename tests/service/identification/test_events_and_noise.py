@@ -150,6 +150,9 @@ def test_chatter_in_some_of_the_time_is_not_the_floor():
     values = 0.3 * random.standard_normal((4000, 3))
     values[1000:2600] += 2.0 * random.standard_normal((1600, 3))
     np.testing.assert_allclose(noise.white_noise(logs.recordings, [values]), 0.3, rtol=0.1)
+    values = 0.3 * random.standard_normal((4000, 3))  # and where it is no more than half as loud again
+    values[1000:2600] *= 1.5
+    np.testing.assert_allclose(noise.white_noise(logs.recordings, [values]), 0.3, rtol=0.1)
 
 
 def test_what_is_slow_is_no_noise():

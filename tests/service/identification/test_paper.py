@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import pytest
 
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.identification import paper
 from service.identification.identify import identify
+from service.identification.pooled import ParameterEstimate, Plain
 from service.identification.regression import summarise
 from service.model.dynamics import torque_terms
 from service.model.nominal import pack
@@ -91,3 +94,28 @@ def test_a_motion_that_asks_for_less_than_no_inertia_is_named(robot: Robot, reco
     trajectory = summarise(pack(robot), record(4, Truth(rho_1=-0.5)))
     (warning,) = paper.edges([trajectory])
     assert warning.startswith("log_4.csv: rho_1 lies at the grid's lower edge, 0")
+
+
+def test_a_verdict_is_weak_at_best_where_trajectories_disagree_or_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    estimates = tuple(ParameterEstimate(f"p{k}", "", 9.0, 9.0, "identifiable") for k in range(8))
+    estimates += (ParameterEstimate("p8", "", 9.0, 9.0, "not identifiable", "rests"),)
+    errors = np.array([0.19, 0.21, 0.0, np.nan, 0.1, 0.1, 0.1, 0.1, 0.1])
+    monkeypatch.setattr(paper, "means", lambda logs: (np.full(9, float(len(logs) - 4)), errors))
+    monkeypatch.setattr(paper, "rms_residual", lambda log, values: np.full(3, log * values[0]))
+    known: Any = {name: None for name in ("problem", "fitted", "noise", "residual", "torque", "without", "alone")}
+    fit = Plain(estimates=estimates, held_out=np.zeros((1, 3)), **known)
+    logs: Any = [5.0, 7.0]
+    found = paper.refit(logs, fit)
+    assert [(one.verdict, one.reason) for one in found.estimates] == [
+        ("identifiable", ""), ("weak", "the trajectories disagree"),
+        ("not identifiable", "two point masses in the paper's model"),
+        ("weak", "one trajectory: no spread to judge by"), *[("identifiable", "")] * 4,
+        ("not identifiable", "rests"),
+    ]  # fmt: skip
+    single = paper.refit(logs[:1], fit)
+    assert (found.estimates[4].value, single.estimates[4].value) == (-2.0, -3.0)
+    assert single.estimates[3].std_error == 0.0
+    assert single.held_out is fit.held_out
+    np.testing.assert_array_equal(single.residual, [[-15.0] * 3])
+    np.testing.assert_array_equal(found.residual, [[-10.0] * 3, [-14.0] * 3])
+    np.testing.assert_array_equal(found.held_out, [[-15.0] * 3, [-21.0] * 3])
