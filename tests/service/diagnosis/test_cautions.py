@@ -110,9 +110,12 @@ def test_a_torque_that_is_the_controllers_answer_is_told_by_its_gain(noise, gain
     assert loops_of(logs, [trace], left) == {}
 
 
-@pytest.mark.parametrize(("share", "closed"), [(0.22, True), (0.28, False)])
-def test_beside_speed_the_error_has_to_tell_three_quarters_of_the_rest(share, closed):
-    """Nearly all of it is a damper's torque, beside 40 N m/rad and noise that leaves so much of what those make."""
+@pytest.mark.parametrize(
+    ("share", "base", "closed"), [(0.22, 9.0, True), (0.28, 9.0, False), (0.22, 0.4, True), (0.22, 0.15, False)]
+)
+def test_beside_speed_the_error_has_to_tell_three_quarters_of_the_rest(share, base, closed):
+    """Nearly all of it is a damper's torque, beside 40 N m/rad and noise that leaves so much of what those make;
+    base: mean square that the robot's own model leaves, of the noise's. A quarter of it tells more than the error."""
     run, random = course(1, 2.0), np.random.default_rng(3)
     error = np.asarray(lfilter([0.02], [1.0, -0.98], random.standard_normal((2000, 3)), axis=0))
     made, noise = problem([run], [run.torque]), random.standard_normal((2000, 3))
@@ -121,7 +124,8 @@ def test_beside_speed_the_error_has_to_tell_three_quarters_of_the_rest(share, cl
     torque[:, 1] = (40.0 * error + size * noise + 300.0 * run.motion[1])[:, 1]
     logs = problem([run], [torque])
     trace = stub(position=run.motion[0], position_command=run.motion[0] + error)
-    left = evaluate(logs, Hypothesis(BASE)).residuals
+    level = np.sqrt(base) * (size * made.band(noise).std(axis=0) / logs.sigma)[1]
+    left = [np.full(len(rows), level) for rows in logs.joints_of_rows]
     assert (1 in loops_of(logs, [trace], left)) is closed
 
 

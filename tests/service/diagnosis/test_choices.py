@@ -222,10 +222,17 @@ def test_a_rough_effect_is_searched_where_it_promises_something(monkeypatch):
     assert selection.fit_added(stub(), Hypothesis(BASE), plain) == (Hypothesis(BASE, (plain,)), 6)
 
 
-def searched(monkeypatch, *rounds: list[float], none: float = 200.0, promise: float = 50.0, fault: object = None):
+def searched(
+    monkeypatch,
+    *rounds: list[float],
+    none: float = 200.0,
+    promise: float = 50.0,
+    fault: object = None,
+    kind: str = "delta",
+):
     """A search of 100 rows from `none`; rounds: the losses of what is tried. promise: that all of them are ranked at.
-    fault: found in the second round."""
-    effect, asked = stub(name="an_effect", amplitudes={"size": 0}), []
+    fault: found in the second round. kind: of the mechanism; a Delta's are put in order once more, here backwards."""
+    effect, asked, said = stub(name="an_effect", amplitudes={"size": 0}), [], []
 
     class Dictionary:
         nothing = 100.0
@@ -242,17 +249,20 @@ def searched(monkeypatch, *rounds: list[float], none: float = 200.0, promise: fl
 
     parts = {
         "Regressors": lambda *parts: None, "Dictionary": Dictionary, "_sound_first": sound,
-        "fit": lambda problem, start, iterations=6: none if start.timed else 0.94 * none,
+        "fit": lambda problem, start, iterations=6: none,
         "fit_added": lambda problem, hypothesis, term: term,
         "score": lambda loss, split: made(loss, noise=1e-4 * loss, term=stub(effect=effect)),
         "spread": lambda problem, split, best: best, "pruned": lambda problem, split, best, none, rows, given: best,
-        "one_cause_first": lambda ordered, best, rows: ordered,
+        "one_cause_first": lambda ordered, best, rows: ordered[::-1],
     }  # fmt: skip
     for name, part in parts.items():
         monkeypatch.setattr(selection, name, part)
-    problem = stub(count=100, recordings=[stub(mechanism=stub(kind="delta", joints=3))])
-    found = selection.search(problem, stub(), Hypothesis(BASE, timed=False), [EFFECTS["cogging"]], lambda _: None)
+    problem = stub(count=100, recordings=[stub(mechanism=stub(kind=kind, joints=3))])
+    found = selection.search(problem, stub(), Hypothesis(BASE, timed=False), [EFFECTS["cogging"]], said.append)
     path = [([scored.loss for scored in tried], taken and taken.loss) for tried, taken in found.path]
+    tried = sum(len(losses) for losses, _ in path)
+    assert said.count("weighing the catalogue") == len(asked)
+    assert said.count("fitting an effect") == len(said) - len(asked) == tried
     return found, path
 
 
@@ -271,7 +281,7 @@ def searched(monkeypatch, *rounds: list[float], none: float = 200.0, promise: fl
 def test_a_search_goes_on_while_something_is_gained(monkeypatch, rounds, path):
     """Five candidates a round, four rounds; what was tried last and not taken is kept too."""
     none = 900.0 if len(rounds) == 5 else 200.0
-    found, told = searched(monkeypatch, *rounds, none=none / 0.94)
+    found, told = searched(monkeypatch, *rounds, none=none, kind="axes")
     assert told == path
     assert found.none.loss == pytest.approx(none)
     assert found.best.loss == [taken for _, taken in path if taken is not None][-1]
@@ -279,8 +289,8 @@ def test_a_search_goes_on_while_something_is_gained(monkeypatch, rounds, path):
 
 
 def test_a_search_ends_at_a_fault_and_where_nothing_promises_anything(monkeypatch):
-    found, path = searched(monkeypatch, [150.0], [110.0], fault=FAULT)
-    assert path == [([150.0], 150.0), ([110.0], None)]
+    found, path = searched(monkeypatch, [150.0, 160.0], [110.0], fault=FAULT)
+    assert path == [([160.0, 150.0], 160.0), ([110.0], None)]
     assert found.fault is FAULT
     assert searched(monkeypatch, [150.0], promise=99.5)[1] == []
 

@@ -115,7 +115,9 @@ def test_the_dictionarys_loss_is_that_of_least_squares(name):
     logs = logs_of("torque_filter")
     split = Split.of(logs)
     base = (
-        Hypothesis(BASE, (INJECTED["torque_filter"].term("torque_filter"),)) if name == "cogging" else Hypothesis(BASE)
+        Hypothesis(BASE, tuple(INJECTED[n].term(n) for n in ("torque_filter", "joint_spring")))
+        if name == "cogging"
+        else Hypothesis(BASE)
     )
     fitted = fit(logs, base)
     effect = EFFECTS[name]

@@ -119,3 +119,9 @@ def test_a_verdict_is_weak_at_best_where_trajectories_disagree_or_there_is_one(m
     np.testing.assert_array_equal(single.residual, [[-15.0] * 3])
     np.testing.assert_array_equal(found.residual, [[-10.0] * 3, [-14.0] * 3])
     np.testing.assert_array_equal(found.held_out, [[-15.0] * 3, [-21.0] * 3])
+
+
+def test_a_trajectory_in_which_a_joint_rests_has_no_say_in_its_mean() -> None:
+    values, errors = paper._average([np.array(each) for each in ([1.0, np.nan], [3.0, 2.0], [5.0, np.nan])])
+    assert values.tolist() == [3.0, 2.0]
+    np.testing.assert_allclose(errors, [2.0 / 3**0.5, np.nan])

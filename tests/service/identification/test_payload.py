@@ -9,7 +9,7 @@ import pytest
 
 from drivers.trace import read_trace
 from schemas.errors import TraceError
-from schemas.messages import PayloadEvent, SampleFlag
+from schemas.messages import Gripper, PayloadEvent, SampleFlag
 from schemas.robot import Identified, load_robot
 from service.estimator.recursion import fixed_forgetting
 from service.identification import evaluation, payload
@@ -211,3 +211,23 @@ def test_a_truth_file_is_read_and_one_that_is_none_is_named_with_its_line(tmp_pa
     path.write_text("from_s,until_s,mass_kg\n0.1,0.5,heavy\n")
     with pytest.raises(TraceError, match=r"truth.csv:2: wanted from_s, until_s, mass_kg as numbers"):
         read_truth(path)
+
+
+def test_a_robot_that_was_never_identified_carries_something_unknown_where_its_gripper_is_closed(robot, record):
+    trace = record(3, seconds=0.5)
+    assert payload.carried(robot, trace).tolist() == [0.0] * 500
+    closed = np.arange(500) > 200
+    trace = replace(trace, gripper=np.where(closed, Gripper.CLOSED, Gripper.OPEN))
+    np.testing.assert_array_equal(payload.carried(robot, trace), np.where(closed, np.nan, 0.0))
+
+
+def test_moments_are_those_of_the_rows_that_are_known():
+    error = np.array([[1.0, np.nan], [4.0, np.nan], [np.nan, np.nan], [-2.0, np.nan]])
+    found = evaluation.pooled([evaluation._moments(error[:2]), evaluation._moments(error[2:])])
+    known = np.array([1.0, 4.0, -2.0])
+    for got, expected in (
+        (found.mean, known.mean()),
+        (found.std, known.std()),
+        (found.rms, np.sqrt(np.mean(known**2))),
+    ):
+        np.testing.assert_allclose(got, [expected, np.nan])

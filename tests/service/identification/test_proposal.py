@@ -19,6 +19,7 @@ from schemas.trace import Trace
 from service.identification import proposal
 from service.identification.channels import Channels
 from service.identification.proposal import Proposal, Stated, propose
+from tests.service.world import stub
 
 GEAR = 25.0
 UP = (1.0, 1.0, 1.0)
@@ -353,3 +354,11 @@ def test_the_part_of_a_log_that_moves_most_is_tried() -> None:
 )  # fmt: skip
 def test_the_scale_of_a_position(position: dict[str, Any], scale: float) -> None:
     assert proposal._scale(position, GEAR) == pytest.approx(scale)
+
+
+def test_a_drive_that_is_described_says_its_counts_and_its_rated_torque(robot: Robot) -> None:
+    drive: Any = stub(joint=[stub(counts_per_turn=4096, torque=stub(full_scale_nm=7.0))])
+    described = robot.model_copy(update={"drive": drive})
+    assert (proposal._counts(described), proposal._rated(described)) == (4096.0, 7.0)
+    assert (proposal._counts(robot), proposal._rated(robot)) == (None, None)
+    assert (proposal._counts(AXIS), proposal._rated(AXIS)) == (None, None)

@@ -1,0 +1,138 @@
+"""The checks of logs, each rule just inside and just outside of it, and masses against least squares over samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from schemas.errors import DataError
+from service.identification import checks
+from service.identification.regression import COLUMNS, PLATFORM_COLUMN, WEIGHT_COLUMN, rms_residual, selection, target
+from tests.service.world import stub
+
+NAMES = ("a", "b", "c", "d")
+
+
+def told(
+    monkeypatch: pytest.MonkeyPatch, held: float, others: float, share: float = 0.05, hint: str = "", count: int = 4
+) -> list[str]:
+    """Warnings about logs of 10 N m a joint. held: share of log b's torque that the fit to the others leaves, on joint
+    3 only. others: of theirs, by that fit. share: of b's by the fit to all. hint: of a load on log b."""
+    monkeypatch.setattr(checks, "_loads", lambda logs, fit, mass: {"b": hint} if hint else {})
+    monkeypatch.setattr(checks, "_sameness", lambda logs: ["alike"])
+    torque, whole = np.full((count, 3), 10.0), 10.0 * 3**0.5
+    residual, held_out = np.full((count, 3), 0.1), np.full((count, 3), 0.1)
+    residual[1], held_out[1] = [0.0, 0.0, share * whole], [0.0, 0.0, held * whole]
+
+    def left(values: np.ndarray) -> np.ndarray:
+        assert values == 1, "the fit to the others of log b"
+        return np.where(np.arange(count)[:, None] == 1, 99.0, others * 10.0) * np.ones(3)
+
+    fit: Any = stub(residual=residual, torque=torque, held_out=held_out, without=np.arange(count), left=left)
+    logs: Any = [stub(name=name) for name in NAMES[:count]]
+    return checks.check_fit(logs, fit, 2.0)
+
+
+OUT = "b: does not go with the other logs, the fit to those leaves"
+
+
+@pytest.mark.parametrize(
+    ("held", "others", "says"),
+    [
+        (0.21, 0.01, f"{OUT} 21 % of its torque unexplained (of theirs 1.0 %), most on joint 3; a motion that wakes"),
+        (0.19, 0.01, "alike"),
+        (0.31, 0.10, f"{OUT} 31 % of its torque unexplained (of theirs 10.0 %), most on joint 3; a motion that wakes"),
+        (0.29, 0.10, "alike"),
+        (0.39, 0.10, f"{OUT} 39 %"),
+    ],
+)
+def test_a_log_that_others_explain_three_times_worse_than_each_other_is_named(
+    monkeypatch: pytest.MonkeyPatch, held: float, others: float, says: str
+) -> None:
+    found = told(monkeypatch, held, others)
+    assert found[0].startswith(says)
+    assert found[-1] == "alike"
+    assert len(found) == 1 + (says != "alike")
+    assert told(monkeypatch, held, others, count=2) == ["alike"], "of two logs neither is the other's judge"
+
+
+def test_a_log_that_others_do_not_explain_or_that_no_fit_does_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(DataError, match=r"^b: does not go .* 41 % .* most on joint 3$"):
+        told(monkeypatch, 0.41, 0.1)
+    with pytest.raises(DataError, match=r"^b: does not go .* 21 % .*; a load$"):
+        told(monkeypatch, 0.21, 0.01, hint="a load")
+    assert told(monkeypatch, 0.19, 0.01, hint="a load.") == ["b: a load. Identify on empty motion", "alike"]
+    assert told(monkeypatch, 0.1, 0.1, share=0.49) == ["alike"]
+    with pytest.raises(DataError, match=r"^b: the model leaves 51 % of the torque unexplained; wrong robot"):
+        told(monkeypatch, 0.1, 0.1, share=0.51)
+
+
+@pytest.mark.parametrize(
+    ("mass", "spread", "others", "loaded"),
+    [
+        (0.16, 0.0, 0.01, True),
+        (0.14, 0.0, 0.01, False),  # 0.15 kg
+        (-0.16, 0.0, 0.01, True),
+        (0.31, 0.0, 0.10, True),  # three times the middle one
+        (0.29, 0.0, 0.10, False),
+        (0.3, 0.29, 0.01, True),  # a mean of 0.7 of the rms
+        (0.3, 0.32, 0.01, False),
+    ],
+)
+def test_a_log_is_loaded_that_steadily_asks_for_more_than_the_others(
+    monkeypatch: pytest.MonkeyPatch, mass: float, spread: float, others: float, loaded: bool
+) -> None:
+    """Masses of two blocks a log, weighed by how sure they are; the middle one of five logs is 0.5 kg."""
+    by_log = {"a": (-others, 0.0), "b": (mass, spread), "c": (0.0, 0.0), "d": (others, 0.0), "e": (-others, 0.0)}
+    if mass < 0:
+        by_log = {name: (-m if name != "b" else m, s) for name, (m, s) in by_log.items()}
+
+    def masses(log: Any, values: object, noise: object, moving: object) -> tuple[np.ndarray, np.ndarray]:
+        middle, apart = by_log[log.name]
+        return 0.5 + middle + np.array([2 * apart, -apart]), np.array([1.0, 2.0]) * np.sqrt(0.5)
+
+    monkeypatch.setattr(checks, "_masses", masses)
+    logs: Any = [stub(name=name) for name in by_log]
+    fit: Any = stub(without=[None] * 5, noise=None)
+    if spread:  # rms of 2 s, -s, -s is s sqrt 2
+        by_log["b"] = mass, spread / 2**0.5
+    found = checks._loads(logs, fit, 2.0)
+    assert found == ({"b": f"it asks for {mass:+.2f} kg on the platform on average: a payload?"} if loaded else {})
+
+
+def test_a_blocks_mass_is_what_its_weight_asks_for_beside_its_inertia() -> None:
+    """Against least squares over the samples; what is left of the torque by the others' fit is asked, joints by their
+    noise; a block that hardly shows weight has no say."""
+    random = np.random.default_rng(0)
+    moving, noise, values = 2.5, np.array([0.5, 1.0, 2.0]), random.standard_normal(9)
+    columns = random.standard_normal((3, 3, 40, COLUMNS))
+    columns[1, ..., WEIGHT_COLUMN] *= 0.3  # of the second block
+    columns[2, ..., PLATFORM_COLUMN] = columns[2, ..., WEIGHT_COLUMN] * moving  # of the third: no acceleration
+    log: Any = stub(gram=np.einsum("bjna,bjnc->bjac", columns, columns))
+    masses, sure = checks._masses(log, values, noise, moving)
+    expected = []
+    for block in (0, 2):
+        weight, inertia, left = (np.concatenate(parts) for parts in zip(*(
+            (own[:, WEIGHT_COLUMN] / s, (own[:, PLATFORM_COLUMN] / moving - own[:, WEIGHT_COLUMN]) / s,
+             own @ (target(j) - selection(j) @ values) / s)
+            for j, (own, s) in enumerate(zip(columns[block], noise, strict=True))), strict=True))  # fmt: skip
+        ridge = np.sqrt(1e-3 * weight @ weight)
+        rows = np.column_stack([np.r_[weight, 0.0], np.r_[inertia, ridge]])
+        alone = rows[:, 0] - rows[:, 1] * (rows[:, 0] @ rows[:, 1]) / (rows[:, 1] @ rows[:, 1])
+        expected.append((np.linalg.lstsq(rows, np.r_[left, 0.0], rcond=None)[0][0], alone @ alone))
+    np.testing.assert_allclose(masses, [mass for mass, _ in expected])
+    np.testing.assert_allclose(sure, [one for _, one in expected])
+
+
+def test_what_parameters_leave_of_a_log_is_summed_over_its_motion() -> None:
+    random = np.random.default_rng(1)
+    columns, values = random.standard_normal((2, 3, 50, COLUMNS)), random.standard_normal(9)
+    columns[..., -1] = 1.0
+    columns[:, 2] = 0.0
+    log: Any = stub(
+        gram=1e-3 * np.einsum("bjna,bjnc->bjac", columns, columns), seconds=1e-3 * 50 * np.array([[1, 1, 0]] * 2)
+    )
+    left = [columns[:, j] @ (target(j) - selection(j) @ values) for j in range(3)]
+    np.testing.assert_allclose(rms_residual(log, values), [np.sqrt(np.mean(part**2)) for part in left])
