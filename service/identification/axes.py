@@ -10,11 +10,10 @@ from schemas.axes import Axes
 from schemas.chain import Chain
 from schemas.errors import DataError
 from schemas.trace import Trace
-from service.identification import checks, pooled
+from service.identification import checks
 from service.identification.folds import BLOCK, Split, block_loss, held_out
+from service.identification.identify import fit_to, written
 from service.identification.pooled import Identification, Plain
-from service.identification.units import refuse_wrong_angles
-from service.model.description import identified_of
 from service.model.mechanism import SerialArm, mechanism_of
 from service.model.parameters import base_parameters
 from service.model.scene import Recording
@@ -43,18 +42,8 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
         raise DataError(
             f"{names}: too little motion, {np.max(seconds):.1f} s of an axis, at least {least:.0f} s needed"
         )
-    problem, noise = pooled.problem_of(recordings)
-    fit = pooled.fit(problem, noise.sample, axes)
-    refuse_wrong_angles(problem, ", ".join(trace.path.name for trace in traces), fit.fitted)
-    identified = identified_of(
-        axes,
-        {estimate.name: (estimate.value, estimate.std_error) for estimate in fit.estimates},
-        fit.fitted.hypothesis.base,
-        {estimate.name: estimate.verdict for estimate in fit.estimates},
-    )
-    # what diagnose found on another base does not hold on this one
-    found = axes.model_copy(update={"identified": identified, "effect": []})
-    return Identification(found, fit, tuple(_warnings(fit, traces)))
+    fit = fit_to(axes, recordings, [trace.path.name for trace in traces])
+    return written(axes, fit, fit.fitted.hypothesis.base, _warnings(fit, traces))
 
 
 def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from schemas.axes import Description
 from schemas.errors import DataError
 from schemas.robot import JointParameter, Robot
 from service.identification import checks, paper, pooled
-from service.identification.pooled import Identification
+from service.identification.pooled import Described, Identification, Plain
 from service.identification.regression import PARAMETERS, NormalEquations
 from service.identification.units import refuse_wrong_angles
 from service.model.description import identified_of
 from service.model.nominal import pack
+from service.model.scene import Base, Recording
 
 Method = Literal["pooled", "paper"]
 MINIMUM_BLOCKS = 2 * PARAMETERS
@@ -30,32 +32,46 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
     checks.check(logs, robot.drive.gear_ratio)
     _enough(logs)
     recordings = [replace(part, trace=number) for number, log in enumerate(logs) for part in log.recordings]
-    problem, noise = pooled.problem_of(recordings)
-    fit = pooled.fit(problem, noise.sample, robot)
-    refuse_wrong_angles(problem, ", ".join(log.name for log in logs), fit.fitted)
+    fit = fit_to(robot, recordings, [log.name for log in logs])
     base = fit.fitted.hypothesis.base
     warnings = checks.check_fit(logs, fit, pack(robot).moving_mass)
     if method == "paper":
         fit, base = paper.refit(logs, fit), replace(base, transition=0.0)
         warnings = [*warnings, *paper.edges(logs)]
+    more = {
+        "method": method,
+        "torque_noise_nm": JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
+        "model_error_nm": JointParameter(value=[float(f"{error:.4g}") for error in fit.model_error]),
+        "torque_commanded": all(log.commanded for log in logs),
+    }
+    return written(robot, fit, base, warnings, more)
+
+
+def fit_to(robot: Description, recordings: Sequence[Recording], names: Sequence[str]) -> Plain:
+    """The plain model of `robot` on recordings of the logs `names`.
+
+    Raises:
+        DataError: logs of several rates, or the angles are no radians.
+    """
+    problem, noise = pooled.problem_of(recordings)
+    fit = pooled.fit(problem, noise.sample, robot)
+    refuse_wrong_angles(problem, ", ".join(names), fit.fitted)
+    return fit
+
+
+def written(
+    robot: Described, fit: Plain, base: Base, warnings: Sequence[str], more: dict[str, Any] | None = None
+) -> Identification[Described]:
+    """`robot` with the figures of `fit`, `base` and `more` in its `[identified]` section, and no effects: what diagnose
+    found on another base does not hold on this one."""
     figures = {estimate.name: (estimate.value, estimate.std_error) for estimate in fit.estimates}
     verdicts = {estimate.name: estimate.verdict for estimate in fit.estimates}
-    identified = identified_of(robot, figures, base, verdicts).model_copy(
-        update={
-            "method": method,
-            "torque_noise_nm": JointParameter(value=[float(f"{noise:.4g}") for noise in fit.noise]),
-            "model_error_nm": JointParameter(value=[float(f"{error:.4g}") for error in fit.model_error]),
-            "torque_commanded": all(log.commanded for log in logs),
-        }
-    )
-    # what diagnose found on another base does not hold on this one
+    identified = identified_of(robot, figures, base, verdicts).model_copy(update=more)
     if robot.effect:
         names = ", ".join(dict.fromkeys(effect.name for effect in robot.effect))
-        warnings = [
-            *warnings,
-            f"{names}: found on an earlier identification, left out of this one; `diagnose` says what still is there, "
-            "`identify --carried` how far torque constants are off",
-        ]
+        told = f"{names}: found on an earlier identification, left out of this one; `diagnose` says what still is there"
+        constants = ", `identify --carried` how far torque constants are off" if isinstance(robot, Robot) else ""
+        warnings = [*warnings, told + constants]
     return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))
 
 

@@ -20,7 +20,6 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from schemas.axes import Description
-from schemas.errors import DataError
 from schemas.robot import Robot
 from service.identification import fit as solver
 from service.identification.fit import Problem
@@ -30,7 +29,7 @@ from service.model.hypothesis import Hypothesis
 from service.model.parameters import Parameters, Quantity, base_parameters
 from service.model.ripple import standing_out
 from service.model.scene import Base, Recording
-from service.model.signals import Band, lowpass, resolved_hz
+from service.model.signals import Band, lowpass, one_period, resolved_hz
 from service.model.torque import predict
 
 START_TRANSITION = 0.002  # rad/s
@@ -39,7 +38,6 @@ WANTED_GAIN = 0.01  # of the squared residual of data left out that optional coe
 WANTED_Z = 3.0  # standard errors over blocks
 MOST_RIPPLES = 4  # orders a joint that the band has to reach
 RIPPLE_REACH = 1.3  # times their frequency at the middle speed
-SAME_RATE = 0.02  # share by which the sample time of two logs of one rate may differ
 # Standard error over value (or over what would make 5 % of the torque, if that is more).
 WEAK, NOT_IDENTIFIABLE = 0.1, 0.5
 NEGLIGIBLE_SHARE = 0.05
@@ -120,13 +118,7 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:
     Raises:
         DataError: logs of several rates, naming them.
     """
-    period = recordings[0].segment.period
-    for recording in recordings:
-        if abs(recording.segment.period / period - 1.0) > SAME_RATE:
-            raise DataError(
-                f"{recording.name}: {1e3 * recording.segment.period:.3g} ms between samples, {recordings[0].name} has "
-                f"{1e3 * period:.3g} ms: give logs of one rate"
-            )
+    period = one_period([(recording.name, recording.segment) for recording in recordings])
     band = Band.of(period, resolved_hz([recording.segment for recording in recordings]))
     problem = Problem.of(recordings, band, np.maximum(white_noise(recordings), 1e-9))  # how joints weigh, for now
     first = solver.fit(problem, start(problem), iterations=2).hypothesis

@@ -21,7 +21,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.ndimage import correlate1d
 from scipy.signal import butter, decimate, freqz_sos, lfilter, sosfiltfilt
 
-from schemas.errors import TraceError
+from schemas.errors import DataError, TraceError
 from schemas.kernels import kernel
 from schemas.messages import SampleFlag
 from schemas.trace import Trace
@@ -38,6 +38,7 @@ REST_TIME = 0.040  # s below REST_SPEED that make a rest
 REST_MARGIN = 0.015  # s left out on both sides of a rest
 EDGE = 0.1  # s at each end of a segment that the filters' start reaches into
 LONGEST_STEP = 1.5  # periods between two samples; beyond is a gap
+SAME_RATE = 0.02  # share by which the sample time of two logs of one rate may differ
 JITTER = 0.1  # of the period, from the 5 % shortest to the 5 % longest steps: beyond, samples may have been polled
 LONGEST_HOLE = 6.0  # periods, bridged where samples were polled
 HOLES = 1e-3  # of the steps
@@ -205,6 +206,20 @@ class Segment:
 def usable(trace: Trace) -> np.ndarray:
     """(N,) bool: rows without a flag that spoils position, torque or time."""
     return (trace.flags & np.uint32(UNUSABLE)) == 0 if len(trace.flags) else np.ones(len(trace), bool)
+
+
+def one_period(parts: Sequence[tuple[str, Segment]]) -> float:
+    """Sample time s of segments, each with the name of its log.
+
+    Raises:
+        DataError: they are of several rates, naming two logs.
+    """
+    first, period = parts[0][0], parts[0][1].period
+    for name, segment in parts:
+        if abs(segment.period / period - 1.0) > SAME_RATE:
+            times = f"{1e3 * segment.period:.3g} ms between samples, {first} has {1e3 * period:.3g} ms"
+            raise DataError(f"{name}: {times}: give logs of one rate")
+    return period
 
 
 def segments(trace: Trace) -> list[Segment]:

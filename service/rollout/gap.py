@@ -22,14 +22,13 @@ from schemas.trace import Trace
 from service.estimator.bounds import bounds_of
 from service.identification.noise import white_noise
 from service.identification.payload import carried
-from service.identification.pooled import SAME_RATE
 from service.model import kinematics
 from service.model.description import hypothesis_of
 from service.model.dynamics import REST_SPEED
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel
 from service.model.scene import Recording
-from service.model.signals import EDGE, Segment, segments, smooth
+from service.model.signals import EDGE, Segment, one_period, segments, smooth
 from service.model.torque import predict
 from service.rollout.kernel import SCRATCH, Pace, Runs, run_kernel
 from service.rollout.robot import Stretch, stretch
@@ -227,11 +226,7 @@ def cut_up(robots: dict[str, Robot], traces: Sequence[Trace], horizon: float = H
     if not SHORTEST <= horizon <= LONGEST:
         raise DataError(f"horizon of {horizon:g} s: must be {SHORTEST:g} to {LONGEST:g} s")
     parts = [(trace, segment) for trace in traces for segment in segments(trace)]
-    period = parts[0][1].period
-    for trace, segment in parts:
-        if abs(segment.period / period - 1.0) > SAME_RATE:
-            times = f"{1e3 * segment.period:.3g} ms between samples, {parts[0][0].name} has {1e3 * period:.3g} ms"
-            raise DataError(f"{trace.path}: {times}: give logs of one rate")
+    period = one_period([(str(trace.path), segment) for trace, segment in parts])
     samples = max(2, round(horizon / period)) + 1
     masses = {id(trace): carried(robot, trace) for trace in traces}
     result, untold = [], 0.0

@@ -89,3 +89,13 @@ def test_a_joint_reverses_if_a_twentieth_of_its_time_goes_the_other_way() -> Non
 def test_a_joint_moves_if_it_travels_a_fiftieth_of_a_radian() -> None:
     assert reasons(0.5, travel=0.021) == {}
     assert reasons(0.5, travel=0.019) == {"f_v_1": "joint 1 never moves", "f_c_1": "joint 1 never moves"}
+
+
+def test_effects_of_an_earlier_identification_are_left_out_and_said_to_be() -> None:
+    cogging = {"name": "cogging", "joints": [1], "parameters": {}}
+    axes = Axes.model_validate({"name": "one", "kind": "axes", "axis": [{"gravity": False}], "effect": [cogging]})
+    angle, speed, acceleration = swing(1.0)
+    log = Trace(Path("log.csv"), TIME, angle[:, None], (0.2 * acceleration + 0.5 * speed)[:, None])
+    found = identify_axes(axes, [log])
+    assert found.robot.effect == []
+    assert any(line.startswith("cogging: found on an earlier identification") for line in found.warnings)
