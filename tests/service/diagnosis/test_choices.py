@@ -248,7 +248,8 @@ def searched(
         return ordered, fault if len(asked) == 2 else None
 
     parts = {
-        "Regressors": lambda *parts: None, "Dictionary": Dictionary, "_sound_first": sound,
+        "Regressors": lambda problem, split, *rest: stub(problem=problem, split=split),
+        "Dictionary": Dictionary, "_sound_first": sound,
         "fit": lambda problem, start, iterations=6: none,
         "fit_added": lambda problem, hypothesis, term: term,
         "score": lambda loss, split: made(loss, noise=1e-4 * loss, term=stub(effect=effect)),
@@ -257,7 +258,7 @@ def searched(
     }  # fmt: skip
     for name, part in parts.items():
         monkeypatch.setattr(selection, name, part)
-    problem = stub(count=100, recordings=[stub(mechanism=stub(kind=kind, joints=3))])
+    problem = stub(count=100, weights=None, recordings=[stub(mechanism=stub(kind=kind, joints=3))])
     found = selection.search(problem, stub(), Hypothesis(BASE, timed=False), [EFFECTS["cogging"]], said.append)
     path = [([scored.loss for scored in tried], taken and taken.loss) for tried, taken in found.path]
     tried = sum(len(losses) for losses, _ in path)
