@@ -94,17 +94,18 @@ def diagnose(
     def followed(scored: Scored) -> list[Follows]:
         return follows(problem, split, scored.residuals, traces, angular)
 
+    wrong: list[Caution] = []
     doubts: list[Caution] = []
     if scope.enough:
         none, best = selection.none, selection.best
         before = followed(none)
-        doubts = base_doubts(problem, before, before if best is none else followed(best), none, best)
-        doubts = doubts or doubts_of(problem, selection, limit)
+        wrong = base_doubts(problem, before, before if best is none else followed(best), none, best)
+        doubts = wrong or doubts_of(problem, selection, limit)
     judged = _judged(problem, split, selection, doubts, len(given), kept, unknown, limit)
     found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
     errors = statistics.standard_errors(found.best.fitted, split)
     far = FAR_ABOVE * limit
-    if regressors.effects and mechanism.kind == "delta" and selection.best.loss > far**2 * problem.count:
+    if regressors.effects and not wrong and mechanism.kind == "delta" and selection.best.loss > far**2 * problem.count:
         quiet = Quiet.beside(regressors, selection.none, len(given), scope.allows, progress)
         again = searched(quiet.regressors)
         less = doubts_of(quiet.problem, again, limit)

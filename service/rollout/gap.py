@@ -70,7 +70,7 @@ class Deviation:
     @property
     def path_mm(self) -> float:
         """Rms way of the measured platform to the horizon: what a robot that stands still is off."""
-        return 1e3 * float(rms(self.path[:, -1]))
+        return 1e3 * float(rms(self.path[np.isfinite(self.path[:, -1]), -1]))
 
     @property
     def joint_mrad(self) -> np.ndarray:
@@ -293,16 +293,23 @@ def _deviation(name: str, seen: Stretch, windows: Windows) -> Deviation:
 
 def _compared(name: str, model: DeltaModel, angle: np.ndarray, measured: np.ndarray, torque: np.ndarray) -> Deviation:
     reference = kinematics.forward(model, measured.reshape(-1, 3)).reshape(measured.shape)
+    platform = _followed(model, angle)
+    path = np.linalg.norm(reference - reference[:, :1], axis=2)
+    return Deviation(name, angle - measured, platform - reference, path, torque)
+
+
+def _followed(model: DeltaModel, angle: np.ndarray) -> np.ndarray:
+    """Platform (W, S, 3) m of simulated angles (W, S, 3) rad, NaN once a run has ended; angles of a run out of reach
+    are made NaN."""
     platform = np.full(angle.shape, np.nan)
     good = np.isfinite(angle[..., 0])
-    for w in range(len(angle)):  # a run may end where the platform is out of reach
+    for w in range(len(angle)):
         end = int(good[w].sum())
         try:
             platform[w, :end] = kinematics.forward(model, angle[w, :end])
         except PoseError:
             angle[w] = np.nan
-    path = np.linalg.norm(reference - reference[:, :1], axis=2)
-    return Deviation(name, angle - measured, platform - reference, path, torque)
+    return platform
 
 
 def _floor(robot: Robot, seen: Stretch, trace: Trace, windows: Windows) -> Deviation:
@@ -311,6 +318,8 @@ def _floor(robot: Robot, seen: Stretch, trace: Trace, windows: Windows) -> Devia
     segment, starts = windows.segment, windows.starts
     torque_noise, angle_noise = noise_of(robot, trace, segment)
     clean, pushed = windows.run(seen, seen.start[starts], seen.torque)
+    place = _followed(seen.model, clean)  # a model that is far off does not get through either
+    path = np.linalg.norm(place - place[:, :1], axis=2)
     draws = []
     for _ in range(DRAWS):
         noise = torque_noise * rng.standard_normal(segment.torque.shape)
@@ -321,7 +330,8 @@ def _floor(robot: Robot, seen: Stretch, trace: Trace, windows: Windows) -> Devia
             start[:, row] += error[starts]
         moved, driven = windows.run(seen, start, disturbed.torque)
         seen_off = driven - pushed if windows.gains is None else driven - pushed + windows.cut(noise)
-        draws.append(_compared("floor", seen.model, moved, clean, seen_off))
+        off = _followed(seen.model, moved) - place
+        draws.append(Deviation("floor", moved - clean, off, path, seen_off))
     # window by window, as the other deviations are
     of_parts = (np.stack([getattr(draw, part) for draw in draws], axis=1) for part in PARTS)
     return Deviation("floor", *(values.reshape(-1, *values.shape[2:]) for values in of_parts))

@@ -43,8 +43,10 @@ CAUTIONS = {
     "would leave: cannot be told apart on this data.",
     "other_joints": "The base model is wrong first: {share:.0%} of the gap in joint {first} follows the motion of "
     "joint {last}, which it knows nothing of. No effect is named on a wrong base.",
-    "sine_of_angle": "The base model is wrong first: {share:.0%} of the gap in joint {first} follows the sine of its "
-    "angle, as a weight does. No effect is named on a wrong base.",
+    "sine_of_angle": "The base model is wrong first: {share:.0%} of the gap in joint {first} goes by its angle, "
+    "as a weight, a counterbalance or a wrong gear ratio makes it. No effect is named on a wrong base.",
+    "gravity": "The base model is wrong first: gravity of another direction or size explains {share:.0%} of the "
+    "gap, as well as effects do. No effect is named on a wrong base.",
     "closed_loop": "The torque of {joints} is the controller's answer to its position error ({gain:.3g} N m per "
     "rad, or N per m, without lag): it was not measured. A delay or filter of the torque, the torque constant, and "
     "what lies between command and shaft (back-EMF looks like viscous friction) cannot be known from it.",
@@ -68,15 +70,15 @@ CAUTIONS = {
 # with these no effect is told from others
 NO_NAMES = {
     "too_little_motion", "joints_at_rest", "beyond_any_robot", "several_arms", "runs_differ", "much_is_left",
-    "one_cause", "other_joints", "sine_of_angle",
+    "one_cause", "other_joints", "sine_of_angle", "gravity",
 }  # fmt: skip
 ADVICE = {
     "record_runs": "Record three or more runs of 5 s: picks, a multisine and a slow sweep with reversals.",
     "record_all_joints": "Record runs in which all joints move.",
     "record_reversals": "Record runs with reversals.",
-    "check_description": "Check the description (lengths, gear ratio, order and sign of joints).",
+    "check_description": "Check the description (lengths, gravity, gear ratio, order and sign of joints).",
     "check_runs": "Check that all runs are of one robot with one tool, in one state.",
-    "check_base": "Check the base model: kind, gravity, coupling between joints, order and sign of columns.",
+    "check_base": "Check the base model: kind, gravity, gear ratio, coupling of joints, order and sign of columns.",
     "record_more": "Record more of the motion that shows it, and what else changed between the runs.",
     "measure_torque": "Log the drive's measured current beside the command.",
     "look_there": "Look for it where and when most is left, see below.",

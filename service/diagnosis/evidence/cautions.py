@@ -26,6 +26,7 @@ EXCUSED = 0.95  # the same, from which effects may leave more than `WRONG_MODEL`
 FOLLOWS = 0.3  # of the gap above the noise that follows what the base model lacks: then the base is wrong, not a part
 AS_GOOD = 0.05  # of the same by which an effect has to do better than that,
 BETTER = 0.2  # or leave less than this of what that leaves: a spring and a weight differ by a hundredth of a large gap
+OTHER_GRAVITY = 3.0  # m/s^2 beside the description's: no base is mounted so far from level by mistake
 LOOP = 0.98  # of the torque's variance that position error and speeds explain: it is what the controller makes of them
 TOLD_BETTER = 4.0  # times what the base model leaves of the square: from there the torque is the robot's
 LOOP_ALONE = 0.25  # of what speed leaves of it that is left at most when the error is known
@@ -136,21 +137,23 @@ def faults_of(selection: Selection) -> list[Caution]:
 def base_doubts(
     problem: Problem, before: Sequence[Follows], after: Sequence[Follows], none: Scored, best: Scored
 ) -> list[Caution]:
-    """Whether the gap belongs to a base model that lacks something: other joints, a weight.
+    """Whether the gap belongs to a base model that lacks something: other joints, a weight, the direction of gravity.
 
     before, after: what the gap follows under the base model and with the effects. However much a stand-in removes: what
     the gap follows as well without it is not its doing. A Delta's base knows its other joints, and its effects follow
     them too.
     """
     if problem.recordings[0].mechanism.kind == "delta":
-        return []
+        return _gravity(problem, none, best)
     levels = [statistics.rms_per_joint(problem, scored.residuals) / problem.sigma for scored in (none, best)]
     above = [np.maximum(level**2 - 1.0, 1e-9) for level in levels]
     removed = 1.0 - above[1] / above[0]
     cautions = {}
     for term in best.hypothesis.terms:
         for joint in term.joints:
-            if term.effect.is_weight(problem.recordings[0].mechanism.gear_ratio[joint], term.nonlinear):
+            ratio = problem.recordings[0].mechanism.gear_ratio[joint]
+            angles = np.concatenate([recording.segment.theta[:, joint] for recording in problem.recordings])
+            if term.effect.is_weight(ratio, float(np.ptp(angles)), term.nonlinear):
                 caution = Caution(
                     code="sine_of_angle", joints=[joint + 1], share=round(removed[joint], 4), advice="check_base"
                 )
@@ -170,6 +173,31 @@ def base_doubts(
             caution = Caution(code=code, joints=joints, share=one.share, advice="check_base")
             cautions.setdefault((code, one.joint), caution)
     return list(cautions.values())
+
+
+def _gravity(problem: Problem, none: Scored, best: Scored) -> list[Caution]:
+    """Whether another gravity would do as well as what was found: forces, masses and tilts stand in for it."""
+    gap, left = none.loss - problem.count, best.loss - problem.count
+    if left >= gap:
+        return []
+    moments, grams = [], []
+    hypothesis, own = none.hypothesis, none.fitted.tangents
+    for number, (scene, residual) in enumerate(zip(problem.scenes(hypothesis), none.fitted.residuals, strict=True)):
+        model = scene.delta.model
+        # m/s^2 on platform and forearms, whose mass is known; on the active links, whose mass is fitted
+        known = [-model.moving_mass * scene.at_platform(axis) for axis in np.eye(3)]
+        fitted = [-model.link_mass * scene.arms.slope @ axis for axis in np.eye(3)]
+        weights = problem.select(number, problem.band(np.stack([*known, *fitted], axis=-1)))
+        columns = np.concatenate([own[number], weights], axis=1)
+        grams.append(columns.T @ columns)
+        moments.append(columns.T @ residual)
+    moment = np.asarray(sum(moments))
+    change = solve(np.asarray(sum(grams)), moment)
+    removed = float(change @ moment)  # of the squares
+    size = float(np.linalg.norm(change[-6:-3]))
+    if size < OTHER_GRAVITY or none.fitted.cost - removed - problem.count > left + AS_GOOD * gap:
+        return []
+    return [Caution(code="gravity", share=round(min(removed / gap, 1.0), 4), advice="check_description")]
 
 
 def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caution]:

@@ -154,8 +154,9 @@ class Effect(ABC):
         an effect has no amplitude: its whole torque, k = 1.
         """
 
-    def is_weight(self, gear_ratio: float, nonlinear: tuple[float, ...]) -> bool:
-        """Whether it is the torque of a weight that turns with the joint, and so the base model's."""
+    def is_weight(self, gear_ratio: float, travel: float, nonlinear: tuple[float, ...]) -> bool:
+        """Whether it is what a weight that turns with the joint asks for, or another load that goes by its angle, and
+        so the base model's. travel: rad from the joint's lowest to its highest angle."""
         return False
 
     def size(self, mechanism: Mechanism, amplitude: np.ndarray) -> float:

@@ -20,6 +20,7 @@ from service.model.scene import Scene
 
 COGGING_ORDERS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 22, 24, 30, 36)
 MOST_PEAKS = 4  # a joint and run
+PERIODS = 1.5  # over a joint's travel, below which nothing shows that a torque is periodic
 ONCE = 0.1  # periods a joint turn: so near to one it is a weight
 
 
@@ -57,6 +58,7 @@ class Cogging(Effect):
         angle = nonlinear[0] * scene.mechanism.gear_ratio[joint] * scene.segment.theta[:, joint]
         return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
-    def is_weight(self, gear_ratio: float, nonlinear: tuple[float, ...]) -> bool:
-        """Once a turn of the joint."""
-        return abs(nonlinear[0] * gear_ratio - 1.0) < ONCE
+    def is_weight(self, gear_ratio: float, travel: float, nonlinear: tuple[float, ...]) -> bool:
+        """Once a turn of the joint; or so seldom that nothing comes round again: a counterbalance, another ratio."""
+        order = nonlinear[0] * gear_ratio
+        return abs(order - 1.0) < ONCE or order * travel < 2 * np.pi * PERIODS

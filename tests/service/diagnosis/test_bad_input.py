@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from drivers.trace import read_trace
 from schemas.errors import DeltatwinError
 from schemas.robot import Mass, Robot, save_robot
 from service.cli.main import app
+from service.diagnosis.documents.text import sentences
 from tests.service.diagnosis.logs import ROBOT, Angles, one_way, record, swing
+from tests.service.subject import EFFECTS, diagnose, document
 
 Write = Callable[..., str]
 
@@ -90,6 +93,17 @@ def test_grossly_wrong_geometry(write: Write, diagnosed, tmp_path: Path) -> None
     assert found["verdict"] == "unexplained"
     assert "check_description" in [one["advice"] for one in found["cannot_tell"]]
     assert "Check the description" in text
+
+
+def test_gravity_of_another_direction_is_a_wrong_base_and_no_hose(write: Write) -> None:
+    """Forces on the platform and offsets stood in for it at 100 %."""
+    robot = ROBOT.model_copy(update={"gravity_mps2": [9.81, 0.0, 0.0]})
+    traces = [read_trace(Path(write(f"run_{seed}", swing(seed), seconds=2.5, seed=seed)), ROBOT) for seed in range(2)]
+    effects = [EFFECTS[name] for name in ("hose_spring", "torque_offset")]
+    found = document.document(diagnose.diagnose(robot, traces, effects))
+    assert found.effects == []
+    assert found.cannot_tell[0].code == "gravity"
+    assert "another direction" in " ".join(sentences(found))
 
 
 def test_a_log_already_corrected(write: Write, diagnosed, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +63,16 @@ def test_a_weight_that_the_description_denies_is_not_cogging_of_order_one():
     assert ("sine_of_angle", [2]) in [(one.code, one.joints) for one in found.cannot_tell]
 
 
+def test_a_weight_behind_another_gear_ratio_is_not_cogging():
+    """Half the angle makes it go twice round where the joint turns once; no such turn is in the logs."""
+    runs = [two_axes(seed, 0.0, weight=2.0) for seed in (1, 2, 3)]
+    found = told(axes(), [replace(run, position=run.position * [1.0, 0.5]) for run in runs], ("cogging",))
+    assert found.effects == []
+    assert ("sine_of_angle", [2]) in [(one.code, one.joints) for one in found.cannot_tell]
+
+
 def test_a_drive_that_lags_its_logged_command_is_no_elastic_gear():
-    """At 25 Hz the torque is a delay to first order; what that leaves was an elastic gear at 100 %."""
+    """At 25 Hz the torque is a delay to first order; which stood in for it at 100 %, or an elastic gear did."""
     names = (
         "drive_lag",
         "torque_filter",

@@ -208,7 +208,7 @@ def test_a_base_that_lacks_something_is_doubted(joint, what, other, share, told)
     levels = {"none": [5.0, 5.0, 1.0, 5.0, 50.0], "best": [3.0, 5.0, 1.0, 1.5, 1.05]}  # rms left, over the noise
     joints = np.repeat([0, 1, 2, 3, 4], 50)
     bare = stub(terms=())
-    none, best = (stub(residuals=[np.array(level)[joints]], hypothesis=bare) for level in levels.values())
+    none, best = (stub(residuals=[np.array(level)[joints]], hypothesis=bare, loss=1.0) for level in levels.values())
     one = Follows(joint=joint, what=what, other=other, share=share)
 
     def doubts(before: list[Follows], after: list[Follows], kind: str = "axes") -> list[tuple]:
@@ -216,6 +216,7 @@ def test_a_base_that_lacks_something_is_doubted(joint, what, other, share, told)
             recordings=[stub(mechanism=stub(kind=kind))],
             sigma=np.array([0.5, 2.0, 1.0, 1.0, 1.0]),
             joints_of_rows=[joints],
+            count=250,
         )
         found = base_doubts(made, before, after, none, best)
         return [(caution.code, caution.joints, caution.share) for caution in found]

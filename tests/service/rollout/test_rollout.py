@@ -63,6 +63,14 @@ def test_no_window_spans_a_gap(tmp_path: Path) -> None:
     assert broken.deviations[0].platform_mm < 1.5 * broken.floor.platform_mm
 
 
+def test_where_the_model_runs_away_without_noise_there_is_no_floor_and_no_error(tmp_path: Path) -> None:
+    robots = {"identified": identified()}
+    path = log(tmp_path, identified(), (0, 1, 2))
+    found = rollout(robots, cut_up(robots, [read_trace(path, ROBOT)], horizon=1.0))
+    assert not found.deviations[0].good.all()
+    assert not found.floor.good.all()
+
+
 @pytest.mark.parametrize("commands", [[], ["--commands"]])
 @pytest.mark.parametrize(("turned", "said"), [((0, 1, 2), "joints 1, 2 and 3"), ((1,), "joint 2")])
 def test_a_torque_of_the_wrong_sign_is_named(
