@@ -12,7 +12,6 @@ from service.cli.output import QUANTILES, as_json, console, quantiles, table
 
 if TYPE_CHECKING:
     import numpy as np
-    from rich.table import Table
 
     from replay.latency import RoundTrip
 
@@ -40,11 +39,12 @@ def command(
     samples = read_trace(LOG, robot).samples()
     step = _steps(robot, samples)
     with counting("round trips", 2 * count) as show:
-        trips = take_turns({"echo": echo, "estimator": estimator}, samples, rate, count, show)
-    found, rows = round_trips(trips)
+        trips = take_turns({"echo": _echo, "estimator": _estimator}, samples, rate, count, show)
+    found, rows = _round_trips(trips)
     if not json:
         own = ["estimator step, bytes in to bytes out", *_figures(quantiles(step)), str(len(step)), ""]
-        console().print(latency_table(rate, [own, *rows]))
+        headings = ("what", *QUANTILES, "count", "lost")
+        console().print(table(headings, [own, *rows], f"latency at {rate:g} Hz, µs"))
         return
     document = {
         "rate_hz": rate,
@@ -55,26 +55,26 @@ def command(
     typer.echo(as_json("latency", document))
 
 
-def echo(robot: str) -> None:
+def _echo(robot: str) -> None:
     """Answer as the estimator of `robot` with the least that can answer, until SIGTERM."""
     from contextlib import suppress
 
     from replay.latency import echo
-    from service.cli.signals import terminate_as_interrupt
+    from service.stopping import terminate_as_interrupt
 
     terminate_as_interrupt()
     with suppress(KeyboardInterrupt):
         echo(robot)
 
 
-def estimator(robot: str) -> None:
+def _estimator(robot: str) -> None:
     """`deltatwin estimate` with the demo robot under the name `robot`, until SIGTERM."""
     import tempfile
 
     from replay.demo import ROBOT
     from schemas.robot import load_robot, save_robot
     from service.cli.estimate import command as estimate
-    from service.cli.signals import terminate_as_interrupt
+    from service.stopping import terminate_as_interrupt
 
     terminate_as_interrupt()
     with tempfile.TemporaryDirectory() as folder:
@@ -108,7 +108,7 @@ def _steps(robot, samples: np.ndarray) -> np.ndarray:
     return taken
 
 
-def round_trips(trips: dict[str, list[RoundTrip]]) -> tuple[dict[str, dict[str, float]], list[list[str]]]:
+def _round_trips(trips: dict[str, list[RoundTrip]]) -> tuple[dict[str, dict[str, float]], list[list[str]]]:
     """Quantiles of each that answered, µs; a row of a table for each, and one for the estimator's over the echo's."""
     import numpy as np
 
@@ -120,11 +120,6 @@ def round_trips(trips: dict[str, list[RoundTrip]]) -> tuple[dict[str, dict[str, 
         rows.append([f"round trip, {what}", *_figures(found[what]), *counts])
     ratio = (f"{found['estimator'][key] / found['echo'][key]:.2f}" for key in QUANTILES)
     return found, [*rows, ["estimator / echo", *ratio, "", ""]]
-
-
-def latency_table(rate: float, rows: list[list[str]]) -> Table:
-    """`rows` with their headings. rate: Hz."""
-    return table(("what", *QUANTILES, "count", "lost"), rows, f"latency at {rate:g} Hz, µs")
 
 
 def _figures(found: dict[str, float]) -> list[str]:

@@ -17,7 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from schemas.errors import DeltatwinError, printable
-from service.cli.signals import terminate_as_interrupt
+from service.stopping import terminate_as_interrupt
 
 GROUPS = {
     "Begin": ("demo", "import", "inspect", "convert"),

@@ -84,10 +84,10 @@ def command(
     from schemas.errors import BusError, RoleTakenError
     from schemas.messages import Role, StopReason
     from service.cli.progress import counting
-    from service.cli.signals import stop_requested
     from service.estimator.bounds import bounds_of
     from service.estimator.estimator import Estimator
     from service.feedforward import InCycle, OverBus, nothing
+    from service.stopping import stop_requested
 
     period = 1 / rate
     peak, slope = bounds_of(description)

@@ -45,9 +45,9 @@ def command(
     from schemas.messages import Role
     from schemas.robot import load_robot
     from service.cli.progress import counting
-    from service.cli.signals import stop_requested
     from service.monitor.node import Monitor, run
     from service.monitor.writer import WriterThread
+    from service.stopping import stop_requested
 
     description = load_robot(robot)
     name = description.name

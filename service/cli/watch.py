@@ -50,7 +50,7 @@ def command(
     from schemas.messages import Role
     from schemas.robot import load_robot
     from service.cli.reading import reading
-    from service.cli.signals import stop_requested
+    from service.stopping import stop_requested
     from service.watch.node import Examination, Node, run
     from service.watch.watch import Patience, Watch
 

@@ -17,7 +17,7 @@ import pytest
 from drivers.trace import read_trace, write_trace
 from schemas.trace import Trace
 from service.cli.main import main
-from service.cli.signals import ENDING
+from service.stopping import ENDING
 
 Run = Callable[..., "Done"]
 

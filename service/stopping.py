@@ -1,4 +1,4 @@
-"""Signals."""
+"""What ends a command: Ctrl-C, SIGTERM, a terminal that is closed."""
 
 from __future__ import annotations
 
