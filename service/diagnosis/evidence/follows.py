@@ -107,4 +107,4 @@ def _share(
             weight = solve(np.asarray(sum(c.T @ c for c, _ in train)), np.asarray(sum(c.T @ v for c, v in train)))
             fitted.append(sum(float(((v - c @ weight) ** 2).sum()) for c, v in out))
         kept += fitted[1] - fitted[0]
-    return float(np.clip(kept / max(above, 1e-9), 0.0, 1.0))
+    return float(np.clip(kept / above, 0.0, 1.0))

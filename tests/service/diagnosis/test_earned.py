@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from schemas.diagnosis import Caution
+from service.diagnosis.evidence import earned as judged
 from service.diagnosis.evidence.earned import earned, together
 from tests.service.injected import reports
-from tests.service.subject import EFFECTS, Hypothesis, Problem, Selection, Split, Term, fit, selection
-from tests.service.world import BASE, course, problem
+from tests.service.subject import EFFECTS, Hypothesis, Parameters, Problem, Selection, Split, Term, fit, selection
+from tests.service.world import BASE, course, problem, stub
 
 SECONDS, NOISE = 4.0, 0.3
 
@@ -65,11 +66,13 @@ def test_a_delay_beside_an_effect_is_worth_what_the_gap_grows_by_when_it_goes():
 
 def test_a_name_that_shrinks_nothing_falls_and_the_others_stay():
     made = logs((1, 2, 3), "joint_spring")
-    kept, fallen = earned(made, Split.of(made), chosen(made, SPRING, RIPPLE), 0, [])
+    found = chosen(made, SPRING, RIPPLE)
+    kept, fallen = earned(made, Split.of(made), found, 0, [])
     assert kept.best.names == ("joint_spring",)
     assert [one.effect for one in fallen] == ["cogging"]
     assert fallen[0].code in ("no_shrink", "left_open")
     assert kept.path[-1][1] is None  # nothing was taken there
+    assert kept.without == {SPRING.effect: found.none}, "without what fell"
 
 
 def test_a_name_that_a_log_kept_out_does_not_bear_out_falls_by_that_logs_name():
@@ -95,9 +98,18 @@ def test_a_delay_that_may_as_well_be_none_is_left_open():
     assert fallen[0].effect == "torque_delay"
 
 
-@pytest.mark.parametrize(("offsets", "stands"), [((2.0, 2.0, 2.0), True), ((2.0, 2.1, 0.9), False)])
-def test_a_figure_that_changes_from_run_to_run_is_a_stand_in(offsets, stands):
-    runs = [course(seed, SECONDS) for seed in (1, 2, 3)]
+@pytest.mark.parametrize(
+    ("offsets", "seconds", "stands"),
+    [
+        ((2.0, 2.0, 2.0), SECONDS, True),
+        ((2.0, 2.1, 0.9), SECONDS, False),
+        ((2.0, 2.0, 0.9), 1.6, False),
+        ((2.0, 2.0, 0.9), 0.6, True),  # holds a twentieth of what tells it
+    ],
+)
+def test_a_figure_that_changes_from_run_to_run_is_a_stand_in(offsets, seconds, stands):
+    """seconds: of the last run."""
+    runs = [course(1, SECONDS), course(2, SECONDS), course(3, seconds)]
     random = np.random.default_rng(5)
     pushed = [
         run.torque + [0.0, offset, 0.0] + NOISE * random.standard_normal(run.torque.shape)
@@ -107,6 +119,44 @@ def test_a_figure_that_changes_from_run_to_run_is_a_stand_in(offsets, stands):
     kept, fallen = earned(made, Split.of(made), chosen(made, OFFSET), 0, [])
     assert kept.best.names == (("torque_offset",) if stands else ())
     assert codes(fallen) == ([] if stands else [("varies", "torque_offset", "run_2")])
+
+
+@pytest.mark.parametrize(("left", "stands"), [(0.98, True), (0.99, False)])
+def test_a_name_is_worth_more_than_one_and_a_half_percent(left, stands):
+    """left: of the gap, on data left out, everywhere alike."""
+    made = logs((1, 2, 3), "joint_spring")
+    found = chosen(made, SPRING)
+    best = replace(found.best, residuals=[left * one for one in found.none.residuals])
+    kept, fallen = earned(made, Split.of(made), replace(found, best=best, path=[([best], best)]), 0, [])
+    assert kept.best.names == (("joint_spring",) if stands else ())
+    assert codes(fallen) == ([] if stands else [("no_shrink", "joint_spring", None)])
+
+
+@pytest.mark.parametrize(
+    ("term", "error", "stands"),
+    [
+        (replace(SPRING, amplitude=np.array([[-3.0, 0.0]])), 1.0, True),
+        (replace(SPRING, amplitude=np.array([[0.0, -3.0]])), 1.0, True),
+        (replace(SPRING, amplitude=np.array([[1.5, 1.5]])), 1.0, False),
+        (replace(DELAY, nonlinear=(-0.002,)), 0.0009, True),
+        (replace(DELAY, nonlinear=(-0.002,)), 0.0011, False),
+    ],
+)
+def test_it_is_open_whether_there_is_any_of_what_is_within_its_own_error(monkeypatch, term, error, stands):
+    """One of several amplitudes is enough; without amplitudes the shape has to be known to a half."""
+    hypothesis = Hypothesis(BASE, (term,))
+    errors = np.full(len(Parameters(hypothesis).values), error)
+    monkeypatch.setattr(judged.statistics, "standard_errors", lambda fitted, split: errors)
+    said = judged._open(stub(hypothesis=hypothesis, fitted=None), stub(), term.effect)
+    assert (said is None) == stands
+
+
+@pytest.mark.parametrize(("probability", "stands"), [(0.4, False), (0.6, True)])
+def test_far_above_the_noise_a_name_has_to_be_likelier_than_all_others(monkeypatch, probability, stands):
+    monkeypatch.setattr(judged, "comparisons", lambda *_: [])
+    monkeypatch.setattr(judged, "probability_of", lambda *_: probability)
+    said = judged._rivalled(stub(), stub(), 1, stub(hypothesis=Hypothesis(BASE, (SPRING,))), SPRING.effect)
+    assert (said is None) == stands
 
 
 @pytest.mark.parametrize(("worse", "far", "stands"), [(0.0, True, False), (0.0, False, True), (0.5, True, True)])
@@ -141,7 +191,7 @@ def test_what_the_description_says_does_not_have_to_earn_it(given):
 @pytest.mark.parametrize(
     ("left", "vague", "stands"),
     [
-        ((0.8, 0.8, 0.8), True, True),
+        ((0.85, 0.85, 0.85), True, True),
         ((0.95, 0.95, 0.95), False, True),
         ((0.95, 0.95, 0.95), True, False),  # little, where the noise is not known
         ((1.02, 1.02, 1.02), False, False),

@@ -67,6 +67,17 @@ def test_what_a_gap_follows_is_told_with_its_share(what):
     assert all(one.joint == JOINT + 1 and one.share < first.share for one in others)
 
 
+def test_the_strongest_comes_first():
+    """A fifth of it the position error, the rest the motion."""
+
+    def cause(run):
+        return run.motion[2][:, 0] / 15.0 + 700.0 * error(run)
+
+    shares = [one.share for one in asked(cause, 3.0, 0.9)]
+    assert len(shares) > 1
+    assert shares == sorted(shares, reverse=True)
+
+
 def test_little_is_not_told_and_neither_is_what_noise_alone_could_be():
     cause = CAUSES["motion", 1]
     assert ("motion", 1) in [(one.what, one.other) for one in asked(cause, 3.0, 0.09)]

@@ -120,6 +120,36 @@ def test_noise_alone_lies_nowhere(findings, rows):
     assert told(findings, rows, np.zeros(len(rows.joint), bool)) == {}
 
 
+def test_a_regimes_share_is_of_the_energy_above_the_noise(findings, rows):
+    """3 times the noise in forward motion, 2 elsewhere: 8 and 3 above it."""
+    forward = rows.speed > 0
+    parts = np.split(np.where(forward, 3.0, 2.0), np.cumsum([int(r.sum()) for r in findings.problem.rows])[:-1])
+    (found,) = [one for one in where.regimes(findings, rows, parts, 0) if one.regime == "forward motion"]
+    time = forward[rows.joint == 0].mean()
+    assert found.of_time == pytest.approx(time, abs=1e-4)
+    assert found.share == pytest.approx(8 * time / (8 * time + 3 * (1 - time)), abs=1e-4)
+
+
+@pytest.mark.parametrize(("above", "told"), [(0.01, False), (0.03, True)])
+def test_next_to_nothing_above_the_noise_lies_nowhere(findings, rows, above, told):
+    parts = [np.full(int(r.sum()), (1 + above) ** 0.5) for r in findings.problem.rows]
+    assert bool(where.regimes(findings, rows, parts, 0)) == told
+
+
+def test_each_run_counts_for_its_length():
+    """1 Hz in the long one, half as strong at 15 Hz in the short one."""
+    runs = [course(1, 3.0), course(2, 1.2)]
+    logs = problem(runs, [run.torque for run in runs])
+    step = logs.band.period * logs.band.step
+    counts = [int(rows[:, 0].sum()) for rows in logs.rows]
+    parts = []
+    for joints, count, hz, size in zip(logs.joints_of_rows, counts, (1.0, 15.0), (40.0, 20.0), strict=True):
+        parts.append(np.zeros(len(joints)))
+        parts[-1][joints == 0] = size * np.sin(2 * np.pi * hz * np.arange(count) * step)
+    low, _, high, _ = where.spectrum(stub(problem=logs), parts, 0)
+    assert high.share / low.share == pytest.approx(counts[1] / counts[0] / 4, rel=0.1)
+
+
 @pytest.mark.parametrize(("hz", "band"), [(1.0, 0), (6.0, 1), (15.0, 2), (30.0, 3)])
 def test_a_wave_lies_at_its_frequency(findings, hz, band):
     problem = findings.problem
