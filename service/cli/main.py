@@ -5,6 +5,7 @@ Only the file of the command that runs is imported; help and completion read fir
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import os
 import sys
@@ -27,6 +28,7 @@ GROUPS = {
     "Simulated robots": ("simulate", "export", "closed-loop", "experiment", "blindtest"),
 }
 OTHERS = "More"
+INTERRUPTED = 130  # exit code of Ctrl-C
 MISSED = 3  # exit code: everything ran, a stated bound does not hold
 EXTRAS = {"mujoco": "simulate", "foxglove": "view"}  # module: what it is installed by
 LINUX_ONLY = ("fcntl", "pysoem")  # what live commands import; the others run anywhere
@@ -128,6 +130,21 @@ def main() -> None:
     """
     terminate_as_interrupt()
     try:
+        _run()
+    except SystemExit as end:
+        if end.code != INTERRUPTED:
+            raise
+    except KeyboardInterrupt:
+        pass
+    else:
+        return
+    # Files are whole by now; a thread that still computes, or compiles for seconds, has nobody to do it for.
+    atexit._run_exitfuncs()
+    os._exit(INTERRUPTED)
+
+
+def _run() -> None:
+    try:
         try:
             app()
         finally:
@@ -147,8 +164,6 @@ def main() -> None:
         _end(f"{what} needs Linux: this system has no {missing}")
     except MemoryError:
         _end("out of memory; a shorter log, or a machine with more")
-    except KeyboardInterrupt:
-        sys.exit(130)
 
 
 def _end(said: str) -> NoReturn:

@@ -88,6 +88,26 @@ main.main()
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 130
 
 
+def test_an_interrupted_command_waits_for_no_thread_and_tidies_up() -> None:
+    code = """
+import atexit, signal, time
+from concurrent.futures import ThreadPoolExecutor
+from service.cli import main
+pool = ThreadPoolExecutor(1)
+pool.submit(time.sleep, 300)
+atexit.register(print, "tidied", flush=True)
+def stopped():
+    print("some output", end=" ")
+    raise OUTCOME
+main.app = stopped
+main.main()
+"""
+    for outcome in ("KeyboardInterrupt", "SystemExit(130)"):  # Typer makes the second of the first
+        program = [sys.executable, "-c", code.replace("OUTCOME", outcome)]
+        done = subprocess.run(program, check=False, timeout=60, capture_output=True, text=True)
+        assert (done.returncode, done.stdout) == (130, "some output tidied\n")
+
+
 def test_brackets_in_help_are_kept() -> None:
     assert "[identified] section" in CliRunner().invoke(app, ["identify", "--help"]).output
 
