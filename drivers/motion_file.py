@@ -8,9 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 from scipy.interpolate import make_interp_spline
 
+from drivers.data_frames import pl
 from drivers.motion import Planner, Trajectory
 from drivers.trace import read_trace
 from schemas.errors import DataError

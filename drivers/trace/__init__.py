@@ -97,8 +97,7 @@ def _is_codesys(path: Path) -> bool:
 
 
 def _foreign(path: Path, robot: Description | None, columns: Columns) -> Trace:
-    import polars as pl
-
+    from drivers.data_frames import pl
     from drivers.trace.assembly import assemble, plan
     from drivers.trace.tables import joined, read_table
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 from scipy.ndimage import median_filter
 
+from drivers.data_frames import pl
 from drivers.trace.quality import RowNames, check
 from schemas.axes import Description
 from schemas.columns import CHANNELS, EXTRAS, TIME_UNITS, Columns, GripperColumn, PositionColumn, TorqueColumn

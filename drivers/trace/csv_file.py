@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 
+from drivers.data_frames import pl
 from drivers.trace.assembly import Plan, assemble, plan
 from drivers.trace.quality import EXACT_SECONDS
 from schemas.axes import Description

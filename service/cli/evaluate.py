@@ -77,8 +77,7 @@ def _csv_name(path: Path) -> str:
 
 
 def _write(result: Evaluation, path: Path, unit: str) -> None:
-    import polars as pl
-
+    from drivers.data_frames import pl
     from schemas.files import make_folder, whole
 
     fullest = list(result.torque.values())[-1]

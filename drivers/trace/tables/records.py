@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 
+from drivers.data_frames import pl
 from drivers.trace.tables import Table
 from drivers.trace.tables.numpy_file import same_length
 from drivers.trace.tables.text import numbers_of

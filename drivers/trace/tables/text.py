@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 
+from drivers.data_frames import pl
 from drivers.trace.csv_file import MISSING, date_times, load, read_cells
 from drivers.trace.tables import Table
 from drivers.trace.tables.codesys import FIRST_LINE as CODESYS_CSV

@@ -108,6 +108,22 @@ main.main()
         assert (done.returncode, done.stdout) == (130, "some output tidied\n")
 
 
+def test_a_command_that_waits_for_a_thread_hears_ctrl_c_after_polars_is_there() -> None:
+    code = """
+import os, signal, threading, time
+from service.cli import main
+def waits():
+    from drivers.trace.csv_file import pl
+    from concurrent.futures import ThreadPoolExecutor
+    pool = ThreadPoolExecutor(1)
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    pool.submit(time.sleep, 300).result()
+main.app = waits
+main.main()
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 130
+
+
 def test_brackets_in_help_are_kept() -> None:
     assert "[identified] section" in CliRunner().invoke(app, ["identify", "--help"]).output
 
