@@ -157,7 +157,7 @@ def _solve(
         if step @ whole @ step < SETTLED:
             break
     whole, count = np.sum(left, axis=0), len(left)
-    changes = np.array([solve(whole - one, -pull) for one, pull in zip(left, right, strict=True)])
+    changes = np.array([solve(whole - one, pull) for one, pull in zip(left, right, strict=True)])
     errors = np.zeros(_COUNT)
     errors[free] = np.sqrt((count - 1) / count * np.sum(changes**2, axis=0))
     return values, errors

@@ -44,6 +44,7 @@ ALIKE = 0.999  # cosine between the information of two trajectories
 
 _ORDERS = tuple(permutations(range(3)))
 _SIGNS = tuple(product((1.0, -1.0), repeat=3))
+_AS_GIVEN = _ORDERS[0], _SIGNS[0], 1.0
 
 
 def check(logs: Sequence[NormalEquations], gear_ratio: float) -> None:
@@ -88,7 +89,7 @@ def best_reading(gram: np.ndarray, gear_ratio: float, free_scale: bool = False) 
     if free_scale:
         options = [_scaled(gram, order, signs) for order, signs in product(_ORDERS, _SIGNS)]
         return min(options)
-    given = TorqueReading(_left(gram, (0, 1, 2), (1.0, 1.0, 1.0), 1.0), (0, 1, 2), (1.0, 1.0, 1.0), 1.0)
+    given = TorqueReading(_left(gram, *_AS_GIVEN), *_AS_GIVEN)
     if given.share < SUSPECT:
         return given
     scales = (1.0, gear_ratio) if gear_ratio > 2.0 else (1.0,)
@@ -120,7 +121,7 @@ def _scaled(gram: np.ndarray, order: Sequence[int], signs: Sequence[float]) -> T
 
 def _reading(gram: np.ndarray, gear_ratio: float) -> str:
     """How else the torque of one log makes sense, "" if it does as it is. gram: (3, COLUMNS, COLUMNS)."""
-    given = _left(gram, (0, 1, 2), (1.0, 1.0, 1.0), 1.0)
+    given = _left(gram, *_AS_GIVEN)
     best, order, signs, scale = best_reading(gram, gear_ratio)
     if best == given:
         return ""
@@ -234,7 +235,8 @@ def _sameness(logs: Sequence[NormalEquations]) -> list[str]:
         return [f"{logs[0].name}: a single trajectory cannot be held out, nothing shows how far the fit carries"]
     left = information(np.stack([t.gram.sum(axis=0) for t in logs]))
     scale = np.sqrt(np.einsum("pp->p", left.sum(axis=0)))
-    scaled = (left / np.where(scale > 0, scale, 1.0)[:, None] / np.where(scale > 0, scale, 1.0)).reshape(len(left), -1)
+    scale = np.where(scale > 0, scale, 1.0)
+    scaled = (left / scale[:, None] / scale).reshape(len(left), -1)
     unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
     if (unit @ unit.T).min() > ALIKE:
         return ["the trajectories are too similar: held-out residuals only say how well this one motion repeats"]

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from drivers.trace import write_trace
 from schemas.errors import DataError
-from schemas.robot import Robot, load_robot, save_robot
+from schemas.robot import EffectEntry, Robot, load_robot, save_robot
 from schemas.trace import Trace
 from service.cli.main import app
 from service.identification.calibration import Calibration, calibrate
@@ -154,3 +154,17 @@ def test_a_log_that_is_loaded_in_part_is_refused(robot: Robot) -> None:
     torque = np.concatenate([bare.torque[:half], loaded.torque[half:]])
     with pytest.raises(DataError, match=r"log_9\.csv: with 3 kg on the platform"):
         calibrate(robot, empty, [(3.0, replace(loaded, torque=torque))])
+
+
+def test_what_drives_report_is_put_right_and_back(robot, record):
+    """The torque and what was commanded, joint by joint; the description of what they report has the effect besides."""
+    trace, scale = record(1, seconds=0.1), np.array([1.1, 1.0, 0.9])
+    effect = EffectEntry.model_validate({"name": "torque_scale", "joints": [1], "parameters": {}})
+    for entry in (None, effect):
+        found = Calibration(robot, scale, entry, (), ())
+        assert found.carried(robot).effect == ([] if entry is None else [effect])
+        assert found.true(trace).torque_command is None
+        right = found.true(replace(trace, torque_command=2.0 * trace.torque))
+        np.testing.assert_allclose(right.torque * scale, trace.torque)
+        assert right.torque_command is not None
+        np.testing.assert_allclose(right.torque_command, 2.0 * right.torque)

@@ -102,28 +102,29 @@ def test_a_log_is_loaded_that_steadily_asks_for_more_than_the_others(
     assert found == ({"b": f"it asks for {mass:+.2f} kg on the platform on average: a payload?"} if loaded else {})
 
 
-def test_a_blocks_mass_is_what_its_weight_asks_for_beside_its_inertia() -> None:
+@pytest.mark.parametrize("first", [0.5, 1e-5])
+def test_a_blocks_mass_is_what_its_weight_asks_for_beside_its_inertia(first: float) -> None:
     """Against least squares over the samples; what is left of the torque by the others' fit is asked, joints by their
-    noise; a block that hardly shows weight has no say."""
+    noise, but none as if it had a thousandth of the most; a block that hardly shows weight has no say."""
     random = np.random.default_rng(0)
-    moving, noise, values = 2.5, np.array([0.5, 1.0, 2.0]), random.standard_normal(9)
+    moving, noise, values = 2.5, np.array([first, 1.0, 2.0]), random.standard_normal(9)
     columns = random.standard_normal((3, 3, 40, COLUMNS))
     columns[1, ..., WEIGHT_COLUMN] *= 0.3  # of the second block
     columns[2, ..., PLATFORM_COLUMN] = columns[2, ..., WEIGHT_COLUMN] * moving  # of the third: no acceleration
     log: Any = stub(gram=np.einsum("bjna,bjnc->bjac", columns, columns))
     masses, sure = checks._masses(log, values, noise, moving)
-    expected = []
+    expected, reckoned = [], np.maximum(noise, 2e-3)
     for block in (0, 2):
         weight, inertia, left = (np.concatenate(parts) for parts in zip(*(
             (own[:, WEIGHT_COLUMN] / s, (own[:, PLATFORM_COLUMN] / moving - own[:, WEIGHT_COLUMN]) / s,
              own @ (target(j) - selection(j) @ values) / s)
-            for j, (own, s) in enumerate(zip(columns[block], noise, strict=True))), strict=True))  # fmt: skip
+            for j, (own, s) in enumerate(zip(columns[block], reckoned, strict=True))), strict=True))  # fmt: skip
         ridge = np.sqrt(1e-3 * weight @ weight)
         rows = np.column_stack([np.r_[weight, 0.0], np.r_[inertia, ridge]])
         alone = rows[:, 0] - rows[:, 1] * (rows[:, 0] @ rows[:, 1]) / (rows[:, 1] @ rows[:, 1])
         expected.append((np.linalg.lstsq(rows, np.r_[left, 0.0], rcond=None)[0][0], alone @ alone))
-    np.testing.assert_allclose(masses, [mass for mass, _ in expected])
-    np.testing.assert_allclose(sure, [one for _, one in expected])
+    np.testing.assert_allclose(masses, [mass for mass, _ in expected], rtol=1e-5)
+    np.testing.assert_allclose(sure, [one for _, one in expected], rtol=1e-5)
 
 
 def test_what_parameters_leave_of_a_log_is_summed_over_its_motion() -> None:
@@ -136,3 +137,34 @@ def test_what_parameters_leave_of_a_log_is_summed_over_its_motion() -> None:
     )
     left = [columns[:, j] @ (target(j) - selection(j) @ values) for j in range(3)]
     np.testing.assert_allclose(rms_residual(log, values), [np.sqrt(np.mean(part**2)) for part in left])
+
+
+@pytest.mark.parametrize(("angle", "alike"), [(0.04, True), (0.05, False)])
+def test_trajectories_are_alike_where_all_of_them_tell_the_same(
+    monkeypatch: pytest.MonkeyPatch, angle: float, alike: bool
+) -> None:
+    """A cosine of 0.999 between what they tell, whatever the units and how long they are."""
+    told = []
+    for turned in (0.0, 0.0, angle):
+        one = np.zeros((9, 9))
+        one[0, 0], one[1, 1] = np.cos(np.pi / 4 + turned), np.sin(np.pi / 4 + turned)
+        told.append(one)
+    units = np.diag(np.r_[1e3, 1e-3, np.ones(7)])
+    monkeypatch.setattr(checks, "information", lambda gram: units @ np.stack([5.0 * told[0], *told[1:]]) @ units)
+    logs: Any = [stub(gram=np.zeros((2, 3, COLUMNS, COLUMNS)))] * 3
+    assert bool(checks._sameness(logs)) is alike
+
+
+def test_a_readings_share_is_what_least_squares_over_the_samples_leave() -> None:
+    """Joint 1 has joint 2's torque with the other sign, all are a fifth of what they should be."""
+    random = np.random.default_rng(2)
+    columns = random.standard_normal((3, 60, COLUMNS))
+    torque = random.standard_normal((60, 3))
+    columns[:, :, 7:10] = torque
+    gram = np.einsum("jna,jnc->jac", columns, columns)
+    order, signs, scale = (1, 0, 2), (-1.0, 1.0, 1.0), 5.0
+    whole = np.concatenate([columns[j] @ selection(j) for j in range(3)])
+    meant = np.concatenate([scale * signs[j] * torque[:, order[j]] for j in range(3)])
+    wanted = meant - columns[:, :, PLATFORM_COLUMN].ravel()
+    left = wanted - whole @ np.linalg.lstsq(whole, wanted, rcond=None)[0]
+    assert checks._left(gram, order, signs, scale) == pytest.approx(np.linalg.norm(left) / np.linalg.norm(meant))

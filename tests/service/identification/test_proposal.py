@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -362,3 +363,40 @@ def test_a_drive_that_is_described_says_its_counts_and_its_rated_torque(robot: R
     assert (proposal._counts(described), proposal._rated(described)) == (4096.0, 7.0)
     assert (proposal._counts(robot), proposal._rated(robot)) == (None, None)
     assert (proposal._counts(AXIS), proposal._rated(AXIS)) == (None, None)
+
+
+def test_of_several_ways_to_read_positions_it_is_said_how_well_each_fits(geared: Robot, log: Trace) -> None:
+    found = propose(written(log), geared, Stated())
+    (line,) = (one for one in found.reasons if one.startswith("positions are rad of the joint: the fit leaves"))
+    best, others = re.findall(r"([0-9.e+-]+) %", line)
+    assert float(best) < 5.0 < float(others)
+    assert any(one.startswith("torques taken as N m: nothing says so") for one in found.reasons)
+
+
+def test_the_rows_that_count_are_told_with_the_columns(geared: Robot, log: Trace) -> None:
+    made = written(log)
+    mode = np.where(np.arange(len(log.time)) < 50, 0.0, 3.0)
+    found = propose(Table(made.path, made.kind, {**made.columns, "mode": mode}), geared, Stated(where=("mode", 3.0)))
+    assert found.columns["where"] == {"name": "mode", "equals": 3.0}
+
+
+def test_torques_are_read_with_their_sign_and_times_what_is_said() -> None:
+    """Of 16 bits, whose sign was lost; commands stand as they are."""
+    meant = 900.0 * np.sin(np.arange(300) * 0.05)
+    rounded = np.round(meant)
+    columns = {"y": rounded % 2**16, "z": rounded, "k": np.full(300, 0.25)}
+    reasons: list[str] = []
+    channels = Channels(torque=("y",), torque_command=("z",))
+    table, keys = proposal._readings(Table(Path("log.csv"), "text", columns), channels, "k", reasons)
+    np.testing.assert_array_equal(table.columns["y"], 0.25 * rounded)
+    np.testing.assert_array_equal(table.columns["z"], rounded)
+    assert keys == {"y": {"bits": 16, "times": "k"}, "z": {}}
+    assert reasons == ["'y' are of 16 bits without their sign: 65535 stands for -1"]
+
+
+def test_of_less_than_a_hundred_rows_no_sign_is_told() -> None:
+    made = slide(lambda x, v, a: -95 * a)
+    for rows, sign in ((99, None), (1000, -1)):
+        few = {name: np.where(np.arange(4000) < rows, values, np.nan) for name, values in made.columns.items()}
+        found = propose(Table(made.path, made.kind, few | {"t": made.columns["t"]}), AXIS, Stated())
+        assert entries(found, "torque")[0].get("sign") == sign
