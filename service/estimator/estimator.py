@@ -104,7 +104,7 @@ class Estimator:
         record = FRICTION.empty()
         for field in ("stamp_sec", "stamp_nanosec", "sequence"):
             record[field] = state[field]
-        for part, name in enumerate(("coulomb", "viscous", "offset")):
+        for part, name in enumerate(("coulomb", "viscous", "offset", "scale")):
             record[name], record[f"{name}_std_dev"] = departure[:, part], spread[:, part]
         identified = np.stack([settings["coulomb"], settings["viscous"]], axis=1)
         record["drift"] = friction.drift_share(departure, identified)

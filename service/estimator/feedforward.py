@@ -144,7 +144,9 @@ def _for_motion(settings, state, sample):
     mass = state.payload.usable
     finite = True
     for i in range(3):
-        state.wanted[i] = state.full[i] + mass * load_kernel(settings, state, i) + _learnt_friction(settings, state, i)
+        scale = 1.0 + state.payload.friction.sure[friction.PARTS * i + friction.SCALE]
+        moved = state.full[i] + mass * load_kernel(settings, state, i)
+        state.wanted[i] = scale * moved + _learnt_friction(settings, state, i)
         finite &= math.isfinite(state.wanted[i])
     return finite
 

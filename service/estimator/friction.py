@@ -1,9 +1,14 @@
-"""Friction that follows the machine: how far Coulomb, viscous friction and offset are from the identified ones, now.
+"""Friction that follows the machine: how far Coulomb, viscous friction, offset and the scale of the torque are from the
+identified ones, now.
 
-Per joint i the torque residual of a sample is r_i = m_p phi_i + x_i delta_i + noise with x_i = (direction, speed, 1).
-The payload is eliminated sample by sample: only the part of the residuals at right angles to phi, in the metric of the
-noise, is looked at, so what hangs on the gripper, and when it was picked, need not be known. What is left is linear
-least squares in nine numbers, with slow forgetting and the identified values as the prior.
+Per joint i the torque residual of a sample is r_i = m_p phi_i + x_i delta_i + noise with x_i = (direction, speed, 1,
+torque of the model): a torque constant that has changed does to every part of the torque the same. The payload is
+eliminated sample by sample: only the part of the residuals at right angles to phi, in the metric of the noise, is
+looked at, so what hangs on the gripper, and when it was picked, need not be known. What is left is linear least squares
+in twelve numbers, with slow forgetting and the identified values as the prior.
+
+A scale is told from an inertia that is a little wrong by little: below `CHANGED_SCALE` it is taken for that, left out,
+and all that it would change counts as error.
 
 The feed-forward torque reckons with what is sure of it alone: friction made up for that is not there drives the joint.
 """
@@ -14,15 +19,22 @@ import numpy as np
 
 from schemas.kernels import kernel
 
-PARTS = 3  # Coulomb N m, viscous N m s/rad, offset N m
+PARTS = 4  # Coulomb N m, viscous N m s/rad, offset N m, scale of the reported torque less one
+SCALE = 3
 COUNT = 3 * PARTS
 
 # One standard deviation of what a gear does from day to day, as a share of what was identified, and at least this.
 DRIFT_SHARE = 0.15
 SMALLEST_DRIFT = (0.15, 0.05, 0.15)  # N m, N m s/rad, N m
+# The same of a torque constant: magnets lose 0.1 %/K, so 5 % are two of these.
+SCALE_DRIFT = 0.03
 DRIFT_SPEED = 1.0  # rad/s, at which two frictions are compared
+# A scale is taken to have changed beyond this, where it is this many standard deviations, and until all are below that.
+CHANGED_SCALE, CHANGED_SIGMAS, SAME_SCALE = 0.02, 3.0, 0.01
 # No more than this many standard deviations are believed.
 BOUND = 4.0
+# Blocks within which a change of load that they may be spoilt by is found.
+UNDONE = 5
 # A gear warms within minutes.
 MEMORY_TIME = 20.0  # s of motion
 
@@ -32,32 +44,37 @@ STATE = np.dtype(
         ("moment", "f8", COUNT),
         ("block_information", "f8", (COUNT, COUNT)),
         ("block_moment", "f8", COUNT),
+        ("earlier_information", "f8", (2, COUNT, COUNT)),  # as they were UNDONE blocks ago at most, and at least
+        ("earlier_moment", "f8", (2, COUNT)),
+        ("since", "i8"),  # blocks since the first of these
         ("delta", "f8", COUNT),  # joint by joint
         ("sure", "f8", COUNT),  # of it, what is beyond one standard deviation
         ("held", "i8"),  # whether one of them is held at its bound
+        ("changed", "i8"),  # whether a scale is taken to have
         ("covariance", "f8", (COUNT, COUNT)),
         ("root", "f8", (COUNT, COUNT)),  # scratch
         ("column", "f8", COUNT),  # scratch
+        ("found", "f8", COUNT),  # with any scale
     ],
     align=True,
 )
 
 
 def drift(viscous: np.ndarray, coulomb: np.ndarray) -> np.ndarray:
-    """(9,) prior standard deviations for identified friction (3,) N m s/rad and (3,) N m."""
+    """(12,) prior standard deviations for identified friction (3,) N m s/rad and (3,) N m."""
     found = np.stack([np.abs(coulomb), np.abs(viscous), np.zeros(3)], axis=1)
-    return np.maximum(DRIFT_SHARE * found, SMALLEST_DRIFT).ravel()
+    return np.column_stack([np.maximum(DRIFT_SHARE * found, SMALLEST_DRIFT), np.full(3, SCALE_DRIFT)]).ravel()
 
 
 def start(state: np.ndarray, prior: np.ndarray) -> None:
-    """Nothing is known but the prior (9,)."""
+    """Nothing is known but the prior (12,)."""
     state[:] = np.zeros((), STATE)
     state["covariance"] = np.diag(prior**2)
 
 
 def aged(information: np.ndarray, moment: np.ndarray, prior: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Information (9, 9) and moment (9,) of a departure that comes back to none, of which `share` is left: its mean
-    shrinks by that, and its covariance grows towards that of the prior (9,), a Gauss-Markov process."""
+    """Information (12, 12) and moment (12,) of a departure that comes back to none, of which `share` is left: its mean
+    shrinks by that, and its covariance grows towards that of the prior (12,), a Gauss-Markov process."""
     known = np.diag(1.0 / prior**2)
     covariance = np.linalg.inv(information + known)
     later = np.linalg.inv(share**2 * covariance + (1.0 - share**2) * np.diag(prior**2))
@@ -83,7 +100,7 @@ def drift_share(departure: np.ndarray, identified: np.ndarray) -> np.ndarray:
 @kernel
 def gather_kernel(state, column, residual, known, weight, shape):
     """Take one sample into the block. column[:, 0]: phi, N m/kg. residual, known, weight: (3,) N m, N m of it that is
-    known not to be friction, (N m)^-2. shape: (3, 3), x_i."""
+    known not to be friction, (N m)^-2. shape: (3, PARTS), x_i."""
     load = 0.0
     for i in range(3):
         load += weight[i] * column[i, 0] * column[i, 0]
@@ -104,7 +121,7 @@ def gather_kernel(state, column, residual, known, weight, shape):
 
 @kernel
 def covariance_kernel(state, one, other):
-    """Covariance of two sums that friction enters with `one` and `other`, both (9,)."""
+    """Covariance of two sums that friction enters with `one` and `other`, both (12,)."""
     total = 0.0
     for a in range(COUNT):
         for b in range(COUNT):
@@ -114,7 +131,14 @@ def covariance_kernel(state, one, other):
 
 @kernel
 def learn_kernel(state, prior, forgetting, inflation):
-    """Take the block, whose residuals scatter `inflation` times as much as their weights say. prior: (9,), as drift."""
+    """Take the block, whose residuals scatter `inflation` times as much as their weights say. prior: (12,)."""
+    state.since += 1
+    if state.since >= UNDONE:
+        state.since = 0
+        _copy(
+            state.earlier_information[0], state.earlier_moment[0], state.earlier_information[1], state.earlier_moment[1]
+        )
+        _copy(state.information, state.moment, state.earlier_information[0], state.earlier_moment[0])
     for a in range(COUNT):
         state.moment[a] = state.moment[a] * forgetting + state.block_moment[a] / inflation
         state.block_moment[a] = 0.0
@@ -122,6 +146,27 @@ def learn_kernel(state, prior, forgetting, inflation):
             state.information[a, b] = state.information[a, b] * forgetting + state.block_information[a, b] / inflation
             state.block_information[a, b] = 0.0
     _solve(state, prior)
+
+
+@kernel
+def unlearn_kernel(state, prior):
+    """Nothing is known of the newest UNDONE blocks, nor of some before."""
+    _copy(state.earlier_information[1], state.earlier_moment[1], state.information, state.moment)
+    _copy(state.information, state.moment, state.earlier_information[0], state.earlier_moment[0])
+    state.since = 0
+    for a in range(COUNT):
+        state.block_moment[a] = 0.0
+        for b in range(COUNT):
+            state.block_information[a, b] = 0.0
+    _solve(state, prior)
+
+
+@kernel
+def _copy(information, moment, information_to, moment_to):
+    for a in range(COUNT):
+        moment_to[a] = moment[a]
+        for b in range(COUNT):
+            information_to[a, b] = information[a, b]
 
 
 @kernel
@@ -153,10 +198,49 @@ def _solve(state, prior):
             column[a] = total / root[a, a]
         for a in range(COUNT):
             if b == COUNT:
-                state.delta[a] = max(-BOUND * prior[a], min(BOUND * prior[a], column[a]))
-                state.held |= state.delta[a] != column[a]
+                state.found[a] = state.delta[a] = column[a]
             else:
                 state.covariance[a, b] = column[a]
+    _note_change(state)
+    if state.changed == 0:
+        _leave_scale_out(state)
     for a in range(COUNT):
+        believed = state.delta[a]
+        state.delta[a] = max(-BOUND * prior[a], min(BOUND * prior[a], believed))
+        state.held |= state.delta[a] != believed
         beyond = max(0.0, abs(state.delta[a]) - np.sqrt(max(state.covariance[a, a], 0.0)))
         state.sure[a] = np.copysign(beyond, state.delta[a])
+
+
+@kernel
+def _note_change(state):
+    """state.changed, from what is found of the scales."""
+    least = SAME_SCALE if state.changed != 0 else CHANGED_SCALE
+    state.changed = 0
+    for i in range(3):
+        k = PARTS * i + SCALE
+        size = abs(state.found[k])
+        state.changed |= size > least and size > CHANGED_SIGMAS * np.sqrt(max(state.covariance[k, k], 0.0))
+
+
+@kernel
+def _leave_scale_out(state):
+    """state.delta where every scale is what was identified, by conditioning on them one by one; and what the scales
+    found would make of it, squared, beside the covariance."""
+    left = state.root
+    for a in range(COUNT):
+        for b in range(COUNT):
+            left[a, b] = state.covariance[a, b]
+    for i in range(3):
+        k = PARTS * i + SCALE
+        for a in range(COUNT):
+            state.column[a] = left[k, a]
+        variance = max(state.column[k], 1e-12)
+        wrong = state.delta[k] / variance
+        for a in range(COUNT):
+            state.delta[a] -= state.column[a] * wrong
+            for b in range(COUNT):
+                left[a, b] -= state.column[a] * state.column[b] / variance
+    for a in range(COUNT):
+        for b in range(COUNT):
+            state.covariance[a, b] += (state.found[a] - state.delta[a]) * (state.found[b] - state.delta[b])

@@ -37,11 +37,11 @@ _Row = Annotated[list[float], Field(min_length=COUNT, max_length=COUNT)]
 
 
 class _Kept(BaseModel):
-    """Joint by joint Coulomb N m, viscous N m s/rad, offset N m: information in the inverse squares of these."""
+    """Joint by joint Coulomb N m, viscous N m s/rad, offset N m, scale: information in the inverse squares of these."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    schema_: Literal["deltatwin.friction/1"] = Field(alias="schema")
+    schema_: Literal["deltatwin.friction/2"] = Field(alias="schema")
     robot: str
     description: str  # SHA-256 of what the departure is from
     written_at: AwareDatetime
@@ -86,6 +86,7 @@ class Keeper:
         friction["information"], friction["moment"] = aged(
             np.array(kept.information), np.array(kept.moment), self._drift, left
         )
+        friction["earlier_information"], friction["earlier_moment"] = friction["information"], friction["moment"]
         return f"{self._path}: friction as learnt {age.total_seconds() / 60:.0f} min ago, counted {left:.0%}"
 
     def note(self, estimator: Estimator) -> None:
@@ -110,7 +111,7 @@ class Keeper:
     def _text(self, estimator: Estimator, now: datetime) -> str:
         friction = estimator.state["payload"]["friction"]
         kept = _Kept(
-            schema="deltatwin.friction/1",
+            schema="deltatwin.friction/2",
             robot=self._name,
             description=self._digest,
             written_at=now,

@@ -25,6 +25,7 @@ from service.estimator.feedforward import (
     load_kernel,
     torque_kernel,
 )  # fmt: skip
+from service.estimator.friction import PARTS, SCALE
 from service.estimator.kalman import (
     ACCELERATION,
     MAX_LAG,
@@ -39,7 +40,7 @@ from service.estimator.kalman import (
     smooth_kernel,
     update_kernel,
 )
-from service.estimator.payload.state import PRIOR_STD
+from service.estimator.payload.state import LOADS, PRIOR_STD
 from service.estimator.payload.step import payload_kernel, unseen_kernel, weigh_anew_kernel
 from service.estimator.stream import (
     BACKWARDS,
@@ -181,11 +182,17 @@ def lagged_kernel(settings, state, payload_out, error_out):
             error_out.kh[i] = past.torque[i] - kh
             error_out.id[i] = past.torque[i] - grey
             error_out.id_friction[i] = past.torque[i] - grey - friction
-            weighed.residual[i] = drive[i] - state.full[i]
-            weighed.column[i, 0] = load_kernel(settings, state, i)
+            # the load's share of a changed scale is the mass's by what is known of it, else the scale's
+            scale, load = weighed.friction.delta[PARTS * i + SCALE], load_kernel(settings, state, i)
+            carried = weighed.mass * load
+            weighed.residual[i] = drive[i] - state.full[i] + scale * carried
+            weighed.column[i, 0] = load
+            for p in range(LOADS):
+                weighed.column[i, p] *= 1.0 + scale
             weighed.shape[i, 0] = settings.scale[i] * state.direction[i]
             weighed.shape[i, 1] = settings.scale[i] * motion[VELOCITY, i]
             weighed.shape[i, 2] = 1.0
+            weighed.shape[i, SCALE] = state.full[i] + carried
             doubt = MODEL_SHARE * (
                 abs(terms[INERTIA, i]) + abs(terms[GRAVITY, i]) + abs(terms[PLATFORM, i]) + abs(friction)
             )
@@ -195,9 +202,8 @@ def lagged_kernel(settings, state, payload_out, error_out):
             weighed.slow.now.weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
         weighed.gripper = past.gripper
         event = payload_kernel(settings.payload, weighed)
-        load = weighed.usable
         for i in range(3):
-            error_out.full[i] = past.torque[i] - state.full[i] - load * weighed.column[i, 0]
+            error_out.full[i] = past.torque[i] - state.full[i] - weighed.usable * load_kernel(settings, state, i)
     error_out.flags = flags
     payload_out.mass = weighed.mass
     payload_out.std_dev = weighed.std_dev

@@ -86,8 +86,12 @@ class NumpyEstimator:
             inertia, gravity, platform, forearm, friction, load = self.terms(*self.commanded.state[:, :3].T)
             answer["source"] = 1
             answer["torque"] = (
-                self.rho_1 * inertia + self.rho_2 * gravity + platform + self.forearm * forearm + friction
-                + mass * load + self.learnt_friction(self.commanded.state[:, 1])
+                (1.0 + self.learnt("sure")[:, 3])
+                * (
+                    self.rho_1 * inertia + self.rho_2 * gravity + platform
+                    + self.forearm * forearm + friction + mass * load
+                )
+                + self.learnt_friction(self.commanded.state[:, 1])
             )  # fmt: skip
         else:
             answer["source"] = 3
@@ -109,9 +113,11 @@ class NumpyEstimator:
         doubt = MODEL_SHARE * (np.abs(inertia) + np.abs(gravity) + np.abs(platform) + np.abs(friction))
         noise = np.where(np.abs(state[:, 1]) > REVERSAL_SPEED, self.variance + doubt**2, np.inf)
         now = self.weighed[0]
-        now["column"][:, 0], now["residual"], now["weight"] = load, torque - full, 1.0 / noise
+        scale, carried = self.learnt("delta")[:, 3], now["mass"] * load
+        now["column"][:, 0], now["weight"] = (1.0 + scale) * load, 1.0 / noise
+        now["residual"] = torque - full + scale * carried
         direction = np.clip(state[:, 1] / REST_SPEED, -1, 1)
-        now["shape"] = np.stack([direction, state[:, 1], np.ones(3)], axis=1)
+        now["shape"] = np.stack([direction, state[:, 1], np.ones(3), full + carried], axis=1)
         event = payload_kernel(self.weigher, now)
         mass = self.mass()
         payload, error = PAYLOAD.empty(1), MODEL_ERROR.empty(1)
@@ -160,8 +166,12 @@ class NumpyEstimator:
 
     def learnt_friction(self, theta_dot: np.ndarray) -> np.ndarray:
         """(3,) N m, what is sure of it beside the identified."""
-        dry, viscous, offset = self.weighed[0]["friction"]["sure"].reshape(3, 3).T
+        dry, viscous, offset, _ = self.learnt("sure").T
         return dry * np.clip(theta_dot / REST_SPEED, -1, 1) + viscous * theta_dot + offset
+
+    def learnt(self, field: str) -> np.ndarray:
+        """(3, 4) Coulomb N m, viscous N m s/rad, offset N m and scale, a row a joint."""
+        return self.weighed[0]["friction"][field].reshape(3, 4)
 
     def mass(self) -> float:
         return self.weighed[0]["usable"]

@@ -12,6 +12,7 @@ from service.estimator.payload.state import BLOCKS, COLOUR, COLUMN, LOADS, RESID
 NEWEST, NEWEST_SHARE = 4, 0.6
 # Noise that is white from sample to sample averages better than CORRELATION_TIME says, down to this.
 LEAST_INFLATION = 0.4
+LEAST_LEARNING = 0.1  # the same of friction and scale, which many moves have a say in
 BIAS_TIME = 3.0  # s of motion over which what the model lacks is averaged
 OUTLYING = 0.3  # of the scatter of a single block, which noise alone makes three times its mean now and then
 ONSET_DOUBT = 3  # bins by which an onset is found too late
@@ -51,9 +52,9 @@ def scatter_kernel(settings, state):
         if state.active > 1:
             _look_again(state)
             state.fresh = min(BLOCKS - 2, state.fresh + 1)
-        _inflate(state)
+        found = _inflate(state)
         # friction is not to learn from what it cannot be: the block itself has a say
-        doubtful = max(state.inflation, _inflation(OUTLYING * own))
+        doubtful = max(LEAST_LEARNING, found, _inflation(OUTLYING * own))
         friction.learn_kernel(state.friction, settings.prior, settings.friction_forgetting, doubtful)
         state.block = oldest
     state.sums[state.block] = 0.0
@@ -80,7 +81,7 @@ def _misfit(sums, offset):
 
 @kernel
 def _inflate(state):
-    """state.inflation from the blocks of late."""
+    """state.inflation from the blocks of late, which it returns as it would be without its least value."""
     average = newest = 0.0
     # where a load swings, a change shows here before it is found; it is not to hide itself
     fresh = PENDING if state.active > 1 else 0
@@ -88,7 +89,9 @@ def _inflate(state):
         average += state.blocks[(state.block - n + BLOCKS) % BLOCKS] / (BLOCKS - fresh)
     for n in range(fresh, fresh + NEWEST):
         newest += state.blocks[(state.block - n + BLOCKS) % BLOCKS] / NEWEST
-    state.inflation = _inflation(max(average, NEWEST_SHARE * newest))
+    scatter = max(average, NEWEST_SHARE * newest)
+    state.inflation = max(LEAST_INFLATION, _inflation(scatter))
+    return _inflation(scatter)
 
 
 @kernel
@@ -108,6 +111,7 @@ def part_blocks(settings, state, samples):
         state.in_block = 0
         state.sums[state.block] = 0.0
     state.fresh = 0
+    friction.unlearn_kernel(state.friction, settings.prior)  # which a swinging load looks like until it is found
     index = state.block
     for _ in range(BLOCKS - 1):
         index = index - 1 if index > 0 else BLOCKS - 1
@@ -122,4 +126,4 @@ def part_blocks(settings, state, samples):
 @kernel
 def _inflation(scatter):
     """How much less a sample says than its noise allows, for blocks that scatter so."""
-    return max(LEAST_INFLATION, scatter + (COLOUR - 1.0) * max(0.0, scatter - 1.0))
+    return scatter + (COLOUR - 1.0) * max(0.0, scatter - 1.0)

@@ -51,7 +51,8 @@ STATE = np.dtype(
         ("in_bin", "i8"),  # samples in it
         ("filled", "i8"),  # bins since the last change, at most WINDOW
         ("load", "f8"),  # kg, mass at the last event, then whenever it is trusted
-        ("load_std", "f8"),  # kg, its standard deviation then
+        ("load_variance", "f8"),  # kg^2, of it then, without what friction does
+        ("load_drag", "f8", friction.COUNT),  # which is this, a departure
         ("load_before", "f8"),  # kg, the same before the last event
         ("last_event", "i8"),
         ("quiet", "i8"),  # samples since then
@@ -138,7 +139,7 @@ def sample_variance(noise: np.ndarray, model_error: np.ndarray) -> np.ndarray:
 def settings(
     period: float, prior: np.ndarray, max_payload: float, model_error: np.ndarray, variance: np.ndarray
 ) -> np.ndarray:
-    """One SETTINGS record. period: s. prior: (9,) of friction. max_payload: kg. model_error: (3,) N m rms that the
+    """One SETTINGS record. period: s. prior: (12,) of friction. max_payload: kg. model_error: (3,) N m rms that the
     model left where it was identified. variance: (3,) (N m)^2, as `sample_variance`."""
     record = np.zeros((), SETTINGS)
     for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME)):
@@ -156,7 +157,7 @@ def settings(
 
 
 def start(state: np.ndarray, prior: np.ndarray) -> None:
-    """An empty gripper, nothing known; prior: (9,) of friction."""
+    """An empty gripper, nothing known; prior: (12,) of friction."""
     state[:] = np.zeros((), STATE)
     state["information"][..., range(LOADS), range(LOADS)] = [PRIOR_STD**-2, OFFSET_STD**-2, OFFSET_STD**-2]
     state["active"] = state["filled"] = 1

@@ -22,17 +22,17 @@ EVENT_SIGMAS = 3.0  # standard deviations of now and then that a change of load 
 CLEAR_STEP = 10.0
 # What the model lacks is this many times the noise: what it says of the mass is not to be used.
 FOREIGN = 12.0
-# What it lacks is so many times the noise over some seconds of motion and, learnt friction taken off, now: a torque
-# constant that has changed does more along the mass than at right angles to it, where that shows.
+# What it lacks is so many times the noise over some seconds of motion and, what is learnt taken off, now: such a thing
+# may do more along the mass than at right angles to it, where that shows.
 LASTING, STILL_LASTING = 1.5, 3.0
 # What the model lacks over some seconds of motion comes again with every move: this share of it, brought to the
 # platform, does not average out of the mass.
-BIAS_SHARE = 0.5
+BIAS_SHARE = 0.55
 # Torque constants hold to some 5 %, and to 6 with what else of the model moves with them: two of these. Without a known
 # load nothing shows by how much a mass is off.
 TORQUE_SHARE = 0.03
 # Trusted when one standard deviation is below share * mass + floor.
-TRUST_SHARE, TRUST_FLOOR = 0.1, 0.025  # -, kg
+TRUST_SHARE, TRUST_FLOOR = 0.1, 0.03  # -, kg
 # A shortfall counts where a mass is this sure, and shows for this long, by more than this: a release is not seen at
 # once.
 SHORTFALL_STD, SETTLING_TIME, SHORTFALL_FLOOR = 0.1, 0.3, 0.02  # kg, s, kg
@@ -94,8 +94,14 @@ def conclude(settings, state):
     event = PayloadEvent.NONE.value
     if state.last_event == PayloadEvent.RELEASE.value and state.quiet < WINDOW * settings.bin_size:
         state.load = min(state.load, held)  # the rest of a release is no second one
-    if trusted or abs(held - state.load) > CLEAR_STEP * std_dev:
-        event = _event(settings, state, held, std_dev, trusted)
+    own = max(0.0, std_dev * std_dev - doubt)
+    if known_empty:
+        own = std_dev * std_dev
+        for a in range(friction.COUNT):
+            drag[a] = 0.0
+    variance = _step_variance(state, held - state.load, own)
+    if trusted or (held - state.load) ** 2 > CLEAR_STEP * CLEAR_STEP * variance:
+        event = _event(settings, state, held, own, variance, trusted)
     if event != PayloadEvent.NONE.value:
         state.untold = min(state.untold, LEAST_TIME)  # weighed anew
     state.mass = held
@@ -129,7 +135,19 @@ def _reckon(settings, state, borne_out):
 
 
 @kernel
-def _event(settings, state, mass, std_dev, trusted):
+def _step_variance(state, step, own):
+    """Of a step from the load believed so far, kg^2, where friction may do to the one what it does not to the other.
+    own: kg^2, of the mass without friction. A step that is none for its size is not asked for."""
+    if abs(step) <= SMALLEST_CHANGE:
+        return own
+    differs = state.contrast[1]
+    for a in range(friction.COUNT):
+        differs[a] = state.contrast[0, a] - state.load_drag[a]
+    return own + friction.covariance_kernel(state.friction, differs, differs)
+
+
+@kernel
+def _event(settings, state, mass, own, variance, trusted):
     """What a mass says beside the one believed so far. Another step the same way soon after only refines the event."""
     step = mass - state.load
     soon = state.quiet < WINDOW * settings.bin_size
@@ -138,14 +156,16 @@ def _event(settings, state, mass, std_dev, trusted):
     sign = 1.0 if state.last_event == PayloadEvent.PICK.value else -1.0
     small |= since < GRIPPER_TIME and sign * (mass - state.load_before) > SMALLEST_CHANGE
     event = PayloadEvent.NONE.value
-    least = max(SMALLEST_CHANGE, EVENT_SIGMAS * math.hypot(std_dev, state.load_std))
+    least = max(SMALLEST_CHANGE, EVENT_SIGMAS * math.sqrt(variance + state.load_variance))
     if step > least:
         event = PayloadEvent.PICK.value
     elif step < -least:
         event = PayloadEvent.RELEASE.value
     before = state.load
     if trusted or event != PayloadEvent.NONE.value:
-        state.load, state.load_std = mass, std_dev
+        state.load, state.load_variance = mass, own
+        for a in range(friction.COUNT):
+            state.load_drag[a] = state.contrast[0, a]
     if event == PayloadEvent.NONE.value or small or (event == state.last_event and soon):
         return PayloadEvent.NONE.value
     state.load_before = before

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from service.estimator.friction import COUNT
 from service.estimator.payload import change
 from service.estimator.payload.loads import locate
 from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, SMALLEST_CHANGE, STATE, WINDOW, start
 
-DRIFT = np.array([0.6, 0.2, 0.15] * 3)
+DRIFT = np.array([0.6, 0.2, 0.15, 0.03] * 3)
 OFFSETS = np.diag([0.0, OFFSET_STD**-2, OFFSET_STD**-2])  # what is known of a place beforehand
 
 
@@ -18,8 +19,8 @@ def believing(active, random):
     (state,) = states
     state["active"] = active
     np.testing.assert_allclose(state["information"], OFFSETS + np.diag([PRIOR_STD**-2, 0.0, 0.0]))
-    root = 0.1 * random.standard_normal((9, 9))
-    state["friction"]["covariance"], state["friction"]["delta"] = root @ root.T, 0.1 * random.standard_normal(9)
+    root = 0.03 * random.standard_normal((COUNT, COUNT))
+    state["friction"]["covariance"], state["friction"]["delta"] = root @ root.T, 0.1 * random.standard_normal(COUNT)
     return state
 
 
@@ -28,7 +29,7 @@ def fill(state, bins, load_of, random, clearly=1.0):
     active, delta = state["active"], state["friction"]["delta"]
     for n in range(bins):
         columns = clearly * random.standard_normal((6, active)) * [3.0, 20.0, 20.0][:active]
-        slopes = random.standard_normal((6, 9))
+        slopes = random.standard_normal((6, COUNT))
         pulled = columns.T @ (columns @ load_of(n)[:active] + slopes @ delta + 0.3 * random.standard_normal(6))
         head = state["head"] = (state["head"] + 1) % WINDOW
         for name, gained in (("information", columns.T @ columns), ("moment", pulled), ("drag", columns.T @ slopes)):
@@ -61,7 +62,7 @@ def distances(state):
     active, friction = state["active"], state["friction"]
     prior, before = OFFSETS[:active, :active], np.zeros(0)
     whole, index = state["information"][:active, :active], state["head"]
-    since, pulled, dragged = prior.copy(), np.zeros(active), np.zeros((active, 9))
+    since, pulled, dragged = prior.copy(), np.zeros(active), np.zeros((active, COUNT))
     result = np.full(state["filled"], np.nan)
     hidden = 0.0  # kg^2 of the mass alone, beyond noise and what the model lacks
     for n in range(state["filled"]):

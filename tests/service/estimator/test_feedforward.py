@@ -151,7 +151,7 @@ def test_a_stray_sample_gets_the_answer_of_before_until_nothing_else_comes(step)
 def test_learnt_friction_is_reported_as_the_drives_report_torque(step):
     """Dry and viscous parts through the torque constant, an offset as it is."""
     now, settings = step["state"][0], step["settings"][0]
-    sure = np.arange(1.0, 10.0).reshape(3, 3)
+    sure = np.arange(1.0, 13.0).reshape(3, friction.PARTS)
     settings["scale"], now["direction"], now["trajectory"][1] = [1.0, 1.1, 0.9], [1.0, -1.0, 0.5], [3.0, -2.0, 0.4]
     now["payload"]["friction"]["sure"] = sure.ravel()
     for i in range(3):
@@ -164,7 +164,9 @@ def test_learnt_friction_is_reported_as_the_drives_report_torque(step):
 def test_what_is_wanted_is_the_models_torque_a_payload_and_learnt_friction(step, robot):
     now, settings, found = step["state"][0], step["settings"][0], robot.identified
     settings["scale"], now["trajectory"] = [1.0, 1.1, 0.9], [[0.3, 0.4, 0.5], [2.0, -1.0, 3.0], [10.0, 20.0, -30.0]]
-    now["payload"]["usable"], now["payload"]["friction"]["sure"] = 1.5, np.arange(9.0)
+    sure = np.arange(12.0)
+    sure[[3, 7, 11]] = scale = [0.05, -0.03, 0.0]
+    now["payload"]["usable"], now["payload"]["friction"]["sure"] = 1.5, sure
     assert feedforward._for_motion(settings, now, step["sample"][0])
     inertia, gravity, platform, forearm, load = torque_terms(pack(robot), *now["trajectory"])
     rigid = found.rho_1.value * inertia + found.rho_2.value * gravity + platform
@@ -173,7 +175,8 @@ def test_what_is_wanted_is_the_models_torque_a_payload_and_learnt_friction(step,
     rubs = found.viscous_friction_nms.value * now["trajectory"][1] + found.coulomb_friction_nm.value * way
     np.testing.assert_allclose(now["full"], settings["scale"] * (rigid + rubs), rtol=1e-9)
     learnt = [feedforward._learnt_friction(settings, now, i) for i in range(3)]
-    np.testing.assert_allclose(now["wanted"], now["full"] + 1.5 * settings["scale"] * load + learnt, rtol=1e-9)
+    moved = (1 + np.array(scale)) * (now["full"] + 1.5 * settings["scale"] * load)
+    np.testing.assert_allclose(now["wanted"], moved + learnt, rtol=1e-9)
     now["payload"]["usable"] = np.inf
     assert not feedforward._for_motion(settings, now, step["sample"][0]), "no torque that is none"
     now["trajectory"][0] = 3.0

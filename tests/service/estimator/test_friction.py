@@ -10,6 +10,7 @@ from schemas.errors import StorageError
 from schemas.messages import SampleFlag
 from service.estimator import friction
 from service.estimator.estimator import Estimator
+from service.estimator.friction import COUNT, PARTS
 from service.estimator.keep import Keeper
 from tests.known import PERIOD
 
@@ -66,21 +67,22 @@ def test_no_gear_rubs_that_much_more(robot, make):
 def test_friction_is_least_squares_at_right_angles_to_the_load():
     """Two blocks of samples, the second of half the worth, by matrices: what a mass could be is taken out of each."""
     random, state = np.random.default_rng(4), np.zeros(1, friction.STATE)
-    prior = np.array([0.6, 0.2, 0.15] * 3)
+    prior = np.array([0.6, 0.2, 0.15, 0.03] * 3)
     friction.start(state, prior)
     state, forgetting = state[0], 0.9
-    np.testing.assert_allclose(state["covariance"], np.diag([0.36, 0.04, 0.0225] * 3))
-    truth = np.array([0.5, -0.1, 0.2, -0.4, 0.2, 0.1, 5.0, 0.0, -0.1])  # the third joint's is beyond any gear's
-    information, moment = np.zeros((9, 9)), np.zeros(9)
+    np.testing.assert_allclose(state["covariance"], np.diag([0.36, 0.04, 0.0225, 0.0009] * 3))
+    truth = np.array([0.5, -0.1, 0.2, 0.03, -0.4, 0.2, 0.1, -0.02, 5.0, 0.0, -0.1, 0.01])  # 5: beyond any gear's
+    information, moment = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
     for inflation in (1.0, 2.0):
-        gained, pulled = np.zeros((9, 9)), np.zeros(9)
+        gained, pulled = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
         for row in range(200):
             phi, known, weight = random.uniform(-3, 3, 3), random.standard_normal(3), random.uniform(0.1, 4.0, 3)
             weight[2 if row % 7 == 0 else 1] *= row % 5 > 0  # a joint that rests says nothing
-            x = np.stack([random.choice([-1.0, 1.0], 3), random.uniform(-5, 5, 3), np.ones(3)], axis=1)
-            slopes = np.zeros((3, 9))
+            moved = 20.0 * random.standard_normal(3)
+            x = np.stack([random.choice([-1.0, 1.0], 3), random.uniform(-5, 5, 3), np.ones(3), moved], axis=1)
+            slopes = np.zeros((3, COUNT))
             for joint in range(3):
-                slopes[joint, 3 * joint : 3 * joint + 3] = x[joint]
+                slopes[joint, PARTS * joint : PARTS * joint + PARTS] = x[joint]
             residual = 1.3 * phi + known + slopes @ truth + random.standard_normal(3) / 3
             friction.gather_kernel(state, np.repeat(phi[:, None], 3, axis=1), residual, known, weight, x)
             root = np.sqrt(np.diag(weight))
@@ -94,27 +96,78 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     covariance = np.linalg.inv(information + np.diag(1 / prior**2))
     found = covariance @ moment
     np.testing.assert_allclose(state["covariance"], covariance, rtol=1e-6, atol=1e-12)
-    assert found[6] > friction.BOUND * prior[6]
-    found[6] = friction.BOUND * prior[6]
+    assert found[8] > friction.BOUND * prior[8]
+    found[8] = friction.BOUND * prior[8]
     np.testing.assert_allclose(state["delta"], found, rtol=1e-6, atol=1e-9)
     assert state["held"]
     beyond = np.sign(found) * np.maximum(0.0, np.abs(found) - np.sqrt(np.diag(covariance)))
     np.testing.assert_allclose(state["sure"], beyond, rtol=1e-6, atol=1e-9)
-    state["moment"][6] = 0.0
+    state["moment"][8] = 0.0
     friction.learn_kernel(state, prior, forgetting, 1.0)
     assert not state["held"], "nothing is beyond a gear's any more"
     covariance = state["covariance"]
-    one, other = random.standard_normal((2, 9))
+    one, other = random.standard_normal((2, COUNT))
     departure, spread = friction.learnt(state)
     np.testing.assert_array_equal(departure.ravel(), state["delta"])
     np.testing.assert_allclose(spread.ravel() ** 2, np.diag(covariance))
     assert friction.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
 
 
+def test_a_small_scale_is_left_out_and_counted():
+    """It may be an inertia that is a little wrong: the rest is what it is without, and the difference is error."""
+    random, prior = np.random.default_rng(7), np.array([0.6, 0.2, 0.15, 0.03] * 3)
+    states = np.zeros(1, friction.STATE)
+    friction.start(states, prior)
+    (state,) = states
+    slopes = random.standard_normal((40, COUNT)) * np.tile([3.0, 5.0, 3.0, 300.0], 3)
+    state["information"] = information = slopes.T @ slopes
+    known, scales = information + np.diag(prior**-2), np.arange(3, COUNT, PARTS)
+    covariance = np.linalg.inv(known)
+    for largest, changed in ((0.019, 0), (0.021, 1), (-0.011, 1), (0.009, 0), (-0.021, 1)):
+        found = 0.05 * random.standard_normal(COUNT)
+        found[scales] = [0.005, largest, 0.0]
+        state["block_information"], state["block_moment"] = information, known @ found
+        friction.learn_kernel(state, prior, 0.0, 1.0)
+        assert state["changed"] == changed, largest
+        without = found - covariance[:, scales] @ np.linalg.solve(covariance[np.ix_(scales, scales)], found[scales])
+        expected = found if changed else without
+        np.testing.assert_allclose(state["delta"], expected, rtol=1e-6, atol=1e-9)
+        error = found - expected
+        np.testing.assert_allclose(state["covariance"], covariance + np.outer(error, error), rtol=1e-6, atol=1e-9)
+    unsure = slopes * np.tile([1.0, 1.0, 1.0, 0.01], 3)
+    information = unsure.T @ unsure
+    state["block_information"], state["block_moment"] = information, (information + np.diag(prior**-2)) @ found
+    friction.learn_kernel(state, prior, 0.0, 1.0)
+    assert state["changed"] == 0, "nothing that stands out of its error"
+
+
+def test_what_the_newest_blocks_taught_can_be_unlearnt():
+    random, prior = np.random.default_rng(8), np.array([0.6, 0.2, 0.15, 0.03] * 3)
+    states = np.zeros(1, friction.STATE)
+    friction.start(states, prior)
+    (state,) = states
+    after = [(state["information"].copy(), state["moment"].copy())]
+    for _ in range(13):
+        slopes = random.standard_normal((15, COUNT))
+        state["block_information"], state["block_moment"] = slopes.T @ slopes, random.standard_normal(COUNT)
+        friction.learn_kernel(state, prior, 0.9, 1.0)
+        after.append((state["information"].copy(), state["moment"].copy()))
+    for _ in range(2):
+        state["block_information"] = state["block_moment"] = 1.0
+        friction.unlearn_kernel(state, prior)
+        np.testing.assert_array_equal(state["information"], after[4][0])
+        np.testing.assert_array_equal(state["moment"], after[4][1])
+        assert not state["block_information"].any()
+        assert not state["block_moment"].any()
+    friction.learn_kernel(state, prior, 1.0, 1.0)
+    expected = np.linalg.inv(after[4][0] + np.diag(prior**-2))
+    np.testing.assert_allclose(np.diag(state["covariance"]), np.diag(expected), rtol=0.5)
+
+
 def test_what_is_left_of_a_departure_after_a_while_is_a_gauss_markov_process():
-    random, prior, share = np.random.default_rng(6), np.array([0.6, 0.2, 0.15] * 3), 0.7
-    slopes = random.standard_normal((20, 9))
-    information, moment = slopes.T @ slopes, random.standard_normal(9)
+    random, prior, share = np.random.default_rng(6), np.array([0.6, 0.2, 0.15, 0.03] * 3), 0.7
+    slopes = random.standard_normal((20, COUNT))
+    information, moment = slopes.T @ slopes, random.standard_normal(COUNT)
     mean = np.linalg.solve(information + np.diag(prior**-2), moment)
     covariance = np.linalg.inv(information + np.diag(prior**-2))
     later = friction.aged(information, moment, prior, share)
@@ -130,8 +183,8 @@ def test_a_share_of_friction_is_reckoned_at_one_speed():
     identified = np.array([[2.0, 1.0], [3.0, 2.0], [0.0, 0.0]])
     assert friction.drift_share(departure, identified) == pytest.approx([0.3, 0.02, 2.0])
     np.testing.assert_allclose(
-        friction.drift(np.array([-2.0, 0.1, 4.0]), np.array([3.0, 0.1, 0.0])).reshape(3, 3),
-        [[0.45, 0.3, 0.15], [0.15, 0.05, 0.15], [0.15, 0.6, 0.15]],
+        friction.drift(np.array([-2.0, 0.1, 4.0]), np.array([3.0, 0.1, 0.0])).reshape(3, PARTS),
+        [[0.45, 0.3, 0.15, 0.03], [0.15, 0.05, 0.15, 0.03], [0.15, 0.6, 0.15, 0.03]],
     )
 
 
@@ -219,13 +272,13 @@ def test_what_was_learnt_at_another_rate_is_not_used(robot, kept, period, used):
 def test_an_hour_leaves_a_third_of_what_was_learnt(robot, kept):
     """By the drift of what was identified; a joint that never moved is no fault of the file."""
     path, _ = kept
-    information = np.diag([0.0, *range(1, 9)]).astype(float)
-    change(path, written_at=ago(hours=1), information=information.tolist(), moment=[0.0, *[2.0] * 8])
+    information = np.diag([0.0, *range(1, COUNT)]).astype(float)
+    change(path, written_at=ago(hours=1), information=information.tolist(), moment=[0.0, *[2.0] * (COUNT - 1)])
     estimator = Estimator(robot, PERIOD)
     assert "60 min ago, counted 37%" in Keeper(path, robot).begin(estimator)
     found = robot.identified
     prior = friction.drift(np.array(found.viscous_friction_nms.value), np.array(found.coulomb_friction_nm.value))
-    left = friction.aged(information, np.array([0.0, *[2.0] * 8]), prior, np.exp(-1.0))
+    left = friction.aged(information, np.array([0.0, *[2.0] * (COUNT - 1)]), prior, np.exp(-1.0))
     begun = estimator.state["payload"]["friction"]
     np.testing.assert_allclose(begun["information"], left[0], rtol=1e-3, atol=1e-9)
     np.testing.assert_allclose(begun["moment"], left[1], rtol=1e-3, atol=1e-9)
@@ -240,7 +293,7 @@ def test_clocks_may_differ_by_a_minute(robot, kept):
         Keeper(path, robot)
 
 
-SKEW = np.eye(9)
+SKEW = np.eye(COUNT)
 SKEW[0, 1] = 0.5
 
 
@@ -251,9 +304,9 @@ SKEW[0, 1] = 0.5
         ({"description": "0" * 64}, "description: kept for another"),
         ({"written_at": ago(days=-1)}, "written_at: "),
         ({"information": SKEW.tolist()}, "information: not symmetric"),
-        ({"information": np.diag([1.0] * 8 + [-1.0]).tolist()}, "information: not positive"),
-        ({"moment": [float("nan")] * 9}, "moment.0: "),
-        ({"moment": [0.0] * 8}, "moment: "),
+        ({"information": np.diag([1.0] * (COUNT - 1) + [-1.0]).tolist()}, "information: not positive"),
+        ({"moment": [float("nan")] * COUNT}, "moment.0: "),
+        ({"moment": [0.0] * (COUNT - 1)}, "moment: "),
         ({"schema": "deltatwin.friction/9"}, "schema: "),
         ({"period_s": 0.0}, "period_s: "),
         ({"more": 1}, "more: unknown key"),

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from service.estimator import friction
+from service.estimator.friction import COUNT, PARTS
 from service.estimator.payload import scatter
 from service.estimator.payload.state import BLOCKS, COLOUR, LOADS, STATE, settings, start
 
-PERIOD, PRIOR = 1e-3, np.array([0.6, 0.2, 0.15] * 3)
+PERIOD, PRIOR = 1e-3, np.array([0.6, 0.2, 0.15, 0.03] * 3)
 SETTINGS = settings(PERIOD, PRIOR, 6.0, np.ones(3), np.ones(3))[()]
 SIZE = int(SETTINGS["block_size"])
 
@@ -23,15 +24,15 @@ def fresh(active=1):
 def fill(state, random, resting):
     """A block of samples, and what least squares leave of its mean residuals: over the noise, a degree of freedom, and
     what it says of the mass."""
-    state["friction"]["delta"] = delta = 0.3 * random.standard_normal(9)
+    state["friction"]["delta"] = delta = 0.3 * random.standard_normal(COUNT)
     state["offset"] = offset = random.standard_normal(2) if state["active"] > 1 else np.zeros(2)
     weight = random.uniform(0.2, 3.0, (SIZE, 3)) * ~np.isin(np.arange(3), resting)
     column, residual = random.standard_normal((SIZE, 3, LOADS)), random.normal(0.0, 2.0, (SIZE, 3))
-    way = random.standard_normal((SIZE, 3, 3))
+    way = random.standard_normal((SIZE, 3, PARTS))
     for n in range(SIZE):
         state["column"], state["residual"], state["weight"], state["shape"] = column[n], residual[n], weight[n], way[n]
         scatter.scatter_kernel(SETTINGS, state)
-    known = np.einsum("nia,ia->ni", way, delta.reshape(3, 3)) + column[:, :, 1:] @ offset
+    known = np.einsum("nia,ia->ni", way, delta.reshape(3, PARTS)) + column[:, :, 1:] @ offset
     moving = [joint for joint in range(3) if joint not in resting]
     mean = {name: np.sum(weight * values, axis=0)[moving] / weight.sum(axis=0)[moving]
             for name, values in (("left", residual - known), ("phi", column[:, :, 0]))}  # fmt: skip
@@ -41,7 +42,7 @@ def fill(state, random, resting):
 
 
 def inflation(scattered):
-    return max(scatter.LEAST_INFLATION, scattered if scattered < 1 else COLOUR * scattered - (COLOUR - 1))
+    return scattered if scattered < 1 else COLOUR * scattered - (COLOUR - 1)
 
 
 @pytest.mark.parametrize("active", [1, LOADS])
@@ -89,10 +90,11 @@ def test_noise_counts_for_more_by_the_blocks_of_late(active, late):
     ages[newest : newest + scatter.NEWEST] = late
     state["block"] = 5
     state["blocks"] = ages[(5 - np.arange(BLOCKS)) % BLOCKS]
-    scatter._inflate(state)
+    found = scatter._inflate(state)
     scattered = max(ages[newest:].mean(), scatter.NEWEST_SHARE * late)
-    assert state["inflation"] == pytest.approx(inflation(scattered))
-    assert scatter._inflation(0.1) == scatter.LEAST_INFLATION
+    assert found == pytest.approx(inflation(scattered))
+    assert state["inflation"] == pytest.approx(max(scatter.LEAST_INFLATION, found))
+    assert scatter._inflation(0.1) == 0.1
     assert scatter._inflation(2.0) == pytest.approx(1 + COLOUR)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from schemas.messages import Gripper, PayloadEvent, stamp_ns
 from service.estimator.estimator import Estimator
+from service.estimator.friction import PARTS
 from service.estimator.payload.verdict import EVENT_BURST, EVENT_RATE
 from service.model.kinematics import jacobian
 from service.model.nominal import pack
@@ -303,14 +304,15 @@ def test_stacked_picks_and_partial_releases_are_events(robot, make):
 
 
 def test_friction_is_learnt_whatever_hangs_on_the_gripper(robot, make):
-    """No empty move at all, and the payload unknown: the nine numbers come out within their errors."""
+    """No empty move at all, and the payload unknown: the twelve numbers come out within their errors."""
     known = make(8.0, payload=lambda t: 1.0 + 1.0 * (t > 3.0), noise=0.25)
-    truth = np.array([[1.0, 0.3, 0.2], [-0.6, 0.1, -0.2], [0.8, -0.3, 0.1]])
+    truth = np.array([[1.0, 0.3, 0.2, 0.05], [-0.6, 0.1, -0.2, -0.03], [0.8, -0.3, 0.1, 0.02]])
     direction = np.clip(known.theta_dot / 0.01, -1, 1)
+    known.samples["torque"] += truth[:, 3] * known.torque
     known.samples["torque"] += truth[:, 0] * direction + truth[:, 1] * known.theta_dot + truth[:, 2]
     estimator = Estimator(robot, PERIOD)
     estimator.run(known.samples)
     friction = estimator.state["payload"]["friction"]
-    deviation = np.sqrt(np.diag(friction["covariance"])).reshape(3, 3)
-    assert (np.abs(friction["delta"].reshape(3, 3) - truth) < 4 * deviation + 0.02).all()
+    deviation = np.sqrt(np.diag(friction["covariance"])).reshape(3, PARTS)
+    assert (np.abs(friction["delta"].reshape(3, PARTS) - truth) < 4 * deviation + [0.02, 0.02, 0.02, 0.002]).all()
     assert (deviation < 0.1).all()

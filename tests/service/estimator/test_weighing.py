@@ -5,10 +5,11 @@ import pytest
 
 from schemas.messages import Gripper
 from service.estimator import slow
+from service.estimator.friction import COUNT, PARTS
 from service.estimator.payload import step
 from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, STATE, sample_variance, settings, start
 
-PERIOD, DRIFT = 1e-3, np.array([0.6, 0.2, 0.15] * 3)
+PERIOD, DRIFT = 1e-3, np.array([0.6, 0.2, 0.15, 0.03] * 3)
 SETTINGS = settings(PERIOD, DRIFT, 6.0, np.zeros(3), np.ones(3))[()]
 PRIOR = np.diag([PRIOR_STD**-2, OFFSET_STD**-2, OFFSET_STD**-2])
 
@@ -55,15 +56,15 @@ def test_what_a_model_left_counts_for_as_long_as_it_lasts_where_it_stands_out():
 def test_every_sample_adds_what_it_says_and_the_past_fades(active):
     """Seven of them, two a bin, in the metric of noise that scatters 1.7 times as much as it should."""
     random, state = np.random.default_rng(1), fresh(inflation=1.7)
-    information, moment, drag, raw = PRIOR[:active, :active], np.zeros(active), np.zeros((active, 9)), PRIOR[0, 0]
-    bins = np.zeros((4, active, active + 1 + 9))
+    information, moment, drag, raw = PRIOR[:active, :active], np.zeros(active), np.zeros((active, COUNT)), PRIOR[0, 0]
+    bins = np.zeros((4, active, active + 1 + COUNT))
     fade = np.exp(-PERIOD / 3.0)
     for n in range(7):
         column = random.standard_normal((3, active)) * [3.0, 20.0, 20.0][:active]
-        slopes = np.zeros((3, 9))
+        slopes = np.zeros((3, COUNT))
         for joint in range(3):
-            slopes[joint, 3 * joint : 3 * joint + 3] = random.standard_normal(3)
-            state["shape"][joint] = slopes[joint, 3 * joint : 3 * joint + 3]
+            slopes[joint, PARTS * joint : PARTS * joint + PARTS] = random.standard_normal(PARTS)
+            state["shape"][joint] = slopes[joint, PARTS * joint : PARTS * joint + PARTS]
         weight = random.uniform(0.2, 2.0, 3)
         residual = column @ [0.5, 0.02, 0.01][:active] + 0.01 * random.standard_normal(3)
         state["column"][:, :active], state["residual"], state["weight"] = column, residual, weight
@@ -175,7 +176,7 @@ def test_a_place_on_the_axis_is_forgotten_some_time_after_it_turned():
 def test_slow_motion_hands_on_what_gravity_says():
     """The sample as the slow branch takes it, its friction taken off, and all that is known replaced by its answer."""
     random, state = np.random.default_rng(2), fresh(inflation=1.5, mass=1.0, std_dev=0.4, drag=2.0, in_bin=0)
-    delta = 0.2 * random.standard_normal(9)
+    delta = 0.2 * random.standard_normal(COUNT)
     state["friction"]["delta"] = delta
     expected, said = state["slow"].copy(), False
     slowly = 2.5e-3  # s, the fewer samples it takes
@@ -183,7 +184,7 @@ def test_slow_motion_hands_on_what_gravity_says():
     for _ in range(140):
         phi, shape, weight = (
             random.uniform(1.0, 3.0, 3),
-            random.choice([-1.0, 1.0], (3, 3)),
+            random.choice([-1.0, 1.0], (3, PARTS)),
             random.uniform(1.0, 2.0, 3),
         )
         residual = 1.2 * phi + 0.1 * random.standard_normal(3)
@@ -192,8 +193,8 @@ def test_slow_motion_hands_on_what_gravity_says():
         state["column"][:, 0], state["slow"]["now"]["weight"] = phi, weight
         step.payload_kernel(rule, state)
         now = expected["now"]
-        now["phi"], now["way"], now["drift"], now["weight"] = phi, shape[:, 0], DRIFT[::3], weight * slowly / 0.003
-        now["residual"] = residual - np.einsum("ja,ja->j", shape, delta.reshape(3, 3))
+        now["phi"], now["way"], now["drift"], now["weight"] = phi, shape[:, 0], DRIFT[::PARTS], weight * slowly / 0.003
+        now["residual"] = residual - np.einsum("ja,ja->j", shape, delta.reshape(3, PARTS))
         now["mass"], now["variance"] = mass, variance
         said = slow.slow_kernel(expected, slowly, PRIOR_STD**2)
     assert said
