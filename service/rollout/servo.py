@@ -19,7 +19,6 @@ from schemas.errors import DataError
 from schemas.kernels import kernel
 from schemas.robot import Servo
 from schemas.trace import Trace
-from service.identification.fit import solve
 from service.model.kinematics import REACHED
 from service.model.signals import Band, Segment
 from service.rollout.kernel import SCRATCH, Pace, Runs, near_kernel, set_out_kernel, step_kernel
@@ -87,7 +86,7 @@ def identified(parts: Sequence[tuple[Trace, Segment, Stretch]]) -> Servo:
             columns.append(kept[:, :-1])
             targets.append(kept[:, -1])
         slopes, target = np.concatenate(columns), np.concatenate(targets)
-        weights = solve(slopes.T @ slopes, slopes.T @ target)
+        weights = np.linalg.lstsq(slopes, target)[0]
         left = float(np.sqrt(np.sum((target - slopes @ weights) ** 2) / max(np.sum(target**2), 1e-300)))
         damping, stiffness, integral, forward, inertia = weights
         if not (left < MOST_LEFT and damping > 0 and stiffness > 0):
