@@ -188,11 +188,12 @@ def survey(room: str) -> dict[str, dict]:
 
 
 def order(mutant: Mutant, tests: dict[str, dict]) -> list[str]:
-    """Tests that call the function of a mutant; of its file where that cannot be seen, else all. Quick ones first, the
-    others file by file, so that what a file makes for its tests is made once."""
+    """Tests that call the function of a mutant; all where that cannot be seen (a kernel, a constant that a test reads),
+    those first that call its file. Quick ones first, the others file by file, so that what a file makes for its tests
+    is made once."""
     mine = {n for n in tests if f"{mutant.file}:{mutant.function}" in tests[n]["calls"]}
     near = {n for n in tests if any(call.startswith(f"{mutant.file}:") for call in tests[n]["calls"])}
-    groups = [mine, near, set(tests)] if mutant.compiled else [mine, near] if not mutant.function else [mine]
+    groups = [mine] if mutant.function and not mutant.compiled else [mine, near, set(tests)]
     result: list[str] = []
     for group in groups:
         result += _ranked(group.difference(result), tests)

@@ -189,6 +189,16 @@ SPANS = {
     ("encoder_eccentricity", "order"): (1, 4),
 }
 
+REPEATS = {"cogging"}
+DISSIPATES = {
+    "asymmetric_friction",
+    "load_dependent_friction",
+    "nonlinear_viscous_friction",
+    "position_dependent_friction",
+    "stribeck_friction",
+    "warmup_friction",
+}
+
 
 @pytest.mark.parametrize("name", STATED)
 def test_an_effect_is_what_is_stated(name):
@@ -211,6 +221,11 @@ def test_an_effect_is_what_is_stated(name):
 
 def test_nothing_is_in_the_catalogue_that_is_not_stated():
     assert [effect.name for effect in CATALOGUE] == [*STATED]
+
+
+def test_what_may_be_at_work_twice_and_what_takes_energy():
+    assert {effect.name for effect in CATALOGUE if effect.repeats} == REPEATS
+    assert {effect.name for effect in CATALOGUE if effect.dissipates} == DISSIPATES
 
 
 @pytest.mark.parametrize(("name", "key"), SPANS)

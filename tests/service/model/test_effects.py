@@ -230,3 +230,46 @@ def test_what_only_a_simulation_carries_is_put_inside_the_robot():
     assert inside.wobble == [(1, 0.01, -0.02, 2.0)]
     assert inside.ball_joints.tolist() == [0.1, 0.2, 0.3, 0.4]
     assert (inside.bristle.tolist(), inside.distance.tolist()) == ([0.0, 1.5, 0.0], [1.0, 0.002, 1.0])
+
+
+def test_a_wobble_moves_as_its_own_derivatives():
+    """What an encoder off its centre adds to angle, speed and acceleration, one by differences of the other."""
+    here, seen = scene(course(1, 0.5)), []
+    place = stub(
+        segment=here.segment, mechanism=here.mechanism, perturbed=lambda _, *m: seen.append(m) or np.zeros((500, 3))
+    )
+    EFFECTS["encoder_eccentricity"].regressors(place, 0, (1.0,))
+    assert len(seen) == 2
+    for angle, speed, acceleration in seen:
+        for value, slope in ((angle, speed), (speed, acceleration)):
+            near = np.gradient(value, here.period, edge_order=2)
+            np.testing.assert_allclose(near, slope, atol=0.02 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("ripple", [0.0, 1.0])
+def test_orders_are_looked_for_that_stand_out(ripple):
+    """13 a motor turn is not among the usual ones."""
+    run = course(1, 3.0)
+    torque = run.torque.copy()
+    torque[:, 1] += ripple * np.cos(13 * ROBOT.drive.gear_ratio * run.motion[0][:, 1])
+    here = Scene(Recording(segment(run, torque), Delta.of(ROBOT), 0, "run"), BASE)
+    assert ((13.0,) in EFFECTS["cogging"].grid(here)) == bool(ripple)
+
+
+@pytest.mark.parametrize(
+    ("order", "travel", "weight"), [(0.04, 20.0, True), (0.05, 10.0, False), (0.05, 7.0, True), (0.035, 12.0, False)]
+)
+def test_a_ripple_once_a_turn_or_that_hardly_comes_round_is_a_weight(order, travel, weight):
+    """A gear of 25: once a turn of the joint at 0.04; one and a half periods at least."""
+    turns = order * 25.0 * travel / (2 * np.pi)
+    assert (turns < 1.5 or abs(order * 25.0 - 1) < 0.1) == weight
+    assert EFFECTS["cogging"].is_weight(25.0, travel, (order,)) == weight
+    assert not EFFECTS["torque_offset"].is_weight(25.0, travel, ())
+
+
+def test_a_gap_is_looked_for_on_both_sides_of_the_grid():
+    low, middle, high = EFFECTS["backlash"].starts((0.001, 120.0, 2.0, 0.2))
+    assert middle == (0.001, 120.0, 2.0, 0.2)
+    assert 0.8e-3 < low[0] < 0.95e-3
+    assert 1.05e-3 < high[0] < 1.25e-3
+    assert low[1:] == high[1:] == middle[1:]
