@@ -332,3 +332,17 @@ def test_the_noise_is_read_from_what_a_first_fit_leaves() -> None:
     np.testing.assert_allclose(noise.sample, NOISE, rtol=0.2)
     np.testing.assert_array_equal(again.sigma, noise.band)
     np.testing.assert_allclose(noise.band, NOISE * again.band.white_share**0.5, rtol=0.25)
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_log_a_fold_or_four_stretches_and_half_a_second_a_block(count: int) -> None:
+    made = logs(count=count)
+    split, length = Split.of(made), round(0.5 / (PERIOD * made.band.step))
+    total, done, first = sum(len(rows) for rows in made.rows), 0, 0
+    for number, rows in enumerate(made.rows):
+        place = rows.T.nonzero()[1]
+        fold = np.full(len(place), number) if count == 3 else (done + place) * 4 // total
+        np.testing.assert_array_equal(split.fold[number], fold)
+        np.testing.assert_array_equal(split.block[number], first + place // length)
+        done, first = done + len(rows), first + -(-len(rows) // length)
+    assert (split.folds, split.blocks) == ({2: 4, 3: 3}[count], first)
