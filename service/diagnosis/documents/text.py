@@ -62,8 +62,8 @@ CAUTIONS = {
     "({share:.0%}): not named.",
     "varies": "{Effect}{where} fits, but {run} alone asks for a figure {share:.0%} off that of all runs together: what "
     "stands behind it is something else, not named.",
-    "rivalled": "{Effect}{where} fits, but something else is at work too, and others would do as well as it (best in "
-    "{share:.0%} of the resampled data): not named.",
+    "rivalled": "{Effect}{where} fits, but something else is at work too, and others would do as well as it: not "
+    "named.",
     "set_aside": "{share:.0%} of the motion{where} has something at work that is not in the catalogue; what is named "
     "was told by the rest.",
 }

@@ -29,6 +29,7 @@ LEAST_UNKNOWN = 0.1  # the same of all names together where the noise is not kno
 LEAST_PART = 0.1  # of what tells an effect's figures that a run has to hold to be asked for its own
 Z95 = 1.96
 LIKELY = 0.5  # probability that a name needs where far more than noise is left
+TILTED = 0.5  # of what is left above the noise: by so much it may favour one of two names beside a stranger
 OPEN = 0.5  # standard error over value of a parameter without amplitudes, from which it is open whether there is any
 
 
@@ -48,7 +49,7 @@ def earned(
                 _open(best, split, effect)
                 or _varies(problem, best, effect)
                 or _carries_over(problem, split, best, without, effect, kept_out)
-                or (_rivalled(selection, split, problem.count, best, effect) if far else None)
+                or (_rivalled(problem, split, selection, best, effect) if far else None)
             )
             if caution is not None:
                 fallen.append(caution)
@@ -155,10 +156,23 @@ def _carries_over(
     return None
 
 
-def _rivalled(selection: Selection, split: Split, rows: int, best: Scored, effect: Effect) -> Caution | None:
+def _rivalled(problem: Problem, split: Split, selection: Selection, best: Scored, effect: Effect) -> Caution | None:
     """Said of an effect that others would do as well as, of which one may stand in for what else is at work."""
-    found = probability_of(comparisons(selection, split, rows), effect.name)
-    return _fell("rivalled", effect, best, share=found) if found < LIKELY else None
+    found = probability_of(comparisons(selection, split, problem.count), effect.name)
+    tilted = TILTED * (selection.best.blocks.sum() - problem.count) if problem.weights else 0.0
+    if found >= LIKELY and _lead(selection, effect) >= tilted:
+        return None
+    return _fell("rivalled", effect, best, share=found)
+
+
+def _lead(selection: Selection, effect: Effect) -> float:
+    """By how much an effect did better, in squares as they weigh, than the next that was not found as well."""
+    leads = []
+    for tried, taken in selection.path:
+        if taken is not None and taken.names[-1] == effect.name:
+            others = [other for other in tried if other.names[-1] not in selection.best.names]
+            leads.append(min((float((other.blocks - taken.blocks).sum()) for other in others), default=np.inf))
+    return max(leads, default=np.inf)
 
 
 def shrink_on(other: Problem, without: Hypothesis, best: Hypothesis) -> statistics.Shrink | None:

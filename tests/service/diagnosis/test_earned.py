@@ -180,6 +180,25 @@ def test_a_name_that_others_would_do_as_well_as_falls_where_something_else_is_at
     assert all(one.share is not None and 0 < one.share < 0.3 and one.joints == [1] for one in fallen)
 
 
+@pytest.mark.parametrize(("left", "stands"), [(1.9, True), (2.1, False)])
+def test_beside_a_stranger_a_name_has_to_lead_by_half_of_what_is_left(left, stands):
+    """left: above the noise, over the lead, when all that was found is known; one found as well is no rival."""
+    made = logs((1, 2, 3), "joint_spring")
+    made = replace(made, weights=[np.ones(rows.shape) for rows in made.rows])
+    split, found = Split.of(made), chosen(made, SPRING)
+    lead = 0.2 * made.count
+    taken = replace(found.best, blocks=np.full(split.blocks, (made.count + left * lead) / split.blocks))
+
+    def rival(term: Term, behind: float):
+        other = replace(found.best.fitted, hypothesis=Hypothesis(BASE, (term,)))
+        return replace(found.best, fitted=other, blocks=taken.blocks + behind / split.blocks)
+
+    best = replace(taken, fitted=replace(taken.fitted, hypothesis=Hypothesis(BASE, (SPRING, RIPPLE))))
+    tried = [taken, rival(OFFSET, lead), rival(RIPPLE, 0.1 * lead)]
+    fell = judged._rivalled(made, split, replace(found, best=best, path=[(tried, taken)]), best, SPRING.effect)
+    assert (fell is None) == stands
+
+
 @pytest.mark.parametrize("given", [0, 1])
 def test_what_the_description_says_does_not_have_to_earn_it(given):
     made = logs((1, 2, 3))
