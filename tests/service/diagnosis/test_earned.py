@@ -155,7 +155,8 @@ def test_it_is_open_whether_there_is_any_of_what_is_within_its_own_error(monkeyp
 def test_far_above_the_noise_a_name_has_to_be_likelier_than_all_others(monkeypatch, probability, stands):
     monkeypatch.setattr(judged, "comparisons", lambda *_: [])
     monkeypatch.setattr(judged, "probability_of", lambda *_: probability)
-    said = judged._rivalled(stub(), stub(), 1, stub(hypothesis=Hypothesis(BASE, (SPRING,))), SPRING.effect)
+    best, alike = stub(hypothesis=Hypothesis(BASE, (SPRING,))), stub(count=1, weights=())
+    said = judged._rivalled(alike, stub(), stub(path=[], best=best), best, SPRING.effect)
     assert (said is None) == stands
 
 
