@@ -230,3 +230,10 @@ def test_all_names_fall_where_together_they_leave_the_gap_as_it_is(left, vague, 
     assert all(one.share == pytest.approx(whole, abs=0.01) for one in fallen)
     kept, fallen = together(made, split, found, after, 2, vague)
     assert (kept, fallen) == (found, []), "the description's own do not have to earn it"
+
+
+def test_a_search_is_told_as_if_it_had_stopped_before_what_fell():
+    one, two, three = (stub(names=names) for names in (("a",), ("a", "b"), ("a", "b", "c")))
+    path = [([one], one), ([two], two), ([three], three)]
+    cut = judged._cut(Selection(stub(names=()), three, path, {}), one)
+    assert (cut.best, cut.path) == (one, [([one], one), ([two], None)])

@@ -90,3 +90,5 @@ def test_what_cannot_be_asked_is_not():
     """An axis that slides has no sine; a log without commands no error."""
     assert "sine_of_angle" not in [one.what for one in asked(CAUSES["sine_of_angle", None], 3.0, 0.7, angular=False)]
     assert asked(error, 3.0, 0.7, traces=traces(commanded=False)) == []
+    some = [*traces()[:2], traces(commanded=False)[2]]
+    assert asked(error, 3.0, 0.7, traces=some) == [], "nor one of which a log has none"
