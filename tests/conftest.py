@@ -37,8 +37,9 @@ class _Held:
 
 
 def pytest_configure() -> None:
-    """Under `nohup` all that is started here would ignore SIGHUP."""
+    """Under `nohup`, or in the background of a shell, all that is started here would ignore these."""
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -248,7 +248,7 @@ class Master:
         return sample
 
     def operate(self) -> np.ndarray:
-        """Bring the bus to OP and every drive into operation, holding where its joint is; (3,) rad of the joints.
+        """Bring the bus to OP and every drive into operation, holding where its joint is; (3,) rad that they hold.
 
         Raises:
             BusError: naming the drive that does not follow.
@@ -273,7 +273,7 @@ class Master:
                 axis.put(cia402.CONTROLWORD, self._walk(axis, state))
         else:
             raise BusError(self._explain_drives())
-        return self._sample["position"][0].copy()
+        return self._commanded[0].copy()  # a joint that has moved since is not to be commanded after by a jump
 
     def check_operation(self) -> None:
         """Raise when a drive was not in operation in the last `LEFT_CYCLES` cycles that this was asked for.

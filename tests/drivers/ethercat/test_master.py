@@ -135,6 +135,24 @@ def test_samples_are_the_plants_own_trace(space: rig.Namespace, robot: Robot, fi
             assert np.abs(difference).max() < half * 1.01
 
 
+def test_a_motion_from_a_file_is_what_the_robot_does(space: rig.Namespace, robot: Robot, files: Path) -> None:
+    planner = Planner(robot, 2 * PERIOD)  # the file need not be at the bus's rate
+    motion = planner.multisine(np.random.default_rng(2), 1.0)
+    write_motion(motion, np.zeros_like(motion.position), planner, files / "motion.csv")
+    segment = start(space, files)
+    try:
+        command = (*arguments(files, rig.NEAR), "--motion", str(files / "motion.csv"))
+        done = subprocess.run(space.prefix(*command), capture_output=True, text=True, timeout=180, check=False)
+    finally:
+        segment.stop()
+    assert done.returncode == 0, done.stderr
+    own, wanted = read_trace(files / "own.mcap"), motion.position
+    assert np.ptp(wanted, axis=0).min() > 0.2
+    last = len(own) - 2 * len(wanted)  # in cycles; from then on it has no time left for the whole motion
+    off = [np.abs(own.position[at : at + 2 * len(wanted) : 2] - wanted).max() for at in range(last)]
+    assert min(off) < 0.01
+
+
 @pytest.mark.parametrize(
     ("joint", "target", "says"),
     [
@@ -309,24 +327,6 @@ def test_ctrl_c_stops_the_drives_and_says_how_far_it_came(
     done, planned = re.findall(r"\d+", said)[:2]
     assert int(done) < int(planned)
     assert len(space.call(lambda: run(robot)))
-
-
-def test_a_motion_from_a_file_is_what_the_robot_does(space: rig.Namespace, robot: Robot, files: Path) -> None:
-    planner = Planner(robot, 2 * PERIOD)  # the file need not be at the bus's rate
-    motion = planner.multisine(np.random.default_rng(2), 1.0)
-    write_motion(motion, np.zeros_like(motion.position), planner, files / "motion.csv")
-    segment = start(space, files)
-    try:
-        command = (*arguments(files, rig.NEAR), "--motion", str(files / "motion.csv"))
-        done = subprocess.run(space.prefix(*command), capture_output=True, text=True, timeout=180, check=False)
-    finally:
-        segment.stop()
-    assert done.returncode == 0, done.stderr
-    own, wanted = read_trace(files / "own.mcap"), motion.position
-    assert np.ptp(wanted, axis=0).min() > 0.2
-    last = len(own) - 2 * len(wanted)  # in cycles; from then on it has no time left for the whole motion
-    off = [np.abs(own.position[at : at + 2 * len(wanted) : 2] - wanted).max() for at in range(last)]
-    assert min(off) < 0.01
 
 
 def arguments(files: Path, interface: str) -> tuple[str, ...]:
