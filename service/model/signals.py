@@ -369,21 +369,25 @@ def delayed(values: np.ndarray, seconds: float, period: float) -> np.ndarray:
     )  # pyright: ignore[reportReturnType]
 
 
-def lagging(values: np.ndarray, seconds: float, period: float) -> np.ndarray:
-    """(N, ...) behind a first-order low-pass of time constant `seconds`, settled at the start.
+def lagging(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
+    """(N, ...) behind a first-order low-pass, settled at the start.
 
     Exact where values go straight from sample to sample: one that holds them would be half a sample early or late.
     """
-    steps = period / seconds
+    steps = period / _time_constant(cutoff_hz)
     keep = np.exp(-steps)
     mean = (1.0 - keep) / steps
     return lfilter([1.0 - mean, mean - keep], [1.0, -keep], values, axis=0, zi=mean * values[:1])[0]
 
 
-def leading(values: np.ndarray, seconds: float, period: float) -> np.ndarray:
-    """(N, ...) such that a first-order low-pass of time constant `seconds` makes them of it; fourth-order slopes."""
+def leading(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
+    """(N, ...) such that a first-order low-pass makes `values` of it; fourth-order slopes."""
     slope = correlate1d(values, np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0, axis=0, mode="nearest") / period
-    return values + seconds * slope
+    return values + _time_constant(cutoff_hz) * slope
+
+
+def _time_constant(cutoff_hz: float) -> float:
+    return 0.5 / (np.pi * cutoff_hz)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from drivers.trace import write_trace
-from drivers.trace.quality import RowNames, check
 from schemas.diagnosis import NamedEffect, named_joints
 from schemas.files import make_folder, write_text
 from schemas.robot import Robot, load_robot
@@ -24,6 +23,7 @@ from service.identification.fit import evaluate
 from service.model.effects import catalogue
 from service.model.effects.base import Effect
 from service.watch.change import changes
+from service.watch.kept import flagged
 from service.watch.watch import Case
 
 BEFORE_PARTS, AFTER_PARTS = 2, 3  # runs that each is taken for, one left out at a time
@@ -132,7 +132,7 @@ def _effect(effect: NamedEffect) -> str:
 
 def _parts(trace: Trace, count: int, robot: Robot) -> list[Trace]:
     """`trace` as runs of equal length, named alike with a number, flagged as a log that is read."""
-    trace = check(trace, RowNames("sample", np.arange(len(trace))), robot)
+    trace = flagged(trace, robot)
     return [
         replace(
             trace,

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
+from drivers.trace.quality import RowNames, check
 from schemas.messages import NANOSECONDS, Gripper, SampleFlag, stamp_ns
+from schemas.robot import Robot
 from schemas.trace import Trace
 
 KEEP_S = 180.0
@@ -21,6 +23,15 @@ STRAY_S = 10.0  # from the middle of what came together: a stamp of another cloc
 _ROW = np.dtype(
     [("time", "i8"), ("position", "3f8"), ("torque", "3f4"), ("command", "3f4"), ("flags", "u4"), ("gripper", "u1")]
 )
+
+
+def flagged(trace: Trace, robot: Robot) -> Trace:
+    """What was kept, flagged like a log that is read.
+
+    Raises:
+        TraceError: nothing of it is of use.
+    """
+    return check(trace, RowNames("sample", np.arange(len(trace))), robot)
 
 
 class Kept:

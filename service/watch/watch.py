@@ -11,14 +11,13 @@ from operator import add
 
 import numpy as np
 
-from drivers.trace.quality import RowNames, check
 from schemas.errors import DataError, TraceError
 from schemas.messages import GAP, NANOSECONDS, WatchState, set_stamp
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.model.signals import EDGE, segments, thin
 from service.watch.gap import Measure, Stretch
-from service.watch.kept import KEEP_S, Kept
+from service.watch.kept import KEEP_S, Kept, flagged
 from service.watch.level import Level
 
 EVERY_S = 1.0  # between two looks
@@ -175,9 +174,7 @@ class Watch:
     def _stretch(self, start: float, stop: float) -> Stretch | None:
         trace = self._kept.trace(start - BEFORE_S - EDGE, stop + EDGE, "bus")
         try:
-            parts = [
-                thin(part) for part in segments(check(trace, RowNames("sample", np.arange(len(trace))), self._robot))
-            ]
+            parts = [thin(part) for part in segments(flagged(trace, self._robot))]
         except TraceError:
             return None
         if self._measure is None and any(part.moving.any() for part in parts):

@@ -55,37 +55,39 @@ class TorqueDelay(PlantEffect):
 
 
 @dataclass
-class TorqueFilter(PlantEffect):
-    """The reported torque went through a first-order low-pass in the drive."""
+class _LowPass(PlantEffect):
+    """A torque behind a first-order low-pass."""
 
-    cutoff_hz: Annotated[float, Size(30.0, 80.0, grows=-1)]
+    cutoff_hz: float
     _value: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
 
     def start(self, plant: Plant) -> None:
         self._value = plant.load.copy()
 
-    def report(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def passed(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+        """What comes out of it one step after `torque` went in."""
         self._value = torque + (self._value - torque) * math.exp(-2 * math.pi * self.cutoff_hz * plant.step)
         return self._value
 
 
 @dataclass
-class DriveLag(PlantEffect):
+class TorqueFilter(_LowPass):
+    """The reported torque went through a first-order low-pass in the drive."""
+
+    cutoff_hz: Annotated[float, Size(30.0, 80.0, grows=-1)]
+
+    def report(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+        return self.passed(plant, torque)
+
+
+@dataclass
+class DriveLag(_LowPass):
     """The motor's torque lags the command, which is what the drive reports."""
 
-    cutoff_hz: float
-    _value: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
-        return cls(float(rng.uniform(40.0, 100.0) / severity))
-
-    def start(self, plant: Plant) -> None:
-        self._value = plant.load.copy()
+    cutoff_hz: Annotated[float, Size(40.0, 100.0, grows=-1)]
 
     def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
-        self._value = torque + (self._value - torque) * math.exp(-2 * math.pi * self.cutoff_hz * plant.step)
-        return self._value
+        return self.passed(plant, torque)
 
 
 @dataclass

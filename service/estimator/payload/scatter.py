@@ -89,9 +89,9 @@ def _inflate(state):
         average += state.blocks[(state.block - n + BLOCKS) % BLOCKS] / (BLOCKS - fresh)
     for n in range(fresh, fresh + NEWEST):
         newest += state.blocks[(state.block - n + BLOCKS) % BLOCKS] / NEWEST
-    scatter = max(average, NEWEST_SHARE * newest)
-    state.inflation = max(LEAST_INFLATION, _inflation(scatter))
-    return _inflation(scatter)
+    found = _inflation(max(average, NEWEST_SHARE * newest))
+    state.inflation = max(LEAST_INFLATION, found)
+    return found
 
 
 @kernel

@@ -37,4 +37,4 @@ class DriveLag(TorqueFilter):
         self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]
     ) -> np.ndarray:
         """What acts."""
-        return lagging(torque, 0.5 / (np.pi * nonlinear[0]), period)
+        return lagging(torque, nonlinear[0], period)

@@ -38,10 +38,10 @@ class TorqueFilter(Effect):
 
     def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]):
         """Filters all joints."""
-        return lagging(torque, 0.5 / (np.pi * nonlinear[0]), scene.period)
+        return lagging(torque, nonlinear[0], scene.period)
 
     def restore(
         self, torque: np.ndarray, period: float, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]
     ) -> np.ndarray:
         """The filter turned round; noise comes out stronger."""
-        return leading(torque, 0.5 / (np.pi * nonlinear[0]), period)
+        return leading(torque, nonlinear[0], period)

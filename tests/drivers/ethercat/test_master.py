@@ -141,8 +141,7 @@ def test_a_motion_from_a_file_is_what_the_robot_does(space: rig.Namespace, robot
     write_motion(motion, np.zeros_like(motion.position), planner, files / "motion.csv")
     segment = start(space, files)
     try:
-        command = (*arguments(files, rig.NEAR), "--motion", str(files / "motion.csv"))
-        done = subprocess.run(space.prefix(*command), capture_output=True, text=True, timeout=180, check=False)
+        done = master_command(space, files, rig.NEAR, more=("--motion", str(files / "motion.csv")))
     finally:
         segment.stop()
     assert done.returncode == 0, done.stderr
@@ -334,8 +333,10 @@ def arguments(files: Path, interface: str) -> tuple[str, ...]:
     return (rig.DELTATWIN, "master", interface, "--robot", robot, "--duration", "2.5", "--rate", rate)
 
 
-def master_command(space: rig.Namespace, files: Path, interface: str, *before: str) -> subprocess.CompletedProcess[str]:
-    command = space.prefix(*before, *arguments(files, interface))
+def master_command(
+    space: rig.Namespace, files: Path, interface: str, *before: str, more: tuple[str, ...] = ()
+) -> subprocess.CompletedProcess[str]:
+    command = space.prefix(*before, *arguments(files, interface), *more)
     return subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
 
 

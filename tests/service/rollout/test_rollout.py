@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 from typer.testing import CliRunner
 
+from drivers.data_frames import pl
 from drivers.trace import read_trace
 from schemas.errors import DataError
 from schemas.robot import Robot, save_robot
