@@ -1,7 +1,7 @@
 """Player, estimator and monitor side by side for as long as you like: what they hold, lose, cost and how late they are.
 
     python -m tests.bench.soak --minutes 60 --rate 1000
-    python -m tests.bench.soak --minutes 10 --rate 8000 --pin     # each role on one processor, as `taskset -c` has it
+    python -m tests.bench.soak --minutes 10 --rate 8000 --pin     # player and estimator on one processor each
     python -m tests.bench.soak --minutes 3 --rate 1000 --view     # beside `view` and a client that takes all it shows
     python -m tests.bench.soak --minutes 3 --rate 1000 --watch    # beside `watch`, which finds a cogging
 
@@ -233,7 +233,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--minutes", type=float, default=10.0)
     arguments.add_argument("--rate", type=float, default=1000.0, help="samples a second")
-    arguments.add_argument("--pin", action="store_true", help="player and monitor on a processor, estimator on another")
+    arguments.add_argument("--pin", action="store_true", help="player and estimator on a processor each, monitor free")
     beside = arguments.add_mutually_exclusive_group()  # one of them, as this is the other one on the bus
     beside.add_argument("--view", action="store_true", help="beside a view and a client that takes all it shows")
     beside.add_argument("--watch", action="store_true", help="beside a watch")
@@ -242,7 +242,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     rows: list[list[str]] = []
     first, last = min(os.sched_getaffinity(0)), max(os.sched_getaffinity(0))
-    processors = {"player": first, "monitor": first, "estimator": last} if given.pin else {}
+    processors = {"player": first, "estimator": last} if given.pin else {}
     with tempfile.TemporaryDirectory(prefix="dt-") as name:
         os.environ["XDG_RUNTIME_DIR"] = name
         folder = Path(name)
