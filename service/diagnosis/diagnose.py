@@ -80,7 +80,7 @@ def diagnose(
     regressors = Regressors(problem, split, effects if scope.enough else (), timed)
 
     def searched(seen: Regressors) -> Selection:
-        return search(seen.problem, split, timed, seen.effects, progress, scope.allows, more_orders, seen)
+        return search(seen, progress, scope.allows, more_orders)
 
     selection = searched(regressors)
     progress("checking on data left out")

@@ -7,7 +7,7 @@ small linear solve. The best few are fitted exactly, nonlinear parameters includ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 
@@ -88,11 +88,11 @@ class Regressors:
     """All candidates' regressors in the band, kept from round to round: only a delay or a filter of the torque alters
     them so much that it would show in the ranking.
 
-    low: (C,) least that each amplitude can be.
+    start: what is known before any of them is added. low: (C,) least that each amplitude can be.
     """
 
     def __init__(self, problem: Problem, split: Split, effects: Iterable[Effect], start: Hypothesis):
-        self.problem, self.split = problem, split
+        self.problem, self.split, self.start = problem, split, start
         self.effects = [e for e in effects if problem.recordings[0].mechanism.kind in e.kinds]
         self.index: dict[tuple[Effect, int, tuple[float, ...]], np.ndarray] = {}
         scenes, low = problem.scenes(start), []
@@ -329,20 +329,16 @@ class Selection:
 
 
 def search(
-    problem: Problem,
-    split: Split,
-    start: Hypothesis,
-    effects: Sequence[Effect],
+    regressors: Regressors,
     progress: Callable[[str], None],
     allows: Callable[[Effect, int], bool] = lambda effect, joint: True,
     grow: Callable[[Problem, Split, Scored], Scored] = lambda problem, split, best: best,
-    regressors: Regressors | None = None,
 ) -> Selection:
     """Add effects one by one while each is worth it on data left out; then see whether one can go again.
 
     allows: whether the data let an effect be looked for on a joint at all. grow: what else an effect just found brings.
-    regressors: of the effects, where they are known already.
     """
+    problem, split, start = regressors.problem, regressors.split, regressors.start
     given = len(start.terms)
     rows = problem.count
     none = score(fit(problem, start), split)
@@ -353,8 +349,7 @@ def search(
     path: list[tuple[list[Scored], Scored | None]] = []
     trimmed: dict[int, Scored] = {}
     fault: Fault | None = None
-    regressors = regressors or Regressors(problem, split, effects, start)
-    for _ in range(MOST_EFFECTS if effects else 0):
+    for _ in range(MOST_EFFECTS if regressors.effects else 0):
         exact, fault = additions(regressors, best, none, given, allows, progress)
         if not exact:
             break

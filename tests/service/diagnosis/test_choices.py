@@ -248,7 +248,6 @@ def searched(
         return ordered, fault if len(asked) == 2 else None
 
     parts = {
-        "Regressors": lambda problem, split, *rest: stub(problem=problem, split=split),
         "Dictionary": Dictionary, "_sound_first": sound,
         "fit": lambda problem, start, iterations=6: none,
         "fit_added": lambda problem, hypothesis, term: term,
@@ -259,7 +258,8 @@ def searched(
     for name, part in parts.items():
         monkeypatch.setattr(selection, name, part)
     problem = stub(count=100, weights=None, recordings=[stub(mechanism=stub(kind=kind, joints=3))])
-    found = selection.search(problem, stub(), Hypothesis(BASE, timed=False), [EFFECTS["cogging"]], said.append)
+    start = Hypothesis(BASE, timed=False)
+    found = selection.search(stub(problem=problem, split=stub(), start=start, effects=[effect]), said.append)
     path = [([scored.loss for scored in tried], taken and taken.loss) for tried, taken in found.path]
     tried = sum(len(losses) for losses, _ in path)
     assert said.count("weighing the catalogue") == len(asked)
@@ -300,7 +300,7 @@ def test_a_search_ends_at_a_fault_and_where_nothing_promises_anything(monkeypatc
 def test_a_timing_that_does_harm_on_data_left_out_is_held(monkeypatch, share, timed):
     monkeypatch.setattr(selection, "fit", lambda problem, start, iterations=6: 100.0 if start.timed else 100.0 * share)
     monkeypatch.setattr(selection, "score", lambda loss, split: made(loss))
-    monkeypatch.setattr(selection, "Regressors", lambda *parts: None)
-    found = selection.search(stub(count=100), stub(), Hypothesis(BASE), [], lambda _: None)
+    nothing = stub(problem=stub(count=100), split=stub(), start=Hypothesis(BASE), effects=[])
+    found = selection.search(nothing, lambda _: None)
     assert found.none.loss == pytest.approx(100.0 if timed else 94.0)
     assert found.best is found.none

@@ -16,6 +16,7 @@ from tests.service.subject import (
     Hypothesis,
     Problem,
     Recording,
+    Regressors,
     Split,
     selection,
     statistics,
@@ -41,7 +42,7 @@ def test_it_is_found_again_with_its_parameters_inside_their_intervals(name):
     logs = problem(courses, torques, NOISE, STARTS)
     split = Split.of(logs)
     start = replace(BASE, rigid=BASE.rigid * 0.9, viscous=0 * COULOMB, coulomb=0 * COULOMB)
-    found = selection.search(logs, split, Hypothesis(start), RIVALS, lambda _: None)
+    found = selection.search(Regressors(logs, split, RIVALS, Hypothesis(start)), lambda _: None)
     assert found.best.names == (name,)
     (term,) = found.best.hypothesis.terms
     assert set(term.joints) == set(injected.joints)
@@ -75,7 +76,7 @@ def test_a_link_behind_a_gear_is_found_again(name, make, nonlinear):
     logs = Problem.of(recordings, band, np.array([noise * band.white_share**0.5]))
     split = Split.of(logs)
     rivals = [e for e in EFFECTS.values() if e.name not in ("cogging", "encoder_eccentricity")]
-    found = selection.search(logs, split, Hypothesis(SINGLE), rivals, lambda _: None)
+    found = selection.search(Regressors(logs, split, rivals, Hypothesis(SINGLE)), lambda _: None)
     assert found.best.names[0] == name
     term = found.best.hypothesis.terms[0]
     errors = statistics.standard_errors(found.best.fitted, split)[6:]

@@ -327,9 +327,8 @@ def test_a_delay_takes_the_place_of_the_timing():
 
 def test_nothing_is_found_on_noise():
     logs = logs_of(None)
-    found = selection.search(
-        logs, Split.of(logs), Hypothesis(BASE), [e for e in EFFECTS.values() if not e.rough], lambda _: None
-    )
+    effects = [effect for effect in EFFECTS.values() if not effect.rough]
+    found = selection.search(Regressors(logs, Split.of(logs), effects, Hypothesis(BASE)), lambda _: None)
     assert found.best is found.none
     assert found.best.names == ()
     assert len(found.path) <= 1, "a round that brings nothing is the last"
@@ -347,7 +346,7 @@ def test_two_effects_are_both_found():
     ]
     logs = problem(runs, torques, 0.2)
     effects = [EFFECTS[n] for n in ("cogging", "tool_mass", "joint_spring", "arm_mass", "torque_offset")]
-    found = selection.search(logs, Split.of(logs), Hypothesis(BASE), effects, lambda _: None)
+    found = selection.search(Regressors(logs, Split.of(logs), effects, Hypothesis(BASE)), lambda _: None)
     assert set(found.best.names) == {"cogging", "tool_mass"}
     assert len(found.path) == 2
     taken = found.path[0][1]

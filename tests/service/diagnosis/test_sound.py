@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.diagnosis.fit.sound import fault_of
-from tests.service.subject import EFFECTS, Hypothesis, Problem, Split, Term, fit, selection
+from tests.service.subject import EFFECTS, Hypothesis, Problem, Regressors, Split, Term, fit, selection
 from tests.service.world import BASE, COULOMB, VISCOUS, course, problem
 
 NOISE = 0.3
@@ -27,7 +27,7 @@ def on(joint: int, values: list[np.ndarray]) -> list[np.ndarray]:
 
 def named(made: Problem, *names: str) -> selection.Selection:
     effects = [EFFECTS[name] for name in names]
-    return selection.search(made, Split.of(made), Hypothesis(BASE), effects, lambda _: None)
+    return selection.search(Regressors(made, Split.of(made), effects, Hypothesis(BASE)), lambda _: None)
 
 
 def test_a_spring_that_pushes_is_no_spring():

@@ -14,6 +14,7 @@ from tests.service.subject import (
     EFFECTS,
     Hypothesis,
     Parameters,
+    Regressors,
     Selection,
     Split,
     document,
@@ -233,7 +234,7 @@ def test_on_data_that_cannot_tell_them_the_twin_is_named():
     torques = [reports(name, seed, 3.0) + 0.3 * random.standard_normal((3000, 3)) for seed in (1, 2, 3)]
     logs = problem(runs, torques)
     rivals = [EFFECTS[n] for n in ("torque_offset", "asymmetric_friction", "torque_filter", "arm_mass")]
-    found = selection.search(logs, Split.of(logs), Hypothesis(BASE), rivals, lambda _: None)
+    found = selection.search(Regressors(logs, Split.of(logs), rivals, Hypothesis(BASE)), lambda _: None)
     assert found.best.names == (name,)
     assert evidence.confusable(found, name) == ["asymmetric_friction"]
 
