@@ -205,37 +205,70 @@ def _wants(fitted: solver.Fit, split: Split, columns: np.ndarray) -> bool:
     return bool(gain.sum() > max(WANTED_GAIN * lost.sum(), WANTED_Z * spread))
 
 
+@dataclass(frozen=True)
+class _Told:
+    """What all blocks together tell of P parameters: (P,) values and standard errors. relative: these over what they
+    are held against. held: (P,) bool, those that stand at `assumed`. reasons: why one cannot be told, by its name."""
+
+    values: np.ndarray
+    error: np.ndarray
+    relative: np.ndarray
+    held: np.ndarray
+    assumed: np.ndarray
+    reasons: dict[str, str]
+
+
 def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
     """Fit the plain model. noise: (n,) N m a sample. robot: what of it stands where the data cannot tell."""
+    fitted = _base(problem)
     known = base_parameters(problem.recordings[0].mechanism)
-    count = len(known)
-    nominal = np.full(count, np.nan)
+    nominal = np.full(len(known), np.nan)
     if isinstance(robot, Robot):
         nominal[:3] = 1.0, 1.0, robot.mass.passive_link
-    fitted = _base(problem)
-    free = Parameters(fitted.hypothesis).values[:count]
+    told = _told(problem, fitted, known, nominal)
+    base = fitted.hypothesis.base
+    k, n = len(base.rigid), len(base.viscous)
+    rigid, viscous, coulomb = np.split(told.values, [k, k + n])
+    base = replace(base, rigid=rigid, viscous=viscous, coulomb=coulomb)
+    plain = solver.evaluate(problem, Hypothesis(base, timed=False))
+    logs = [np.full(len(rows), number) for rows, number in zip(plain.residuals, problem.logs, strict=True)]
+    left, right = _normal_equations(plain, told.values, logs, max(problem.logs) + 1)
+    residual = problem.rms(plain.residuals)
+    without, held_out, alone = told.values[None], np.full(residual.shape, np.nan), residual
+    if len(left) > 1:
+        without = _solve(left.sum(axis=0) - left, right.sum(axis=0) - right, told.held, told.assumed)
+        held_out, alone = (
+            np.array([_left(problem, plain, one)[log] for log, one in enumerate(found)])
+            for found in (without, _solve(left, right, told.held, told.assumed))
+        )
+    torque = problem.rms([problem.select(i, target) for i, target in enumerate(problem.target)])
+    return Plain(problem, plain, _estimates(known, told), noise, held_out, residual, torque, without, alone)
+
+
+def _told(problem: Problem, fitted: solver.Fit, known: Sequence[Quantity], nominal: np.ndarray) -> _Told:
+    """Least squares over all blocks; what they leave open or would have below its least is held, one at a time.
+
+    nominal: (P,) what stands by the description, NaN where it says nothing.
+    """
     split = Split.of(problem)
-    left, right = _normal_equations(fitted, free, split.block, split.blocks)
-    filled = np.einsum("bpp->b", left) > 0
-    left, right = left[filled], right[filled]
-    total_left, total_right = left.sum(axis=0), right.sum(axis=0)
+    blocks = _normal_equations(fitted, Parameters(fitted.hypothesis).values[: len(known)], split.block, split.blocks)
+    filled = np.einsum("bpp->b", blocks[0]) > 0
+    left, right = (part[filled] for part in blocks)
+    whole = left.sum(axis=0), right.sum(axis=0)
     described = problem.recordings[0].mechanism.start
-    fallback = np.where(np.isnan(nominal), np.pad(described, (0, count - len(described))), nominal)
-    scale = _scale(problem, fitted, nominal)
+    assumed = np.where(np.isnan(nominal), np.pad(described, (0, len(known) - len(described))), nominal)
+    scale, low = _scale(problem, fitted, nominal), np.array([parameter.low for parameter in known])
     reasons = _structure(problem)
     held = np.array([reasons.get(parameter.name, "").endswith("never moves") for parameter in known])
-    held |= np.diag(total_left) == 0
-    if fitted.hypothesis.base.wanted is not None:
-        unwanted = np.flatnonzero(~fitted.hypothesis.base.wanted)
-        reasons |= {known[index].name: "data left out do as well without" for index in unwanted}
-    while (tolerance := _tolerance(total_left, held)).min() < COLLINEAR:
+    held |= np.diag(whole[0]) == 0
+    if (wanted := fitted.hypothesis.base.wanted) is not None:
+        reasons |= {known[index].name: "data left out do as well without" for index in np.flatnonzero(~wanted)}
+    while (tolerance := _tolerance(whole[0], held)).min() < COLLINEAR:
         worst = int(np.argmin(tolerance))
         reasons.setdefault(known[worst].name, "the other parameters explain it as well on these logs")
         held[worst] = True
-    low = np.array([parameter.low for parameter in known])
     while True:
-        values = _solve(total_left, total_right, held, fallback)
-        error = _jackknife(left, right, held, fallback)
+        values, error = _solve(*whole, held, assumed), _jackknife(left, right, held, assumed)
         relative = error / np.maximum(np.abs(values), scale)
         # without a nominal value, as zero, it would bend the others: left in, flagged below
         vague = (relative > NOT_IDENTIFIABLE) & ~held & np.isfinite(nominal)
@@ -246,33 +279,10 @@ def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
         elif below.any():
             worst = int(np.argmax(np.where(below, (low - values) / np.maximum(error, 1e-300), 0.0)))
             reasons[known[worst].name] = "these logs ask for less of it than there can be"
-            fallback[worst] = low[worst]
+            assumed[worst] = low[worst]
         else:
-            break
+            return _Told(values, error, relative, held, assumed, reasons)
         held[worst] = True
-    base = fitted.hypothesis.base
-    k, n = len(base.rigid), len(base.viscous)
-    rigid, viscous, coulomb = np.split(values, [k, k + n])
-    base = replace(base, rigid=rigid, viscous=viscous, coulomb=coulomb)
-    plain = solver.evaluate(problem, Hypothesis(base, timed=False))
-    logs = [np.full(len(rows), number) for rows, number in zip(plain.residuals, problem.logs, strict=True)]
-    left, right = _normal_equations(plain, values, logs, max(problem.logs) + 1)
-    residual = problem.rms(plain.residuals)
-    without, held_out, alone = values[None], np.full(residual.shape, np.nan), residual
-    if len(left) > 1:
-        without = _solve(total_left - left, total_right - right, held, fallback)
-        held_out, alone = (
-            np.array([_left(problem, plain, one)[log] for log, one in enumerate(found)])
-            for found in (without, _solve(left, right, held, fallback))
-        )
-    estimates = (
-        _estimate(parameter, value, one_error, share, was_held, reasons.get(parameter.name, ""))
-        for parameter, value, one_error, share, was_held in zip(
-            known, values.tolist(), error.tolist(), relative.tolist(), held.tolist(), strict=True
-        )
-    )
-    torque = problem.rms([problem.select(i, target) for i, target in enumerate(problem.target)])
-    return Plain(problem, plain, tuple(estimates), noise, held_out, residual, torque, without, alone)
 
 
 def _left(problem: Problem, fitted: solver.Fit, values: np.ndarray) -> np.ndarray:
@@ -356,6 +366,14 @@ def _structure(problem: Problem) -> dict[str, str]:
         elif min(there, back) < REVERSES * (there + back):
             reasons[f"f_c_{joint}"] = f"joint {joint} never reverses"
     return reasons
+
+
+def _estimates(known: Sequence[Quantity], told: _Told) -> tuple[ParameterEstimate, ...]:
+    columns = zip(known, *(part.tolist() for part in (told.values, told.error, told.relative, told.held)), strict=True)
+    return tuple(
+        _estimate(parameter, value, error, relative, held, told.reasons.get(parameter.name, ""))
+        for parameter, value, error, relative, held in columns
+    )
 
 
 def _estimate(
