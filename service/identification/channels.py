@@ -39,7 +39,7 @@ TORQUE_UNITS = {
     "nm": "N m", "n m": "N m", "n*m": "N m", "n": "N", "%": "percent", "percent": "percent", "‰": "permille",
     "permille": "permille", "promille": "permille", "a": "A", "amp": "A", "v": "V",
 }  # fmt: skip
-RATES_HZ = (20.0, 40_000.0)  # of logs that hold dynamics; a unit of time that gives another rate is not believed
+LEAST_HZ = 20.0  # of logs that hold dynamics; a unit of time that gives a lower rate is not believed
 _TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+|[%‰°]")
 
 
@@ -108,10 +108,7 @@ def time_unit(table: Table, name: str) -> tuple[str, bool]:
         if unit in tokens(name.replace("µ", "u")):
             return unit, True
     step = _step(table.columns[name])
-    for unit, per_second in TIME_UNITS.items():
-        if RATES_HZ[0] <= per_second / step <= RATES_HZ[1]:
-            return unit, False
-    return "s", False
+    return next((unit for unit, per_second in TIME_UNITS.items() if per_second / step >= LEAST_HZ), "s"), False
 
 
 def rate_hz(table: Table, clock: str) -> float:

@@ -103,14 +103,14 @@ def propose(table: Table, robot: Description | None, stated: Stated) -> Proposal
     if channels.time is not None:
         table = _on_one_clock(table, channels)
     units = _Units(table, channels, robot, rate, stated)
-    positions, torque = units.positions(reasons, doubts), units.torque(reasons, doubts)
+    positions, (torque, torque_said) = units.positions(reasons, doubts), units.torque(reasons, doubts)
     position = positions[0]
     if len(positions) == 1 and position.get("side") == "motor" and not any("positions" in doubt for doubt in doubts):
         reasons.append("positions are the motor's: no joint turns so far")
     signs: Sequence[int] = [1] * len(channels.position)
     torque_signs: Sequence[int] = [1] * len(channels.position)
     if isinstance(robot, Robot):
-        found = [_by_delta(table, channels, robot, rate, position, torque, units.torque_said) for position in positions]
+        found = [_by_delta(table, channels, robot, rate, position, torque, torque_said) for position in positions]
         best = min(found, key=lambda reading: reading.share)
         if len(found) > 1:
             others = [reading.share for reading in found if reading is not best]
@@ -257,7 +257,6 @@ class _Units:
         self._stated = stated
         self._values = np.column_stack([table.columns[name] for name in channels.position])
         self._gear = robot.gear_ratios[0] if robot else 1.0
-        self.torque_said = True
 
     def positions(self, reasons: list[str], doubts: list[str]) -> list[dict[str, Any]]:
         """What the positions may be, the likeliest first."""
@@ -287,8 +286,7 @@ class _Units:
 
     def _integers(self) -> bool:
         values = self._values[np.isfinite(self._values)]
-        return bool(np.ptp(values) > 1000 and np.mean(np.abs(values - np.round(values)) < 0.51) == 1.0
-                    and np.mean(values == np.round(values)) > 0.1)  # fmt: skip
+        return bool(np.ptp(values) > 1000 and np.mean(values == np.round(values)) > 0.1)
 
     def _plausible(self, scale: float) -> bool:
         speed = np.abs(np.diff(self._values, axis=0)) * scale * self._rate
@@ -296,28 +294,25 @@ class _Units:
 
     def _sides(self, entry: dict[str, Any], scale: float) -> list[dict[str, Any]]:
         """The sides of the gear on which a Delta's joint, or an axis, could turn so far."""
-        if self._gear == 1.0 or "m" in entry["unit"]:
-            return [entry]
+        if self._gear == 1.0 or "m" in entry["unit"] or isinstance(self._robot, Machine):
+            return [entry]  # an axis may turn as far as it likes
         farthest = float(np.nanmax(np.abs(self._values))) * scale
         motor = entry | {"side": "motor"}
-        if isinstance(self._robot, Machine):
-            return [entry]  # an axis may turn as far as it likes
         return [entry] * (farthest <= ANY_JOINT) + [motor] * (farthest / self._gear <= ANY_JOINT) or [entry]
 
-    def torque(self, reasons: list[str], doubts: list[str]) -> dict[str, Any]:
-        """Without a scale where it takes a constant that nobody has said."""
-        self.torque_said = True
+    def torque(self, reasons: list[str], doubts: list[str]) -> tuple[dict[str, Any], bool]:
+        """Without a scale where it takes a constant that nobody has said; and whether the unit was said."""
         if self._stated.torque_unit is not None:
             unit, factor = self._stated.torque_unit
         else:
             unit, factor = said_unit(self._table, self._channels.torque[0], TORQUE_UNITS), None
             if unit is not None:
                 reasons.append(f"torques are {unit}: it stands there")
+        said = unit is not None
         if unit is None:
-            unit, self.torque_said = "N" if self._robot and self._robot.linear else "N m", False
-            if isinstance(self._robot, Robot):
-                return {"unit": unit}
-            doubts.append(f"torques taken as {unit}: nothing says so")
+            unit = "N" if self._robot and self._robot.linear else "N m"
+            if not isinstance(self._robot, Robot):
+                doubts.append(f"torques taken as {unit}: nothing says so")
         entry: dict[str, Any] = {"unit": unit}
         if unit in ("percent", "permille"):
             entry["rated"] = factor or _rated(self._robot)
@@ -329,7 +324,7 @@ class _Units:
             raise DataError(
                 f"{self._table.path}: torques are {unit}; the {what} is not known: say --torque-unit '{unit} NUMBER'"
             )
-        return entry
+        return entry, said
 
 
 def _counts(robot: Description | None) -> float | None:

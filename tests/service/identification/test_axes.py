@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from schemas.axes import Axes, load_axes
-from schemas.errors import RobotError
+from schemas.errors import DataError, RobotError
 from service.cli.main import app
 from service.identification import axes
 from tests.service.sines import sines
@@ -176,3 +177,69 @@ def test_logs_of_two_machines_and_a_model_that_is_none_are_told(monkeypatch, noi
     assert len(found) == len(told)
     for line, words in zip(found, told, strict=True):
         assert line.startswith(words)
+
+
+@pytest.mark.parametrize(("seconds", "enough"), [(3.9, False), (4.1, True)])
+def test_two_blocks_a_parameter_and_axis_are_enough(monkeypatch, seconds, enough):
+    """Half a second each, of the axis that moves most, over all logs; an axis without weight has four."""
+    part = stub(period=0.05, moving=np.stack([np.arange(100) < 10 * seconds, np.arange(100) < 3], axis=1))
+    monkeypatch.setattr(axes, "segments", lambda trace: [part])
+    monkeypatch.setattr(axes, "thin", lambda segment: segment)
+    monkeypatch.setattr(axes, "written", lambda *parts: parts[1])
+    monkeypatch.setattr(axes, "_warnings", lambda fit, traces: [])
+    made = Axes.model_validate({"name": "two", "kind": "axes", "axis": [{"gravity": False}] * 2})
+    logs: list[Any] = [stub(name="a", path=Path("a.csv")), stub(name="b", path=Path("b.csv"))]
+    found = stub(fitted=stub(hypothesis=stub(base=None)))
+    asked = []
+    monkeypatch.setattr(axes, "fit_to", lambda robot, recordings, names: asked.append((recordings, names)) or found)
+    if enough:
+        assert axes.identify_axes(made, logs) is found
+        ((recordings, names),) = asked
+        assert [(one.trace, one.name) for one in recordings] == [(0, "a"), (1, "b")]
+        assert names == ["a.csv", "b.csv"]
+    else:
+        with pytest.raises(DataError, match=r"^a\.csv, b\.csv: too little motion, 3\.9 s of an axis, at least 4 s"):
+            axes.identify_axes(made, logs)
+
+
+@pytest.mark.parametrize(("described", "better"), [(0.9, True), (1.1, False)])
+def test_the_masses_of_a_description_are_told_to_be_better_where_they_are(monkeypatch, described, better):
+    """By what both leave of stretches left out, of the torque."""
+
+    class Arm:
+        start = np.array([9.0, 2.0, 3.0])
+
+        def __init__(self, *links: bool) -> None:
+            self.links = np.array(links)
+
+    asked = []
+
+    def holding(columns, values):
+        asked.append((columns.tolist(), values.tolist()))
+        return "described"
+
+    monkeypatch.setattr(axes, "SerialArm", Arm)
+    monkeypatch.setattr(axes, "Split", stub(of=lambda problem: "split"))
+    monkeypatch.setattr(axes, "held_out", lambda fitted, split: fitted)
+    loss = {"described": np.array([described, 3.0]), "found": np.array([1.0, 3.0])}
+    monkeypatch.setattr(axes, "block_loss", lambda fitted, split: loss["found" if fitted != "described" else fitted])
+    target = [np.array([10.0]), np.array([10.0, 10.0, 10.0])]
+
+    def told(mechanism):
+        problem = stub(recordings=[stub(mechanism=mechanism)], target=target, select=lambda number, values: values)
+        return axes._described_better(stub(problem=problem, fitted=stub(holding=holding)))
+
+    assert told(stub(links=np.array([True]))) == told(Arm(False, False, False)) == []
+    found = told(Arm(False, True, True))
+    assert asked == [([1, 2], [2.0, 3.0])]
+    assert len(found) == better
+    if better:
+        share = 100 * np.sqrt((3 + described) / 400)
+        assert found[0].startswith("stretches left out are told better by the masses of the URDF")
+        assert f"({share:.1f}% of the torque is left) than by those found (10.0%)" in found[0]
+
+
+def test_a_single_log_is_said_to_be_one(monkeypatch):
+    monkeypatch.setattr(axes, "_described_better", lambda fit: ["better"])
+    fit = stub(residual=np.ones((1, 2)), torque=np.full((1, 2), 9.0), noise_floor=np.ones(2), alone=np.ones((1, 2)))
+    assert [line[:8] for line in axes._warnings(fit, [stub(path=Path("a.csv"))])] == ["better", "a.csv: a"]

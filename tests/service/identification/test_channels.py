@@ -152,6 +152,9 @@ def test_the_clock_is_named_or_the_first_column_if_that_rises() -> None:
         ("time", 1.0, "ms", False),
         ("time", 250.0, "us", False),
         ("time", 1e6, "ns", False),
+        ("time", 1 / 21, "s", False),
+        ("time", 1 / 19, "ms", False),
+        ("time", 1e8, "s", False),
     ],
 )
 def test_a_clocks_unit_is_said_or_gives_a_rate_that_logs_have(name: str, step: float, unit: str, said: bool) -> None:

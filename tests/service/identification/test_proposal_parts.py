@@ -1,0 +1,385 @@
+"""How a proposal decides: each rule just inside and just outside of it, on readings set by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.trace.tables import Table
+from schemas.axes import Axes
+from schemas.errors import DataError, TraceError
+from schemas.robot import Drive, Robot
+from service.identification import proposal
+from service.identification.channels import Channels
+from service.identification.checks import TorqueReading
+from service.identification.proposal import Stated, propose
+from tests.service.world import stub
+
+GEAR = 25.0
+ROWS = 300
+UP, ORDER = (1, 1, 1), (0, 1, 2)
+JOINTS = Channels("t", ("q1", "q2", "q3"), ("tau1", "tau2", "tau3"))
+ANGLES, TORQUES = np.random.default_rng(0).standard_normal((2, ROWS, 3))
+
+
+@pytest.fixture(scope="module")
+def geared(robot: Robot) -> Robot:
+    return robot.model_copy(update={"drive": Drive(gear_ratio=GEAR)})
+
+
+def delta_table() -> Table:
+    columns = {"t": np.arange(ROWS) * 1e-3}
+    columns |= {f"q{j + 1}": ANGLES[:, j] for j in range(3)} | {f"tau{j + 1}": TORQUES[:, j] for j in range(3)}
+    return Table(Path("log.csv"), "text", columns)
+
+
+def fitting(
+    share: float, scale: float = 1.0, signs: tuple[int, ...] = UP, by_masses: float | None = None, **torque: Any
+):
+    """A way to read the log: what it leaves, the positions' signs, the torque's reading, its scale by the masses."""
+    reading = TorqueReading(share, torque.get("order", ORDER), torque.get("turned", UP), scale)
+    return share, signs, reading, scale if by_masses is None else by_masses
+
+
+def read(
+    monkeypatch: pytest.MonkeyPatch, robot: Robot, *ranked: Any, torque: dict[str, Any] | None = None, said: bool = True
+) -> proposal._Reading:
+    """What is made of ways to read a log of degrees, the best first."""
+    asked = torque or {"unit": "N m"}
+    factor = {"percent": 0.01, "permille": 0.001}.get(asked["unit"], 1.0) * (
+        asked.get("constant", asked.get("rated", 1.0)) or np.nan
+    )
+
+    def fits(
+        table: Table, model: Robot, rate: float, positions: np.ndarray, torques: np.ndarray, known: bool, told: bool
+    ):
+        assert (rate, model, told) == (1e3, robot, said)
+        np.testing.assert_allclose(positions, np.radians(ANGLES))
+        assert known is bool(np.isfinite(factor))
+        np.testing.assert_allclose(torques, TORQUES * (factor if known else 1.0))
+        return list(ranked)
+
+    monkeypatch.setattr(proposal, "_fits", fits)
+    return proposal._by_delta(delta_table(), JOINTS, robot, 1e3, {"unit": "deg"}, asked, said)
+
+
+def test_positions_that_are_no_poses_are_told_and_nothing_is_changed(
+    monkeypatch: pytest.MonkeyPatch, geared: Robot
+) -> None:
+    found = read(monkeypatch, geared)
+    assert (found.share, found.signs, found.torque) == (np.inf, UP, {"unit": "N m"})
+    (doubt,) = found.doubts
+    assert doubt.startswith("read as deg of the joint the positions are no poses of known, or hardly move")
+    assert found.reasons == []
+
+
+@pytest.mark.parametrize(("share", "hopeless"), [(0.49, False), (0.51, True)])
+def test_where_half_of_the_torque_is_left_nothing_is_told(
+    monkeypatch: pytest.MonkeyPatch, geared: Robot, share: float, hopeless: bool
+) -> None:
+    found = read(monkeypatch, geared, fitting(share, signs=(1, -1, 1), turned=(-1, 1, -1)))
+    assert found.share == share
+    assert (found.signs, found.torque_signs) == ((UP, UP) if hopeless else ((1, -1, 1), [-1, 1, -1]))
+    line = f"with these readings the robot's equations leave {100 * share:.2g} % of the torque"
+    if hopeless:
+        assert found.doubts == [f"{line}: signs and gear side cannot be told from this log"]
+        assert found.reasons == []
+    else:
+        assert found.reasons == [
+            line, "the torque of joints 1 and 3 has the other sign", "the position of joint 2 has the other sign"
+        ]  # fmt: skip
+        assert found.doubts == []
+
+
+@pytest.mark.parametrize(("second", "certain"), [(0.51, True), (0.49, False)])
+def test_signs_are_certain_where_others_leave_much_more(
+    monkeypatch: pytest.MonkeyPatch, geared: Robot, second: float, certain: bool
+) -> None:
+    """0.3 is 0.6 of 0.5; the third and further do not matter."""
+    found = read(monkeypatch, geared, fitting(0.3), fitting(second), fitting(0.9))
+    line = "with these readings the robot's equations leave 30 % of the torque"
+    doubt = f"{line}, with other signs of the positions {100 * second:.2g} %: signs are not certain"
+    assert (found.reasons, found.doubts) == (([line], []) if certain else ([], [doubt]))
+
+
+@pytest.mark.parametrize("order", [(1, 0, 2), (0, 2, 1), (2, 1, 0)])
+def test_torques_in_another_order_are_told_and_left(
+    monkeypatch: pytest.MonkeyPatch, geared: Robot, order: tuple[int, ...]
+) -> None:
+    found = read(monkeypatch, geared, fitting(0.05, 5.0, (1, -1, 1), order=order, turned=(-1, 1, 1)))
+    said = ", ".join(str(k + 1) for k in order)
+    assert found.doubts == [
+        f"the torques fit better in the order {said}: cables swapped? --torque says it otherwise"
+    ]  # fmt: skip
+    assert (found.signs, found.torque_signs, found.torque) == (UP, UP, {"unit": "N m"})
+
+
+@pytest.mark.parametrize(
+    ("scale", "read_as"),
+    [
+        (1.24, {"unit": "N m"}), (1 / 1.24, {"unit": "N m"}), (1.26, None), (1 / 1.26, None),
+        (GEAR * 1.24, {"unit": "N m", "side": "motor"}), (GEAR / 1.24, {"unit": "N m", "side": "motor"}),
+        (GEAR * 1.26, None), (GEAR / 1.26, None),
+    ],
+)  # fmt: skip
+def test_a_scale_near_one_or_the_gear_is_that(
+    monkeypatch: pytest.MonkeyPatch, geared: Robot, scale: float, read_as: dict[str, Any] | None
+) -> None:
+    """Within a quarter; any other is what a unit of the torque is worth by the masses."""
+    found = read(monkeypatch, geared, fitting(0.05, scale))
+    assert found.torque == (read_as or {"unit": "A", "constant": float(f"{scale:.4g}")})
+    if read_as:
+        assert found.doubts == []
+        assert ("torques are the motor's: times the gear of 25 they fit" in found.reasons) == ("side" in read_as)
+    else:
+        assert found.doubts == [f"one unit of torque taken as {scale:.4g} N m, {proposal._WHENCE}"]
+
+
+@pytest.mark.parametrize(
+    ("torque", "read_as"),
+    [
+        ({"unit": "percent", "rated": 40.0}, {"unit": "percent", "rated": 40.0}),
+        ({"unit": "permille", "rated": 40.0}, {"unit": "permille", "rated": 40.0}),
+        ({"unit": "A", "constant": 0.8}, {"unit": "A", "constant": 0.8}),
+        ({"unit": "percent", "rated": None}, {"unit": "percent", "rated": 110.0}),
+        ({"unit": "permille", "rated": None}, {"unit": "permille", "rated": 1100.0}),
+        ({"unit": "A", "constant": None}, {"unit": "A", "constant": 1.1}),
+    ],
+)
+def test_a_unit_without_its_constant_gets_it_by_the_masses(
+    monkeypatch: pytest.MonkeyPatch, geared: Robot, torque: dict[str, Any], read_as: dict[str, Any]
+) -> None:
+    """A scale that would go as one."""
+    found = read(monkeypatch, geared, fitting(0.05, 1.1), torque=torque)
+    assert found.torque == read_as
+    known = None not in torque.values()
+    assert found.doubts == ([] if known else [f"one {torque['unit']} taken as 1.1 N m, {proposal._WHENCE}"])
+
+
+@pytest.mark.parametrize(
+    ("share", "scale", "by_masses", "why"),
+    [
+        (0.09, 1.0, 1.24, "; the fit goes with it"), (0.09, 1.0, 1 / 1.24, "; the fit goes with it"),
+        (0.09, 1.0, 1.26, ", and by the masses one would be 1.26 N m"),
+        (0.09, 1.0, 1 / 1.26, ", and by the masses one would be 0.794 N m"),
+        (0.09, GEAR, 2.0 * GEAR, ", and by the masses one would be 2 N m"),
+        (0.11, 1.0, 1.0, ", and the fit is poor"),
+    ],
+)  # fmt: skip
+def test_newton_metres_that_nobody_said_are_sure_where_the_fit_goes_with_them(
+    monkeypatch: pytest.MonkeyPatch, geared: Robot, share: float, scale: float, by_masses: float, why: str
+) -> None:
+    ranked = fitting(share, scale, by_masses=by_masses)
+    found = read(monkeypatch, geared, ranked, said=False)
+    line = f"torques taken as N m: nothing says so{why}"
+    sure = why.startswith(";")
+    assert (line in found.reasons, line in found.doubts) == (sure, not sure)
+    told = read(monkeypatch, geared, ranked)
+    assert not any(one.startswith("torques taken") for one in [*told.reasons, *told.doubts])
+
+
+def fits_of(
+    monkeypatch: pytest.MonkeyPatch, robot: Robot, share: dict[tuple[int, ...], float | None], named: float = 0.05,
+    known: bool = True, said: bool = True, seconds: float = 0.51,
+) -> list[tuple[float, tuple[int, ...], float, float]]:  # fmt: skip
+    """(share, signs, scale, scale by the masses) of what a log is read as. share: of the positions' signs, with any
+    scale; None: no pose. named: with the scale that there is."""
+
+    def summarise(model: object, trace: Any) -> Any:
+        signs = tuple(int(s) for s in np.sign(trace.position[0] / ANGLES[0]))
+        assert len(trace.position) == ROWS
+        np.testing.assert_array_equal(trace.position, ANGLES * signs)
+        np.testing.assert_array_equal(trace.torque, TORQUES)
+        if share.get(signs, 0.9) is None:
+            raise TraceError("no pose")
+        return stub(seconds=np.array([[9.0, seconds / 2, 9.0]] * 2), gram=np.array([[signs], [signs]]) / 2)
+
+    def best_reading(gram: np.ndarray, gear: float, free_scale: bool = False) -> TorqueReading:
+        assert gear == GEAR
+        signs = tuple(int(s) for s in gram[0])
+        left = share.get(signs, 0.9)
+        assert left is not None
+        return TorqueReading(left if free_scale else named, ORDER, UP, 7.0 if free_scale else 1.0)
+
+    monkeypatch.setattr(proposal, "summarise", summarise)
+    monkeypatch.setattr(proposal, "best_reading", best_reading)
+    found = proposal._fits(delta_table(), robot, 1e3, ANGLES, TORQUES, known, said)
+    return [(left, tuple(signs), reading.scale, by_masses) for left, signs, reading, by_masses in found]
+
+
+def test_other_signs_are_tried_where_those_given_leave_a_tenth(monkeypatch: pytest.MonkeyPatch, geared: Robot) -> None:
+    """With any scale, as its unit is not known; a motion that is no pose is out."""
+    assert fits_of(monkeypatch, geared, {UP: 0.09}, known=False) == [(0.09, UP, 7.0, 7.0)]
+    found = fits_of(monkeypatch, geared, {UP: 0.11, (1, -1, 1): 0.04, (-1, -1, -1): None}, known=False)
+    assert found[:2] == [(0.04, (1, -1, 1), 7.0, 7.0), (0.11, UP, 7.0, 7.0)]
+    assert [left for left, *_ in found[2:]] == [0.9] * 5
+    assert len({signs for _, signs, *_ in found}) == 7
+    found = fits_of(monkeypatch, geared, {UP: None}, known=False)
+    assert len(found) == 7
+    assert UP not in [signs for _, signs, *_ in found]
+
+
+def test_each_joint_has_to_move_for_half_a_second(monkeypatch: pytest.MonkeyPatch, geared: Robot) -> None:
+    assert fits_of(monkeypatch, geared, {UP: 0.01}, seconds=0.51) != []
+    assert fits_of(monkeypatch, geared, {UP: 0.01}, seconds=0.49) == []
+
+
+@pytest.mark.parametrize(
+    ("free", "named", "said", "scale"),
+    [
+        (0.039, 0.05, False, 7.0), (0.041, 0.05, False, 1.0),  # less than 0.8 of it
+        (0.099, 0.2, False, 7.0), (0.101, 0.2, False, 1.0),  # and than a tenth of the torque
+        (0.001, 0.05, True, 1.0),
+    ],
+)  # fmt: skip
+def test_another_scale_than_newton_metres_has_to_fit_far_better_and_nothing_say_otherwise(
+    monkeypatch: pytest.MonkeyPatch, geared: Robot, free: float, named: float, said: bool, scale: float
+) -> None:
+    found = fits_of(monkeypatch, geared, {UP: free}, named, said=said)
+    (mine,) = (one for one in found if one[1] == UP)
+    assert mine == (free if scale == 7.0 else named, UP, scale, 7.0)
+
+
+@pytest.mark.parametrize(("others", "clear"), [(0.51, True), (0.49, False)])
+def test_of_two_ways_to_read_positions_the_better_is_clear_where_the_other_leaves_much_more(
+    monkeypatch: pytest.MonkeyPatch, geared: Robot, others: float, clear: bool
+) -> None:
+    """Radians of the joint leave 0.3; those of the motor, and degrees of either, the same as each other or more."""
+    shares = {("rad", ""): 0.3, ("rad", "motor"): 0.8, ("deg", ""): others, ("deg", "motor"): 0.9}
+
+    def by_delta(
+        table: Table, channels: Channels, robot: Robot, rate: float, position: dict[str, Any], *rest: Any
+    ) -> proposal._Reading:
+        share = shares[position["unit"], position.get("side", "")]
+        return proposal._Reading(position, {"unit": "N m"}, share, UP, UP, [f"reason {share}"], [f"doubt {share}"])
+
+    monkeypatch.setattr(proposal, "_by_delta", by_delta)
+    made = delta_table()
+    slow = {name: 0.01 * values if name[0] == "q" else values for name, values in made.columns.items()}
+    found = propose(Table(made.path, made.kind, slow), geared, Stated(position=JOINTS.position))
+    line = f"positions are rad of the joint: the fit leaves 30 % of the torque, read otherwise {100 * others:.2g} %"
+    assert (line in found.reasons, line in found.doubts) == (clear, not clear)
+    assert "reason 0.3" in found.reasons
+    assert "doubt 0.3" in found.doubts
+
+
+TURNING = Axes.model_validate({"name": "arm", "kind": "axes", "axis": [{"unit": "rad"}, {"unit": "rad"}]})
+
+
+def swings(*forces: Any, rows: int = 4000, period: float = 1e-3) -> Table:
+    """Axes in degrees on two sines each; a torque (N,) of angle, speed and acceleration, rad, for each."""
+    time = np.arange(4000) * period
+    size, rate = np.array([0.6, 0.05])[:, None], np.array([5.0, 17.0])[:, None]
+    wave = rate * time
+    x = np.sum(size * np.sin(wave), axis=0)
+    v, a = np.sum(size * rate * np.cos(wave), axis=0), -np.sum(size * rate**2 * np.sin(wave), axis=0)
+    columns = {"t": time}
+    for number, force in enumerate(forces, 1):
+        columns |= {f"pos{number} [deg]": np.degrees(x), f"torque{number} [Nm]": force(x, v, a)}
+    return Table(Path("log.csv"), "text", {name: values[:rows] for name, values in columns.items()})
+
+
+def signs_of(*forces: Any, rows: int = 4000, period: float = 1e-3) -> tuple[list[int], list[str]]:
+    found = propose(swings(*forces, rows=rows, period=period), TURNING, Stated())
+    assert found.columns["position"][0]["unit"] == "deg"
+    return [entry.get("sign", 1) for entry in found.columns["torque"]], [
+        line for line in [*found.reasons, *found.doubts] if line.startswith("axis")
+    ]
+
+
+def test_an_axis_sign_is_told_beside_its_weight_and_each_axis_for_itself() -> None:
+    """Weight, a constant and viscous friction explain nothing of it, however large; what shows nothing is passed by."""
+
+    def weighed(inertia: float, dry: float) -> Any:
+        return lambda x, v, a: inertia * a + dry * np.sign(v) + 300 * np.sin(x) - 200 * np.cos(x) - 40 * v + 90
+
+    assert signs_of(weighed(0.5, 0.0), weighed(-0.5, 0.0)) == (
+        [1, -1], ["axis 2: 'torque2 [Nm]' pushes against the motion: the other sign"]
+    )  # fmt: skip
+    assert signs_of(weighed(0.0, -3.0), weighed(0.0, 3.0))[0] == [-1, 1]
+    hum = np.sin(0.3 * np.arange(4000))
+    signs, said = signs_of(lambda x, v, a: hum, weighed(-0.5, 0.0))
+    assert signs == [1, -1]
+    assert said[::-1][0] == "axis 1: neither inertia nor friction shows in 'torque1 [Nm]': its sign cannot be told"
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.12, True), (0.08, False)])
+def test_inertia_shows_from_a_tenth_of_what_is_left(share: float, told: bool) -> None:
+    """Against a hum, by standard deviations."""
+    hum = np.sin(0.05 * np.arange(4000))
+    signs, said = signs_of(*[lambda x, v, a: -share * a / np.std(a) * np.std(hum) + hum] * 2)
+    assert signs == ([-1, -1] if told else [1, 1])
+    assert len(said) == 2
+    assert ("cannot be told" in said[0]) is not told
+
+
+def test_signs_are_told_from_a_hundred_rows_on() -> None:
+    against = [lambda x, v, a: -5.0 * a] * 2
+    assert signs_of(*against, rows=100, period=0.01)[0] == [-1, -1]
+    assert signs_of(*against, rows=99, period=0.01)[0] == [1, 1]
+
+
+@pytest.mark.parametrize(
+    ("unit", "name", "entry", "reason"),
+    [
+        (None, "torque [%]", {"unit": "percent", "rated": 12.0}, "torques are percent: it stands there"),
+        (None, "torque [Nm]", {"unit": "N m"}, "torques are N m: it stands there"),
+        (("percent", 5.0), "torque [Nm]", {"unit": "percent", "rated": 5.0}, None),
+        (("permille", None), "torque", {"unit": "permille", "rated": 12.0}, None),
+        (("V", 0.3), "torque", {"unit": "V", "constant": 0.3}, None),
+        (("A", 0.2), "torque", {"unit": "A", "constant": 0.2}, None),
+    ],
+)
+def test_a_torques_unit_stands_there_or_is_told_and_its_drive_says_what_is_rated(
+    monkeypatch: pytest.MonkeyPatch, unit: Any, name: str, entry: dict[str, Any], reason: str | None
+) -> None:
+    monkeypatch.setattr(proposal, "_rated", lambda robot: 12.0)
+    made = Table(Path("log.csv"), "text", {"q": np.arange(9.0), name: np.arange(9.0)})
+    units = proposal._Units(made, Channels(None, ("q",), (name,)), TURNING, 1.0, Stated(torque_unit=unit))
+    reasons: list[str] = []
+    doubts: list[str] = []
+    assert units.torque(reasons, doubts) == (entry, True)
+    assert reasons == ([reason] if reason else [])
+    assert doubts == []
+
+
+def test_a_rated_torque_that_nobody_knows_is_asked_for() -> None:
+    with pytest.raises(DataError, match=r"torques are percent; the rated torque is not known: say --torque-unit 'perc"):
+        propose(swings(lambda x, v, a: a, lambda x, v, a: a), TURNING, Stated(torque_unit=("percent", None)))
+
+
+def test_an_axis_turns_as_far_as_it_likes_and_its_increments_are_said() -> None:
+    """Of a machine with a gear the positions are the axis's own."""
+    geared = Axes.model_validate({"name": "table", "kind": "axes", "axis": [{"unit": "rad", "gear_ratio": 10.0}]})
+    made = Table(Path("log.csv"), "text", {"q": np.linspace(0.0, 5000.0, 5001)})
+    channels = Channels(None, ("q",))
+    far = proposal._Units(made, channels, geared, 1.0, Stated(position_unit="rad"))
+    reasons: list[str] = []
+    assert far.positions(reasons, []) == [{"unit": "rad"}]
+    assert reasons == ["positions are rad: told"]
+    counted = proposal._Units(made, channels, geared, 1.0, Stated(counts_per_rev=500.0))
+    assert counted.positions([], []) == [{"unit": "counts", "counts_per_rev": 500.0}]
+    assert proposal._Units(made, channels, geared, 1.0, Stated(position_unit="counts", counts_per_rev=7.0)).positions(
+        [], []
+    ) == [{"unit": "counts", "counts_per_rev": 7.0}]
+    doubts: list[str] = []
+    wound = Table(made.path, made.kind, {"q": np.linspace(0.0, 5000.5, 5002)})
+    assert proposal._Units(wound, channels, geared, 1.0, Stated()).positions([], doubts) == [{"unit": "rad"}]
+    assert doubts == ["positions taken as rad of the joint, by their range and speed"]
+
+
+def test_stamps_of_a_channel_of_its_own_are_told_but_of_a_twincat_export(geared: Robot) -> None:
+    made = delta_table()
+    columns = {**made.columns, "clock": made.columns["t"], "other": made.columns["t"]}
+    for kind, clocks, told in (
+        ("text", {"q1": "clock", "tau1": "clock", "q2": "other"}, [None, "other", None]),
+        ("TwinCAT Scope", {"q1": "clock", "tau1": "clock", "q2": "other"}, [None, None, None]),
+    ):
+        table = Table(made.path, kind, columns, time_of=clocks)
+        entries = [proposal._entry(table, JOINTS, name, {"unit": "rad"}, 1) for name in ("q1", "q2", "tau1")]
+        assert [entry.get("time") for entry in entries] == told
+        assert all(entry["unit"] == "rad" and "sign" not in entry for entry in entries)
+    assert proposal._entry(made, JOINTS, "q1", {}, -1) == {"name": "q1", "sign": -1}
