@@ -262,7 +262,7 @@ def _told(problem: Problem, fitted: solver.Fit, known: Sequence[Quantity], nomin
     held = np.array([reasons.get(parameter.name, "").endswith("never moves") for parameter in known])
     held |= np.diag(whole[0]) == 0
     if (wanted := fitted.hypothesis.base.wanted) is not None:
-        reasons |= {known[index].name: "data left out do as well without" for index in np.flatnonzero(~wanted)}
+        reasons |= {known[index].name: "data left out do as well without" for index in np.flatnonzero(~wanted).tolist()}
     while (tolerance := _tolerance(whole[0], held)).min() < COLLINEAR:
         worst = int(np.argmin(tolerance))
         reasons.setdefault(known[worst].name, "the other parameters explain it as well on these logs")

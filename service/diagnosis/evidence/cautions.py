@@ -184,20 +184,20 @@ def _gravity(problem: Problem, none: Scored, best: Scored) -> list[Caution]:
     hypothesis, own = none.hypothesis, none.fitted.tangents
     for number, (scene, residual) in enumerate(zip(problem.scenes(hypothesis), none.fitted.residuals, strict=True)):
         model = scene.delta.model
-        # m/s^2 on platform and forearms, whose mass is known; on the active links, whose mass is fitted
-        known = [-model.moving_mass * scene.at_platform(axis) for axis in np.eye(3)]
-        fitted = [-model.link_mass * scene.arms.slope @ axis for axis in np.eye(3)]
+        # of an m/s^2 on platform and forearms, whose mass is known, up to its sign; on the active links as is fitted
+        known = [model.moving_mass * scene.at_platform(axis) for axis in np.eye(3)]
+        fitted = [scene.arms.slope @ axis for axis in np.eye(3)]
         weights = problem.select(number, problem.band(np.stack([*known, *fitted], axis=-1)))
         columns = np.concatenate([own[number], weights], axis=1)
         grams.append(columns.T @ columns)
         moments.append(columns.T @ residual)
     moment = np.asarray(sum(moments))
     change = solve(np.asarray(sum(grams)), moment)
-    removed = float(change @ moment)  # of the squares
+    rest = none.fitted.cost - float(change @ moment) - problem.count
     size = float(np.linalg.norm(change[-6:-3]))
-    if size < OTHER_GRAVITY or none.fitted.cost - removed - problem.count > left + AS_GOOD * gap:
+    if size < OTHER_GRAVITY or rest > left + AS_GOOD * gap:
         return []
-    return [Caution(code="gravity", share=round(min(removed / gap, 1.0), 4), advice="check_description")]
+    return [Caution(code="gravity", share=round(1.0 - max(rest, 0.0) / gap, 4), advice="check_description")]
 
 
 def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caution]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.trace import read_trace
 from service.diagnosis.diagnose import diagnose
+from service.diagnosis.evidence import aside
 from service.diagnosis.evidence.aside import WIDTH, Quiet
 from tests.service.diagnosis.logs import ROBOT, record, swing
 from tests.service.subject import EFFECTS, Hypothesis, Regressors, Split, evaluate, fit, selection
@@ -115,6 +117,108 @@ def test_what_is_told_of_a_hypothesis_is_all_that_it_leaves(quiet):
         true = logs.band(stranger(number + 1, 2000)[:, None])[logs.rows[number][:, JOINT], 0] / logs.sigma[JOINT]
         assert np.corrcoef(residual[mine], true)[0, 1] > 0.95  # its own friction is not known as well
     assert seen.loss / logs.count > 5 * scored.loss / found.problem.count
+
+
+def test_the_level_round_a_row_is_the_rms_of_the_rows_within_six_hundredths_of_a_second():
+    random = np.random.default_rng(2)
+    rows = random.random((60, 2)) < 0.5
+    rows[20:40, 1] = False
+    joints = np.repeat([0, 1], rows.sum(axis=0))
+    left = random.standard_normal(len(joints))
+    made = stub(band=stub(period=3e-3, step=4), rows=[rows], joints_of_rows=[joints])  # 5 samples
+    (level,) = aside._levels(made, [left])
+    for joint in range(2):
+        square = np.full(60, np.nan)
+        square[rows[:, joint]] = left[joints == joint] ** 2
+        for row in range(60):
+            near = square[max(row - 2, 0) : row + 3]
+            expected = np.sqrt(np.nanmean(near)) if rows[row, joint] else 1.0
+            assert level[row, joint] == pytest.approx(expected)
+
+
+def settling(monkeypatch, *levels: float):
+    """A problem of 100 rows whose fits leave these levels in turn, however they weigh; the weights asked for."""
+    weights, left = [], iter(levels)
+
+    def fitted(problem, hypothesis, iterations):
+        assert iterations == 2
+        weights.append(float(problem.weights[0][0, 0]))
+        return next(left) * problem.weights[0][:, 0]
+
+    monkeypatch.setattr(aside, "fit", fitted)
+    monkeypatch.setattr(aside, "score", lambda residual, split: stub(hypothesis="same", residuals=[residual]))
+    rows = np.ones((100, 1), bool)
+    whole = replace(made(), recordings=[], target=[], rows=[rows], sigma=np.ones(1))
+    problem, best = aside._settled(whole, stub(), stub(hypothesis="same"), [np.full(100, levels[0])])
+    return weights, problem, best
+
+
+@pytest.mark.parametrize(("level", "weight"), [(1.4, 1.0), (3.0, 0.5), (6.0, 0.25)])
+def test_rows_weigh_less_from_one_and_a_half_times_the_noise(monkeypatch, level, weight):
+    weights, problem, best = settling(monkeypatch, *[level] * 5)
+    assert weights == pytest.approx([weight] * 3)
+    np.testing.assert_allclose(problem.weights[0], weight)
+    np.testing.assert_allclose(best.residuals[0], level * weight)
+
+
+def test_rows_are_weighed_by_what_the_fit_before_left(monkeypatch):
+    weights, problem, _ = settling(monkeypatch, 6.0, 3.0, 2.0)
+    assert weights == pytest.approx([0.25, 0.25, 0.5])
+    assert problem.weights[0][0, 0] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("gains", "taken"),
+    [
+        ([10.0, 3.1, 2.9, 9.0], 2), ([10.0, 9.0, 8.0, 7.0, 6.0], 4), ([10.0, None, 9.0], 1), ([2.0], 0),
+        ([10.0, "fault", 9.0], 1), ([10.0, "chance", 9.0], 1),
+    ],
+)  # fmt: skip
+def test_effects_are_added_while_they_gain_and_what_they_leave_far_above_the_noise_weighs_little(
+    monkeypatch, gains, taken
+):
+    """3 of 100 rows each, and not by chance; the last of their levels weigh by their squares where above two."""
+    asked = []
+
+    def state(number: int):
+        blocks = np.linspace(99.0, 101.0, 100) - sum(
+            10.0 if isinstance(g, str) else g / 100 for g in gains[:number] if g
+        )
+        return stub(number=number, blocks=blocks, residuals=[np.where(np.arange(100) < 50, 1.9, 2.1 + number)])
+
+    def additions(weighing, best, base, given, allows, progress):
+        assert (base.number, given, allows, progress) == (0, 7, "allows", "progress")
+        assert weighing == ("weighing", best.number)
+        asked.append(best.number)
+        gain = gains[best.number]
+        return ([] if gain is None else [state(best.number + 1)]), "fault" if gain == "fault" else None
+
+    def settled(whole, split, best, left):
+        return stub(count=100, number=best.number, weights=[np.ones((100, 1))], pick=lambda n, w: w[:, 0]), best
+
+    monkeypatch.setattr(aside, "additions", additions)
+    monkeypatch.setattr(aside, "_settled", settled)
+    monkeypatch.setattr(aside, "z_score", lambda worse, better: 2.9 if "chance" in gains and len(asked) == 2 else 3.1)
+    monkeypatch.setattr(aside, "_levels", lambda whole, left: [left[0][:, None]])
+    whole = replace(made(), recordings=[], target=[], rows=[np.ones((100, 1), bool)], sigma=np.ones(1))
+    regressors = stub(
+        problem=whole, split=stub(), weighing=lambda problem: ("weighing", getattr(problem, "number", problem))
+    )
+    asked_of: Any = (regressors, state(0), 7, "allows", "progress")
+    weighed: Any = Quiet.beside(*asked_of).regressors
+    assert asked == list(range(min(taken + 1, 4)))
+    weights = weighed[1].weights[0][:, 0]
+    np.testing.assert_allclose(weights, np.where(np.arange(100) < 50, 1.0, 1.0 / (2.1 + taken) ** 2))
+
+
+@pytest.mark.parametrize(("keeps", "joints"), [((0.89, 0.91, 0.5), [1, 3]), ((0.95, 0.92, 1.0), [2])])
+def test_joints_that_keep_less_than_nine_tenths_are_told_or_the_one_that_keeps_least(keeps, joints):
+    rows = [np.ones((30, 4), bool), np.ones((70, 4), bool)]
+    rows[0][:, 3] = rows[1][:, 3] = False  # rests
+    weights = [np.tile(np.sqrt([*keeps, 0.3]), (len(part), 1)) for part in rows]
+    found = Quiet(stub(rows=rows, count=300), stub(problem=stub(weights=weights, count=120)))
+    said = found.caution()
+    assert (said.joints, said.share, said.advice) == (joints, 0.6, "look_there")
 
 
 def test_where_much_is_left_one_force_on_the_platform_goes_before_one_on_every_arm():

@@ -227,3 +227,55 @@ def test_a_base_that_lacks_something_is_doubted(joint, what, other, share, told)
     left = one.model_copy(update={"share": 0.31})
     assert bool(doubts([], [left])) == (joint < 3 and what != "position_error"), "of what effects leave, 0.3 is much"
     assert doubts([], [one.model_copy(update={"share": 0.29})]) == []
+
+
+def test_a_term_that_is_a_weight_is_the_bases_however_little_it_takes():
+    """Told with the share of its joint's gap above the noise that effects remove, and once; by the gear, the travel of
+    its joint over all runs and its own figures."""
+    joints = np.repeat([0, 1, 2], 50)
+    asked = []
+
+    def is_weight(ratio: float, travel: float, nonlinear: tuple[float, ...]) -> bool:
+        asked.append((ratio, travel, nonlinear))
+        return ratio > 10.0
+
+    effect = stub(is_weight=is_weight)
+    terms = (stub(effect=effect, joints=(0, 2), nonlinear=(7.0,)), stub(effect=effect, joints=(1,), nonlinear=()))
+    none, best = (
+        stub(residuals=[np.array(level)[joints]], hypothesis=stub(terms=terms))
+        for level in ([5.0, 5.0, 3.0], [3.0, 5.0, 2.0])
+    )
+    angles = [np.array([[0.0, 0.0, -1.0], [1.0, 0.5, 0.0]]), np.array([[2.0, 0.0, 1.0]])]
+    mechanism = stub(kind="axes", gear_ratio=[20.0, 5.0, 30.0])
+    made = stub(
+        recordings=[stub(mechanism=mechanism, segment=stub(theta=theta)) for theta in angles],
+        sigma=np.array([0.5, 2.0, 1.0]), joints_of_rows=[joints],
+    )  # fmt: skip
+    follow = Follows(joint=3, what="sine_of_angle", other=None, share=0.9)
+    other = Follows(joint=2, what="motion", other=1, share=0.9)
+    for found, more in (([], []), ([follow], []), ([follow, other], [("other_joints", [2, 1], 0.9)])):
+        told = base_doubts(made, found, [], none, best)
+        assert [(one.code, one.joints, one.share) for one in told] == [
+            ("sine_of_angle", [1], pytest.approx(16 / 24, abs=1e-4)),
+            ("sine_of_angle", [3], pytest.approx(5 / 8, abs=1e-4)), *more,
+        ]  # fmt: skip
+    assert asked[:3] == [(20.0, 2.0, (7.0,)), (30.0, 2.0, (7.0,)), (5.0, 0.5, ())]
+
+
+def test_what_is_passed_over_does_not_hide_what_follows():
+    """A position error, hardly a gap, too small a share: each before one that is told."""
+    joints = np.repeat([0, 1, 2], 50)
+    none, best = (
+        stub(residuals=[np.array(level)[joints]], hypothesis=stub(terms=()))
+        for level in ([5.0, 1.0, 30.0], [5.0, 1.0, 1.05])
+    )
+    made = stub(recordings=[stub(mechanism=stub(kind="axes"))], sigma=np.ones(3), joints_of_rows=[joints])
+    told = Follows(joint=1, what="motion", other=2, share=0.9)
+    passed: list[Follows] = [
+        Follows(joint=1, what="position_error", other=None, share=0.9),
+        Follows(joint=2, what="motion", other=None, share=0.9),
+        Follows(joint=1, what="sine_of_angle", other=None, share=0.1),
+        Follows(joint=3, what="sine_of_angle", other=None, share=0.96),
+    ]
+    for one in passed:
+        assert [found.joints for found in base_doubts(made, [one, told], [], none, best)] == [[1, 2]]

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drivers.plant.mechanism import Design, build, required_torque
 from schemas.diagnosis import Caution
 from tests.service.injected import INJECTED
 from tests.service.subject import EFFECTS, Hypothesis, Selection, Split, Term, cautions, evaluate, fit, selection
-from tests.service.world import BASE, course, problem, stub
+from tests.service.world import BASE, PERIOD, TRUTH, course, problem, stub
 
 SEEDS = (1, 2)
 LIMIT = 1.1
@@ -142,3 +143,62 @@ def test_a_good_stand_in_does_not_excuse_what_it_leaves_unless_that_is_little_of
     before = stub(hypothesis=Hypothesis(BASE), loss=gap * left * made.count)
     codes = [one.code for one in cautions.doubts_of(made, Selection(before, best, [], {}), LIMIT)]
     assert ("much_is_left" in codes) == told
+
+
+def sideways(size: float, stranger: float = 0.0):
+    """Logs of a robot on which gravity pulls sideways too, `size` m/s^2, beside a hum of `stranger` N m; the base model
+    on them; the share of its gap that MuJoCo's torques of a pull each way leave."""
+    runs = [course(seed, 1.0) for seed in SEEDS]
+
+    def pulled(run, pull):
+        mechanism = build(Design(TRUTH), PERIOD)
+        mechanism.model.opt.gravity[:] += pull
+        return required_torque(mechanism, *run.motion)
+
+    level = [pulled(run, np.zeros(3)) for run in runs]
+    ways = [
+        np.stack([pulled(run, pull) - flat for pull in np.eye(3)], axis=-1)
+        for run, flat in zip(runs, level, strict=True)
+    ]
+    random = np.random.default_rng(1)
+    hum = [np.sin(2 * np.pi * np.array([3.0, 4.0, 5.0]) * run.time[:, None]) for run in runs]
+    torques = [
+        run.torque + size * way @ [0.6, -0.8, 0.0] + stranger * h + 0.3 * random.standard_normal(h.shape)
+        for run, way, h in zip(runs, ways, hum, strict=True)
+    ]
+    made = problem(runs, torques)
+    none = selection.score(fit(made, Hypothesis(BASE)), Split.of(made))
+    columns = np.concatenate([
+        np.hstack([tangent, made.select(number, made.band(way))])
+        for number, (tangent, way) in enumerate(zip(none.fitted.tangents, ways, strict=True))
+    ])  # fmt: skip
+    wanted = np.concatenate(none.fitted.residuals)
+    rest = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
+    return made, none, float(rest @ rest - made.count) / (none.loss - made.count)
+
+
+def gravity_of(made, none, left: float) -> list[Caution]:
+    """Doubts where effects leave such a share of the gap."""
+    best = stub(loss=made.count + left * (none.loss - made.count))
+    return cautions.base_doubts(made, [], [], none, best)
+
+
+@pytest.mark.parametrize(("size", "told"), [(3.1, True), (2.9, False)])
+def test_a_gravity_of_three_metres_more_is_no_mistake_of_mounting(size, told):
+    made, none, rest = sideways(size)
+    assert abs(rest) < 0.01
+    doubts = gravity_of(made, none, 0.02)
+    assert [one.code for one in doubts] == ["gravity"] * told
+    if told:
+        assert doubts[0].share == pytest.approx(1.0 - max(rest, 0.0), abs=0.01)
+        assert doubts[0].advice == "check_description"
+    assert gravity_of(made, none, 1.01) == [], "effects that do nothing stand in for nothing"
+
+
+def test_gravity_is_blamed_where_it_does_as_well_as_effects():
+    """But for a twentieth of the gap."""
+    made, none, rest = sideways(6.0, stranger=3.0)
+    assert 0.02 < rest < 0.5
+    (doubt,) = gravity_of(made, none, rest - 0.03)
+    assert doubt.share == pytest.approx(1.0 - rest, abs=0.03)
+    assert gravity_of(made, none, rest - 0.08) == []

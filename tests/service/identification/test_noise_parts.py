@@ -115,7 +115,8 @@ def test_levels_are_spectra_of_tapered_windows_without_their_mean(monkeypatch: p
     found = noise._levels(recordings, parts, [(100.0, 250.0), (250.0, np.inf)])
     np.testing.assert_allclose(found, np.sqrt([[4.0, 12.0], [8.0, 16.0]]))
     windows = [parts[0][:128], parts[0][128:256], parts[1][:128]]
-    frequency, density = periodogram(np.array(windows), 1e3, np.hanning(128), detrend="constant", axis=1)
+    taper: Any = np.hanning(128)
+    frequency, density = periodogram(np.array(windows), 1e3, taper, detrend="constant", axis=1)
     level = 500.0 * density  # of a sample, were all frequencies so
     level[:, -1] *= 2.0  # the last has no mirror image
     for band, (low, high) in enumerate(((100.0, 250.0), (250.0, 501.0))):
@@ -148,10 +149,10 @@ def test_noise_of_first_order_goes_on_below_as_it_does_above(rise: float, known:
     first = 1.0 / (1.0 + (middle[0] / corner) ** 2)
     more = (rise - 1.0) / (1.0 - rise * first)
     shares = [(1.0, more), (2.0, 0.5)]
-    levels = np.sqrt([density(*share, middle) for share in shares])
+    levels = np.sqrt([density(white, rest, middle) for white, rest in shares])
     found, told = noise._extrapolated(levels, BAND)
     frequency, passed = BAND.passes
-    truth = [np.sqrt(np.mean(density(*share, frequency) * passed)) for share in shares]
+    truth = [np.sqrt(np.mean(density(white, rest, frequency) * passed)) for white, rest in shares]
     np.testing.assert_allclose(found, truth, rtol=1e-6)
     assert told.tolist() == [known, True]
 
