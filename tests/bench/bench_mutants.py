@@ -1,11 +1,12 @@
 """How many small wrong changes the tests notice: uv run python -m tests.bench.bench_mutants --room diagnosis --count 60
 
-The tests of a room run once as they are; what each test calls is written down. Then every mutant is put to the tests
-that call the changed function, the fastest first. A change in the body of a Python function is made in a fork of this
-process; any other (a kernel, a constant of a module) in a temporary copy of the tree by a process of its own. Killed: a
-test fails, or the code cannot be imported. Late: many times the CPU time that the tests take as they are. A run that
-tells neither (no test, wrong usage, an error of pytest's own) ends the bench. Survivors are listed; `equivalent.txt`
-beside this file lists the changes that no test can see, with the reason.
+The tests of a room run once as they are; what each test calls is written down, and kept until its file or one it calls
+has changed. Then every mutant is put to the tests that call the changed function, the fastest first. A change in the
+body of a Python function is made in a fork of this process; any other (a kernel, a constant of a module) in a temporary
+copy of the tree by a process of its own. Killed: a test fails that passes without the change, or the code cannot be
+imported. Late: many times the CPU time that the tests take as they are. A run that tells neither (no test, wrong usage,
+an error of pytest's own) ends the bench. Survivors are listed; `equivalent.txt` beside this file lists the changes that
+no test can see, with the reason.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import argparse
 import contextlib
 import functools
 import gc
+import hashlib
 import io
 import json
 import os
@@ -32,11 +34,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from numba.core.caching import _CacheLocator
 
 from tests.bench import survey as watch
 from tests.bench.mutate import Mutant, mutants
 
 ROOT = Path(__file__).parents[2]
+SURVEYS = Path.home() / ".cache" / "deltatwin" / "survey"
 STORED_RUN = "tests/replay/test_reference.py"  # what the whole estimator said of a log
 TESTS = {
     "model": ["tests/service/model"],
@@ -135,6 +139,11 @@ def changed(mutant: Mutant, tests: Sequence[str], wait: float) -> int:
     return int(pytest.main([f"--timeout={wait}", *PYTEST, *tests]))
 
 
+def alone(test: str) -> int:
+    """Exit code of a test with nothing changed."""
+    return int(pytest.main([*PYTEST, test]))
+
+
 def change(mutant: Mutant) -> bool:
     """Give the live function the mutant's code, and forget what was kept of its results; whether there is one."""
     path = str(ROOT / mutant.file)
@@ -171,29 +180,69 @@ def survey(room: str) -> dict[str, dict]:
         code = pytest.main(["-q", "--collect-only", "-p", "no:cacheprovider", *TESTS[room]])
     if code:
         sys.exit(f"the tests of {room} cannot be collected:\n{text.getvalue()[-3000:]}")
+    names = re.findall(r"^(\S+\.py)::", text.getvalue(), re.MULTILINE)
+    tests: dict[str, dict] = {}
+    missing = []
+    for file in dict.fromkeys(names):
+        kept = _kept(file)
+        tests |= kept
+        missing += [] if kept else [file]
+    if missing:
+        tests |= _surveyed(missing)
+    print(f"{room}: {len(tests)} tests take {sum(test['seconds'] for test in tests.values()):.0f} s", flush=True)
+    return tests
+
+
+def _surveyed(files: Sequence[str]) -> dict[str, dict]:
     with tempfile.TemporaryDirectory() as place:
         seen = Path(place) / "survey.json"
 
         def run() -> int:
-            code = pytest.main(["--timeout=0", *PYTEST, *TESTS[room]], plugins=[watch])
+            code = pytest.main(["--timeout=0", *PYTEST, *files], plugins=[watch])
             seen.write_text(json.dumps(watch.tests))
             return int(code)
 
         word, said = here(run, 3600.0)
         if word != PASSED:
-            sys.exit(f"the tests of {room} fail as they are:\n{said[-3000:]}")
+            sys.exit(f"the tests fail as they are:\n{said[-3000:]}")
         tests = json.loads(seen.read_text())
-    print(f"{room}: {len(tests)} tests take {sum(test['seconds'] for test in tests.values()):.0f} s", flush=True)
+    SURVEYS.mkdir(parents=True, exist_ok=True)
+    for file in files:
+        mine = {name: test for name, test in tests.items() if name.startswith(f"{file}::")}
+        called = {call.rsplit(":", 1)[0] for test in mine.values() for call in test["calls"]}
+        _survey_of(file).write_text(json.dumps({"called": {name: _digest(name) for name in called}, "tests": mine}))
     return tests
+
+
+def _kept(file: str) -> dict[str, dict]:
+    """What an earlier run saw of the tests of a file; empty where that is no more so."""
+    try:
+        kept = json.loads(_survey_of(file).read_text())
+    except FileNotFoundError:
+        return {}
+    return kept["tests"] if all(_digest(name) == digest for name, digest in kept["called"].items()) else {}
+
+
+def _survey_of(file: str) -> Path:
+    skips = "" if (ROOT.parent / "shared").is_dir() else "-alone"  # without it tests skip
+    return SURVEYS / f"{file.replace('/', '.')}-{_digest(file)}{skips}.json"
+
+
+def _digest(file: str) -> str:
+    path = ROOT / file
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else ""
 
 
 def order(mutant: Mutant, tests: dict[str, dict]) -> list[str]:
     """Tests that call the function of a mutant; all where that cannot be seen (a kernel, a constant that a test reads),
-    those first that call its file. Quick ones first, the others file by file, so that what a file makes for its tests
-    is made once."""
+    those first whose file imports the mutant's, which have least to compile. Quick ones first, the others file by file,
+    so that what a file makes for its tests is made once."""
     mine = {n for n in tests if f"{mutant.file}:{mutant.function}" in tests[n]["calls"]}
-    near = {n for n in tests if any(call.startswith(f"{mutant.file}:") for call in tests[n]["calls"])}
-    groups = [mine] if mutant.function and not mutant.compiled else [mine, near, set(tests)]
+    pattern = _importing({Path(mutant.file)})
+    files = {name.split("::")[0] for name in tests}
+    near = {file for file in files if pattern.search((ROOT / file).read_text())}
+    by_import = {name for name in tests if name.split("::")[0] in near}
+    groups = [mine] if mutant.function and not mutant.compiled else [by_import, mine, set(tests)]
     result: list[str] = []
     for group in groups:
         result += _ranked(group.difference(result), tests)
@@ -222,11 +271,27 @@ def users(tree: Path, file: str) -> set[Path]:
     }
     found, grown = {tree / file}, True
     while grown:
-        names = [".".join(path.relative_to(tree).with_suffix("").parts).removesuffix(".__init__") for path in found]
-        pattern = re.compile(rf"(?:from|import) (?:{'|'.join(map(re.escape, names))})\b")
+        pattern = _importing({path.relative_to(tree) for path in found})
         more = {path for path, text in sources.items() if path not in found and pattern.search(text)}
         found, grown = found | more, bool(more)
     return found
+
+
+def _importing(files: set[Path]) -> re.Pattern[str]:
+    names = (".".join(path.with_suffix("").parts).removesuffix(".__init__") for path in files)
+    return re.compile(rf"(?:from|import) (?:{'|'.join(map(re.escape, names))})\b")
+
+
+def carry_over(kernels: Path, tree: Path) -> None:
+    """The kernels of this checkout into `kernels`, under the names by which Numba finds them for the copy."""
+    own = Path(os.environ["NUMBA_CACHE_DIR"])
+    kernels.mkdir()
+    for folder in {
+        path.parent.relative_to(ROOT) for room in ("service", "drivers") for path in (ROOT / room).rglob("*.py")
+    }:
+        before, after = (_CacheLocator.get_suitable_cache_subpath(str(root / folder / "_.py")) for root in (ROOT, tree))
+        if (own / before).is_dir():
+            shutil.copytree(own / before, kernels / after)
 
 
 @contextlib.contextmanager
@@ -258,13 +323,12 @@ def room_of(room: str, count: int, seed: int, only: set[int]) -> tuple[int, int]
     tests = survey(room)
     print(f"{room}: {len(every)} mutants, {len(picked)} tried", flush=True)
     killed = tried = 0
+    passing: set[tuple[str, bool]] = set()  # tests seen to pass without a change: name, whether in the copy
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         tree, kernels = Path(folder) / "tree", Path(folder) / "kernels"
         if any(mutant.compiled or not mutant.outer for _, mutant in picked):
             copy(tree)
-            word, said = apart(tree, kernels, TESTS[room], 3600.0)
-            if word != PASSED:
-                sys.exit(f"the tests of {room} fail as they are in a copy of the tree:\n{said[-3000:]}")
+            carry_over(kernels, tree)
         for number, mutant in picked:
             place = f"{mutant.file}:{mutant.line} {mutant.what}"
             if mutant.key in known:
@@ -274,16 +338,29 @@ def room_of(room: str, count: int, seed: int, only: set[int]) -> tuple[int, int]
             limit = LEAST_TIME + TIMES * sum(tests[name]["seconds"] for name in names)
             wait = max(WAIT, TIMES * max(tests[name]["seconds"] for name in names))
             started = time.monotonic()
-            if mutant.outer and not mutant.compiled:
-                word, said = here(functools.partial(changed, mutant, names, wait), limit)
-            else:
+            in_copy = mutant.compiled or not mutant.outer
+            if in_copy:
                 with written(mutant, tree, kernels) as compiled:
                     word, said = apart(tree, compiled, names, limit, wait)
+            else:
+                word, said = here(functools.partial(changed, mutant, names, wait), limit)
             if word == BROKEN:
                 sys.exit(f"{place}: the tests could not be run:\n{said[-3000:]}")
+            by = [
+                name
+                for name in names
+                if re.search(rf"^(?:FAILED|ERROR) {re.escape(name)}(?: - |$)", said, re.MULTILINE)
+            ]
+            for name in by:
+                if (name, in_copy) not in passing:
+                    as_is = (
+                        apart(tree, kernels, [name], limit) if in_copy else here(functools.partial(alone, name), limit)
+                    )
+                    if as_is[0] != PASSED:
+                        sys.exit(f"{name} fails as it is:\n{as_is[1][-3000:]}")
+                    passing.add((name, in_copy))
             tried += 1
             killed += word in (FAILED, LATE)
-            by = re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
             print(f"{number:4d} {word:10s} {time.monotonic() - started:5.0f} s  {place}", *by[:1], flush=True)
     return killed, tried
 

@@ -106,6 +106,22 @@ def test_filter_and_smoother_are_filterpys(period, loss):
                 assert motion["acceleration_variance"] == pytest.approx(steady, rel=1e-3)
 
 
+@pytest.mark.parametrize("newest", [0, 3, 7, 63])
+def test_the_lag_line_is_a_ring(newest):
+    """Wherever its newest cycle lies, what is smoothed is the same; some cycles came behind a gap."""
+    motion, random = settings(1e-3), np.random.default_rng(5)
+    gaps = random.choice([1, 1, 1, 2, 4], 64)
+    slots = run(motion, 1e-2 * np.cumsum(random.standard_normal((64, 3)), axis=0), gaps)
+    lag = int(motion["lag"])
+    expected, smoothed = np.empty((3, 3)), np.empty((3, 3))
+    smooth_kernel(motion["transition"], slots, 63, lag, np.empty(ORDER), expected)
+    variance = acceleration_variance_kernel(motion, slots, 63, lag, np.empty(ORDER))
+    turned = np.roll(slots, newest + 1)
+    smooth_kernel(motion["transition"], turned, newest, lag, np.empty(ORDER), smoothed)
+    np.testing.assert_array_equal(smoothed, expected)
+    assert acceleration_variance_kernel(motion, turned, newest, lag, np.empty(ORDER)) == variance
+
+
 def test_the_largest_innovation_is_filterpys_in_units_of_its_spread():
     motion, random = settings(1e-3), np.random.default_rng(1)
     measured = 1e-3 * np.cumsum(random.standard_normal((40, 3)), axis=0)

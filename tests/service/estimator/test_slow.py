@@ -154,3 +154,31 @@ def test_slow_motion_is_least_squares_in_a_mass_and_three_levels(known):
     while not take(3.0)[0]:
         pass
     assert not state["level_before"].any(), "nor of friction"
+
+
+@pytest.mark.parametrize(("sigmas", "told"), [(4.95, False), (5.05, True), (-4.95, False), (-5.05, True)])
+def test_the_newest_contradict_by_five_of_what_is_not_known_of_them(sigmas, told):
+    """Of what friction is taken to be with the mass found from all, of the newest's noise, and of that mass."""
+    random, state = np.random.default_rng(6), np.zeros(1, slow.STATE)[0]
+    for _ in range(10):
+        for sums, count in (("whole", 300), ("newest", 40)):
+            phi, way, weight = random.uniform(1, 4, (count, 3)), random.uniform(-1, 1, (count, 3)), random.random(3)
+            sums = state[sums]
+            sums["load"], sums["cross"] = weight * np.sum(phi**2, axis=0), weight * np.sum(phi * way, axis=0)
+            sums["way"] = weight * np.sum(way**2, axis=0)
+        state["whole"]["rub"] = random.normal(0.0, 50.0, 3)
+        state["level_before"], state["level_variance"] = random.normal(0.0, 2.0, 3), random.uniform(0.01, 0.1, 3)
+        state["mass"], state["variance"] = random.uniform(1.5, 4.0), random.uniform(1e-3, 2e-3)
+        whole, newest = state["whole"], state["newest"]
+        sure = whole["way"] + 1 / state["level_variance"]
+        rubbed = whole["rub"] + state["level_before"] / state["level_variance"]
+        level = (rubbed - whole["cross"] * state["mass"]) / sure
+        spread = 1 / sure + (whole["cross"] / sure) ** 2 * state["variance"]
+        load = newest["load"].sum()
+        doubt = 1 / load + newest["cross"] ** 2 @ spread / load**2 + state["variance"]
+        step = sigmas * doubt**0.5
+        assert abs(step) > slow.SMALLEST_STEP
+        newest["pull"] = level * newest["cross"] + (state["mass"] + step) * newest["load"]
+        assert slow._contradicted(state) == told
+    state["newest"]["load"] = 0.0
+    assert not slow._contradicted(state), "nothing newest, nothing said"

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_interp_spline
 
 from schemas.axes import Axes
 from schemas.messages import SampleFlag
 from schemas.trace import Trace
 from service.identification.axes import identify_axes
+from service.model import signals
 from service.model.prediction import motion
 from service.model.signals import resolved_hz, segments
 
@@ -79,3 +81,56 @@ def test_what_carries_a_load_is_not_told_of_the_arm_alone() -> None:
     (part,) = segments(replace(trace(clock, clock), flags=flags))
     assert not part.moving[900:1100].any()
     assert part.moving[600:900].mean() > 0.9
+
+
+def jittering(count: int, spread: float, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """Samples taken evenly, 5 ms apart, and stamps with `spread` of that from the 5 % shortest to the 5 % longest."""
+    even = 5e-3 * np.arange(count)
+    steps = np.random.default_rng(seed).uniform(1 - spread / 1.8, 1 + spread / 1.8, count)
+    return even, np.cumsum(5e-3 * steps)
+
+
+@pytest.mark.parametrize(
+    ("every", "hole", "told"),
+    [(900, 3.0, True), (1100, 3.0, False), (900, 1.6, True), (900, 5.9, True), (900, 6.1, False), (20, 6.1, False)],
+)
+def test_a_log_with_more_than_a_hole_in_a_thousand_steps_was_polled(every: int, hole: float, told: bool) -> None:
+    """Though its motion is smoother without the stamps; what lasts longer is a fault of its own."""
+    even, stamps = jittering(4501, 0.3)
+    late = np.zeros(4501)
+    late[450::every] = (hole - 1.0) * 5e-3
+    stamps[450::every] = stamps[449::every][: len(stamps[450::every])] + 5e-3  # so that each is of its length
+    assert signals._polled(stamps + np.cumsum(late), 0.9 * np.sin(RATE * even)[:, None]) == told
+
+
+@pytest.mark.parametrize(
+    ("count", "spread", "told"), [(100, 0.5, True), (99, 0.5, False), (4000, 0.12, True), (4000, 0.08, False)]
+)
+def test_few_samples_or_steady_ones_were_not_polled(count: int, spread: float, told: bool) -> None:
+    """Of samples that were taken when their stamps say."""
+    _, stamps = jittering(count, spread)
+    for joints in (1, 2):  # one that moves is enough
+        position = 0.9 * np.sin(RATE * stamps)[:, None] * np.eye(1, joints)
+        assert signals._polled(stamps, position) == told
+
+
+def test_polled_samples_go_straight_to_the_clock_of_a_preferred_rate() -> None:
+    """Two parts, as far as six steps between them go; one hole of five is bridged."""
+    _, stamps = jittering(1200, 0.4)
+    stamps[300:] += 4.0 * 5e-3
+    stamps[700:] += 6.5 * 5e-3
+    stamps *= 1.07  # of 187 Hz, beside the preferred 200
+    log = trace(stamps, stamps)
+    parts = segments(log)
+    assert len(parts) == 2
+    for part, mine in zip(parts, (slice(0, 700), slice(700, 1200)), strict=True):
+        at, position, torque = stamps[mine], log.position[mine], log.torque[mine]
+        assert (part.period, part.sampled) == (pytest.approx(5.011872e-3, rel=1e-6), part.period)
+        clock = at[0] + part.period * np.arange(len(part.time))
+        np.testing.assert_allclose(part.time, clock)
+        assert abs(clock[-1] - at[-1]) <= part.period / 2
+        expected = [next((row for row, t in enumerate(at) if t >= time), len(at) - 1) for time in clock]
+        np.testing.assert_array_equal(part.rows, mine.start + np.array(expected))
+        straight = make_interp_spline(at, np.hstack([position, torque]), k=1)(np.minimum(clock, at[-1]))
+        np.testing.assert_allclose(part.torque, straight[:, 1:])
+        np.testing.assert_allclose(part.theta, signals.smooth(straight[:, :1], part.period)[0])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lsim, sosfiltfilt
 
-from schemas.errors import TraceError
+from schemas.errors import DataError, TraceError
 from schemas.messages import SampleFlag
 from schemas.trace import Trace
 from service.model import signals
@@ -197,3 +199,89 @@ def test_nothing_usable_names_the_file() -> None:
     log.flags[::100] |= np.uint32(SampleFlag.BUS_FAULT)
     with pytest.raises(TraceError, match=r"log\.csv: longest part without a fault lasts 0\.099 s"):
         signals.segments(log)
+
+
+def test_a_joint_rests_where_it_stands_for_so_long_and_a_little_around() -> None:
+    """Stops of 20 to 300 ms, run by run: slow for 40 ms or more, and 15 ms on both sides."""
+    random = np.random.default_rng(7)
+    speed, stands = [], []
+    for duration in (20, 30, 38, 39, 40, 41, 42, 50, 80, 300) * 2:
+        speed += [random.choice([-0.05, 0.05]) * np.ones(random.integers(200, 300)), np.zeros(duration)]
+    speed = np.concatenate([*speed, 0.05 * np.ones(200)])
+    position = np.stack([np.cumsum(speed), np.cumsum(speed[::-1])], axis=1) * PERIOD
+    found = signals.moving(position, PERIOD)
+    sections = butter(4, 60.0, fs=1 / PERIOD, output="sos")
+    slow = np.abs(np.gradient(sosfiltfilt(sections, position, axis=0), PERIOD, axis=0)) < 0.01
+    for joint in range(2):
+        runs = [(rests, len(list(run))) for rests, run in groupby(slow[:, joint].tolist())]
+        still = [n for rests, length in runs for n in [rests and length >= 40] * length]
+        stands.append(sum(rests and length >= 40 for rests, length in runs))
+        expected = [not any(still[max(0, n - 15) : n + 16]) for n in range(len(still))]
+        np.testing.assert_array_equal(found[:, joint], expected)
+    assert min(stands) > 3
+    assert max(stands) < 18
+    assert signals.moving(0.05 * np.arange(900.0)[:, None], 1e-2).all(), "samples too few for 60 Hz"
+
+
+@pytest.mark.parametrize(("period", "cutoff"), [(1e-3, 12.0), (4e-3, 40.0)])
+def test_a_lag_is_a_low_pass_of_straight_lines_and_a_lead_undoes_it(period: float, cutoff: float) -> None:
+    time, theta, _, _ = swing(800, period)
+    values = 3.0 + np.stack([theta, np.abs(theta)], axis=1)
+    found = signals.lagging(values, cutoff, period)
+    corner = 2 * np.pi * cutoff
+    for place in np.ndindex(values.shape[1:]):
+        column = values[:, *place]
+        _, expected, _ = lsim(([corner], [1.0, corner]), column - column[0], time)
+        np.testing.assert_allclose(found[:, *place] - column[0], expected, atol=1e-9)
+    smooth = np.stack([theta, -theta], axis=1)
+    back = signals.leading(signals.lagging(smooth, cutoff, period), cutoff, period)
+    np.testing.assert_allclose(back[20:-20], smooth[20:-20], atol=3e-3 if period > 1e-3 else 2e-4)
+    line = np.arange(50.0)[:, None]
+    np.testing.assert_allclose(signals.leading(line, cutoff, period)[2:-2], line[2:-2] + 1 / (corner * period))
+
+
+def test_a_part_counts_from_four_filters_ends_on_and_its_own_ends_do_not() -> None:
+    log = trace(2200)
+    cuts = [400, 801, 1201]  # parts of 400, 400, 399 rows and the rest
+    log.flags[cuts] = SampleFlag.JUMP
+    parts = signals.segments(log)
+    assert [(part.rows[0], len(part.rows)) for part in parts] == [(0, 400), (401, 400), (1202, 998)]
+    for part in parts:
+        assert not part.moving[:100].any()
+        assert part.moving[100:-100].all()
+        assert not part.moving[-100:].any()
+        assert (part.period, part.sampled) == (pytest.approx(PERIOD), part.period)
+        np.testing.assert_allclose(part.time, log.time[part.rows])
+        np.testing.assert_array_equal(part.torque, log.torque[part.rows])
+        assert part.noise is not None
+        np.testing.assert_allclose(part.noise, signals.position_noise(log.position[part.rows]))
+        expected = signals.smooth(log.position[part.rows], PERIOD)
+        for name, values in zip(("theta", "theta_dot", "theta_ddot"), expected, strict=True):
+            np.testing.assert_allclose(getattr(part, name), values)
+
+
+@pytest.mark.parametrize(("step", "count"), [(1.45, 1), (1.55, 2)])
+def test_a_gap_is_more_than_half_a_sample_too_much(step: float, count: int) -> None:
+    log = trace(1500)
+    log.time[700:] += (step - 1) * PERIOD
+    assert len(signals.segments(log)) == count
+
+
+def test_one_usable_row_is_no_motion() -> None:
+    log = trace(1000)
+    log.flags[2:] = SampleFlag.OUT_OF_RANGE
+    with pytest.raises(TraceError, match=r"log\.csv: longest part"):
+        signals.segments(log)
+    log.flags[1:] = SampleFlag.OUT_OF_RANGE
+    with pytest.raises(TraceError, match=r"log\.csv: 1 usable rows of 1000"):
+        signals.segments(log)
+    assert len(signals.segments(replace(log, flags=np.zeros(0, np.uint32)))) == 1, "a log without flags has none"
+
+
+def test_logs_of_several_rates_are_named() -> None:
+    one, other = seen(1e-3, 2.0, 0.0), seen(1.019e-3, 2.0, 0.0)
+    assert signals.one_period([("a", one), ("b", other)]) == 1e-3
+    with pytest.raises(DataError, match=r"c: 1.02 ms between samples, a has 1 ms"):
+        signals.one_period([("a", one), ("b", other), ("c", seen(1.021e-3, 2.0, 0.0))])
+    with pytest.raises(DataError, match=r"c: 0\.979 ms"):
+        signals.one_period([("a", one), ("c", seen(0.979e-3, 2.0, 0.0))])
