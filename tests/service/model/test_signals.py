@@ -115,6 +115,14 @@ def test_a_band_passes_what_its_filter_does_to_an_impulse(period: float, cutoff:
     np.testing.assert_allclose(band(many), signals.lowpass(many, period, cutoff)[::step], atol=1e-12)
 
 
+@pytest.mark.parametrize("shape", [(16, 2), (500,), (403, 3, 7), (900, 33)])
+@pytest.mark.parametrize("cutoff", [2.0, 40.0, 180.0])
+def test_the_low_pass_is_scipys(shape: tuple[int, ...], cutoff: float) -> None:
+    values = np.random.default_rng(1).standard_normal(shape).cumsum(axis=0)
+    theirs = sosfiltfilt(butter(signals.ANALYSIS_ORDER, 2.0 * cutoff * PERIOD, output="sos"), values, axis=0)
+    np.testing.assert_allclose(signals.lowpass(values, PERIOD, cutoff), theirs, rtol=0, atol=1e-12 * np.ptp(values))
+
+
 def seen(period: float, hz: float, noise: float, polled: float = 0.0) -> signals.Segment:
     """A segment of one joint swinging at `hz`, the first half of it said to rest, with `noise` rad of the positions."""
     time = np.arange(round(4.0 / period)) * period
