@@ -51,7 +51,7 @@ class Event:
 def events(runs: Sequence[JointRun], floor: np.ndarray) -> list[Event]:
     """Events of all `runs`, in the order of time. floor: (n,) level a joint below which nothing is one."""
     found: list[Event] = []
-    for joint in sorted({run.joint for run in runs}):
+    for joint in {run.joint for run in runs}:
         mine = [run for run in runs if run.joint == joint and len(run.time) > 1]
         levels = [_level(run) for run in mine]
         if not mine:
@@ -59,7 +59,7 @@ def events(runs: Sequence[JointRun], floor: np.ndarray) -> list[Event]:
         limit = max(RATIO * float(np.median(np.concatenate(levels))), float(floor[joint]))
         for run, level in zip(mine, levels, strict=True):
             found += _stretches(run, level, limit)
-    return sorted(found, key=lambda event: (event.run, event.start))
+    return sorted(found, key=lambda event: (event.run, event.start, event.joint))
 
 
 def _level(run: JointRun) -> np.ndarray:

@@ -43,9 +43,8 @@ from service.model.scene import Recording
 from service.model.signals import segments
 
 GRID = 200  # points a side
-RHO_RANGE = (0.0, 5.0)
+HIGHEST = 5.0  # of rho_1 and rho_2 on it
 WIDENINGS = 8  # times that the range doubles at most, where the best point lies at its upper end
-REFINEMENTS = 1  # finer grids, each over the neighbours of the best point before: 2.5e-4 in the end
 
 
 def refit(logs: Sequence[NormalEquations], fit: Plain) -> Plain:
@@ -143,21 +142,20 @@ def six_sums(gram: np.ndarray) -> np.ndarray:
 
 
 def grid(sums: np.ndarray) -> tuple[float, float]:
-    """(rho_1, rho_2) of least RMS error on a grid of `GRID` points a side, refined round the best one.
+    """(rho_1, rho_2) of least RMS error on a grid of `GRID` points a side, refined once over the neighbours of the best
+    one: to 2.5e-4 in the end.
 
-    A grid whose upper edge has the best point is widened; below its lower edge there is no inertia and no mass.
+    A grid whose upper edge has the best point is widened; below its lower edge, zero, there is no inertia and no mass.
     """
-    low, high = np.full(2, RHO_RANGE[0]), np.full(2, RHO_RANGE[1])
-    best = _best(sums, low, high)
+    none, high = np.zeros(2), np.full(2, HIGHEST)
+    best = _best(sums, none, high)
     for _ in range(WIDENINGS):
         if (best < high).all():
             break
         high = np.where(best < high, high, 2.0 * high)
-        best = _best(sums, low, high)
-    for _ in range(REFINEMENTS):
-        step = (high - low) / (GRID - 1)
-        low, high = np.maximum(best - step, RHO_RANGE[0]), best + step
-        best = _best(sums, low, high)
+        best = _best(sums, none, high)
+    step = high / (GRID - 1)
+    best = _best(sums, np.maximum(best - step, none), best + step)
     return float(best[0]), float(best[1])
 
 
@@ -181,14 +179,13 @@ def edges(logs: Sequence[NormalEquations]) -> list[str]:
     for log in logs:
         found = grid(six_sums(log.gram.sum(axis=0)))
         for name, value in zip(("rho_1", "rho_2"), found, strict=True):
-            if value > RHO_RANGE[1]:
+            if value > HIGHEST:
                 warnings.append(
-                    f"{log.name}: {name} = {value:.3g} lies beyond the grid's edge of {RHO_RANGE[1]:g}, which "
-                    "was widened; are the masses in the description right?"
+                    f"{log.name}: {name} = {value:.3g} lies beyond the grid's edge of {HIGHEST:g}, which was widened; "
+                    "are the masses in the description right?"
                 )
-            elif value <= RHO_RANGE[0]:
+            elif value <= 0.0:
                 warnings.append(
-                    f"{log.name}: {name} lies at the grid's lower edge, {RHO_RANGE[0]:g}: this motion asks for "
-                    "less than nothing of it"
+                    f"{log.name}: {name} lies at the grid's lower edge, 0: this motion asks for less than nothing of it"
                 )
     return warnings

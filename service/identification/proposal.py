@@ -342,7 +342,7 @@ def _trial(table: Table, rate: float, position: np.ndarray, torque: np.ndarray) 
     length = min(len(position), int(LONGEST * rate))
     activity = np.concatenate([[0.0], np.cumsum(np.nansum(np.abs(np.diff(position, axis=0)), axis=1))])
     ends = activity[length - 1 :] - activity[: len(activity) - length + 1]
-    start = int(np.argmax(ends)) if len(ends) else 0
+    start = int(np.argmax(ends))
     part = slice(start, start + length)
     bad = ~(np.isfinite(position[part]).all(axis=1) & np.isfinite(torque[part]).all(axis=1))
     return Trace(

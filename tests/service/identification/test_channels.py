@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from drivers.trace.tables import Table
+from schemas.errors import DataError
 from service.identification.channels import (
     POSITION_UNITS,
     TORQUE_UNITS,
+    clocks_of,
     guess,
     rate_hz,
     said_unit,
@@ -196,3 +198,17 @@ def test_files_side_by_side_say_what_they_hold_by_their_names() -> None:
     found = guess(made, 2)
     assert (list(found.position), list(found.torque)) == (["J1", "J2"], ["curr:J1", "curr:J2"])
     assert found.time is None
+
+
+def test_each_of_several_files_has_its_own_stamps() -> None:
+    """The first as the user says it, if it has that; none where no column is called so."""
+    tables = [
+        Table(Path("a.csv"), "text", {"time [ms]": 1e3 * STAMPS, "count": 2e3 * STAMPS, "x": smooth(1)}),
+        Table(Path("b.csv"), "text", {"y": rough(1)}),
+        Table(Path("c.csv"), "text", {"z": rough(2), "t [ms]": 5e2 * STAMPS}),
+    ]
+    assert clocks_of(tables, None) == ["time [ms]", None, "t [ms]"]
+    assert clocks_of(tables, "other") == ["time [ms]", None, "t [ms]"]
+    assert clocks_of([*tables[:1], tables[1]], "count") == ["count", None]
+    with pytest.raises(DataError, match=r"stamps of several units \(a\.csv: ms, d\.csv: s\): write them in one"):
+        clocks_of([tables[0], Table(Path("d.csv"), "text", {"t [s]": STAMPS})], None)

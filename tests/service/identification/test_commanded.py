@@ -50,6 +50,18 @@ def test_a_torque_is_the_commanded_one_where_nothing_but_white_noise_is_between(
     assert is_commanded(trace) is expected
 
 
+@pytest.mark.parametrize(("slow", "expected"), [(0.08, True), (0.2, False)])
+def test_a_slow_part_shows_from_five_deviations_of_what_blocks_scatter_by(make, slow, expected):
+    """Two hundred blocks of twenty scatter by a tenth: 1.5 times the noise; a part of so much of it makes 1.13, 1.8."""
+    known = make(4.0)
+    whole = trace_of(known)
+    for seed in range(5):
+        noise = np.random.default_rng(seed).standard_normal((4000, 3))
+        noise += slow * np.where(np.arange(4000) // 200 % 2, 1.0, -1.0)[:, None]
+        found = is_commanded(replace(whole, torque=known.torque + NOISE * noise, torque_command=known.torque))
+        assert found is expected
+
+
 def test_white_noise_is_white_whatever_the_draw(make):
     """Sixty blocks, whose squares scatter by a fifth; with a slow part of half as much, it is not."""
     known, rows = make(4.0), slice(1400, 2600)

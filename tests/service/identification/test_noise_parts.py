@@ -133,6 +133,7 @@ def test_the_quietest_windows_are_those_within_three_deviations_of_each_other() 
     assert noise._quiet(levels, 200.0) == pytest.approx((20 + 5 * 1.25) / 25)
     assert noise._quiet(np.full(3, 2.0), 200.0) == pytest.approx(2.0)
     assert noise._quiet(np.zeros(3), 200.0) == 0.0
+    assert noise._quiet(np.r_[np.full(40, 1.6), np.ones(10)], 200.0) == pytest.approx(1.0), "however many are louder"
 
 
 @pytest.mark.parametrize(("rise", "known"), [(3.9, True), (4.1, False)])

@@ -105,6 +105,27 @@ def test_the_papers_recursion_finds_a_constant_mass():
     assert fixed_forgetting(y, x, 0.99)[-1] == pytest.approx(2.5, abs=0.1)
 
 
+def test_the_recursion_takes_rows_that_were_measured_and_those_at_rest_if_they_vote(robot, record):
+    """Two kilograms but for rows that are no measurement, and those in which a joint rests."""
+    trace, row = record(3, seconds=3.0), np.arange(3000)
+    trace = replace(trace, flags=np.where(row % 1000 > 980, np.uint32(SampleFlag.NOT_A_NUMBER), np.uint32(0)))
+    along = motion(trace)
+    a_kilogram = torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)[:, PAYLOAD]
+    rests = ~along.moving.all(axis=1)
+
+    def weighed(wrong: np.ndarray, **asked: float) -> float:
+        torque = np.where(wrong[:, None], 70.0, 2.0 * a_kilogram) + 1.0
+        return payload.recursion(robot, replace(trace, torque=torque), along, np.ones((3000, 3)), **asked)[-1]
+
+    faulty = ~along.measured
+    assert weighed(faulty, forgetting=1.0) == pytest.approx(2.0, abs=1e-3)
+    assert weighed(faulty | rests, forgetting=1.0, rest_votes=False) == pytest.approx(2.0, abs=1e-3)
+    assert weighed(faulty | rests, forgetting=1.0) != pytest.approx(2.0, abs=0.1)
+    early = faulty | (row < 2500)
+    assert weighed(early, forgetting=0.9) == pytest.approx(2.0, abs=1e-3), "long forgotten"
+    assert weighed(early, forgetting=1.0) != pytest.approx(2.0, abs=0.1)
+
+
 def test_what_is_carried_has_been_trusted_once_and_was_no_lighter_since(robot, record, monkeypatch):
     trace = record(3, seconds=0.5)
     event, trusted = np.zeros(500, int), np.zeros(500, bool)
