@@ -17,14 +17,15 @@ SEEDS = (1, 2)
 LIMIT = 1.1
 
 
-def found(*terms: Term, left: float = 1.0, gap: float = 9.0, **logs) -> list[Caution]:
-    """Doubts about `terms` that leave `left` of a gap, both mean squares in units of the noise."""
+def found(*terms: Term, left: float = 1.0, gap: float = 9.0, limit: float = LIMIT, **logs) -> list[Caution]:
+    """Doubts about `terms` that leave `left` of a gap, both mean squares in units of the noise. limit: rms that passes
+    for noise."""
     runs = [course(seed, 1.0) for seed in SEEDS]
     made = logs.get("logs") or problem(runs, [run.torque for run in runs])
     rows = made.count
     best = stub(hypothesis=Hypothesis(BASE, terms), loss=left * rows)
     none = stub(hypothesis=Hypothesis(BASE), loss=gap * rows)
-    return cautions.doubts_of(made, Selection(none, best, [], {}), LIMIT)
+    return cautions.doubts_of(made, Selection(none, best, [], {}), limit)
 
 
 def term(name: str, joints: tuple[int, ...], *amplitude: float) -> Term:
@@ -125,6 +126,14 @@ def test_runs_differ_where_each_fits_alone(monkeypatch, left, gap, alone, told):
     assert ("runs_differ" in codes) == told
 
 
+@pytest.mark.parametrize(("limit", "told"), [(3.1, False), (2.9, True), (0.5, True)])
+def test_what_passes_for_noise_is_no_reason_to_doubt(monkeypatch, limit, told):
+    """Three times the noise is left; twice it at least has to be."""
+    monkeypatch.setattr(cautions, "_alone", lambda *_: 1.0)
+    assert [one.code for one in found(left=9.0, gap=9.0, limit=limit)] == ["runs_differ"] * told
+    assert found(left=3.9, gap=9.0, limit=0.5) == []
+
+
 def test_noise_is_no_reason_to_doubt():
     runs = [course(seed, 1.0) for seed in SEEDS]
     random = np.random.default_rng(0)
@@ -145,7 +154,7 @@ def test_a_good_stand_in_does_not_excuse_what_it_leaves_unless_that_is_little_of
     assert ("much_is_left" in codes) == told
 
 
-def sideways(size: float, stranger: float = 0.0):
+def sideways(size: float, stranger: float = 0.0, noise: float = 0.3):
     """Logs of a robot on which gravity pulls sideways too, `size` m/s^2, beside a hum of `stranger` N m; the base model
     on them; the share of its gap that MuJoCo's torques of a pull each way leave."""
     runs = [course(seed, 1.0) for seed in SEEDS]
@@ -163,10 +172,10 @@ def sideways(size: float, stranger: float = 0.0):
     random = np.random.default_rng(1)
     hum = [np.sin(2 * np.pi * np.array([3.0, 4.0, 5.0]) * run.time[:, None]) for run in runs]
     torques = [
-        run.torque + size * way @ [0.6, -0.8, 0.0] + stranger * h + 0.3 * random.standard_normal(h.shape)
+        run.torque + size * way @ [0.6, -0.8, 0.0] + stranger * h + noise * random.standard_normal(h.shape)
         for run, way, h in zip(runs, ways, hum, strict=True)
     ]
-    made = problem(runs, torques)
+    made = problem(runs, torques, noise)
     none = selection.score(fit(made, Hypothesis(BASE)), Split.of(made))
     columns = np.concatenate([
         np.hstack([tangent, made.select(number, made.band(way))])
@@ -201,4 +210,7 @@ def test_gravity_is_blamed_where_it_does_as_well_as_effects():
     assert 0.02 < rest < 0.5
     (doubt,) = gravity_of(made, none, rest - 0.03)
     assert doubt.share == pytest.approx(1.0 - rest, abs=0.03)
+    assert gravity_of(made, none, rest - 0.08) == []
+    made, none, rest = sideways(6.0, stranger=3.0, noise=6.0)
+    assert none.loss < 20.0 * made.count, "no gap beside which the noise is nothing"
     assert gravity_of(made, none, rest - 0.08) == []

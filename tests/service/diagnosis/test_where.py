@@ -177,6 +177,18 @@ def test_white_noise_lies_at_no_frequency(findings):
     assert all(entry.share == 0.0 for entry in bare)
 
 
+def test_the_noise_is_taken_off_each_band_of_frequencies():
+    """Half as much of a wave as there is noise, which is white up to the band's end: the wave is all that is left."""
+    run = course(1, 20.0)
+    logs = problem([run], [run.torque])
+    (rows,), random = logs.rows, np.random.default_rng(0)
+    noise = logs.band(random.standard_normal((len(run.time), 1)))[:, 0] / logs.band.white_share**0.5
+    wave = np.sin(2 * np.pi * 15.0 * np.arange(len(noise)) * logs.band.period * logs.band.step)
+    values = (noise + wave)[rows[:, 0]]
+    values = np.concatenate([values, np.zeros(int(rows[:, 1:].sum()))])
+    assert where.spectrum(stub(problem=logs), [values], 0)[2].share > 0.8
+
+
 def test_the_section_names_joints_and_runs(findings):
     section = where.where(findings).model_dump()
     assert [entry["joint"] for entry in section["joints"]] == [1, 2, 3]

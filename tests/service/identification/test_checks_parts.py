@@ -168,3 +168,23 @@ def test_a_readings_share_is_what_least_squares_over_the_samples_leave() -> None
     wanted = meant - columns[:, :, PLATFORM_COLUMN].ravel()
     left = wanted - whole @ np.linalg.lstsq(whole, wanted, rcond=None)[0]
     assert checks._left(gram, order, signs, scale) == pytest.approx(np.linalg.norm(left) / np.linalg.norm(meant))
+
+
+def test_a_torque_of_unknown_scale_is_explained_by_the_platforms_beside_all_others() -> None:
+    """Joint 1 has joint 2's torque with the other sign, all are a fifth of what they should be, with noise: scale and
+    share as least squares over the samples have them; no other order or sign does as well."""
+    random = np.random.default_rng(3)
+    columns, values = random.standard_normal((3, 60, COLUMNS)), random.uniform(1.0, 2.0, 9)
+    true = np.stack([columns[j] @ selection(j) @ values + columns[j, :, PLATFORM_COLUMN] for j in range(3)], axis=1)
+    torque = 0.2 * np.column_stack([true[:, 1], -true[:, 0], true[:, 2]]) + 0.05 * random.standard_normal((60, 3))
+    columns[:, :, 7:10] = torque
+    whole = np.concatenate([np.column_stack([c @ selection(j), c[:, PLATFORM_COLUMN]]) for j, c in enumerate(columns)])
+    meant = np.concatenate([-torque[:, 1], torque[:, 0], torque[:, 2]])
+    found = np.linalg.lstsq(whole, meant, rcond=None)[0]
+    reading = checks.best_reading(np.einsum("jna,jnc->jac", columns, columns), 25.0, free_scale=True)
+    assert (tuple(reading.order), tuple(reading.signs)) == ((1, 0, 2), (-1.0, 1.0, 1.0))
+    assert reading.scale == pytest.approx(1.0 / found[-1])
+    assert reading.scale == pytest.approx(5.0, rel=0.1)
+    assert reading.share == pytest.approx(np.linalg.norm(meant - whole @ found) / np.linalg.norm(meant))
+    against = checks._scaled(np.einsum("jna,jnc->jac", columns, columns), (1, 0, 2), (1.0, -1.0, -1.0))
+    assert (against.share, against.scale) == (np.inf, 1.0), "a platform of negative mass"

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -113,7 +114,7 @@ def test_the_recursion_takes_rows_that_were_measured_and_those_at_rest_if_they_v
     a_kilogram = torque_terms(pack(robot), along.theta, along.theta_dot, along.theta_ddot)[:, PAYLOAD]
     rests = ~along.moving.all(axis=1)
 
-    def weighed(wrong: np.ndarray, **asked: float) -> float:
+    def weighed(wrong: np.ndarray, **asked: Any) -> float:
         torque = np.where(wrong[:, None], 70.0, 2.0 * a_kilogram) + 1.0
         return payload.recursion(robot, replace(trace, torque=torque), along, np.ones((3000, 3)), **asked)[-1]
 
