@@ -80,10 +80,15 @@ class Problem:
         """Rows that count of (M, n, ...) of recording `index`, joint after joint."""
         return np.concatenate([values[rows, joint] for joint, rows in enumerate(self.rows[index].T)])
 
+    def of_joint(self, index: int, joint: int, values: np.ndarray) -> np.ndarray:
+        """Rows of `joint` that count, of its (M, ...) on recording `index`, in units of the noise, as they weigh."""
+        rows = self.rows[index][:, joint]
+        unit = self.sigma[joint] / (self.weights[index][rows, joint] if self.weights else np.ones(1))
+        return values[rows] / unit.reshape(-1, *([1] * (values.ndim - 1)))
+
     def select(self, index: int, values: np.ndarray) -> np.ndarray:
-        """The same in units of the noise, as they weigh."""
-        unit = self.sigma / self.weights[index] if self.weights else self.sigma[None]
-        return self.pick(index, values / unit.reshape(*unit.shape, *([1] * (values.ndim - 2))))
+        """The same of (M, n, ...), joint after joint."""
+        return np.concatenate([self.of_joint(index, joint, values[:, joint]) for joint in range(len(self.sigma))])
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,12 @@ small linear solve. The best few are fitted exactly, nonlinear parameters includ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
+from itertools import chain, groupby, pairwise
+from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,11 +87,23 @@ def score(fitted: Fit, split: Split) -> Scored:
     return Scored(fitted, residuals, block_loss(residuals, split))
 
 
+class Piece(NamedTuple):
+    """What a recording has of a joint in a fold. rows: among its (R,). columns: (r, C_j) of the candidates that reach
+    the joint, in units of the noise, as they weigh."""
+
+    fold: int
+    joint: int
+    recording: int
+    rows: np.ndarray | slice
+    columns: np.ndarray
+
+
 class Regressors:
     """All candidates' regressors in the band, kept from round to round: only a delay or a filter of the torque alters
     them so much that it would show in the ranking.
 
-    start: what is known before any of them is added. low: (C,) least that each amplitude can be.
+    start: what is known before any of them is added. low: (C,) least that each amplitude can be. reach: of each joint
+    the candidates (C_j,) that add torque to it: most are of one joint alone.
     """
 
     def __init__(self, problem: Problem, split: Split, effects: Iterable[Effect], start: Hypothesis):
@@ -96,71 +111,80 @@ class Regressors:
         self.effects = [e for e in effects if problem.recordings[0].mechanism.kind in e.kinds]
         self.index: dict[tuple[Effect, int, tuple[float, ...]], np.ndarray] = {}
         scenes, low = problem.scenes(start), []
+        joints = range(scenes[0].joints)
+        reach: list[list[int]] = [[] for _ in joints]
         for effect in self.effects:
             grid = dict.fromkeys(point for scene in scenes for point in effect.grid(scene))
-            for joint in range(scenes[0].joints) if effect.per_joint else (0,):
+            for joint in joints if effect.per_joint else (0,):
                 for nonlinear in grid:
                     own = [amplitude.low for amplitude in effect.amplitudes.values()] or [0.0]
                     self.index[effect, joint, nonlinear] = len(low) + np.arange(len(own))
+                    for place in (joint,) if effect.own_joint else joints:
+                        reach[place] += range(len(low), len(low) + len(own))
                     low += own
-        self.low = np.array(low)
+        self.low, self.reach = np.array(low), [np.array(numbers, int) for numbers in reach]
         self.seen: list[Effect] | None = None
-        self.columns: list[np.ndarray] = []
+        self.pieces: list[Piece] = []
         self.grams: list[np.ndarray] = []
 
     def along(self, hypothesis: Hypothesis) -> None:
-        """Fill columns, (R, C) a recording, and grams, (C, C) a fold, as `hypothesis` sees them."""
+        """Fill pieces, and grams, (C, C) a fold, as `hypothesis` sees them."""
         bent = [term.effect for term in hypothesis.terms if term.effect.measured and not term.effect.amplitudes]
         if bent == self.seen:
             return
         self.seen = bent
         scenes = self.problem.scenes(hypothesis)
-        self.columns = list(
-            THREADS.map(lambda n, scene: self._columns(n, scene, hypothesis), range(len(scenes)), scenes)
-        )
+        found = THREADS.map(lambda n, scene: self._pieces(n, scene, hypothesis), range(len(scenes)), scenes)
+        self.pieces = list(chain.from_iterable(found))
         self.grams = self._grams()
 
     def weighing(self, problem: Problem) -> Regressors:
         """The same where rows that weighed alike weigh as in `problem`."""
         other = copy(self)
         other.problem = problem
-        rows = (problem.pick(number, weights) for number, weights in enumerate(problem.weights))
-        other.columns = [columns * row[:, None] for columns, row in zip(self.columns, rows, strict=True)]
+        weights = [problem.pick(number, weights) for number, weights in enumerate(problem.weights)]
+        other.pieces = [p._replace(columns=p.columns * weights[p.recording][p.rows, None]) for p in self.pieces]
         other.grams = other._grams()
         return other
 
     def _grams(self) -> list[np.ndarray]:
-        split = self.split
-        return [
-            np.asarray(sum(c[f == k].T @ c[f == k] for c, f in zip(self.columns, split.fold, strict=True)))
-            for k in range(split.folds)
-        ]
+        grams = [np.zeros((len(self.low), len(self.low))) for _ in range(self.split.folds)]
+        for piece in self.pieces:
+            grams[piece.fold][np.ix_(self.reach[piece.joint], self.reach[piece.joint])] += (
+                piece.columns.T @ piece.columns
+            )
+        return grams
 
-    def _columns(self, number: int, scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
-        """(R, C), filtered in one go."""
-        n = scene.joints
-        measured = any(term.effect.measured for term in hypothesis.terms)
-        parts: list[np.ndarray] = []
-        owners: list[np.ndarray] = []  # a column's joint, or -1 for the first of n columns that are one regressor
-        for effect, joint, nonlinear in self.index:
-            values = effect.regressors(scene, joint, nonlinear)
-            if effect.own_joint and not measured:
-                parts.append(values)
-                owners.append(np.full(values.shape[-1], joint))
-                continue
-            values = on_joint(values, joint, n) if effect.own_joint else values
-            parts.append(np.moveaxis(reported(scene, hypothesis, values), 1, 2).reshape(len(values), -1))
-            owners.append(np.tile(np.r_[-1, np.full(n - 1, -2)], values.shape[-1]))
-        owner = np.concatenate(owners)
-        band = self.problem.band(np.concatenate(parts, axis=1))
-        columns = np.zeros((len(band), n, len(self.low)))
-        whole = np.flatnonzero(owner == -1)
-        number_of = np.cumsum(owner != -2) - 1  # column -> regressor
-        for joint in range(n):
-            mine = np.flatnonzero(owner == joint)
-            columns[:, joint, number_of[mine]] = band[:, mine]
-            columns[:, joint, number_of[whole]] = band[:, whole + joint]
-        return self.problem.select(number, columns)
+    def _pieces(self, number: int, scene: Scene, hypothesis: Hypothesis) -> Iterator[Piece]:
+        """Of a recording; an effect is filtered in one go."""
+        problem, joints = self.problem, range(scene.joints)
+        parts: list[list[np.ndarray]] = [[] for _ in joints]
+        for effect, keys in groupby(self.index, key=itemgetter(0)):
+            places = [(joint, _regressors(scene, hypothesis, effect, joint, point)) for _, joint, point in keys]
+            band = problem.band(np.concatenate([values for _, values in places], axis=-1))
+            owner = np.concatenate([np.full(values.shape[-1], joint) for joint, values in places])
+            for joint in joints:
+                mine = band[:, owner == joint] if effect.own_joint else band[:, joint]
+                parts[joint].append(problem.of_joint(number, joint, mine))
+        ends = np.cumsum([0, *problem.rows[number].sum(axis=0)])
+        for joint, (start, end) in enumerate(pairwise(ends)):
+            columns, fold = np.concatenate(parts[joint], axis=1), self.split.fold[number][start:end]
+            for one in np.unique(fold):
+                mine = fold == one
+                rows = slice(start, end) if mine.all() else start + np.flatnonzero(mine)
+                yield Piece(int(one), joint, number, rows, columns if mine.all() else columns[mine])
+
+
+def _regressors(
+    scene: Scene, hypothesis: Hypothesis, effect: Effect, joint: int, nonlinear: tuple[float, ...]
+) -> np.ndarray:
+    """As reported: (N, k) on its own joint, (N, n, k) of an effect that reaches others."""
+    values = effect.regressors(scene, joint, nonlinear)
+    if not effect.own_joint:
+        return reported(scene, hypothesis, values)
+    if not any(term.effect.measured for term in hypothesis.terms):
+        return values
+    return reported(scene, hypothesis, on_joint(values, joint, scene.joints))[:, joint]
 
 
 class Dictionary:
@@ -169,25 +193,16 @@ class Dictionary:
     def __init__(self, regressors: Regressors, fitted: Fit):
         regressors.along(fitted.hypothesis)
         self.index, self.effects, self.low = regressors.index, regressors.effects, regressors.low
-        split, own = regressors.split, fitted.moving
+        own, folds = fitted.moving, regressors.split.folds
         self.own = own[0].shape[1]
-        grams = []
-        for fold in range(split.folds):
-            parts = [
-                (np.concatenate([mine, residual[:, None]], axis=1)[f == fold], columns[f == fold])
-                for mine, residual, columns, f in zip(
-                    own, fitted.residuals, regressors.columns, split.fold, strict=True
-                )
-            ]
-            grams.append(
-                _assembled(
-                    self.own,
-                    np.asarray(sum(near.T @ near for near, _ in parts)),
-                    np.asarray(sum(near.T @ columns for near, columns in parts)),
-                    regressors.grams[fold],
-                )
-            )
-        self._reduce(grams)
+        near = [np.concatenate([m, r[:, None]], axis=1) for m, r in zip(own, fitted.residuals, strict=True)]
+        nears = np.zeros((folds, self.own + 1, self.own + 1))
+        crosses = np.zeros((folds, self.own + 1, len(self.low)))
+        for fold, joint, recording, rows, columns in regressors.pieces:
+            mine = near[recording][rows]
+            nears[fold] += mine.T @ mine
+            crosses[fold][:, regressors.reach[joint]] += mine.T @ columns
+        self._reduce([_assembled(self.own, *parts) for parts in zip(nears, crosses, regressors.grams, strict=True)])
 
     def _reduce(self, grams: list[np.ndarray]) -> None:
         """Project the hypothesis's own tangents out of everything, a fold left out at a time."""

@@ -149,7 +149,8 @@ def test_what_the_hypothesis_already_has_is_nothing_new():
     columns = [np.hstack([mine @ [[3.0], [-1.0]], column]) for mine, column in zip(own, new, strict=True)]
     regressors = stub(
         along=lambda hypothesis: None, index={(again, 0, ()): np.array([0]), (other, 0, ()): np.array([1])},
-        effects=[again, other], low=np.full(2, -np.inf), split=split, columns=columns,
+        effects=[again, other], low=np.full(2, -np.inf), split=split, reach=[np.arange(2)],
+        pieces=[selection.Piece(fold, 0, fold, slice(None), part) for fold, part in enumerate(columns)],
         grams=[part.T @ part for part in columns],
     )  # fmt: skip
     dictionary = Dictionary(regressors, stub(hypothesis=None, moving=own, residuals=target))
