@@ -115,7 +115,7 @@ def driven(effect: plant.PlantEffect, run: Course) -> np.ndarray:
     return meant
 
 
-def misread(effect: sensing.EncoderEccentricity, run: Course, path: Callable[[np.ndarray], Motion]) -> np.ndarray:
+def misread(effect: plant.PlantEffect, run: Course, path: Callable[[np.ndarray], Motion]) -> np.ndarray:
     """Reported torque of the motion that the encoders take for `path`; its derivatives by differences."""
     at = stub(truth=TRUTH.model_copy(update={"gear_ratio": RATIO}), motor=None)
 
@@ -253,6 +253,9 @@ INJECTED: dict[str, Injected] = {
     ),
     "azimuth_error": Injected((2,), [[0.03]], (), lambda run, _: built(mechanics.AzimuthError([0.0, 0.0, 0.03]), run)),
     "joint_offset": Injected((0,), [[-0.03]], (), lambda run, _: built(mechanics.JointOffset([-0.03, 0.0, 0.0]), run)),
+    "angle_scale": Injected(
+        (1,), [[0.02]], (), lambda run, _: misread(sensing.AngleScale([0.0, 0.02, 0.0]), run, path_of(run)), 0.03
+    ),
     "torque_scale": Injected((0,), [[0.05]], (), lambda run, _: driven(sensing.TorqueScale([0.05, 0.0, 0.0]), run)),
     "torque_offset": Injected((1,), [[0.9]], (), lambda run, _: driven(sensing.TorqueOffset([0.0, 0.9, 0.0]), run)),
     "torque_delay": Injected((), [[]], (DELAY,), lambda run, _: said(sensing.TorqueDelay(DELAY), run), 0.01),

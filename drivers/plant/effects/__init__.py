@@ -35,6 +35,7 @@ CATALOGUE: dict[str, type[PlantEffect]] = {
     "base_radius_error": mechanics.BaseRadiusError,
     "azimuth_error": mechanics.AzimuthError,
     "joint_offset": mechanics.JointOffset,
+    "angle_scale": sensing.AngleScale,
     "joint_elasticity": transmission.JointElasticity,
     "backlash": transmission.Backlash,
     "torque_scale": sensing.TorqueScale,

@@ -121,3 +121,13 @@ class EncoderEccentricity(JointEffect):
     def reading(self, plant: Plant, position: np.ndarray) -> np.ndarray:
         angle = self.order * plant.truth.gear_ratio * plant.motor + self.phase_rad
         return position + np.asarray(self.amplitude_rad) * np.sin(angle)
+
+
+@dataclass
+class AngleScale(JointEffect):
+    """Another gear ratio or encoder resolution than was entered: the true angle is (1 + error) times what is read."""
+
+    error: Annotated[list[float], Size(0.01, 0.03, "one", either=True)]
+
+    def reading(self, plant: Plant, position: np.ndarray) -> np.ndarray:
+        return position / (1.0 + np.asarray(self.error))

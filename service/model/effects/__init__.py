@@ -34,6 +34,7 @@ NAMES = (
     "base_radius_error",
     "azimuth_error",
     "joint_offset",
+    "angle_scale",
     "joint_elasticity",
     "backlash",
     "torque_scale",

@@ -38,7 +38,7 @@ FOUND = {
 }
 NOT_CARRIED = {
     "presliding_friction", "passive_joint_friction", "joint_elasticity", "backlash", "torque_delay", "torque_filter",
-    "drive_lag", "encoder_eccentricity",
+    "drive_lag", "encoder_eccentricity", "angle_scale",
 }  # fmt: skip
 
 

@@ -106,6 +106,7 @@ STATED = {
     "base_radius_error": ("per_joint", {"error": ("m", -INF, INF)}, [], 0.1, 0.05, "delta"),
     "azimuth_error": ("per_joint", {"error": ("rad", -INF, INF)}, [], 0.3, 0.1, "delta"),
     "joint_offset": ("per_joint", {"error": ("rad", -INF, INF)}, [], 0.3, 0.05, "delta"),
+    "angle_scale": ("per_joint", {"epsilon": ("", -1.0, INF)}, [], 0.3, 0.05, "delta"),
     "joint_elasticity": (
         "per_joint rough",
         {"natural_hz": ("Hz", 2.0, 250.0), "damping_ratio": ("", 0.01, 2.0), "motor_share": ("", 0.02, 0.9)},

@@ -20,7 +20,7 @@ EVERY = 23  # samples
 def test_what_needs_the_past_or_the_measurement_alone_has_no_online_form():
     assert set(EFFECTS) - set(ONLINE) == {
         "presliding_friction", "passive_joint_friction", "joint_elasticity", "backlash", "encoder_eccentricity",
-        "torque_delay", "torque_filter", "drive_lag",
+        "angle_scale", "torque_delay", "torque_filter", "drive_lag",
         # in the settings of the online model
         "torque_scale", "link_length_error", "forearm_length_error", "base_radius_error", "azimuth_error",
         "joint_offset", "base_tilt",

@@ -1,0 +1,34 @@
+"""A joint's angle is scaled wrong.
+
+Physics: the true angle is 1 + epsilon times the measured one: another gear ratio or resolution than was entered.
+Implementation: that share of angle, speed and acceleration, through the slopes of the rigid torque.
+Limitations: first order in epsilon; on few angles it is a zero that is off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.model.effects.base import Amplitude, Effect
+from service.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class AngleScale(Effect):
+    epsilon: Amplitude = Amplitude("", "true over measured angle, minus one", low=-1.0)
+    name = "angle_scale"
+    title = "The measured angle is scaled wrong"
+    means = "Check gear ratio and encoder resolution of this joint in drive, description and column mapping."
+    own_joint = False
+    kinds = frozenset({"delta"})
+    beyond = 0.3
+    beyond_together = 0.05
+    settles = "slow sweeps over the whole angle of this joint, and fast moves"
+
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
+        """(N, n, 1)."""
+        motion = scene.segment
+        parts = (part[:, joint] for part in (motion.theta, motion.theta_dot, motion.theta_ddot))
+        return scene.perturbed(joint, *parts)[..., None]
