@@ -122,11 +122,7 @@ def _inner(scored: Scored, split: Split, out: int) -> np.ndarray:
 
 def rms_per_joint(problem: Problem, residuals: Sequence[np.ndarray]) -> np.ndarray:
     """(n,) N m."""
-    square, count = np.zeros(len(problem.sigma)), np.zeros(len(problem.sigma))
-    for residual, joint in zip(residuals, problem.joints_of_rows, strict=True):
-        square += np.bincount(joint, residual**2, len(square))
-        count += np.bincount(joint, minlength=len(count))
-    return np.sqrt(square / np.maximum(count, 1)) * problem.sigma
+    return problem.rms(residuals, [0] * len(residuals))[0]
 
 
 def pooled_squares(problem: Problem, residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:

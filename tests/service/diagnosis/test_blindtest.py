@@ -241,6 +241,64 @@ def test_the_table_counts_right() -> None:
     }  # fmt: skip
 
 
+def test_what_is_findable_and_what_is_sure_have_their_bounds() -> None:
+    """A lift of 1.1, a probability of 0.9; and figures of time and of claims are medians, or what nine in ten keep."""
+    kinds = ("catalogue", "catalogue", "unknown", "unknown", "production")
+    lifts = (1.09, 1.11, 1.09, 1.11, 1.11)
+    keys = [key(n, kind, ["cogging"], [[0]], lift) for n, (kind, lift) in enumerate(zip(kinds, lifts, strict=True))]
+    rows = [
+        row(0, [], "within_noise", 0.1, 0.0),
+        row(1, [("cogging", [1])], "explained", 0.0, 0.0, probability=0.91),
+        row(2, [("backlash", [1])], "explained", 0.0, 0.2, probability=0.89),
+        row(3, [("backlash", [1])], "unexplained", 0.4, 0.0, probability=0.91),
+        row(4, [("arm_mass", [1])], "partly_explained", 9.0, 0.0, probability=0.5),
+    ]
+    for one, spent in zip(rows, (1.0, 2.0, 3.0, 4.04, 90.0), strict=True):
+        one["cpu_seconds"] = spent
+    judged = blindtest.judged(rows, keys)
+    figures = blindtest.summary(judged)
+    assert (figures["findable_single"], figures["right_first"], figures["right_joint"]) == (1, 1.0, 1.0)
+    assert (figures["unknown_said"], figures["production_told"]) == (1.0, 0.0)
+    assert (figures["sure_names"], figures["calibration"]) == (2, 0.5)
+    assert figures["claim_error_median"] == 0.15
+    assert figures["claim_error_p90"] == pytest.approx(np.quantile([0.0, 0.1, 0.2, 0.4], 0.9), abs=1e-3)
+    assert (figures["cpu_seconds_median"], figures["seconds_median"]) == (3.0, 12.0)
+    assert (figures["cases"], figures["failed"], figures["null_clean"]) == (5, 0, None)
+    truth, first, table = blindtest.confusion(judged)
+    assert (truth, first) == (["cogging", "none"], ["backlash", "cogging", "none"])
+    assert table.tolist() == [[1, 1, 0], [0, 0, 0]]
+    broken = [{"case": "case_000", "error": "DataError: broken"}]
+    nothing = blindtest.summary(blindtest.judged(broken, keys))
+    assert (nothing["cases"], nothing["failed"], nothing["seconds_median"], nothing["calibration"]) == (
+        1,
+        1,
+        None,
+        None,
+    )
+
+
+@pytest.mark.parametrize(
+    ("named", "effects", "f1"),
+    [
+        ([], ["cogging"], 0.0), (["cogging"], ["cogging"], 1.0), (["cogging", "backlash"], ["cogging"], 2 / 3),
+        (["cogging"], ["cogging", "backlash"], 2 / 3), (["arm_mass", "tool_mass"], ["cogging", "backlash"], 0.0),
+        ([], [], 0.0), (["asymmetric_friction", "arm_mass"], ["torque_offset", "backlash", "cogging"], 2 / 5),
+    ],
+)  # fmt: skip
+def test_precision_and_recall_count_alike(named: list[str], effects: list[str], f1: float) -> None:
+    """Names that no motion tells apart are one."""
+    assert blindtest._f1(named, effects) == pytest.approx(f1)
+
+
+def test_the_gap_is_that_of_all_rows_that_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = {"a": np.array([[1.0, np.nan], [3.0, np.nan]]), "b": np.array([[np.nan, 2.0], [np.nan, np.nan]])}
+    monkeypatch.setattr("service.model.prediction.motion", lambda trace: f"along {trace}")
+    monkeypatch.setattr("service.model.prediction.predict_along", lambda robot, trace, along: {"full": (robot, along)})
+    monkeypatch.setattr("service.model.prediction.error_in_band", lambda trace, along, torque: errors[trace])
+    assert blindtest.measured_gap("robot", ["a", "b"]) == pytest.approx(np.sqrt(14 / 3))
+    assert blindtest.measured_gap("robot", []) == 0.0
+
+
 def test_the_families_figures_count_right() -> None:
     every = [0, 1, 2]
     two, outside = ["backlash", "tool_mass"], ["backlash", "tool_mass", "magnet"]

@@ -17,7 +17,7 @@ from schemas.robot import load_robot
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
 from service.diagnosis.evidence.cautions import base_doubts, faults_of, limits_of, loops_of, noise_of
-from service.identification.fit import evaluate
+from service.identification.fit import Problem, evaluate
 from service.identification.noise import Floor
 from service.model.effects import CATALOGUE, by_name, catalogue
 from service.model.hypothesis import Hypothesis
@@ -190,6 +190,11 @@ def test_effects_of_ones_own(tmp_path):
         catalogue(own)
 
 
+def rows_of(sigma: np.ndarray, *recordings: Any) -> Problem:
+    """A problem of 50 rows a joint and recording."""
+    return Problem(recordings, stub(), sigma, rows=[np.ones((50, len(sigma)), bool)] * len(recordings))
+
+
 @pytest.mark.parametrize(
     ("joint", "what", "other", "share", "told"),
     [
@@ -212,12 +217,7 @@ def test_a_base_that_lacks_something_is_doubted(joint, what, other, share, told)
     one = Follows(joint=joint, what=what, other=other, share=share)
 
     def doubts(before: list[Follows], after: list[Follows], kind: str = "axes") -> list[tuple]:
-        made = stub(
-            recordings=[stub(mechanism=stub(kind=kind))],
-            sigma=np.array([0.5, 2.0, 1.0, 1.0, 1.0]),
-            joints_of_rows=[joints],
-            count=250,
-        )
+        made = rows_of(np.array([0.5, 2.0, 1.0, 1.0, 1.0]), stub(mechanism=stub(kind=kind)))
         found = base_doubts(made, before, after, none, best)
         return [(caution.code, caution.joints, caution.share) for caution in found]
 
@@ -242,15 +242,13 @@ def test_a_term_that_is_a_weight_is_the_bases_however_little_it_takes():
     effect = stub(is_weight=is_weight)
     terms = (stub(effect=effect, joints=(0, 2), nonlinear=(7.0,)), stub(effect=effect, joints=(1,), nonlinear=()))
     none, best = (
-        stub(residuals=[np.array(level)[joints]], hypothesis=stub(terms=terms))
+        stub(residuals=[np.array(level)[joints]] * 2, hypothesis=stub(terms=terms))
         for level in ([5.0, 5.0, 3.0], [3.0, 5.0, 2.0])
     )
     angles = [np.array([[0.0, 0.0, -1.0], [1.0, 0.5, 0.0]]), np.array([[2.0, 0.0, 1.0]])]
     mechanism = stub(kind="axes", gear_ratio=[20.0, 5.0, 30.0])
-    made = stub(
-        recordings=[stub(mechanism=mechanism, segment=stub(theta=theta)) for theta in angles],
-        sigma=np.array([0.5, 2.0, 1.0]), joints_of_rows=[joints],
-    )  # fmt: skip
+    runs = (stub(mechanism=mechanism, segment=stub(theta=theta)) for theta in angles)
+    made = rows_of(np.array([0.5, 2.0, 1.0]), *runs)
     follow = Follows(joint=3, what="sine_of_angle", other=None, share=0.9)
     other = Follows(joint=2, what="motion", other=1, share=0.9)
     for found, more in (([], []), ([follow], []), ([follow, other], [("other_joints", [2, 1], 0.9)])):
@@ -269,7 +267,7 @@ def test_what_is_passed_over_does_not_hide_what_follows():
         stub(residuals=[np.array(level)[joints]], hypothesis=stub(terms=()))
         for level in ([5.0, 1.0, 30.0], [5.0, 1.0, 1.05])
     )
-    made = stub(recordings=[stub(mechanism=stub(kind="axes"))], sigma=np.ones(3), joints_of_rows=[joints])
+    made = rows_of(np.ones(3), stub(mechanism=stub(kind="axes")))
     told = Follows(joint=1, what="motion", other=2, share=0.9)
     passed: list[Follows] = [
         Follows(joint=1, what="position_error", other=None, share=0.9),
