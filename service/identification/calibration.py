@@ -147,16 +147,15 @@ def _solve(
     masses: of each log, what hangs on the arms over `moving`, kg, which the platform's column is for.
     """
     values = _nominal()
-    left, right = np.zeros((0, 0, 0)), np.zeros((0, 0))
+    left, right = _normal_equations(logs, masses, moving, noise, values, free)
     for _ in range(ITERATIONS):
-        left, right = _normal_equations(logs, masses, moving, noise, values)
-        left, right = left[:, free][:, :, free], right[:, free]
-        whole: np.ndarray = np.sum(left, axis=0)
-        step = solve(whole, np.sum(right, axis=0))
+        whole = left.sum(axis=0)
+        step = solve(whole, right.sum(axis=0))
         values[free] += step
         if step @ whole @ step < SETTLED:
             break
-    whole, count = np.sum(left, axis=0), len(left)
+        left, right = _normal_equations(logs, masses, moving, noise, values, free)
+    whole, count = left.sum(axis=0), len(left)
     changes = np.array([solve(whole - one, pull) for one, pull in zip(left, right, strict=True)])
     errors = np.zeros(_COUNT)
     errors[free] = np.sqrt((count - 1) / count * np.sum(changes**2, axis=0))
@@ -164,9 +163,10 @@ def _solve(
 
 
 def _normal_equations(
-    logs: Sequence[NormalEquations], masses: np.ndarray, moving: float, noise: np.ndarray, values: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(B, 13, 13) and (B, 13) of every block of every log at `values`."""
+    logs: Sequence[NormalEquations], masses: np.ndarray, moving: float, noise: np.ndarray, values: np.ndarray,
+    free: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """(B, F, F) and (B, F) of the `free` of `values` (13,), of every block of every log."""
     left, right = [], []
     for log, mass in zip(logs, masses, strict=True):
         block_left = np.zeros((len(log.gram), _COUNT, _COUNT))
@@ -180,7 +180,7 @@ def _normal_equations(
             block_right += slope.T @ gram @ remains
         left.append(block_left)
         right.append(block_right)
-    return np.concatenate(left), np.concatenate(right)
+    return np.concatenate(left)[:, free][:, :, free], np.concatenate(right)[:, free]
 
 
 def _prediction(values: np.ndarray, joint: int, mass: float, moving: float) -> tuple[np.ndarray, np.ndarray]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError
+from service.identification.fit import solve
 from service.identification.pooled import Plain
 from service.identification.regression import (
     COLUMNS,
@@ -112,7 +113,7 @@ def _scaled(gram: np.ndarray, order: Sequence[int], signs: Sequence[float]) -> T
         left += chosen.T @ gram[joint] @ chosen
         right += chosen.T @ gram[joint] @ torque
         square += torque @ gram[joint] @ torque
-    values = np.linalg.lstsq(left, right, rcond=1e-10)[0]
+    values = solve(left, right)
     if values[-1] <= 0:
         return TorqueReading(np.inf, order, signs, 1.0)
     share = np.sqrt(max(square - right @ values, 0.0) / max(square, 1e-12))
@@ -152,7 +153,7 @@ def _left(gram: np.ndarray, order: Sequence[int], signs: Sequence[float], scale:
         square += wanted @ gram[joint] @ wanted
         column = TORQUE_COLUMN + order[joint]
         torque += scale**2 * gram[joint, column, column]
-    values = np.linalg.lstsq(left, right, rcond=1e-10)[0]
+    values = solve(left, right)
     return float(np.sqrt(max(square - right @ values, 0.0) / max(torque, 1e-12)))
 
 

@@ -205,7 +205,7 @@ def _without_sign(values: np.ndarray, bits: int) -> bool:
     if not len(known) or known.min() < 0 or known.max() >= 2.0**bits or (known != np.round(known)).any():
         return False
     way, way_with_sign = (np.abs(np.diff(read)).sum() for read in (known, signed(known, bits)))
-    return bool(known.max() >= 2.0 ** (bits - 1) and way_with_sign < LEAPS * way)
+    return bool(way_with_sign < LEAPS * way)
 
 
 def _time(

@@ -188,3 +188,50 @@ def test_a_torque_of_unknown_scale_is_explained_by_the_platforms_beside_all_othe
     assert reading.share == pytest.approx(np.linalg.norm(meant - whole @ found) / np.linalg.norm(meant))
     against = checks._scaled(np.einsum("jna,jnc->jac", columns, columns), (1, 0, 2), (1.0, -1.0, -1.0))
     assert (against.share, against.scale) == (np.inf, 1.0), "a platform of negative mass"
+
+
+@pytest.mark.parametrize(
+    ("order", "signs", "scale", "gear", "told"),
+    [
+        ((2, 1, 0), (1, 1, 1), 1.0, 25.0, "the torques of joints 1 and 3 are swapped: as given"),
+        ((1, 2, 0), (1, -1, -1), 1.0, 25.0, "the torques of joints 1, 2 and 3 are swapped and the torque of joints 2 "
+                                            "and 3 has the wrong sign: as given"),
+        ((0, 1, 2), (1, 1, 1), 25.0, 25.0, "the torque is not multiplied by the gear ratio 25: as given"),
+        ((0, 1, 2), (1, 1, 1), 2.1, 2.1, "the torque is not multiplied by the gear ratio 2.1: as given"),
+        ((0, 1, 2), (1, 1, 1), 1.9, 1.9, ""),  # hardly a gear
+        ((0, 1, 2), (1, 1, 1), 1.0, 25.0, ""),
+    ],
+)  # fmt: skip
+def test_how_else_a_torque_makes_sense_is_said(
+    order: tuple[int, ...], signs: tuple[int, ...], scale: float, gear: float, told: str
+) -> None:
+    """Of a torque whose parameters explain all but five hundredths of it."""
+    random = np.random.default_rng(4)
+    columns, values = random.standard_normal((3, 60, COLUMNS)), random.uniform(1.0, 2.0, 9)
+    true = np.stack([columns[j] @ selection(j) @ values + columns[j, :, PLATFORM_COLUMN] for j in range(3)], axis=1)
+    true += 0.05 * true.std() * random.standard_normal(true.shape)
+    for joint in range(3):
+        columns[:, :, 7 + order[joint]] = true[:, joint] / signs[joint] / scale
+    gram = np.einsum("jna,jnc->jac", columns, columns)
+    said = checks._reading(gram, gear)
+    assert said.startswith(told) if told else said == ""
+    reading = checks.best_reading(gram, gear)
+    if told:
+        assert (tuple(reading.order), tuple(reading.signs), reading.scale) == (order, signs, scale)
+        left, right = (100 * share for share in (checks._left(gram, *checks._AS_GIVEN), reading.share))
+        assert said.endswith(f"leaves {left:.0f} % of it unexplained, put right {right:.1f} %")
+    else:
+        assert reading[1:] == checks._AS_GIVEN
+
+
+@pytest.mark.parametrize(
+    ("better", "given", "taken"), [(0.049, 0.101, True), (0.051, 0.101, False), (0.001, 0.099, False)]
+)
+def test_another_reading_is_believed_where_it_leaves_half_and_the_given_a_tenth(
+    monkeypatch: pytest.MonkeyPatch, better: float, given: float, taken: bool
+) -> None:
+    def left(gram: object, order: tuple[int, ...], signs: tuple[float, ...], scale: float) -> float:
+        return given if (order, signs, scale) == checks._AS_GIVEN else better if signs == (1.0, -1.0, 1.0) else 0.9
+
+    monkeypatch.setattr(checks, "_left", left)
+    assert checks.best_reading(np.zeros((3, COLUMNS, COLUMNS)), 1.0).share == (better if taken else given)

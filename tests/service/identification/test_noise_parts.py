@@ -164,9 +164,10 @@ def test_a_torques_steps_are_the_least_between_values_that_come_again() -> None:
     table = np.column_stack([
         stepped, stepped + 1e-13 * random.standard_normal(100), np.ones(100), random.standard_normal(100),
         np.r_[np.arange(20.0), np.zeros(80)], np.r_[np.arange(21.0), np.zeros(79)],
+        1e6 * stepped + 1e-4 * random.standard_normal(100),
     ])  # fmt: skip
     recordings: Any = [stub(segment=stub(torque=table[:40])), stub(segment=stub(torque=table[40:]))]
-    np.testing.assert_allclose(noise._steps(recordings), [0.25, 0.25, 0.0, 0.0, 1.0, 0.0])
+    np.testing.assert_allclose(noise._steps(recordings), [0.25, 0.25, 0.0, 0.0, 1.0, 0.0, 2.5e5])
 
 
 def test_white_noise_is_read_above_the_robots_own_motion_or_the_upper_half(monkeypatch: pytest.MonkeyPatch) -> None:

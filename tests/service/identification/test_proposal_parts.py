@@ -323,6 +323,27 @@ def test_signs_are_told_from_a_hundred_rows_on() -> None:
 
 
 @pytest.mark.parametrize(
+    ("farthest", "gear", "said"), [(2000.0, GEAR, True), (150.0, GEAR, False), (150.0, 1.0, False)]
+)
+def test_positions_that_no_joint_turns_are_said_to_be_the_motors(
+    monkeypatch: pytest.MonkeyPatch, robot: Robot, farthest: float, gear: float, said: bool
+) -> None:
+    """Degrees, as the user says."""
+
+    def by_delta(
+        table: Table, channels: Channels, robot: Robot, rate: float, position: dict[str, Any], *rest: Any
+    ) -> Any:
+        return proposal._Reading(position, {"unit": "N m"}, 0.01 if "side" in position else 0.02)
+
+    monkeypatch.setattr(proposal, "_by_delta", by_delta)
+    made = delta_table()
+    far = {name: farthest * np.sin(values) if name[0] == "q" else values for name, values in made.columns.items()}
+    described = robot.model_copy(update={"drive": Drive(gear_ratio=gear)})
+    found = propose(Table(made.path, made.kind, far), described, Stated(position_unit="deg"))
+    assert ("positions are the motor's: no joint turns so far" in found.reasons) is said
+
+
+@pytest.mark.parametrize(
     ("unit", "name", "entry", "reason"),
     [
         (None, "torque [%]", {"unit": "percent", "rated": 12.0}, "torques are percent: it stands there"),
