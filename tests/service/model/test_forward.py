@@ -11,8 +11,9 @@ import numpy as np
 from drivers.plant.mechanism import Design, build, close, dependence, required_torque
 from service.model import kinematics
 from service.model.dynamics import torque_terms
-from service.model.forward import forward_dynamics
-from service.model.nominal import pack
+from service.model.forward import bias_kernel, forward_dynamics, mass_kernel
+from service.model.kinematics import POSE, REACHED
+from service.model.nominal import pack, record_of
 from tests.service.world import BASE, ROBOT, TRUTH
 
 RHO_1, RHO_2, FOREARM = BASE.rigid
@@ -31,6 +32,21 @@ def test_it_turns_the_inverse_dynamics_round():
     np.testing.assert_allclose(found, theta_ddot, atol=1e-9)
     np.testing.assert_array_equal(mass, np.swapaxes(mass, 1, 2))
     assert (np.linalg.eigvalsh(mass) > 0).all()
+
+
+def test_what_is_carried_weighs_as_a_heavier_platform():
+    model, (theta, theta_dot, _) = pack(ROBOT), states(5)
+    heavier = model._replace(moving_mass=model.moving_mass + 2.5)
+    rho_1, rho_2 = np.array([1.1, 1.2, 1.3]), np.array([0.9, 0.8, 0.7])
+    for place, speed in zip(theta, theta_dot, strict=True):
+        found = []
+        for packed, carried in ((model, 2.5), (heavier, 0.0)):
+            pose, terms, bias, mass = np.zeros(1, POSE)[0], np.zeros((5, 3)), np.zeros(3), np.zeros((3, 3))
+            record = record_of(packed)
+            assert bias_kernel(record, rho_2, FOREARM, carried, place, speed, pose, terms, bias) == REACHED
+            mass_kernel(record, rho_1, FOREARM, carried, pose, mass)
+            found.append(np.vstack([bias, mass]))
+        np.testing.assert_allclose(*found, rtol=1e-12)
 
 
 def test_the_mass_matrix_is_mujocos_closed_chain():

@@ -60,6 +60,18 @@ def test_a_tilt_turns_gravity_in_the_base(robot, gravity, about):
         np.testing.assert_allclose(tilted.gravity_mps2, leaned, atol=1e-8)
 
 
+@pytest.mark.parametrize("gravity", [[3.0, -4.0, -8.0], [-1.0, 2.0, 9.0], [6.0, 5.0, 0.0]])
+def test_a_tilt_is_about_the_axes_that_level_ones_become_when_the_base_is_turned_there(gravity):
+    """The shortest way: about the normal of down and gravity."""
+    gravity, down = np.array(gravity), np.array([0.0, 0.0, -1.0])
+    normal = np.cross(down, gravity)
+    angle = np.arctan2(np.linalg.norm(normal), down @ gravity)
+    turned = Rotation.from_rotvec(angle * normal / np.linalg.norm(normal))
+    np.testing.assert_allclose(turned.apply(down), gravity / np.linalg.norm(gravity), atol=1e-12)
+    for axis, way in zip(turned.apply(np.eye(3)[:2]), np.eye(2), strict=True):
+        np.testing.assert_allclose(leaning(gravity, way), -np.cross(axis, gravity), atol=1e-9)
+
+
 def test_direction_is_a_mean_over_each_sample():
     speed = 0.03 * np.cos(np.linspace(0.0, 9.0, 200))[:, None] * [1.0, 5.0]
     speed[90:95] = speed[90]  # nothing changes: the mean is the value
