@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.messages import stamp_ns
+from service.estimator import commanded
 from service.estimator.estimator import Estimator
 from tests.known import PERIOD
 from tests.service.estimator.test_trust import PICKS, carried, covered
@@ -76,3 +77,39 @@ def test_what_a_drive_does_not_do_is_not_used(told, known, wrong):
     payload, time = weigh(told, known, wrong(known.torque))
     expected, _ = weigh(told, known, np.nan)
     np.testing.assert_array_equal(payload[time > 2.0], expected[time > 2.0])
+
+
+def taken(departures, noise=NOISE, known=True):
+    """What comparing says of each, N m off on joint 2, the others as told, and whether the command is used then."""
+    settings = commanded.settings(np.array([NOISE, noise, NOISE]), known, PERIOD)[()]
+    state = np.zeros(1, commanded.STATE)[0]
+    told = np.array([5.0, -3.0, 1.0])
+    for departure in departures:
+        refuted = commanded.compare_kernel(settings, state, told + [0.0, departure, 0.0], told, PERIOD)
+        yield refuted, commanded.is_used(settings, state)
+
+
+@pytest.mark.parametrize(("times", "refuted"), [(0.99, False), (1.01, True), (-1.01, True)])
+def test_a_command_is_refuted_at_once_by_what_is_no_noise(times, refuted):
+    """Of seven standard deviations, once it is used, that is after 0.2 s."""
+    for noise in (0.5, 2.0):
+        odd = times * commanded.REFUTATION**0.5 * noise
+        said = list(taken([0.0] * 250 + [odd, 0.0], noise))
+        assert said[198] == (False, False)
+        assert said[201] == (False, True)
+        assert said[250:] == [(refuted, not refuted), (False, not refuted)]
+        early = list(taken([0.0] * 50 + [odd] + [0.0] * 300, noise))
+        assert not any(again for again, _ in early), "it was not used yet"
+        assert early[-1][1] is not refuted
+    assert not any(any(each) for each in taken([0.0] * 300, known=False))
+
+
+@pytest.mark.parametrize(("size", "memory"), [(3.0, 0.02), (-3.0, 0.02), (0.6, 0.5)])
+def test_a_command_is_refuted_by_what_lasts(size, memory):
+    """A mean over so long of white noise scatters by (1 - keep) / (1 + keep) of it."""
+    keep = np.exp(-PERIOD / memory)
+    spread = ((1 - keep) / (1 + keep)) ** 0.5 * NOISE
+    count = np.arange(1, 2000)
+    first = count[np.abs(size) * (1 - keep**count) > commanded.REFUTATION**0.5 * spread][0]
+    said = [refuted for refuted, _ in taken([0.0] * 250 + [size] * 1999)]
+    assert np.flatnonzero(said).tolist() == [249 + first]
