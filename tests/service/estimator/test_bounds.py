@@ -81,6 +81,20 @@ def test_a_broken_command_is_flagged_and_bridged(robot, make, rows, value, flag)
     assert np.abs(out["torque"] - expected).max() < 0.1 * np.abs(expected).max()
 
 
+def test_a_command_that_stays_away_gives_way_to_the_estimate_and_comes_back_settled(robot, make):
+    """Bridged for 20 ms; 60 ms later its filter starts anew."""
+    known = make(1.0)
+    known.samples["position_command"][400:460, 1] = np.nan
+    out = Estimator(robot, PERIOD).run(known.samples).feedforward
+    expected = np.full(1000, FeedforwardSource.COMMAND)
+    expected[420:480] = FeedforwardSource.ESTIMATE
+    np.testing.assert_array_equal(out["source"][40:], expected[40:])
+    assert (out["flags"][400:460] == SampleFlag.NO_COMMAND).all()
+    assert (out["flags"][460:] == 0).all()
+    plain = Estimator(robot, PERIOD).run(make(1.0).samples).feedforward["torque"]
+    assert np.abs(out["torque"] - plain)[400:].max() < 0.05 * np.abs(plain).max()
+
+
 def test_a_step_of_the_command_is_not_differentiated(robot, make):
     """0.3 rad at once, and on from there: the torque is that of the estimate until the new commands have settled."""
     known = make(2.0)

@@ -71,7 +71,7 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     friction.start(state, prior)
     state, forgetting = state[0], 0.9
     np.testing.assert_allclose(state["covariance"], np.diag([0.36, 0.04, 0.0225, 0.0009] * 3))
-    truth = np.array([0.5, -0.1, 0.2, 0.03, -0.4, 0.2, 0.1, -0.02, 5.0, 0.0, -0.1, 0.01])  # 5: beyond any gear's
+    truth = np.array([0.5, -0.1, 0.2, 0.03, -6.0, 0.2, 0.1, -0.02, 5.0, 0.0, -0.1, 0.01])  # two beyond any gear's
     information, moment = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
     for inflation in (1.0, 2.0):
         gained, pulled = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
@@ -97,12 +97,13 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     found = covariance @ moment
     np.testing.assert_allclose(state["covariance"], covariance, rtol=1e-6, atol=1e-12)
     assert found[8] > friction.BOUND * prior[8]
-    found[8] = friction.BOUND * prior[8]
+    assert found[4] < -friction.BOUND * prior[4]
+    found[[4, 8]] = friction.BOUND * prior[[4, 8]] * [-1, 1]
     np.testing.assert_allclose(state["delta"], found, rtol=1e-6, atol=1e-9)
     assert state["held"]
     beyond = np.sign(found) * np.maximum(0.0, np.abs(found) - np.sqrt(np.diag(covariance)))
     np.testing.assert_allclose(state["sure"], beyond, rtol=1e-6, atol=1e-9)
-    state["moment"][8] = 0.0
+    state["moment"] = 0.0
     friction.learn_kernel(state, prior, forgetting, 1.0)
     assert not state["held"], "nothing is beyond a gear's any more"
     covariance = state["covariance"]

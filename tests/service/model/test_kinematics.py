@@ -24,6 +24,14 @@ def test_forward_puts_the_platform_one_forearm_from_every_elbow(model, poses):
     assert (platform[:, 2] < elbows(model, poses)[..., 2].min(axis=1)).all(), "the platform hangs below the elbows"
 
 
+def test_arms_may_be_numbered_either_way_round(model, poses):
+    way = [0, 2, 1]
+    other = model._replace(
+        **{name: getattr(model, name)[way] for name in model._fields if np.shape(getattr(model, name)) == (3,)}
+    )._replace(gravity=model.gravity)
+    np.testing.assert_allclose(kinematics.forward(other, poses[:, way]), kinematics.forward(model, poses), atol=1e-12)
+
+
 def test_inverse_undoes_forward_over_the_workspace(model, poses):
     assert np.abs(kinematics.inverse(model, kinematics.forward(model, poses)) - poses).max() < 1e-12
 
