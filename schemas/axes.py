@@ -25,7 +25,7 @@ from schemas.columns import MAX_JOINTS
 from schemas.errors import RobotError
 from schemas.files import write_text
 from schemas.machine import JointFriction, Machine
-from schemas.robot import JointParameter, Robot, load_robot, save_robot, toml_item
+from schemas.robot import JointParameter, Robot, Source, load_robot, save_robot, toml_item
 from schemas.toml import Positive, TomlTable, read_toml, validate
 from schemas.urdf import read_urdf
 
@@ -126,7 +126,7 @@ def load_axes(path: str | Path, effects: Path | None = None) -> Axes | Chain:
     path = Path(path)
     values = read_toml(path, RobotError)
     machine = validate(KINDS.get(str(values.get("kind")), Axes), values, path, RobotError)
-    machine._folder, machine._effects_file = path.parent, effects
+    machine._source = Source(path.parent, effects, path)
     if isinstance(machine, Chain):
         machine._arm = read_urdf(path.parent / machine.urdf, machine.joints, machine.held)
         if machine.payload is not None and machine.payload.frame not in machine.arm.links:

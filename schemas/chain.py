@@ -80,7 +80,7 @@ class Chain(Machine):
 
     @property
     def files(self) -> dict[str, str]:
-        return super().files | {"urdf": str(self._folder / self.urdf)}
+        return super().files | {"urdf": str(self.folder / self.urdf)}
 
     @property
     def arm(self) -> Urdf:

@@ -37,7 +37,7 @@ class Machine(Described):
     @property
     def files(self) -> dict[str, str]:
         """Files beside the description that it names, by key, as found from here."""
-        beside = self._folder / (self.columns or "")
+        beside = self.folder / (self.columns or "")
         return {"columns": str(beside)} if beside.is_file() else {}
 
     @property

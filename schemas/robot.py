@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -296,22 +297,36 @@ def _robot_name(name: str) -> str:
 RobotName = Annotated[str, AfterValidator(_robot_name)]
 
 
+@dataclass(frozen=True)
+class Source:
+    """Where a description was read from. folder: that files it names are relative to. effects_file: Python file with
+    effects of the user's own that `effect` may name. file: for messages; the same description may be in several."""
+
+    folder: Path = Path()
+    effects_file: Path | None = None
+    file: Path | None = field(default=None, compare=False)
+
+
 class Described(TomlTable):
     """What descriptions of all kinds say of n joints."""
 
     name: RobotName
-    _folder: Path = PrivateAttr(Path())
-    _effects_file: Path | None = PrivateAttr(None)
+    _source: Source = PrivateAttr(Source())
 
     @property
     def folder(self) -> Path:
-        """Where the description was read from: files that it names are relative to it."""
-        return self._folder
+        """Files that the description names are relative to it."""
+        return self._source.folder
 
     @property
     def effects_file(self) -> Path | None:
         """Python file with effects of the user's own that `effect` may name."""
-        return self._effects_file
+        return self._source.effects_file
+
+    @property
+    def origin(self) -> str:
+        """What an error about a key of it begins with."""
+        return str(self._source.file or f"robot {self.name!r}")
 
     @property
     def count(self) -> int:
@@ -400,7 +415,7 @@ def load_robot(path: str | Path, effects: Path | None = None) -> Robot:
     if (kind := values.get("kind", "delta")) != "delta":
         raise RobotError(f'{path}: kind = "{kind}": a Delta robot is needed')
     robot = validate(Robot, values, path, RobotError)
-    robot._folder, robot._effects_file = path.parent, effects
+    robot._source = Source(path.parent, effects, path)
     return robot
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from schemas.errors import RobotError
 from schemas.kernels import kernel
 from schemas.messages import Gripper
-from schemas.robot import Drive
+from schemas.robot import Robot
 
 CONTROLWORD = 0x6040
 STATUSWORD = 0x6041
@@ -181,14 +181,17 @@ class Scale:
         return np.clip(units, -32768, 32767).astype(np.int16)
 
 
-def scales(drive: Drive) -> tuple[Scale, Scale, Scale]:
+def scales(robot: Robot) -> tuple[Scale, Scale, Scale]:
     """The three joints' scaling from the `[drive]` section of a robot description.
 
     Raises:
         RobotError: no drive is declared.
     """
+    drive = robot.drive
     if not drive.joint:
-        raise RobotError("drive.joint: missing key: the scaling of each drive has to be declared to read its bus")
+        raise RobotError(
+            f"{robot.origin}: drive.joint: missing key: the scaling of each drive has to be declared to read its bus"
+        )
 
     def scale(index: int) -> Scale:
         joint = drive.joint[index]

@@ -37,7 +37,7 @@ class Declaration:
     """Collects sound samples of a stream and judges the robot description by them."""
 
     def __init__(self, robot: Robot) -> None:
-        self._scales = scales(robot.drive)
+        self._scales = scales(robot)
         self._hangs = -robot.gravity_mps2[2] > HANGS * float(np.linalg.norm(robot.gravity_mps2))
         self._kept = 0
         self._samples: list[np.ndarray] = []

@@ -135,7 +135,7 @@ class Master:
             RobotError: the robot description does not say what the drives map or how they count.
         """
         pdos = joint_pdos(robot)
-        self.scale = _side_by_side(cia402.scales(robot.drive))
+        self.scale = _side_by_side(cia402.scales(robot))
         self._axes = [_Axis(rx, tx) for rx, tx in pdos]
         places = [joint.place for joint in robot.drive.joint if joint.place is not None]
         self._declared, self._places = bool(places), places or [1, 2, 3]

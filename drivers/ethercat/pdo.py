@@ -71,16 +71,16 @@ def joint_pdos(robot: Robot) -> list[tuple[Pdo, Pdo]]:
     """
     drive = robot.drive
     if not drive.joint:
-        raise RobotError("drive.joint: missing key: a master has to know what its drives map")
+        raise RobotError(f"{robot.origin}: drive.joint: missing key: a master has to know what its drives map")
     pairs = []
     for number, joint in enumerate(drive.joint):
-        key = f"drive.joint.{number}"
+        key = f"{robot.origin}: drive.joint.{number}"
         outputs, inputs = joint.outputs, joint.inputs
         if drive.eni and not outputs and not inputs:
             slave = slave_objects(read_eni(robot.folder / drive.eni), joint.station, f"{key}.station")
             outputs, inputs = (list(map(_declaration, objects)) for objects in (slave.outputs, slave.inputs))
         if not outputs or not inputs:
-            raise RobotError(f"{key}.outputs, {key}.inputs: missing key: a master has to know what its drives map")
+            raise RobotError(f"{key}: outputs, inputs: missing key: a master has to know what its drives map")
         pairs.append((Pdo(outputs, f"{key}.outputs"), Pdo(inputs, f"{key}.inputs")))
     return pairs
 

@@ -225,12 +225,14 @@ def survey_capture(path: Path, robot: Robot | None = None) -> dict[str, Any]:
     """What is in a capture, JSON-ready. With a robot also its objects, its samples and its drives' state changes.
 
     Raises:
-        TraceError: the file cannot be read or is no capture.
+        TraceError: the file cannot be read, is no capture or holds no frame.
         RobotError: the robot description does not say how to read its bus.
     """
     capture, survey = Capture(path), Survey()
     for frames in capture.blocks():
         survey.add(frames)
+    if capture.frames == 0:
+        raise TraceError("; ".join((f"{path}: no frames", *capture.findings)))
     figures = {"path": str(path), **survey.figures(capture)}
     return figures if robot is None else figures | {"robot": _robot_figures(path, robot)}
 

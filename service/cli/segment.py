@@ -52,7 +52,7 @@ def command(
         check_folder(out.parent)
     description = load_robot(robot)
     plant, _ = make_plant(description, truth or "ideal", 1 / rate, seed)
-    segment = EthercatSegment(joint_pdos(description), scales(description.drive), plant)
+    segment = EthercatSegment(joint_pdos(description), scales(description), plant)
     segment.switches.product = product
     threading.Thread(target=_listen, args=(segment.switches,), daemon=True).start()
     go_realtime("segment")

@@ -61,26 +61,28 @@ def make_layout(robot: Robot) -> np.ndarray:
     Raises:
         RobotError: a drive, its scaling or an object is not declared, or the ENI file is wrong.
     """
-    scaling = scales(robot.drive)
+    scaling = scales(robot)
     network = read_eni(robot.folder / robot.drive.eni) if robot.drive.eni else None
     layout = np.zeros(1, LAYOUT)
     inputs, outputs = (layout[side]["place"][0] for side in ("inputs", "outputs"))
     inputs[:] = outputs[:] = layout["gripper_joint"] = NOT_MAPPED
     gripper = robot.drive.gripper
     for joint, drive in enumerate(robot.drive.joint):
-        mapped_inputs, mapped_outputs = _mapped(drive, joint, network)
+        key = f"{robot.origin}: drive.joint.{joint}"
+        mapped_inputs, mapped_outputs = _mapped(drive, key, network)
         for row, known, mapped in ((inputs[joint], INPUTS, mapped_inputs), (outputs[joint], OUTPUTS, mapped_outputs)):
             for mapped_object in mapped:
                 told = mapped_object.index != cia402.DIGITAL_INPUTS or (gripper and gripper.joint == joint + 1)
                 if mapped_object.index in known and told:
-                    row[known.index(mapped_object.index)] = _byte_address(mapped_object, joint)
+                    row[known.index(mapped_object.index)] = _byte_address(mapped_object, key)
         for index in REQUIRED:
             if inputs[joint, INPUTS.index(index)] == NOT_MAPPED:
-                raise RobotError(f"drive.joint.{joint}.inputs: {index:#06x} is not mapped, a sample needs it")
+                raise RobotError(f"{key}.inputs: {index:#06x} is not mapped, a sample needs it")
     if gripper is not None:
         if inputs[gripper.joint - 1, DIGITAL_INPUTS] == NOT_MAPPED:
             raise RobotError(
-                f"drive.gripper.joint: {gripper.joint}, but drive.joint.{gripper.joint - 1}.inputs maps no 0x60FD"
+                f"{robot.origin}: drive.gripper.joint: {gripper.joint}, but drive.joint.{gripper.joint - 1}.inputs "
+                "maps no 0x60FD"
             )
         layout["gripper_joint"], layout["gripper_bit"] = gripper.joint - 1, gripper.bit
         layout["gripper_closed"] = gripper.closed
@@ -119,18 +121,16 @@ def mapped_objects(layout: np.ndarray) -> list[dict[str, int | str]]:
 
 
 def _mapped(
-    drive: JointDrive, joint: int, network: Network | None
+    drive: JointDrive, key: str, network: Network | None
 ) -> tuple[tuple[MappedObject, ...], tuple[MappedObject, ...]]:
     if drive.inputs_address is not None:
         return (
-            _declared(drive.inputs, drive.inputs_address, f"drive.joint.{joint}.inputs"),
-            _declared(drive.outputs, drive.outputs_address or 0, f"drive.joint.{joint}.outputs"),
+            _declared(drive.inputs, drive.inputs_address, f"{key}.inputs"),
+            _declared(drive.outputs, drive.outputs_address or 0, f"{key}.outputs"),
         )
     if network is None:
-        raise RobotError(
-            f"drive.joint.{joint}.inputs: missing key: say what the drive maps, or name an ENI file in drive.eni"
-        )
-    slave = slave_objects(network, drive.station, f"drive.joint.{joint}.station")
+        raise RobotError(f"{key}.inputs: missing key: say what the drive maps, or name an ENI file in drive.eni")
+    slave = slave_objects(network, drive.station, f"{key}.station")
     return slave.inputs, slave.outputs
 
 
@@ -143,11 +143,11 @@ def _declared(entries: list[str], address: int, key: str) -> tuple[MappedObject,
     return tuple(objects)
 
 
-def _byte_address(mapped: MappedObject, joint: int) -> int:
+def _byte_address(mapped: MappedObject, key: str) -> int:
     size = cia402.OBJECTS[mapped.index].itemsize * 8
     if mapped.address_bits % 8 or mapped.bits != size:
         raise RobotError(
-            f"drive.joint.{joint}: {mapped.index:#06x} is mapped with {mapped.bits} bits at bit "
+            f"{key}: {mapped.index:#06x} is mapped with {mapped.bits} bits at bit "
             f"{mapped.address_bits % 8} of a byte; {size} whole bits are needed"
         )
     return mapped.address_bits // 8

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from drivers.ethercat.cia402 import Control, DriveState, Scale, drive_state, scales
 from schemas.errors import RobotError
-from schemas.robot import Drive
+from schemas.robot import Drive, Robot, load_robot
 
 RATED = {"reference": "rated_torque", "rated_torque_nm": 1.27}
 
@@ -21,8 +21,13 @@ def joint(**changes: Any) -> dict[str, Any]:
     return {"counts_per_turn": 1 << 20, "sign": 1, "zero_counts": 0, "torque": RATED, **changes}
 
 
+def driven(gear_ratio: float, *joints: dict[str, Any]) -> Robot:
+    drive = Drive.model_validate({"gear_ratio": gear_ratio, "joint": joints})
+    return load_robot("d3-1200").model_copy(update={"drive": drive})
+
+
 def one_scale(gear_ratio: float = 10.0, **changes: Any) -> Scale:
-    return scales(Drive.model_validate({"gear_ratio": gear_ratio, "joint": [joint(**changes), joint(), joint()]}))[0]
+    return scales(driven(gear_ratio, joint(**changes), joint(), joint()))[0]
 
 
 @pytest.mark.parametrize(
@@ -62,7 +67,7 @@ def test_a_motor_turn_is_a_turn_over_the_gear_ratio_with_sign_and_zero() -> None
 
 
 def test_the_gear_ratio_of_a_drive_overrides_the_robots() -> None:
-    scale = scales(Drive.model_validate({"gear_ratio": 8.0, "joint": [joint(gear_ratio=5.0), joint(), joint()]}))
+    scale = scales(driven(8.0, joint(gear_ratio=5.0), joint(), joint()))
 
     np.testing.assert_allclose([s.position(1 << 20) for s in scale], [math.tau / 5, math.tau / 8, math.tau / 8])
     np.testing.assert_allclose([s.torque(1000) for s in scale], [1.27 * 5, 1.27 * 8, 1.27 * 8])
@@ -135,5 +140,5 @@ def test_two_drives_are_not_a_delta_robot() -> None:
 
 
 def test_scaling_is_never_guessed() -> None:
-    with pytest.raises(RobotError, match=r"drive\.joint"):
-        scales(Drive(gear_ratio=10))
+    with pytest.raises(RobotError, match=r"^\S+d3-1200\.toml: drive\.joint: missing key: "):
+        scales(driven(10.0))

@@ -35,7 +35,7 @@ class WithTerminals(EthercatSegment):
     """A digital terminal before the drives, and one between the first and the second."""
 
     def __init__(self, robot: Robot) -> None:
-        super().__init__(joint_pdos(robot), scales(robot.drive), Plant(robot, PlantTruth.nominal(robot), period=PERIOD))
+        super().__init__(joint_pdos(robot), scales(robot), Plant(robot, PlantTruth.nominal(robot), period=PERIOD))
         byte = Pdo([":8"], "terminal")
         self.terminals = [
             SimpleNamespace(

@@ -37,7 +37,7 @@ class Bench:
 
     def __init__(self, folder: Path) -> None:
         robot = rig.robot(folder)
-        self.scales = cia402.scales(robot.drive)
+        self.scales = cia402.scales(robot)
         self.pdos = joint_pdos(robot)
         self.plant = Plant(robot, period=PERIOD)
         self.segment = EthercatSegment(self.pdos, self.scales, self.plant)
@@ -140,7 +140,7 @@ def test_every_frame_of_the_rigs_master_counts_as_it_did_on_the_rig(shared: Path
     inputs = ("0x6041", "0x6064", "0x606C", "0x6077", "0x6061")
     robot = rig.robot(tmp_path, outputs=("0x6040", "0x607A", "0x6071", "0x6060"), inputs=inputs)
     plant = Plant(robot, period=250e-6)
-    segment = EthercatSegment(joint_pdos(robot), cia402.scales(robot.drive), plant)
+    segment = EthercatSegment(joint_pdos(robot), cia402.scales(robot), plant)
     (frames,) = Capture(shared / "captures" / "own_three_drives_4khz.pcap").blocks()
     packets = [frames.data[at : at + size].tobytes() for at, size in zip(frames.offset, frames.length, strict=True)]
     compared = 0
@@ -406,7 +406,7 @@ def test_the_tap_reads_the_gripper_off_a_digital_input(bench: Bench, tmp_path: P
 
 
 def test_a_gripper_on_a_drive_that_maps_no_digital_inputs(tmp_path: Path) -> None:
-    says = "^drive.gripper.joint: 1, but drive.joint.0.inputs maps no 0x60FD$"
+    says = r"^\S*robot.toml: drive.gripper.joint: 1, but drive.joint.0.inputs maps no 0x60FD$"
     with pytest.raises(RobotError, match=says):
         make_layout(rig.robot(tmp_path, inputs=rig.INPUTS[:-1]))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ START = 1_700_000_000_000_000_000
 
 def recorded(trace: Trace, path: Path, description: Robot) -> Path:
     """`trace` as the frames of three drives of `description`."""
-    scale = scales(description.drive)
+    scale = scales(description)
     speed = np.gradient(trace.position, trace.time, axis=0)
     assert trace.position_command is not None
     packets = []
@@ -255,6 +256,22 @@ def test_faults_of_the_bus_are_counted_and_flagged(tmp_path: Path) -> None:
     assert np.flatnonzero(trace.flags & SampleFlag.BUS_FAULT).tolist() == [40, 60]
     assert "1 cycles with a working counter too low" in words
     assert "1 cycles with a drive in fault" in words
+
+
+@pytest.mark.parametrize(
+    ("written", "says"),
+    [
+        (b"\xff" * 500, "no frames; damaged at byte 28: behind frame 0 comes no packet"),
+        (b"", "no frames"),
+    ],
+)
+def test_inspect_of_a_capture_without_a_frame_is_an_error(tmp_path: Path, written: bytes, says: str) -> None:
+    header = struct.pack("<IIIHHqI", 0x0A0D0D0A, 28, 0x1A2B3C4D, 1, 0, -1, 28)
+    (tmp_path / "a.pcapng").write_bytes(header + written)
+    result = CliRunner().invoke(app, ["inspect", str(tmp_path / "a.pcapng")])
+
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr == f"deltatwin: {tmp_path / 'a.pcapng'}: {says}\n"
 
 
 def test_a_capture_without_a_robot_is_one_error(tmp_path: Path) -> None:
