@@ -158,6 +158,7 @@ class Master:
         self._soem = pysoem.Master()
         self._states = [DriveState.UNKNOWN] * 3
         self.counts = Counts()
+        self._compile()
 
     def __enter__(self) -> Master:
         check_interface(self._interface)
@@ -181,6 +182,12 @@ class Master:
         self._soem.state = pysoem.INIT_STATE
         self._soem.write_state()
         self._soem.close()
+
+    def _compile(self) -> None:
+        """What a cycle needs: where it takes longer than the drives' watchdogs wait, they trip."""
+        self.scale.position(np.zeros(3, np.int64))
+        if self._gripper is not None:
+            cia402.gripper_state(0, self._gripper.bit, self._gripper.closed)
 
     def _stop(self) -> None:
         """Quick stop, the torque offset fading meanwhile, then power off."""

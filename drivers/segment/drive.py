@@ -39,6 +39,7 @@ class SimulatedDrive:
         self.torque = 0.0
         self._hold(position)
         self._last_control = 0
+        joint_angle(0, scale.zero_counts, scale.radians_per_count)  # compiled before a cycle has to wait for it
 
     @property
     def enabled(self) -> bool:

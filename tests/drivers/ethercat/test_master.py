@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import gc
 import math
 import os
 import re
@@ -19,6 +20,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from drivers.ethercat import cia402
 from drivers.ethercat.cia402 import Scale
 from drivers.ethercat.master import BRING_UP_TIME, FAULTY_TIME, SILENCE, Master, OffsetRamp, follow
 from drivers.ethercat.setpoints import Setpoints, setpoints
@@ -28,6 +30,7 @@ from drivers.segment.wire import INPUT_DELAY_CYCLES
 from drivers.trace import read_trace
 from replay.clock import wait_until
 from schemas.errors import BusError
+from schemas.kernels import kernel
 from schemas.messages import SAMPLE, Gripper, SampleFlag
 from schemas.robot import Robot, load_robot
 from tests.drivers.ethercat import rig
@@ -133,6 +136,30 @@ def test_samples_are_the_plants_own_trace(space: rig.Namespace, robot: Robot, fi
         ):
             difference = values[:, joint] - true[rows - INPUT_DELAY_CYCLES, joint]
             assert np.abs(difference).max() < half * 1.01
+
+
+def test_nothing_is_collected_while_the_drives_wait(space: rig.Namespace) -> None:
+    assert not space.call(gc.isenabled)
+    assert gc.isenabled()
+
+
+def test_nothing_is_compiled_while_the_drives_wait(
+    space: rig.Namespace, segment: rig.SegmentProcess, robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fresh = {name: kernel(getattr(cia402, name).py_func) for name in ("joint_angle", "gripper_state")}
+    for name, compiled in fresh.items():
+        monkeypatch.setattr(cia402, name, compiled)
+
+    def compiled_before_and_after() -> tuple[list, list]:
+        master = Master(rig.NEAR, robot, PERIOD, wait_until)
+        before = [function.signatures for function in fresh.values()]
+        with master:
+            master.operate()
+        return before, [function.signatures for function in fresh.values()]
+
+    before, after = space.call(compiled_before_and_after)
+    assert all(before)
+    assert after == before
 
 
 def test_a_motion_from_a_file_is_what_the_robot_does(space: rig.Namespace, robot: Robot, files: Path) -> None:

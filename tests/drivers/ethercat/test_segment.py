@@ -21,6 +21,7 @@ from drivers.segment.esc import AL_STATUS_CODE, DL_STATUS, STATION_ADDRESS, SYNC
 from drivers.segment.sii import INPUT_ADDRESS, INPUT_CONTROL, OUTPUT_ADDRESS, OUTPUT_CONTROL
 from drivers.segment.wire import INPUT_DELAY_CYCLES, EthercatSegment
 from schemas.errors import RobotError
+from schemas.kernels import kernel
 from schemas.messages import Gripper, SampleFlag, stamp_ns
 from schemas.robot import GripperInput
 from service.model import kinematics
@@ -218,6 +219,16 @@ def test_the_state_machine_of_the_drive(bench: Bench) -> None:
     ]
     for word, state in walk:
         assert bench.control(word) == [state] * 3, f"{word.name} to {state.name}"
+
+
+def test_nothing_is_compiled_while_a_frame_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fresh = kernel(cia402.joint_angle.py_func)
+    monkeypatch.setattr("drivers.segment.drive.joint_angle", fresh)
+    bench = Bench(tmp_path)
+    compiled = fresh.signatures
+    bench.operate()
+    assert compiled
+    assert fresh.signatures == compiled
 
 
 def test_a_tripped_drive_stays_in_fault_until_reset_and_the_others_run_on(bench: Bench) -> None:
