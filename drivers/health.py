@@ -75,10 +75,7 @@ class Health:
         message["flags"] = standing
         for name, count in counts.items():
             message[name] = min(max(count, 0), _MOST)
-        timed = np.sort(self._latencies[: min(self._timed, _WINDOW)]) * 1e-9
-        message["latency_median"], message["latency_p99"], message["latency_max"] = (
-            (timed[len(timed) // 2], timed[len(timed) * 99 // 100], timed[-1]) if len(timed) else (0.0, 0.0, 0.0)
-        )
+        message["latency_median"], message["latency_p99"], message["latency_max"] = self._quantiles()
         self._put(message.tobytes())
         message["sequence"] += 1
         self._timed = 0
@@ -86,6 +83,14 @@ class Health:
         if standing != self._told:
             self._change_ns = now + CHANGE_NS
         self._told, self._raised = standing, 0
+
+    def _quantiles(self) -> np.ndarray:
+        """(3,) s: median, p99 and longest latency; a tenth of the time that sorting them would hold the role up."""
+        timed = min(self._timed, _WINDOW)
+        if not timed:
+            return np.zeros(3)
+        places = [timed // 2, timed * 99 // 100, timed - 1]
+        return np.partition(self._latencies[:timed], places)[places] * 1e-9
 
     def stop(self, reason: StopReason, **counts: int) -> None:
         """Publish the last message of this role: STOPPED, and why."""
