@@ -47,6 +47,8 @@ def command(
     from service.rollout.gap import PLAIN, check_sign, cut_up, rollout
 
     robots = _robots(robot, effects)
+    if out is not None:
+        make_folder(out)
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
     last = list(robots)[-1]
     with console(stderr=True).status("simulating") as status:
@@ -63,7 +65,6 @@ def command(
             found = rollout(robots, cuts, told, commands)
     result = document(found, robots, [trace.name for trace in recorded])
     if out is not None:
-        make_folder(out)
         write_text(out / "rollout.json", result.model_dump_json(indent=1, by_alias=True))
         write_rollout(result, out / "rollout.html")
     if json:

@@ -29,6 +29,10 @@ WRITING = {  # command line, and the file or folder of {disk} that it writes; {i
     "identify": (f"identify {LOG} --robot {ROBOT} --out {{disk}}/old.toml", "old.toml"),
     "simulate": ("simulate --robot d3-1200 --duration 0.5 --motion slow --out {disk}/old.csv", "old.csv"),
     "evaluate": ("evaluate {in}/log.csv --robot {in}/robot.toml --predictions {disk}", "log.csv"),
+    "import": ("import {in}/log.csv --robot {in}/robot.toml --yes --overwrite --out {disk}/old.mcap", "old.mcap"),
+    "export": ("export {in}/robot.toml --to urdf --out {disk}/old.urdf", "old.urdf"),
+    "layout": ("view --robot {in}/robot.toml --layout {disk}/old.json", "old.json"),
+    "keys": ("keys --hosts a --robot {in}/robot.toml --out {disk}/keys", None),
 }
 LONG = {  # refuse before they compute
     "simulate-picks": "simulate --robot d3-1200 --out {in}/other.csv --picks {disk}/picks.csv",
@@ -39,6 +43,11 @@ LONG = {  # refuse before they compute
     "blindtest": "blindtest --cases 1 --out {disk}",
     "monitor": "monitor --robot {in}/robot.toml --out {disk}/new.mcap",
     "monitor-nowhere": "monitor --robot {in}/robot.toml --out {disk}/nowhere/new.mcap",
+    "watch": f"watch --robot {ROBOT} --out {{disk}}/findings",
+    "estimate": f"estimate --robot {ROBOT} --keep {{disk}}/friction.json",
+    "plan-motion": f"plan-motion --for identify --robot {ROBOT} --out {{disk}}/motion.csv",
+    "rollout": "rollout {in}/nowhere.csv --robot {in}/robot.toml --out {disk}",
+    "fleet": "fleet {in}/log.csv --robot {in}/robot.toml --out {disk}/fleet",
     "segment": "segment lo --robot {in}/robot.toml --out {disk}/new.mcap",
 }
 
