@@ -74,8 +74,8 @@ def usage(process: int) -> Usage:
     )
 
 
-def lay_out(folder: Path, rate: float) -> None:
-    """The demo robot under a name of its own, and its log at `rate`, as it is and with cogging."""
+def lay_out(folder: Path, rate: float, watch: bool) -> None:
+    """The demo robot under a name of its own, and its log at `rate`; with cogging too where there is a `watch`."""
     robot = load_robot(ROBOT).model_copy(update={"name": "soak"})
     save_robot(robot, folder / "robot.toml")
     log = read_trace(LOG, robot)
@@ -87,6 +87,8 @@ def lay_out(folder: Path, rate: float) -> None:
     )
     trace = Trace(Path("soak"), instants, position, torque, position_command=command)
     write_trace(trace, folder / "log.mcap", robot.name)
+    if not watch:
+        return
     picks = np.loadtxt(PAYLOADS, delimiter=",", skiprows=1)  # `watch` leaves out what is carried, and cogging weighs
     carries = ((picks[:, :1] <= instants) & (instants < picks[:, 1:2])).any(axis=0)
     cogging = COGGING_NM * np.sin(COGGING_PER_RAD * position) * [0, 1, 0]
@@ -246,7 +248,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="dt-") as name:
         os.environ["XDG_RUNTIME_DIR"] = name
         folder = Path(name)
-        lay_out(folder, given.rate)
+        lay_out(folder, given.rate, given.watch)
         with open_bus("soak", Role.OBSERVER if given.watch else Role.WATCH) as bus:  # a view is the observer
             soak = Soak(folder, bus, processors)
             try:
