@@ -42,10 +42,15 @@ class FeedforwardIntake:
     """
 
     def __init__(self, inbox: Inbox, limit: float):
-        self.received = self.refused = 0
+        self.received = self._refused = 0
         self._inbox, self._limit = inbox, limit
         self._waiting: dict[int, np.ndarray] = {}
         self._last: tuple[int, np.ndarray] | None = None
+
+    @property
+    def refused(self) -> int:
+        """Of those received, and what was no feed-forward at all."""
+        return self._refused + self._inbox.rejected
 
     def at(self, cycle: int) -> np.ndarray | None:
         """Torque (3,) N m for `cycle`; None: none that is fresh enough."""
@@ -57,7 +62,7 @@ class FeedforwardIntake:
             if np.isfinite(torque).all() and cycle - STALE_CYCLES <= target <= cycle + 1000:
                 self._waiting[target] = np.clip(torque, -self._limit, self._limit)
             else:
-                self.refused += 1
+                self._refused += 1
         due = [target for target in self._waiting if target <= cycle]
         if due:
             newest = max(due)

@@ -135,7 +135,7 @@ def test_lost_estimator_leaves_the_robot_safe_on_feedback(
 class TestIntake:
     """Which feed-forward torque is in force."""
 
-    def intake(self) -> tuple[FeedforwardIntake, Callable[[int, float], None]]:
+    def intake(self) -> tuple[FeedforwardIntake, Callable[..., None]]:
         """An intake behind an inbox without a session, and what puts a message into that."""
         waiting: list[bytes] = []
         channel = SimpleNamespace(
@@ -145,10 +145,10 @@ class TestIntake:
             ),
         )
 
-        def give(target: int, torque: float) -> None:
+        def give(target: int, torque: float, cut: int = 0) -> None:
             record = FEEDFORWARD.empty(1)
             record["target_sequence"], record["torque"] = target, torque
-            waiting.append(record.tobytes())
+            waiting.append(record.tobytes()[cut:])
 
         inbox = Inbox(FEEDFORWARD, channel, lambda: None)  # pyright: ignore[reportArgumentType]: what it needs of one
         return FeedforwardIntake(inbox, 50.0), give
@@ -167,7 +167,8 @@ class TestIntake:
         give(11, float("nan"))
         give(3, 5.0)
         give(10_000, 5.0)
+        give(9, 5.0, cut=1)
         assert intake.at(9) is None
         torques = [intake.at(cycle) for cycle in (10, 11, 12)]
         assert [None if torque is None else float(torque[0]) for torque in torques] == [50.0, 50.0, 9.0]
-        assert (intake.received, intake.refused) == (5, 3)
+        assert (intake.received, intake.refused) == (5, 4)
