@@ -4,8 +4,8 @@
 
 Rounds of 20 000, each followed by good samples that have to be answered within 50 ms. At the end every role has to have
 counted nearly all that it was sent, as its `health` tells; the watch, which runs on what the others leave, most of it.
-14 000 messages a second on two busy cores: 10 million take twelve minutes and about 2 GB of disk. Exit code 1 if anything
-was wrong.
+14 000 messages a second on two busy cores: 10 million take twelve minutes and about 2 GB of disk. Exit code 1 where
+anything was wrong.
 """
 
 from __future__ import annotations
