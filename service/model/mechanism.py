@@ -30,7 +30,7 @@ class Rigid(NamedTuple):
 
     def torque(self, coefficients: np.ndarray) -> np.ndarray:
         """(N, n) N m."""
-        return self.known + self.columns @ coefficients
+        return self.known + np.tensordot(self.columns, coefficients, 1)  # `@` would be a product a sample
 
 
 class Coefficient(NamedTuple):

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from schemas.kernels import kernel
 from service.model.friction import mean_direction
 from service.model.mechanism import Arms, Delta, Mechanism, Rigid
 from service.model.nominal import Correction
@@ -63,7 +64,7 @@ class Recording:
 
     @cached_property
     def by_angle(self) -> np.ndarray:
-        """(N, n, k + 1, joint): slope of each column and, last, of the known torque with the joint's angle."""
+        """(N, n, joint, k + 1): slope of each column and, last, of the known torque with the joint's angle."""
         motion = self.segment
         return self._slope(ANGLE_STEP, lambda step: (motion.theta + step, motion.theta_dot, motion.theta_ddot))
 
@@ -106,7 +107,7 @@ class Recording:
             step[joint] = size
             above, below = self.mechanism.rigid(*moved(step)), self.mechanism.rigid(*moved(-step))
             slopes.append((_stacked(above) - _stacked(below)) / (2 * size))
-        return np.stack(slopes, axis=-1)
+        return np.stack(slopes, axis=2)
 
 
 def _stacked(rigid: Rigid) -> np.ndarray:
@@ -202,7 +203,7 @@ class Scene:
         return self._at(self.recording.by_angle)
 
     def _at(self, slopes: np.ndarray) -> np.ndarray:
-        return np.einsum("nikj,k->nij", slopes, np.append(self.base.rigid, 1.0))
+        return np.tensordot(slopes, np.append(self.base.rigid, 1.0), 1)
 
     def at_platform(self, force: np.ndarray) -> np.ndarray:
         """Joint torque (N, 3) that holds a force (N, 3) or (3,) N acting from the platform on its surroundings."""
@@ -213,15 +214,25 @@ class Scene:
         """(N, 3) twice: first and second slope of the rigid torque by a part of `Correction` at an arm, m or rad."""
         weights = np.append(self.base.rigid, 1.0)
         first, second = self.recording.by_geometry(part, arm)
-        return first @ weights, second @ weights
+        return np.tensordot(first, weights, 1), np.tensordot(second, weights, 1)
 
     def perturbed(self, joint: int, angle: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        """(N, n) N m: first-order change of the base torque when `joint` moves differently.
+        """(N, n, L) N m: first-order changes of the base torque when `joint` moves differently.
 
-        angle, speed, acceleration: (N,) rad, rad/s, rad/s^2 more than recorded.
+        angle, speed, acceleration: (N, L) rad, rad/s, rad/s^2 more than recorded.
         """
-        return (
-            self.stiffness[:, :, joint] * angle[:, None]
-            + self.damping[:, :, joint] * speed[:, None]
-            + self.inertia[:, :, joint] * acceleration[:, None]
-        )
+        slopes = np.stack([part[:, :, joint] for part in (self.stiffness, self.damping, self.inertia)], axis=-1)
+        torque = np.empty((*slopes.shape[:2], angle.shape[1]))
+        _perturbed(slopes, angle, speed, acceleration, torque)
+        return torque
+
+
+@kernel(nogil=True)
+def _perturbed(slopes, angle, speed, acceleration, torque):
+    """One pass over (N, n, L): as products of whole arrays it takes several times as long."""
+    count, joints, width = torque.shape
+    for k in range(count):
+        for j in range(joints):
+            by_angle, by_speed, by_acceleration = slopes[k, j, 0], slopes[k, j, 1], slopes[k, j, 2]
+            for i in range(width):
+                torque[k, j, i] = by_angle * angle[k, i] + by_speed * speed[k, i] + by_acceleration * acceleration[k, i]

@@ -187,7 +187,7 @@ def lowpass(values: np.ndarray, period: float, cutoff_hz: float = ANALYSIS_HZ) -
     """
     sections, settled = _sections(2.0 * cutoff_hz * period)
     flat = values.reshape(len(values), -1)
-    longer = np.pad(flat.astype(float), ((PADDING, PADDING), (0, 0)), mode="reflect", reflect_type="odd")
+    longer = np.pad(np.asarray(flat, float), ((PADDING, PADDING), (0, 0)), mode="reflect", reflect_type="odd")
     _there_and_back(sections, settled, longer)
     return longer[PADDING:-PADDING].reshape(values.shape)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,9 +21,14 @@ def unreported(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
 
 def added(scene: Scene, term: Term) -> np.ndarray:
     """Torque (N, n) N m that an effect adds at the joints."""
-    torque = np.zeros((len(scene.time), scene.joints))
+    return _added(scene, term, [term.nonlinear])[..., 0]
+
+
+def _added(scene: Scene, term: Term, points: Sequence[tuple[float, ...]]) -> np.ndarray:
+    """The same (N, n, P) at P nonlinear parameters."""
+    torque = np.zeros((len(scene.time), scene.joints, len(points)))
     for place, amplitude in zip(term.places, term.amplitude, strict=True):
-        torque += term.effect.torque(scene, place, amplitude, term.nonlinear)
+        torque += term.effect.torques(scene, place, amplitude, points)
     return torque
 
 
@@ -44,8 +50,12 @@ def predict(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
 def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarray, np.ndarray]:
     """Prediction (M, n) and its derivative (M, n, F) by every free parameter of `Parameters`, in the band."""
     n = scene.joints
-    own = [np.zeros(()) if term.effect.measured else added(scene, term) for term in hypothesis.terms]
-    torque = scene.total + sum(own)
+    moved = [_moved(term) for term in hypothesis.terms]
+    own = [
+        np.zeros(1) if term.effect.measured else _added(scene, term, [term.nonlinear, *(point for point, _ in points)])
+        for term, points in zip(hypothesis.terms, moved, strict=True)
+    ]
+    torque = scene.total + sum(torques[..., 0] for torques in own)
     base, rows = hypothesis.base, scene.mechanism.rows
     columns = scene.recording.rigid.columns
     at_joint: list[np.ndarray] = [columns if base.wanted is None else columns[..., base.wanted]]
@@ -57,7 +67,7 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
         at_joint.append(-np.gradient(torque, scene.period, axis=0)[..., None])
     raw: dict[int, np.ndarray] = {}
     count = sum(part.shape[-1] for part in at_joint)
-    for number, term in enumerate(hypothesis.terms):
+    for term, torques, points in zip(hypothesis.terms, own, moved, strict=True):
         if term.effect.amplitudes:
             for place, amplitude in zip(term.places, term.amplitude, strict=True):
                 if term.effect.measured:
@@ -68,14 +78,15 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
                     columns = term.effect.slopes(scene, place, amplitude, term.nonlinear)
                 at_joint.append(columns)
                 count += columns.shape[-1]
-        for index in np.flatnonzero([not searched.fixed for searched in term.effect.nonlinear.values()]):
-            moved, size = _moved(hypothesis, term, int(index))
+        for number, (point, size) in enumerate(points, start=1):
             if term.effect.measured:
-                change = reported(scene, moved, torque) - reported(scene, hypothesis, torque)
-                raw[count] = change / size
+                other = replace(term, nonlinear=point)
+                terms = tuple(other if t is term else t for t in hypothesis.terms)
+                change = reported(scene, replace(hypothesis, terms=terms), torque)
+                raw[count] = (change - reported(scene, hypothesis, torque)) / size
                 at_joint.append(np.zeros((len(torque), n, 1)))
             else:
-                at_joint.append(((added(scene, moved.terms[number]) - own[number]) / size)[..., None])
+                at_joint.append(((torques[..., number] - torques[..., 0]) / size)[..., None])
             count += 1
     columns = reported(scene, hypothesis, np.concatenate([torque[..., None], *at_joint], axis=-1))
     columns[..., 0] = delayed(columns[..., 0], hypothesis.base.timing, scene.period)  # slopes can do without
@@ -85,12 +96,15 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
     return columns[..., 0], columns[..., 1:]
 
 
-def _moved(hypothesis: Hypothesis, term: Term, index: int) -> tuple[Hypothesis, float]:
-    limits = list(term.effect.nonlinear.values())[index]
-    nonlinear = np.array(term.nonlinear)
-    size = min(1e-2 * max(abs(nonlinear[index]), 1e-3 * (limits.high - limits.low)), limits.most_step)
-    if nonlinear[index] + size > limits.high:
-        size = -size
-    nonlinear[index] += size
-    moved = replace(term, nonlinear=tuple(float(value) for value in nonlinear))
-    return replace(hypothesis, terms=tuple(moved if t is term else t for t in hypothesis.terms)), float(size)
+def _moved(term: Term) -> list[tuple[tuple[float, ...], float]]:
+    """Nonlinear parameters with one of those that are searched a little larger, or smaller at its upper limit; by how
+    much."""
+    result = []
+    for index, limits in enumerate(term.effect.nonlinear.values()):
+        value = term.nonlinear[index]
+        size = min(1e-2 * max(abs(value), 1e-3 * (limits.high - limits.low)), limits.most_step)
+        if value + size > limits.high:
+            size = -size
+        if not limits.fixed:
+            result.append((tuple(v + size if i == index else v for i, v in enumerate(term.nonlinear)), size))
+    return result

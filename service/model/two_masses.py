@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +16,8 @@ SLIGHT = 0.01  # rad of relative motion up to which its square is below a thousa
 
 
 class Link(NamedTuple):
-    """What the link takes, (N,) each. demand: N m without its own acceleration. inertia, drag, spring: N m per rad/s^2,
-    rad/s, rad of its motion relative to the motor."""
+    """What the link takes, (N,) each. demand: N m without its own acceleration. inertia, the motor's with it, drag,
+    spring: N m per rad/s^2, rad/s, rad of its motion relative to the motor."""
 
     demand: np.ndarray
     inertia: np.ndarray
@@ -24,108 +25,111 @@ class Link(NamedTuple):
     spring: np.ndarray
 
 
-class Gear(NamedTuple):
-    """Between motor and link. half: rad, lost motion to each side. stiffness, damping: of closed flanks, N m/rad,
-    N m s/rad."""
+class Gears(NamedTuple):
+    """Between motor and link, L of them. half: rad, lost motion to each side. stiffness, damping: of closed flanks,
+    N m/rad, N m s/rad. motor: kg m^2 that turn with the motor."""
 
-    half: float
-    stiffness: float
-    damping: float
+    half: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    motor: np.ndarray
 
 
-@kernel(nogil=True)
-def _two_masses(acceleration, link, gear, step, substeps, angle, speed, change):
-    """Link minus motor angle along a recorded motor motion, semi-implicit Euler.
+@kernel
+def _of_link(inertia, motor):
+    """Inertia behind the gear; where most of it turns with the motor, something is left."""
+    return max(inertia - motor, 0.02 * inertia)
 
-    acceleration: (N,) rad/s^2, of the motor. step: s between samples. Filled: angle, speed, change (N,): rad, rad/s,
+
+@kernel(nogil=True, error_model="numpy")  # as a division that may raise is none that runs for all gears at once
+def _two_masses(acceleration, link, gears, step, substeps, angle, speed, change):
+    """Link minus motor angle along a recorded motor motion, semi-implicit Euler, for L gears at once.
+
+    acceleration: (N,) rad/s^2, of the motor. step: s between samples. Filled: angle, speed, change (N, L): rad, rad/s,
     rad/s^2 of the link relative to the motor, the last as a mean over the step; all zero where the simulation comes
     apart.
     """
-    demand, inertia, drag, spring = link
-    half, stiffness, damping = gear
-    need = inertia[0] * acceleration[0] + demand[0]
-    e = -need / stiffness - (half if need > 0.0 else -half)
-    v = 0.0
+    demand, whole, drag, spring = link
+    half, stiffness, damping, motor = gears
+    count, width = angle.shape
+    e, v, mean, inertia = np.empty(width), np.zeros(width), np.empty(width), np.empty(width)
+    lost = np.zeros(width, np.bool_)
+    for i in range(width):
+        need = _of_link(whole[0], motor[i]) * acceleration[0] + demand[0]
+        e[i] = -need / stiffness[i] - (half[i] if need > 0.0 else -half[i])
     fine = step / substeps
-    count = len(acceleration)
     for k in range(count):
         following = min(k + 1, count - 1)
-        angle[k], speed[k] = e, v
-        mean = 0.0
+        spring_now, drag_now = spring[k], drag[k]
+        for i in range(width):
+            angle[k, i], speed[k, i], mean[i] = e[i], v[i], 0.0
+            inertia[i] = _of_link(whole[k], motor[i])
         for s in range(substeps):
             share = s / substeps
             a = acceleration[k] * (1.0 - share) + acceleration[following] * share
             h = demand[k] * (1.0 - share) + demand[following] * share
-            contact = 0.0
-            if -e > half:
-                contact = max(0.0, stiffness * (-e - half) - damping * v)
-            elif -e < -half:
-                contact = min(0.0, stiffness * (-e + half) - damping * v)
-            if half == 0.0:
-                contact = -stiffness * e - damping * v
-            relative = (contact - h - spring[k] * e - drag[k] * v) / inertia[k] - a
-            mean += relative / substeps
-            v += relative * fine
-            e += v * fine
-        change[k] = mean
-        if not abs(e) < LOST:
-            angle[:], speed[:], change[:] = 0.0, 0.0, 0.0
-            return
+            for i in range(width):
+                one = stiffness[i] * (-e[i] - half[i]) - damping[i] * v[i]  # of each flank, were it closed
+                other = stiffness[i] * (-e[i] + half[i]) - damping[i] * v[i]
+                contact = one if (half[i] == 0.0) | ((-e[i] > half[i]) & (one > 0.0)) else 0.0
+                contact = other if (half[i] != 0.0) & (-e[i] < -half[i]) & (other < 0.0) else contact
+                relative = (contact - h - spring_now * e[i] - drag_now * v[i]) / inertia[i] - a
+                mean[i] += relative / substeps
+                v[i] += relative * fine
+                e[i] += v[i] * fine
+        for i in range(width):
+            change[k, i] = mean[i]
+            lost[i] |= not abs(e[i]) < LOST
+    for i in range(width):
+        if lost[i]:
+            for k in range(count):
+                angle[k, i], speed[k, i], change[k, i] = 0.0, 0.0, 0.0
 
 
 class Relative(NamedTuple):
-    """The link relative to a recorded motor. angle, speed, change: (N,) rad, rad/s, rad/s^2, zero where it came apart.
-    motor: kg m^2 that turn with the motor."""
+    """The link relative to a recorded motor, behind L gears. angle, speed, change: (N, L) rad, rad/s, rad/s^2, zero
+    where it came apart."""
 
     angle: np.ndarray
     speed: np.ndarray
     change: np.ndarray
-    motor: float
-    gear: Gear
+    gears: Gears
 
 
-def relative_motion(
-    scene: Scene, joint: int, half: float, natural_hz: float, damping_ratio: float, motor_share: float
-) -> Relative:
-    """Link behind the recorded motor of `joint`; arguments as of `two_masses`."""
-    whole = scene.inertia[:, joint, joint]
+def relative_motion(scene: Scene, joint: int, figures: Sequence[tuple[float, float, float, float]]) -> Relative:
+    """Link behind the recorded motor of `joint`, for L `figures` as of `two_masses`."""
+    half, natural_hz, damping_ratio, motor_share = np.array(figures, float).T.copy()
+    whole = np.ascontiguousarray(scene.inertia[:, joint, joint])
     motor = motor_share * float(np.mean(whole))
-    inertia = np.maximum(whole - motor, 0.02 * whole)
-    mean = float(np.mean(inertia))
-    if mean <= 0.0:  # a base model that found no inertia has no link that could swing
-        still = np.zeros(len(whole))
-        return Relative(still, still, still, motor, Gear(half, 0.0, 0.0))
+    mean = np.array([float(np.mean(np.maximum(whole - one, 0.02 * whole))) for one in motor])
+    mean = np.maximum(mean, 0.0)  # a base model that found no inertia has no link that could swing
     stiffness = mean * (2 * np.pi * natural_hz) ** 2
-    gear = Gear(half, stiffness, float(2 * damping_ratio * np.sqrt(stiffness * mean)))
+    gears = Gears(half, stiffness, 2 * damping_ratio * np.sqrt(stiffness * mean), motor)
     acceleration = np.ascontiguousarray(scene.segment.theta_ddot[:, joint])
     demand = scene.load[:, joint] - whole * acceleration
-    angle, speed, change = np.empty_like(demand), np.empty_like(demand), np.empty_like(demand)
+    angle, speed, change = np.empty((3, len(demand), len(half)))
     substeps = max(1, round(SUBSTEPS_PER_SECOND * scene.period))
     drag = scene.damping[:, joint, joint] - scene.base.viscous[joint]  # the gear's own friction stays with the motor
-    link = Link(demand, inertia, drag, np.ascontiguousarray(scene.stiffness[:, joint, joint]))
-    _two_masses(acceleration, link, gear, scene.period, substeps, angle, speed, change)
-    return Relative(angle, speed, change, motor, gear)
+    link = Link(demand, whole, drag, np.ascontiguousarray(scene.stiffness[:, joint, joint]))
+    _two_masses(acceleration, link, gears, scene.period, substeps, angle, speed, change)
+    return Relative(angle, speed, change, gears)
 
 
-def two_masses(
-    scene: Scene, joint: int, half: float, natural_hz: float, damping_ratio: float, motor_share: float
-) -> np.ndarray:
-    """Torque (N, n) N m that a two-mass joint adds to the rigid one.
+def two_masses(scene: Scene, joint: int, figures: Sequence[tuple[float, float, float, float]]) -> np.ndarray:
+    """Torque (N, n, L) N m that a two-mass joint adds to the rigid one, for each of L `figures`.
 
-    motor_share: of the joint's mean inertia that sits on the motor. natural_hz: of the link against a held motor.
-    The link's torque is taken to first order in its relative motion where that stays below `SLIGHT`.
+    figures: half the lost motion, rad; natural frequency, Hz, of the link against a held motor; its damping ratio;
+    share of the joint's mean inertia that sits on the motor. The link's torque is taken to first order in its relative
+    motion where that stays below `SLIGHT`. Three take little longer than one.
     """
     motion = scene.segment
-    angle, speed, change, motor, *_ = relative_motion(scene, joint, half, natural_hz, damping_ratio, motor_share)
-    if not angle.any():
-        return np.zeros(scene.load.shape)
-    if np.max(np.abs(angle)) < SLIGHT:
-        torque = scene.perturbed(joint, angle, speed, change)
-        torque[:, joint] -= scene.base.viscous[joint] * speed + motor * change
-        return torque
-    moved = [signal.copy() for signal in (motion.theta, motion.theta_dot, motion.theta_ddot)]
-    for signal, relative in zip(moved, (angle, speed, change), strict=True):
-        signal[:, joint] += relative
-    torque = scene.mechanism.rigid(*moved).torque(scene.base.rigid) - scene.load
-    torque[:, joint] -= motor * change
+    angle, speed, change, gears = relative_motion(scene, joint, figures)
+    torque = scene.perturbed(joint, angle, speed, change)
+    torque[:, joint] -= scene.base.viscous[joint] * speed + gears.motor * change
+    for i in np.flatnonzero(np.abs(angle).max(axis=0) >= SLIGHT):
+        moved = [signal.copy() for signal in (motion.theta, motion.theta_dot, motion.theta_ddot)]
+        for signal, relative in zip(moved, (angle, speed, change), strict=True):
+            signal[:, joint] += relative[:, i]
+        torque[..., i] = scene.mechanism.rigid(*moved).torque(scene.base.rigid) - scene.load
+        torque[:, joint, i] -= gears.motor[i] * change[:, i]
     return torque

@@ -77,11 +77,10 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     start = np.stack([segment.theta, segment.theta_dot, segment.theta, segment.theta_dot, np.zeros_like(torque)], 1)
     motor, stiffness, damping, half = np.zeros((4, 3))
     for joint, figures in inside.two_masses.items():
-        link = relative_motion(scene, joint, *figures)
-        motor[joint] = link.motor
-        half[joint], stiffness[joint], damping[joint] = link.gear
-        start[:, 0, joint] += link.angle
-        start[:, 1, joint] += link.speed
+        link = relative_motion(scene, joint, [figures])
+        half[joint], stiffness[joint], damping[joint], motor[joint] = (figure[0] for figure in link.gears)
+        start[:, 0, joint] += link.angle[:, 0]
+        start[:, 1, joint] += link.speed[:, 0]
     for joint in np.flatnonzero(inside.bristle):
         start[:, 4, joint] = deflection(segment.theta[:, joint], inside.distance[joint])
     forward, model = np.zeros(1, FORWARD), pack(changed)

@@ -7,7 +7,7 @@ small linear solve. The best few are fitted exactly, nonlinear parameters includ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import chain, groupby, pairwise
@@ -160,7 +160,10 @@ class Regressors:
         problem, joints = self.problem, range(scene.joints)
         parts: list[list[np.ndarray]] = [[] for _ in joints]
         for effect, keys in groupby(self.index, key=itemgetter(0)):
-            places = [(joint, _regressors(scene, hypothesis, effect, joint, point)) for _, joint, point in keys]
+            places = [
+                (joint, _columns(scene, hypothesis, effect, joint, [point for *_, point in points]))
+                for joint, points in groupby(keys, key=itemgetter(1))
+            ]
             band = problem.band(np.concatenate([values for _, values in places], axis=-1))
             owner = np.concatenate([np.full(values.shape[-1], joint) for joint, values in places])
             for joint in joints:
@@ -175,11 +178,11 @@ class Regressors:
                 yield Piece(int(one), joint, number, rows, columns if mine.all() else columns[mine])
 
 
-def _regressors(
-    scene: Scene, hypothesis: Hypothesis, effect: Effect, joint: int, nonlinear: tuple[float, ...]
+def _columns(
+    scene: Scene, hypothesis: Hypothesis, effect: Effect, joint: int, grid: Sequence[tuple[float, ...]]
 ) -> np.ndarray:
-    """As reported: (N, k) on its own joint, (N, n, k) of an effect that reaches others."""
-    values = effect.regressors(scene, joint, nonlinear)
+    """As reported: (N, K) on its own joint, (N, n, K) of an effect that reaches others."""
+    values = effect.columns(scene, joint, grid)
     if not effect.own_joint:
         return reported(scene, hypothesis, values)
     if not any(term.effect.measured for term in hypothesis.terms):
@@ -393,7 +396,7 @@ def additions(
     for loss, candidate in dictionary.ranking(best.hypothesis.terms, mechanism.joints, allows)[:SHORTLIST]:
         if dictionary.nothing - loss > 0.3 * LEAST_GAIN * problem.count:
             progress(f"fitting {candidate.effect.name.replace('_', ' ')}")
-            exact.append(score(fit_added(problem, best.hypothesis, candidate.term()), regressors.split))
+            exact.append(score(fit_added(problem, best.fitted, candidate.term()), regressors.split))
     if not exact:
         return [], None
     ordered = simplest_first(exact, best)
@@ -459,14 +462,15 @@ def with_term(hypothesis: Hypothesis, term: Term) -> Hypothesis:
     return added if added.fits_timing else replace(added, base=replace(added.base, timing=0.0))
 
 
-def fit_added(problem: Problem, hypothesis: Hypothesis, term: Term) -> Fit:
-    """Fit with one more effect, from the best of the starts it asks for."""
-    starts = [with_term(hypothesis, replace(term, nonlinear=start)) for start in term.effect.starts(term.nonlinear)]
+def fit_added(problem: Problem, without: Fit, term: Term) -> Fit:
+    """Fit with one more effect, from the best of the starts it asks for. without: the fit that it is added to."""
+    starts = [
+        with_term(without.hypothesis, replace(term, nonlinear=start)) for start in term.effect.starts(term.nonlinear)
+    ]
     if not term.effect.rough:
         return fit(problem, starts[0])
     best = min((fit(problem, start, iterations=1) for start in starts), key=lambda fitted: fitted.cost)
-    plain = fit(problem, hypothesis, iterations=0).cost
-    if best.cost > ROUGH_PROMISE * plain:
+    if best.cost > ROUGH_PROMISE * without.cost:
         return best
     best = fit(problem, best.hypothesis)
     for index, searched in enumerate(term.effect.nonlinear.values()):

@@ -12,17 +12,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from service.model.effects.base import Effect, Inside, Nonlinear
-from service.model.scene import Scene
-from service.model.two_masses import two_masses
+from service.model.effects.base import Nonlinear
+from service.model.effects.transmission import Transmission
 
 HALVES = (0.0003, 0.00045, 0.0007, 0.001, 0.0015, 0.0023, 0.0035, 0.005)
 
 
 @dataclass(frozen=True)
-class Backlash(Effect):
+class Backlash(Transmission):
     half: Nonlinear = Nonlinear("rad", "half the lost motion, joint side", HALVES, 1e-4, 0.02)
     contact_hz: Nonlinear = Nonlinear(
         "Hz", "natural frequency of the link on the closed flank", (120.0,), 20.0, 400.0, fixed=True
@@ -38,18 +35,14 @@ class Backlash(Effect):
         "on, readjust or replace. Until then keep braking torque from changing sign where accuracy counts."
     )
     directional = True
-    own_joint = False
-    rough = True
     settles = "moves whose braking torque exceeds gravity, so that the transmitted torque changes sign"
 
-    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
-        """(N, n, 1)."""
-        return two_masses(scene, joint, *nonlinear)[..., None]
+    @staticmethod
+    def figures(nonlinear: tuple[float, ...]) -> tuple[float, float, float, float]:
+        """A gap and its two flanks."""
+        half, contact_hz, contact_damping, motor_share = nonlinear
+        return half, contact_hz, contact_damping, motor_share
 
     def starts(self, nonlinear: tuple[float, ...]) -> list[tuple[float, ...]]:
         """Impacts move in time with the gap: neighbours on the grid's scale."""
         return [(factor * nonlinear[0], *nonlinear[1:]) for factor in (0.87, 1.0, 1.15)]
-
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
-        """A gap and its two flanks."""
-        inside.two_masses[joint] = nonlinear

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple
 
@@ -59,7 +59,7 @@ class Inside:
 
     bristle: np.ndarray = field(default_factory=lambda: np.zeros(3))
     distance: np.ndarray = field(default_factory=lambda: np.ones(3))
-    two_masses: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    two_masses: dict[int, tuple[float, float, float, float]] = field(default_factory=dict)
     ball_joints: np.ndarray = field(default_factory=lambda: np.zeros(4))
     wobble: list[tuple[int, float, float, float]] = field(default_factory=list)
     rotor: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -154,6 +154,10 @@ class Effect(ABC):
         an effect has no amplitude: its whole torque, k = 1.
         """
 
+    def columns(self, scene: Scene, joint: int, points: Sequence[tuple[float, ...]]) -> np.ndarray:
+        """`regressors` at P nonlinear parameters side by side, (N, P k) or (N, n, P k)."""
+        return np.concatenate([self.regressors(scene, joint, point) for point in points], axis=-1)
+
     def is_weight(self, gear_ratio: float, travel: float, nonlinear: tuple[float, ...]) -> bool:
         """Whether it is what a weight that turns with the joint asks for, or another load that goes by its angle, and
         so the base model's. travel: rad from the joint's lowest to its highest angle."""
@@ -186,6 +190,12 @@ class Effect(ABC):
         columns = self.regressors(scene, joint, nonlinear)
         torque = columns @ amplitude if self.amplitudes else columns[..., 0]
         return on_joint(torque, joint, scene.joints) if self.own_joint else torque
+
+    def torques(
+        self, scene: Scene, joint: int, amplitude: np.ndarray, points: Sequence[tuple[float, ...]]
+    ) -> np.ndarray:
+        """`torque` at P nonlinear parameters, (N, n, P)."""
+        return np.stack([self.torque(scene, joint, amplitude, point) for point in points], axis=-1)
 
     def slopes(self, scene: Scene, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> np.ndarray:
         """Slope (N, n, k) of `torque` by each amplitude; only of effects that reach several joints."""

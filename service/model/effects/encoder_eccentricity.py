@@ -34,16 +34,12 @@ class EncoderEccentricity(Effect):
         """(N, n, 2)."""
         motion = scene.segment
         ratio = nonlinear[0] * scene.mechanism.gear_ratio[joint]
-        angle = ratio * motion.theta[:, joint]
-        speed, acceleration = ratio * motion.theta_dot[:, joint], ratio * motion.theta_ddot[:, joint]
-        cosine, sine = np.cos(angle), np.sin(angle)
-        return np.stack(
-            [
-                scene.perturbed(joint, cosine, -sine * speed, -cosine * speed**2 - sine * acceleration),
-                scene.perturbed(joint, sine, cosine * speed, -sine * speed**2 + cosine * acceleration),
-            ],
-            axis=-1,
+        angle, speed, acceleration = (
+            ratio * signal[:, joint, None] for signal in (motion.theta, motion.theta_dot, motion.theta_ddot)
         )
+        wave = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
+        slope = np.concatenate([-np.sin(angle), np.cos(angle)], axis=1)
+        return scene.perturbed(joint, wave, slope * speed, -wave * speed**2 + slope * acceleration)
 
     def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
         """An error of the measured angle."""

@@ -10,17 +10,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from service.model.effects.base import Effect, Inside, Nonlinear
-from service.model.scene import Scene
-from service.model.two_masses import two_masses
+from service.model.effects.base import Nonlinear
+from service.model.effects.transmission import Transmission
 
 NATURAL_HZ = (4.0, 5.4, 7.3, 9.8, 13.0, 18.0, 24.0, 33.0, 45.0, 60.0)
 
 
 @dataclass(frozen=True)
-class JointElasticity(Effect):
+class JointElasticity(Transmission):
     natural_hz: Nonlinear = Nonlinear(
         "Hz", "natural frequency of the link against a held motor", NATURAL_HZ, 2.0, 250.0
     )
@@ -34,18 +31,14 @@ class JointElasticity(Effect):
         "Check clamps, coupling and belt tension; if the stiffness is by design, use smoother acceleration or "
         "take it over into the model."
     )
-    own_joint = False
-    rough = True
     settles = "fast moves with jumps in acceleration"
 
-    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
-        """(N, n, 1)."""
-        return two_masses(scene, joint, 0.0, nonlinear[0], nonlinear[1], nonlinear[2])[..., None]
+    @staticmethod
+    def figures(nonlinear: tuple[float, ...]) -> tuple[float, float, float, float]:
+        """A spring and a damper."""
+        natural_hz, damping_ratio, motor_share = nonlinear
+        return 0.0, natural_hz, damping_ratio, motor_share
 
     def starts(self, nonlinear: tuple[float, ...]) -> list[tuple[float, ...]]:
         """A lightly damped link answers sharply to its natural frequency."""
         return [(factor * nonlinear[0], *nonlinear[1:]) for factor in (0.9, 1.0, 1.1)]
-
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
-        """A spring and a damper."""
-        inside.two_masses[joint] = (0.0, *nonlinear)

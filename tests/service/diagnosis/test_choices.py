@@ -194,32 +194,30 @@ def test_a_rough_effect_is_searched_where_it_promises_something(monkeypatch):
     term = Term(
         EFFECTS["backlash"], (1,), np.zeros((1, 0)), (1e-3, *([0.1] * (len(EFFECTS["backlash"].nonlinear) - 1)))
     )
-    asked = []
+    asked, without = [], stub(hypothesis=Hypothesis(BASE), cost=100.0)
 
     def valley(bottom: float, best: float):
         def fit(problem, hypothesis, iterations=6):
             asked.append(iterations)
-            if not hypothesis.terms:
-                return stub(hypothesis=hypothesis, cost=100.0)
             off = np.log(hypothesis.terms[-1].nonlinear[0] / best) ** 2
             return stub(hypothesis=hypothesis, cost=bottom + 100.0 * off)
 
         return fit
 
     monkeypatch.setattr(selection, "fit", valley(75.0, 1.4e-3))
-    found = selection.fit_added(stub(), Hypothesis(BASE), term)
+    found = selection.fit_added(stub(), without, term)
     assert found.hypothesis.terms[-1].nonlinear[0] == pytest.approx(1.15e-3)
-    assert asked == [1, 1, 1, 0]
+    assert asked == [1, 1, 1]
     monkeypatch.setattr(selection, "fit", valley(10.0, 1.4e-3))
-    found = selection.fit_added(stub(), Hypothesis(BASE), term)
+    found = selection.fit_added(stub(), without, term)
     assert found.hypothesis.terms[-1].nonlinear[0] == pytest.approx(1.15e-3 * 1.13 * 1.06 * 1.03, rel=1e-9)
     assert found.hypothesis.terms[-1].nonlinear[1:] == term.nonlinear[1:]
     monkeypatch.setattr(selection, "fit", valley(10.0, 0.7e-3))
-    found = selection.fit_added(stub(), Hypothesis(BASE), term)
+    found = selection.fit_added(stub(), without, term)
     assert found.hypothesis.terms[-1].nonlinear[0] == pytest.approx(0.87e-3 * 0.88 * 0.94 * 0.97, rel=1e-9)
     plain = Term(EFFECTS["torque_offset"], (1,), np.zeros((1, 1)), ())
     monkeypatch.setattr(selection, "fit", lambda problem, hypothesis, iterations=6: (hypothesis, iterations))
-    assert selection.fit_added(stub(), Hypothesis(BASE), plain) == (Hypothesis(BASE, (plain,)), 6)
+    assert selection.fit_added(stub(), without, plain) == (Hypothesis(BASE, (plain,)), 6)
 
 
 def searched(
@@ -250,7 +248,7 @@ def searched(
     parts = {
         "Dictionary": Dictionary, "_sound_first": sound,
         "fit": lambda problem, start, iterations=6: none,
-        "fit_added": lambda problem, hypothesis, term: term,
+        "fit_added": lambda problem, without, term: term,
         "score": lambda loss, split: made(loss, noise=1e-4 * loss, term=stub(effect=effect)),
         "spread": lambda problem, split, best: best, "pruned": lambda problem, split, best, none, rows, given: best,
         "one_cause_first": lambda ordered, best, rows: ordered[::-1],

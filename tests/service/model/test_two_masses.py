@@ -14,7 +14,7 @@ from drivers.motion import MotionLimits, Planner
 from drivers.plant.effects import transmission
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
-from service.model.two_masses import relative_motion
+from service.model.two_masses import relative_motion, two_masses
 from tests.service.axis import INERTIA, loose_axis, spring_axis
 from tests.service.subject import (
     EFFECTS,
@@ -98,12 +98,30 @@ def test_on_the_robot_it_is_what_the_plant_does(name, effect, joint, left_over):
     assert (rms[1] < left_over * rms[0]).all()
 
 
+def test_several_gears_swing_as_each_alone():
+    """Play and springs, one that comes apart and one that swings too far for a slope among them."""
+    here = loose_axis(1.0, 0.004, 120.0, 2.0, 0.45).scene()
+    figures = [(0.0005 * (i + 1), 120.0, 2.0, 0.1 + 0.05 * i) for i in range(9)]
+    figures += [(0.0, 12.0, 0.2, 0.3), (0.0, 0.2, 0.01, 0.02), (0.0, 2.5, 0.3, 0.3)]
+    swing = np.abs(relative_motion(here, 0, figures).angle).max(axis=0)
+    assert swing[-2] == 0.0
+    assert swing[-1] > 0.01 > swing[0] > 0.0
+    together = two_masses(here, 0, figures)
+    for number, one in enumerate(figures):
+        alone = two_masses(here, 0, [one])[..., 0]
+        np.testing.assert_allclose(together[..., number], alone, rtol=0, atol=1e-9 * np.abs(alone).max())
+    for name, points in (("backlash", figures[:9]), ("joint_elasticity", [one[1:] for one in figures[9:]])):
+        effect, expected = EFFECTS[name], together[..., :9] if name == "backlash" else together[..., 9:]
+        for found in (effect.columns(here, 0, points), effect.torques(here, 0, np.zeros(0), points)):
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize(("share", "link"), [(0.3, 0.7), (0.99, 0.02)])
 def test_a_link_has_what_the_motor_leaves_of_the_inertia(share, link):
-    found = relative_motion(spring_axis(0.2, 12.0, 0.2, 0.3).scene(), 0, 0.001, 10.0, 0.3, share)
+    found = relative_motion(spring_axis(0.2, 12.0, 0.2, 0.3).scene(), 0, [(0.001, 10.0, 0.3, share)])
     stiffness = link * INERTIA * (20 * math.pi) ** 2
-    assert found.motor == pytest.approx(share * INERTIA)
-    assert found.gear == pytest.approx((0.001, stiffness, 2 * 0.3 * math.sqrt(stiffness * link * INERTIA)))
+    damping = 2 * 0.3 * math.sqrt(stiffness * link * INERTIA)
+    assert np.concatenate(found.gears) == pytest.approx([0.001, stiffness, damping, share * INERTIA])
 
 
 @pytest.mark.parametrize("way", [1, -1])
@@ -120,6 +138,6 @@ def test_a_link_begins_where_it_hangs_by_its_spring_on_the_flank_that_carries_it
 def test_without_inertia_nothing_swings():
     axis = spring_axis(0.2, 12.0, 0.2, 0.3).scene()
     bare = replace(axis, base=replace(axis.base, rigid=np.array([0.0, 1.0])))
-    found = relative_motion(bare, 0, 0.001, 10.0, 0.3, 0.3)
+    found = relative_motion(bare, 0, [(0.001, 10.0, 0.3, 0.3)])
     assert not np.any([found.angle, found.speed, found.change])
-    assert found.gear == (0.001, 0.0, 0.0)
+    assert [figure[0] for figure in found.gears] == [0.001, 0.0, 0.0, 0.0]
