@@ -30,5 +30,4 @@ class AngleScale(Effect):
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
         motion = scene.segment
-        parts = (part[:, joint] for part in (motion.theta, motion.theta_dot, motion.theta_ddot))
-        return scene.perturbed(joint, *parts)[..., None]
+        return scene.perturbed(joint, *(x[:, [joint]] for x in (motion.theta, motion.theta_dot, motion.theta_ddot)))
