@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -326,13 +327,17 @@ def test_torque_mode_gives_the_torque_it_is_told_and_hands_back_without_a_bump(b
     assert bench.plant.theta[0] - start[0] > 2e-3  # positive torque turns the active link down
 
 
-def test_the_watchdog_takes_the_drives_out_of_operation_and_the_brakes_hold(bench: Bench) -> None:
+def test_the_watchdog_takes_the_drives_out_of_operation_and_the_brakes_hold(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bench.operate()
+    now = [time.monotonic_ns()]
+    monkeypatch.setattr("drivers.segment.wire.time", SimpleNamespace(monotonic_ns=lambda: now[0]))
     bench.cycle()
-    time.sleep(0.05)
+    now[0] += 50_000_000
     bench.segment.idle()
     assert bench.read(STATIONS[0], AL_STATUS) == AlState.OP
-    time.sleep(0.08)
+    now[0] += 80_000_000
     bench.segment.idle()
     assert bench.read(STATIONS[0], AL_STATUS) == AlState.SAFEOP | 0x10
     assert bench.read(STATIONS[0], AL_STATUS_CODE) == Code.WATCHDOG
