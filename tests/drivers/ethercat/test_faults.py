@@ -26,7 +26,7 @@ import pytest
 
 from drivers.bus import Bus, Inbox, open_bus
 from drivers.health import CHANGE_NS
-from schemas.messages import HealthFlag, Role, StopReason
+from schemas.messages import FEEDFORWARD, FeedforwardSource, HealthFlag, Role, StopReason
 from tests.drivers.ethercat import rig
 
 RATE = 1000.0
@@ -125,6 +125,11 @@ class Heard:
             if inbox.wait(0.2):
                 records, arrival = inbox.take()
                 self._kept[name].extend(zip((arrival * 1e-9).tolist(), records, strict=True))
+
+    @property
+    def newest(self) -> np.void:
+        """The last sample."""
+        return self._kept["sample"][-1][1]
 
     def stop(self) -> None:
         self._stopped = True
@@ -339,6 +344,44 @@ def test_an_estimator_that_is_killed(wire: Wire, running: Process, until: Callab
     wire.heard.cleared(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since, READY)
 
 
+@contextlib.contextmanager
+def answering(wire: Wire, torque: float, ahead: int) -> Iterator[None]:
+    """Somebody else publishes a feed-forward of `torque` N m, `ahead` cycles of the newest sample, 1000 a second."""
+    put, stopped = wire.bus.publisher("feedforward").put, threading.Event()
+    answer = FEEDFORWARD.empty(1)
+    answer["source"], answer["torque"] = FeedforwardSource.REFERENCE, torque
+
+    def answer_all() -> None:
+        while not stopped.wait(0.001):
+            answer["sequence"] = wire.heard.newest["sequence"]
+            answer["target_sequence"] = answer["sequence"] + np.uint64(ahead)
+            put(answer.tobytes())
+
+    thread = threading.Thread(target=answer_all)
+    thread.start()
+    yield
+    stopped.set()
+    thread.join()
+
+
+@pytest.mark.parametrize(
+    ("torque", "ahead"), [(np.nan, 5), (np.inf, 5), (1e6, 5), (5.0, 1 << 40)], ids=["NaN", "inf", "peak", "another run"]
+)
+def test_a_feedforward_that_is_no_answer(wire: Wire, running: Process, torque: float, ahead: int) -> None:
+    """The estimator stands still meanwhile, so that nothing else comes."""
+    loaded(wire)
+    before = wire.heard.health(Role.MASTER, 0.0)[-1][1]
+    with answering(wire, torque, ahead):
+        since = wire.estimator.signal(signal.SIGSTOP)
+        try:
+            wire.heard.told(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since)
+            fades(wire, since)
+        finally:
+            since = wire.estimator.signal(signal.SIGCONT)
+    after = wire.heard.cleared(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since)
+    assert after["rejected"] - before["rejected"] > 100
+
+
 @pytest.mark.parametrize("share", [0.01, 0.05])
 def test_frames_that_are_lost(wire: Wire, running: Process, share: float) -> None:
     calm(wire)
@@ -385,6 +428,17 @@ def test_frames_that_overtake_each_other(wire: Wire, running: Process) -> None:
     time.sleep(0.5)
     end = wire.spoil("whole")
     wire.heard.cleared(Role.MASTER, HealthFlag.BUS_FAULT, end)
+    assert running.process.is_alive(), running.said
+
+
+def test_frames_that_are_held_up(wire: Wire, running: Process) -> None:
+    calm(wire)
+    before = wire.heard.health(Role.MASTER, 0.0)[-1][1]
+    since = time.monotonic()
+    wire.segment.hold(0.05)
+    wire.heard.told(Role.MASTER, HealthFlag.BUS_FAULT, since)
+    after = wire.heard.cleared(Role.MASTER, HealthFlag.BUS_FAULT, time.monotonic())
+    assert after["lost"] - before["lost"] > 20
     assert running.process.is_alive(), running.said
 
 
