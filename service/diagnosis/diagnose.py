@@ -18,6 +18,7 @@ from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.evidence.follows import follows
 from service.diagnosis.evidence.unseen import kept_out
 from service.diagnosis.findings import Findings
+from service.diagnosis.fit.exchange import exchanged
 from service.diagnosis.fit.orders import more_orders
 from service.diagnosis.fit.selection import FAR_ABOVE, Regressors, Scored, Selection, score, search
 from service.identification import pooled
@@ -79,14 +80,12 @@ def diagnose(
 
     regressors = Regressors(problem, split, effects if scope.enough else (), timed)
 
-    def searched(seen: Regressors) -> Selection:
-        return search(seen, progress, scope.allows, more_orders)
-
-    selection = searched(regressors)
+    selection = search(regressors, progress, scope.allows, more_orders)
     progress("checking on data left out")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     coloured = bool((floor.coloured | floor.unknown).any())
     limit = (WITHIN_COLOURED if coloured else WITHIN_NOISE) * _floor(problem, reversal)
+    selection = exchanged(regressors, selection, limit, scope.allows, progress)
     angular = all(trace.angular for trace in traces)
     kept = [kept_out(problem, log) for log in tests]
     unknown = bool(floor.unknown.any())
@@ -107,7 +106,8 @@ def diagnose(
     far = FAR_ABOVE * limit
     if regressors.effects and not wrong and mechanism.kind == "delta" and selection.best.loss > far**2 * problem.count:
         quiet = Quiet.beside(regressors, selection.none, len(given), scope.allows, progress)
-        again = searched(quiet.regressors)
+        again = search(quiet.regressors, progress, scope.allows, more_orders)
+        again = exchanged(quiet.regressors, again, limit, scope.allows, progress)
         less = doubts_of(quiet.problem, again, limit)
         judged = _judged(quiet.problem, split, again, less, len(given), kept, unknown, limit)
         if judged.selection.names:

@@ -15,9 +15,9 @@ from schemas.diagnosis import Caution
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.rivals import comparisons, probability_of
 from service.diagnosis.evidence.unseen import without_events
-from service.diagnosis.fit.selection import LEAST_GAIN, Scored, Selection, score
+from service.diagnosis.fit.selection import LEAST_GAIN, Scored, Selection, added, without
 from service.identification.events import events_of
-from service.identification.fit import Problem, evaluate, fit, solve
+from service.identification.fit import Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations
 from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
@@ -44,16 +44,16 @@ def earned(
         effects = list(dict.fromkeys(term.effect for term in best.hypothesis.terms[given:]))
         refits = {}
         for effect in effects:
-            refits[effect] = without = _without(problem, split, selection, best, effect)
+            refits[effect] = fewer = without(problem, split, selection, best, effect)
             caution = (
                 _open(best, split, effect)
                 or _varies(problem, best, effect)
-                or _carries_over(problem, split, best, without, effect, kept_out)
+                or _carries_over(problem, split, best, fewer, effect, kept_out)
                 or (_rivalled(problem, split, selection, best, effect) if far else None)
             )
             if caution is not None:
                 fallen.append(caution)
-                best = without
+                best = fewer
                 break
         else:
             break
@@ -76,14 +76,6 @@ def together(
         return selection, []
     fallen = [_fell("no_shrink", effect, selection.best, share=shrink.value) for effect in names]
     return _cut(selection, selection.none), fallen
-
-
-def _without(problem: Problem, split: Split, selection: Selection, best: Scored, effect: Effect) -> Scored:
-    """The hypothesis refitted without one effect."""
-    terms = tuple(term for term in best.hypothesis.terms if term.effect is not effect)
-    if len(terms) == len(selection.none.hypothesis.terms):
-        return selection.none
-    return score(fit(problem, replace(best.hypothesis, terms=terms)), split)
 
 
 def _cut(selection: Selection, best: Scored) -> Selection:
@@ -168,9 +160,9 @@ def _rivalled(problem: Problem, split: Split, selection: Selection, best: Scored
 def _lead(selection: Selection, effect: Effect) -> float:
     """By how much an effect did better, in squares as they weigh, than the next that was not found as well."""
     leads = []
-    for tried, taken in selection.path:
-        if taken is not None and taken.names[-1] == effect.name:
-            others = [other for other in tried if other.names[-1] not in selection.best.names]
+    for before, tried, taken in selection.rounds():
+        if taken is not None and effect.name in added(taken, before):
+            others = [other for other in tried if not set(added(other, before)) <= set(selection.best.names)]
             leads.append(min((float((other.blocks - taken.blocks).sum()) for other in others), default=np.inf))
     return max(leads, default=np.inf)
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.fit.selection import LEAST_GAIN, SIMPLER_SHARE, TOLD_APART, Scored, Selection, z_score
+from service.diagnosis.fit.selection import LEAST_GAIN, SIMPLER_SHARE, TOLD_APART, Scored, Selection, added, z_score
 from service.identification.folds import Split
 
 DRAWS = 1000
@@ -24,14 +25,14 @@ class ModelComparison:
 
     def probability(self, name: str) -> float:
         """Of an effect, 0 if it did not come into question."""
-        return next((p for scored, p in self.candidates if scored.names[-1] == name), 0.0)
+        return sum(p for scored, p in self.candidates if name in added(scored, self.before))
 
 
 def comparisons(selection: Selection, split: Split, rows: int) -> list[ModelComparison]:
     """The rounds of a search, weighed on bootstrap draws of its blocks."""
     draw = np.random.default_rng(0).integers(0, split.blocks, (DRAWS, split.blocks))
-    parent, result = selection.none, []
-    for tried, taken in selection.path:
+    result = []
+    for parent, tried, _ in selection.rounds():
         hypotheses = [*tried, parent]
         sizes = np.array([h.fitted.tangents[0].shape[1] for h in hypotheses])
         loss = np.stack([h.blocks[draw].sum(axis=1) for h in hypotheses]) + 2.0 * sizes[:, None]
@@ -40,8 +41,6 @@ def comparisons(selection: Selection, split: Split, rows: int) -> list[ModelComp
         loss[sizes > sizes[0]] += SIMPLER_SHARE * max(gain, 0.0)  # as the search weighs them
         wins = np.bincount(np.argmin(loss, axis=0), minlength=len(hypotheses)) / DRAWS
         result.append(ModelComparison(parent, list(zip(tried, wins[:-1].tolist(), strict=True)), float(wins[-1])))
-        if taken is not None:
-            parent = selection.after(taken)
     return result
 
 
@@ -54,26 +53,25 @@ def undecided(selection: Selection, rounds: list[ModelComparison]) -> ModelCompa
     """The first round whose winner others might be as well; where there is none, the first of all."""
     for comparison, (_, taken) in zip(rounds, selection.path, strict=True):
         if taken is not None:
-            name = taken.names[-1]
-            if comparison.probability(name) < SURE or confusable(selection, name):
-                return comparison
+            for name in added(taken, comparison.before):
+                if comparison.probability(name) < SURE or confusable(selection, name):
+                    return comparison
     return rounds[0] if rounds else None
 
 
 def confusable(selection: Selection, name: str) -> list[str]:
     """Effects that would have done as well as `name` when it was chosen, as far as this data can tell."""
-    parent = selection.none
-    for tried, taken in selection.path:
+    for before, tried, taken in selection.rounds():
         if taken is None:
             break
-        if taken.names[-1] == name:
-            gains = [float((parent.blocks - scored.blocks).sum()) for scored in (taken, *tried)]
-            return [
-                rival.names[-1]
+        if name in added(taken, before):
+            gains = [float((before.blocks - scored.blocks).sum()) for scored in (taken, *tried)]
+            rivals = [
+                added(rival, before)
                 for rival, gain in zip(tried, gains[1:], strict=True)
                 if rival is not taken
                 and (z_score(rival.blocks, taken.blocks) < TOLD_APART or gain > SAME_SHARE * gains[0])
                 and gain > 0.5 * gains[0]
             ]
-        parent = selection.after(taken)
+            return [rival for rival in dict.fromkeys(itertools.chain(*rivals)) if rival not in added(taken, before)]
     return []

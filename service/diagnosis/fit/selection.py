@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from itertools import chain, groupby, pairwise
+from itertools import chain, combinations, groupby, pairwise
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -25,6 +25,7 @@ from service.model.scene import Scene
 from service.model.torque import reported
 
 SHORTLIST = 5  # candidates fitted exactly a step
+COUPLES = 40  # pairs of effects asked on data left out
 MOST_EFFECTS = 4
 # What an effect has to be worth on data left out, as a fall of the mean square in units of the noise:
 LEAST_GAIN = 0.03  # 1.5 % of the noise floor's rms
@@ -220,10 +221,9 @@ class Dictionary:
         self.alive = np.diag(sum(self.training))[:-1] > 1e-9 * np.diag(total)[own:-1]
         self.nothing = float(sum(gram[-1, -1] for gram in self.left_out))
 
-    def loss(self, candidate: Candidate) -> float:
-        """Squared residual on the folds left out, with the candidate added inside its limits."""
-        places = candidate.joints or (0,)
-        chosen = np.concatenate([self.index[candidate.effect, joint, candidate.nonlinear] for joint in places])
+    def loss(self, *candidates: Candidate) -> float:
+        """Squared residual on the folds left out, with the candidates added inside their limits."""
+        chosen = self._columns(*candidates)
         chosen = chosen[self.alive[chosen]]
         if not len(chosen):
             return self.nothing
@@ -238,11 +238,38 @@ class Dictionary:
         self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
     ) -> list[tuple[float, Candidate]]:
         """The best candidate of every effect, best first. An effect at work is not offered on its own joints again."""
+        result = []
+        for scored in self._options(taken, joints, allows).values():
+            found = _prefer_single(scored, self.nothing)
+            if len(found[1].joints) > 1 and self._dead(found[1]):  # the others make up for what one cannot be
+                found = min((item for item in scored if len(item[1].joints) == 1), key=lambda item: item[0])
+            result.append(found)
+        return sorted(result, key=lambda item: item[0])
+
+    def couples(
+        self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
+    ) -> list[tuple[float, tuple[Candidate, Candidate]]]:
+        """Two effects at once, those that promise most, best first."""
+        every = [candidate for scored in self._options(taken, joints, allows).values() for _, candidate in scored]
+        total = np.asarray(sum(self.left_out))
+        rough = []
+        for pair in combinations(every, 2):
+            if pair[0].effect is not pair[1].effect:
+                chosen = self._columns(*pair)
+                gain = total[chosen, -1] @ solve(total[np.ix_(chosen, chosen)], total[chosen, -1])
+                rough.append((2.0 * len(chosen) - float(gain), pair))
+        best = sorted(rough, key=lambda item: item[0])[:COUPLES]
+        return sorted(((self.loss(*pair), pair) for _, pair in best), key=lambda item: item[0])
+
+    def _options(
+        self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
+    ) -> dict[Effect, list[tuple[float, Candidate]]]:
+        """Where each effect may sit, with the point of its grid that does best there."""
         busy = {(term.effect, place) for term in taken for place in term.places}
         grids: dict[Effect, set[tuple[float, ...]]] = {}
         for effect, _, nonlinear in self.index:
             grids.setdefault(effect, set()).add(nonlinear)
-        result = []
+        result = {}
         for effect in self.effects:
             options: list[tuple[int, ...]] = [(joint,) for joint in range(joints)] if effect.per_joint else [()]
             options = [
@@ -253,17 +280,18 @@ class Dictionary:
             if effect.per_joint and len(options) == joints > 1:
                 options.append(tuple(range(joints)))
             scored = [
-                (self.loss(candidate) + 2.0 * self._size(candidate), candidate)
+                min(
+                    (
+                        (self.loss(candidate) + 2.0 * len(self._columns(candidate)), candidate)
+                        for candidate in (Candidate(effect, option, nonlinear) for nonlinear in grids[effect])
+                    ),
+                    key=lambda item: item[0],
+                )
                 for option in options
-                for nonlinear in grids[effect]
-                for candidate in [Candidate(effect, option, nonlinear)]
             ]
             if scored:
-                found = _prefer_single(scored, self.nothing)
-                if len(found[1].joints) > 1 and self._dead(found[1]):  # the others make up for what one cannot be
-                    found = min((item for item in scored if len(item[1].joints) == 1), key=lambda item: item[0])
-                result.append(found)
-        return sorted(result, key=lambda item: item[0])
+                result[effect] = scored
+        return result
 
     def _dead(self, candidate: Candidate) -> bool:
         """Whether all data together leave nothing of an effect on one of its joints."""
@@ -276,8 +304,10 @@ class Dictionary:
         bounded = np.split(np.isfinite(low), len(chosen))
         return any(b.any() and part[b].all() for part, b in zip(parts, bounded, strict=True))
 
-    def _size(self, candidate: Candidate) -> int:
-        return sum(len(self.index[candidate.effect, joint, candidate.nonlinear]) for joint in candidate.joints or (0,))
+    def _columns(self, *candidates: Candidate) -> np.ndarray:
+        return np.concatenate(
+            [self.index[c.effect, joint, c.nonlinear] for c in candidates for joint in c.joints or (0,)]
+        )
 
 
 def _assembled(own: int, near: np.ndarray, cross: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -344,6 +374,18 @@ class Selection:
     def after(self, taken: Scored) -> Scored:
         """What a hypothesis taken became."""
         return self.trimmed.get(id(taken), taken)
+
+    def rounds(self) -> Iterator[tuple[Scored, list[Scored], Scored | None]]:
+        """The path with what each round began with."""
+        before = self.none
+        for tried, taken in self.path:
+            yield before, tried, taken
+            before = before if taken is None else self.after(taken)
+
+
+def added(scored: Scored, before: Scored) -> tuple[str, ...]:
+    """Effects that a round adds: one, or two at once."""
+    return scored.names[len(before.names) :]
 
 
 def search(
@@ -494,6 +536,14 @@ def worth(candidate: np.ndarray, without: np.ndarray, none: np.ndarray, rows: in
     share = LEAST_SHARE_OF_GAP * gap if rough else min(LEAST_SHARE_OF_GAP * gap, max(MOST_OF_REST * rest, LEAST_BESIDE))
     least = max(LEAST_GAIN, share, LEAST_SHARE_OF_REST * rest)
     return gain > least and z_score(without, candidate) > LEAST_Z
+
+
+def without(problem: Problem, split: Split, selection: Selection, best: Scored, *effects: Effect) -> Scored:
+    """The hypothesis refitted without some effects."""
+    terms = tuple(term for term in best.hypothesis.terms if term.effect not in effects)
+    if len(terms) == len(selection.none.hypothesis.terms):
+        return selection.none
+    return score(fit(problem, replace(best.hypothesis, terms=terms)), split)
 
 
 def spread(problem: Problem, split: Split, best: Scored) -> Scored:

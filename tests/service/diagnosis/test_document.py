@@ -36,7 +36,7 @@ def told(*terms: Term, given: tuple[Term, ...] = ()):
             robot=ROBOT, given=given, errors=0.1 * np.abs(Parameters(hypothesis).values), problem=stub(count=ROWS),
             best=stub(hypothesis=hypothesis, loss=ROWS),
             selection=stub(
-                none=stub(loss=ROWS + 600.0), path=[],
+                none=stub(loss=ROWS + 600.0), rounds=list,
                 without={term.effect: stub(loss=ROWS + worse[term.effect.name]) for term in terms},
             ),
         ),

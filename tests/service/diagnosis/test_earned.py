@@ -156,7 +156,7 @@ def test_far_above_the_noise_a_name_has_to_be_likelier_than_all_others(monkeypat
     monkeypatch.setattr(judged, "comparisons", lambda *_: [])
     monkeypatch.setattr(judged, "probability_of", lambda *_: probability)
     best, alike = stub(hypothesis=Hypothesis(BASE, (SPRING,))), stub(count=1, weights=())
-    said = judged._rivalled(alike, stub(), stub(path=[], best=best), best, SPRING.effect)
+    said = judged._rivalled(alike, stub(), stub(rounds=list, best=best), best, SPRING.effect)
     assert (said is None) == stands
 
 

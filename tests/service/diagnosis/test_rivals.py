@@ -26,9 +26,9 @@ def test_rivals_are_weighed_as_their_search_weighed_them():
 
     def of(name, weighed, loss):
         away = np.tile([0.5, -0.5], 20)
-        return stub(names=(name,), blocks=weighed / 40 + away * (name == "near"), loss=loss)
+        return stub(names=(name,) * bool(name), blocks=weighed / 40 + away * (name == "near"), loss=loss)
 
-    none, taken = of("none", 400.0, 5000.0), of("taken", 80.0, 4000.0)
+    none, taken = of("", 400.0, 5000.0), of("taken", 80.0, 4000.0)
     near, far = of("near", 100.0, 4990.0), of("far", 300.0, 4000.0)
     found = Selection(none, taken, [([taken, near, far], taken)], {})  # pyright: ignore[reportArgumentType]
     assert evidence.confusable(found, "taken") == []

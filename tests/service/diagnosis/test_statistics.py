@@ -223,6 +223,8 @@ class TestConfusable:
 
     def test_the_round_in_which_it_was_taken_counts(self):
         none, made = self.tried(1.0)
+        for later in made[:2]:
+            later.hypothesis.terms = (*made[2].hypothesis.terms, *later.hypothesis.terms)
         path = [([made[2]], made[2]), (made[:2], made[0])]
         assert evidence.confusable(Selection(none, made[0], path, {}), "true") == ["twin"]
 

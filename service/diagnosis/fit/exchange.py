@@ -1,0 +1,105 @@
+"""One effect in place of two that were found, or two in place of one or beside all, where they leave noise.
+
+Effects are added one by one, and what stands in for two of them goes before either: the length of a link and the
+inertia of its rotor are an offset of the torque and a scale. What then stands in for the rest makes three of one.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from service.diagnosis.fit.selection import (
+    LEAST_GAIN,
+    MOST_EFFECTS,
+    SHORTLIST,
+    Candidate,
+    Dictionary,
+    Regressors,
+    Scored,
+    Selection,
+    fit_added,
+    pruned,
+    score,
+    with_term,
+    without,
+    worth,
+)
+from service.diagnosis.fit.sound import fault_of
+from service.identification.fit import Problem
+from service.model.effects.base import Effect
+
+PROMISE = 0.5  # of what is left above the noise, that two have to take before they are fitted
+
+
+def exchanged(
+    regressors: Regressors, selection: Selection, limit: float, allows: Callable[[Effect, int], bool],
+    progress: Callable[[str], None],
+) -> Selection:  # fmt: skip
+    """The selection with the first exchange that explains all: what it leaves is noise, `limit` rms at most. Where that
+    is so already: by fewer effects, as well. What it makes superfluous goes too."""
+    problem, given = regressors.problem, len(selection.none.hypothesis.terms)
+    if not regressors.effects:
+        return selection
+    best, explained = selection.best, _left(problem, selection.best) <= limit
+    for parent in _fewer(regressors, selection, 2) if explained else _fewer(regressors, selection, 0, 1):
+        progress("weighing effects in place of others")
+        tried = [
+            scored
+            for scored in _tried(regressors, parent, best, limit if explained else 0.0, allows)
+            if _left(problem, scored) <= limit
+            and fault_of(problem, scored.hypothesis, given) is None
+            and (
+                scored.loss < best.loss + LEAST_GAIN * problem.count
+                if explained
+                else worth(scored.blocks, best.blocks, selection.none.blocks, problem.count)
+            )
+        ]
+        if not tried:
+            continue
+        tried.sort(key=lambda scored: scored.loss + 2 * scored.fitted.tangents[0].shape[1])
+        kept = pruned(problem, regressors.split, tried[0], selection.none, problem.count, given)
+        if len(set(kept.names[given:])) > MOST_EFFECTS or _left(problem, kept) > limit:
+            continue
+        path = [(others, taken) for others, taken in selection.path if taken is not None]
+        trimmed = selection.trimmed | ({id(path[-1][1]): parent} if path else {}) | {id(tried[0]): kept}
+        return replace(selection, best=kept, path=[*path, (tried, tried[0])], trimmed=trimmed, fault=None)
+    return selection
+
+
+def _fewer(regressors: Regressors, selection: Selection, *counts: int) -> Iterator[Scored]:
+    """What was found without so many of its effects."""
+    best, given = selection.best, len(selection.none.hypothesis.terms)
+    effects = list(dict.fromkeys(term.effect for term in best.hypothesis.terms[given:]))
+    for count in counts:
+        for gone in itertools.combinations(effects, count):
+            yield without(regressors.problem, regressors.split, selection, best, *gone) if gone else best
+
+
+def _tried(
+    regressors: Regressors, parent: Scored, best: Scored, limit: float, allows: Callable[[Effect, int], bool]
+) -> list[Scored]:
+    """Effects beside `parent`, fitted, those that promise most: one where that may leave `limit`, else two."""
+    problem = regressors.problem
+    dictionary, taken = Dictionary(regressors, parent.fitted), parent.hypothesis.terms
+    joints = problem.recordings[0].mechanism.joints
+    if limit:
+        promising = [(loss, (one,)) for loss, one in dictionary.ranking(taken, joints, allows)]
+        most = limit**2 * problem.count
+    else:
+        promising, most = dictionary.couples(taken, joints, allows), best.loss - PROMISE * (best.loss - problem.count)
+    return [_fitted(regressors, parent, several) for loss, several in promising[:SHORTLIST] if loss < most]
+
+
+def _fitted(regressors: Regressors, parent: Scored, several: tuple[Candidate, ...]) -> Scored:
+    *first, last = sorted(several, key=lambda candidate: candidate.effect.rough)
+    fitted = parent.fitted
+    for candidate in first:
+        fitted = replace(fitted, hypothesis=with_term(fitted.hypothesis, candidate.term()))
+    return score(fit_added(regressors.problem, fitted, last.term()), regressors.split)
+
+
+def _left(problem: Problem, scored: Scored) -> float:
+    """Rms, in units of the noise."""
+    return (scored.loss / problem.count) ** 0.5

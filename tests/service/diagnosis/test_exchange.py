@@ -1,0 +1,64 @@
+"""Effects in place of others: two for one, one for two."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.diagnosis.fit.exchange import exchanged
+from tests.service.injected import INJECTED, reports
+from tests.service.subject import CATALOGUE, EFFECTS, Hypothesis, Split, evidence, selection
+from tests.service.world import BASE, course, problem
+
+SECONDS, NOISE, SCALE = 3.0, 0.2, 1.04
+LIMIT = 1.06  # rms in units of the noise
+
+
+@pytest.fixture(scope="module")
+def wrong_gear() -> tuple[selection.Regressors, selection.Selection]:
+    """Another gear ratio than was entered on joint 2: its angle and its torque are scaled."""
+    runs, random = [course(seed, SECONDS) for seed in (1, 2, 3)], np.random.default_rng(7)
+    torques = [reports("angle_scale", seed, SECONDS).copy() for seed in (1, 2, 3)]
+    for torque in torques:
+        torque[:, 1] *= SCALE
+        torque += NOISE * random.standard_normal(torque.shape)
+    logs = problem(runs, torques, NOISE)
+    rivals = [effect for effect in CATALOGUE if not effect.rough]
+    regressors = selection.Regressors(logs, Split.of(logs), rivals, Hypothesis(BASE))
+    return regressors, selection.search(regressors, lambda _: None)
+
+
+def told(wrong_gear: tuple[selection.Regressors, selection.Selection], limit: float) -> selection.Selection:
+    return exchanged(*wrong_gear, limit, lambda effect, joint: True, lambda _: None)
+
+
+def test_what_explains_all_goes_before_what_stood_in_for_it(wrong_gear):
+    """A link's length and a base's radius stood in for them, with the scale of the torque."""
+    assert "angle_scale" not in wrong_gear[1].names
+    found = told(wrong_gear, LIMIT)
+    assert set(found.names) == {"angle_scale", "torque_scale"}
+    figures = {term.effect.name: term for term in found.best.hypothesis.terms}
+    assert all(term.joints == (1,) for term in figures.values())
+    (injected,) = INJECTED["angle_scale"].amplitude
+    assert figures["angle_scale"].amplitude.item() == pytest.approx(injected[0], rel=0.05)
+    assert figures["torque_scale"].amplitude.item() == pytest.approx(SCALE - 1.0, rel=0.05)
+    assert found.best.loss <= LIMIT**2 * wrong_gear[0].problem.count
+
+
+def test_it_has_the_probability_of_the_round_that_found_it(wrong_gear):
+    found = told(wrong_gear, LIMIT)
+    rounds = evidence.comparisons(found, wrong_gear[0].split, wrong_gear[0].problem.count)
+    for name in found.names:
+        assert evidence.probability_of(rounds, name) > 0.5
+    assert evidence.probability_of(rounds, "angle_scale") == rounds[-1].probability("angle_scale")
+
+
+def test_what_leaves_more_than_noise_is_not_taken(wrong_gear):
+    assert told(wrong_gear, 0.9) is wrong_gear[1]
+
+
+def test_what_cannot_be_looked_for_is_in_no_couple(wrong_gear):
+    found = exchanged(
+        wrong_gear[0], wrong_gear[1], LIMIT, lambda effect, joint: effect is not EFFECTS["angle_scale"], lambda _: None
+    )
+    assert "angle_scale" not in found.names
