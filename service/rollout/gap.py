@@ -30,9 +30,9 @@ from service.model.nominal import DeltaModel
 from service.model.scene import Recording
 from service.model.signals import EDGE, Segment, one_period, segments, smooth
 from service.model.torque import predict
-from service.rollout.kernel import SCRATCH, Pace, Runs, run_kernel
+from service.rollout.kernel import NO_DRIVES, SCRATCH, DriveGains, Drives, Pace, Runs, run_kernel
 from service.rollout.robot import Stretch, stretch
-from service.rollout.servo import DriveGains, commands_of, follow, gains_of, identified
+from service.rollout.servo import commands_of, gains_of, identified
 
 HORIZON = 0.2  # s
 SHORTEST, LONGEST = 0.01, 5.0  # s of horizon that make sense
@@ -107,10 +107,14 @@ class Windows:
     def run(self, seen: Stretch, start: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Angles rad and torque N m, (W, S, 3) each, from `start` (W, 5, 3). torque: (N, 3) N m, of which the drives
         take the first in a window."""
-        part, clock, period = self.cut(torque), self.segment.time[self.starts], self.segment.period
+        runs = Runs(start, self.cut(torque), self.payload, self.segment.time[self.starts])
+        return run(seen, runs, self.segment.period, self.drives())
+
+    def drives(self) -> Drives:
+        """What makes the torque of the windows."""
         if self.command is None or self.gains is None:
-            return simulate(seen, start, part, clock, period, self.payload), part
-        return follow(seen, self.gains, Runs(start, part, self.payload, clock), self.cut(self.command), period)
+            return NO_DRIVES
+        return Drives(self.gains, self.cut(self.command))
 
 
 @dataclass(frozen=True)
@@ -279,10 +283,15 @@ def simulate(
     clock: (W,) s. payload: (W,) kg, None: nothing is carried.
     """
     payload = np.zeros(len(start)) if payload is None else payload
-    motor, motor_dot = np.empty(torque.shape), np.empty(torque.shape)
     runs = Runs(np.ascontiguousarray(start), np.ascontiguousarray(torque), payload, clock)
-    run_kernel(seen.forward, np.zeros(1, SCRATCH), runs, Pace.of(period), motor, motor_dot)
-    return seen.measured(motor)
+    return run(seen, runs, period, NO_DRIVES)[0]
+
+
+def run(seen: Stretch, runs: Runs, period: float, drives: Drives) -> tuple[np.ndarray, np.ndarray]:
+    """Angles that the encoders give, rad, and torque, N m, (W, S, 3) each, NaN once a run ends."""
+    motor, pushed = np.empty(runs.torque.shape), np.empty(runs.torque.shape)
+    run_kernel(seen.forward, np.zeros(1, SCRATCH), runs, drives, Pace.of(period), motor, pushed)
+    return seen.measured(motor), pushed
 
 
 def _deviation(name: str, seen: Stretch, windows: Windows) -> Deviation:

@@ -109,6 +109,28 @@ class Runs(NamedTuple):
     seconds: np.ndarray
 
 
+class DriveGains(NamedTuple):
+    """(3,) each, as in `Servo`; per_time: 1/s, inverse of the integral time. peak: N m."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    per_time: np.ndarray
+    velocity_forward: np.ndarray
+    acceleration_forward: np.ndarray
+    peak: float
+
+
+class Drives(NamedTuple):
+    """What makes the torque of W runs of S samples. command: (W, S, 3, 3) angle, speed, acceleration, rad and s; of no
+    runs where the torque is given."""
+
+    gains: DriveGains
+    command: np.ndarray
+
+
+NO_DRIVES = Drives(DriveGains(*np.zeros((5, 3)), peak=0.0), np.zeros((0, 1, 3, 3)))
+
+
 class Pace(NamedTuple):
     """period: s between samples. substeps: of each."""
 
@@ -361,7 +383,7 @@ def step_kernel(f, s, seconds, h):
 
 
 @_compiled
-def set_out_kernel(s, start, payload):
+def _set_out(s, start, payload):
     """Begin a run in `start` (5, 3) with `payload` kg on the platform."""
     s.payload = payload
     for i in range(3):
@@ -371,7 +393,7 @@ def set_out_kernel(s, start, payload):
 
 
 @_compiled
-def near_kernel(s, start):
+def _is_near(s, start):
     """Whether the motors are where a run from `start` may be."""
     near = True
     for i in range(3):
@@ -380,30 +402,55 @@ def near_kernel(s, start):
 
 
 @_compiled
-def run_kernel(forward, scratch, runs, pace, motor, motor_dot):
-    """`Runs`, each from its own start.
+def _drive(gains, state, command, later, integral, i):
+    """Torque of drive i, within its peak and without, and its push, N m, `later` s after a sample's command (3, 3)."""
+    place = command[0, i] + later * (command[1, i] + 0.5 * later * command[2, i])
+    speed = command[1, i] + later * command[2, i]
+    slip = gains.velocity_forward[i] * speed - state[3, i]
+    push = gains.velocity[i] * (slip + gains.position[i] * (place - state[2, i]))
+    free = push + integral[i] + gains.acceleration_forward[i] * command[2, i]
+    return min(max(free, -gains.peak), gains.peak), free, push
 
-    forward, scratch: one record each. Filled: motor, motor_dot (W, S, 3), NaN from where a run left the workspace.
+
+@_compiled
+def run_kernel(forward, scratch, runs, drives, pace, motor, pushed):
+    """`Runs`, each from its own start, under the torque given or what `drives` make of their commands.
+
+    forward, scratch: one record each. Filled: motor, pushed (W, S, 3), angle and torque, NaN from where a run left the
+    workspace.
     """
-    f, s, torque = forward[0], scratch[0], runs.torque
+    f, s, torque, command, gains = forward[0], scratch[0], runs.torque, drives.command, drives.gains
     period, substeps = pace.period, pace.substeps
     h = period / substeps
+    driven = len(command) > 0
+    integral = np.zeros(3)
     count = torque.shape[1]
     for w in range(len(runs.start)):
-        set_out_kernel(s, runs.start[w], runs.payload[w])
+        _set_out(s, runs.start[w], runs.payload[w])
+        if driven:
+            for i in range(3):
+                integral[i] = 0.0
+                integral[i] = torque[w, 0, i] - _drive(gains, s.state, command[w, 0], 0.0, integral, i)[1]
         sound = True
         for k in range(count):
-            sound &= near_kernel(s, runs.start[w])
+            sound &= _is_near(s, runs.start[w])
             for i in range(3):
+                now = _drive(gains, s.state, command[w, k], 0.0, integral, i)[0] if driven else torque[w, k, i]
                 motor[w, k, i] = s.state[2, i] if sound else np.nan
-                motor_dot[w, k, i] = s.state[3, i] if sound else np.nan
+                pushed[w, k, i] = now if sound else np.nan
             if not sound or k == count - 1:
                 continue
             for part in range(substeps):
                 for i in range(3):
-                    change = torque[w, k + 1, i] - torque[w, k, i]
-                    s.before[i] = torque[w, k, i] + change * part / substeps
-                    s.after[i] = torque[w, k, i] + change * (part + 1) / substeps
+                    if driven:
+                        limited, free, push = _drive(gains, s.state, command[w, k], part * h, integral, i)
+                        if limited == free:
+                            integral[i] += push * h * gains.per_time[i]
+                        s.before[i] = s.after[i] = limited
+                    else:
+                        change = torque[w, k + 1, i] - torque[w, k, i]
+                        s.before[i] = torque[w, k, i] + change * part / substeps
+                        s.after[i] = torque[w, k, i] + change * (part + 1) / substeps
                 sound = step_kernel(f, s, runs.seconds[w] + k * period + part * h, h) == REACHED
                 if not sound:
                     break

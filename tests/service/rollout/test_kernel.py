@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from schemas.robot import EffectEntry, EffectParameter, Identified, JointParameter, Parameter, Robot
 from service.model import kinematics
 from service.model.dynamics import torque_terms
 from service.model.forward import forward_dynamics
 from service.rollout.gap import simulate
-from service.rollout.kernel import SCRATCH, Pace, Runs, run_kernel
 from service.rollout.robot import simulated, stretch
 from tests.service.subject import CATALOGUE, Effect, Segment, torque_along
 from tests.service.world import BASE, COULOMB, PERIOD, ROBOT, TRANSITION, VISCOUS, sines
@@ -126,10 +126,8 @@ def test_energy_is_kept_without_friction():
     start[0, [1, 3]] = [3.0, -3.0, 4.0]
     held = RHO @ torque_terms(seen.model, start[0, :1], np.zeros((1, 3)), np.zeros((1, 3)))[0, :4]
     torque = np.tile(held, (1, 301, 1))
-    motor, speed = np.empty(torque.shape), np.empty(torque.shape)
-    runs = Runs(start, torque, np.zeros(1), np.zeros(1))
-    run_kernel(seen.forward, np.zeros(1, SCRATCH), runs, Pace(PERIOD, 4), motor, speed)
-    theta, theta_dot = motor[0], speed[0]
+    theta = simulate(seen, start, torque, np.zeros(1), PERIOD)[0]
+    theta_dot = CubicSpline(PERIOD * np.arange(301), theta).derivative()(PERIOD * np.arange(301))
     _, mass = forward_dynamics(seen.model, BASE.rigid, theta, theta_dot, theta)
     kinetic = 0.5 * np.einsum("ni,nij,nj->n", theta_dot, mass, theta_dot)
     height = kinematics.forward(seen.model, theta)[:, 2]

@@ -15,10 +15,10 @@ from schemas.messages import Gripper, SampleFlag
 from schemas.robot import Robot, Servo
 from schemas.trace import Trace
 from service.rollout.document import document, sentences
-from service.rollout.gap import PLAIN, cut_up, plain, rollout
-from service.rollout.kernel import Runs
+from service.rollout.gap import PLAIN, cut_up, plain, rollout, run
+from service.rollout.kernel import Drives, Runs
 from service.rollout.robot import stretch
-from service.rollout.servo import commands_of, follow, gains_of
+from service.rollout.servo import commands_of, gains_of
 from tests.service.subject import Hypothesis, described, segments
 from tests.service.world import BASE, COULOMB, PERIOD, ROBOT, TRANSITION, TRUTH, VISCOUS
 
@@ -107,7 +107,7 @@ def test_the_drives_begin_with_the_torque_that_there_is_and_hold_no_more_than_th
     for peak in (250.0, 8.0):
         gains = gains_of(described.model_copy(update={"peak_torque_nm": peak}), 1.0)
         runs = Runs(seen.start[begin], driven, np.zeros(3), segment.time[begin] - segment.time[0])
-        motor, torque = follow(seen, gains, runs, windows, segment.period)
+        motor, torque = run(seen, runs, segment.period, Drives(gains, windows))
         np.testing.assert_array_equal(motor[:, 0], seen.start[begin, 2])
         np.testing.assert_allclose(torque[:, 0], np.clip(given, -peak, peak), atol=1e-9)
         assert np.abs(torque).max() <= peak
