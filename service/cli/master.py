@@ -76,7 +76,7 @@ def command(
 
     from drivers.bus import Bus, open_bus
     from drivers.ethercat.report import Report
-    from drivers.ethercat.setpoints import setpoints
+    from drivers.ethercat.setpoints import Course
     from drivers.health import Health
     from drivers.motion import Planner
     from replay.clock import wait_until
@@ -100,6 +100,8 @@ def command(
         from drivers.motion_file import read_motion
 
         planned = read_motion(motion, description, planner)
+    course = Course(planned, description.geometry.joint_range_rad)
+    sent = np.zeros(len(course), np.int64)
     with ExitStack() as stack:
         show = stack.enter_context(counting(f"master {interface}", len(planned)))
         torque: InCycle | OverBus | None = None
@@ -119,14 +121,13 @@ def command(
             torque = OverBus(bus, peak, period)
         done, interrupted = 0, False
         with Master(interface, description, period, wait_until) as master:
-            plan = setpoints(master.operate(), planned)
+            plan = course.begin(master.operate())
             stopped = stop_requested()  # asked between two cycles; torn out of one, a Ctrl-C could be swallowed there
             limit = peak if max_torque is None else min(peak, max_torque)
             offset = OffsetRamp(master.scale, limit, slope, description.limits.torque_fade_s, period)
             typer.echo(
                 f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True
             )
-            sent = np.zeros(len(plan), np.int64)
             with Report(health, master, offset, torque.counts if torque else None) as tell:
                 for done, _ in enumerate(follow(master, plan, torque or nothing, offset), start=1):
                     sent[done - 1] = master.sent_ns

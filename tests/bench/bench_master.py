@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.ethercat.master import Master, OffsetRamp, follow
-from drivers.ethercat.setpoints import setpoints
+from drivers.ethercat.setpoints import Course
 from drivers.motion import Planner
 from replay.clock import wait_until
 from replay.realtime import go_realtime
@@ -42,7 +42,7 @@ def main(minutes: float, rate: float, turn: float) -> None:
         folder = Path(name)
         robot = rig.robot(folder)
         motion = Planner(robot, 1 / rate).pick_and_place(np.random.default_rng(0), turn, (1.5,), speed=0.5)
-        inside = InCycle(Estimator(robot, 1 / rate))
+        inside, course = InCycle(Estimator(robot, 1 / rate)), Course(motion, robot.geometry.joint_range_rad)
         segment = rig.SegmentProcess(space, "--robot", str(folder / "robot.toml"), "--rate", str(rate))
 
         def run() -> dict[str, list[np.ndarray]]:
@@ -54,7 +54,7 @@ def main(minutes: float, rate: float, turn: float) -> None:
                 offset = OffsetRamp(master.scale, math.inf, 5000.0, robot.limits.torque_fade_s, 1 / rate)
                 for number in range(2 * max(1, round(minutes * 30 / turn))):
                     kind = TURNS[number % 2]
-                    plan = setpoints(here, motion)
+                    plan = course.begin(here)
                     rows = np.zeros((len(plan), 5), np.int64)
                     feedforward = inside if kind == "with" else nothing
                     began = back = 0
