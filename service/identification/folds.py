@@ -17,14 +17,12 @@ UNEVEN = 8.0  # times the spread that equal traces would be predicted with by ea
 
 @dataclass(frozen=True)
 class Split:
-    """Who is left out together. fold, block: a (R,) array a recording; blocks are numbered through. mixed: each fold
-    has parts of each trace."""
+    """Who is left out together. fold, block: a (R,) array a recording; blocks are numbered through."""
 
     fold: list[np.ndarray]
     block: list[np.ndarray]
     folds: int
     blocks: int
-    mixed: bool = False
 
     @classmethod
     def of(cls, problem: Problem, mixed: bool = False) -> Split:
@@ -46,7 +44,7 @@ class Split:
             first, done = int(block[-1]) + 1, done + count
             folds.append(_rows(problem, index, fold))
             blocks.append(_rows(problem, index, block))
-        return cls(folds, blocks, len(traces) if len(traces) >= 3 and not mixed else FOLDS, first, mixed)
+        return cls(folds, blocks, len(traces) if len(traces) >= 3 and not mixed else FOLDS, first)
 
     @classmethod
     def fair(cls, problem: Problem, fitted: Fit) -> Split:

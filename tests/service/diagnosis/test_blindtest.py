@@ -267,6 +267,9 @@ def test_what_is_findable_and_what_is_sure_have_their_bounds() -> None:
     truth, first, table = blindtest.confusion(judged)
     assert (truth, first) == (["cogging", "none"], ["backlash", "cogging", "none"])
     assert table.tolist() == [[1, 1, 0], [0, 0, 0]]
+    clean = [row(0, [], "unexplained"), row(1, [("cogging", [1])], "within_noise"), row(2, [], "within_noise")]
+    nulls = [key(n, "null", [], [], 1.0) for n in range(3)]
+    assert blindtest.summary(blindtest.judged(clean, nulls))["null_clean"] == 0.333
     broken = [{"case": "case_000", "error": "DataError: broken"}]
     nothing = blindtest.summary(blindtest.judged(broken, keys))
     assert (nothing["cases"], nothing["failed"], nothing["seconds_median"], nothing["calibration"]) == (

@@ -215,3 +215,12 @@ def test_gravity_is_blamed_where_it_does_as_well_as_effects():
     assert none.loss < 20.0 * made.count, "no gap beside which the noise is nothing"
     assert len(gravity_of(made, none, rest - 0.03)) == 1
     assert gravity_of(made, none, rest - 0.08) == []
+
+
+@pytest.mark.parametrize(("gap", "told"), [(79.0, True), (82.0, False)])
+def test_what_leaves_a_twentieth_of_the_gap_above_the_noise_may_be_much_of_the_torque(gap, told):
+    """Five times the noise, a fifth of the torque."""
+    runs = [course(seed, 1.0) for seed in SEEDS]
+    small = INJECTED["cogging"].term("cogging")
+    doubts = found(small, left=5.0, gap=gap, logs=problem(runs, [run.torque for run in runs], 3.0))
+    assert [one.code for one in doubts] == ["much_is_left"] * told

@@ -197,7 +197,8 @@ def test_beside_a_stranger_a_name_has_to_lead_by_half_of_what_is_left(left, stan
     best = replace(taken, fitted=replace(taken.fitted, hypothesis=Hypothesis(BASE, (SPRING, RIPPLE))))
     further = rival(Term(EFFECTS["arm_mass"], (1,), np.zeros((1, 1)), ()), 9.0 * lead)
     tried = [taken, rival(OFFSET, lead), rival(RIPPLE, 0.1 * lead), further]
-    fell = judged._rivalled(made, split, replace(found, best=best, path=[(tried, taken)]), best, SPRING.effect)
+    path = [(tried, taken), ([rival(RIPPLE, 0.0), further], rival(RIPPLE, 0.0)), ([further], None)]
+    fell = judged._rivalled(made, split, replace(found, best=best, path=path), best, SPRING.effect)
     assert (fell is None) == stands
 
 

@@ -11,8 +11,10 @@ from schemas.axes import Axes
 from schemas.trace import Trace
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
+from service.diagnosis.fit import orders
 from service.model import ripple
 from service.model.effects import by_name, catalogue
+from tests.service.world import stub
 
 AXES = Axes.model_validate({"name": "motor", "kind": "axes", "axis": [{}]})
 # order: amplitude N m, phase rad
@@ -42,25 +44,25 @@ def found(ripples: dict[int, tuple[float, float]]) -> tuple[dict[float, float], 
     (effect,) = told.effects
     assert (effect.name, effect.joints) == ("cogging", [1])
     values = {key: estimate.value for key, estimate in effect.parameters.items()}
-    orders = {key.removeprefix("order"): value for key, value in values.items() if key.startswith("order")}
-    return {order: float(np.hypot(values[f"cosine{k}"], values[f"sine{k}"])) for k, order in orders.items()}, (
+    at = {key.removeprefix("order"): value for key, value in values.items() if key.startswith("order")}
+    return {order: float(np.hypot(values[f"cosine{k}"], values[f"sine{k}"])) for k, order in at.items()}, (
         told.gap.band_hz
     )
 
 
 def test_every_order_is_found() -> None:
-    orders, band = found(RIPPLE)
-    assert sorted(orders) == pytest.approx(sorted(RIPPLE), abs=0.01)
-    for order, size in orders.items():
+    known, band = found(RIPPLE)
+    assert sorted(known) == pytest.approx(sorted(RIPPLE), abs=0.01)
+    for order, size in known.items():
         assert size == pytest.approx(RIPPLE[round(order)][0], rel=0.03)
     assert band == 40.0
 
 
 def test_the_band_follows_an_order_above_it() -> None:
-    orders, band = found({HIGH: (0.03, 0.4)})
+    known, band = found({HIGH: (0.03, 0.4)})
     assert band > HIGH * 1.4 / (2 * np.pi)
-    assert list(orders) == pytest.approx([HIGH], abs=0.05)
-    assert list(orders.values()) == pytest.approx([0.03], rel=0.03)
+    assert list(known) == pytest.approx([HIGH], abs=0.05)
+    assert list(known.values()) == pytest.approx([0.03], rel=0.03)
 
 
 def test_noise_has_no_order() -> None:
@@ -68,3 +70,17 @@ def test_noise_has_no_order() -> None:
     turns, noise = np.cumsum(rng.uniform(0, 0.01, 20_000)), rng.normal(size=20_000)
     assert ripple.standing_out(turns, noise) == []
     assert ripple.standing_out(turns, noise + 0.3 * np.cos(2 * np.pi * 83 * turns)) == [83]
+
+
+def test_what_is_left_is_told_by_the_motors_turns_and_a_constant_is_no_order() -> None:
+    """Joint 2 of two, behind a gear of 10, in a band that keeps every other row; the first half of them count."""
+    theta = np.linspace(0.0, 30.0, 4000)
+    rows = np.stack([np.ones(2000, bool), np.arange(2000) < 1000], axis=1)
+    ripple_of = 0.1 + 0.1 * np.cos(4 * 10 * theta[::2])
+    recording = stub(mechanism=stub(gear_ratio=[1.0, 10.0]), segment=stub(theta=np.stack([0 * theta, theta], axis=1)))
+    joints = np.repeat([0, 1], rows.sum(axis=0))
+    left = np.concatenate([np.zeros(2000), ripple_of[rows[:, 1]]])
+    problem = stub(recordings=[recording], rows=[rows], joints_of_rows=[joints], band=stub(step=2))
+    strength = orders._left(problem, stub(fitted=stub(residuals=[left])), 1)
+    assert strength[0] == 0.0
+    assert int(np.argmax(strength[:200])) == 4, "evenly turned, it comes again mirrored"

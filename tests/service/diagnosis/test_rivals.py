@@ -34,3 +34,15 @@ def test_rivals_are_weighed_as_their_search_weighed_them():
     assert evidence.confusable(found, "taken") == []
     near.blocks = near.blocks - 0.3
     assert evidence.confusable(found, "taken") == ["near"]
+
+
+def test_a_name_is_as_likely_as_in_the_round_that_speaks_for_it_most():
+    def tried(*names: str):
+        return stub(names=("given", *names))
+
+    rounds = [
+        evidence.ModelComparison(tried(), [(tried("first"), 0.3), (tried("second"), 0.6)], 0.1),
+        evidence.ModelComparison(tried("second"), [(tried("second", "first"), 0.8)], 0.2),
+    ]
+    assert [evidence.probability_of(rounds, name) for name in ("first", "second", "other")] == [0.8, 0.6, 0.0]
+    assert evidence.probability_of([], "first") == 0.0

@@ -303,3 +303,15 @@ def test_of_later_rounds_only_what_was_named_is_ranked():
         ("a", [2], 0.9), ("b", [2], 0.8), ("c", [2], 0.1),
     ]  # fmt: skip
     assert [one.shrink for one in ranked] == pytest.approx([1 - (0.5) ** 0.5, 1 - (0.4) ** 0.5, 1 - 0.8**0.5], abs=1e-4)
+
+
+def test_a_step_without_a_fold_is_worth_it_by_the_rows_of_the_others(monkeypatch):
+    random, asked = np.random.default_rng(0), []
+    split = split_of(4, 25, 2)
+    columns = [random.standard_normal((25, 2)) for _ in range(4)]
+    target = [random.standard_normal(25) for _ in range(4)]
+    none = scored([column[:, :1] for column in columns], target, split)
+    more = scored(columns, target, split, "more")
+    monkeypatch.setattr(statistics, "worth", lambda loss, without, none, rows: asked.append(rows) or False)
+    statistics.walked(Selection(none, more, [([more], more)], {}), split, 100)
+    assert asked == [75] * 4

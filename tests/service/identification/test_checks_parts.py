@@ -174,7 +174,7 @@ def test_a_torque_of_unknown_scale_is_explained_by_the_platforms_beside_all_othe
     """Joint 1 has joint 2's torque with the other sign, all are a fifth of what they should be, with noise: scale and
     share as least squares over the samples have them; no other order or sign does as well."""
     random = np.random.default_rng(3)
-    columns, values = random.standard_normal((3, 60, COLUMNS)), random.uniform(1.0, 2.0, 9)
+    columns, values = random.standard_normal((3, 60, COLUMNS)), np.r_[random.uniform(1.0, 2.0, 8), -1.5]
     true = np.stack([columns[j] @ selection(j) @ values + columns[j, :, PLATFORM_COLUMN] for j in range(3)], axis=1)
     torque = 0.2 * np.column_stack([true[:, 1], -true[:, 0], true[:, 2]]) + 0.05 * random.standard_normal((60, 3))
     columns[:, :, 7:10] = torque

@@ -69,6 +69,7 @@ def test_events_are_told_in_the_order_of_time_and_a_run_of_one_row_is_passed_ove
     ]
     assert [event.joint for event in events.events(runs, FLOOR)] == [0, 1]
     assert events.events([events.JointRun("c", 0, np.zeros(1), np.ones(1))], FLOOR) == []
+    assert [event.joint for event in events.events([runs[2], runs[0]], FLOOR)] == [1]
 
 
 def test_what_an_event_touches_is_left_out_with_a_margin():

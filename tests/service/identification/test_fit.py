@@ -57,6 +57,20 @@ def test_a_step_stays_within_its_limits(seed):
     assert (found <= high).all()
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-4])
+def test_what_was_held_and_would_come_back_is_let_go(unit):
+    """Of two alike, both leave their limits; with the first held the second is well inside. The third stands alone."""
+    random = np.random.default_rng(0)
+    columns = np.linalg.qr(random.standard_normal((50, 3)))[0]
+    columns[:, 1] = 0.9 * columns[:, 0] + 0.19**0.5 * columns[:, 1]
+    target = columns @ [2.0, -1.2, 0.5]
+    scale = np.array([1.0, unit, 1.0])
+    low, high = np.array([-1.0, -1.0, -9.0]), np.array([1.0, 1.0, 0.4])
+    found = within((columns * scale).T @ (columns * scale), (columns * scale).T @ target, low / scale, high / scale)
+    np.testing.assert_allclose(found * scale, lsq_linear(columns, target, (low, high), tol=1e-12).x, atol=1e-6)
+    np.testing.assert_allclose(found * scale, [1.0, -0.3, 0.4], atol=1e-9)
+
+
 def test_a_fit_from_afar_ends_at_the_truth():
     runs = [course(seed, 2.0) for seed in (1, 2)]
     logs = problem(runs, [run.torque for run in runs])

@@ -243,6 +243,13 @@ def test_a_robot_that_was_never_identified_carries_something_unknown_where_its_g
     np.testing.assert_array_equal(payload.carried(robot, trace), np.where(closed, np.nan, 0.0))
 
 
+def test_rows_that_were_not_measured_are_counted(robot, record):
+    trace = record(3, seconds=2.0)
+    flags = np.where(np.isin(np.arange(2000), [900, 901, 902]), np.uint32(SampleFlag.NOT_A_NUMBER), np.uint32(0))
+    found = evaluate(robot, replace(trace, flags=flags))
+    assert (found.unmeasured, evaluate(robot, trace).unmeasured) == (3, 0)
+
+
 def test_moments_are_those_of_the_rows_that_are_known():
     error = np.array([[1.0, np.nan], [4.0, np.nan], [np.nan, np.nan], [-2.0, np.nan]])
     found = evaluation.pooled([evaluation._moments(error[:2]), evaluation._moments(error[2:])])
