@@ -410,7 +410,7 @@ def lagging(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
 
     Exact where values go straight from sample to sample: one that holds them would be half a sample early or late.
     """
-    steps = period / _time_constant(cutoff_hz)
+    steps = period / time_constant(cutoff_hz)
     keep = np.exp(-steps)
     mean = (1.0 - keep) / steps
     return lfilter([1.0 - mean, mean - keep], [1.0, -keep], values, axis=0, zi=mean * values[:1])[0]
@@ -419,10 +419,11 @@ def lagging(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
 def leading(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
     """(N, ...) such that a first-order low-pass makes `values` of it; fourth-order slopes."""
     slope = correlate1d(values, np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0, axis=0, mode="nearest") / period
-    return values + _time_constant(cutoff_hz) * slope
+    return values + time_constant(cutoff_hz) * slope
 
 
-def _time_constant(cutoff_hz: float) -> float:
+def time_constant(cutoff_hz: float) -> float:
+    """s of a first-order low-pass."""
     return 0.5 / (np.pi * cutoff_hz)
 
 

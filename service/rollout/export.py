@@ -31,6 +31,7 @@ from service.model.effects.base import Effect, Inside
 from service.model.forward import forward_dynamics
 from service.model.hypothesis import Term, inside_of
 from service.model.nominal import lengthened, pack
+from service.model.signals import time_constant
 
 STEP = 0.25e-3  # s
 SMOOTH = 0.01  # rad/s over which the callback's friction turns, explicit as it is
@@ -94,6 +95,7 @@ def to_mjcf(robot: Robot) -> Export:
     spec.modelname = robot.name
     spring, preload = amount("joint_spring", "k"), amount("joint_spring", "preload")
     offset = amount("torque_offset", "offset")
+    lag = sum(time_constant(term.nonlinear[0]) for term in terms if term.effect.name == "drive_lag")  # at most one
     for i in range(3):
         turns = spec.joint(f"motor{i}" if motor[i] > 0 else f"arm{i}")
         turns.frictionloss = float(base.coulomb[i] - inside.bristle[i])
@@ -112,6 +114,8 @@ def to_mjcf(robot: Robot) -> Export:
         if push:
             drive.biastype = mujoco.mjtBias.mjBIAS_AFFINE
             drive.biasprm[0] = push
+        if lag:
+            drive.dyntype, drive.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, lag
     hose = amount("hose_spring", "k")[0]
     if hose > 0:
         for axis in "xyz":
@@ -286,7 +290,7 @@ _TORQUE_SHOWN = {
 _IN_THE_MODEL = {
     "rotor_inertia", "arm_mass", "tool_mass", "base_tilt", "joint_spring", "hose_spring", "link_length_error",
     "forearm_length_error", "base_radius_error", "azimuth_error", "joint_offset", "joint_elasticity", "backlash",
-    "torque_scale", "torque_offset",
+    "torque_scale", "torque_offset", "drive_lag",
 }  # fmt: skip
 
 

@@ -50,6 +50,8 @@ def run(robot: Robot, seen: Stretch, at: int, torque: np.ndarray) -> np.ndarray:
     data.qpos[:] = close(mechanism, true[None])[0]
     data.qvel[:] = dependence(mechanism, true[None])[0] @ link_dot
     data.qpos[arm], data.qpos[motor], data.qvel[motor] = link, angle, speed
+    if model.na:
+        data.act[:] = seen.torque[at]  # what drives that lag give by then
     scope: dict = {}
     if made.callback is not None:
         exec(made.callback, scope)
@@ -69,8 +71,8 @@ def run(robot: Robot, seen: Stretch, at: int, torque: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "names",
-    [(), BODIES, ("joint_elasticity",), ("backlash",), CALLED, ("shaft_friction",)],
-    ids=["wall", "bodies", "spring", "gap", "called", "shaft"],
+    [(), BODIES, ("joint_elasticity",), ("backlash",), CALLED, ("shaft_friction",), ("drive_lag",)],
+    ids=["wall", "bodies", "spring", "gap", "called", "shaft", "lag"],
 )
 def test_it_goes_where_rollout_goes(names: tuple[str, ...]) -> None:
     effects = [effect(name) for name in names]
