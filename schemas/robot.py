@@ -270,7 +270,7 @@ class Identified(TomlTable):
     model_error_nm: JointParameter | None = None  # rms of what the model leaves above that noise, while moving
     torque_commanded: bool = False  # the reported torque is the commanded one and white noise
     friction_transition_radps: NotNegative = 0.0  # speed over which Coulomb friction changes sign; 0: a jump
-    torque_timing_s: float = 0.0  # torque sampled later than position by this fraction of a sample
+    torque_timing_s: float = 0.0  # by which the torque is older than the position, within a sample
 
 
 class EffectEntry(TomlTable):

@@ -27,7 +27,7 @@ from service.identification.folds import Split
 from service.identification.units import refuse_wrong_angles
 from service.model.description import hypothesis_of
 from service.model.effects.base import Effect
-from service.model.hypothesis import Hypothesis, Term
+from service.model.hypothesis import Term
 from service.model.mechanism import mechanism_of
 from service.model.scene import Recording
 from service.model.signals import segments, thin
@@ -73,12 +73,12 @@ def diagnose(
     plain = score(fitted, split)
     refuse_wrong_angles(problem, ", ".join(trace.path.name for trace in traces), plain.fitted)
     given = _given(robot, baseline)
-    timed = Hypothesis(plain.hypothesis.base, given)
+    start = plain.hypothesis.carrying(given)
     if given:
-        plain = score(fit(problem, timed), split)
+        plain = score(fit(problem, start), split)
     scope = limits_of(problem, loops_of(problem, traces, plain.residuals))
 
-    regressors = Regressors(problem, split, effects if scope.enough else (), timed)
+    regressors = Regressors(problem, split, effects if scope.enough else (), start)
 
     selection = search(regressors, progress, scope.allows, more_orders)
     progress("checking on data left out")

@@ -36,7 +36,7 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
     base = fit.fitted.hypothesis.base
     warnings = checks.check_fit(logs, fit, pack(robot).moving_mass)
     if method == "paper":
-        fit, base = paper.refit(logs, fit), replace(base, transition=0.0)
+        fit, base = paper.refit(logs, fit), replace(base, transition=0.0, timing=0.0)
         warnings = [*warnings, *paper.edges(logs)]
     more = {
         "method": method,

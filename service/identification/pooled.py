@@ -2,7 +2,8 @@
 and `diagnose` starts from.
 
 The fit is that of any hypothesis; friction turns over a speed that is fitted too, since in slow motion a jump would be
-read as a gap. At that speed the model is linear, so leaving out a block or a log is a small linear solve.
+read as a gap. So is by what part of a sample torque and position are apart. At both the model is linear, so leaving out
+a block or a log is a small linear solve.
 
 A Delta's forearm coupling is fitted, not taken from the described mass: what it multiplies is a mass only for a uniform
 rod, and ball joints at the ends make it less. Where the data cannot tell it, the described forearm mass stands.
@@ -41,6 +42,7 @@ RIPPLE_REACH = 1.3  # times their frequency at the middle speed
 # Standard error over value (or over what would make 5 % of the torque, if that is more).
 WEAK, NOT_IDENTIFIABLE = 0.1, 0.5
 NEGLIGIBLE_SHARE = 0.05
+HARM = 0.95  # of the loss on data left out that is left without the timing: then it is not of the plant
 # A parameter whose effect the others reproduce but for this share of its variance is not told apart from them.
 COLLINEAR = 1e-5
 MOVES = 0.02  # rad of travel below which a joint does not move
@@ -155,7 +157,16 @@ def start(problem: Problem) -> Hypothesis:
 
 
 def _base(problem: Problem) -> solver.Fit:
-    """The base model at its optimum, optional coefficients left out where data left out do not want them."""
+    """The base model at its optimum, torque and position at two instants within a sample; but at one where that does
+    less harm on data left out."""
+    still = _still(problem)
+    timed, split = solver.fit(problem, replace(still.hypothesis, timed=True)), Split.fair(problem, still)
+    held, moved = (block_loss(held_out(one, split), split).sum() for one in (still, timed))
+    return still if held < HARM * moved else timed
+
+
+def _still(problem: Problem) -> solver.Fit:
+    """The same at one instant, optional coefficients left out where data left out do not want them."""
     fitted = solver.fit(problem, start(problem))
     mechanism = problem.recordings[0].mechanism
     if mechanism.kind == "delta":
@@ -230,7 +241,7 @@ def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
     k, n = len(base.rigid), len(base.viscous)
     rigid, viscous, coulomb = np.split(told.values, [k, k + n])
     base = replace(base, rigid=rigid, viscous=viscous, coulomb=coulomb)
-    plain = solver.evaluate(problem, Hypothesis(base, timed=False))
+    plain = solver.evaluate(problem, replace(fitted.hypothesis, base=base))
     logs = [np.full(len(rows), number) for rows, number in zip(plain.residuals, problem.logs, strict=True)]
     left, right = _normal_equations(plain, told.values, logs, max(problem.logs) + 1)
     residual = problem.rms(plain.residuals)
@@ -251,7 +262,8 @@ def _told(problem: Problem, fitted: solver.Fit, known: Sequence[Quantity], nomin
     nominal: (P,) what stands by the description, NaN where it says nothing.
     """
     split = Split.of(problem)
-    blocks = _normal_equations(fitted, Parameters(fitted.hypothesis).values[: len(known)], split.block, split.blocks)
+    values = Parameters(fitted.hypothesis).values[: len(known)]
+    blocks = _normal_equations(_timing_apart(fitted), values, split.block, split.blocks)
     filled = np.einsum("bpp->b", blocks[0]) > 0
     left, right = (part[filled] for part in blocks)
     whole = left.sum(axis=0), right.sum(axis=0)
@@ -309,6 +321,19 @@ def _normal_equations(
     return left, right
 
 
+def _timing_apart(fitted: solver.Fit) -> solver.Fit:
+    """With what the tangents have in common with that of the timing taken out: solved for, the others are then as sure
+    as they are beside it."""
+    parameters = Parameters(fitted.hypothesis)
+    timing = parameters.among_free(slice(parameters.timing, parameters.timing + 1))
+    along = [tangent[:, timing] for tangent in fitted.tangents]
+    square = sum(float((one**2).sum()) for one in along)
+    if not square:
+        return fitted
+    share = np.asarray(sum(one.T @ tangent for one, tangent in zip(along, fitted.tangents, strict=True))) / square
+    return replace(fitted, tangents=[t - one @ share for one, t in zip(along, fitted.tangents, strict=True)])
+
+
 def _solve(left: np.ndarray, right: np.ndarray, held: np.ndarray, nominal: np.ndarray) -> np.ndarray:
     """(..., P): least-squares solution with the `held` parameters at their `nominal` values, and what the data do not
     tell of the others as near to theirs as can be."""
@@ -316,7 +341,7 @@ def _solve(left: np.ndarray, right: np.ndarray, held: np.ndarray, nominal: np.nd
     result = np.broadcast_to(nominal, right.shape).copy()
     if len(free):
         known = right - left @ nominal
-        scale = np.sqrt(np.einsum("...pp->...p", left)[..., free])
+        scale = np.sqrt(np.maximum(np.einsum("...pp->...p", left)[..., free], 0.0))  # sums less sums: zero may be less
         scale = np.where(scale > 0, scale, 1.0)
         scaled = left[..., free[:, None], free] / (scale[..., :, None] * scale[..., None, :])
         solved = np.linalg.pinv(scaled, rcond=1e-10, hermitian=True) @ (known[..., free] / scale)[..., None]

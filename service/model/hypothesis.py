@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Base model and effects. timed: False holds torque and position to one instant, as in what `identify` writes."""
+    """Base model and effects. timed: False holds torque and position to one instant."""
 
     base: Base
     terms: tuple[Term, ...] = ()
@@ -50,6 +50,11 @@ class Hypothesis:
     def fits_timing(self) -> bool:
         """A delay effect takes the place of the timing within a sample."""
         return self.timed and not any(term.effect.takes_timing for term in self.terms)
+
+    def carrying(self, terms: tuple[Term, ...]) -> Hypothesis:
+        """The same with other effects."""
+        other = replace(self, terms=terms)
+        return other if other.fits_timing else replace(other, base=replace(self.base, timing=0.0))
 
 
 def correction_of(terms: Sequence[Term]) -> Correction:

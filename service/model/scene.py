@@ -25,7 +25,7 @@ class Base:
     """The model without effects: k rigid coefficients and F frictions.
 
     transition: rad/s over which friction turns from one sign to the other, f_c tanh(theta_dot / transition), one for
-    all or one (F,) each; 0: a jump. timing: s by which torque was sampled later than position, a fraction of a sample.
+    all or one (F,) each; 0: a jump. timing: s by which the torque is older than the position, a fraction of a sample.
     wanted: (k,) bool, coefficients that a fit moves; None: all.
     """
 

@@ -112,7 +112,7 @@ class Apart:
 
     def __init__(self, view: View, rivals: Sequence[tuple[Term, ...]]) -> None:
         self.view = view
-        self.rivals = [_hypothesis(view.base, terms) for terms in rivals]
+        self.rivals = [Hypothesis(view.base).carrying(terms) for terms in rivals]
         self.reach = [Parameters(one).reach(view.mechanism, PERIOD) for one in self.rivals]
         self.pairs = [
             (one, other) for one, other in permutations(range(len(rivals)), 2) if not _same(rivals[one], rivals[other])
@@ -197,11 +197,6 @@ def expected(robot: Robot, effects: Sequence[EffectEntry], motion: Trajectory) -
     time = np.arange(len(motion.position)) * motion.period
     carrying = robot.model_copy(update={"effect": list(effects)})
     return torque_along(carrying, time, motion.position, motion.velocity, motion.acceleration)
-
-
-def _hypothesis(base: Base, terms: tuple[Term, ...]) -> Hypothesis:
-    found = Hypothesis(base, terms)
-    return found if found.fits_timing else replace(found, base=replace(base, timing=0.0))
 
 
 def _same(one: tuple[Term, ...], other: tuple[Term, ...]) -> bool:

@@ -102,7 +102,7 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
 
 
 def true_torque(terms: tuple[Term, ...], timing: float, torque: np.ndarray, period: float) -> np.ndarray:
-    """Joint torque (N, 3) N m of a reported one. timing: s by which torque was sampled later than position."""
+    """Joint torque (N, 3) N m of a reported one. timing: s by which the torque is older than the position."""
     torque = delayed(torque, -timing, period)
     for term in reversed(terms):
         if term.effect.measured:

@@ -138,7 +138,7 @@ def _budget(document: Diagnosis) -> go.Figure:
     figure = go.Figure()
     joints = [f"joint {entry.joint}" for entry in document.where.joints]
     parts = list(dict.fromkeys(name for entry in document.where.joints for name in entry.budget_nm2))
-    fixed = {"noise": "#d0d7de", "reversals": "#b0b7c3", "unexplained": "#cf222e", "timing": "#8c959f"}
+    fixed = {"noise": "#d0d7de", "reversals": "#b0b7c3", "unexplained": "#cf222e", "refit": "#8c959f"}
     spare = iter(EFFECTS)
     for part in sorted(parts, key=lambda name: list(fixed).index(name) if name in fixed else -1):
         values = [entry.budget_nm2.get(part, 0.0) for entry in document.where.joints]

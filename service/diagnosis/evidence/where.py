@@ -56,8 +56,8 @@ class RowStates:
 def budget(findings: Findings, joint: int) -> dict[str, float]:
     """Energy of the gap of one joint, (N m)^2 mean square, by cause; adds up to that of the base model's gap.
 
-    reversals: friction steps whose place between two samples is open. timing: what the base model gains by torque
-    and position not being of one instant, within a sample.
+    reversals: friction steps whose place between two samples is open. refit: what the base model gains over a
+    baseline by being fitted to these logs.
     """
     problem = findings.problem
     mine = [joints == joint for joints in problem.joints_of_rows]
@@ -78,7 +78,7 @@ def budget(findings: Findings, joint: int) -> dict[str, float]:
     weights = {
         effect.name: max(energy(refit.residuals) - left, 0.0) for effect, refit in findings.selection.without.items()
     }
-    weights["timing"] = max(before - energy(findings.selection.none.residuals), 0.0)
+    weights["refit"] = max(before - energy(findings.selection.none.residuals), 0.0)
     total = sum(weights.values())
     for name, weight in weights.items():
         parts[name] = explained * weight / total if total > 0 else 0.0

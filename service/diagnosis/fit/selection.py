@@ -38,7 +38,6 @@ SIMPLER_SHARE = 0.02  # of a gain that a hypothesis with fewer parameters may la
 TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
 ROUGH_PROMISE = 0.7  # of the cost: a rough effect that does not get below it is not refined
 ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its nonlinear parameters, where slopes mislead
-HARM = 0.95  # of the loss on data left out that is left without the timing: then it is not of the plant
 SPREAD_GAIN = 40.0  # squared residual, in units of the noise, that nonlinear parameters of their own must be worth
 ROUGH_JOINT_SHARE = 0.3  # the same where the grid only comes near
 FAR_ABOVE = 2.0  # times the noise, from which what is left is a cause of its own
@@ -402,9 +401,6 @@ def search(
     given = len(start.terms)
     rows = problem.count
     none = score(fit(problem, start), split)
-    if start.fits_timing:  # within a sample; it must not do harm on data left out
-        still = score(fit(problem, replace(start, timed=False), iterations=2), split)
-        none = still if still.loss < HARM * none.loss else none
     best = none
     path: list[tuple[list[Scored], Scored | None]] = []
     trimmed: dict[int, Scored] = {}
@@ -498,17 +494,11 @@ def each_arm(term: Term) -> bool:
     return len(term.joints) > 1 and not term.effect.dissipates and not term.effect.nonlinear
 
 
-def with_term(hypothesis: Hypothesis, term: Term) -> Hypothesis:
-    """One more effect; a delay takes the place of the timing within a sample."""
-    added = replace(hypothesis, terms=(*hypothesis.terms, term))
-    return added if added.fits_timing else replace(added, base=replace(added.base, timing=0.0))
-
-
 def fit_added(problem: Problem, without: Fit, term: Term) -> Fit:
     """Fit with one more effect, from the best of the starts it asks for. without: the fit that it is added to."""
-    starts = [
-        with_term(without.hypothesis, replace(term, nonlinear=start)) for start in term.effect.starts(term.nonlinear)
-    ]
+    hypothesis = without.hypothesis
+    points = [replace(term, nonlinear=start) for start in term.effect.starts(term.nonlinear)]
+    starts = [hypothesis.carrying((*hypothesis.terms, point)) for point in points]
     if not term.effect.rough:
         return fit(problem, starts[0])
     best = min((fit(problem, start, iterations=1) for start in starts), key=lambda fitted: fitted.cost)

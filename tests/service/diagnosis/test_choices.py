@@ -292,13 +292,3 @@ def test_a_search_ends_at_a_fault_and_where_nothing_promises_anything(monkeypatc
     assert path == [([160.0, 150.0], 160.0), ([110.0], None)]
     assert found.fault is FAULT
     assert searched(monkeypatch, [150.0], promise=99.5)[1] == []
-
-
-@pytest.mark.parametrize(("share", "timed"), [(0.94, False), (0.96, True)])
-def test_a_timing_that_does_harm_on_data_left_out_is_held(monkeypatch, share, timed):
-    monkeypatch.setattr(selection, "fit", lambda problem, start, iterations=6: 100.0 if start.timed else 100.0 * share)
-    monkeypatch.setattr(selection, "score", lambda loss, split: made(loss))
-    nothing = stub(problem=stub(count=100), split=stub(), start=Hypothesis(BASE), effects=[])
-    found = selection.search(nothing, lambda _: None)
-    assert found.none.loss == pytest.approx(100.0 if timed else 94.0)
-    assert found.best is found.none

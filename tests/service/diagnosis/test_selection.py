@@ -326,13 +326,6 @@ def test_joints_get_shapes_of_their_own_where_they_differ():
     assert selection.spread(logs, split, mass) is mass  # nothing to share
 
 
-def test_a_delay_takes_the_place_of_the_timing():
-    delay = INJECTED["torque_delay"].term("torque_delay")
-    timed = Hypothesis(replace(BASE, timing=1e-4))
-    assert selection.with_term(timed, delay).base.timing == 0.0
-    assert selection.with_term(timed, INJECTED["cogging"].term("cogging")).base.timing == 1e-4
-
-
 def test_nothing_is_found_on_noise():
     logs = logs_of(None)
     effects = [effect for effect in EFFECTS.values() if not effect.rough]

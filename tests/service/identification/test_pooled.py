@@ -31,6 +31,20 @@ def test_truth_is_recovered_without_noise(robot: Robot, record: Record) -> None:
     assert {estimate.verdict for estimate in result.estimates} == {"identifiable"}
 
 
+def test_torque_of_another_instant_within_a_sample_is_told(robot: Robot, record: Record) -> None:
+    """Every fifth of 5 kHz, the torque 0.2 ms old."""
+    truth, traces = Truth(noise=0.3), []
+    for seed in range(3):
+        fine = record(seed, truth, period=2e-4)
+        now, earlier = slice(5, None, 5), slice(4, -1, 5)
+        traces.append(replace(fine, time=fine.time[now], position=fine.position[now], torque=fine.torque[earlier],
+                              flags=fine.flags[now]))  # fmt: skip
+    found = identify(robot, [summarise(pack(robot), trace) for trace in traces])
+    assert found.robot.identified is not None
+    assert found.robot.identified.torque_timing_s == pytest.approx(2e-4, abs=2e-5)
+    np.testing.assert_allclose(found.fit.values, truth.values, rtol=0.02)
+
+
 def test_standard_errors_cover_the_truth(robot: Robot, record: Record) -> None:
     """Over 20 data sets the errors in units of their standard error have to look like a standard normal variable."""
     truth = Truth(noise=1.0)

@@ -269,13 +269,26 @@ def test_a_group_that_is_not_wanted_is_out_as_a_whole(
     monkeypatch.setattr(pooled, "_turning", lambda problem, fitted: fitted)
     monkeypatch.setattr(pooled.Split, "of", lambda problem: None)
     monkeypatch.setattr(pooled, "_wants", lambda fitted, split, columns: "abcd"[columns[0]] not in needless)
-    base = pooled._base(stub(recordings=[stub(mechanism=mechanism)])).hypothesis.base
+    base = pooled._still(stub(recordings=[stub(mechanism=mechanism)])).hypothesis.base
     if kept is None:
         assert base.wanted is None
     else:
         assert base.wanted is not None
         assert base.wanted.tolist() == kept
         np.testing.assert_array_equal(base.rigid, np.where(kept, [1.0, 2.0, 3.0, 4.0], 0.0))
+
+
+@pytest.mark.parametrize(("share", "timed"), [(0.94, False), (0.96, True)])
+def test_a_timing_that_does_harm_on_data_left_out_is_held(
+    monkeypatch: pytest.MonkeyPatch, share: float, timed: bool
+) -> None:
+    loss = {False: np.full(4, 100.0 * share), True: np.full(4, 100.0)}
+    monkeypatch.setattr(pooled, "_still", lambda problem: stub(hypothesis=Hypothesis(BASE, timed=False)))
+    monkeypatch.setattr(pooled.solver, "fit", lambda problem, hypothesis: stub(hypothesis=hypothesis))
+    monkeypatch.setattr(pooled.Split, "fair", lambda problem, fitted: None)
+    monkeypatch.setattr(pooled, "held_out", lambda fitted, split: fitted.hypothesis.timed)
+    monkeypatch.setattr(pooled, "block_loss", lambda fitted, split: loss[fitted])
+    assert pooled._base(stub()).hypothesis.timed is timed
 
 
 @pytest.mark.parametrize(("widths", "tried"), [((0.045, 0.13), [0.04, 0.15]), ((0.35, 0.045), [0.4, 0.04])])

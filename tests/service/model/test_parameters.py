@@ -65,6 +65,12 @@ def test_a_delay_or_one_instant_takes_the_timing_away(hypothesis):
     assert parameters.at(parameters.values[parameters.free]).base.timing == 0.0
 
 
+def test_a_delay_takes_the_place_of_the_timing():
+    timed = Hypothesis(replace(BASE, timing=1e-4))
+    assert timed.carrying((DELAY,)).base.timing == 0.0
+    assert timed.carrying((BACKLASH,)) == replace(timed, terms=(BACKLASH,))
+
+
 def test_the_base_is_named_by_its_mechanism(model):
     delta = base_parameters(Delta(model, np.ones(3)))
     assert [known.name for known in delta] == [
