@@ -28,12 +28,12 @@ def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) ->
     return RolloutDocument(
         schema="deltatwin.rollout/1",
         traces=list(traces),
-        horizon_s=found.horizon,
+        horizon_s=round(found.horizon, 6),
         windows=len(found.runs),
         payload_kg=[float(f"{mass:.5g}") for mass in found.payload],
         untold_s=round(found.untold, 3),
-        seconds=found.seconds,
-        used_s=found.used,
+        seconds=round(found.seconds, 3),
+        used_s=round(found.used, 3),
         path_mm=found.floor.path_mm,
         times_s=[round(float(row * found.period), 6) for row in rows],
         robots=shown,
@@ -140,10 +140,10 @@ def sentences(result: RolloutDocument) -> list[str]:
 
 def _growth(result: RolloutDocument) -> go.Figure:
     figure = go.Figure()
-    times = [1e3 * time for time in result.times_s]
+    times = [1e3 * time for time in result.times_s[1:]]  # at first they are where the log is: zero has no logarithm
     for robot, colour in zip((*result.robots, result.floor), _colours(result), strict=True):
         dash = "dot" if robot is result.floor else "solid"
-        figure.add_scatter(x=times, y=robot.growth_mm, name=robot.robot, line={"color": colour, "dash": dash})
+        figure.add_scatter(x=times, y=robot.growth_mm[1:], name=robot.robot, line={"color": colour, "dash": dash})
     figure.update_xaxes(title_text="time from the start of a window, ms")
     figure.update_yaxes(title_text="rms error of the platform, mm", type="log", dtick="D2")
     figure.update_layout(height=380)

@@ -110,7 +110,8 @@ def test_shrink_on_the_other_log_outside_the_pulses(emps: Diagnosed) -> None:
     away = ~near(trace.time, edges - 0.02, edges + 0.08).any(axis=1) & motion(trace).moving[:, 0]
     assert test["outside"]["after_nm"][0] == pytest.approx(np.sqrt(np.mean(error[away] ** 2)), rel=0.05)
     low, high = test["outside"]["shrink_ci95"]
-    assert 0.2 < low < test["outside"]["shrink"] < high < 0.35
+    assert 0.1 < low < 1 - RELATIVE[1] / RELATIVE[0] < high < 0.3  # what friction by direction takes, as published
+    assert low < test["outside"]["shrink"] < high
 
 
 def test_pulses_alone_are_outside_the_catalogue(emps: Diagnosed, tmp_path: Path) -> None:
