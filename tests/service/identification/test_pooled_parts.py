@@ -291,6 +291,19 @@ def test_a_timing_that_does_harm_on_data_left_out_is_held(
     assert pooled._base(stub()).hypothesis.timed is timed
 
 
+def test_without_what_they_share_with_the_timing_parameters_are_those_fitted_beside_it() -> None:
+    made = logs()
+    rigid, viscous, coulomb = np.split(TRUTH, [6, 8])
+    base = Base(rigid, viscous, coulomb, np.full(2, WIDTH))
+    fitted = evaluate(made, Hypothesis(base))
+    beside = solved([tangent[:, [*range(10), 12]] for tangent in fitted.tangents], fitted.residuals)
+    assert abs(beside[10]) > 1e-6
+    apart = [tangent[:, :10] for tangent in pooled._timing_apart(fitted).tangents]
+    np.testing.assert_allclose(solved(apart, fitted.residuals), beside[:10], rtol=1e-9)
+    still = evaluate(made, Hypothesis(base, timed=False))
+    assert pooled._timing_apart(still) is still
+
+
 @pytest.mark.parametrize(("widths", "tried"), [((0.045, 0.13), [0.04, 0.15]), ((0.35, 0.045), [0.4, 0.04])])
 def test_each_friction_goes_on_from_the_width_that_suits_it(
     monkeypatch: pytest.MonkeyPatch, widths: tuple[float, float], tried: list[float]
