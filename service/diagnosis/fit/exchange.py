@@ -22,7 +22,6 @@ from service.diagnosis.fit.selection import (
     fit_added,
     pruned,
     score,
-    with_term,
     without,
     worth,
 )
@@ -96,7 +95,8 @@ def _fitted(regressors: Regressors, parent: Scored, several: tuple[Candidate, ..
     *first, last = sorted(several, key=lambda candidate: candidate.effect.rough)
     fitted = parent.fitted
     for candidate in first:
-        fitted = replace(fitted, hypothesis=with_term(fitted.hypothesis, candidate.term()))
+        terms = (*fitted.hypothesis.terms, candidate.term())
+        fitted = replace(fitted, hypothesis=fitted.hypothesis.carrying(terms))
     return score(fit_added(regressors.problem, fitted, last.term()), regressors.split)
 
 
