@@ -53,8 +53,14 @@ def test_it_has_the_probability_of_the_round_that_found_it(wrong_gear):
     assert evidence.probability_of(rounds, "angle_scale") == rounds[-1].probability("angle_scale")
 
 
-def test_what_leaves_more_than_noise_is_not_taken(wrong_gear):
-    assert told(wrong_gear, 0.9) is wrong_gear[1]
+@pytest.mark.parametrize(("share", "taken"), [(1.01, True), (0.99, False)])
+def test_two_at_once_are_taken_where_what_they_leave_is_noise_and_not_where_it_is_more(wrong_gear, share, taken):
+    """share: the limit, of what they leave."""
+    regressors, found = wrong_gear[0], told(wrong_gear, LIMIT)
+    left = (found.best.loss / regressors.problem.count) ** 0.5
+    nothing = selection.Selection(found.none, found.none, [], {})
+    both = told((regressors, nothing), share * left)
+    assert set(both.names) == ({"angle_scale", "torque_scale"} if taken else set())
 
 
 def test_what_cannot_be_looked_for_is_in_no_couple(wrong_gear):
