@@ -335,14 +335,14 @@ def test_the_part_of_a_log_that_moves_most_is_tried() -> None:
         np.where(time < 12.0, 0.1, np.where(time < 22.0, 1.0, 0.3))[:, None] * np.sin(5 * time)[:, None] * np.ones(3)
     )
     torque = position.copy()
-    torque[150, 1] = np.nan
+    torque[150, 1] = position[160, 2] = np.nan
     found = proposal._trial(Table(Path("a/log.csv"), "text", {"t": time}), 10.0, position, torque)
     first = int(np.flatnonzero((position == found.position[0]).all(axis=1))[0])
     assert 118 <= first <= 122
     assert len(found.time) == 100
     np.testing.assert_allclose(found.time, np.arange(100) * 0.1)
     np.testing.assert_array_equal(found.torque, torque[first : first + 100])
-    assert np.flatnonzero(found.flags).tolist() == [150 - first]
+    assert np.flatnonzero(found.flags).tolist() == [150 - first, 160 - first]
 
 
 @pytest.mark.parametrize(
