@@ -123,6 +123,7 @@ class HealthFlag(enum.IntFlag):
     STALE_FEEDFORWARD = 64  # the drives get no fresh feed-forward: it fades to zero or is zero
     FRICTION_DRIFT = 256  # friction is further from the identified one than the robot description allows
     COMMAND_REFUTED = 512  # the drives do not do what torque_command says, as identified: masses are weighed without it
+    SCALE_DRIFT = 1024  # a torque constant is further from the identified one than the robot description allows
     STOPPED = 128  # the last word of this role; `reason` says why
 
 

@@ -199,6 +199,7 @@ class Limits(TomlTable):
     joint_speed_radps: Positive = 40.0  # a position or command that moved faster is a jump
     max_payload_kg: Positive = 6.0
     friction_drift: Positive = 0.3  # share of the identified friction beyond which health says that it has changed
+    torque_scale_drift: Positive = 0.04  # the same of a joint's torque, by its own size; magnets lose 0.1 %/K
 
 
 class Servo(TomlTable):

@@ -14,7 +14,7 @@ import numpy as np
 from schemas.errors import DataError
 from schemas.messages import FEEDFORWARD, FRICTION, MODEL_ERROR, PAYLOAD, stamp_ns
 from schemas.robot import Robot
-from service.estimator import friction, state
+from service.estimator import departure, state
 from service.estimator.feedforward import plan_kernel
 from service.estimator.payload.step import payload_kernel
 from service.estimator.step import answer_kernel, look_back_kernel, run_kernel
@@ -100,14 +100,14 @@ class Estimator:
     def friction(self) -> np.ndarray:
         """(1,) record of FRICTION: what is known of friction now."""
         (state,), (settings,) = self._steps["state"], self._steps["settings"]
-        departure, spread = friction.learnt(state["payload"]["friction"])
+        found, spread = departure.learnt(state["payload"]["departure"])
         record = FRICTION.empty()
         for field in ("stamp_sec", "stamp_nanosec", "sequence"):
             record[field] = state[field]
         for part, name in enumerate(("coulomb", "viscous", "offset", "scale")):
-            record[name], record[f"{name}_std_dev"] = departure[:, part], spread[:, part]
+            record[name], record[f"{name}_std_dev"] = found[:, part], spread[:, part]
         identified = np.stack([settings["coulomb"], settings["viscous"]], axis=1)
-        record["drift"] = friction.drift_share(departure, identified)
+        record["drift"] = departure.drift_share(found, identified)
         return record
 
     def warm_up(self) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from schemas.messages import FeedforwardSource, SampleFlag
-from service.estimator import friction
+from service.estimator import departure
 from service.estimator.effects import effects_kernel
 from service.estimator.kalman import ACCELERATION, POSITION, VELOCITY
 from service.estimator.stream import COMMAND_ACCELERATION, SETTLE_TIME, coast_cycles
@@ -35,7 +35,7 @@ def feedforward_kernel(settings, state, sample, passed, out):
     seconds = passed * settings.period
     if ready:
         flags |= _within_bounds(settings, state, seconds, out)
-        if state.payload.friction.held != 0:
+        if state.payload.departure.held != 0:
             flags |= _FRICTION_HELD
     else:
         source = _NONE
@@ -144,7 +144,7 @@ def _for_motion(settings, state, sample):
     mass = state.payload.usable
     finite = True
     for i in range(3):
-        scale = 1.0 + state.payload.friction.sure[friction.PARTS * i + friction.SCALE]
+        scale = 1.0 + state.payload.departure.sure[departure.PARTS * i + departure.SCALE]
         moved = state.full[i] + mass * load_kernel(settings, state, i)
         state.wanted[i] = scale * moved + _learnt_friction(settings, state, i)
         finite &= math.isfinite(state.wanted[i])
@@ -184,7 +184,7 @@ def dry_and_viscous(settings, state, i):
 @kernel
 def _learnt_friction(settings, state, i):
     """Reported torque on joint i, N m, of what friction surely is beside the identified one."""
-    sure, first = state.payload.friction.sure, friction.PARTS * i
+    sure, first = state.payload.departure.sure, departure.PARTS * i
     dry, viscous, offset = sure[first], sure[first + 1], sure[first + 2]
     return settings.scale[i] * (dry * state.direction[i] + viscous * state.trajectory[VELOCITY, i]) + offset
 
@@ -207,7 +207,7 @@ def _within_bounds(settings, state, seconds, out):
     Coulomb friction, which is a step by nature."""
     flags = 0
     for i in range(3):
-        dry = settings.coulomb[i] + state.payload.friction.sure[friction.PARTS * i]
+        dry = settings.coulomb[i] + state.payload.departure.sure[departure.PARTS * i]
         reversal = settings.scale[i] * dry * abs(state.direction[i] - state.direction_before[i])
         step = max(settings.slope * seconds, reversal)
         low, high = max(-settings.peak, state.torque[i] - step), min(settings.peak, state.torque[i] + step)

@@ -23,8 +23,8 @@ from schemas.errors import StorageError
 from schemas.files import check_folder, read_bytes, write_text
 from schemas.robot import Identified, Robot
 from schemas.toml import validate
+from service.estimator.departure import COUNT, aged, drift
 from service.estimator.estimator import Estimator
-from service.estimator.friction import COUNT, aged, drift
 
 MAX_BYTES = 64 << 10  # a whole one has 3 kB
 WRITE_PERIOD = timedelta(minutes=1)  # a power cut costs no more of what was learnt
@@ -82,7 +82,7 @@ class Keeper:
             )
         age = max(timedelta(0), datetime.now(UTC) - kept.written_at)
         left = math.exp(-age / COOLING_TIME)
-        friction = estimator.state["payload"]["friction"]
+        friction = estimator.state["payload"]["departure"]
         friction["information"], friction["moment"] = aged(
             np.array(kept.information), np.array(kept.moment), self._drift, left
         )
@@ -109,7 +109,7 @@ class Keeper:
         write_text(self._path, self._text(estimator, datetime.now(UTC)))
 
     def _text(self, estimator: Estimator, now: datetime) -> str:
-        friction = estimator.state["payload"]["friction"]
+        friction = estimator.state["payload"]["departure"]
         kept = _Kept(
             schema="deltatwin.friction/2",
             robot=self._name,

@@ -80,6 +80,8 @@ class Node:
         self._published += 1
         if (friction["drift"] > self._robot.limits.friction_drift).any():
             found |= HealthFlag.FRICTION_DRIFT
+        if (np.abs(friction["scale"]) > self._robot.limits.torque_scale_drift).any():
+            found |= HealthFlag.SCALE_DRIFT
         if estimator.state["drive_torque"]["refuted"]:
             found |= HealthFlag.COMMAND_REFUTED
         if found != self._found:

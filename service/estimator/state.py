@@ -9,7 +9,7 @@ import numpy as np
 
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
 from schemas.robot import Robot
-from service.estimator import commanded, effects, friction, kalman, turning
+from service.estimator import commanded, departure, effects, kalman, turning
 from service.estimator.bounds import bounds_of
 from service.estimator.payload import state as payload
 from service.model.description import terms_of
@@ -161,7 +161,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["gear_ratio"] = robot.drive.gear_ratio
     record["variance"] = payload.sample_variance(noise, left_over)
     record["drive_torque"] = commanded.settings(noise, is_commanded, period)
-    prior = friction.drift(record["viscous"][0], record["coulomb"][0])
+    prior = departure.drift(record["viscous"][0], record["coulomb"][0])
     record["payload"] = payload.settings(period, prior, robot.limits.max_payload_kg, left_over, record["variance"][0])
     return record
 

@@ -17,6 +17,7 @@ import numpy as np
 from schemas.kernels import kernel
 from schemas.messages import PayloadEvent
 from service.estimator.commanded import compare_kernel, is_used
+from service.estimator.departure import PARTS, SCALE
 from service.estimator.feedforward import (
     dry_and_viscous,
     feedforward_kernel,
@@ -25,7 +26,6 @@ from service.estimator.feedforward import (
     load_kernel,
     torque_kernel,
 )  # fmt: skip
-from service.estimator.friction import PARTS, SCALE
 from service.estimator.kalman import (
     ACCELERATION,
     MAX_LAG,
@@ -183,7 +183,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             error_out.id[i] = past.torque[i] - grey
             error_out.id_friction[i] = past.torque[i] - grey - friction
             # the load's share of a changed scale is the mass's by what is known of it, else the scale's
-            scale, load = weighed.friction.delta[PARTS * i + SCALE], load_kernel(settings, state, i)
+            scale, load = weighed.departure.delta[PARTS * i + SCALE], load_kernel(settings, state, i)
             carried = weighed.mass * load
             weighed.residual[i] = drive[i] - state.full[i] + scale * carried
             weighed.column[i, 0] = load

@@ -171,7 +171,7 @@ class NumpyEstimator:
 
     def learnt(self, field: str) -> np.ndarray:
         """(3, 4) Coulomb N m, viscous N m s/rad, offset N m and scale, a row a joint."""
-        return self.weighed[0]["friction"][field].reshape(3, 4)
+        return self.weighed[0]["departure"][field].reshape(3, 4)
 
     def mass(self) -> float:
         return self.weighed[0]["usable"]

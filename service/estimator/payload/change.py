@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from schemas.kernels import kernel
-from service.estimator import friction
+from service.estimator import departure
 from service.estimator.payload.loads import corrected_moment, invert, prior_of
 from service.estimator.payload.state import PRIOR_STD, SMALLEST_CHANGE, WINDOW
 
@@ -39,7 +39,7 @@ def find_change(state):
         state.pull[p] = corrected_moment(state, state.moment, state.drag, p)
         for q in range(active):
             since[p, q] = prior_of(p) if p == q and p > 0 else 0.0
-        for a in range(friction.COUNT):
+        for a in range(departure.COUNT):
             since_drag[p, a] = 0.0
     index = state.head
     for n in range(state.filled):
@@ -49,7 +49,7 @@ def find_change(state):
             for q in range(active):
                 since[p, q] += state.bin_information[index, p, q]
                 before[p, q] = state.information[p, q] - since[p, q] + (prior_of(p) if p == q and p > 0 else 0.0)
-            for a in range(friction.COUNT):
+            for a in range(departure.COUNT):
                 since_drag[p, a] += state.bin_drag[index, p, a]
         index = index - 1 if index > 0 else WINDOW - 1
         if n + 1 < SHORTEST or since[0, 0] <= 0.0 or before[0, 0] <= 0.0:
@@ -92,14 +92,14 @@ def _step_distance(state, least):
     if small or _squared(state, step, spread) <= least:
         return 0.0
     for p in range(active):
-        for a in range(friction.COUNT):
+        for a in range(departure.COUNT):
             contrast[p, a] = 0.0
             for q in range(active):
                 drag = state.since_drag[q, a]
                 contrast[p, a] += after[p, q] * drag - until[p, q] * (state.drag[q, a] - drag)
     for p in range(active):
         for q in range(p + 1):
-            spread[p, q] += friction.covariance_kernel(state.friction, contrast[p], contrast[q])
+            spread[p, q] += departure.covariance_kernel(state.departure, contrast[p], contrast[q])
             spread[q, p] = spread[p, q]
     spread[0, 0] += 2.0 * state.bias * BIAS_SIGMAS * BIAS_SIGMAS / CHANGE_THRESHOLD  # another one in either
     return _squared(state, step, spread)
@@ -126,7 +126,7 @@ def _start_anew(state, bins):
         state.moment[p] = 0.0
         for q in range(active):
             state.information[p, q] = prior_of(p) if p == q and p > 0 else 0.0
-        for a in range(friction.COUNT):
+        for a in range(departure.COUNT):
             state.drag[p, a] = 0.0
     index = state.head
     for _ in range(bins):
@@ -135,7 +135,7 @@ def _start_anew(state, bins):
             state.moment[p] += state.bin_moment[index, p]
             for q in range(active):
                 state.information[p, q] += state.bin_information[index, p, q]
-            for a in range(friction.COUNT):
+            for a in range(departure.COUNT):
                 state.drag[p, a] += state.bin_drag[index, p, a]
         index = index - 1 if index > 0 else WINDOW - 1
     state.filled = bins

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from schemas.kernels import kernel
-from service.estimator import friction
+from service.estimator import departure
 from service.estimator.payload.state import OFFSET_STD, PRIOR_STD
 
 
@@ -32,8 +32,8 @@ def invert(information, active, inverse):
 def corrected_moment(state, moment, drag, load):
     """moment of `load`, what friction did to it taken off."""
     left = moment[load]
-    for a in range(friction.COUNT):
-        left -= drag[load, a] * state.friction.delta[a]
+    for a in range(departure.COUNT):
+        left -= drag[load, a] * state.departure.delta[a]
     return left
 
 

@@ -5,7 +5,7 @@ mean over stretches of a move they show what the model lacks, and the mass is as
 from __future__ import annotations
 
 from schemas.kernels import kernel
-from service.estimator import friction
+from service.estimator import departure
 from service.estimator.payload.state import BLOCKS, COLOUR, COLUMN, LOADS, RESIDUAL, WEIGHT
 
 # The newest few blocks, which may already speak for more scatter than the average does.
@@ -23,18 +23,18 @@ PENDING = 5  # newest blocks that a change not yet found may lie in
 def scatter_kernel(settings, state):
     """Average of what the residuals of a block show at right angles to phi, friction and offset taken off, over their
     noise."""
-    delta, sums = state.friction.delta, state.sums[state.block]
+    delta, sums = state.departure.delta, state.sums[state.block]
     for i in range(3):
         state.known[i] = state.column[i, 1] * state.offset[0] + state.column[i, 2] * state.offset[1]
         rubbed = 0.0
-        for a in range(friction.PARTS):
-            rubbed += state.shape[i, a] * delta[friction.PARTS * i + a]
+        for a in range(departure.PARTS):
+            rubbed += state.shape[i, a] * delta[departure.PARTS * i + a]
         weight = state.weight[i]
         sums[i, WEIGHT] += weight
         sums[i, RESIDUAL] += weight * (state.residual[i] - rubbed)
         for p in range(LOADS):
             sums[i, COLUMN + p] += weight * state.column[i, p]
-    friction.gather_kernel(state.friction, state.column, state.residual, state.known, state.weight, state.shape)
+    departure.gather_kernel(state.departure, state.column, state.residual, state.known, state.weight, state.shape)
     state.in_block += 1
     state.clock += 1
     if state.in_block < settings.block_size:
@@ -55,7 +55,7 @@ def scatter_kernel(settings, state):
         found = _inflate(state)
         # friction is not to learn from what it cannot be: the block itself has a say
         doubtful = max(LEAST_LEARNING, found, _inflation(OUTLYING * own))
-        friction.learn_kernel(state.friction, settings.prior, settings.friction_forgetting, doubtful)
+        departure.learn_kernel(state.departure, settings.prior, settings.departure_forgetting, doubtful)
         state.block = oldest
     state.sums[state.block] = 0.0
 
@@ -111,7 +111,7 @@ def part_blocks(settings, state, samples):
         state.in_block = 0
         state.sums[state.block] = 0.0
     state.fresh = 0
-    friction.unlearn_kernel(state.friction, settings.prior)  # which a swinging load looks like until it is found
+    departure.unlearn_kernel(state.departure, settings.prior)  # which a swinging load looks like until it is found
     index = state.block
     for _ in range(BLOCKS - 1):
         index = index - 1 if index > 0 else BLOCKS - 1

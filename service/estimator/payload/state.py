@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.estimator import friction, slow
+from service.estimator import departure, slow
 
 BIN_TIME = 0.002  # s, resolution of an onset
 WINDOW = 150  # bins, how far back an onset is looked for
@@ -38,10 +38,10 @@ STATE = np.dtype(
     [
         ("information", "f8", (LOADS, LOADS)),
         ("moment", "f8", LOADS),
-        ("drag", "f8", (LOADS, friction.COUNT)),  # sum of weight column x: what delta adds to the moment
+        ("drag", "f8", (LOADS, departure.COUNT)),  # sum of weight column x: what delta adds to the moment
         ("bin_information", "f8", (WINDOW, LOADS, LOADS)),
         ("bin_moment", "f8", (WINDOW, LOADS)),
-        ("bin_drag", "f8", (WINDOW, LOADS, friction.COUNT)),
+        ("bin_drag", "f8", (WINDOW, LOADS, departure.COUNT)),
         ("bin_told", "f8", WINDOW),
         ("told", "f8"),  # samples that the information is from
         ("active", "i8"),  # loads to be found: the mass alone, or all where the fourth axis turns
@@ -52,7 +52,7 @@ STATE = np.dtype(
         ("filled", "i8"),  # bins since the last change, at most WINDOW
         ("load", "f8"),  # kg, mass at the last event, then whenever it is trusted
         ("load_variance", "f8"),  # kg^2, of it then, without what friction does
-        ("load_drag", "f8", friction.COUNT),  # which is this, a departure
+        ("load_drag", "f8", departure.COUNT),  # which is this, a departure
         ("load_before", "f8"),  # kg, the same before the last event
         ("last_event", "i8"),
         ("quiet", "i8"),  # samples since then
@@ -74,12 +74,12 @@ STATE = np.dtype(
         ("ended", "i8", BLOCKS),  # when each block did
         ("fresh", "i8"),  # blocks since the last change, as far as they are kept
         ("sums", "f8", (BLOCKS, 3, COLUMN + LOADS)),  # of each block, a joint: weight, residual and loads times weight
-        ("friction", friction.STATE),
+        ("departure", departure.STATE),
         ("slow", slow.STATE),
         # scratch: sums since an onset and before it, of all loads and of the mass alone
         ("since_information", "f8", (LOADS, LOADS)),
         ("since_moment", "f8", LOADS),
-        ("since_drag", "f8", (LOADS, friction.COUNT)),
+        ("since_drag", "f8", (LOADS, departure.COUNT)),
         ("before_information", "f8", (LOADS, LOADS)),
         ("before_moment", "f8", LOADS),
         ("pull", "f8", LOADS),
@@ -89,9 +89,9 @@ STATE = np.dtype(
         ("inverse_before", "f8", (LOADS, LOADS)),
         ("inverse_spread", "f8", (LOADS, LOADS)),
         ("spread", "f8", (LOADS, LOADS)),
-        ("contrast", "f8", (LOADS, friction.COUNT)),
+        ("contrast", "f8", (LOADS, departure.COUNT)),
         ("known", "f8", 3),  # of this sample, N m: of the load's offset
-        ("shape", "f8", (3, friction.PARTS)),  # of this sample: direction, speed, 1
+        ("shape", "f8", (3, departure.PARTS)),  # of this sample: direction, speed, 1
         ("column", "f8", (3, LOADS)),  # of this sample: what each load does, phi N m/kg and swing N m/(kg m)
         ("residual", "f8", 3),  # of this sample, N m, measured minus predicted without payload
         ("weight", "f8", 3),  # of this sample, (N m)^-2, 0 where a joint has nothing to say
@@ -110,8 +110,8 @@ STATE = np.dtype(
 SETTINGS = np.dtype(
     [
         ("forgetting", "f8"),
-        ("friction_forgetting", "f8"),
-        ("prior", "f8", friction.COUNT),
+        ("departure_forgetting", "f8"),
+        ("prior", "f8", departure.COUNT),
         ("bin_size", "i8"),  # samples
         ("block_size", "i8"),
         ("remember", "f8"),  # per sample, of the shortfall
@@ -147,7 +147,7 @@ def settings(
     record["forgetting"] = np.exp(-period / MEMORY_TIME)
     for name, time in (("remember", SHORTFALL_TIME), ("lighten", LIGHTER_TIME), ("leave", LEAVING_TIME)):
         record[name] = np.exp(-period / time)
-    record["friction_forgetting"] = np.exp(-record["block_size"] * period / friction.MEMORY_TIME)
+    record["departure_forgetting"] = np.exp(-record["block_size"] * period / departure.MEMORY_TIME)
     record["information_weight"] = min(1.0, period / CORRELATION_TIME)
     record["model_error"] = (
         record["block_size"] * record["information_weight"] * np.mean(np.square(model_error) / variance)
@@ -165,4 +165,4 @@ def start(state: np.ndarray, prior: np.ndarray) -> None:
     state["blocks"] = state["inflation"] = 1.0
     state["raw_information"] = PRIOR_STD**-2
     state["std_dev"] = PRIOR_STD
-    friction.start(state["friction"], prior)
+    departure.start(state["departure"], prior)

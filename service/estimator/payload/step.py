@@ -6,7 +6,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from schemas.messages import Gripper
-from service.estimator import friction, slow
+from service.estimator import departure, slow
 from service.estimator.payload.change import find_change
 from service.estimator.payload.loads import prior_of
 from service.estimator.payload.scatter import part_blocks, scatter_kernel
@@ -44,8 +44,8 @@ def payload_kernel(settings, state):
         for i in range(3):
             pull = weight[i] * column[i, p]
             gained += pull * residual[i]
-            for a in range(friction.PARTS):
-                at = friction.PARTS * i + a
+            for a in range(departure.PARTS):
+                at = departure.PARTS * i + a
                 state.drag[p, at] = state.drag[p, at] * settings.forgetting + pull * shape[i, a]
                 state.bin_drag[head, p, at] += pull * shape[i, a]
         state.moment[p] = state.moment[p] * settings.forgetting + gained
@@ -71,7 +71,7 @@ def payload_kernel(settings, state):
             state.bin_moment[head, p] = 0.0
             for q in range(LOADS):
                 state.bin_information[head, p, q] = 0.0
-            for a in range(friction.COUNT):
+            for a in range(departure.COUNT):
                 state.bin_drag[head, p, a] = 0.0
         if onset > 0:
             samples = onset * settings.bin_size
@@ -100,11 +100,11 @@ def _weigh_slowly(settings, state):
     anything."""
     now = state.slow.now
     for i in range(3):
-        first = friction.PARTS * i
+        first = departure.PARTS * i
         now.drift[i], now.phi[i], now.way[i] = settings.prior[first], state.column[i, 0], state.shape[i, 0]
         now.residual[i] = state.residual[i]
-        for a in range(friction.PARTS):
-            now.residual[i] -= state.shape[i, a] * state.friction.delta[first + a]
+        for a in range(departure.PARTS):
+            now.residual[i] -= state.shape[i, a] * state.departure.delta[first + a]
         now.weight[i] *= settings.information_weight
     now.mass, now.variance = state.mass, state.std_dev * state.std_dev
     told = slow.slow_kernel(state.slow, settings.period, PRIOR_STD * PRIOR_STD)
@@ -113,7 +113,7 @@ def _weigh_slowly(settings, state):
         state.moment[0] = state.slow.mass / state.slow.variance
         state.raw_information = state.information[0, 0] * state.inflation
         state.told = 0.0
-        for a in range(friction.COUNT):
+        for a in range(departure.COUNT):
             state.drag[0, a] = 0.0
     return told
 
@@ -172,5 +172,5 @@ def _note_turning(settings, state):
                 state.moment[p] = state.offset[p - 1] = 0.0
                 for q in range(LOADS):
                     state.information[p, q] = state.information[q, p] = prior_of(p) if p == q else 0.0
-                for a in range(friction.COUNT):
+                for a in range(departure.COUNT):
                     state.drag[p, a] = 0.0

@@ -8,7 +8,7 @@ import math
 
 from schemas.kernels import kernel
 from schemas.messages import Gripper, PayloadEvent
-from service.estimator import friction
+from service.estimator import departure
 from service.estimator.payload.loads import locate, prior_of
 from service.estimator.payload.scatter import LEAST_INFLATION
 from service.estimator.payload.state import COLOUR, LEAST_TIME, SMALLEST_CHANGE, WINDOW
@@ -50,11 +50,11 @@ def conclude(settings, state):
     """Mass, standard deviation and trust of now. Returns the event that they amount to."""
     active, inverse, drag = state.active, state.inverse, state.contrast[0]
     mass = locate(state)
-    for a in range(friction.COUNT):
+    for a in range(departure.COUNT):
         drag[a] = 0.0
         for p in range(active):
             drag[a] += inverse[0, p] * state.drag[p, a]
-    doubt = friction.covariance_kernel(state.friction, drag, drag)
+    doubt = departure.covariance_kernel(state.departure, drag, drag)
     # what was learnt while the model fitted says less once it no longer does
     worse = max(1.0, state.inflation * state.information[0, 0] / state.raw_information)
     state.shortfall *= settings.remember
@@ -97,7 +97,7 @@ def conclude(settings, state):
     own = max(0.0, std_dev * std_dev - doubt)
     if known_empty:
         own = std_dev * std_dev
-        for a in range(friction.COUNT):
+        for a in range(departure.COUNT):
             drag[a] = 0.0
     variance = _step_variance(state, held - state.load, own)
     if trusted or (held - state.load) ** 2 > CLEAR_STEP * CLEAR_STEP * variance:
@@ -141,9 +141,9 @@ def _step_variance(state, step, own):
     if abs(step) <= SMALLEST_CHANGE:
         return own
     differs = state.contrast[1]
-    for a in range(friction.COUNT):
+    for a in range(departure.COUNT):
         differs[a] = state.contrast[0, a] - state.load_drag[a]
-    return own + friction.covariance_kernel(state.friction, differs, differs)
+    return own + departure.covariance_kernel(state.departure, differs, differs)
 
 
 @kernel
@@ -164,7 +164,7 @@ def _event(settings, state, mass, own, variance, trusted):
     before = state.load
     if trusted or event != PayloadEvent.NONE.value:
         state.load, state.load_variance = mass, own
-        for a in range(friction.COUNT):
+        for a in range(departure.COUNT):
             state.load_drag[a] = state.contrast[0, a]
     if event == PayloadEvent.NONE.value or small or (event == state.last_event and soon):
         return PayloadEvent.NONE.value

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.estimator.friction import COUNT
+from service.estimator.departure import COUNT
 from service.estimator.payload import change
 from service.estimator.payload.loads import locate
 from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, SMALLEST_CHANGE, STATE, WINDOW, start
@@ -20,13 +20,13 @@ def believing(active, random):
     state["active"] = active
     np.testing.assert_allclose(state["information"], OFFSETS + np.diag([PRIOR_STD**-2, 0.0, 0.0]))
     root = 0.03 * random.standard_normal((COUNT, COUNT))
-    state["friction"]["covariance"], state["friction"]["delta"] = root @ root.T, 0.1 * random.standard_normal(COUNT)
+    state["departure"]["covariance"], state["departure"]["delta"] = root @ root.T, 0.1 * random.standard_normal(COUNT)
     return state
 
 
 def fill(state, bins, load_of, random, clearly=1.0):
     """Bins of what samples say of `load_of` bin, and their sums. `state.head` ends on the newest."""
-    active, delta = state["active"], state["friction"]["delta"]
+    active, delta = state["active"], state["departure"]["delta"]
     for n in range(bins):
         columns = clearly * random.standard_normal((6, active)) * [3.0, 20.0, 20.0][:active]
         slopes = random.standard_normal((6, COUNT))
@@ -46,7 +46,7 @@ def test_loads_are_what_the_normal_equations_say(active):
     load = np.array([1.4, 0.05, -0.03])
     fill(state, 40, lambda n: load, random)
     expected = np.linalg.solve(
-        state["information"][:active, :active], (state["moment"] - state["drag"] @ state["friction"]["delta"])[:active]
+        state["information"][:active, :active], (state["moment"] - state["drag"] @ state["departure"]["delta"])[:active]
     )
     for _ in range(2):
         assert locate(state) == pytest.approx(expected[0], rel=1e-9)
@@ -59,7 +59,7 @@ def test_loads_are_what_the_normal_equations_say(active):
 def distances(state):
     """Squared distance of the loads since each onset from those before it, over its covariance, NaN where it is not
     looked for; the information since and before the last of them; and the change that may hide in the newest."""
-    active, friction = state["active"], state["friction"]
+    active, friction = state["active"], state["departure"]
     prior, before = OFFSETS[:active, :active], np.zeros(0)
     whole, index = state["information"][:active, :active], state["head"]
     since, pulled, dragged = prior.copy(), np.zeros(active), np.zeros((active, COUNT))

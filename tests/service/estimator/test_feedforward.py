@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.messages import FEEDFORWARD, FeedforwardSource, SampleFlag
-from service.estimator import feedforward, friction, state, stream
+from service.estimator import departure, feedforward, state, stream
 from service.model.dynamics import torque_terms
 from service.model.nominal import pack
 from tests.known import PERIOD
@@ -107,7 +107,7 @@ def test_what_is_wrong_with_a_plan_is_told_once(step):
 def test_the_torque_keeps_to_its_peak_and_slope_but_for_a_reversal(step):
     now, settings, answer = step["state"][0], step["settings"][0], FEEDFORWARD.empty(1)[0]
     settings["peak"], settings["slope"], settings["coulomb"], settings["scale"] = 50.0, 1e3, 4.0, [1.0, 2.0, 1.0]
-    now["payload"]["friction"]["sure"][friction.PARTS] = 1.0
+    now["payload"]["departure"]["sure"][departure.PARTS] = 1.0
     now["direction"], now["direction_before"] = [1.0, -1.0, 0.5], [1.0, 1.0, 0.5]
     now["faded"], now["held"] = 0.3, 7
     for before, wanted, expected in (
@@ -151,9 +151,9 @@ def test_a_stray_sample_gets_the_answer_of_before_until_nothing_else_comes(step)
 def test_learnt_friction_is_reported_as_the_drives_report_torque(step):
     """Dry and viscous parts through the torque constant, an offset as it is."""
     now, settings = step["state"][0], step["settings"][0]
-    sure = np.arange(1.0, 13.0).reshape(3, friction.PARTS)
+    sure = np.arange(1.0, 13.0).reshape(3, departure.PARTS)
     settings["scale"], now["direction"], now["trajectory"][1] = [1.0, 1.1, 0.9], [1.0, -1.0, 0.5], [3.0, -2.0, 0.4]
-    now["payload"]["friction"]["sure"] = sure.ravel()
+    now["payload"]["departure"]["sure"] = sure.ravel()
     for i in range(3):
         expected = settings["scale"][i] * (sure[i, 0] * now["direction"][i] + sure[i, 1] * now["trajectory"][1, i])
         assert feedforward._learnt_friction(settings, now, i) == pytest.approx(expected + sure[i, 2])
@@ -166,7 +166,7 @@ def test_what_is_wanted_is_the_models_torque_a_payload_and_learnt_friction(step,
     settings["scale"], now["trajectory"] = [1.0, 1.1, 0.9], [[0.3, 0.4, 0.5], [2.0, -1.0, 3.0], [10.0, 20.0, -30.0]]
     sure = np.arange(12.0)
     sure[[3, 7, 11]] = scale = [0.05, -0.03, 0.0]
-    now["payload"]["usable"], now["payload"]["friction"]["sure"] = 1.5, sure
+    now["payload"]["usable"], now["payload"]["departure"]["sure"] = 1.5, sure
     assert feedforward._for_motion(settings, now, step["sample"][0])
     inertia, gravity, platform, forearm, load = torque_terms(pack(robot), *now["trajectory"])
     rigid = found.rho_1.value * inertia + found.rho_2.value * gravity + platform

@@ -86,6 +86,17 @@ def test_health_says_that_friction_is_not_what_was_identified(bench, tmp_path, r
     assert "counted 100%" in Keeper(tmp_path / KEPT, robot).begin(Estimator(robot, 1e-3))
 
 
+@pytest.mark.parametrize(("scale", "changed"), [(0.03, False), (-0.06, True)], ids=["within", "beyond"])
+def test_health_says_that_a_torque_constant_has_changed(bench, robot, make, scale, changed):
+    """The description allows 4 %; either way it is learnt, and told."""
+    known = make(4.0, noise=0.05)
+    known.samples["torque"][:, 1] *= 1.0 + scale
+    bench.take(known.samples)
+    told, health = bench.report()
+    np.testing.assert_allclose(told["friction"][-1]["scale"], [[0.0, scale, 0.0]], atol=0.008)
+    assert (HealthFlag.SCALE_DRIFT in HealthFlag(int(health["flags"]))) == changed
+
+
 @pytest.mark.parametrize(("late", "refuted"), [(0, False), (3, True)], ids=["at once", "3 ms late"])
 def test_health_says_that_drives_do_not_do_what_they_are_told(bench, robot, make, late, refuted):
     """Only of a robot of which `identify` found that they do."""

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from service.estimator import friction
-from service.estimator.friction import COUNT, PARTS
+from service.estimator import departure
+from service.estimator.departure import COUNT, PARTS
 from service.estimator.payload import scatter
 from service.estimator.payload.state import BLOCKS, COLOUR, LOADS, STATE, settings, start
 
@@ -24,7 +24,7 @@ def fresh(active=1):
 def fill(state, random, resting):
     """A block of samples, and what least squares leave of its mean residuals: over the noise, a degree of freedom, and
     what it says of the mass."""
-    state["friction"]["delta"] = delta = 0.3 * random.standard_normal(COUNT)
+    state["departure"]["delta"] = delta = 0.3 * random.standard_normal(COUNT)
     state["offset"] = offset = random.standard_normal(2) if state["active"] > 1 else np.zeros(2)
     weight = random.uniform(0.2, 3.0, (SIZE, 3)) * ~np.isin(np.arange(3), resting)
     column, residual = random.standard_normal((SIZE, 3, LOADS)), random.normal(0.0, 2.0, (SIZE, 3))
@@ -109,16 +109,16 @@ def test_friction_learns_little_from_a_block_that_it_cannot_be():
         for _ in range(SIZE):
             scatter.scatter_kernel(SETTINGS, state)
         by_block = inflation(scatter.OUTLYING * state["blocks"][0])
-        learnt.append((state["friction"]["covariance"].copy(), max(state["inflation"], by_block)))
+        learnt.append((state["departure"]["covariance"].copy(), max(state["inflation"], by_block)))
         expected = fresh()
         for name in ("column", "weight", "shape", "residual"):
             expected[name] = state[name]
         for _ in range(SIZE):
-            friction.gather_kernel(
-                expected["friction"], state["column"], state["residual"], known, state["weight"], state["shape"]
+            departure.gather_kernel(
+                expected["departure"], state["column"], state["residual"], known, state["weight"], state["shape"]
             )
-        friction.learn_kernel(expected["friction"], PRIOR, SETTINGS["friction_forgetting"], learnt[-1][1])
-        np.testing.assert_allclose(state["friction"]["delta"], expected["friction"]["delta"], rtol=1e-12)
+        departure.learn_kernel(expected["departure"], PRIOR, SETTINGS["departure_forgetting"], learnt[-1][1])
+        np.testing.assert_allclose(state["departure"]["delta"], expected["departure"]["delta"], rtol=1e-12)
     assert learnt[1][1] > 10 * learnt[0][1]
     assert np.trace(learnt[1][0]) > np.trace(learnt[0][0]), "and knows less for it"
 

@@ -5,7 +5,7 @@ import pytest
 
 from schemas.messages import Gripper, PayloadEvent, stamp_ns
 from service.estimator import slow
-from tests.service.estimator.test_friction import rubbed
+from tests.service.estimator.test_departure import rubbed
 from tests.service.estimator.test_trust import covered, weigh
 
 PACE = 0.0085  # 0.039 rad/s at most

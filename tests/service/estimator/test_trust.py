@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from schemas.messages import Gripper, PayloadEvent, stamp_ns
+from service.estimator.departure import PARTS
 from service.estimator.estimator import Estimator
-from service.estimator.friction import PARTS
 from service.estimator.payload.verdict import EVENT_BURST, EVENT_RATE
 from service.model.kinematics import jacobian
 from service.model.nominal import pack
@@ -312,7 +312,7 @@ def test_friction_is_learnt_whatever_hangs_on_the_gripper(robot, make):
     known.samples["torque"] += truth[:, 0] * direction + truth[:, 1] * known.theta_dot + truth[:, 2]
     estimator = Estimator(robot, PERIOD)
     estimator.run(known.samples)
-    friction = estimator.state["payload"]["friction"]
+    friction = estimator.state["payload"]["departure"]
     deviation = np.sqrt(np.diag(friction["covariance"])).reshape(3, PARTS)
     assert (np.abs(friction["delta"].reshape(3, PARTS) - truth) < 4 * deviation + [0.02, 0.02, 0.02, 0.002]).all()
     assert (deviation < 0.1).all()

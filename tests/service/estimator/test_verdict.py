@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from schemas.messages import Gripper, PayloadEvent
-from service.estimator.friction import COUNT
+from service.estimator.departure import COUNT
 from service.estimator.payload import verdict
 from service.estimator.payload.state import COLOUR, LOADS, STATE, settings, start
 
@@ -42,7 +42,7 @@ def test_the_error_of_a_mass_is_all_that_is_not_known_of_it(active, worse, exces
     columns = 3.0 * random.standard_normal((60, active))
     information, drag = columns.T @ columns, columns.T @ random.standard_normal((60, COUNT))
     root = 0.05 * random.standard_normal((COUNT, COUNT))
-    state["active"], state["friction"]["covariance"], state["friction"]["delta"] = active, root @ root.T, root[0]
+    state["active"], state["departure"]["covariance"], state["departure"]["delta"] = active, root @ root.T, root[0]
     state["information"][:active, :active], state["drag"][:active] = information, drag
     state["moment"][:active] = information @ np.array([2.0, 0.03, -0.02])[:active] + drag @ root[0]
     state["raw_information"] = information[0, 0] * 1.25 / (worse if worse > 1.0 else 0.3)

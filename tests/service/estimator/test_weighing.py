@@ -5,7 +5,7 @@ import pytest
 
 from schemas.messages import Gripper
 from service.estimator import slow
-from service.estimator.friction import COUNT, PARTS
+from service.estimator.departure import COUNT, PARTS
 from service.estimator.payload import step
 from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, STATE, sample_variance, settings, start
 
@@ -39,7 +39,7 @@ def test_times_become_samples(period, bins, block, worth):
     assert (found["bin_size"], found["block_size"]) == (bins, block)
     forgotten = {"forgetting": 3.0, "remember": 30.0, "lighten": 0.05, "leave": 1.0}
     assert [-np.log(found[name]) for name in forgotten] == pytest.approx([period / t for t in forgotten.values()])
-    assert -np.log(found["friction_forgetting"]) == pytest.approx(block * period / 20.0)
+    assert -np.log(found["departure_forgetting"]) == pytest.approx(block * period / 20.0)
     assert found["information_weight"] == pytest.approx(worth)
     assert found["model_error"] == pytest.approx(block * worth * (1.0 + 0.5 + 4.0) / 3)
     assert (found["period"], found["max_payload"]) == (period, 5.0)
@@ -177,7 +177,7 @@ def test_slow_motion_hands_on_what_gravity_says():
     """The sample as the slow branch takes it, its friction taken off, and all that is known replaced by its answer."""
     random, state = np.random.default_rng(2), fresh(inflation=1.5, mass=1.0, std_dev=0.4, drag=2.0, in_bin=0)
     delta = 0.2 * random.standard_normal(COUNT)
-    state["friction"]["delta"] = delta
+    state["departure"]["delta"] = delta
     expected, said = state["slow"].copy(), False
     slowly = 2.5e-3  # s, the fewer samples it takes
     rule = settings(slowly, DRIFT, 6.0, np.zeros(3), np.ones(3))[()]
@@ -212,7 +212,7 @@ def test_slow_motion_hands_on_what_gravity_says():
 @pytest.mark.parametrize("active", [1, LOADS])
 def test_behind_a_change_a_mass_and_the_models_error_are_told_anew(active):
     random, state = np.random.default_rng(4), fresh(untold=0.15, fresh=9, block=10, active=active, turning=1000)
-    state["friction"]["covariance"] = 0.0
+    state["departure"]["covariance"] = 0.0
     for n in range(60):
         state["column"][:, :active] = random.standard_normal((3, active)) * [3.0, 20.0, 20.0][:active]
         state["residual"] = state["column"][:, 0] * 2.0 * (n >= 31) + 0.05 * random.standard_normal(3)

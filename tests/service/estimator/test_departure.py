@@ -1,4 +1,4 @@
-"""Friction that follows the machine: in the feed-forward torque, and from one run to the next."""
+"""Friction and torque scale that follow the machine: in the feed-forward torque, and from one run to the next."""
 
 import json
 from datetime import UTC, datetime, timedelta
@@ -8,9 +8,9 @@ import pytest
 
 from schemas.errors import StorageError
 from schemas.messages import SampleFlag
-from service.estimator import friction
+from service.estimator import departure
+from service.estimator.departure import COUNT, PARTS
 from service.estimator.estimator import Estimator
-from service.estimator.friction import COUNT, PARTS
 from service.estimator.keep import Keeper
 from tests.known import PERIOD
 
@@ -50,25 +50,25 @@ def test_feedforward_is_for_the_friction_of_now(robot, make, share):
 def test_friction_that_is_not_there_is_not_fed_forward(robot, make):
     """At most what the noise makes sure of by chance."""
     estimator, _, _ = ran(robot, make, 0.0)
-    assert np.abs(estimator.state["payload"]["friction"]["sure"]).max() < 0.05
+    assert np.abs(estimator.state["payload"]["departure"]["sure"]).max() < 0.05
 
 
 def test_no_gear_rubs_that_much_more(robot, make):
     """What no drift of a gear explains is fed forward to its bound, and said to be there."""
     estimator, answers, _ = ran(robot, make, 0.7)
-    learnt = estimator.state["payload"]["friction"]
-    prior = friction.drift(
+    learnt = estimator.state["payload"]["departure"]
+    prior = departure.drift(
         np.array(robot.identified.viscous_friction_nms.value), np.array(robot.identified.coulomb_friction_nm.value)
     )
-    assert (np.abs(learnt["sure"]) <= friction.BOUND * prior).all()
+    assert (np.abs(learnt["sure"]) <= departure.BOUND * prior).all()
     assert (answers["flags"][LATE] & SampleFlag.FRICTION_HELD).any()
 
 
 def test_friction_is_least_squares_at_right_angles_to_the_load():
     """Two blocks of samples, the second of half the worth, by matrices: what a mass could be is taken out of each."""
-    random, state = np.random.default_rng(4), np.zeros(1, friction.STATE)
+    random, state = np.random.default_rng(4), np.zeros(1, departure.STATE)
     prior = np.array([0.6, 0.2, 0.15, 0.03] * 3)
-    friction.start(state, prior)
+    departure.start(state, prior)
     state, forgetting = state[0], 0.9
     np.testing.assert_allclose(state["covariance"], np.diag([0.36, 0.04, 0.0225, 0.0009] * 3))
     truth = np.array([0.5, -0.1, 0.2, 0.03, -6.0, 0.2, 0.1, -0.02, 5.0, 0.0, -0.1, 0.01])  # two beyond any gear's
@@ -84,41 +84,41 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
             for joint in range(3):
                 slopes[joint, PARTS * joint : PARTS * joint + PARTS] = x[joint]
             residual = 1.3 * phi + known + slopes @ truth + random.standard_normal(3) / 3
-            friction.gather_kernel(state, np.repeat(phi[:, None], 3, axis=1), residual, known, weight, x)
+            departure.gather_kernel(state, np.repeat(phi[:, None], 3, axis=1), residual, known, weight, x)
             root = np.sqrt(np.diag(weight))
             load = root @ phi
             across = root @ (np.eye(3) - np.outer(load, load) / (load @ load)) @ root
             gained += slopes.T @ across @ slopes
             pulled += slopes.T @ across @ (residual - known)
-        friction.learn_kernel(state, prior, forgetting, inflation)
+        departure.learn_kernel(state, prior, forgetting, inflation)
         information = forgetting * information + gained / inflation
         moment = forgetting * moment + pulled / inflation
     covariance = np.linalg.inv(information + np.diag(1 / prior**2))
     found = covariance @ moment
     np.testing.assert_allclose(state["covariance"], covariance, rtol=1e-6, atol=1e-12)
-    assert found[8] > friction.BOUND * prior[8]
-    assert found[4] < -friction.BOUND * prior[4]
-    found[[4, 8]] = friction.BOUND * prior[[4, 8]] * [-1, 1]
+    assert found[8] > departure.BOUND * prior[8]
+    assert found[4] < -departure.BOUND * prior[4]
+    found[[4, 8]] = departure.BOUND * prior[[4, 8]] * [-1, 1]
     np.testing.assert_allclose(state["delta"], found, rtol=1e-6, atol=1e-9)
     assert state["held"]
     beyond = np.sign(found) * np.maximum(0.0, np.abs(found) - np.sqrt(np.diag(covariance)))
     np.testing.assert_allclose(state["sure"], beyond, rtol=1e-6, atol=1e-9)
     state["moment"] = 0.0
-    friction.learn_kernel(state, prior, forgetting, 1.0)
+    departure.learn_kernel(state, prior, forgetting, 1.0)
     assert not state["held"], "nothing is beyond a gear's any more"
     covariance = state["covariance"]
     one, other = random.standard_normal((2, COUNT))
-    departure, spread = friction.learnt(state)
-    np.testing.assert_array_equal(departure.ravel(), state["delta"])
+    learnt, spread = departure.learnt(state)
+    np.testing.assert_array_equal(learnt.ravel(), state["delta"])
     np.testing.assert_allclose(spread.ravel() ** 2, np.diag(covariance))
-    assert friction.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
+    assert departure.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
 
 
 def test_a_small_scale_is_left_out_and_counted():
     """It may be an inertia that is a little wrong: the rest is what it is without, and the difference is error."""
     random, prior = np.random.default_rng(7), np.array([0.6, 0.2, 0.15, 0.03] * 3)
-    states = np.zeros(1, friction.STATE)
-    friction.start(states, prior)
+    states = np.zeros(1, departure.STATE)
+    departure.start(states, prior)
     (state,) = states
     slopes = random.standard_normal((40, COUNT)) * np.tile([3.0, 5.0, 3.0, 300.0], 3)
     state["information"] = information = slopes.T @ slopes
@@ -128,7 +128,7 @@ def test_a_small_scale_is_left_out_and_counted():
         found = 0.05 * random.standard_normal(COUNT)
         found[scales] = [0.005, largest, 0.0]
         state["block_information"], state["block_moment"] = information, known @ found
-        friction.learn_kernel(state, prior, 0.0, 1.0)
+        departure.learn_kernel(state, prior, 0.0, 1.0)
         assert state["changed"] == changed, largest
         without = found - covariance[:, scales] @ np.linalg.solve(covariance[np.ix_(scales, scales)], found[scales])
         expected = found if changed else without
@@ -138,29 +138,29 @@ def test_a_small_scale_is_left_out_and_counted():
     unsure = slopes * np.tile([1.0, 1.0, 1.0, 0.01], 3)
     information = unsure.T @ unsure
     state["block_information"], state["block_moment"] = information, (information + np.diag(prior**-2)) @ found
-    friction.learn_kernel(state, prior, 0.0, 1.0)
+    departure.learn_kernel(state, prior, 0.0, 1.0)
     assert state["changed"] == 0, "nothing that stands out of its error"
 
 
 def test_what_the_newest_blocks_taught_can_be_unlearnt():
     random, prior = np.random.default_rng(8), np.array([0.6, 0.2, 0.15, 0.03] * 3)
-    states = np.zeros(1, friction.STATE)
-    friction.start(states, prior)
+    states = np.zeros(1, departure.STATE)
+    departure.start(states, prior)
     (state,) = states
     after = [(state["information"].copy(), state["moment"].copy())]
     for _ in range(13):
         slopes = random.standard_normal((15, COUNT))
         state["block_information"], state["block_moment"] = slopes.T @ slopes, random.standard_normal(COUNT)
-        friction.learn_kernel(state, prior, 0.9, 1.0)
+        departure.learn_kernel(state, prior, 0.9, 1.0)
         after.append((state["information"].copy(), state["moment"].copy()))
     for _ in range(2):
         state["block_information"] = state["block_moment"] = 1.0
-        friction.unlearn_kernel(state, prior)
+        departure.unlearn_kernel(state, prior)
         np.testing.assert_array_equal(state["information"], after[4][0])
         np.testing.assert_array_equal(state["moment"], after[4][1])
         assert not state["block_information"].any()
         assert not state["block_moment"].any()
-    friction.learn_kernel(state, prior, 1.0, 1.0)
+    departure.learn_kernel(state, prior, 1.0, 1.0)
     expected = np.linalg.inv(after[4][0] + np.diag(prior**-2))
     np.testing.assert_allclose(np.diag(state["covariance"]), np.diag(expected), rtol=0.5)
 
@@ -171,7 +171,7 @@ def test_what_is_left_of_a_departure_after_a_while_is_a_gauss_markov_process():
     information, moment = slopes.T @ slopes, random.standard_normal(COUNT)
     mean = np.linalg.solve(information + np.diag(prior**-2), moment)
     covariance = np.linalg.inv(information + np.diag(prior**-2))
-    later = friction.aged(information, moment, prior, share)
+    later = departure.aged(information, moment, prior, share)
     then = np.linalg.inv(later[0] + np.diag(prior**-2))
     np.testing.assert_allclose(then, share**2 * covariance + (1 - share**2) * np.diag(prior**2), rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(then @ later[1], share * mean, rtol=1e-9)
@@ -180,11 +180,11 @@ def test_what_is_left_of_a_departure_after_a_while_is_a_gauss_markov_process():
 def test_a_share_of_friction_is_reckoned_at_one_speed():
     """Coulomb and viscous together at 1 rad/s, or an offset, over what rubs there, of which a little is always taken to
     be."""
-    departure = np.array([[0.4, 0.2, -0.9], [0.5, -0.5, 0.1], [0.0, 0.0, 0.3]])
+    found = np.array([[0.4, 0.2, -0.9], [0.5, -0.5, 0.1], [0.0, 0.0, 0.3]])
     identified = np.array([[2.0, 1.0], [3.0, 2.0], [0.0, 0.0]])
-    assert friction.drift_share(departure, identified) == pytest.approx([0.3, 0.02, 2.0])
+    assert departure.drift_share(found, identified) == pytest.approx([0.3, 0.02, 2.0])
     np.testing.assert_allclose(
-        friction.drift(np.array([-2.0, 0.1, 4.0]), np.array([3.0, 0.1, 0.0])).reshape(3, PARTS),
+        departure.drift(np.array([-2.0, 0.1, 4.0]), np.array([3.0, 0.1, 0.0])).reshape(3, PARTS),
         [[0.45, 0.3, 0.15, 0.03], [0.15, 0.05, 0.15, 0.03], [0.15, 0.6, 0.15, 0.03]],
     )
 
@@ -198,8 +198,8 @@ def kept(robot, make, tmp_path):
     return path, estimator
 
 
-def departure(estimator):
-    return friction.learnt(estimator.state["payload"]["friction"])[0]
+def learnt(estimator):
+    return departure.learnt(estimator.state["payload"]["departure"])[0]
 
 
 def after_a_restart(robot, make, path):
@@ -247,10 +247,10 @@ def test_what_is_learnt_is_written_while_it_runs_but_not_all_the_time(robot, tmp
 def test_friction_outlives_a_restart(robot, make, kept):
     path, before = kept
     estimator, said = after_a_restart(robot, make, path)
-    np.testing.assert_allclose(departure(estimator), departure(before), atol=0.1)
+    np.testing.assert_allclose(learnt(estimator), learnt(before), atol=0.1)
     assert "counted 100%" in said
     anew, _ = after_a_restart(robot, make, path.with_name("none.json"))
-    assert rms(departure(anew) - departure(before)) > 3 * rms(departure(estimator) - departure(before))
+    assert rms(learnt(anew) - learnt(before)) > 3 * rms(learnt(estimator) - learnt(before))
 
 
 def test_what_was_learnt_yesterday_says_little_of_a_cold_gear(robot, make, kept):
@@ -259,7 +259,7 @@ def test_what_was_learnt_yesterday_says_little_of_a_cold_gear(robot, make, kept)
     estimator, said = after_a_restart(robot, make, path)
     anew, _ = after_a_restart(robot, make, path.with_name("none.json"))
     assert "counted 0%" in said
-    np.testing.assert_allclose(departure(estimator), departure(anew), atol=0.02)
+    np.testing.assert_allclose(learnt(estimator), learnt(anew), atol=0.02)
 
 
 @pytest.mark.parametrize(("period", "used"), [(5e-4, False), (1.0005e-3, True), (0.9995e-3, True), (1.0015e-3, False)])
@@ -267,7 +267,7 @@ def test_what_was_learnt_at_another_rate_is_not_used(robot, kept, period, used):
     path, _ = kept
     estimator = Estimator(robot, period)
     assert ("period_s 0.001" in Keeper(path, robot).begin(estimator)) is not used
-    assert estimator.state["payload"]["friction"]["information"].any() == used
+    assert estimator.state["payload"]["departure"]["information"].any() == used
 
 
 def test_an_hour_leaves_a_third_of_what_was_learnt(robot, kept):
@@ -278,9 +278,9 @@ def test_an_hour_leaves_a_third_of_what_was_learnt(robot, kept):
     estimator = Estimator(robot, PERIOD)
     assert "60 min ago, counted 37%" in Keeper(path, robot).begin(estimator)
     found = robot.identified
-    prior = friction.drift(np.array(found.viscous_friction_nms.value), np.array(found.coulomb_friction_nm.value))
-    left = friction.aged(information, np.array([0.0, *[2.0] * (COUNT - 1)]), prior, np.exp(-1.0))
-    begun = estimator.state["payload"]["friction"]
+    prior = departure.drift(np.array(found.viscous_friction_nms.value), np.array(found.coulomb_friction_nm.value))
+    left = departure.aged(information, np.array([0.0, *[2.0] * (COUNT - 1)]), prior, np.exp(-1.0))
+    begun = estimator.state["payload"]["departure"]
     np.testing.assert_allclose(begun["information"], left[0], rtol=1e-3, atol=1e-9)
     np.testing.assert_allclose(begun["moment"], left[1], rtol=1e-3, atol=1e-9)
 

@@ -1,4 +1,4 @@
-"""Friction that follows the machine: how far Coulomb, viscous friction, offset and the scale of the torque are from the
+"""Friction and torque scale that follow the machine: how far Coulomb, viscous friction, offset and scale are from the
 identified ones, now.
 
 Per joint i the torque residual of a sample is r_i = m_p phi_i + x_i delta_i + noise with x_i = (direction, speed, 1,
