@@ -5,7 +5,8 @@ Per joint i the torque residual of a sample is r_i = m_p phi_i + x_i delta_i + n
 torque of the model): a torque constant that has changed does to every part of the torque the same. The payload is
 eliminated sample by sample: only the part of the residuals at right angles to phi, in the metric of the noise, is
 looked at, so what hangs on the gripper, and when it was picked, need not be known. What is left is linear least squares
-in twelve numbers, with slow forgetting and the identified values as the prior.
+in thirteen numbers, with slow forgetting and the identified values as the prior: the last is the dry friction of the
+forearms' ball joints, which looks much like a load where a joint's own does not.
 
 A scale is told from an inertia that is a little wrong by little: below `CHANGED_SCALE` it is taken for that, left out,
 and all that it would change counts as error.
@@ -19,18 +20,22 @@ import numpy as np
 
 from schemas.kernels import kernel
 
-PARTS = 4  # Coulomb N m, viscous N m s/rad, offset N m, scale of the reported torque less one
+OWN = 4  # a joint's: Coulomb N m, viscous N m s/rad, offset N m, scale of the reported torque less one
 SCALE = 3
-COUNT = 3 * PARTS
+BALLS = 4  # of the robot: dry friction of a forearm's ball joints at either end, N m
+PARTS, COUNT = OWN + 1, 3 * OWN + 1
 
 # One standard deviation of what a gear does from day to day, as a share of what was identified, and at least this.
 DRIFT_SHARE = 0.15
 SMALLEST_DRIFT = (0.15, 0.05, 0.15)  # N m, N m s/rad, N m
 # The same of a torque constant: magnets lose 0.1 %/K, so 5 % are two of these.
 SCALE_DRIFT = 0.03
+# The same of ball joints, whose shells wear and whose springs tire.
+BALLS_DRIFT = 0.1  # N m
 DRIFT_SPEED = 1.0  # rad/s, at which two frictions are compared
 # A scale is taken to have changed beyond this, where it is this many standard deviations, and until all are below that.
 CHANGED_SCALE, CHANGED_SIGMAS, SAME_SCALE = 0.02, 3.0, 0.01
+CHANGED_BALLS, SAME_BALLS = 0.03, 0.015  # N m, the same of ball joints: what a model lacks looks like so little
 # No more than this many standard deviations are believed.
 BOUND = 4.0
 # Blocks within which a change of load that they may be spoilt by is found.
@@ -51,30 +56,32 @@ STATE = np.dtype(
         ("sure", "f8", COUNT),  # of it, what is beyond one standard deviation
         ("held", "i8"),  # whether one of them is held at its bound
         ("changed", "i8"),  # whether a scale is taken to have
+        ("worn", "i8"),  # whether the ball joints are
         ("covariance", "f8", (COUNT, COUNT)),
         ("root", "f8", (COUNT, COUNT)),  # scratch
         ("column", "f8", COUNT),  # scratch
-        ("found", "f8", COUNT),  # with any scale
+        ("found", "f8", COUNT),  # with any scale and worn ball joints
     ],
     align=True,
 )
 
 
 def drift(viscous: np.ndarray, coulomb: np.ndarray) -> np.ndarray:
-    """(12,) prior standard deviations for identified friction (3,) N m s/rad and (3,) N m."""
+    """(COUNT,) prior standard deviations for identified friction (3,) N m s/rad and (3,) N m."""
     found = np.stack([np.abs(coulomb), np.abs(viscous), np.zeros(3)], axis=1)
-    return np.column_stack([np.maximum(DRIFT_SHARE * found, SMALLEST_DRIFT), np.full(3, SCALE_DRIFT)]).ravel()
+    own = np.column_stack([np.maximum(DRIFT_SHARE * found, SMALLEST_DRIFT), np.full(3, SCALE_DRIFT)])
+    return np.append(own, BALLS_DRIFT)
 
 
 def start(state: np.ndarray, prior: np.ndarray) -> None:
-    """Nothing is known but the prior (12,)."""
+    """Nothing is known but the prior (COUNT,)."""
     state[:] = np.zeros((), STATE)
     state["covariance"] = np.diag(prior**2)
 
 
 def aged(information: np.ndarray, moment: np.ndarray, prior: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Information (12, 12) and moment (12,) of a departure that comes back to none, of which `share` is left: its mean
-    shrinks by that, and its covariance grows towards that of the prior (12,), a Gauss-Markov process."""
+    """Information (COUNT, COUNT) and moment (COUNT,) of a departure that comes back to none, of which `share` is left:
+    its mean shrinks by that, its covariance grows towards that of the prior (COUNT,), a Gauss-Markov process."""
     known = np.diag(1.0 / prior**2)
     covariance = np.linalg.inv(information + known)
     later = np.linalg.inv(share**2 * covariance + (1.0 - share**2) * np.diag(prior**2))
@@ -82,19 +89,24 @@ def aged(information: np.ndarray, moment: np.ndarray, prior: np.ndarray, share: 
 
 
 def learnt(state: np.void) -> tuple[np.ndarray, np.ndarray]:
-    """Departure from the identified friction and its standard deviation, (3, PARTS) each: joints, parts."""
-    spread = np.sqrt(np.maximum(np.diag(state["covariance"]), 0.0))
-    return state["delta"].reshape(3, PARTS).copy(), spread.reshape(3, PARTS)
+    """Departure from what was identified and its standard deviation, (COUNT,) each."""
+    return state["delta"].copy(), np.sqrt(np.maximum(np.diag(state["covariance"]), 0.0))
 
 
 def drift_share(departure: np.ndarray, identified: np.ndarray) -> np.ndarray:
     """(3,): the larger of what friction at `DRIFT_SPEED` and what the offset departs by, over friction there.
 
-    departure: (3, PARTS), as `learnt`. identified: (3, 2) N m, N m s/rad.
+    departure: (3, OWN), of the joints. identified: (3, 2) N m, N m s/rad.
     """
     moving = departure[:, 0] + departure[:, 1] * DRIFT_SPEED
     whole = identified[:, 0] + identified[:, 1] * DRIFT_SPEED
     return np.maximum(np.abs(moving), np.abs(departure[:, 2])) / np.maximum(whole, SMALLEST_DRIFT[0])
+
+
+@kernel
+def place(joint, part):
+    """Where a part of a joint's shape has its departure."""
+    return COUNT - 1 if part == BALLS else OWN * joint + part
 
 
 @kernel
@@ -114,14 +126,15 @@ def gather_kernel(state, column, residual, known, weight, shape):
             if i == j:
                 part += weight[i]
             for a in range(PARTS):
-                state.block_moment[PARTS * i + a] += shape[i, a] * part * (residual[j] - known[j])
+                at, pull = place(i, a), shape[i, a] * part
+                state.block_moment[at] += pull * (residual[j] - known[j])
                 for b in range(PARTS):
-                    state.block_information[PARTS * i + a, PARTS * j + b] += shape[i, a] * part * shape[j, b]
+                    state.block_information[at, place(j, b)] += pull * shape[j, b]
 
 
 @kernel
 def covariance_kernel(state, one, other):
-    """Covariance of two sums that friction enters with `one` and `other`, both (12,)."""
+    """Covariance of two sums that friction enters with `one` and `other`, both (COUNT,)."""
     total = 0.0
     for a in range(COUNT):
         for b in range(COUNT):
@@ -131,7 +144,7 @@ def covariance_kernel(state, one, other):
 
 @kernel
 def learn_kernel(state, prior, forgetting, inflation):
-    """Take the block, whose residuals scatter `inflation` times as much as their weights say. prior: (12,)."""
+    """Take the block, whose residuals scatter `inflation` times as much as their weights say. prior: (COUNT,)."""
     state.since += 1
     if state.since >= UNDONE:
         state.since = 0
@@ -202,8 +215,7 @@ def _solve(state, prior):
             else:
                 state.covariance[a, b] = column[a]
     _note_change(state)
-    if state.changed == 0:
-        _leave_scale_out(state)
+    _leave_out(state)
     for a in range(COUNT):
         believed = state.delta[a]
         state.delta[a] = max(-BOUND * prior[a], min(BOUND * prior[a], believed))
@@ -214,25 +226,32 @@ def _solve(state, prior):
 
 @kernel
 def _note_change(state):
-    """state.changed, from what is found of the scales."""
+    """state.changed and state.worn, from what is found of the scales and the ball joints."""
     least = SAME_SCALE if state.changed != 0 else CHANGED_SCALE
     state.changed = 0
     for i in range(3):
-        k = PARTS * i + SCALE
-        size = abs(state.found[k])
-        state.changed |= size > least and size > CHANGED_SIGMAS * np.sqrt(max(state.covariance[k, k], 0.0))
+        state.changed |= _stands_out(state, place(i, SCALE), least)
+    state.worn = _stands_out(state, COUNT - 1, SAME_BALLS if state.worn != 0 else CHANGED_BALLS)
 
 
 @kernel
-def _leave_scale_out(state):
-    """state.delta where every scale is what was identified, by conditioning on them one by one; and what the scales
-    found would make of it, squared, beside the covariance."""
+def _stands_out(state, k, least):
+    size = abs(state.found[k])
+    return size > least and size > CHANGED_SIGMAS * np.sqrt(max(state.covariance[k, k], 0.0))
+
+
+@kernel
+def _leave_out(state):
+    """state.delta where the ball joints and every scale are what was identified, unless they have changed, by
+    conditioning on them one by one; and what the scales found would make of it, squared, beside the covariance."""
     left = state.root
     for a in range(COUNT):
         for b in range(COUNT):
             left[a, b] = state.covariance[a, b]
-    for i in range(3):
-        k = PARTS * i + SCALE
+    for n in range(-1, 3):
+        k = place(n, SCALE) if n >= 0 else COUNT - 1
+        if (state.changed if n >= 0 else state.worn) != 0:
+            continue
         for a in range(COUNT):
             state.column[a] = left[k, a]
         variance = max(state.column[k], 1e-12)
@@ -241,6 +260,8 @@ def _leave_scale_out(state):
             state.delta[a] -= state.column[a] * wrong
             for b in range(COUNT):
                 left[a, b] -= state.column[a] * state.column[b] / variance
+            if n < 0:
+                state.found[a] = state.delta[a]
     for a in range(COUNT):
         for b in range(COUNT):
             state.covariance[a, b] += (state.found[a] - state.delta[a]) * (state.found[b] - state.delta[b])

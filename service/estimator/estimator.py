@@ -101,13 +101,15 @@ class Estimator:
         """(1,) record of FRICTION: what is known of friction now."""
         (state,), (settings,) = self._steps["state"], self._steps["settings"]
         found, spread = departure.learnt(state["payload"]["departure"])
+        own = found[:-1].reshape(3, departure.OWN)
         record = FRICTION.empty()
         for field in ("stamp_sec", "stamp_nanosec", "sequence"):
             record[field] = state[field]
         for part, name in enumerate(("coulomb", "viscous", "offset", "scale")):
-            record[name], record[f"{name}_std_dev"] = found[:, part], spread[:, part]
+            record[name], record[f"{name}_std_dev"] = own[:, part], spread[part : -1 : departure.OWN]
         identified = np.stack([settings["coulomb"], settings["viscous"]], axis=1)
-        record["drift"] = departure.drift_share(found, identified)
+        record["drift"] = departure.drift_share(own, identified)
+        record["ball_joints"], record["ball_joints_std_dev"] = found[-1], spread[-1]
         return record
 
     def warm_up(self) -> None:

@@ -14,7 +14,7 @@ from service.estimator.kalman import ACCELERATION, POSITION, VELOCITY
 from service.estimator.stream import COMMAND_ACCELERATION, SETTLE_TIME, coast_cycles
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, terms_kernel
 from service.model.effects.base import Instant
-from service.model.friction import direction, friction_kernel
+from service.model.friction import ball_joint_kernel, direction, friction_kernel
 from service.model.kinematics import REACHED
 
 REFERENCE_AHEAD = 8  # cycles, planned motion further ahead is not for the next cycles
@@ -144,7 +144,7 @@ def _for_motion(settings, state, sample):
     mass = state.payload.usable
     finite = True
     for i in range(3):
-        scale = 1.0 + state.payload.departure.sure[departure.PARTS * i + departure.SCALE]
+        scale = 1.0 + state.payload.departure.sure[departure.place(i, departure.SCALE)]
         moved = state.full[i] + mass * load_kernel(settings, state, i)
         state.wanted[i] = scale * moved + _learnt_friction(settings, state, i)
         finite &= math.isfinite(state.wanted[i])
@@ -159,6 +159,7 @@ def torque_kernel(settings, state, seconds):
         state.load[i] = grey_kernel(settings, terms, i) + settings.forearm * terms[FOREARM, i]
         state.direction[i] = direction(motion[VELOCITY, i], settings.transition)
         state.full[i] = state.load[i] + dry_and_viscous(settings, state, i)
+    ball_joint_kernel(settings.model, motion[VELOCITY], state.pose, state.balls)
     now = Instant(
         model=settings.model,
         gear_ratio=settings.gear_ratio,
@@ -184,9 +185,10 @@ def dry_and_viscous(settings, state, i):
 @kernel
 def _learnt_friction(settings, state, i):
     """Reported torque on joint i, N m, of what friction surely is beside the identified one."""
-    sure, first = state.payload.departure.sure, departure.PARTS * i
+    sure, first = state.payload.departure.sure, departure.place(i, 0)
     dry, viscous, offset = sure[first], sure[first + 1], sure[first + 2]
-    return settings.scale[i] * (dry * state.direction[i] + viscous * state.trajectory[VELOCITY, i]) + offset
+    rubbed = dry * state.direction[i] + viscous * state.trajectory[VELOCITY, i]
+    return settings.scale[i] * (rubbed + sure[departure.place(i, departure.BALLS)] * state.balls[i]) + offset
 
 
 @kernel
@@ -207,7 +209,7 @@ def _within_bounds(settings, state, seconds, out):
     Coulomb friction, which is a step by nature."""
     flags = 0
     for i in range(3):
-        dry = settings.coulomb[i] + state.payload.departure.sure[departure.PARTS * i]
+        dry = settings.coulomb[i] + state.payload.departure.sure[departure.place(i, 0)]
         reversal = settings.scale[i] * dry * abs(state.direction[i] - state.direction_before[i])
         step = max(settings.slope * seconds, reversal)
         low, high = max(-settings.peak, state.torque[i] - step), min(settings.peak, state.torque[i] + step)

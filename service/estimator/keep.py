@@ -37,11 +37,12 @@ _Row = Annotated[list[float], Field(min_length=COUNT, max_length=COUNT)]
 
 
 class _Kept(BaseModel):
-    """Joint by joint Coulomb N m, viscous N m s/rad, offset N m, scale: information in the inverse squares of these."""
+    """Joint by joint Coulomb N m, viscous N m s/rad, offset N m, scale, and last of ball joints N m: information in the
+    inverse squares of these."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    schema_: Literal["deltatwin.friction/2"] = Field(alias="schema")
+    schema_: Literal["deltatwin.friction/3"] = Field(alias="schema")
     robot: str
     description: str  # SHA-256 of what the departure is from
     written_at: AwareDatetime
@@ -111,7 +112,7 @@ class Keeper:
     def _text(self, estimator: Estimator, now: datetime) -> str:
         friction = estimator.state["payload"]["departure"]
         kept = _Kept(
-            schema="deltatwin.friction/2",
+            schema="deltatwin.friction/3",
             robot=self._name,
             description=self._digest,
             written_at=now,

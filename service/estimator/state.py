@@ -103,6 +103,7 @@ STATE = np.dtype(
         ("pose", POSE),
         ("terms", "f8", (len(TERMS), 3)),
         ("direction", "f8", 3),
+        ("balls", "f8", 3),  # torque per N m of dry friction in the forearms' ball joints
         ("load", "f8", 3),
         ("full", "f8", 3),
         ("wanted", "f8", 3),

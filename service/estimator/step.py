@@ -17,7 +17,7 @@ import numpy as np
 from schemas.kernels import kernel
 from schemas.messages import PayloadEvent
 from service.estimator.commanded import compare_kernel, is_used
-from service.estimator.departure import PARTS, SCALE
+from service.estimator.departure import BALLS, SCALE, place
 from service.estimator.feedforward import (
     dry_and_viscous,
     feedforward_kernel,
@@ -183,7 +183,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             error_out.id[i] = past.torque[i] - grey
             error_out.id_friction[i] = past.torque[i] - grey - friction
             # the load's share of a changed scale is the mass's by what is known of it, else the scale's
-            scale, load = weighed.departure.delta[PARTS * i + SCALE], load_kernel(settings, state, i)
+            scale, load = weighed.departure.delta[place(i, SCALE)], load_kernel(settings, state, i)
             carried = weighed.mass * load
             weighed.residual[i] = drive[i] - state.full[i] + scale * carried
             weighed.column[i, 0] = load
@@ -193,6 +193,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             weighed.shape[i, 1] = settings.scale[i] * motion[VELOCITY, i]
             weighed.shape[i, 2] = 1.0
             weighed.shape[i, SCALE] = state.full[i] + carried
+            weighed.shape[i, BALLS] = settings.scale[i] * state.balls[i]
             doubt = MODEL_SHARE * (
                 abs(terms[INERTIA, i]) + abs(terms[GRAVITY, i]) + abs(terms[PLATFORM, i]) + abs(friction)
             )

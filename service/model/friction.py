@@ -9,6 +9,8 @@ import numpy as np
 from schemas.kernels import kernel
 from service.model.dynamics import REST_SPEED
 
+SOFT = 0.05  # rad/s, within which dry friction of a ball joint fades: its seat is compliant
+
 
 @kernel
 def direction(theta_dot: float, transition: float) -> float:
@@ -25,6 +27,36 @@ def direction(theta_dot: float, transition: float) -> float:
 def friction_kernel(viscous: float, coulomb: float, theta_dot: float, transition: float) -> float:
     """Friction torque of one joint, N m. viscous: N m s/rad, coulomb: N m, theta_dot and transition: rad/s."""
     return viscous * theta_dot + coulomb * direction(theta_dot, transition)
+
+
+@kernel
+def ball_joint_kernel(model, theta_dot, pose, torque):
+    """Fill torque (3,): of the joints where the ball joints at either end of each forearm rub with 1 N m, dry.
+
+    By virtual power, as `effects.passive_joint_friction` has it: a forearm turns at s x s_dot / l2^2 against the
+    platform, and at that less its joint's rate against the active link. pose: filled by `motion_kernel`.
+    """
+    forearm, column, elbow, lever, velocity = pose.forearm, pose.column, pose.elbow, pose.lever, pose.velocity
+    total_x = total_y = total_z = 0.0
+    for i in range(3):
+        x, y, z = forearm[i, 0], forearm[i, 1], forearm[i, 2]
+        rate, square = theta_dot[i], model.passive_length[i] * model.passive_length[i]
+        u = (velocity[0] - elbow[i, 0] * rate) / square
+        v = (velocity[1] - elbow[i, 1] * rate) / square
+        w = (velocity[2] - elbow[i, 2] * rate) / square
+        turn_x, turn_y, turn_z = y * w - z * v, z * u - x * w, x * v - y * u
+        bend_x, bend_y = turn_x + model.azimuth_sin[i] * rate, turn_y - model.azimuth_cos[i] * rate
+        turn = 1.0 / math.sqrt(turn_x * turn_x + turn_y * turn_y + turn_z * turn_z + SOFT * SOFT)
+        bend = 1.0 / math.sqrt(bend_x * bend_x + bend_y * bend_y + turn_z * turn_z + SOFT * SOFT)
+        both_x, both_y = turn_x * turn + bend_x * bend, turn_y * turn + bend_y * bend
+        both_z = turn_z * (turn + bend)
+        push_x, push_y = (both_y * z - both_z * y) / square, (both_z * x - both_x * z) / square
+        push_z = (both_x * y - both_y * x) / square
+        total_x, total_y, total_z = total_x + push_x, total_y + push_y, total_z + push_z
+        torque[i] = (model.azimuth_sin[i] * bend_x - model.azimuth_cos[i] * bend_y) * bend
+        torque[i] -= push_x * elbow[i, 0] + push_y * elbow[i, 1] + push_z * elbow[i, 2]
+    for i in range(3):
+        torque[i] += lever[i] * (total_x * column[i, 0] + total_y * column[i, 1] + total_z * column[i, 2])
 
 
 def mean_direction(theta_dot: np.ndarray, transition: float | np.ndarray) -> np.ndarray:

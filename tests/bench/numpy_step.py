@@ -17,6 +17,7 @@ from service.estimator.state import settings
 from service.estimator.step import MODEL_SHARE, REVERSAL_SPEED
 from service.estimator.stream import SETTLE_TIME
 from service.model.dynamics import REST_SPEED
+from service.model.friction import SOFT
 from service.model.nominal import pack
 
 
@@ -83,15 +84,15 @@ class NumpyEstimator:
         answer["target_sequence"] = sample["sequence"]
         if self.count > SETTLE_TIME / self.period:
             mass = self.mass()
-            inertia, gravity, platform, forearm, friction, load = self.terms(*self.commanded.state[:, :3].T)
+            inertia, gravity, platform, forearm, friction, load, balls = self.terms(*self.commanded.state[:, :3].T)
             answer["source"] = 1
             answer["torque"] = (
-                (1.0 + self.learnt("sure")[:, 3])
+                (1.0 + self.learnt("sure")[3:-1:4])
                 * (
                     self.rho_1 * inertia + self.rho_2 * gravity + platform
                     + self.forearm * forearm + friction + mass * load
                 )
-                + self.learnt_friction(self.commanded.state[:, 1])
+                + self.learnt_friction(self.commanded.state[:, 1], balls)
             )  # fmt: skip
         else:
             answer["source"] = 3
@@ -106,18 +107,18 @@ class NumpyEstimator:
             adjoint[0] += innovation / spread - gain @ adjoint
             adjoint = self.filter.transition.T @ adjoint
         state = state + (covariance @ adjoint).T
-        inertia, gravity, platform, forearm, friction, load = self.terms(*state[:, :3].T)
+        inertia, gravity, platform, forearm, friction, load, balls = self.terms(*state[:, :3].T)
         grey = self.rho_1 * inertia + self.rho_2 * gravity + platform
         full = grey + self.forearm * forearm + friction
         torque = sample["torque"]
         doubt = MODEL_SHARE * (np.abs(inertia) + np.abs(gravity) + np.abs(platform) + np.abs(friction))
         noise = np.where(np.abs(state[:, 1]) > REVERSAL_SPEED, self.variance + doubt**2, np.inf)
         now = self.weighed[0]
-        scale, carried = self.learnt("delta")[:, 3], now["mass"] * load
+        scale, carried = self.learnt("delta")[3:-1:4], now["mass"] * load
         now["column"][:, 0], now["weight"] = (1.0 + scale) * load, 1.0 / noise
         now["residual"] = torque - full + scale * carried
         direction = np.clip(state[:, 1] / REST_SPEED, -1, 1)
-        now["shape"] = np.stack([direction, state[:, 1], np.ones(3), full + carried], axis=1)
+        now["shape"] = np.stack([direction, state[:, 1], np.ones(3), full + carried, balls], axis=1)
         event = payload_kernel(self.weigher, now)
         mass = self.mass()
         payload, error = PAYLOAD.empty(1), MODEL_ERROR.empty(1)
@@ -131,7 +132,7 @@ class NumpyEstimator:
         return payload.tobytes(), error.tobytes()
 
     def terms(self, theta, theta_dot, theta_ddot):
-        """inertia, gravity, platform, forearm, friction and load per kg (3,) each."""
+        """inertia, gravity, platform, forearm, friction, load per kg and that of ball joints per N m, (3,) each."""
         model = self.model
         angle = theta + model.joint_offset
         sine, cosine, l1 = np.sin(angle), np.cos(angle), model.active_length
@@ -155,6 +156,11 @@ class NumpyEstimator:
         acceleration = np.linalg.solve(forearm, right)
         rod = acceleration - slope * theta_ddot[:, None] - bend * (theta_dot**2)[:, None]
         load = jacobian.T @ (acceleration - model.gravity)
+        square, axle = (model.passive_length**2)[:, None], np.cross(down, self.azimuth)
+        turn = np.cross(forearm, swing) / square
+        turn, bend = (rate / np.sqrt(np.sum(rate**2, axis=1, keepdims=True) + SOFT**2)
+                      for rate in (turn, turn - axle * theta_dot[:, None]))  # fmt: skip
+        push = np.cross(turn + bend, forearm) / square
         return (
             model.inertia * theta_ddot,
             -model.link_mass * slope @ model.gravity,
@@ -162,16 +168,18 @@ class NumpyEstimator:
             -(jacobian.T @ rod.sum(axis=0) - np.einsum("ia,ia->i", slope, rod)) / 6,
             self.viscous * theta_dot + self.coulomb * np.clip(theta_dot / REST_SPEED, -1, 1),
             load,
+            jacobian.T @ push.sum(axis=0) - np.einsum("ia,ia->i", slope, push) - np.einsum("ia,ia->i", axle, bend),
         )
 
-    def learnt_friction(self, theta_dot: np.ndarray) -> np.ndarray:
-        """(3,) N m, what is sure of it beside the identified."""
-        dry, viscous, offset, _ = self.learnt("sure").T
-        return dry * np.clip(theta_dot / REST_SPEED, -1, 1) + viscous * theta_dot + offset
+    def learnt_friction(self, theta_dot: np.ndarray, balls: np.ndarray) -> np.ndarray:
+        """(3,) N m, what is sure of it beside the identified. balls: (3,), of ball joints per N m."""
+        sure = self.learnt("sure")
+        dry, viscous, offset, _ = sure[:-1].reshape(3, 4).T
+        return dry * np.clip(theta_dot / REST_SPEED, -1, 1) + viscous * theta_dot + offset + sure[-1] * balls
 
     def learnt(self, field: str) -> np.ndarray:
-        """(3, 4) Coulomb N m, viscous N m s/rad, offset N m and scale, a row a joint."""
-        return self.weighed[0]["departure"][field].reshape(3, 4)
+        """(13,): Coulomb N m, viscous N m s/rad, offset N m, scale of each joint; friction of ball joints N m."""
+        return self.weighed[0]["departure"][field]
 
     def mass(self) -> float:
         return self.weighed[0]["usable"]

@@ -28,7 +28,7 @@ def scatter_kernel(settings, state):
         state.known[i] = state.column[i, 1] * state.offset[0] + state.column[i, 2] * state.offset[1]
         rubbed = 0.0
         for a in range(departure.PARTS):
-            rubbed += state.shape[i, a] * delta[departure.PARTS * i + a]
+            rubbed += state.shape[i, a] * delta[departure.place(i, a)]
         weight = state.weight[i]
         sums[i, WEIGHT] += weight
         sums[i, RESIDUAL] += weight * (state.residual[i] - rubbed)

@@ -91,7 +91,7 @@ STATE = np.dtype(
         ("spread", "f8", (LOADS, LOADS)),
         ("contrast", "f8", (LOADS, departure.COUNT)),
         ("known", "f8", 3),  # of this sample, N m: of the load's offset
-        ("shape", "f8", (3, departure.PARTS)),  # of this sample: direction, speed, 1
+        ("shape", "f8", (3, departure.PARTS)),  # of this sample: direction, speed, 1, torque, that of ball joints
         ("column", "f8", (3, LOADS)),  # of this sample: what each load does, phi N m/kg and swing N m/(kg m)
         ("residual", "f8", 3),  # of this sample, N m, measured minus predicted without payload
         ("weight", "f8", 3),  # of this sample, (N m)^-2, 0 where a joint has nothing to say
@@ -139,7 +139,7 @@ def sample_variance(noise: np.ndarray, model_error: np.ndarray) -> np.ndarray:
 def settings(
     period: float, prior: np.ndarray, max_payload: float, model_error: np.ndarray, variance: np.ndarray
 ) -> np.ndarray:
-    """One SETTINGS record. period: s. prior: (12,) of friction. max_payload: kg. model_error: (3,) N m rms that the
+    """One SETTINGS record. period: s. prior: (COUNT,) of departure. max_payload: kg. model_error: (3,) N m rms that the
     model left where it was identified. variance: (3,) (N m)^2, as `sample_variance`."""
     record = np.zeros((), SETTINGS)
     for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME)):
@@ -157,7 +157,7 @@ def settings(
 
 
 def start(state: np.ndarray, prior: np.ndarray) -> None:
-    """An empty gripper, nothing known; prior: (12,) of friction."""
+    """An empty gripper, nothing known; prior: (COUNT,) of departure."""
     state[:] = np.zeros((), STATE)
     state["information"][..., range(LOADS), range(LOADS)] = [PRIOR_STD**-2, OFFSET_STD**-2, OFFSET_STD**-2]
     state["active"] = state["filled"] = 1

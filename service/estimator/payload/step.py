@@ -40,13 +40,15 @@ def payload_kernel(settings, state):
                 gained += weight[i] * column[i, p] * column[i, q]
             state.information[p, q] = own + (state.information[p, q] - own) * settings.forgetting + gained
             state.bin_information[head, p, q] += gained
+        for a in range(departure.COUNT):
+            state.drag[p, a] *= settings.forgetting
         gained = 0.0
         for i in range(3):
             pull = weight[i] * column[i, p]
             gained += pull * residual[i]
             for a in range(departure.PARTS):
-                at = departure.PARTS * i + a
-                state.drag[p, at] = state.drag[p, at] * settings.forgetting + pull * shape[i, a]
+                at = departure.place(i, a)
+                state.drag[p, at] += pull * shape[i, a]
                 state.bin_drag[head, p, at] += pull * shape[i, a]
         state.moment[p] = state.moment[p] * settings.forgetting + gained
         state.bin_moment[head, p] += gained
@@ -100,11 +102,14 @@ def _weigh_slowly(settings, state):
     anything."""
     now = state.slow.now
     for i in range(3):
-        first = departure.PARTS * i
-        now.drift[i], now.phi[i], now.way[i] = settings.prior[first], state.column[i, 0], state.shape[i, 0]
+        now.drift[i], now.phi[i], now.way[i] = (
+            settings.prior[departure.place(i, 0)],
+            state.column[i, 0],
+            state.shape[i, 0],
+        )
         now.residual[i] = state.residual[i]
         for a in range(departure.PARTS):
-            now.residual[i] -= state.shape[i, a] * state.departure.delta[first + a]
+            now.residual[i] -= state.shape[i, a] * state.departure.delta[departure.place(i, a)]
         now.weight[i] *= settings.information_weight
     now.mass, now.variance = state.mass, state.std_dev * state.std_dev
     told = slow.slow_kernel(state.slow, settings.period, PRIOR_STD * PRIOR_STD)

@@ -7,8 +7,8 @@ from service.estimator.departure import COUNT
 from service.estimator.payload import change
 from service.estimator.payload.loads import locate
 from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, SMALLEST_CHANGE, STATE, WINDOW, start
+from tests.service.estimator.test_departure import PRIOR as DRIFT
 
-DRIFT = np.array([0.6, 0.2, 0.15, 0.03] * 3)
 OFFSETS = np.diag([0.0, OFFSET_STD**-2, OFFSET_STD**-2])  # what is known of a place beforehand
 
 

@@ -9,12 +9,19 @@ import pytest
 from schemas.errors import StorageError
 from schemas.messages import SampleFlag
 from service.estimator import departure
-from service.estimator.departure import COUNT, PARTS
+from service.estimator.departure import BALLS, COUNT, OWN, SCALE
 from service.estimator.estimator import Estimator
 from service.estimator.keep import Keeper
 from tests.known import PERIOD
 
 LATE = slice(3000, None)  # samples
+PRIOR = np.array([0.6, 0.2, 0.15, 0.03] * 3 + [0.1])
+
+
+def slopes_of(shape):
+    """(3, COUNT) of a sample's (3, PARTS): what each departure does to the joints."""
+    own = np.kron(np.eye(3), np.ones(OWN)) * np.tile(shape[:, :OWN], 3)
+    return np.column_stack([own, shape[:, BALLS]])
 
 
 def rubbed(robot, known):
@@ -67,11 +74,11 @@ def test_no_gear_rubs_that_much_more(robot, make):
 def test_friction_is_least_squares_at_right_angles_to_the_load():
     """Two blocks of samples, the second of half the worth, by matrices: what a mass could be is taken out of each."""
     random, state = np.random.default_rng(4), np.zeros(1, departure.STATE)
-    prior = np.array([0.6, 0.2, 0.15, 0.03] * 3)
+    prior = PRIOR
     departure.start(state, prior)
     state, forgetting = state[0], 0.9
-    np.testing.assert_allclose(state["covariance"], np.diag([0.36, 0.04, 0.0225, 0.0009] * 3))
-    truth = np.array([0.5, -0.1, 0.2, 0.03, -6.0, 0.2, 0.1, -0.02, 5.0, 0.0, -0.1, 0.01])  # two beyond any gear's
+    np.testing.assert_allclose(state["covariance"], np.diag([0.36, 0.04, 0.0225, 0.0009] * 3 + [0.01]))
+    truth = np.array([0.5, -0.1, 0.2, 0.03, -6.0, 0.2, 0.1, -0.02, 5.0, 0.0, -0.1, 0.01, 0.2])  # two beyond
     information, moment = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
     for inflation in (1.0, 2.0):
         gained, pulled = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
@@ -79,10 +86,9 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
             phi, known, weight = random.uniform(-3, 3, 3), random.standard_normal(3), random.uniform(0.1, 4.0, 3)
             weight[2 if row % 7 == 0 else 1] *= row % 5 > 0  # a joint that rests says nothing
             moved = 20.0 * random.standard_normal(3)
-            x = np.stack([random.choice([-1.0, 1.0], 3), random.uniform(-5, 5, 3), np.ones(3), moved], axis=1)
-            slopes = np.zeros((3, COUNT))
-            for joint in range(3):
-                slopes[joint, PARTS * joint : PARTS * joint + PARTS] = x[joint]
+            rub, speed, balls = random.choice([-1.0, 1.0], 3), random.uniform(-5, 5, 3), random.uniform(-3, 3, 3)
+            x = np.stack([rub, speed, np.ones(3), moved, balls], axis=1)
+            slopes = slopes_of(x)
             residual = 1.3 * phi + known + slopes @ truth + random.standard_normal(3) / 3
             departure.gather_kernel(state, np.repeat(phi[:, None], 3, axis=1), residual, known, weight, x)
             root = np.sqrt(np.diag(weight))
@@ -109,24 +115,24 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     covariance = state["covariance"]
     one, other = random.standard_normal((2, COUNT))
     learnt, spread = departure.learnt(state)
-    np.testing.assert_array_equal(learnt.ravel(), state["delta"])
-    np.testing.assert_allclose(spread.ravel() ** 2, np.diag(covariance))
+    np.testing.assert_array_equal(learnt, state["delta"])
+    np.testing.assert_allclose(spread**2, np.diag(covariance))
     assert departure.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
 
 
 def test_a_small_scale_is_left_out_and_counted():
     """It may be an inertia that is a little wrong: the rest is what it is without, and the difference is error."""
-    random, prior = np.random.default_rng(7), np.array([0.6, 0.2, 0.15, 0.03] * 3)
+    random, prior = np.random.default_rng(7), PRIOR
     states = np.zeros(1, departure.STATE)
     departure.start(states, prior)
     (state,) = states
-    slopes = random.standard_normal((40, COUNT)) * np.tile([3.0, 5.0, 3.0, 300.0], 3)
+    slopes = random.standard_normal((40, COUNT)) * [*[3.0, 5.0, 3.0, 300.0] * 3, 300.0]
     state["information"] = information = slopes.T @ slopes
-    known, scales = information + np.diag(prior**-2), np.arange(3, COUNT, PARTS)
+    known, scales = information + np.diag(prior**-2), np.arange(SCALE, COUNT, OWN)
     covariance = np.linalg.inv(known)
     for largest, changed in ((0.019, 0), (0.021, 1), (-0.011, 1), (0.009, 0), (-0.021, 1)):
         found = 0.05 * random.standard_normal(COUNT)
-        found[scales] = [0.005, largest, 0.0]
+        found[scales], found[-1] = [0.005, largest, 0.0], 0.2
         state["block_information"], state["block_moment"] = information, known @ found
         departure.learn_kernel(state, prior, 0.0, 1.0)
         assert state["changed"] == changed, largest
@@ -135,15 +141,36 @@ def test_a_small_scale_is_left_out_and_counted():
         np.testing.assert_allclose(state["delta"], expected, rtol=1e-6, atol=1e-9)
         error = found - expected
         np.testing.assert_allclose(state["covariance"], covariance + np.outer(error, error), rtol=1e-6, atol=1e-9)
-    unsure = slopes * np.tile([1.0, 1.0, 1.0, 0.01], 3)
+    unsure = slopes * [*[1.0, 1.0, 1.0, 0.01] * 3, 1.0]
     information = unsure.T @ unsure
     state["block_information"], state["block_moment"] = information, (information + np.diag(prior**-2)) @ found
     departure.learn_kernel(state, prior, 0.0, 1.0)
     assert state["changed"] == 0, "nothing that stands out of its error"
 
 
+def test_ball_joints_that_hardly_rub_are_left_out():
+    """What the model lacks looks like so little, too."""
+    random = np.random.default_rng(9)
+    states = np.zeros(1, departure.STATE)
+    departure.start(states, PRIOR)
+    (state,) = states
+    slopes = random.standard_normal((40, COUNT)) * [*[3.0, 5.0, 3.0, 300.0] * 3, 300.0]
+    information = slopes.T @ slopes
+    known = information + np.diag(PRIOR**-2)
+    covariance = np.linalg.inv(known)
+    for rubs, worn in ((0.029, 0), (0.031, 1), (-0.016, 1), (0.014, 0)):
+        found = np.append(0.05 * random.standard_normal(COUNT - 1), rubs)
+        found[SCALE] = 0.05
+        state["block_information"], state["block_moment"] = information, known @ found
+        departure.learn_kernel(state, PRIOR, 0.0, 1.0)
+        assert state["worn"] == worn, rubs
+        without = found - covariance[:, -1] * rubs / covariance[-1, -1]
+        np.testing.assert_allclose(state["delta"], found if worn else without, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(state["covariance"], covariance, rtol=1e-6, atol=1e-12)
+
+
 def test_what_the_newest_blocks_taught_can_be_unlearnt():
-    random, prior = np.random.default_rng(8), np.array([0.6, 0.2, 0.15, 0.03] * 3)
+    random, prior = np.random.default_rng(8), PRIOR
     states = np.zeros(1, departure.STATE)
     departure.start(states, prior)
     (state,) = states
@@ -166,7 +193,7 @@ def test_what_the_newest_blocks_taught_can_be_unlearnt():
 
 
 def test_what_is_left_of_a_departure_after_a_while_is_a_gauss_markov_process():
-    random, prior, share = np.random.default_rng(6), np.array([0.6, 0.2, 0.15, 0.03] * 3), 0.7
+    random, prior, share = np.random.default_rng(6), PRIOR, 0.7
     slopes = random.standard_normal((20, COUNT))
     information, moment = slopes.T @ slopes, random.standard_normal(COUNT)
     mean = np.linalg.solve(information + np.diag(prior**-2), moment)
@@ -184,8 +211,8 @@ def test_a_share_of_friction_is_reckoned_at_one_speed():
     identified = np.array([[2.0, 1.0], [3.0, 2.0], [0.0, 0.0]])
     assert departure.drift_share(found, identified) == pytest.approx([0.3, 0.02, 2.0])
     np.testing.assert_allclose(
-        departure.drift(np.array([-2.0, 0.1, 4.0]), np.array([3.0, 0.1, 0.0])).reshape(3, PARTS),
-        [[0.45, 0.3, 0.15, 0.03], [0.15, 0.05, 0.15, 0.03], [0.15, 0.6, 0.15, 0.03]],
+        departure.drift(np.array([-2.0, 0.1, 4.0]), np.array([3.0, 0.1, 0.0])),
+        [0.45, 0.3, 0.15, 0.03, 0.15, 0.05, 0.15, 0.03, 0.15, 0.6, 0.15, 0.03, 0.1],
     )
 
 

@@ -107,7 +107,7 @@ def test_what_is_wrong_with_a_plan_is_told_once(step):
 def test_the_torque_keeps_to_its_peak_and_slope_but_for_a_reversal(step):
     now, settings, answer = step["state"][0], step["settings"][0], FEEDFORWARD.empty(1)[0]
     settings["peak"], settings["slope"], settings["coulomb"], settings["scale"] = 50.0, 1e3, 4.0, [1.0, 2.0, 1.0]
-    now["payload"]["departure"]["sure"][departure.PARTS] = 1.0
+    now["payload"]["departure"]["sure"][departure.OWN] = 1.0
     now["direction"], now["direction_before"] = [1.0, -1.0, 0.5], [1.0, 1.0, 0.5]
     now["faded"], now["held"] = 0.3, 7
     for before, wanted, expected in (
@@ -151,11 +151,13 @@ def test_a_stray_sample_gets_the_answer_of_before_until_nothing_else_comes(step)
 def test_learnt_friction_is_reported_as_the_drives_report_torque(step):
     """Dry and viscous parts through the torque constant, an offset as it is."""
     now, settings = step["state"][0], step["settings"][0]
-    sure = np.arange(1.0, 13.0).reshape(3, departure.PARTS)
+    sure = np.arange(1.0, 13.0).reshape(3, departure.OWN)
     settings["scale"], now["direction"], now["trajectory"][1] = [1.0, 1.1, 0.9], [1.0, -1.0, 0.5], [3.0, -2.0, 0.4]
-    now["payload"]["departure"]["sure"] = sure.ravel()
+    now["balls"] = [2.0, -1.0, 4.0]
+    now["payload"]["departure"]["sure"] = np.append(sure, 0.3)
     for i in range(3):
-        expected = settings["scale"][i] * (sure[i, 0] * now["direction"][i] + sure[i, 1] * now["trajectory"][1, i])
+        rubbed = sure[i, 0] * now["direction"][i] + sure[i, 1] * now["trajectory"][1, i] + 0.3 * now["balls"][i]
+        expected = settings["scale"][i] * rubbed
         assert feedforward._learnt_friction(settings, now, i) == pytest.approx(expected + sure[i, 2])
     now["terms"][4] = [2.0, 3.0, 4.0]
     assert [feedforward.load_kernel(settings, now, i) for i in range(3)] == pytest.approx([2.0, 3.3, 3.6])
@@ -164,7 +166,7 @@ def test_learnt_friction_is_reported_as_the_drives_report_torque(step):
 def test_what_is_wanted_is_the_models_torque_a_payload_and_learnt_friction(step, robot):
     now, settings, found = step["state"][0], step["settings"][0], robot.identified
     settings["scale"], now["trajectory"] = [1.0, 1.1, 0.9], [[0.3, 0.4, 0.5], [2.0, -1.0, 3.0], [10.0, 20.0, -30.0]]
-    sure = np.arange(12.0)
+    sure = np.arange(13.0)
     sure[[3, 7, 11]] = scale = [0.05, -0.03, 0.0]
     now["payload"]["usable"], now["payload"]["departure"]["sure"] = 1.5, sure
     assert feedforward._for_motion(settings, now, step["sample"][0])

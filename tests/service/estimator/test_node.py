@@ -93,7 +93,7 @@ def test_health_says_that_a_torque_constant_has_changed(bench, robot, make, scal
     known.samples["torque"][:, 1] *= 1.0 + scale
     bench.take(known.samples)
     told, health = bench.report()
-    np.testing.assert_allclose(told["friction"][-1]["scale"], [[0.0, scale, 0.0]], atol=0.008)
+    np.testing.assert_allclose(told["friction"][-1]["scale"], [0.0, scale, 0.0], atol=0.008)
     assert (HealthFlag.SCALE_DRIFT in HealthFlag(int(health["flags"]))) == changed
 
 

@@ -7,8 +7,9 @@ from service.estimator import departure
 from service.estimator.departure import COUNT, PARTS
 from service.estimator.payload import scatter
 from service.estimator.payload.state import BLOCKS, COLOUR, LOADS, STATE, settings, start
+from tests.service.estimator.test_departure import PRIOR, slopes_of
 
-PERIOD, PRIOR = 1e-3, np.array([0.6, 0.2, 0.15, 0.03] * 3)
+PERIOD = 1e-3
 SETTINGS = settings(PERIOD, PRIOR, 6.0, np.ones(3), np.ones(3))[()]
 SIZE = int(SETTINGS["block_size"])
 
@@ -32,7 +33,7 @@ def fill(state, random, resting):
     for n in range(SIZE):
         state["column"], state["residual"], state["weight"], state["shape"] = column[n], residual[n], weight[n], way[n]
         scatter.scatter_kernel(SETTINGS, state)
-    known = np.einsum("nia,ia->ni", way, delta.reshape(3, PARTS)) + column[:, :, 1:] @ offset
+    known = np.array([slopes_of(shape) @ delta for shape in way]) + column[:, :, 1:] @ offset
     moving = [joint for joint in range(3) if joint not in resting]
     mean = {name: np.sum(weight * values, axis=0)[moving] / weight.sum(axis=0)[moving]
             for name, values in (("left", residual - known), ("phi", column[:, :, 0]))}  # fmt: skip

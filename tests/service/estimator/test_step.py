@@ -40,7 +40,7 @@ def seen(corrected, make):
     for sample in kept:
         estimator.step(sample.tobytes())
         state = estimator.state
-        state["payload"]["friction"]["delta"][3::4] = LEARNT
+        state["payload"]["departure"]["delta"][3:-1:4] = LEARNT
         before = {
             "now": int(sample["sequence"]),
             "mass": float(state["payload"]["mass"]),
@@ -54,6 +54,7 @@ def seen(corrected, make):
         after = {name: state["payload"][name].copy() for name in ("weight", "column", "residual", "shape", "inflation")}
         after["slow"], after["usable"] = state["payload"]["slow"]["now"]["weight"].copy(), state["payload"]["usable"]
         after["motion"], after["error"] = state["trajectory"].copy(), estimator.error[0].copy()
+        after["balls"] = state["balls"].copy()
         told.append(before | after)
     return samples, float(motion["acceleration_variance"]), told
 
@@ -114,7 +115,8 @@ def test_what_is_left_of_a_torque_is_what_a_mass_has_to_explain(corrected, seen)
     np.testing.assert_allclose(column(told, "residual"), torque - full + LEARNT * mass * load, atol=1e-9)
     np.testing.assert_allclose(column(told, "column")[:, :, 0], load * (1 + LEARNT))
     assert not column(told, "column")[:, :, 1:].any()
-    shape = np.stack([SCALE * way, SCALE * speed, np.ones(way.shape), full + mass * load], axis=2)
+    balls = SCALE * column(told, "balls")
+    shape = np.stack([SCALE * way, SCALE * speed, np.ones(way.shape), full + mass * load, balls], axis=2)
     np.testing.assert_allclose(column(told, "shape"), shape, atol=1e-9)
     error, usable = column(told, "error"), column(told, "usable")[:, None]
     assert usable.max() > 1.9

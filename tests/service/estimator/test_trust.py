@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from schemas.messages import Gripper, PayloadEvent, stamp_ns
-from service.estimator.departure import PARTS
+from schemas.robot import EffectEntry, EffectParameter
+from service.estimator.departure import OWN, learnt
 from service.estimator.estimator import Estimator
 from service.estimator.payload.verdict import EVENT_BURST, EVENT_RATE
 from service.model.kinematics import jacobian
 from service.model.nominal import pack
-from tests.known import PERIOD
+from service.model.prediction import FULL, motion, predict_along
+from tests.known import PERIOD, trace_of
 
 PICKS = [(1.0, 1.6, 2.0), (2.2, 2.9, 0.5), (3.5, 4.1, 3.8), (4.7, 5.4, 1.0), (6.0, 6.7, 3.0), (7.3, 8.0, 0.5)]
 
@@ -304,7 +306,7 @@ def test_stacked_picks_and_partial_releases_are_events(robot, make):
 
 
 def test_friction_is_learnt_whatever_hangs_on_the_gripper(robot, make):
-    """No empty move at all, and the payload unknown: the twelve numbers come out within their errors."""
+    """No empty move at all, and the payload unknown: all comes out within its error."""
     known = make(8.0, payload=lambda t: 1.0 + 1.0 * (t > 3.0), noise=0.25)
     truth = np.array([[1.0, 0.3, 0.2, 0.05], [-0.6, 0.1, -0.2, -0.03], [0.8, -0.3, 0.1, 0.02]])
     direction = np.clip(known.theta_dot / 0.01, -1, 1)
@@ -312,7 +314,30 @@ def test_friction_is_learnt_whatever_hangs_on_the_gripper(robot, make):
     known.samples["torque"] += truth[:, 0] * direction + truth[:, 1] * known.theta_dot + truth[:, 2]
     estimator = Estimator(robot, PERIOD)
     estimator.run(known.samples)
-    friction = estimator.state["payload"]["departure"]
-    deviation = np.sqrt(np.diag(friction["covariance"])).reshape(3, PARTS)
-    assert (np.abs(friction["delta"].reshape(3, PARTS) - truth) < 4 * deviation + [0.02, 0.02, 0.02, 0.002]).all()
-    assert (deviation < 0.1).all()
+    found, spread = learnt(estimator.state["payload"]["departure"])
+    own, deviation = found[:-1].reshape(3, OWN), spread[:-1].reshape(3, OWN)
+    assert (np.abs(own - truth) < 4 * deviation + [0.02, 0.02, 0.02, 0.002]).all()
+    assert (spread < 0.1).all()
+
+
+def test_ball_joints_that_rub_are_told_from_a_load(robot, make):
+    """0.3 N m at either end of each forearm, that of other gears beside it."""
+    known = make(8.0, payload=lambda t: 0.5 * (t > 4.0), noise=0.25)
+    parts = {"dry_elbow": 0.3, "dry_platform": 0.3, "viscous_elbow": 0.0, "viscous_platform": 0.0}
+    parameters = {name: EffectParameter(value=value) for name, value in parts.items()}
+    rubbing = robot.model_copy(
+        update={"effect": [EffectEntry(name="passive_joint_friction", joints=[1, 2, 3], parameters=parameters)]}
+    )
+    trace = trace_of(known)
+    along = motion(trace)
+    rubs = predict_along(rubbing, trace, along)[FULL] - predict_along(robot, trace, along)[FULL]
+    assert np.abs(rubs).max() > 0.9
+    known.samples["torque"] += rubs
+    estimator = Estimator(robot, PERIOD)
+    payload = estimator.run(known.samples).payload
+    (told,) = estimator.friction()
+    assert told["ball_joints"] == pytest.approx(0.3, abs=4 * told["ball_joints_std_dev"] + 0.01)
+    assert told["ball_joints_std_dev"] < 0.02
+    time = stamp_ns(payload) * 1e-9
+    assert payload["trusted"][time > 5.0].all()
+    np.testing.assert_allclose(payload["mass"][time > 5.0], 0.5, atol=0.03)

@@ -7,8 +7,9 @@ from schemas.messages import Gripper, PayloadEvent
 from service.estimator.departure import COUNT
 from service.estimator.payload import verdict
 from service.estimator.payload.state import COLOUR, LOADS, STATE, settings, start
+from tests.service.estimator.test_departure import PRIOR as DRIFT
 
-PERIOD, DRIFT = 1e-3, np.array([0.6, 0.2, 0.15, 0.03] * 3)
+PERIOD = 1e-3
 SETTINGS = settings(PERIOD, DRIFT, 6.0, 0.3 * np.ones(3), np.ones(3))[()]
 NONE, PICK, RELEASE = PayloadEvent.NONE, PayloadEvent.PICK, PayloadEvent.RELEASE
 TORQUE_SHARE = 0.03

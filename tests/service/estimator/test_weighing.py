@@ -5,11 +5,13 @@ import pytest
 
 from schemas.messages import Gripper
 from service.estimator import slow
-from service.estimator.departure import COUNT, PARTS
+from service.estimator.departure import COUNT, OWN, PARTS
 from service.estimator.payload import step
 from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, STATE, sample_variance, settings, start
+from tests.service.estimator.test_departure import PRIOR as DRIFT
+from tests.service.estimator.test_departure import slopes_of
 
-PERIOD, DRIFT = 1e-3, np.array([0.6, 0.2, 0.15, 0.03] * 3)
+PERIOD = 1e-3
 SETTINGS = settings(PERIOD, DRIFT, 6.0, np.zeros(3), np.ones(3))[()]
 PRIOR = np.diag([PRIOR_STD**-2, OFFSET_STD**-2, OFFSET_STD**-2])
 
@@ -61,10 +63,8 @@ def test_every_sample_adds_what_it_says_and_the_past_fades(active):
     fade = np.exp(-PERIOD / 3.0)
     for n in range(7):
         column = random.standard_normal((3, active)) * [3.0, 20.0, 20.0][:active]
-        slopes = np.zeros((3, COUNT))
-        for joint in range(3):
-            slopes[joint, PARTS * joint : PARTS * joint + PARTS] = random.standard_normal(PARTS)
-            state["shape"][joint] = slopes[joint, PARTS * joint : PARTS * joint + PARTS]
+        state["shape"] = random.standard_normal((3, PARTS))
+        slopes = slopes_of(state["shape"])
         weight = random.uniform(0.2, 2.0, 3)
         residual = column @ [0.5, 0.02, 0.01][:active] + 0.01 * random.standard_normal(3)
         state["column"][:, :active], state["residual"], state["weight"] = column, residual, weight
@@ -193,8 +193,8 @@ def test_slow_motion_hands_on_what_gravity_says():
         state["column"][:, 0], state["slow"]["now"]["weight"] = phi, weight
         step.payload_kernel(rule, state)
         now = expected["now"]
-        now["phi"], now["way"], now["drift"], now["weight"] = phi, shape[:, 0], DRIFT[::PARTS], weight * slowly / 0.003
-        now["residual"] = residual - np.einsum("ja,ja->j", shape, delta.reshape(3, PARTS))
+        now["phi"], now["way"], now["drift"], now["weight"] = phi, shape[:, 0], DRIFT[:-1:OWN], weight * slowly / 0.003
+        now["residual"] = residual - slopes_of(shape) @ delta
         now["mass"], now["variance"] = mass, variance
         said = slow.slow_kernel(expected, slowly, PRIOR_STD**2)
     assert said

@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.model.dynamics import TERMS, terms_kernel
 from service.model.effects.base import Instant
+from service.model.friction import SOFT, ball_joint_kernel
 from service.model.kinematics import POSE
+from service.model.nominal import record_of
 from tests.service.injected import INJECTED
 from tests.service.subject import EFFECTS, added
 from tests.service.world import PERIOD, course, scene, stub
@@ -59,3 +62,19 @@ def test_the_online_torque_is_the_offline_one(name):
         np.testing.assert_allclose(found, offline[k], rtol=1e-4, atol=1e-4 * np.abs(offline).max())
         checked += bool(np.abs(offline[k]).max() > 0.0)
     assert checked > 20
+
+
+def test_ball_joints_rub_as_the_effect_has_it():
+    """Samples in which every forearm turns against both its neighbours."""
+    here = scene(course(1, 1.0))
+    model, motion, arms = record_of(here.delta.model), here.segment, here.arms
+    offline = EFFECTS["passive_joint_friction"].regressors(here, 0, ())
+    turn = np.cross(arms.forearm, arms.swing) / here.delta.model.passive_length[:, None] ** 2
+    rates = np.linalg.norm([turn, turn - arms.axle * motion.theta_dot[..., None]], axis=-1)
+    clear = np.flatnonzero((rates > 10 * SOFT).all(axis=(0, 2)))[::EVERY]
+    assert len(clear) > 10
+    pose, terms, found = np.zeros(1, POSE)[0], np.zeros((len(TERMS), 3)), np.zeros(3)
+    for k in clear:
+        terms_kernel(model, motion.theta[k], motion.theta_dot[k], motion.theta_ddot[k], pose, terms)
+        ball_joint_kernel(model, motion.theta_dot[k], pose, found)
+        np.testing.assert_allclose(found, offline[k, :, :2].sum(axis=1), atol=0.03)
