@@ -128,10 +128,10 @@ def test_a_link_has_what_the_motor_leaves_of_the_inertia(share, link):
 def test_a_link_begins_where_it_hangs_by_its_spring_on_the_flank_that_carries_it(way):
     here = spring_axis(0.2, 12.0, 0.2, 0.3).scene()
     here = replace(here, base=replace(here.base, rigid=np.array([INERTIA, way * 8.0])))
-    found = relative_motion(here, 0, 0.001, 10.0, 0.3, 0.3)
+    found = relative_motion(here, 0, [(0.001, 10.0, 0.3, 0.3)])
     need = here.load[0, 0] - 0.3 * INERTIA * here.segment.theta_ddot[0, 0]
     assert np.sign(need) == way
-    assert found.angle[0] == pytest.approx(-need / found.gear.stiffness - way * 0.001)
+    assert found.angle[0] == pytest.approx(-need / found.gears.stiffness - way * 0.001)
     assert found.speed[0] == 0.0
 
 
