@@ -42,11 +42,13 @@ def exchanged(
     if not regressors.effects:
         return selection
     best, explained = selection.best, _left(problem, selection.best) <= limit
+    # squares; what promises to leave more is not fitted
+    most = limit**2 * problem.count if explained else best.loss - PROMISE * (best.loss - problem.count)
     for parent in _fewer(regressors, selection, 2) if explained else _fewer(regressors, selection, 0, 1):
         progress("weighing effects in place of others")
         tried = [
             scored
-            for scored in _tried(regressors, parent, best, limit if explained else 0.0, allows)
+            for scored in _tried(regressors, parent, 1 if explained else 2, most, allows)
             if _left(problem, scored) <= limit
             and fault_of(problem, scored.hypothesis, given) is None
             and (
@@ -77,17 +79,16 @@ def _fewer(regressors: Regressors, selection: Selection, *counts: int) -> Iterat
 
 
 def _tried(
-    regressors: Regressors, parent: Scored, best: Scored, limit: float, allows: Callable[[Effect, int], bool]
+    regressors: Regressors, parent: Scored, count: int, most: float, allows: Callable[[Effect, int], bool]
 ) -> list[Scored]:
-    """Effects beside `parent`, fitted, those that promise most: one where that may leave `limit`, else two."""
-    problem = regressors.problem
+    """One effect or two beside `parent`, fitted, those that promise to leave least, and less than `most`."""
     dictionary, taken = Dictionary(regressors, parent.fitted), parent.hypothesis.terms
-    joints = problem.recordings[0].mechanism.joints
-    if limit:
-        promising = [(loss, (one,)) for loss, one in dictionary.ranking(taken, joints, allows)]
-        most = limit**2 * problem.count
-    else:
-        promising, most = dictionary.couples(taken, joints, allows), best.loss - PROMISE * (best.loss - problem.count)
+    joints = regressors.problem.recordings[0].mechanism.joints
+    promising = (
+        [(loss, (one,)) for loss, one in dictionary.ranking(taken, joints, allows)]
+        if count == 1
+        else dictionary.couples(taken, joints, allows)
+    )
     return [_fitted(regressors, parent, several) for loss, several in promising[:SHORTLIST] if loss < most]
 
 

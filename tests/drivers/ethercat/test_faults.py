@@ -320,14 +320,20 @@ def fades(wire: Wire, since: float) -> None:
     assert np.abs(np.diff(known, axis=0)).max() < STEP_NM
 
 
-def test_an_estimator_that_stops_and_goes_on(wire: Wire, running: Process) -> None:
-    loaded(wire)
+def stands_still(wire: Wire) -> float:
+    """The estimator does, until that is told and the torque has gone. Monotonic time, s, when it goes on."""
     since = wire.estimator.signal(signal.SIGSTOP)
     try:
         wire.heard.told(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since)
         fades(wire, since)
     finally:
         since = wire.estimator.signal(signal.SIGCONT)
+    return since
+
+
+def test_an_estimator_that_stops_and_goes_on(wire: Wire, running: Process) -> None:
+    loaded(wire)
+    since = stands_still(wire)
     wire.heard.cleared(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since)
 
 
@@ -372,12 +378,7 @@ def test_a_feedforward_that_is_no_answer(wire: Wire, running: Process, torque: f
     loaded(wire)
     before = wire.heard.health(Role.MASTER, 0.0)[-1][1]
     with answering(wire, torque, ahead):
-        since = wire.estimator.signal(signal.SIGSTOP)
-        try:
-            wire.heard.told(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since)
-            fades(wire, since)
-        finally:
-            since = wire.estimator.signal(signal.SIGCONT)
+        since = stands_still(wire)
     after = wire.heard.cleared(Role.MASTER, HealthFlag.STALE_FEEDFORWARD, since)
     assert after["rejected"] - before["rejected"] > 100
 
