@@ -129,6 +129,8 @@ def main() -> None:
     A known error is one line on stderr and exit code 1, wrong usage 2, a bound that is missed 3, Ctrl-C 130.
     """
     terminate_as_interrupt()
+    # Matrices here are small, and what is large has threads of its own: more would only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is imported
     try:
         _run()
     except SystemExit as end:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import secrets
 import subprocess
 import sys
@@ -127,7 +126,6 @@ def answer(folder: Path) -> dict[str, Any]:
 
     Returns verdict, effects (name, joints), claimed and measured shrink, gaps in N m, seconds.
     """
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     from drivers.trace import read_trace
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.documents.document import corrected, document

@@ -10,6 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from plotly.io import templates, to_html
+
 from schemas.diagnosis import named_joints
 from schemas.errors import StorageError
 from schemas.files import make_folder, whole, write_text
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
 CONFIG = {"responsive": True, "displaylogo": False}
 LOOK = {"font": {"size": 12}, "margin": {"l": 60, "r": 20, "t": 40, "b": 45}}  # of plots that say nothing else
+templates.default = None  # a figure gets its look when it is written: every one would copy and check Plotly's own
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")  # that print without a window
 PRINTING_S = 120.0  # a page takes seconds
 
@@ -87,10 +90,8 @@ def words(name: str) -> str:
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
-    from plotly.io import templates
     from plotly.offline import get_plotlyjs
 
-    templates["deltatwin"] = {"layout": LOOK}
     environment = Environment(
         loader=PackageLoader(__name__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -102,5 +103,13 @@ def _environment() -> Environment:
 def _plot(figure: go.Figure) -> Markup:
     from markupsafe import Markup
 
-    figure.update_layout(template="plotly_white+deltatwin")
-    return Markup(figure.to_html(full_html=False, include_plotlyjs=False, config=CONFIG))
+    drawn: Any = figure.to_plotly_json()
+    drawn["layout"]["template"] = _look()
+    return Markup(to_html(drawn, full_html=False, include_plotlyjs=False, config=CONFIG, validate=False))
+
+
+@cache
+def _look() -> dict[str, Any]:
+    """Plotly's white template with ours on top."""
+    templates["deltatwin"] = {"layout": LOOK}
+    return templates.merge_templates("plotly_white", "deltatwin").to_plotly_json()

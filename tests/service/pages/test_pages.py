@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from collections.abc import Callable
@@ -21,7 +22,7 @@ from service.diagnosis.blindpage import BOUNDS
 from service.diagnosis.blindpage import write_page as write_blindtest
 from service.experiment.closed_loop import FEEDBACK, Tracking
 from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, write_page
-from service.pages import print_page
+from service.pages import LOOK, print_page
 from service.rollout.document import write_rollout
 from service.rollout.gap import REGIMES
 from tests.service.pages.browser import looked_at
@@ -53,6 +54,18 @@ def test_foreign_text_stays_text_and_nothing_is_fetched(page: Page, tmp_path: Pa
     assert "A lead &amp; more." in outside
     assert not re.search(r"\b(src|href)\s*=|@import|url\(", outside)
     assert not re.search(r"<script[^>]*\bsrc=", text)
+
+
+def test_every_plot_has_the_look(tmp_path: Path) -> None:
+    panel = Panel("time / s", "error / mrad", (Line("measured", np.arange(3.0), np.arange(3.0)),))
+    figures = tuple(Figure(f"f{k}", "Over time", "c", (panel,)) for k in range(2))
+    write_page(Page("t", (), figures), tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    looks = [json.JSONDecoder().raw_decode(text, at.end())[0] for at in re.finditer(r'"template":(?=\{"data")', text)]
+    assert len(looks) == text.count('class="plotly-graph-div"') == 2
+    for look in looks:
+        assert look["layout"]["paper_bgcolor"] == "white"
+        assert all(look["layout"][part].items() >= ours.items() for part, ours in LOOK.items())
 
 
 def test_no_text_lies_over_text(page: Page, tmp_path: Path) -> None:
