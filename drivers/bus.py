@@ -20,36 +20,26 @@ import os
 import stat
 import sys
 import tempfile
-import threading
 import time
-from bisect import bisect_right
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
 import zenoh
 
+from drivers.inbox import Inbox, arrival
 from drivers.peer import THREADS, peer_settings
 from drivers.ros import NOTE, ROUTER, RosNode
 from drivers.security.check import check, find_files
 from schemas.errors import BusError, RoleTakenError
 from schemas.keys import liveliness_key, robot_key, topic_key
-from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, TOPICS, Message, Role
+from schemas.messages import TOPICS, Role
 
-WAKE_S = 0.01  # to which a wait on a silent bus keeps its limit
 LINK_S = 0.5  # by then every role that runs has linked up with one that has just come
 SOURCES = frozenset({Role.PLAYER, Role.ROBOT, Role.TAP})  # roles that publish `sample`
 
-_NEVER = (1 << 63) - 1  # ns
-_AT_ONCE = 1 << 16  # messages taken in one call, so that a flood cannot keep it from returning
-_BELIEVED_NS = NANOSECONDS  # a sender's stamp further off than that is no time of sending on this host
 _SOCKET_PATH_BYTES = 107  # sun_path of Linux, without its closing zero
-_HISTORY = 4096  # sequence numbers below the newest of which it is known whether they came
-_RESTART_JUMP = 1 << 28  # numbers skipped at once; nine hours at 8 kHz are another count, not a loss
-_RESTART_RUN = 16  # consecutive rising numbers below the newest that can only be a source that started over
 
 
 def runtime_folder() -> Path:
@@ -103,220 +93,6 @@ def _user_config(path: Path) -> zenoh.Config:
 
 def _first_line(error: Exception) -> str:
     return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-
-
-class SequenceCounter:
-    """Tells from the sequence numbers of one source what was lost, came twice or came late; any uint64 may come.
-
-    lost: numbers skipped and not come since. repeated: numbers seen before. out_of_order: numbers below the newest that
-    had been skipped. restarts: times the source began again from another number, a lower or a far higher one. What a
-    message costs does not depend on how many numbers are missing: holes are kept as ranges.
-    """
-
-    def __init__(self) -> None:
-        self.newest = -1
-        self.lost = 0
-        self.repeated = 0
-        self.out_of_order = 0
-        self.restarts = 0
-        self._begins: list[int] = []  # of the holes among the newest numbers, rising
-        self._ends: list[int] = []  # the first number behind each hole
-        self._run_last = -2
-        self._run: list[bool] = []  # of the run below the newest: was each one a skipped number
-
-    def update(self, sequence: int) -> None:
-        """Count one message."""
-        step = sequence - self.newest
-        if step == 1 or self.newest < 0:
-            self.newest = sequence
-        elif step > _RESTART_JUMP:
-            self.restarts += 1
-            self._begin_anew(sequence)
-        elif step > 1:
-            self.lost += step - 1
-            self._begins.append(self.newest + 1)
-            self._ends.append(sequence)
-            self.newest = sequence
-            if self._ends[0] <= sequence - _HISTORY:
-                old = bisect_right(self._ends, sequence - _HISTORY)
-                del self._begins[:old], self._ends[:old]
-        else:
-            self._behind(sequence)
-
-    def update_many(self, sequences: np.ndarray) -> None:
-        """Count messages in the order they came, (N,) integers."""
-        for sequence in sequences.tolist():
-            self.update(sequence)
-
-    def _behind(self, sequence: int) -> None:
-        late = self._fill(sequence)
-        if late:
-            self.lost -= 1
-            self.out_of_order += 1
-        else:
-            self.repeated += 1
-        if sequence != self._run_last + 1:
-            self._run.clear()
-        self._run.append(late)
-        self._run_last = sequence
-        if len(self._run) == _RESTART_RUN:
-            self._restart(sequence)
-
-    def _fill(self, sequence: int) -> bool:
-        """Take `sequence` out of the holes; whether it was in one."""
-        hole = bisect_right(self._begins, sequence) - 1
-        if hole < 0 or sequence >= self._ends[hole]:
-            return False
-        begin, end = self._begins[hole], self._ends[hole]
-        sides = [(low, high) for low, high in ((begin, sequence), (sequence + 1, end)) if low < high]
-        self._begins[hole : hole + 1] = [low for low, _ in sides]
-        self._ends[hole : hole + 1] = [high for _, high in sides]
-        return True
-
-    def _restart(self, sequence: int) -> None:
-        late = sum(self._run)
-        self.lost += late
-        self.out_of_order -= late
-        self.repeated -= len(self._run) - late
-        self.restarts += 1
-        self._begin_anew(sequence)
-
-    def _begin_anew(self, sequence: int) -> None:
-        self.newest = sequence
-        self._begins.clear()
-        self._ends.clear()
-        self._run.clear()
-        self._run_last = -2
-
-
-def arrival(_: zenoh.Sample) -> int:
-    """Clock of an inbox: when the message was taken, ns CLOCK_MONOTONIC."""
-    return time.monotonic_ns()
-
-
-def sending(sample: zenoh.Sample) -> int:
-    """Clock of an inbox: when the message was put on the bus, ns since 1970.
-
-    Zenoh stamps it where all roles are on one host. Without a stamp, or with one that is not of this host's last
-    second, it is the time at which the message was taken.
-    """
-    now, stamp = time.time_ns(), sample.timestamp
-    if stamp is None:
-        return now
-    sent = stamp.get_time_as_ntp64().as_nanos()
-    return sent if abs(now - sent) < _BELIEVED_NS else now
-
-
-class Inbox:
-    """Where a subscription's messages wait to be taken, by one thread: a Zenoh channel, filled without the interpreter.
-
-    A message that finds it full pushes the oldest out, which leaves a hole in the sequence; a reader that is too slow
-    never holds up the bus. Bytes that are not the message are counted in `rejected`.
-    """
-
-    def __init__(
-        self,
-        message: Message,
-        channel: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]],
-        nudge: Callable[[], None],
-        clock: Callable[[zenoh.Sample], int] = arrival,
-    ) -> None:
-        """nudge: puts an empty message into the channel. clock: what `take` says of each message."""
-        self.message = message
-        self.rejected = 0
-        self._size = message.dtype.itemsize
-        self._recv, self._try_recv = channel.recv, channel.try_recv
-        self._clock = clock
-        self._nothing = message.empty(0), np.empty(0, np.int64)
-        self._payloads: list[bytes] = []
-        self._times: list[int] = []
-        self._nudge = nudge
-        self._nudged = self._seen = 0  # empty messages of ours: put in (by the waker), taken out
-        self._wake_ns = _NEVER
-        self._waker: threading.Thread | None = None
-        self._closed = False
-
-    def wait(self, longest: float) -> bool:
-        """Sleep until there is something to take, at most `longest` s (and `WAKE_S`); whether there is.
-
-        It looks for more before it sleeps and not after, so that a message is in the caller's hands as soon as may be.
-        """
-        self._drain()
-        if not self._payloads:
-            self._keep(self._sleep(longest))
-        return bool(self._payloads)
-
-    def take(self) -> tuple[np.ndarray, np.ndarray]:
-        """All that came since the last call, oldest first: (N,) records and (N,) int64 times of the inbox's clock."""
-        self._drain()
-        if not self._payloads:
-            return self._nothing
-        records = np.frombuffer(bytearray().join(self._payloads), self.message.dtype)
-        times = np.array(self._times, np.int64)
-        self._payloads.clear()
-        self._times.clear()
-        return records, times
-
-    def one(self, longest: float = 0.0) -> bytes | None:
-        """The oldest message as it came, waited for at most `longest` s (and `WAKE_S`); None: none came, or no message.
-
-        For who lives on one message at a time: what lies between `recv` and the answer counts twice and more, because
-        a cycle leaves the caches cold. What `wait` has found is for `take`.
-        """
-        sample = self._try_recv()
-        if sample is None:
-            if not longest:
-                return None
-            sample = self._sleep(longest)
-        payload = sample.payload.to_bytes()
-        if len(payload) == self._size and payload.startswith(CDR_LITTLE_ENDIAN):
-            return payload
-        self._refuse(payload)
-        return None
-
-    def close(self) -> None:
-        """End the waker."""
-        self._closed = True
-
-    def _drain(self) -> None:
-        for _ in range(_AT_ONCE):
-            sample = self._try_recv()
-            if sample is None:
-                return
-            self._keep(sample)
-
-    def _sleep(self, longest: float) -> zenoh.Sample:
-        if self._waker is None:
-            self._waker = threading.Thread(target=self._wake, name="waker", daemon=True)
-            self._waker.start()
-        self._wake_ns = time.monotonic_ns() + int(longest * 1e9)
-        sample = self._recv()
-        self._wake_ns = _NEVER
-        return sample
-
-    def _keep(self, sample: zenoh.Sample) -> None:
-        payload = sample.payload.to_bytes()
-        if len(payload) == self._size and payload.startswith(CDR_LITTLE_ENDIAN):
-            self._payloads.append(payload)
-            self._times.append(self._clock(sample))
-        else:
-            self._refuse(payload)
-
-    def _refuse(self, payload: bytes) -> None:
-        if not payload and self._nudged > self._seen:
-            self._seen += 1
-        else:
-            self.rejected += 1
-
-    def _wake(self) -> None:
-        """End a wait that lasts too long: `recv` knows no timeout."""
-        while not self._closed:
-            time.sleep(WAKE_S)
-            if time.monotonic_ns() >= self._wake_ns:
-                self._wake_ns = _NEVER
-                self._nudged += 1
-                with suppress(zenoh.ZError):  # the session is closing
-                    self._nudge()
 
 
 class Publisher:

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import zenoh
 
-from drivers.bus import Bus, Inbox, open_bus
+from drivers.bus import Bus, open_bus
+from drivers.inbox import Inbox
 from replay.realtime import go_realtime
 from schemas.errors import BusError
 from schemas.messages import FEEDFORWARD, NANOSECONDS, SAMPLE, Role, set_stamp

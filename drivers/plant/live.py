@@ -16,8 +16,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from drivers.bus import Bus, Inbox
+from drivers.bus import Bus
 from drivers.health import Health
+from drivers.inbox import Inbox
 from drivers.motion import Trajectory
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import Course

@@ -11,7 +11,8 @@ import time
 import foxglove
 import numpy as np
 
-from drivers.bus import Bus, sending
+from drivers.bus import Bus
+from drivers.inbox import sending
 from drivers.view.scene import Scene
 from schemas.errors import BusError
 from schemas.keys import topic_name

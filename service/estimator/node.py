@@ -8,8 +8,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.bus import Bus, SequenceCounter
+from drivers.bus import Bus
 from drivers.health import Health
+from drivers.sequence import SequenceCounter
 from schemas.errors import DataError
 from schemas.messages import REFERENCE, SAMPLE, SEQUENCE_BYTES, HealthFlag, SampleFlag
 from schemas.robot import Robot

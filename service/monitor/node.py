@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from drivers.bus import Bus, sending
+from drivers.bus import Bus
 from drivers.health import Health
+from drivers.inbox import sending
 from schemas.messages import TOPICS, HealthFlag, StopReason
 from service.monitor.tally import Tally
 from service.monitor.writer import WriterThread

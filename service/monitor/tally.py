@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.bus import SequenceCounter
+from drivers.sequence import SequenceCounter
 from schemas.messages import TOPICS, Role, SampleFlag
 
 INVALID = SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bus import Bus, SequenceCounter
+from drivers.bus import Bus
 from drivers.health import Health
+from drivers.sequence import SequenceCounter
 from schemas.messages import FINDING, NANOSECONDS, FindingVerdict, HealthFlag, StopReason, WatchState, set_stamp
 from schemas.watch import Finding
 from service.monitor.tally import INVALID

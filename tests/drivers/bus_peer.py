@@ -5,7 +5,8 @@ import signal
 import sys
 import time
 
-from drivers.bus import SequenceCounter, open_bus
+from drivers.bus import open_bus
+from drivers.sequence import SequenceCounter
 from schemas.errors import BusError
 from schemas.messages import SAMPLE, Role
 

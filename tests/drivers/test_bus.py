@@ -17,7 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.bus import SOURCES, Inbox, SequenceCounter, open_bus, runtime_folder, sending
+from drivers.bus import SOURCES, open_bus, runtime_folder
+from drivers.inbox import Inbox, sending
+from drivers.sequence import SequenceCounter
 from schemas.errors import BusError, RobotError
 from schemas.messages import SAMPLE, Role, set_stamp
 

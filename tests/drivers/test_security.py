@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from drivers.bus import Bus, Inbox, open_bus
+from drivers.bus import Bus, open_bus
+from drivers.inbox import Inbox
 from drivers.security.check import check
 from drivers.security.keys import Host, make_keys, parse_hosts
 from drivers.security.rights import SOURCES, readers, writers

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.bus import SequenceCounter, open_bus
+from drivers.bus import open_bus
 from drivers.health import Health
+from drivers.sequence import SequenceCounter
 from replay.clock import SPIN_NS, Pacer, wait_until
 from replay.player import Played, Schedule, play, schedule
 from schemas.errors import TraceError

@@ -24,8 +24,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.bus import Bus, Inbox, open_bus
+from drivers.bus import Bus, open_bus
 from drivers.health import CHANGE_NS
+from drivers.inbox import Inbox
 from schemas.messages import FEEDFORWARD, FeedforwardSource, HealthFlag, Role, StopReason
 from tests.drivers.ethercat import rig
 

@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.bus import Bus, Inbox, open_bus
+from drivers.bus import Bus, open_bus
 from drivers.ethercat.tap import FileSource, InterfaceSource, Tap
 from drivers.health import Health
+from drivers.inbox import Inbox
 from drivers.trace.capture import CaptureReader
 from replay.clock import wait_until
 from schemas.errors import BusError

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drivers.bus import Inbox
+from drivers.inbox import Inbox
 from drivers.motion import Planner, Trajectory
 from drivers.plant.live import STALE_CYCLES, FeedforwardIntake, LiveRun
 from drivers.plant.plant import Plant
