@@ -18,6 +18,7 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from schemas.errors import TraceError
@@ -37,6 +38,15 @@ class TimeColumn(TomlTable):
     name: str = "time_s"
     unit: Literal["s", "ms", "us", "ns", "datetime"] = "s"  # datetime: text such as 2026-11-22 09:30:00.125
     rate_hz: Positive | None = None  # of a table without stamps: its rows are 1/rate_hz s apart
+    backwards: bool = False  # of such a table: its last row was the first
+
+    @model_validator(mode="after")
+    def _counted(self) -> TimeColumn:
+        if self.backwards and self.rate_hz is None:
+            raise ValueError(
+                "backwards is for a table without stamps, with rate_hz: stamps say themselves what was first"
+            )
+        return self
 
 
 class _Channel(TomlTable):
@@ -100,10 +110,27 @@ class TorqueColumn(_JointChannel):
 
 
 class RowFilter(TomlTable):
-    """Rows that count: those with `equals` in the column `name`. The others are left out, and that is told."""
+    """Rows that count: those with `equals` in the column `name`, or with anything but `unlike` where that is said. The
+    others are left out, and that is told."""
 
     name: str
     equals: float = 1.0
+    unlike: float | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> RowFilter:
+        if self.unlike is not None and "equals" in self.model_fields_set:
+            raise ValueError(f"equals {self.equals:g} and unlike {self.unlike:g}: give one of them")
+        return self
+
+    @property
+    def left_out(self) -> str:
+        """What is said of rows that do not count."""
+        return f"have not {self.equals:g}" if self.unlike is None else f"have {self.unlike:g}"
+
+    def counts(self, values: np.ndarray) -> np.ndarray:
+        """Which rows of the column, (N,), count."""
+        return values == self.equals if self.unlike is None else values != self.unlike
 
 
 class GripperColumn(_Channel):

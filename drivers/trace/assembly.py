@@ -125,25 +125,26 @@ def assemble(
     """
     channels = wanted.channels
     per_second = TIME_UNITS.get(columns.time.unit, 1.0)
+    first = columns.first_line if word == "line" else 1
+    numbers = first + np.arange(len(table))
+    if columns.time.backwards:
+        table, numbers = table.reverse(), numbers[::-1]
     if columns.time.rate_hz is not None:
         table = table.with_columns(pl.Series(str(COUNTED), np.arange(len(table)) / columns.time.rate_hz * per_second))
     stamps = {i: table[str(i)].to_numpy() / per_second for i in sorted({c.time_index for c in channels})}
     base = channels[0].time_index
-    first = columns.first_line if word == "line" else 1
-    lines = RowNames(word, first + np.arange(len(table)))
+    lines = RowNames(word, numbers)
     rows, left_out = _stamped(stamps[base], lines)
     notes.extend(left_out)
     if len(rows) == 0:
         raise TraceError(f"{path}: no row has a time stamp in column {columns.time.name!r}")
     if columns.where is not None:
-        counts = table[str(wanted.where)].to_numpy()[rows] == columns.where.equals
+        counts = columns.where.counts(table[str(wanted.where)].to_numpy()[rows])
+        left_out = f"{columns.where.left_out} in column {columns.where.name!r}"
         if not counts.any():
-            raise TraceError(f"{path}: no row has {columns.where.equals:g} in column {columns.where.name!r}")
+            raise TraceError(f"{path}: all rows {left_out}")
         if not counts.all():
-            message = (
-                f"{np.count_nonzero(~counts)} of {len(rows)} rows have not {columns.where.equals:g} in column "
-                f"{columns.where.name!r} and were left out"
-            )
+            message = f"{np.count_nonzero(~counts)} of {len(rows)} rows {left_out} and were left out"
             notes.append(Finding.note(message))
         rows = rows[counts]
     joints = 1 + max(channel.joint for channel in channels if channel.name in CHANNELS)

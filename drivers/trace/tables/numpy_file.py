@@ -1,4 +1,5 @@
-"""NumPy arrays: .npy (columns called 1, 2, ..., or by their fields) and .npz (an array a name)."""
+"""NumPy arrays: .npy (columns called 1, 2, ..., or by their fields; of a single one `row`, from 0, and `value`), and
+.npz (an array a name)."""
 
 from __future__ import annotations
 
@@ -31,6 +32,8 @@ def read(path: Path) -> Table:
             for name, array in arrays.items():
                 if array.dtype.kind in "biuf" and array.ndim in (1, 2) and array.size <= MAX_LOG_BYTES // 8:
                     columns |= spread(name, array)
+            if columns.keys() == {""}:
+                columns = {"row": np.arange(len(columns[""]), dtype=np.float64), "value": columns[""]}
     except (ValueError, OSError, EOFError, KeyError, MemoryError, OverflowError, SyntaxError, NotImplementedError,
             RuntimeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError) as error:  # fmt: skip
         raise TraceError(f"{path}: not a {kind} of numbers: {error}") from error

@@ -65,6 +65,40 @@ def test_a_column_named_twice(tmp_path: Path) -> None:
         read_trace(log, columns=find_columns(tmp_path / "columns.toml"))
 
 
+def test_a_map_of_one_value_a_count_is_a_slow_turn(tmp_path: Path) -> None:
+    """Every second count measured, 0 in between, from the last to the first: what is left has its time and its row."""
+    values = np.zeros(4096)
+    values[1::2] = 2 + np.cos(np.arange(1, 4096, 2))
+    np.save(tmp_path / "map.npy", values)
+    (tmp_path / "columns.toml").write_text(
+        'joints = 1\ntime = { rate_hz = 400, backwards = true }\ntorque = "value"\n'
+        'position = { name = "row", unit = "counts", counts_per_rev = 4096 }\n'
+        'where = { name = "value", unlike = 0 }\n'
+    )
+    trace = read_trace(tmp_path / "map.npy", columns=find_columns(tmp_path / "columns.toml"))
+    rows = np.arange(4095, 0, -2)
+    np.testing.assert_allclose(trace.position[:, 0], rows * 2 * np.pi / 4096)
+    np.testing.assert_allclose(trace.torque[:, 0], values[rows])
+    np.testing.assert_allclose(trace.time, np.arange(2048) / 200)
+    assert "2048 of 4096 rows have 0 in column 'value' and were left out" in [f.message for f in trace.findings]
+    np.save(tmp_path / "map.npy", np.zeros(4096))
+    with pytest.raises(TraceError, match=r"map.npy: all rows have 0 in column 'value'"):
+        read_trace(tmp_path / "map.npy", columns=find_columns(tmp_path / "columns.toml"))
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        (COLUMNS.replace('"t"', '{ name = "t", backwards = true }'), "backwards is for a table without stamps"),
+        (COLUMNS + 'where = { name = "t", equals = 1, unlike = 0 }\n', "equals 1 and unlike 0: give one of them"),
+    ],
+)
+def test_keys_that_do_not_go_together(tmp_path: Path, columns: str, said: str) -> None:
+    table(tmp_path, *waves(), columns)
+    with pytest.raises(TraceError, match=said):
+        find_columns(tmp_path / "columns.toml")
+
+
 def test_torque_that_is_a_command(tmp_path: Path) -> None:
     log = arm.record(tmp_path / "log.csv", 1)
     header, *lines = log.read_text().splitlines()

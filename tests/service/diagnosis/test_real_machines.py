@@ -24,6 +24,12 @@ time = "1"
 position = { name = "2", unit = "counts", counts_per_rev = 8192 }
 torque = { name = "3", unit = "A", constant = 0.055133 }
 """
+STATIC = """joints = 1
+time = {{ rate_hz = 160, backwards = {backwards} }}
+position = {{ name = "row", unit = "counts", counts_per_rev = 8192 }}
+torque = {{ name = "value", unit = "A", constant = 0.055133 }}
+where = {{ name = "value", unlike = 0 }}
+"""
 # load: a share of 885, unsigned 16 bit, times the supply's volts. N m per volt: 0.0678 to 0.0877 by the published fits
 PWM = """joints = 1
 time = "timestamp"
@@ -38,6 +44,11 @@ def diagnosed(folder: Path, columns: str, logs: list[Path], axes: str = "[[axis]
     """The document that the command writes of some logs."""
     (folder / "columns.toml").write_text(columns)
     (folder / "axes.toml").write_text('name = "real"\nkind = "axes"\ncolumns = "columns.toml"\n' + axes)
+    return run(folder, logs)
+
+
+def run(folder: Path, logs: list[Path]) -> dict[str, Any]:
+    """The same with the description that stands in the folder."""
     arguments = ["diagnose", *logs, "--robot", folder / "axes.toml", "--out", folder / "out"]
     result = CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
     assert result.exit_code == 0, result.output
@@ -51,6 +62,17 @@ def sure(document: dict[str, Any]) -> set[str]:
     return {effect["name"] for effect in document["effects"] if effect["probability"] >= SURE}
 
 
+def amperes_of(document: dict[str, Any]) -> dict[int, float]:
+    """Order of the cogging -> its amplitude, A of the ODrive's motor."""
+    (cogging,) = (effect["parameters"] for effect in document["effects"] if effect["name"] == "cogging")
+    found = {}
+    for key, order in cogging.items():
+        if key.startswith("order"):
+            parts = [cogging[key.replace("order", part)]["value"] for part in ("cosine", "sine")]
+            found[round(order["value"])] = np.hypot(*parts) / TORQUE_CONSTANT
+    return found
+
+
 def test_cogging_of_many_orders_behind_a_filter(shared: Path, tmp_path: Path) -> None:
     """ODrive: slow turns. By the static map 0.86, 0.56, 0.35, 0.29, 0.26 A of orders 7, 28, 14, 36, 12, reported
     through a low-pass of 1.27 Hz (by its setting) to 1.47 Hz (own fit beside the logs)."""
@@ -60,14 +82,29 @@ def test_cogging_of_many_orders_behind_a_filter(shared: Path, tmp_path: Path) ->
     assert sure(document) <= {"cogging", "torque_filter"}
     effects = {effect["name"]: effect["parameters"] for effect in document["effects"]}
     assert 1.27 / 1.05 < effects["torque_filter"]["cutoff"]["value"] < 1.47 * 1.05
-    found = {}
-    for key, order in effects["cogging"].items():
-        if key.startswith("order"):
-            parts = [effects["cogging"][key.replace("order", part)]["value"] for part in ("cosine", "sine")]
-            found[round(order["value"])] = np.hypot(*parts) / TORQUE_CONSTANT
+    found = amperes_of(document)
     for order, amperes in {7: 0.862, 28: 0.560, 14: 0.349, 36: 0.290, 12: 0.263}.items():
         assert found[order] == pytest.approx(amperes, rel=0.12), order
     assert all(found[order] < 0.15 for order in found.keys() - {7, 28, 14, 36, 12})
+
+
+def test_cogging_by_static_maps(shared: Path, tmp_path: Path) -> None:
+    """ODrive: the current that holds each 16th encoder count, forwards and in reverse, 0 where none was measured; read
+    as a slow turn. Its own Fourier fit: 1.04, 0.56, 0.35, 0.29, 0.26 A; Coulomb friction 0.17 A."""
+    folder = shared / "real" / "odrive_cogging" / "coggingmap_0"
+    for name, backwards in (("c_16", "false"), ("e_16r", "true")):
+        mapping, log = tmp_path / "map.toml", tmp_path / f"{name}.csv"
+        mapping.write_text(STATIC.format(backwards=backwards))
+        source = folder / f"cogging_measure_final_{name}.npy"
+        result = CliRunner().invoke(app, ["convert", str(source), str(log), "--columns", str(mapping)])
+        assert "7680 of 8192 rows have 0 in column 'value' and were left out" in result.output
+    (tmp_path / "axes.toml").write_text('name = "real"\nkind = "axes"\n[[axis]]\n')
+    document = run(tmp_path, [tmp_path / "c_16.csv", tmp_path / "e_16r.csv"])
+    assert sure(document) == {"cogging"}
+    found = amperes_of(document)
+    for order, amperes in {7: 1.04, 28: 0.56, 14: 0.35, 36: 0.29, 12: 0.264}.items():
+        assert found[order] == pytest.approx(amperes, rel=0.04), order
+    assert document["base"]["f_c_1"]["value"] / TORQUE_CONSTANT == pytest.approx(0.17, rel=0.05)
 
 
 def test_a_weight_is_neither_spring_nor_cogging_nor_filter(shared: Path, tmp_path: Path) -> None:
