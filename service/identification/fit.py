@@ -149,15 +149,19 @@ def evaluate(problem: Problem, hypothesis: Hypothesis) -> Fit:
 
 
 def solve(gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
-    """Least squares from normal equations (P, P) and (P,) or (P, m); directions without information stay at zero."""
-    if not len(gram):
+    """Least squares from normal equations (..., P, P) and (..., P) or (..., P, m); directions without information stay
+    at zero."""
+    if moment.ndim < gram.ndim:
+        return solve(gram, moment[..., None])[..., 0]
+    if not gram.size:
         return moment
-    told = np.diag(gram) > 0  # the others' sums beside a zero are rounding
-    scale = np.where(told, 1.0 / np.sqrt(np.where(told, np.diag(gram), 1.0)), 0.0)
-    values, vectors = np.linalg.eigh(gram * scale[:, None] * scale)
-    keep = values > 1e-10 * values[-1]
-    root = vectors[:, keep] / np.sqrt(values[keep]) * scale[:, None]
-    return root @ (root.T @ moment)
+    square = np.diagonal(gram, axis1=-2, axis2=-1)
+    told = square > 0  # the others' sums beside a zero are rounding
+    scale = np.where(told, 1.0 / np.sqrt(np.where(told, square, 1.0)), 0.0)
+    values, vectors = np.linalg.eigh(gram * scale[..., :, None] * scale[..., None, :])
+    keep = values > 1e-10 * values[..., -1:]
+    root = vectors / np.sqrt(np.where(keep, values, np.inf))[..., None, :] * scale[..., :, None]
+    return root @ (np.swapaxes(root, -2, -1) @ moment)
 
 
 def fit(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS) -> Fit:
@@ -186,27 +190,35 @@ def fit(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS) 
     return best
 
 
-def within(gram: np.ndarray, moment: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Least-squares step (P,) from normal equations, each entry between `low` and `high`.
+def within(gram: np.ndarray, moment: np.ndarray, low: np.ndarray, high: np.ndarray | float) -> np.ndarray:
+    """Least-squares steps (..., P) from normal equations (..., P, P) and (..., P), each entry between `low` and `high`.
 
     What would leave its limits is held there and the rest solved again; then let go, one at a time, what would rather
     come back in.
     """
-    step = solve(gram, moment)
-    held = np.zeros(len(step), bool)
-    for _ in range(3 * len(step)):
-        out = ~held & ((step < low) | (step > high))
-        held |= out
-        if not out.any():
-            if not held.any():
-                return step
-            pull = (
-                (moment - gram @ step) * np.where(step <= low, 1.0, -1.0) / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-            )
-            back = np.where(held & (low < high), pull, 0.0)
-            if back.max() <= 1e-6 * np.sqrt(np.abs(moment @ step)):
-                return step
-            held[np.argmax(back)] = False
-        step[held] = np.clip(step, low, high)[held]
-        step[~held] = solve(gram[np.ix_(~held, ~held)], moment[~held] - gram[np.ix_(~held, held)] @ step[held])
-    return np.clip(step, low, high)
+    shape, size = moment.shape, moment.shape[-1]
+    grams, moments = gram.reshape(-1, size, size), moment.reshape(-1, size)
+    lows, highs = (np.broadcast_to(limit, shape).reshape(-1, size) for limit in (low, high))
+    steps = solve(grams, moments)
+    held = (steps < lows) | (steps > highs)
+    live = np.flatnonzero(held.any(axis=1))
+    for _ in range(3 * size if len(live) else 0):
+        a, b, low, high, hold = grams[live], moments[live], lows[live], highs[live], held[live]
+        step = np.where(hold, np.clip(steps[live], low, high), 0.0)
+        free = ~hold
+        rest = np.where(free, b - (a @ step[..., None])[..., 0], 0.0)
+        step = np.where(hold, step, solve(a * free[:, :, None] * free[:, None, :], rest))
+        out = free & ((step < low) | (step > high))
+        unit = np.sqrt(np.maximum(np.diagonal(a, axis1=1, axis2=2), 1e-300))
+        pull = (b - (a @ step[..., None])[..., 0]) * np.where(step <= low, 1.0, -1.0) / unit
+        back = np.where(hold & (low < high), pull, 0.0)
+        inside = ~out.any(axis=1)
+        done = inside & (back.max(axis=1) <= 1e-6 * np.sqrt(np.abs(np.sum(b * step, axis=1))))
+        come = np.flatnonzero(inside & ~done)
+        hold |= out
+        hold[come, np.argmax(back[come], axis=1)] = False
+        steps[live], held[live] = step, hold
+        live = live[~done]
+        if not len(live):
+            break
+    return np.clip(steps, lows, highs).reshape(shape)

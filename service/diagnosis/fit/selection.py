@@ -205,33 +205,36 @@ class Dictionary:
             mine = near[recording][rows]
             nears[fold] += mine.T @ mine
             crosses[fold][:, regressors.reach[joint]] += mine.T @ columns
-        self._reduce([_assembled(self.own, *parts) for parts in zip(nears, crosses, regressors.grams, strict=True)])
+        whole = zip(nears, crosses, regressors.grams, strict=True)
+        self._reduce(np.stack([_assembled(self.own, *parts) for parts in whole]))
 
-    def _reduce(self, grams: list[np.ndarray]) -> None:
+    def _reduce(self, grams: np.ndarray) -> None:
         """Project the hypothesis's own tangents out of everything, a fold left out at a time."""
-        total, own = np.asarray(sum(grams)), self.own
-        self.training, self.left_out = [], []
-        for gram in grams:
-            train = total - gram
-            map_ = solve(train[:own, :own], train[:own, own:])
-            self.training.append(train[own:, own:] - train[own:, :own] @ map_)
-            cross = gram[own:, :own] @ map_
-            self.left_out.append(gram[own:, own:] - cross - cross.T + map_.T @ gram[:own, :own] @ map_)
-        self.alive = np.diag(sum(self.training))[:-1] > 1e-9 * np.diag(total)[own:-1]
-        self.nothing = float(sum(gram[-1, -1] for gram in self.left_out))
+        own, train = self.own, grams.sum(axis=0) - grams
+        map_ = solve(train[:, :own, :own], train[:, :own, own:])
+        across = np.swapaxes(map_, 1, 2)
+        self.training = train[:, own:, own:] - train[:, own:, :own] @ map_
+        cross = grams[:, own:, :own] @ map_
+        self.left_out = grams[:, own:, own:] - cross - np.swapaxes(cross, 1, 2) + across @ grams[:, :own, :own] @ map_
+        known = np.diag(self.training.sum(axis=0))[:-1] <= 1e-9 * np.diag(grams.sum(axis=0))[own:-1]
+        self.training[:, :-1][:, known] = self.training[:, :, :-1][:, :, known] = 0.0  # to rounding a sum of its own
+        self.nothing = float(self.left_out[:, -1, -1].sum())
 
-    def loss(self, *candidates: Candidate) -> float:
-        """Squared residual on the folds left out, with the candidates added inside their limits."""
-        chosen = self._columns(*candidates)
-        chosen = chosen[self.alive[chosen]]
-        if not len(chosen):
-            return self.nothing
-        low, high = self.low[chosen], np.full(len(chosen), np.inf)
-        loss = 0.0
-        for train, out in zip(self.training, self.left_out, strict=True):
-            weight = within(train[np.ix_(chosen, chosen)], train[chosen, -1], low, high)
-            loss += out[-1, -1] - 2 * weight @ out[chosen, -1] + weight @ out[np.ix_(chosen, chosen)] @ weight
-        return float(loss)
+    def losses(self, several: Sequence[Sequence[Candidate]]) -> np.ndarray:
+        """Squared residual on the folds left out, with some candidates added inside their limits; for many such."""
+        result = np.empty(len(several))
+        for members, chosen in self._alike(several):
+            weight = within(_among(self.training, chosen), self.training[:, chosen, -1], self.low[chosen], np.inf)
+            product = (_among(self.left_out, chosen) @ weight[..., None])[..., 0]
+            result[members] = self.nothing + np.sum(weight * (product - 2 * self.left_out[:, chosen, -1]), axis=(0, 2))
+        return result
+
+    def _alike(self, several: Sequence[Sequence[Candidate]]) -> Iterator[tuple[list[int], np.ndarray]]:
+        """Those of as many columns: their places, and their columns (G, k)."""
+        columns = [self._columns(*candidates) for candidates in several]
+        for size in sorted(set(map(len, columns))):
+            members = [place for place, mine in enumerate(columns) if len(mine) == size]
+            yield members, np.array([columns[place] for place in members])
 
     def ranking(
         self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
@@ -250,15 +253,14 @@ class Dictionary:
     ) -> list[tuple[float, tuple[Candidate, Candidate]]]:
         """Two effects at once, those that promise most, best first."""
         every = [candidate for scored in self._options(taken, joints, allows).values() for _, candidate in scored]
-        total = np.asarray(sum(self.left_out))
-        rough = []
-        for pair in combinations(every, 2):
-            if pair[0].effect is not pair[1].effect:
-                chosen = self._columns(*pair)
-                gain = total[chosen, -1] @ solve(total[np.ix_(chosen, chosen)], total[chosen, -1])
-                rough.append((2.0 * len(chosen) - float(gain), pair))
-        best = sorted(rough, key=lambda item: item[0])[:COUPLES]
-        return sorted(((self.loss(*pair), pair) for _, pair in best), key=lambda item: item[0])
+        pairs = [pair for pair in combinations(every, 2) if pair[0].effect is not pair[1].effect]
+        total, rough = self.left_out.sum(axis=0), np.empty(len(pairs))
+        for members, chosen in self._alike(pairs):
+            moment = total[chosen, -1]
+            gain = np.sum(moment * solve(_among(total, chosen), moment), axis=1)
+            rough[members] = 2.0 * chosen.shape[1] - gain
+        best = [pairs[place] for place in np.argsort(rough, kind="stable")[:COUPLES]]
+        return sorted(zip(self.losses(best).tolist(), best, strict=True), key=itemgetter(0))
 
     def _options(
         self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
@@ -268,7 +270,7 @@ class Dictionary:
         grids: dict[Effect, set[tuple[float, ...]]] = {}
         for effect, _, nonlinear in self.index:
             grids.setdefault(effect, set()).add(nonlinear)
-        result = {}
+        places: list[list[Candidate]] = []
         for effect in self.effects:
             options: list[tuple[int, ...]] = [(joint,) for joint in range(joints)] if effect.per_joint else [()]
             options = [
@@ -278,27 +280,21 @@ class Dictionary:
             ]
             if effect.per_joint and len(options) == joints > 1:
                 options.append(tuple(range(joints)))
-            scored = [
-                min(
-                    (
-                        (self.loss(candidate) + 2.0 * len(self._columns(candidate)), candidate)
-                        for candidate in (Candidate(effect, option, nonlinear) for nonlinear in grids[effect])
-                    ),
-                    key=lambda item: item[0],
-                )
-                for option in options
-            ]
-            if scored:
-                result[effect] = scored
+            places += [[Candidate(effect, option, point) for point in grids[effect]] for option in options]
+        losses = iter(self.losses([(candidate,) for grid in places for candidate in grid]).tolist())
+        result: dict[Effect, list[tuple[float, Candidate]]] = {}
+        for grid in places:
+            scored = [(next(losses) + 2.0 * len(self._columns(candidate)), candidate) for candidate in grid]
+            result.setdefault(grid[0].effect, []).append(min(scored, key=itemgetter(0)))
         return result
 
     def _dead(self, candidate: Candidate) -> bool:
         """Whether all data together leave nothing of an effect on one of its joints."""
-        total = np.asarray(sum(self.left_out))
+        total = np.sum(self.left_out, axis=0)
         chosen = [self.index[candidate.effect, joint, candidate.nonlinear] for joint in candidate.joints]
         every = np.concatenate(chosen)
         low = self.low[every]
-        weight = within(total[np.ix_(every, every)], total[every, -1], low, np.full(len(every), np.inf))
+        weight = within(total[np.ix_(every, every)], total[every, -1], low, np.inf)
         parts = np.split(np.isfinite(low) & (weight <= low), len(chosen))
         bounded = np.split(np.isfinite(low), len(chosen))
         return any(b.any() and part[b].all() for part, b in zip(parts, bounded, strict=True))
@@ -307,6 +303,11 @@ class Dictionary:
         return np.concatenate(
             [self.index[c.effect, joint, c.nonlinear] for c in candidates for joint in c.joints or (0,)]
         )
+
+
+def _among(grams: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """(..., G, k, k) of Gram matrices (..., C, C): each row of columns chosen (G, k) among themselves."""
+    return grams[..., chosen[:, :, None], chosen[:, None, :]]
 
 
 def _assembled(own: int, near: np.ndarray, cross: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -143,7 +143,7 @@ def test_the_dictionarys_loss_is_that_of_least_squares(name):
         positive = len(joints) if name == "stribeck_friction" else 0  # friction gives no energy
         left = left_out(folded(columns), folded(fitted.residuals), positive=positive)
         truth = sum(float(r @ r) for r in left)
-        assert dictionary.loss(Candidate(effect, joints, nonlinear)) == pytest.approx(truth, rel=1e-6)
+        assert dictionary.losses([(Candidate(effect, joints, nonlinear),)])[0] == pytest.approx(truth, rel=1e-6)
 
 
 def test_what_the_hypothesis_already_has_is_nothing_new():
@@ -161,9 +161,9 @@ def test_what_the_hypothesis_already_has_is_nothing_new():
         grams=[part.T @ part for part in columns],
     )  # fmt: skip
     dictionary = Dictionary(regressors, stub(hypothesis=None, moving=own, residuals=target))
-    assert dictionary.loss(Candidate(again, (), ())) == dictionary.nothing
+    assert dictionary.losses([(Candidate(again, (), ()),)])[0] == dictionary.nothing
     truth = left_out([np.hstack(pair) for pair in zip(own, new, strict=True)], target)
-    assert dictionary.loss(Candidate(other, (), ())) == pytest.approx(sum(r @ r for r in truth))
+    assert dictionary.losses([(Candidate(other, (), ()),)])[0] == pytest.approx(sum(r @ r for r in truth))
 
 
 def test_the_ranking_puts_the_true_effect_first_and_leaves_out_what_is_not_offered():
@@ -179,7 +179,7 @@ def test_the_ranking_puts_the_true_effect_first_and_leaves_out_what_is_not_offer
     assert len(ranking) == 4
     # the loss counts two a parameter
     loss, candidate = ranking[0]
-    assert loss == pytest.approx(dictionary.loss(candidate) + 4.0)
+    assert loss == pytest.approx(dictionary.losses([(candidate,)])[0] + 4.0)
     term = INJECTED["joint_spring"].term("joint_spring")
     taken = dictionary.ranking((term,), 3, lambda effect, joint: True)
     assert 0 not in next(c for _, c in taken if c.effect is EFFECTS["joint_spring"]).joints

@@ -71,6 +71,27 @@ def test_what_was_held_and_would_come_back_is_let_go(unit):
     np.testing.assert_allclose(found * scale, [1.0, -0.3, 0.4], atol=1e-9)
 
 
+def test_many_steps_at_once_are_those_of_each():
+    """Columns that are correlated, one of them empty: some steps are free, some held, some held and let go."""
+    random = np.random.default_rng(5)
+    columns = random.standard_normal((2, 30, 50, 5)) @ (np.eye(5) + 0.8 * random.standard_normal((2, 30, 5, 5)))
+    columns[..., 3] = 0.0
+    target = random.standard_normal((2, 30, 50))
+    gram = np.swapaxes(columns, -2, -1) @ columns
+    moment = (np.swapaxes(columns, -2, -1) @ target[..., None])[..., 0]
+    low = np.where(random.random((30, 5)) < 0.5, -0.01, -np.inf)
+    high = np.full(5, 0.02)
+    found = within(gram, moment, low, high)
+    every = [[within(gram[i, j], moment[i, j], low[j], high) for j in range(30)] for i in range(2)]
+    np.testing.assert_allclose(found, every, atol=1e-12)
+    some = [0, 1, 2, 4]
+    for i, j in np.ndindex(2, 30):
+        best = lsq_linear(columns[i, j][:, some], target[i, j], (low[j, some], high[some]), tol=1e-12)
+        np.testing.assert_allclose(found[i, j, some], best.x, atol=1e-6)
+    assert 0.1 < np.mean((found == low) | (found == high)) < 0.9
+    assert (found[..., 3] == 0.0).all()
+
+
 def test_a_fit_from_afar_ends_at_the_truth():
     runs = [course(seed, 2.0) for seed in (1, 2)]
     logs = problem(runs, [run.torque for run in runs])
