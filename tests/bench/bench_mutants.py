@@ -36,8 +36,8 @@ from pathlib import Path
 import pytest
 from numba.core.caching import _CacheLocator
 
-from tests.bench import survey as watch
 from tests.bench.mutate import Mutant, mutants
+from tests.bench.survey import Survey
 
 ROOT = Path(__file__).parents[2]
 SURVEYS = Path.home() / ".cache" / "deltatwin" / "survey"
@@ -194,24 +194,21 @@ def survey(room: str) -> dict[str, dict]:
 
 
 def _surveyed(files: Sequence[str]) -> dict[str, dict]:
-    with tempfile.TemporaryDirectory() as place:
-        seen = Path(place) / "survey.json"
-
-        def run() -> int:
-            code = pytest.main(["--timeout=0", *PYTEST, *files], plugins=[watch])
-            seen.write_text(json.dumps(watch.tests))
-            return int(code)
-
-        word, said = here(run, 3600.0)
-        if word != PASSED:
-            sys.exit(f"the tests fail as they are:\n{said[-3000:]}")
-        tests = json.loads(seen.read_text())
     SURVEYS.mkdir(parents=True, exist_ok=True)
-    for file in files:
-        mine = {name: test for name, test in tests.items() if name.startswith(f"{file}::")}
-        called = {call.rsplit(":", 1)[0] for test in mine.values() for call in test["calls"]}
-        _survey_of(file).write_text(json.dumps({"called": {name: _digest(name) for name in called}, "tests": mine}))
-    return tests
+
+    def run() -> int:
+        return int(pytest.main(["--timeout=0", *PYTEST, *files], plugins=[Survey(_keep)]))
+
+    word, said = here(run, 3600.0)
+    if word != PASSED:
+        sys.exit(f"the tests fail as they are:\n{said[-3000:]}")
+    return {name: test for file in files for name, test in _kept(file).items()}
+
+
+def _keep(file: str, tests: dict[str, dict]) -> None:
+    """Write down what was seen of the tests of a file: a survey that ends early goes on behind it."""
+    called = {call.rsplit(":", 1)[0] for test in tests.values() for call in test["calls"]}
+    _survey_of(file).write_text(json.dumps({"called": {name: _digest(name) for name in called}, "tests": tests}))
 
 
 def _kept(file: str) -> dict[str, dict]:
