@@ -108,13 +108,12 @@ def _extrapolated(levels: np.ndarray, band: Band) -> tuple[np.ndarray, np.ndarra
     The drives of a machine are of one kind, so the corner is that of all: it is what the levels of one tell least.
     """
     middle = np.sqrt(np.array([low * high for low, high in pairwise(_edges(band))]))
-    densities, best = levels**2, (np.inf, 1.0, np.zeros((len(levels), 2)))
+    densities, fits = levels**2, []
     for corner in np.geomspace(0.2 * band.cutoff_hz, 0.5 / band.period, 60):
         shape = np.stack([np.ones(BANDS), 1.0 / (1.0 + (middle / corner) ** 2)], axis=1)
-        fits = [nnls(shape / density[:, None], np.ones(BANDS)) for density in densities]
-        left, weights = sum(left**2 for _, left in fits), np.array([weight for weight, _ in fits])
-        best = min(best, (left, float(corner), weights), key=lambda item: item[0])
-    _, corner, weights = best
+        weights, left = zip(*(nnls(shape / density[:, None], np.ones(BANDS)) for density in densities), strict=True)
+        fits.append((sum(np.square(left)), float(corner), np.array(weights)))
+    _, corner, weights = min(fits, key=lambda fit: fit[0])
     frequency, passed = band.passes
     inside = weights[:, :1] + weights[:, 1:] / (1.0 + (frequency / corner) ** 2)
     return np.sqrt(np.mean(inside * passed, axis=1)), inside[:, 0] < MEMORY * densities[:, 0]

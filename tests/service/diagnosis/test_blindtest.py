@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import shutil
 import subprocess
@@ -107,10 +109,15 @@ def test_the_diagnosis_reads_no_more_than_its_case(sealed: Path, blind: Path, an
     assert without_times([alone | {"case": ""}]) == without_times([with_key | {"case": ""}])
 
 
-def test_robots_that_the_drives_did_not_hold_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_robots_that_the_drives_did_not_hold_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And drawn again from other random numbers, which no case of this test or of another seed has."""
+    seeds: dict[str, list[int]] = {}
     vain = {"case_000": 0, "case_001": 2, "case_002": 3}  # robots that cannot be held, of the three that are tried
 
     def simulated(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
+        seeds.setdefault(folder.name, []).append(seed)
         vain[folder.name] -= 1
         if vain[folder.name] >= 0:
             raise DataError(f"{folder.name} fell apart")
@@ -121,11 +128,55 @@ def test_robots_that_the_drives_did_not_hold_are_told(tmp_path: Path, monkeypatc
     blindtest.make(tmp_path, 3, 5, 1, ["three"])
     blindtest.seal(tmp_path)
     keys = blindtest.unseal(tmp_path)
+    assert capsys.readouterr().out == "made\n" * 3
+    assert seeds == {"case_000": [5000], "case_001": [5001, 505001, 1005001], "case_002": [5002, 505002, 1005002]}
+    nonce = json.loads((tmp_path / "sealed_key.json").read_text())["nonce"]
+    assert len(bytes.fromhex(nonce)) == 16, "more than can be tried to find answers by their hash"
     assert [entry.get("kind") for entry in keys] == ["three", "three", None]
     assert blindtest.refused(keys) == [
         f"case_001 ({', '.join(keys[1]['effects'])}): drawn in vain 3 times, then drawn once more; joint 1 strays",
         f"case_002 ({', '.join(keys[2]['effects'])}): drawn in vain 3 times, then given up; case_002 fell apart",
     ]
+
+
+def test_the_makers_process_takes_what_it_is_told_and_says_how_far_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[tuple[Path, str]] = []
+
+    def simulated(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
+        made.append((folder, draw.kind))
+        return key(int(folder.name[-1]), draw.kind, list(draw.effects), [], 1.0)
+
+    class Process:
+        """As `Popen`, in this process."""
+
+        returncode = 0
+
+        def __init__(self, command: list[str], stdout: int, text: bool) -> None:
+            assert command[:3] == [sys.executable, "-c", blindtest.MAKER]
+            monkeypatch.setattr(sys, "argv", ["-c", *command[3:]])
+            said = io.StringIO()
+            with contextlib.redirect_stdout(said):
+                print("a word of MuJoCo's")
+                blindtest.maker()
+            self.stdout = said.getvalue().splitlines()
+
+        def __enter__(self) -> Process:
+            return self
+
+        def __exit__(self, *error: object) -> None: ...
+
+    monkeypatch.setattr("drivers.plant.cases.simulate_case", simulated)
+    monkeypatch.setattr(blindtest.subprocess, "Popen", Process)
+    assert list(blindtest.made(tmp_path, 4, 5, 1, ["three", "outside"])) == [None] * 4
+    assert [folder for folder, _ in made] == [tmp_path / "cases" / f"case_00{number}" for number in range(4)]
+    assert {kind for _, kind in made} == {"three", "outside"}
+
+
+def test_a_maker_that_fails_is_told(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"^the simulation of the cases failed \(exit code 1\)$"):
+        list(blindtest.made(tmp_path, 1, 1, 1, ["of no kind"]))
 
 
 def test_a_key_that_was_changed_is_refused(blind: Path) -> None:

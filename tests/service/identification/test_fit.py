@@ -57,7 +57,7 @@ def test_a_step_stays_within_its_limits(seed):
     assert (found <= high).all()
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-4])
+@pytest.mark.parametrize("unit", [1.0, 1e-4, 1e8])
 def test_what_was_held_and_would_come_back_is_let_go(unit):
     """Of two alike, both leave their limits; with the first held the second is well inside. The third stands alone."""
     random = np.random.default_rng(0)

@@ -316,6 +316,20 @@ def test_inertia_shows_from_a_tenth_of_what_is_left(share: float, told: bool) ->
     assert ("cannot be told" in said[0]) is not told
 
 
+@pytest.mark.parametrize(("share", "sign"), [(0.045, 1), (0.075, -1)])
+def test_what_moves_slower_than_a_twentieth_of_the_fastest_tells_no_sign(share: float, sign: int) -> None:
+    """Friction that is against the motion where it is slow, and five times less and with it where it is fast."""
+    rate, time = 2 * np.pi * 0.75, np.arange(8000) * 1e-3
+    slow = time >= 4.0
+    v = rate * np.where(slow, share, 1.0) * np.cos(rate * time)
+    x = np.where(slow, share, 1.0) * np.sin(rate * time)
+    force = np.where(slow, -5.0, 1.0) * np.sign(v)
+    table = Table(Path("log.csv"), "text", {"t": time, "pos [rad]": x, "torque [Nm]": force})
+    arm = Axes.model_validate({"name": "arm", "kind": "axes", "axis": [{"unit": "rad"}]})
+    (torque,) = propose(table, arm, Stated()).columns["torque"]
+    assert torque.get("sign", 1) == sign
+
+
 def test_signs_are_told_from_a_hundred_rows_on() -> None:
     against = [lambda x, v, a: -5.0 * a] * 2
     assert signs_of(*against, rows=100, period=0.01)[0] == [-1, -1]
