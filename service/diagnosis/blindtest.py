@@ -68,7 +68,7 @@ def made(out: Path, cases: int, seed: int, jobs: int, families: Sequence[str]) -
     """Run the maker in its own process, yielding once a case.
 
     Raises:
-        DataError: it failed, with its last words.
+        DataError: it failed.
     """
     import mujoco  # noqa: F401  # what the maker will need
 
@@ -232,7 +232,7 @@ def judged(rows: list[dict[str, Any]], keys: list[dict[str, Any]]) -> list[dict[
             judged_row["hit"] = bool(named) and named[0] in real
             rivals = row["named"][0]["confusable"] if named else row["rivals"]
             judged_row["told"] = judged_row["hit"] or bool(set(rivals) & real)
-            judged_row["both"] = all(set(named) & _same(name) for name in effects) if effects else not named
+            judged_row["both"] = all(set(named) & _same(name) for name in effects)
             judged_row["extra"] = sum(name not in true for name in named)
             sure = [effect["name"] for effect in row["named"] if effect["probability"] >= SURE]
             judged_row["sure"], judged_row["false_sure"] = len(sure), sum(name not in true for name in sure)

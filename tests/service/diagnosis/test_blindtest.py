@@ -114,6 +114,7 @@ def test_robots_that_the_drives_did_not_hold_are_told(
 ) -> None:
     """And drawn again from other random numbers, which no case of this test or of another seed has."""
     seeds: dict[str, list[int]] = {}
+    truth = {"stiffness": np.array([1.0, 2.0]), "mass": np.float64(0.5), "log": Path("fit_a.csv")}
     vain = {"case_000": 0, "case_001": 2, "case_002": 3}  # robots that cannot be held, of the three that are tried
 
     def simulated(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
@@ -122,7 +123,7 @@ def test_robots_that_the_drives_did_not_hold_are_told(
         if vain[folder.name] >= 0:
             raise DataError(f"{folder.name} fell apart")
         strayed = ["joint 1 strays"] * (folder.name == "case_001")
-        return key(int(folder.name[-1]), draw.kind, list(draw.effects), [], 1.0) | {"refused": strayed}
+        return key(int(folder.name[-1]), draw.kind, list(draw.effects), [], 1.0) | {"refused": strayed, "truth": truth}
 
     monkeypatch.setattr("drivers.plant.cases.simulate_case", simulated)
     blindtest.make(tmp_path, 3, 5, 1, ["three"])
@@ -130,6 +131,7 @@ def test_robots_that_the_drives_did_not_hold_are_told(
     keys = blindtest.unseal(tmp_path)
     assert capsys.readouterr().out == "made\n" * 3
     assert seeds == {"case_000": [5000], "case_001": [5001, 505001, 1005001], "case_002": [5002, 505002, 1005002]}
+    assert keys[0]["truth"] == {"stiffness": [1.0, 2.0], "mass": 0.5, "log": "fit_a.csv"}
     nonce = json.loads((tmp_path / "sealed_key.json").read_text())["nonce"]
     assert len(bytes.fromhex(nonce)) == 16, "more than can be tried to find answers by their hash"
     assert [entry.get("kind") for entry in keys] == ["three", "three", None]
@@ -143,6 +145,7 @@ def test_the_makers_process_takes_what_it_is_told_and_says_how_far_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[tuple[Path, str]] = []
+    through: list[int] = []  # cases that have been told when what was printed goes through the pipe
 
     def simulated(folder: Path, seed: int, draw: Draw) -> dict[str, Any]:
         made.append((folder, draw.kind))
@@ -155,8 +158,10 @@ def test_the_makers_process_takes_what_it_is_told_and_says_how_far_it_is(
 
         def __init__(self, command: list[str], stdout: int, text: bool) -> None:
             assert command[:3] == [sys.executable, "-c", blindtest.MAKER]
+            assert text
             monkeypatch.setattr(sys, "argv", ["-c", *command[3:]])
-            said = io.StringIO()
+            said: Any = io.StringIO()
+            said.flush = lambda: through.append(said.getvalue().count("made"))
             with contextlib.redirect_stdout(said):
                 print("a word of MuJoCo's")
                 blindtest.maker()
@@ -170,6 +175,7 @@ def test_the_makers_process_takes_what_it_is_told_and_says_how_far_it_is(
     monkeypatch.setattr("drivers.plant.cases.simulate_case", simulated)
     monkeypatch.setattr(blindtest.subprocess, "Popen", Process)
     assert list(blindtest.made(tmp_path, 4, 5, 1, ["three", "outside"])) == [None] * 4
+    assert through[:4] == [1, 2, 3, 4]
     assert [folder for folder, _ in made] == [tmp_path / "cases" / f"case_00{number}" for number in range(4)]
     assert {kind for _, kind in made} == {"three", "outside"}
 
@@ -350,6 +356,7 @@ def test_the_gap_is_that_of_all_rows_that_move(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("service.model.prediction.predict_along", lambda robot, trace, along: {"full": (robot, along)})
     monkeypatch.setattr("service.model.prediction.error_in_band", lambda trace, along, torque: errors[trace])
     assert blindtest.measured_gap("robot", ["a", "b"]) == pytest.approx(np.sqrt(14 / 3))
+    assert blindtest.measured_gap("robot", ["b"]) == 2.0
     assert blindtest.measured_gap("robot", []) == 0.0
 
 
@@ -369,6 +376,8 @@ def test_the_families_figures_count_right() -> None:
         key(9, "production", ["cogging"], [[0]], 2.0),
         key(10, "scope", ["cogging"], [[0]], 2.0, "", "torque_filter"),
         key(11, "scope", ["cogging"], [[0]], 2.0, "", "torque_filter"),
+        key(12, "production", ["cogging"], [[0]], 1.09),  # too small to count
+        key(13, "scope", ["cogging"], [[0]], 1.09),
     ]
     rows = [
         row(0, [("backlash", [1]), ("tool_mass", []), ("cogging", [2])], "explained"),  # F1 1
@@ -383,6 +392,8 @@ def test_the_families_figures_count_right() -> None:
         row(9, [], "unexplained", rivals=("cogging", "backlash")),
         row(10, [("cogging", [1]), ("torque_filter", [])], "explained"),
         row(11, [("torque_filter", [])], "partly_explained"),  # true, and not what was asked
+        row(12, [], "within_noise"),
+        row(13, [], "within_noise"),
     ]
     figures = blindtest.summary(blindtest.judged(rows, keys))
     wanted = {

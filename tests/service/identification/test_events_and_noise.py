@@ -50,6 +50,13 @@ def test_nothing_below_the_floor_is_an_event():
     assert events.events(runs, np.array([3.0, 3.0])) == []
 
 
+@pytest.mark.parametrize(("above", "seen"), [(3.4, 0), (3.6, 1)])
+def test_an_event_stands_three_and_a_half_times_above_the_median_of_the_level(above: float, seen: int):
+    time = np.arange(2000) * STEP
+    error = np.where(np.abs(time - 5.0) < 0.2, above, 1.0) * np.where(np.arange(2000) % 2, 1, -1)
+    assert len(events.events([events.JointRun("a", 0, time, error)], FLOOR)) == seen
+
+
 def test_near_stretches_are_one_and_the_end_of_a_stretch_of_rows_ends_it():
     assert len(events.events([knocked(quiet("b", 0, 2), 3.0, 3.1)], FLOOR)) == 1
     assert len(events.events([knocked(quiet("b", 0, 2), 3.0, 3.19)], FLOOR)) == 2  # 90 ms without

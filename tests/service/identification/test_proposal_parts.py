@@ -418,3 +418,14 @@ def test_stamps_of_a_channel_of_its_own_are_told_but_of_a_twincat_export(geared:
         assert [entry.get("time") for entry in entries] == told
         assert all(entry["unit"] == "rad" and "sign" not in entry for entry in entries)
     assert proposal._entry(made, JOINTS, "q1", {}, -1) == {"name": "q1", "sign": -1}
+
+
+@pytest.mark.parametrize(("kind", "name"), [("TwinCAT Scope export", "Name"), ("table with a header", "Name (2)")])
+def test_stamps_of_a_twincat_export_are_known_by_the_name_that_all_its_channels_give_them(kind: str, name: str) -> None:
+    """Which is the file's; the number that tells them apart is the reader's."""
+    made = delta_table()
+    columns = {**made.columns, "Name (2)": made.columns["t"]}
+    table = Table(made.path, kind, columns, units={"Name (2)": "s"}, time_of={"q1": "Name (2)"})
+    found, rate = proposal._time(table, Channels("t", JOINTS.position, JOINTS.torque), Stated(), [], [])
+    assert found["name"] == name
+    assert rate == pytest.approx(1e3)
