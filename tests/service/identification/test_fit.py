@@ -44,17 +44,22 @@ def test_what_rounding_leaves_beside_a_column_without_information_is_none():
     np.testing.assert_allclose(found, [27724.6 / 10210.6, 3.0 / 27.0, 1e-3 / 3e-4, 0.0, 0.0], rtol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_a_step_stays_within_its_limits(seed):
-    """What leaves them is held there, which is the constrained optimum where columns are hardly correlated."""
+@pytest.mark.parametrize("seed", range(40))
+def test_a_step_within_limits_is_the_best_there_is_whatever_the_units(seed: int):
+    """Correlated columns, limits on either side of zero, some of no width, torque from 1e-8 to 1e8."""
     random = np.random.default_rng(seed)
-    columns = 20 * np.linalg.qr(random.standard_normal((400, 4)))[0] + 0.02 * random.standard_normal((400, 4))
-    target = columns @ [2.0, -1.0, 0.5, 0.1] + 0.1 * random.standard_normal(400)
-    low, high = np.array([-1.0, -0.5, -np.inf, -1.0]), np.array([1.0, np.inf, np.inf, 0.05])
-    found = within(columns.T @ columns, columns.T @ target, low, high)
-    np.testing.assert_allclose(found, lsq_linear(columns, target, (low, high)).x, atol=1e-6)
-    assert (found >= low).all()
-    assert (found <= high).all()
+    count, size = random.integers(2, 7), 10.0 ** random.uniform(-8.0, 8.0)
+    columns = random.standard_normal((60, count)) @ (np.eye(count) + 0.7 * random.standard_normal((count, count)))
+    target = columns @ random.standard_normal(count) + 0.3 * random.standard_normal(60)
+    low = random.uniform(-1.5, 0.5, count) + (seed % 4 == 0) * 3.0 * np.sign(random.standard_normal(count))
+    high = low + np.where(random.random(count) < 0.15, 0.0, random.uniform(0.1, 2.0, count))
+    unit = 10.0 ** random.uniform(-4.0, 4.0, count)
+    scaled = columns * unit
+    found = within(scaled.T @ scaled, scaled.T @ target * size, low * size / unit, high * size / unit)
+    best = lsq_linear(columns, target, (low, np.maximum(high, low + 1e-9)), method="bvls", tol=1e-15).x
+    np.testing.assert_allclose(found * unit / size, best, atol=1e-7)
+    assert (found >= low * size / unit).all()
+    assert (found <= high * size / unit).all()
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-4, 1e8])

@@ -109,6 +109,18 @@ def test_it_is_least_squares_with_every_block_and_every_log_left_out_in_turn(mon
     np.testing.assert_allclose(result.model_error, np.sqrt(np.maximum(above, 0.0)), rtol=1e-9)
 
 
+def test_how_loud_the_noise_is_said_to_be_moves_neither_values_nor_their_errors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As blocks tell the errors. So loud that no block holds any information to speak of."""
+    made = logs()
+    expected, loud = found(monkeypatch, made), Problem.of(made.recordings, made.band, 1e5 * made.sigma)
+    result = found(monkeypatch, loud)
+    np.testing.assert_allclose(result.values, expected.values, rtol=1e-6)
+    for one, other in zip(result.estimates, expected.estimates, strict=True):
+        assert one.std_error == pytest.approx(other.std_error, rel=1e-4)
+
+
 def test_one_log_is_held_against_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     made = logs(count=1)
     result = found(monkeypatch, made)
@@ -321,6 +333,27 @@ def test_each_friction_goes_on_from_the_width_that_suits_it(
         assert (found is not fitted) is taken
         if taken:
             assert np.array_equal(found.hypothesis.base.transition, tried)
+
+
+def test_of_logs_that_ask_for_several_widths_all_rows_count_by_their_square(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What each width leaves of all logs together; by their levels the second axis would turn at
+    0.04, and by the loudest of them the first at 0.15."""
+    each = [logs(widths=(width, width), count=4) for width in (0.02, 0.03, 0.3, 0.05)]
+    made = replace(each[0], recordings=[one.recordings[number] for number, one in enumerate(each)])
+    made = Problem.of(made.recordings, made.band, made.sigma)
+    left = []
+    for width in (WIDTH, *pooled.WIDER_TRANSITIONS):
+        base = replace(linear(made).hypothesis.base, transition=np.full(2, width))
+        fitted = evaluate(made, Hypothesis(base, timed=False))
+        columns = [tangent[:, :10] for tangent in fitted.tangents]
+        values = solved(columns, fitted.residuals)
+        rest = np.concatenate([r - c @ values for r, c in zip(fitted.residuals, columns, strict=True)])
+        joints = np.concatenate(made.joints_of_rows)
+        left.append([np.sum(rest[joints == joint] ** 2) for joint in range(2)])
+    best = np.array([WIDTH, *pooled.WIDER_TRANSITIONS])[np.argmin(left, axis=0)]
+    assert best.tolist() == [0.04, 0.15]
+    monkeypatch.setattr(pooled.solver, "fit", lambda _, asked: stub(hypothesis=asked, cost=-1.0))
+    np.testing.assert_array_equal(pooled._turning(made, linear(made)).hypothesis.base.transition, best)
 
 
 def test_ripple_is_followed_as_far_as_its_strongest_orders_at_the_middle_speed() -> None:

@@ -294,7 +294,7 @@ def test_an_axis_sign_is_told_beside_its_weight_and_each_axis_for_itself() -> No
     """Weight, a constant and viscous friction explain nothing of it, however large; what shows nothing is passed by."""
 
     def weighed(inertia: float, dry: float) -> Any:
-        return lambda x, v, a: inertia * a + dry * np.sign(v) + 300 * np.sin(x) - 200 * np.cos(x) - 40 * v + 90
+        return lambda x, v, a: inertia * a + dry * np.sign(v) + 300 * np.sin(x) - 1e5 * np.cos(x) - 40 * v + 90
 
     assert signs_of(weighed(0.5, 0.0), weighed(-0.5, 0.0)) == (
         [1, -1], ["axis 2: 'torque2 [Nm]' pushes against the motion: the other sign"]
@@ -318,16 +318,24 @@ def test_inertia_shows_from_a_tenth_of_what_is_left(share: float, told: bool) ->
 
 @pytest.mark.parametrize(("share", "sign"), [(0.045, 1), (0.075, -1)])
 def test_what_moves_slower_than_a_twentieth_of_the_fastest_tells_no_sign(share: float, sign: int) -> None:
-    """Friction that is against the motion where it is slow, and five times less and with it where it is fast."""
+    """Friction that is against the motion where it is slow, and five times less and with it where it is fast; which is
+    on the way back, four times faster than on the way there."""
     rate, time = 2 * np.pi * 0.75, np.arange(8000) * 1e-3
     slow = time >= 4.0
-    v = rate * np.where(slow, share, 1.0) * np.cos(rate * time)
-    x = np.where(slow, share, 1.0) * np.sin(rate * time)
+    v = rate * np.where(slow, share * np.cos(rate * time), 0.625 * np.cos(rate * time) - 0.375)
+    x = np.cumsum(v) * 1e-3
     force = np.where(slow, -5.0, 1.0) * np.sign(v)
     table = Table(Path("log.csv"), "text", {"t": time, "pos [rad]": x, "torque [Nm]": force})
     arm = Axes.model_validate({"name": "arm", "kind": "axes", "axis": [{"unit": "rad"}]})
     (torque,) = propose(table, arm, Stated()).columns["torque"]
     assert torque.get("sign", 1) == sign
+
+
+def test_rows_without_a_number_tell_no_sign_and_take_none() -> None:
+    made = swings(lambda x, v, a: -5.0 * a, lambda x, v, a: -5.0 * a)
+    for gone, name in ((500, "pos1 [deg]"), (900, "torque2 [Nm]")):
+        made.columns[name][gone] = np.nan
+    assert [entry["sign"] for entry in propose(made, TURNING, Stated()).columns["torque"]] == [-1, -1]
 
 
 def test_signs_are_told_from_a_hundred_rows_on() -> None:
