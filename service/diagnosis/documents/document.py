@@ -130,11 +130,14 @@ def _estimate(value: float, error: float, unit: str, meaning: str = "") -> Estim
     return Estimate(value=digits(value), unit=unit, ci95=interval, meaning=meaning)
 
 
-def _meaning(effect: Effect, parameter: str, suffix: str) -> str:
-    """Of a parameter, named as in `parameters_of`, with the joint where there are several."""
+def _meaning(effect: Effect, parameter: str, joint: str, at: str) -> str:
+    """Of a parameter, named as in `parameters_of`, with the joint where there are several, and the value `at` of the
+    first nonlinear parameter where the effect is at work more than once on it."""
     quantities = {**effect.amplitudes, **effect.nonlinear}
-    name, _, joint = (parameter, "", suffix[1:]) if parameter in quantities else parameter.rpartition("_")
-    return quantities[name].meaning + (f", joint {joint.partition('_')[0]}" if joint[:1].isdigit() else "")
+    if parameter not in quantities:
+        parameter, _, joint = parameter.rpartition("_")
+    which = (f", joint {joint}" if joint else "") + (f", {next(iter(effect.nonlinear))} {at}" if at else "")
+    return quantities[parameter].meaning + which
 
 
 def _effects(findings: Findings, comparisons: list[ModelComparison]) -> list[NamedEffect]:
@@ -147,11 +150,11 @@ def _effects(findings: Findings, comparisons: list[ModelComparison]) -> list[Nam
         if number < len(findings.given):
             continue
         others = [other for other in hypothesis.terms if other.effect is term.effect]
-        suffix = f"_{term.joints[0] + 1}" if len({other.joints for other in others}) > 1 and term.joints else ""
-        if sum(other.joints == term.joints for other in others) > 1:
-            suffix += f"_{term.nonlinear[0]:.4g}"
+        joint = f"{term.joints[0] + 1}" if len({other.joints for other in others}) > 1 and term.joints else ""
+        at = f"{term.nonlinear[0]:.4g}" if sum(other.joints == term.joints for other in others) > 1 else ""
+        suffix = "".join(f"_{told}" for told in (joint, at) if told)
         for known, value, error in zip(every.of_terms[number], every.values[mine], findings.errors[mine], strict=True):
-            unit, meaning = in_units_of(findings.robot, known.unit), _meaning(term.effect, known.name, suffix)
+            unit, meaning = in_units_of(findings.robot, known.unit), _meaning(term.effect, known.name, joint, at)
             estimate = _estimate(value, error, unit, meaning)
             parameters.setdefault(term.effect, {})[known.name + suffix] = estimate
         joints.setdefault(term.effect, [])

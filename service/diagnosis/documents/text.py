@@ -157,7 +157,14 @@ def _settling(document: Diagnosis) -> list[str]:
 
 
 def how_much(effect: NamedEffect) -> list[str]:
-    """What was estimated of it; a cosine and a sine as one amplitude."""
+    """What was estimated of it, as far as it is told in one look."""
+    lines = _figures(effect)
+    more = len(lines) - MOST_TOLD
+    return lines[:MOST_TOLD] + ([f"and {more} more, below"] if more > 0 else [])
+
+
+def _figures(effect: NamedEffect) -> list[str]:
+    """What was estimated of an effect; a cosine and a sine as one amplitude."""
     found = {key: one for key, one in effect.parameters.items() if not one.fixed}
     lines = []
     for key, one in found.items():
@@ -171,9 +178,8 @@ def how_much(effect: NamedEffect) -> list[str]:
                 "cosine part", "amplitude"
             )
             one = Estimate(value=value, unit=one.unit, ci95=(value - half, value + half), meaning=meaning)
-        lines.append(f"{in_words(key, one)}: {_value(one)}{_degrees(one)}")
-    more = len(lines) - MOST_TOLD
-    return lines[:MOST_TOLD] + ([f"and {more} more, below"] if more > 0 else [])
+        lines.append(f"{in_words(key, one)} = {_value(one)}{_degrees(one)}")
+    return lines
 
 
 def in_words(key: str, estimate: Estimate) -> str:
@@ -308,11 +314,8 @@ def _concentrated(regime: Regime) -> str:
 
 
 def _effect(effect: NamedEffect, figures: bool) -> str:
-    parameters = ", ".join(
-        f"{in_words(key, estimate)} = {_value(estimate)}" for key, estimate in effect.parameters.items()
-    )
     line = f"Most likely {_placed(effect.name, effect.joints)} ({100 * effect.probability:.0f} %)"
-    line += f": {parameters}." if figures else "."
+    line += f": {'; '.join(_figures(effect))}." if figures else "."
     line += f" It makes up {100 * effect.gap_share:.0f} % of the gap above the noise."
     return line + _confusable(effect)
 

@@ -54,12 +54,14 @@ def test_each_quantity_of_an_effect_has_a_name_of_its_own():
         "cosine_1_7": 0.5, "sine_1_7": 7.0, "order_1_7": 7.0,
         "cosine_2": 1.5, "sine_2": 2.0, "order_2": 2.0,
     }  # fmt: skip
-    assert cogging.parameters["cosine_1_7"].meaning == "cosine part of the amplitude, joint side, joint 1"
+    assert cogging.parameters["cosine_1_7"].meaning == "cosine part of the amplitude, joint side, joint 1, order 7"
+    assert cogging.parameters["order_2"].meaning == "periods a motor turn, joint 2"
     (only,) = offset.parameters.values()
     assert (only.value, only.unit) == (0.9, "N m")
     assert only.ci95 == pytest.approx((0.9 * (1 - 0.196), 0.9 * (1 + 0.196)))
     assert ", joint" not in only.meaning.removesuffix("joint side")
     (twice,) = told(ripple(1, 2.0), ripple(1, 7.0))
+    assert twice.parameters["sine_7"].meaning == "sine part of the amplitude, joint side, order 7"
     assert list(twice.parameters) == ["cosine_2", "sine_2", "order_2", "cosine_7", "sine_7", "order_7"]
     (two,) = told(ripple(0, 2.0), ripple(1, 7.0))
     assert [key for key in two.parameters if key.startswith("order")] == ["order_1", "order_2"]

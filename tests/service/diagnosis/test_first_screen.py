@@ -32,13 +32,13 @@ def test_the_box_says_what_where_how_much_and_what_to_do(findings):
         "More friction at low speed (sticking), joints 1, 2 and 3",
         "Torque ripple over the motor turn (cogging), joint 2",
     ]
-    assert said.causes[0].how_much[0].startswith("breakaway friction above the Coulomb level, joint 1: ")
+    assert said.causes[0].how_much[0].startswith("breakaway friction above the Coulomb level, joint 1 = ")
     assert said.causes[0].how_much[0].endswith(" N m")
     assert said.causes[0].surety.endswith("of the resampled data. On this data it cannot be told from cogging.")
     assert said.check == ["To be sure, record a slow sweep with reversals, 0.005 to 1 rad/s.", PLANNED]
     assert "relubricate" in said.causes[0].means
     cosine, sine = (found.effects[1].parameters[name].value for name in ("cosine", "sine"))
-    amplitude = re.match(r"amplitude, joint side: ([\d.]+) ± [\d.]+ N m$", said.causes[1].how_much[0])
+    amplitude = re.match(r"amplitude, joint side = ([\d.]+) ± [\d.]+ N m$", said.causes[1].how_much[0])
     assert amplitude
     assert float(amplitude[1]) == pytest.approx((cosine**2 + sine**2) ** 0.5, rel=0.05)
     shares = [float(share) for share in re.findall(r"\(([\d.]+) % of the torque", said.gap)]

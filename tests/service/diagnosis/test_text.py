@@ -37,9 +37,8 @@ def document(**changed: Any) -> Diagnosis:
 def test_a_named_effect_is_told_in_one_line() -> None:
     (line, gap), *_ = text.paragraphs(document())[2:]
     assert line == (
-        "Most likely cogging in joint 2 (80 %): cosine part of a ripple = 3.0 ± 0.6 N m, sine part of a ripple = "
-        "4.0 ± 0.8 N m, order = 7. It makes up 64 % of the gap above the noise. On this data it cannot be told from "
-        "backlash or torque scale."
+        "Most likely cogging in joint 2 (80 %): amplitude of a ripple = 5.0 ± 0.7 N m. It makes up 64 % of the gap "
+        "above the noise. On this data it cannot be told from backlash or torque scale."
     )
     # rms of 3 and 1, of 1.5 and 1
     assert gap == (
@@ -58,7 +57,7 @@ def test_the_answer_says_how_much_and_what_to_do() -> None:
     (cause,) = found.causes
     assert cause.what == "Cogging, joint 2"
     # a cosine of 3 and a sine of 4: 5, with the root of (3 0.6)^2 + (4 0.8)^2 over it
-    assert cause.how_much == ["amplitude of a ripple: 5.0 ± 0.7 N m"]
+    assert cause.how_much == ["amplitude of a ripple = 5.0 ± 0.7 N m"]
     assert found.gap == "2.24 N m (10 % of the torque's rms) → 1.27 N m (5.7 % of the torque's rms)"
     assert found.check == ["To be sure, record a slow sweep."]
     sure = document(effects=[ONE | {"confusable_with": [], "probability": 0.9}])
@@ -80,7 +79,7 @@ def test_the_answer_says_how_much_and_what_to_do() -> None:
 def test_many_quantities_are_counted() -> None:
     quantity = {"value": 0.02, "unit": "rad", "ci95": [0.017, 0.023]}
     effect = document(effects=[ONE | {"parameters": {f"angle_{n}": quantity for n in range(8)}}]).effects[0]
-    assert text.how_much(effect)[:1] == ["angle 0: 0.020 ± 0.003 rad (1.1°)"]
+    assert text.how_much(effect)[:1] == ["angle 0 = 0.020 ± 0.003 rad (1.1°)"]
     assert text.how_much(effect)[6:] == ["and 2 more, below"]
     seven = document(effects=[ONE | {"parameters": {f"angle_{n}": quantity for n in range(7)}}]).effects[0]
     assert text.how_much(seven)[6:] == ["and 1 more, below"]
