@@ -69,9 +69,10 @@ def command(
     from drivers.trace import CAPTURE_ENDINGS, read_trace, write_trace
     from drivers.trace.tables import joined, read_table
     from schemas.axes import load_description
-    from schemas.columns import load_columns
+    from schemas.columns import Columns
     from schemas.errors import StorageError, TraceError
     from schemas.files import check_folder, write_text
+    from schemas.toml import validate
     from service.identification.channels import clocks_of
     from service.identification.proposal import propose
 
@@ -108,10 +109,11 @@ def command(
         if not typer.confirm("take it?", default=not proposal.doubts, err=True):
             typer.echo("nothing written; say otherwise with --position, --torque, --time, --torque-unit ...", err=True)
             raise typer.Exit(1)
-    write_text(mapping, _toml(table, proposal))
+    columns = validate(Columns, dict(proposal.columns), mapping, TraceError)
     with console(stderr=True).status(f"writing {log.name}"):
-        trace = read_trace(files[0], description, load_columns(mapping))
+        trace = read_trace(files[0], description, columns)
         write_trace(trace, log, description.name if description else "robot")
+    write_text(mapping, _toml(table, proposal))  # last: on a disk that is full it would stand there without its log
     for finding in trace.findings:
         typer.echo(f"{files[0]}: {finding.message}", err=True)
     if json:

@@ -113,6 +113,17 @@ def test_full_disk(inputs: Path) -> None:
         assert set(ended["files"]) == set(OLDS)
 
 
+def test_a_log_that_does_not_fit_leaves_no_mapping(inputs: Path) -> None:
+    """The disk holds the mapping, which is small, and not the log."""
+    command = "import {in}/log.csv --robot {in}/robot.toml --yes --out {disk}/new.mcap"
+    if may_mount():
+        (ended,) = run(inputs, [command], mount=f"mount -t tmpfs -o size=64k small {inputs}/disk; cd {inputs}/disk")
+    else:
+        (ended,) = run(inputs, [command], limit=64 << 10)
+    told("import", ended, "new.mcap")
+    assert ended["files"] == {}
+
+
 def test_read_only_disk(inputs: Path) -> None:
     if not may_mount():
         pytest.skip("needs root and unshare to mount a disk of its own")
