@@ -36,13 +36,21 @@ class RegimeReached(DocumentPart):
     joint_mrad: dict[str, float | None]
 
 
+class LogInterruption(DocumentPart):
+    """From when to when, s of its clock, a log has no samples, or none that are of use."""
+
+    trace: str
+    from_s: float
+    until_s: float
+
+
 class RolloutDocument(DocumentPart):
     """Simulated robots under recorded torque, or under recorded commands through the drives of `servo`.
 
     floor: what torque noise and start state make of the last robot alone.
 
-    payload_kg: what hangs on all of them, one a window. untold_s: left out as that could not be told.
-    path_mm: rms way of the measured platform. seconds: of the logs; used_s: in windows.
+    payload_kg: what hangs on all of them, one a window. untold_s: left out as that could not be told. windows_lost:
+    what `interruptions` cost. path_mm: rms way of the measured platform. seconds: of the logs; used_s: in windows.
     """
 
     schema_: Literal["deltatwin.rollout/1"] = Field("deltatwin.rollout/1", alias="schema")
@@ -51,6 +59,8 @@ class RolloutDocument(DocumentPart):
     windows: int
     payload_kg: list[float]
     untold_s: float
+    interruptions: list[LogInterruption]
+    windows_lost: int
     seconds: float
     used_s: float
     path_mm: float

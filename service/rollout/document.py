@@ -9,7 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from schemas.robot import Robot
-from schemas.rollout import Reached, RegimeReached, RolloutDocument
+from schemas.rollout import LogInterruption, Reached, RegimeReached, RolloutDocument
 from service.pages import write_page
 from service.rollout.gap import REGIMES, Deviation, Rollout, rms
 from service.rollout.robot import left_out
@@ -17,25 +17,31 @@ from service.rollout.robot import left_out
 TIMES = 21  # of the growth over the horizon
 COLOURS = ("#b0b7c3", "#bf8700", "#1f6feb", "#8250df", "#2da44e")
 FLOOR = "#d0d7de"
+NAMED = 5  # interruptions of logs that are told one by one
 
 
 def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) -> RolloutDocument:
     """The document of a rollout of `robots` over `traces`."""
-    samples = found.floor.platform.shape[1]
+    cuts, samples = found.cuts, found.floor.platform.shape[1]
     rows = np.unique(np.linspace(0, samples - 1, TIMES).round().astype(int))
     driven = found.servo is not None
     shown = [reached(deviation, rows, left_out(robots[deviation.name]), driven) for deviation in found.deviations]
     return RolloutDocument(
         schema="deltatwin.rollout/1",
         traces=list(traces),
-        horizon_s=round(found.horizon, 6),
-        windows=len(found.runs),
-        payload_kg=[float(f"{mass:.5g}") for mass in found.payload],
-        untold_s=round(found.untold, 3),
-        seconds=round(found.seconds, 3),
-        used_s=round(found.used, 3),
+        horizon_s=round(cuts.horizon, 6),
+        windows=len(cuts.runs),
+        payload_kg=[float(f"{mass:.5g}") for mass in cuts.payload],
+        untold_s=round(cuts.untold, 3),
+        interruptions=[
+            LogInterruption(trace=one.run, from_s=round(one.start, 3), until_s=round(one.stop, 3))
+            for one in cuts.interruptions
+        ],
+        windows_lost=cuts.lost,
+        seconds=round(cuts.seconds, 3),
+        used_s=round(len(cuts.runs) * cuts.horizon, 3),
         path_mm=found.floor.path_mm,
-        times_s=[round(float(row * found.period), 6) for row in rows],
+        times_s=[round(float(row * cuts.period), 6) for row in rows],
         robots=shown,
         floor=reached(found.floor, rows, torque=driven),
         regimes=_regimes(found),
@@ -63,7 +69,7 @@ def _regimes(found: Rollout) -> list[RegimeReached]:
     deviations = (*found.deviations, found.floor)
     for joint in range(3):
         for number, regime in enumerate(REGIMES):
-            mine = found.regime[:, joint] == number
+            mine = found.cuts.regime[:, joint] == number
             if not mine.any():
                 continue
             errors = {}
@@ -126,6 +132,13 @@ def sentences(result: RolloutDocument) -> list[str]:
         lines.append("It is never empty: a tool whose mass the description lacks would look the same.")
     if result.untold_s:
         lines.append(f"{result.untold_s:.3g} s are left out in which it cannot be told what is carried.")
+    if result.interruptions:
+        shown = result.interruptions[:NAMED]
+        where = ", ".join(f"{one.trace} at {one.from_s:.3f} to {one.until_s:.3f} s" for one in shown)
+        more = f" and {len(result.interruptions) - NAMED} more" if len(result.interruptions) > NAMED else ""
+        lines.append(
+            f"No window spans what interrupts a log, which costs {result.windows_lost} windows: {where}{more}."
+        )
     for robot in result.robots:
         if robot.ran_away:
             lines.append(

@@ -28,9 +28,9 @@ from service.model.dynamics import REST_SPEED
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel
 from service.model.scene import Recording
-from service.model.signals import EDGE, Segment, one_period, segments, smooth
+from service.model.signals import EDGE, LONGEST_STEP, Segment, one_period, segments, smooth
 from service.model.torque import predict
-from service.rollout.kernel import NO_DRIVES, SCRATCH, DriveGains, Drives, Pace, Runs, run_kernel
+from service.rollout.kernel import NO_DRIVES, SCRATCH, Drives, Pace, Runs, run_kernel
 from service.rollout.robot import Stretch, stretch
 from service.rollout.servo import commands_of, gains_of, identified
 
@@ -90,15 +90,14 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Windows:
-    """W windows of a part: first samples (W,), how many samples each has, what is carried in them, (W,) kg. command:
-    (N, 3, 3) of the part and gains of the drives that follow it; None where the recorded torque drives the robot."""
+    """W windows of a part: first samples (W,), how many samples each has, what is carried in them, (W,) kg, and what
+    drives the robot in them: the recorded torque, or drives."""
 
     segment: Segment
     starts: np.ndarray
     samples: int
     payload: np.ndarray
-    command: np.ndarray | None = None
-    gains: DriveGains | None = None
+    drives: Drives = NO_DRIVES
 
     def cut(self, values: np.ndarray) -> np.ndarray:
         """(W, S, ...) of (N, ...)."""
@@ -108,47 +107,55 @@ class Windows:
         """Angles rad and torque N m, (W, S, 3) each, from `start` (W, 5, 3). torque: (N, 3) N m, of which the drives
         take the first in a window."""
         runs = Runs(start, self.cut(torque), self.payload, self.segment.time[self.starts])
-        return run(seen, runs, self.segment.period, self.drives())
+        return run(seen, runs, self.segment.period, self.drives)
 
-    def drives(self) -> Drives:
-        """What makes the torque of the windows."""
-        if self.command is None or self.gains is None:
-            return NO_DRIVES
-        return Drives(self.gains, self.cut(self.command))
+
+@dataclass(frozen=True)
+class Interruption:
+    """Where `run` has no samples that are of use, or none at all: s of its own clock."""
+
+    run: str
+    start: float
+    stop: float
 
 
 @dataclass(frozen=True)
 class Cuts:
     """Logs in windows, a part without a fault each. period, horizon: s. untold: s left out as it could not be told what
-    is carried. seconds: of the logs."""
+    is carried. seconds: of the logs. lost: windows that `interruptions` cost."""
 
     parts: list[tuple[Trace, Windows]]
     period: float
     horizon: float
     untold: float
     seconds: float
+    interruptions: list[Interruption]
+    lost: int
+
+    @cached_property
+    def runs(self) -> list[str]:
+        """(W,) log of each window."""
+        return [trace.name for trace, cut in self.parts for _ in cut.starts]
+
+    @cached_property
+    def payload(self) -> np.ndarray:
+        """(W,) kg that hangs on all robots, as the last of them weighs it."""
+        return np.concatenate([cut.payload for _, cut in self.parts])
+
+    @cached_property
+    def regime(self) -> np.ndarray:
+        """(W, 3) index into `REGIMES` of each window for each joint."""
+        return np.concatenate([_regimes(cut) for _, cut in self.parts])
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """Robots against logs. period, horizon: s. deviations: one a robot, in the order given. floor: of the last of them.
+    """Robots against logs. deviations: one a robot, in the order given. floor: of the last of them. servo: of the
+    drives, where commands went in."""
 
-    regime: (W, 3) index into `REGIMES` of each window for each joint. runs: (W,) log of each. payload: (W,) kg that
-    hangs on all of the robots, as the last of them weighs it. untold: s left out as that could not be told.
-    seconds: of the logs; used: in windows, which leave out faults, the ends and what rests. servo: of the drives, where
-    commands went in.
-    """
-
-    period: float
-    horizon: float
+    cuts: Cuts
     deviations: tuple[Deviation, ...]
     floor: Deviation
-    regime: np.ndarray
-    runs: tuple[str, ...]
-    payload: np.ndarray
-    untold: float
-    seconds: float
-    used: float
     servo: Servo | None = None
 
 
@@ -175,7 +182,6 @@ def rollout(
         TraceError: positions that are no pose, naming the file. RobotError: an effect that is not known.
     """
     given, parts = list(robots.values())[-1], cuts.parts
-    windows = [cut for _, cut in parts]
     servo = None
     if commands:
         servo = given.servo or identified(
@@ -194,7 +200,7 @@ def rollout(
             try:
                 seen = stretch(robot, cut.segment, trace.position[cut.segment.rows])
                 if gains is not None:
-                    cut = replace(cut, command=commands_of(trace, cut.segment), gains=gains)
+                    cut = replace(cut, drives=Drives(gains, cut.cut(commands_of(trace, cut.segment))))
                 of_parts.append(_deviation(name, seen, cut))
                 if last:
                     of_floor.append(_floor(robot, seen, trace, cut))
@@ -204,19 +210,7 @@ def rollout(
         if last:
             floor = _joined("floor", of_floor)
     assert floor is not None
-    return Rollout(
-        period=cuts.period,
-        horizon=cuts.horizon,
-        deviations=tuple(deviations),
-        floor=floor,
-        regime=np.concatenate([_regimes(cut) for cut in windows]),
-        runs=tuple(trace.name for trace, cut in parts for _ in cut.starts),
-        payload=np.concatenate([cut.payload for cut in windows]),
-        untold=cuts.untold,
-        seconds=cuts.seconds,
-        used=sum(len(cut.starts) for cut in windows) * cuts.horizon,
-        servo=servo,
-    )
+    return Rollout(cuts, tuple(deviations), floor, servo)
 
 
 def cut_up(robots: dict[str, Robot], traces: Sequence[Trace], horizon: float = HORIZON) -> Cuts:
@@ -229,22 +223,41 @@ def cut_up(robots: dict[str, Robot], traces: Sequence[Trace], horizon: float = H
     robot = list(robots.values())[-1]
     if not SHORTEST <= horizon <= LONGEST:
         raise DataError(f"horizon of {horizon:g} s: must be {SHORTEST:g} to {LONGEST:g} s")
-    parts = [(trace, segment) for trace in traces for segment in segments(trace)]
-    period = one_period([(str(trace.path), segment) for trace, segment in parts])
+    parts = [(trace, segments(trace)) for trace in traces]
+    period = one_period([(str(trace.path), segment) for trace, whole in parts for segment in whole])
     samples = max(2, round(horizon / period)) + 1
-    masses = {id(trace): carried(robot, trace) for trace in traces}
-    result, untold = [], 0.0
-    for trace, segment in parts:
-        mass = masses[id(trace)][segment.rows]
-        starts = _windows(segment, samples, mass)
-        untold += period * int(np.sum(np.isnan(mass)))
-        if len(starts):
-            result.append((trace, Windows(segment, starts, samples, mass[starts])))
+    horizon = (samples - 1) * period
+    result, interruptions, untold, lost = [], [], 0.0, 0
+    for trace, whole in parts:
+        masses = carried(robot, trace)
+        for segment in whole:
+            mass = masses[segment.rows]
+            starts = _windows(segment, samples, mass)
+            untold += period * int(np.sum(np.isnan(mass)))
+            if len(starts):
+                result.append((trace, Windows(segment, starts, samples, mass[starts])))
+        of_trace, fewer = _interrupted(trace, whole, horizon)
+        interruptions += of_trace
+        lost += fewer
     if not result:
         why = f" and it can be told what is carried (not for {untold:.3g} s)" if untold else ""
         raise NoWindowError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves{why}")
     seconds = float(sum(len(trace) * period for trace in traces))
-    return Cuts(result, period, (samples - 1) * period, untold, seconds)
+    return Cuts(result, period, horizon, untold, seconds, interruptions, lost)
+
+
+def _interrupted(trace: Trace, parts: Sequence[Segment], horizon: float) -> tuple[list[Interruption], int]:
+    """Where `trace` is in none of its `parts`, and how many windows that costs."""
+    time = trace.time[np.isfinite(trace.time)]
+    ends = np.array([[part.time[0], part.time[-1]] for part in parts])
+    around = np.concatenate([[time.min()], ends.ravel(), [time.max()]]).reshape(-1, 2)
+    holes = around[np.diff(around)[:, 0] > LONGEST_STEP * parts[0].period]
+
+    def room(span: np.ndarray) -> np.ndarray:
+        return np.floor(np.maximum(span - 2 * EDGE, 0.0) / horizon + 1e-6).astype(int)
+
+    lost = int(room(np.ptp(time)) - room(np.diff(ends)).sum())
+    return [Interruption(trace.name, float(start), float(stop)) for start, stop in holes], lost
 
 
 def _windows(segment: Segment, samples: int, mass: np.ndarray) -> np.ndarray:
@@ -338,7 +351,7 @@ def _floor(robot: Robot, seen: Stretch, trace: Trace, windows: Windows) -> Devia
         for row, error in ((0, angle), (1, speed), (2, angle), (3, speed)):
             start[:, row] += error[starts]
         moved, driven = windows.run(seen, start, disturbed.torque)
-        seen_off = driven - pushed if windows.gains is None else driven - pushed + windows.cut(noise)
+        seen_off = driven - pushed if windows.drives is NO_DRIVES else driven - pushed + windows.cut(noise)
         off = _followed(seen.model, moved) - place
         draws.append(Deviation("floor", moved - clean, off, path, seen_off))
     # window by window, as the other deviations are

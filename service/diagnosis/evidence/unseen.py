@@ -80,8 +80,8 @@ def _simulated(findings: Findings, trace: Trace) -> Simulated | None:
         return None
     before, after, floor = (reached(deviation) for deviation in (*found.deviations, found.floor))
     return Simulated(
-        horizon_s=found.horizon,
-        windows=len(found.runs),
+        horizon_s=found.cuts.horizon,
+        windows=len(found.cuts.runs),
         path_mm=round(found.floor.path_mm, 3),
         platform_before_mm=before.platform_mm,
         platform_after_mm=after.platform_mm,

@@ -104,8 +104,8 @@ def rollout(path: Path) -> None:
     three = [20.0, 21.0, 22.0]
     document = RolloutDocument(
         schema="deltatwin.rollout/1", traces=["pick", "slow"], horizon_s=0.2, windows=60, payload_kg=[0.0, 1.2],
-        untold_s=0.8, seconds=13.0, used_s=12.0, path_mm=60.0, times_s=times, robots=robots, floor=floor,
-        regimes=regimes, servo=Servo(position_gain_ps=three, velocity_gain_nms=three),
+        untold_s=0.8, interruptions=[], windows_lost=0, seconds=13.0, used_s=12.0, path_mm=60.0, times_s=times,
+        robots=robots, floor=floor, regimes=regimes, servo=Servo(position_gain_ps=three, velocity_gain_nms=three),
     )  # fmt: skip
     write_rollout(document, path)
     text = path.read_text(encoding="utf-8")

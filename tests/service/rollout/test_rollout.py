@@ -14,6 +14,7 @@ from drivers.trace import read_trace
 from schemas.errors import DataError
 from schemas.robot import Robot, save_robot
 from service.cli.main import app
+from service.rollout.document import document, sentences
 from service.rollout.gap import PLAIN, Rollout, cut_up, plain, rollout
 from tests.service.rollout.test_kernel import effect, identified, recorded
 from tests.service.world import ROBOT
@@ -52,15 +53,19 @@ def test_the_right_model_comes_down_to_the_floor_and_the_wrong_one_does_not(tmp_
     assert corrected.platform_mm < 1.3 * found.floor.platform_mm
     assert (corrected.joint_mrad < 1.5 * found.floor.joint_mrad).all()
     assert corrected.growth_mm[0] < 0.1 * corrected.growth_mm[-1]
-    assert len(found.runs) == 13
+    assert len(found.cuts.runs) == 13
     assert found.floor.path_mm > 100
 
 
 def test_no_window_spans_a_gap(tmp_path: Path) -> None:
     whole, broken = (run(log(tmp_path, identified(), hole=hole), identified=identified()) for hole in (False, True))
-    assert len(whole.runs) == 13
-    assert len(broken.runs) == 10  # 4 of 1 s and 6 of 1.3 s; in one piece it would be 12
+    assert len(whole.cuts.runs) == 13
+    assert len(broken.cuts.runs) == 10  # 4 of 1 s and 6 of 1.3 s; in one piece it would be 12
     assert broken.deviations[0].platform_mm < 1.5 * broken.floor.platform_mm
+    assert whole.cuts.interruptions == []
+    assert (whole.cuts.lost, broken.cuts.lost) == (0, 3)
+    said = sentences(document(broken, {"identified": identified()}, ["log"]))
+    assert "which costs 3 windows: log at 1.199 to 1.500 s." in " ".join(said)
 
 
 def test_where_the_model_runs_away_without_noise_there_is_no_floor_and_no_error(tmp_path: Path) -> None:

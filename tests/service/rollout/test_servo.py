@@ -127,11 +127,11 @@ def test_what_the_log_says_is_carried_hangs_on_the_simulated_robot(carrying, com
     trace, picks = carrying
     robots = {PLAIN: plain(ROBOT), "known": known()}
     found = rollout(robots, cut_up(robots, [trace], 0.1), commands=commands)
-    loaded = found.payload > 0.5
+    loaded = found.cuts.payload > 0.5
     assert min(loaded.sum(), (~loaded).sum()) >= 4
-    np.testing.assert_allclose(found.payload[loaded], MASS, rtol=0.03)
-    assert not found.payload[~loaded].any()
-    assert found.untold > 0.2 * len(picks), "while a mass changes it is not told"
+    np.testing.assert_allclose(found.cuts.payload[loaded], MASS, rtol=0.03)
+    assert not found.cuts.payload[~loaded].any()
+    assert found.cuts.untold > 0.2 * len(picks), "while a mass changes it is not told"
     off, floor = (
         np.linalg.norm(deviation.platform[:, -1], axis=1) for deviation in (found.deviations[-1], found.floor)
     )
@@ -140,7 +140,8 @@ def test_what_the_log_says_is_carried_hangs_on_the_simulated_robot(carrying, com
     said = sentences(document(found, robots, ["picks"]))
     assert any(line.startswith(f"In {loaded.sum()} of {len(loaded)} windows 2.5") for line in said)
     assert any("s are left out in which it cannot be told what is carried" in line for line in said)
-    never_empty = replace(found, payload=np.full(len(loaded), 0.7))
+    full = [(trace, replace(cut, payload=np.full(len(cut.starts), 0.7))) for trace, cut in found.cuts.parts]
+    never_empty = replace(found, cuts=replace(found.cuts, parts=full))
     for one, told in ((found, False), (never_empty, True)):
         said = sentences(document(one, robots, ["picks"]))
         assert any("a tool whose mass the description lacks" in line for line in said) == told
@@ -152,11 +153,11 @@ def test_what_cannot_be_weighed_is_not_simulated(carrying) -> None:
     held = ((clock >= [pick.pick for pick in picks]) & (clock < [pick.release for pick in picks])).any(axis=1)
     drawn = {"drawn": plain(ROBOT)}
     blind = rollout(drawn, cut_up(drawn, [trace]))
-    assert blind.untold == 0.0
-    assert not blind.payload.any()
+    assert blind.cuts.untold == 0.0
+    assert not blind.cuts.payload.any()
     gripping = replace(trace, gripper=np.where(held, Gripper.CLOSED, Gripper.OPEN).astype(np.uint32))
     flagged = replace(trace, flags=trace.flags | (held * np.uint32(SampleFlag.LOADED)))
     for told in (gripping, flagged):
         found = rollout(drawn, cut_up(drawn, [told]))
-        assert found.untold > 1.0
-        assert len(found.runs) < 0.7 * len(blind.runs)
+        assert found.cuts.untold > 1.0
+        assert len(found.cuts.runs) < 0.7 * len(blind.cuts.runs)
