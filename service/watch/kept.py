@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import binary_dilation, grey_opening, maximum_filter1d, median_filter
 
 from drivers.trace.quality import RowNames, check
 from schemas.messages import NANOSECONDS, Gripper, SampleFlag, stamp_ns
@@ -16,10 +17,13 @@ from schemas.trace import Trace
 KEEP_S = 180.0
 MOST_ROWS = 1 << 20  # 71 MB; at 8 kHz the newest 131 s
 CARRIED_KG = 0.06  # half of the least change that the estimator takes for a pick
+TICK_S = 0.05  # that what the estimator sees is kept by
+SPIKE, DOUBT = 5, 9  # ticks, of a median: a release swings below what is left, and is told with a great doubt
 EARLY_S = 0.2  # a pick lasts that long at most before the estimator sees it
 BAND_S = 0.05  # that the analysis band smears it over
 LONGEST_PICK_S = 10.0  # a mass that stays for longer is no pick but the robot's
 STRAY_S = 10.0  # from the middle of what came together: a stamp of another clock
+_TICK = round(TICK_S * NANOSECONDS)
 _ROW = np.dtype(
     [("time", "i8"), ("position", "3f8"), ("torque", "3f4"), ("command", "3f4"), ("flags", "u4"), ("gripper", "u1")]
 )
@@ -41,8 +45,7 @@ class Kept:
         self.epoch = 0  # bus time, ns, of the first sample
         self._parts: deque[np.ndarray] = deque()
         self._rows = 0
-        self._picks: deque[tuple[int, int]] = deque(maxlen=1024)  # from, until, ns of bus time
-        self._picked: int | None = None
+        self._seen: deque[tuple[int, float, float]] = deque()  # tick of bus time, kg, kg of standard deviation
 
     def add(self, samples: np.ndarray) -> bool:
         """Take (N,) SAMPLE records in the order they came; whether the clock of the bus began anew."""
@@ -53,8 +56,8 @@ class Kept:
         anew = bool(self._parts) and middle - self.epoch < self._parts[-1]["time"][0] - STRAY_S * NANOSECONDS
         if anew:
             self._parts.clear()
-            self._picks.clear()
-            self._rows, self._picked = 0, None
+            self._seen.clear()
+            self._rows = 0
         if not self._parts:
             self.epoch = int(stamps[0])
         rows = np.empty(len(samples), _ROW)
@@ -72,13 +75,15 @@ class Kept:
 
     def carry(self, payload: np.ndarray) -> None:
         """Take (N,) PAYLOAD records: what the estimator sees on the platform."""
-        stamps, carried = stamp_ns(payload), payload["mass"] > CARRIED_KG
-        for k in np.flatnonzero(np.diff(carried, prepend=self._picked is not None)):
-            if self._picked is None:
-                self._picked = int(stamps[k])
-            else:
-                self._picks.append((self._picked, int(stamps[k])))
-                self._picked = None
+        near = np.abs(stamp_ns(payload) - self.epoch - self.newest * NANOSECONDS) < STRAY_S * NANOSECONDS
+        payload = payload[near & np.isfinite(payload["mass"]) & np.isfinite(payload["std_dev"])]
+        ticks = stamp_ns(payload) // _TICK
+        for k in np.flatnonzero(np.diff(ticks, append=-1)):  # the last of each tick
+            while self._seen and self._seen[-1][0] >= ticks[k]:
+                self._seen.pop()
+            self._seen.append((int(ticks[k]), float(payload["mass"][k]), float(payload["std_dev"][k])))
+        while self._seen and self._seen[-1][0] - self._seen[0][0] > KEEP_S / TICK_S:
+            self._seen.popleft()
 
     @property
     def newest(self) -> float:
@@ -109,13 +114,24 @@ class Kept:
 
     def _loaded(self, rows: np.ndarray) -> np.ndarray:
         """(N,) bool. Where the gripper says what it holds nobody else is asked."""
-        time, loaded = rows["time"] + self.epoch, np.zeros(len(rows), bool)
+        time = rows["time"] + self.epoch
         if rows["gripper"].any():
             width = 2 * int(BAND_S * NANOSECONDS / max(1.0, float(np.median(np.diff(time))))) + 1
             return maximum_filter1d(rows["gripper"] == Gripper.CLOSED, width)
-        newest = int(self.newest * NANOSECONDS) + self.epoch
-        for begin, end in (*self._picks, *([(self._picked, newest)] if self._picked is not None else [])):
-            if end - begin < LONGEST_PICK_S * NANOSECONDS:
-                first = np.searchsorted(time, begin - (EARLY_S + BAND_S) * NANOSECONDS)
-                loaded[first : np.searchsorted(time, end + BAND_S * NANOSECONDS)] = True
-        return loaded
+        carried, first = self._carried()
+        tick = np.clip(time // _TICK - first, 0, len(carried) - 1)
+        return carried[tick]
+
+    def _carried(self) -> tuple[np.ndarray, int]:
+        """(T,) bool, tick by tick, and the first tick: whether the mass stands out of what stays for `LONGEST_PICK_S`,
+        by more than the estimator's own doubt."""
+        if not self._seen:
+            return np.zeros(1, bool), 0
+        told = np.array(self._seen)
+        ticks = np.arange(told[0, 0], told[-1, 0] + 1)
+        mass, doubt = told[np.searchsorted(told[:, 0], ticks, "right") - 1, 1:].T
+        mass = median_filter(mass, SPIKE, mode="nearest")
+        stays = grey_opening(mass, 2 * round(LONGEST_PICK_S / TICK_S / 2) + 1, mode="constant", cval=-np.inf)
+        carried = mass - np.maximum(stays, 0.0) > CARRIED_KG + median_filter(doubt, DOUBT, mode="nearest")
+        early, late = (math.ceil(seconds / TICK_S) for seconds in (EARLY_S + BAND_S, BAND_S))
+        return binary_dilation(carried, np.arange(-early, early + 1) <= late), int(ticks[0])

@@ -12,7 +12,7 @@ from operator import add
 import numpy as np
 
 from schemas.errors import DataError, TraceError
-from schemas.messages import GAP, NANOSECONDS, WatchState, set_stamp
+from schemas.messages import GAP, NANOSECONDS, WatchState, set_stamp, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.model.signals import EDGE, segments, thin
@@ -89,11 +89,12 @@ class Watch:
         Raises:
             DataError: nothing in it tells the gap, naming the file.
         """
-        samples, learnt = trace.samples(), self.learnt
-        self._kept.carry(payload)
+        samples, stamps, learnt = trace.samples(), stamp_ns(payload), self.learnt
         self._patience, given = Patience(np.inf), self._patience
         for k in range(0, len(samples), step := max(1, round(EVERY_S / trace.period))):
-            self.add(samples[k : k + step])
+            some = samples[k : k + step]
+            begin, end = np.searchsorted(stamps, stamp_ns(some[[0, -1]]))
+            self.add(some, payload[begin : end + 1])
         self._patience = given
         self._anew()
         self._kept = Kept()
@@ -118,10 +119,10 @@ class Watch:
 
     def add(self, samples: np.ndarray, payload: np.ndarray | None = None) -> list[np.ndarray]:
         """Take (N,) SAMPLE and (M,) PAYLOAD records; the GAP records, (1,) each, that became due."""
-        if payload is not None and len(payload):
-            self._kept.carry(payload)
         if len(samples) and self._kept.add(samples):
             self._anew()
+        if payload is not None:
+            self._kept.carry(payload)
         told, newest = [], self._kept.newest
         while newest >= self._due:
             stop = self._due - EDGE - BEHIND_S
@@ -167,9 +168,12 @@ class Watch:
                     self.settle()
         window = [look for look in self._looks if look.time > stop - WINDOW * EVERY_S]
         ratio = _typical(window)
+        message = self._message(stop, reduce(add, (look.stretch for look in window)) if window else None, ratio)
         if self.state != WatchState.LEARNING:
-            self._judge(ratio, bool(window) and window[-1].time == stop)
-        return self._message(stop, reduce(add, (look.stretch for look in window)) if window else None, ratio)
+            moves = bool(window) and window[-1].time == stop
+            self._judge(ratio, moves and float(message["known"][0]) < LEAST_KNOWN)
+        message["state"] = self.state
+        return message
 
     def _stretch(self, start: float, stop: float) -> Stretch | None:
         trace = self._kept.trace(start - BEFORE_S - EDGE, stop + EDGE, "bus")
@@ -193,10 +197,11 @@ class Watch:
         told = (count >= least) & (count >= LEAST_KNOWN * stretch.count.sum(axis=0))
         return np.where(told, np.sqrt(excess / np.maximum(count, 1.0)), np.nan)
 
-    def _judge(self, ratio: np.ndarray, moves: bool) -> None:
+    def _judge(self, ratio: np.ndarray, new: bool) -> None:
+        """new: whether the motion is mostly of kinds whose level is not known."""
         if np.isnan(ratio).all():
             if not self.raised:
-                self.state = WatchState.NEW_MOTION if moves else WatchState.IDLE
+                self.state = WatchState.NEW_MOTION if new else WatchState.IDLE
             return
         worst = float(np.nanmax(ratio))
         self._calm = worst < FALLEN
@@ -216,7 +221,6 @@ class Watch:
         message = GAP.empty(1)
         set_stamp(message, round(stop * NANOSECONDS) + self._kept.epoch)
         message["sequence"], self._sequence = self._sequence, self._sequence + 1
-        message["state"] = self.state
         message["ratio"] = ratio
         for name in ("gap", "floor", "level", "trend", "share"):
             message[name] = np.nan

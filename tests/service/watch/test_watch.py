@@ -136,6 +136,61 @@ def test_what_is_carried_is_no_gap(told_by: str) -> None:
     assert (told["moving"] > 2.0).all()
 
 
+def test_what_the_estimator_doubts_is_no_load_and_does_not_hide_a_change() -> None:
+    """A gap that weighs a little, here and there more, as a torque constant that has changed does."""
+    run = motion(45.0)
+    payload = picked(45.0)
+    time = stamp_ns(payload) / NANOSECONDS
+    later = time > ONSET
+    payload["mass"] += np.where(later, 0.08 + 0.05 * np.sin(3.0 * time), 0.0)
+    payload["std_dev"] = np.where(later, 0.07, 0.005)
+    carried = (run.time % 2.0 < 1.0) & (run.time > 2.0)
+    trace = log(run, stribeck(run, ONSET) + np.where(carried[:, None], 4.0, 0.0))
+    told = np.concatenate(list(fed(Watch(KNOWN, Patience(learn=10.0)), trace.samples(), payload)))
+    seen = told["stamp_sec"] + told["stamp_nanosec"] * 1e-9
+    assert ONSET < seen[told["state"] == WatchState.RAISED][0] < ONSET + 10.0
+    assert WatchState.NEW_MOTION not in states(told)
+    np.testing.assert_allclose(
+        told["moving"][seen > ONSET].mean(), told["moving"][(seen > 20) & (seen < 30)].mean(), rtol=0.1
+    )
+
+
+def test_a_robot_that_is_hardly_ever_empty_is_not_taken_for_empty() -> None:
+    run = motion(45.0)
+    period = 2.0
+    carried = (run.time % period < 1.7) & (run.time > period)
+    trace = log(run, run.torque + np.where(carried[:, None] & (run.time[:, None] > ONSET), 4.0, 0.0))
+    payload = picked(45.0)
+    time = stamp_ns(payload) / NANOSECONDS
+    payload["mass"] = np.where((time - 0.1) % period < 1.7, 1.0, 0.0)
+    told = np.concatenate(list(fed(Watch(KNOWN, Patience(learn=2.0)), trace.samples(), payload)))
+    assert not {WatchState.RAISED, WatchState.NEW_MOTION} & set(states(told))
+    assert (told["moving"] < 1.5).all()  # of ten seconds
+
+
+def test_what_is_picked_with_a_tool_left_on_is_no_gap() -> None:
+    run, onset, tool = motion(45.0), 20.0, 1.5  # s, N m
+    carried = (run.time % 2.0 < 1.0) & (run.time > 2.0)
+    torque = np.where(carried, 4.0, 0.0) + np.where(run.time > onset, tool, 0.0)
+    payload = picked(45.0)
+    payload["mass"] += np.where(stamp_ns(payload) > onset * NANOSECONDS, 0.3, 0.0)
+    samples = log(run, run.torque + torque[:, None]).samples()
+    told = np.concatenate(list(fed(Watch(KNOWN, Patience(learn=8.0)), samples, payload)))
+    assert told["state"][-1] == WatchState.RAISED
+    np.testing.assert_allclose(told["gap"][-1], tool, rtol=0.2)
+
+
+def test_a_payload_of_another_clock_or_without_a_number_changes_nothing() -> None:
+    run = motion(25.0)
+    carried = (run.time % 2.0 < 1.0) & (run.time > 2.0)
+    samples = log(run, run.torque + np.where(carried[:, None], 4.0, 0.0)).samples()
+    payload = picked(25.0)
+    payload["stamp_sec"][[549, 1249]] = 2**31 - 1, 0  # the newest of what came together
+    payload["mass"][830:880] = payload["std_dev"][1430:1480] = np.nan
+    told = np.concatenate(list(fed(Watch(KNOWN), samples, payload)))[8:]
+    np.testing.assert_allclose(told["gap"], told["floor"], rtol=0.25)
+
+
 def test_a_mass_that_stays_is_the_robots_own_and_raises_the_alarm() -> None:
     run = motion(45.0)
     trace = log(run, run.torque + np.where(run.time[:, None] > ONSET, 2.0, 0.0))
