@@ -48,7 +48,7 @@ def test_what_rounding_leaves_beside_a_column_without_information_is_none():
 def test_a_step_within_limits_is_the_best_there_is_whatever_the_units(seed: int):
     """Correlated columns, limits on either side of zero, some of no width, torque from 1e-8 to 1e8."""
     random = np.random.default_rng(seed)
-    count, size = random.integers(2, 7), 10.0 ** random.uniform(-8.0, 8.0)
+    count, size = int(random.integers(2, 7)), 10.0 ** random.uniform(-8.0, 8.0)
     columns = random.standard_normal((60, count)) @ (np.eye(count) + 0.7 * random.standard_normal((count, count)))
     target = columns @ random.standard_normal(count) + 0.3 * random.standard_normal(60)
     low = random.uniform(-1.5, 0.5, count) + (seed % 4 == 0) * 3.0 * np.sign(random.standard_normal(count))

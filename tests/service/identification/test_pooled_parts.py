@@ -341,19 +341,19 @@ def test_of_logs_that_ask_for_several_widths_all_rows_count_by_their_square(monk
     each = [logs(widths=(width, width), count=4) for width in (0.02, 0.03, 0.3, 0.05)]
     made = replace(each[0], recordings=[one.recordings[number] for number, one in enumerate(each)])
     made = Problem.of(made.recordings, made.band, made.sigma)
-    left = []
-    for width in (WIDTH, *pooled.WIDER_TRANSITIONS):
+    left, fits = [], []
+    for width in (0.002, *pooled.WIDER_TRANSITIONS):
         base = replace(linear(made).hypothesis.base, transition=np.full(2, width))
-        fitted = evaluate(made, Hypothesis(base, timed=False))
+        fits.append(fitted := evaluate(made, Hypothesis(base, timed=False)))
         columns = [tangent[:, :10] for tangent in fitted.tangents]
         values = solved(columns, fitted.residuals)
         rest = np.concatenate([r - c @ values for r, c in zip(fitted.residuals, columns, strict=True)])
         joints = np.concatenate(made.joints_of_rows)
         left.append([np.sum(rest[joints == joint] ** 2) for joint in range(2)])
-    best = np.array([WIDTH, *pooled.WIDER_TRANSITIONS])[np.argmin(left, axis=0)]
+    best = np.array([0.002, *pooled.WIDER_TRANSITIONS])[np.argmin(left, axis=0)]
     assert best.tolist() == [0.04, 0.15]
     monkeypatch.setattr(pooled.solver, "fit", lambda _, asked: stub(hypothesis=asked, cost=-1.0))
-    np.testing.assert_array_equal(pooled._turning(made, linear(made)).hypothesis.base.transition, best)
+    np.testing.assert_array_equal(pooled._turning(made, fits[0]).hypothesis.base.transition, best)
 
 
 def test_ripple_is_followed_as_far_as_its_strongest_orders_at_the_middle_speed() -> None:

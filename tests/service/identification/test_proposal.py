@@ -343,7 +343,7 @@ def test_the_part_of_a_log_that_moves_most_is_tried() -> None:
     np.testing.assert_allclose(found.time, np.arange(100) * 0.1)
     np.testing.assert_array_equal(found.torque, torque[first : first + 100])
     assert np.flatnonzero(found.flags).tolist() == [150 - first, 160 - first]
-    early = 1e-3 * position[::-1] * (time < 10.0)[:, None]
+    early = 1e-3 * position[::-1] * (time < 9.0)[:, None]
     found = proposal._trial(Table(Path("a/log.csv"), "text", {"t": time}), 10.0, early, torque)
     np.testing.assert_array_equal(found.position, early[:100])
 
