@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 from scipy.signal import welch
 
 from schemas.diagnosis import Diagnosis
-from service.diagnosis.documents.text import ONLINE, answer, in_words, paragraphs
+from service.diagnosis.documents.text import ONLINE, answer, base_in_words, in_words, paragraphs
 from service.diagnosis.evidence.where import RowStates
 from service.diagnosis.findings import Findings
 from service.model.description import in_units_of
@@ -41,7 +41,7 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
     }
     write_page(
         "diagnosis", path, document=document, answer=answer(document), levels=_levels(document), paragraphs=rest,
-        plots=plots, said=ONLINE, in_words=in_words,
+        plots=plots, said=ONLINE, in_words=in_words, base_in_words=base_in_words,
     )  # fmt: skip
 
 

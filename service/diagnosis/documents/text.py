@@ -84,6 +84,18 @@ ADVICE = {
     "look_there": "Look for it where and when most is left, see below.",
     "measure_noise": "Log the torque unfiltered, or a stretch at rest with the drives on.",
 }
+# parameter of the base model, without its joint -> what it is
+BASE = {
+    "rho_1": "ρ1, on the inertia",
+    "rho_2": "ρ2, on gravity",
+    "forearm_inertia_kg": "a forearm's mass, in its inertia",
+    "f_v": "viscous friction",
+    "f_c": "Coulomb friction",
+    "transition": "speed over which Coulomb friction turns over",
+    "offset": "constant load",
+    "gravity_sin": "weight, by the sine of the angle",
+    "gravity_cos": "weight, by the cosine of the angle",
+}
 ONLINE = {
     "present_sample": "carried by the online model, from the present sample",
     "settings": "carried by the online model, in its settings",
@@ -185,6 +197,17 @@ def _figures(effect: NamedEffect) -> list[str]:
 def in_words(key: str, estimate: Estimate) -> str:
     """What a parameter is."""
     return estimate.meaning or key.replace("_", " ")
+
+
+def base_in_words(key: str) -> str:
+    """What a parameter of the base model is."""
+    for name, words in BASE.items():
+        if key == name:
+            return words
+        if key.startswith(f"{name}_"):
+            where = key.removeprefix(f"{name}_").replace("_", " ")
+            return f"{words}, {'joint ' * where.isdigit()}{where}"
+    return key.replace("_", " ")
 
 
 def _degrees(estimate: Estimate) -> str:
@@ -293,7 +316,8 @@ def _follows(document: Diagnosis) -> list[str]:
 def _moved(document: Diagnosis) -> list[str]:
     """Base parameters against the baseline's."""
     lines = [
-        f"{name}: {_number(one.before, one.before_error)} -> {_number(one.after, one.after_error)} {one.unit}".rstrip()
+        f"{base_in_words(name)}: {_number(one.before, one.before_error)} -> "
+        f"{_number(one.after, one.after_error)} {one.unit}".rstrip()
         for name, one in document.moved.items()
     ]
     return ["Base parameters, baseline -> refitted:", *lines] if lines else []

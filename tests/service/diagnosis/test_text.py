@@ -178,9 +178,23 @@ def test_logs_kept_out_the_baseline_and_the_simulator_are_told() -> None:
     assert (
         "2 stretches stand far above the rest, as events do, the strongest first: t 0.50 to 2.00 s, t 1.00 to 2.00 s."
     ) in lines
-    assert "rho_1: 1 -> 1.25 ± 0.098" in lines
+    assert "ρ1, on the inertia: 1 -> 1.25 ± 0.098" in lines
     assert lines[-1] == "tool mass is in the description already."
     assert (
         "In the simulator without torque delay, under the recorded torque the platform's error after 0.5 s goes from "
         "beyond the workspace to 2.5 mm; noise alone gives 0.5 mm."
     ) in lines
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("rho_2", "ρ2, on gravity"),
+        ("f_v_2", "viscous friction, joint 2"),
+        ("f_c_motor_6", "Coulomb friction, motor 6"),
+        ("gravity_sin_1", "weight, by the sine of the angle, joint 1"),
+        ("rotor_4", "rotor 4"),
+    ],
+)
+def test_a_parameter_of_the_base_model_in_words(key: str, said: str) -> None:
+    assert text.base_in_words(key) == said
