@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -121,16 +122,13 @@ def _thinned(
     clock: np.ndarray, errors: np.ndarray, gap: np.ndarray, step: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The largest of every `step` errors between two breaks, so that peaks stay; breaks before the rows `gap`."""
-    kept = (
-        [
-            block[np.argmax(np.abs(errors[block]))]
-            for part in np.split(np.arange(len(clock)), gap)
-            for block in np.array_split(part, -(-len(part) // step))
-            if len(block)
-        ]
-        if len(clock)
-        else []
-    )
+    block, count = np.zeros(len(clock), int), 0
+    for start, end in pairwise([0, *gap, len(clock)]):
+        blocks = -(-(end - start) // step)
+        block[start:end] = count + np.arange(end - start) * blocks // max(end - start, 1)
+        count += blocks
+    order = np.lexsort((-np.abs(errors), block))  # of each block the largest comes first
+    kept = order[np.diff(block[order], prepend=-1) > 0]
     return clock[kept], errors[kept], np.searchsorted(kept, gap)
 
 

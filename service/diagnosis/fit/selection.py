@@ -223,18 +223,11 @@ class Dictionary:
     def losses(self, several: Sequence[Sequence[Candidate]]) -> np.ndarray:
         """Squared residual on the folds left out, with some candidates added inside their limits; for many such."""
         result = np.empty(len(several))
-        for members, chosen in self._alike(several):
+        for members, chosen in _alike([self._columns(*candidates) for candidates in several]):
             weight = within(_among(self.training, chosen), self.training[:, chosen, -1], self.low[chosen], np.inf)
             product = (_among(self.left_out, chosen) @ weight[..., None])[..., 0]
             result[members] = self.nothing + np.sum(weight * (product - 2 * self.left_out[:, chosen, -1]), axis=(0, 2))
         return result
-
-    def _alike(self, several: Sequence[Sequence[Candidate]]) -> Iterator[tuple[list[int], np.ndarray]]:
-        """Those of as many columns: their places, and their columns (G, k)."""
-        columns = [self._columns(*candidates) for candidates in several]
-        for size in sorted(set(map(len, columns))):
-            members = [place for place, mine in enumerate(columns) if len(mine) == size]
-            yield members, np.array([columns[place] for place in members])
 
     def ranking(
         self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
@@ -253,13 +246,14 @@ class Dictionary:
     ) -> list[tuple[float, tuple[Candidate, Candidate]]]:
         """Two effects at once, those that promise most, best first."""
         every = [candidate for scored in self._options(taken, joints, allows).values() for _, candidate in scored]
-        pairs = [pair for pair in combinations(every, 2) if pair[0].effect is not pair[1].effect]
+        own = [self._columns(candidate) for candidate in every]
+        pairs = [(a, b) for a, b in combinations(range(len(every)), 2) if every[a].effect is not every[b].effect]
         total, rough = self.left_out.sum(axis=0), np.empty(len(pairs))
-        for members, chosen in self._alike(pairs):
+        for members, chosen in _alike([own[a] + own[b] for a, b in pairs]):
             moment = total[chosen, -1]
             gain = np.sum(moment * solve(_among(total, chosen), moment), axis=1)
             rough[members] = 2.0 * chosen.shape[1] - gain
-        best = [pairs[place] for place in np.argsort(rough, kind="stable")[:COUPLES]]
+        best = [(every[a], every[b]) for a, b in (pairs[place] for place in np.argsort(rough, kind="stable")[:COUPLES])]
         return sorted(zip(self.losses(best).tolist(), best, strict=True), key=itemgetter(0))
 
     def _options(
@@ -299,10 +293,16 @@ class Dictionary:
         bounded = np.split(np.isfinite(low), len(chosen))
         return any(b.any() and part[b].all() for part, b in zip(parts, bounded, strict=True))
 
-    def _columns(self, *candidates: Candidate) -> np.ndarray:
-        return np.concatenate(
-            [self.index[c.effect, joint, c.nonlinear] for c in candidates for joint in c.joints or (0,)]
-        )
+    def _columns(self, *candidates: Candidate) -> list[int]:
+        sits = [(c.effect, joint, c.nonlinear) for c in candidates for joint in c.joints or (0,)]
+        return list(chain.from_iterable(self.index[where] for where in sits))
+
+
+def _alike(columns: Sequence[list[int]]) -> Iterator[tuple[list[int], np.ndarray]]:
+    """Those of as many columns: their places, and their columns (G, k)."""
+    for size in sorted(set(map(len, columns))):
+        members = [place for place, mine in enumerate(columns) if len(mine) == size]
+        yield members, np.array([columns[place] for place in members], int)
 
 
 def _among(grams: np.ndarray, chosen: np.ndarray) -> np.ndarray:
