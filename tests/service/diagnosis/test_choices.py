@@ -61,7 +61,7 @@ def test_an_addition_stands_out_of_three_standard_errors(scatter, worth):
 def test_an_effect_on_all_joints_has_to_gain_by_the_others(rough, lacks, single):
     """A twentieth of what it gains, and a third where the grid only comes near."""
     effect = stub(rough=rough)
-    every, one, other = (stub(joints=joints, effect=effect) for joints in ((0, 1, 2), (1,), (0,)))
+    every, one, other = (stub(joints=joints, effect=effect) for joints in ((0, 1), (1,), (0,)))
     scored = [(50.0, every), (50.0 + lacks * 50.0, one), (99.0, other)]
     assert selection._prefer_single(scored, 100.0)[1] is (one if single else every)
 
@@ -86,6 +86,24 @@ def test_an_effect_is_dead_on_a_joint_that_would_want_less_than_none_of_it(low, 
     index = {("effect", joint, ()): np.arange(joint * size, (joint + 1) * size) for joint in (0, 1)}
     dictionary = stub(left_out=grams, index=index, low=np.array(low))
     assert selection.Dictionary._dead(dictionary, stub(effect="effect", joints=(0, 1), nonlinear=())) is dead
+
+
+@pytest.mark.parametrize(("dead", "joints"), [((), (0, 1)), ((0, 1), (1,))])
+def test_an_effect_that_is_dead_on_a_joint_is_offered_on_the_one_joint_that_wants_it_most(dead, joints):
+    """And those that gain more by more joints come first."""
+
+    def effect(*options: tuple[float, tuple[int, ...]]):
+        owner = stub(rough=False)
+        return [(loss, stub(joints=places, effect=owner)) for loss, places in options]
+
+    spread = effect((90.0, (0,)), (20.0, (0, 1)), (80.0, (1,)), (75.0, ()))
+    other = effect((50.0, (0,)))
+    dictionary = stub(
+        nothing=100.0, _options=lambda *asked: {"other": other, "spread": spread},
+        _dead=lambda candidate: candidate.joints == dead,
+    )  # fmt: skip
+    found = selection.Dictionary.ranking(dictionary, (), 2, lambda *asked: True)
+    assert [candidate.joints for _, candidate in found] == ([(0,), joints] if dead else [joints, (0,)])
 
 
 def apart(joints: tuple[int, ...], dissipates: bool = False, nonlinear: tuple[str, ...] = ()):

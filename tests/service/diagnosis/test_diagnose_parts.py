@@ -48,7 +48,7 @@ def test_a_log_in_which_nothing_moves_is_of_no_use_alone_and_does_no_harm_beside
 
 def test_what_is_left_is_noise_up_to_6_percent_above_its_floor_and_25_where_that_was_guessed() -> None:
     """As little as reversals leave belongs to the floor. Torque that shows no noise has a floor that is guessed, and
-    so is one that is read from the colour of the noise."""
+    so is one that is read from the colour of the noise; one joint is enough."""
     smooth = [log(seed, 0.0, 4.0) for seed in (1, 2)]
     random = np.random.default_rng(0)
     memory = np.exp(-1.0 / 3.0)  # samples
@@ -59,6 +59,7 @@ def test_what_is_left_is_noise_up_to_6_percent_above_its_floor_and_25_where_that
     for traces, above, code in (
         ([log(1, 0.3, 4.0), log(2, 0.3, 4.0)], 1.06, None), (smooth, 1.25, "noise_unknown"),
         (coloured, 1.25, "noise_coloured"),
+        ([log(seed, np.array([0.0, 0.3, 0.3]), 4.0) for seed in (1, 2)], 1.25, "noise_unknown"),
     ):  # fmt: skip
         found = diagnose.diagnose(ROBOT, traces, ())
         counts = np.sum([rows.sum(axis=0) for rows in found.problem.rows], axis=0)
@@ -67,6 +68,27 @@ def test_what_is_left_is_noise_up_to_6_percent_above_its_floor_and_25_where_that
         codes = [one.code for one in found.cannot_tell if one.code.startswith("noise")]
         assert codes == ([code] if code else [])
         assert found.verdict == "within_noise"
+
+
+@pytest.mark.parametrize(("noise", "unknown"), [([0.3, 0.3, 0.3], False), ([0.0, 0.3, 0.3], True)])
+def test_names_are_asked_for_more_where_the_noise_of_a_joint_is_not_known(
+    monkeypatch: pytest.MonkeyPatch, noise: list[float], unknown: bool
+) -> None:
+    asked, judged = [], diagnose._judged
+
+    def listening(*arguments: Any) -> diagnose.Judged:
+        asked.append(arguments[6])
+        return judged(*arguments)
+
+    monkeypatch.setattr(diagnose, "_judged", listening)
+    diagnose.diagnose(ROBOT, [log(seed, np.array(noise)) for seed in (1, 2)], ())
+    assert asked == [unknown]
+
+
+def test_positions_in_another_unit_are_refused_by_the_names_of_their_files() -> None:
+    traces = [replace(one, position=0.45 + 0.02 * (one.position - 0.45)) for one in (log(1), log(2))]
+    with pytest.raises(DataError, match=r"^run_1\.csv, run_2\.csv: no joint moves further than"):
+        diagnose.diagnose(ROBOT, traces, ())
 
 
 def test_the_floor_is_that_of_all_rows_with_what_reversals_leave_of_each_joint() -> None:

@@ -428,12 +428,42 @@ def test_stamps_of_a_channel_of_its_own_are_told_but_of_a_twincat_export(geared:
     assert proposal._entry(made, JOINTS, "q1", {}, -1) == {"name": "q1", "sign": -1}
 
 
-@pytest.mark.parametrize(("kind", "name"), [("TwinCAT Scope export", "Name"), ("table with a header", "Name (2)")])
-def test_stamps_of_a_twincat_export_are_known_by_the_name_that_all_its_channels_give_them(kind: str, name: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "clock", "name"),
+    [
+        ("TwinCAT Scope export", "Name (4) (2)", "Name (4)"), ("TwinCAT Scope export", "Name", "Name"),
+        ("table with a header", "Name (2)", "Name (2)"),
+    ],
+)  # fmt: skip
+def test_stamps_of_a_twincat_export_are_known_by_the_name_that_all_its_channels_give_them(
+    kind: str, clock: str, name: str
+) -> None:
     """Which is the file's; the number that tells them apart is the reader's."""
     made = delta_table()
-    columns = {**made.columns, "Name (2)": made.columns["t"]}
-    table = Table(made.path, kind, columns, units={"Name (2)": "s"}, time_of={"q1": "Name (2)"})
+    columns = {**made.columns, clock: made.columns["t"]}
+    table = Table(made.path, kind, columns, units={clock: "s"}, time_of={"q1": clock})
     found, rate = proposal._time(table, Channels("t", JOINTS.position, JOINTS.torque), Stated(), [], [])
     assert found["name"] == name
     assert rate == pytest.approx(1e3)
+
+
+@pytest.mark.parametrize(
+    ("unit", "step", "sure", "line"),
+    [
+        ("s", 1e-3, True, "stamps in 't' are s: 1000 Hz"),
+        ("datetime", 1e-3, True, "stamps in 't' are datetime: 1000 Hz"),
+        ("", 1e-3, False, "stamps in 't' are s: 1000 Hz, by the rate alone"),
+        ("", 4.0, False, "stamps in 't' are ms: 250 Hz, by the rate alone"),
+    ],
+)
+def test_it_is_said_in_what_stamps_are_and_doubted_where_only_their_rate_tells(
+    unit: str, step: float, sure: bool, line: str
+) -> None:
+    made = delta_table()
+    table = Table(made.path, "text", {**made.columns, "t": np.arange(ROWS) * step}, units={"t": unit})
+    reasons: list[str] = []
+    doubts: list[str] = []
+    proposal._time(table, JOINTS, Stated(), reasons, doubts)
+    assert (reasons, doubts) == (([line], []) if sure else ([], [line]))
+    assert proposal._time(table, Channels(), Stated(rate_hz=500.0), reasons, doubts) == ({"rate_hz": 500.0}, 500.0)
+    assert len(reasons + doubts) == 1
