@@ -147,7 +147,9 @@ def test_what_is_carried_has_been_trusted_once_and_was_no_lighter_since(robot, r
     assert found is not None
     np.testing.assert_allclose(found, held[:, None] * a_kilogram)
     mass[:], trusted[:] = 2.0, np.arange(500) == 0
-    np.testing.assert_allclose(carried(), 2.0 * a_kilogram, err_msg="trusted at once")
+    found = carried()
+    assert found is not None
+    np.testing.assert_allclose(found, 2.0 * a_kilogram, err_msg="trusted at once")
 
 
 def test_events_are_those_of_the_fullest_model_and_calm_is_what_they_leave(robot, record, monkeypatch):
