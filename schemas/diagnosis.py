@@ -71,7 +71,8 @@ class Estimate(DocumentPart):
 class NamedEffect(DocumentPart):
     """An effect that the data support. joints count from 1, empty where the effect sits on no single joint.
 
-    probability: share of block-bootstrap draws of the data in which it, and no rival or nothing, predicts best.
+    probability: that it is at work, against what may be in its place or nothing, beside all that was found; in the mean
+    over block-bootstrap draws of the data.
     gap_share: of the gap's energy above the noise that it removes on data left out. title: the name in words of the
     plant. means: what it means and what to do.
     """

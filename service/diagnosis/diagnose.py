@@ -100,7 +100,7 @@ def diagnose(
         before = followed(none)
         wrong = base_doubts(problem, before, before if best is none else followed(best), none, best)
         doubts = wrong or doubts_of(problem, selection, limit)
-    judged = _judged(problem, split, selection, doubts, len(given), kept, unknown, limit)
+    judged = _judged(regressors, selection, doubts, len(given), kept, unknown, limit, scope.allows)
     found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
     errors = statistics.standard_errors(found.best.fitted, split)
     far = FAR_ABOVE * limit
@@ -109,7 +109,7 @@ def diagnose(
         again = search(quiet.regressors, progress, scope.allows, more_orders)
         again = exchanged(quiet.regressors, again, limit, scope.allows, progress)
         less = doubts_of(quiet.problem, again, limit)
-        judged = _judged(quiet.problem, split, again, less, len(given), kept, unknown, limit)
+        judged = _judged(quiet.regressors, again, less, len(given), kept, unknown, limit, scope.allows)
         if judged.selection.names:
             errors = statistics.standard_errors(judged.selection.best.fitted, split)
             found, chosen = quiet.selection_on_all(judged.selection), [quiet.on_all(one) for one in judged.chosen]
@@ -137,16 +137,15 @@ class Judged:
 
 
 def _judged(
-    problem: Problem, split: Split, selection: Selection, doubts: list[Caution], given: int,
-    tests: Sequence[Problem], unknown: bool, limit: float,
+    regressors: Regressors, selection: Selection, doubts: list[Caution], given: int, tests: Sequence[Problem],
+    unknown: bool, limit: float, allows: Callable[[Effect, int], bool],
 ) -> Judged:  # fmt: skip
     """Names have to earn it. doubts: reasons to believe none. unknown: the noise is not known."""
-    fallen = faults_of(selection)
+    problem, split, fallen = regressors.problem, regressors.split, faults_of(selection)
     if doubts:
         selection = replace(selection, best=selection.none, path=_untaken(selection))
     else:
-        far = bool(problem.weights) or selection.best.loss > (FAR_ABOVE * limit) ** 2 * problem.count
-        selection, fell = earned(problem, split, selection, given, tests, far)
+        selection, fell = earned(regressors, selection, tests, allows)
         fallen += fell
     chosen = statistics.walked(selection, split, problem.count)
     after = statistics.by_fold(chosen, split)

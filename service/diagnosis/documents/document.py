@@ -15,7 +15,7 @@ from schemas.diagnosis import Diagnosis, Estimate, Gap, Moved, NamedEffect, Onli
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
-from service.diagnosis.evidence.rivals import ModelComparison, comparisons, confusable, probability_of, undecided
+from service.diagnosis.evidence.rivals import ModelComparison, comparisons, undecided
 from service.diagnosis.evidence.unseen import unseen
 from service.diagnosis.evidence.where import where
 from service.diagnosis.findings import Findings
@@ -65,7 +65,7 @@ def document(findings: Findings, tests: Sequence[Trace] = (), made: Provenance |
         robot=findings.robot.name,
         traces=sorted({recording.name for recording in problem.recordings}),
         verdict=findings.verdict,
-        effects=_effects(findings, compared),
+        effects=_effects(findings),
         cannot_tell=findings.cannot_tell,
         ranking=_ranking(findings, compared),
         probability_none=_none(compared),
@@ -140,7 +140,7 @@ def _meaning(effect: Effect, parameter: str, joint: str, at: str) -> str:
     return quantities[parameter].meaning + which
 
 
-def _effects(findings: Findings, comparisons: list[ModelComparison]) -> list[NamedEffect]:
+def _effects(findings: Findings) -> list[NamedEffect]:
     hypothesis = findings.best.hypothesis
     every = Parameters(hypothesis)
     parameters: dict[Effect, dict[str, Estimate]] = {}
@@ -162,17 +162,18 @@ def _effects(findings: Findings, comparisons: list[ModelComparison]) -> list[Nam
     gap = max(findings.selection.none.loss - findings.problem.count, 1e-9)
     result = []
     for effect, found in parameters.items():
-        lost = findings.selection.without[effect].loss - findings.best.loss
+        standing = findings.selection.standings[effect]
+        lost = standing.without.loss - findings.best.loss
         result.append(
             NamedEffect(
                 name=effect.name,
                 title=effect.in_words,
                 means=effect.means,
                 joints=joints[effect],
-                probability=round(probability_of(comparisons, effect.name), 4),
+                probability=round(standing.probability, 4),
                 parameters=found,
                 gap_share=round(float(np.clip(lost / gap, 0.0, 1.0)), 4),
-                confusable_with=confusable(findings.selection, effect.name),
+                confusable_with=standing.confusable,
                 settles=effect.settles,
                 online=_online(effect),
             )
@@ -187,11 +188,12 @@ def _online(effect: Effect) -> Online:
 
 
 def _ranking(findings: Findings, comparisons: list[ModelComparison]) -> list[Ranked]:
-    """Every rival of the effects named, in the round in which it lost, and the named ones in the round they won."""
+    """Every rival of the effects named, in the round in which it lost; the named ones in the round they won, as likely
+    as they are in the end."""
     best: dict[str, Ranked] = {}
     count = findings.problem.count
     level = float(np.sqrt(np.mean(findings.problem.sigma**2)))
-    named = {term.effect.name for term in findings.best.hypothesis.terms}
+    named = {effect.name: standing.probability for effect, standing in findings.selection.standings.items()}
     for number, comparison in enumerate(comparisons):
         for scored, probability in comparison.candidates:
             if number and scored.names[-1] not in named:
@@ -206,7 +208,11 @@ def _ranking(findings: Findings, comparisons: list[ModelComparison]) -> list[Ran
             known = best.get(entry.name)
             if known is None or entry.probability > known.probability:
                 best[entry.name] = entry
-    return sorted(best.values(), key=lambda entry: (-entry.probability, entry.after_nm))
+    ranked = [
+        entry.model_copy(update={"probability": round(named.get(entry.name, entry.probability), 4)})
+        for entry in best.values()
+    ]
+    return sorted(ranked, key=lambda entry: (-entry.probability, entry.after_nm))
 
 
 def _rivals(findings: Findings, comparisons: list[ModelComparison]) -> list[Rival]:

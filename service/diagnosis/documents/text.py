@@ -62,8 +62,7 @@ CAUTIONS = {
     "({share:.0%}): not named.",
     "varies": "{Effect}{where} fits, but {run} alone asks for a figure {share:.0%} off that of all runs together: what "
     "stands behind it is something else, not named.",
-    "rivalled": "{Effect}{where} fits, but something else is at work too, and others would do as well as it: not "
-    "named.",
+    "rivalled": "{Effect}{where} fits, but others may be in its place: cannot be told apart on this data, not named.",
     "set_aside": "{share:.0%} of the motion{where} has something at work that is not in the catalogue; what is named "
     "was told by the rest.",
 }
@@ -143,7 +142,7 @@ def answer(document: Diagnosis) -> Answer:
     causes = [
         Cause(
             effect.title + (f", {named_joints(effect.joints)}" if effect.joints else ""),
-            f"Best of all candidates in {100 * effect.probability:.0f} % of the resampled data.{_confusable(effect)}",
+            f"{100 * effect.probability:.0f} % likely, by the resampled data.{_confusable(effect)}",
             how_much(effect),
             effect.means,
         )

@@ -85,8 +85,8 @@ class Quiet:
         path = [([see(one) for one in tried], taken and see(taken)) for tried, taken in selection.path]
         taken = [taken for _, taken in selection.path if taken is not None]
         trimmed = {id(see(one)): see(selection.after(one)) for one in taken}
-        without = {effect: see(one) for effect, one in selection.without.items()}
-        return Selection(see(selection.none), see(selection.best), path, trimmed, selection.fault, without)
+        standings = {effect: replace(one, without=see(one.without)) for effect, one in selection.standings.items()}
+        return Selection(see(selection.none), see(selection.best), path, trimmed, selection.fault, standings)
 
     def caution(self) -> Caution:
         """What was set aside."""

@@ -6,16 +6,15 @@ figure in every run.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from schemas.diagnosis import Caution
-from service.diagnosis.evidence import statistics
-from service.diagnosis.evidence.rivals import comparisons, probability_of
+from service.diagnosis.evidence import rivals, statistics
 from service.diagnosis.evidence.unseen import without_events
-from service.diagnosis.fit.selection import LEAST_GAIN, Scored, Selection, added, without
+from service.diagnosis.fit.selection import LEAST_GAIN, Regressors, Scored, Selection, without
 from service.identification.events import events_of
 from service.identification.fit import Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations
@@ -28,37 +27,53 @@ MOST_CHANGE = 0.25  # of an effect's figures from run to run; true ones of ten l
 LEAST_UNKNOWN = 0.1  # the same of all names together where the noise is not known and what is left is far above it
 LEAST_PART = 0.1  # of what tells an effect's figures that a run has to hold to be asked for its own
 Z95 = 1.96
-LIKELY = 0.5  # probability that a name needs where far more than noise is left
+LIKELY = 0.5  # probability that a name needs
 TILTED = 0.5  # of what is left above the noise: by so much it may favour one of two names beside a stranger
 OPEN = 0.5  # standard error over value of a parameter without amplitudes, from which it is open whether there is any
 
 
 def earned(
-    problem: Problem, split: Split, selection: Selection, given: int, kept_out: Sequence[Problem], far: bool = False
+    regressors: Regressors, selection: Selection, kept_out: Sequence[Problem], allows: Callable[[Effect, int], bool]
 ) -> tuple[Selection, list[Caution]]:
-    """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on. far: far
-    more than noise is left, so that something else is at work besides."""
+    """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on."""
+    best, refits, fallen = _borne_out(regressors, selection, selection.best, kept_out)
+    standings = rivals.standings(regressors, selection, best, refits, allows)
+    weighed = regressors.problem.weights
+    # beside a stranger one name may stand in for a part of it: by how much it has to lead
+    least = TILTED * (selection.best.blocks.sum() - regressors.problem.count) if weighed else -np.inf
+    told = [effect for effect, one in standings.items() if one.probability < LIKELY or one.lead < least]
+    if told:
+        fallen += [_fell("rivalled", effect, best, share=standings[effect].probability) for effect in told]
+        best = without(regressors.problem, regressors.split, selection, best, *told)
+        best, refits, fell = _borne_out(regressors, selection, best, kept_out)
+        fallen += fell
+    kept = _cut(selection, best) if fallen else selection
+    standings = {effect: replace(standings[effect], without=refit) for effect, refit in refits.items()}
+    return replace(kept, standings=standings), fallen
+
+
+def _borne_out(
+    regressors: Regressors, selection: Selection, best: Scored, kept_out: Sequence[Problem]
+) -> tuple[Scored, dict[Effect, Scored], list[Caution]]:
+    """`best` with the effects that the data bear out, the same without each of these, and why each of the others
+    fell."""
+    problem, split, given = regressors.problem, regressors.split, len(selection.none.hypothesis.terms)
     fallen: list[Caution] = []
-    best = selection.best
     while True:
-        effects = list(dict.fromkeys(term.effect for term in best.hypothesis.terms[given:]))
         refits = {}
-        for effect in effects:
+        for effect in dict.fromkeys(term.effect for term in best.hypothesis.terms[given:]):
             refits[effect] = fewer = without(problem, split, selection, best, effect)
             caution = (
                 _open(best, split, effect)
                 or _varies(problem, best, effect)
                 or _carries_over(problem, split, best, fewer, effect, kept_out)
-                or (_rivalled(problem, split, selection, best, effect) if far else None)
             )
             if caution is not None:
                 fallen.append(caution)
                 best = fewer
                 break
         else:
-            break
-    kept = _cut(selection, best) if fallen else selection
-    return replace(kept, without=refits), fallen
+            return best, refits, fallen
 
 
 def together(
@@ -86,7 +101,7 @@ def _cut(selection: Selection, best: Scored) -> Selection:
             path.append((tried, None))
             break
         path.append((tried, taken))
-    return replace(selection, best=best, path=path, without={})
+    return replace(selection, best=best, path=path, standings={})
 
 
 def _open(best: Scored, split: Split, effect: Effect) -> Caution | None:
@@ -146,25 +161,6 @@ def _carries_over(
         if shrunk is not None and shrunk.low <= 0:
             return _fell("no_shrink_on", effect, best, share=shrunk.value, run=other.recordings[0].name)
     return None
-
-
-def _rivalled(problem: Problem, split: Split, selection: Selection, best: Scored, effect: Effect) -> Caution | None:
-    """Said of an effect that others would do as well as, of which one may stand in for what else is at work."""
-    found = probability_of(comparisons(selection, split, problem.count), effect.name)
-    tilted = TILTED * (selection.best.blocks.sum() - problem.count) if problem.weights else 0.0
-    if found >= LIKELY and _lead(selection, effect) >= tilted:
-        return None
-    return _fell("rivalled", effect, best, share=found)
-
-
-def _lead(selection: Selection, effect: Effect) -> float:
-    """By how much an effect did better, in squares as they weigh, than the next that was not found as well."""
-    leads = []
-    for before, tried, taken in selection.rounds():
-        if taken is not None and effect.name in added(taken, before):
-            others = [other for other in tried if not set(added(other, before)) <= set(selection.best.names)]
-            leads.append(min((float((other.blocks - taken.blocks).sum()) for other in others), default=np.inf))
-    return max(leads, default=np.inf)
 
 
 def shrink_on(other: Problem, without: Hypothesis, best: Hypothesis) -> statistics.Shrink | None:

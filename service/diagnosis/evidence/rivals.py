@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from service.diagnosis.fit.selection import LEAST_GAIN, SIMPLER_SHARE, TOLD_APART, Scored, Selection, added, z_score
+from service.diagnosis.fit.selection import (
+    LEAST_GAIN,
+    SHORTLIST,
+    SIMPLER_SHARE,
+    Dictionary,
+    Regressors,
+    Scored,
+    Selection,
+    Standing,
+    added,
+    fit_added,
+    score,
+)
+from service.diagnosis.fit.sound import fault_of
 from service.identification.folds import Split
+from service.model.effects.base import Effect
 
 DRAWS = 1000
 SURE = 0.9  # probability from which a name is not asked about again
-SAME_SHARE = 0.95  # of an effect's gain: a rival that reaches it does the same on this data
+CONFUSED = 0.05  # probability from which what stands in for a name is told beside it
+NEAR = 0.5  # of an effect's gain: what promises less in its place is not fitted
 
 
 @dataclass(frozen=True)
@@ -30,48 +45,109 @@ class ModelComparison:
 
 def comparisons(selection: Selection, split: Split, rows: int) -> list[ModelComparison]:
     """The rounds of a search, weighed on bootstrap draws of its blocks."""
-    draw = np.random.default_rng(0).integers(0, split.blocks, (DRAWS, split.blocks))
     result = []
     for parent, tried, _ in selection.rounds():
-        hypotheses = [*tried, parent]
-        sizes = np.array([h.fitted.tangents[0].shape[1] for h in hypotheses])
-        loss = np.stack([h.blocks[draw].sum(axis=1) for h in hypotheses]) + 2.0 * sizes[:, None]
-        loss[-1] -= LEAST_GAIN * rows  # an addition has to be worth it
         gain = float(parent.blocks.sum() - tried[0].blocks.sum())
-        loss[sizes > sizes[0]] += SIMPLER_SHARE * max(gain, 0.0)  # as the search weighs them
-        wins = np.bincount(np.argmin(loss, axis=0), minlength=len(hypotheses)) / DRAWS
-        result.append(ModelComparison(parent, list(zip(tried, wins[:-1].tolist(), strict=True)), float(wins[-1])))
+        *chances, none = shares([*tried, parent], [gain] * len(tried), split, rows)
+        result.append(ModelComparison(parent, list(zip(tried, chances, strict=True)), none))
     return result
 
 
-def probability_of(rounds: list[ModelComparison], name: str) -> float:
-    """Of an effect, in the round that speaks for it most."""
-    return max((comparison.probability(name) for comparison in rounds), default=0.0)
+def shares(models: Sequence[Scored], gains: Sequence[float], split: Split, rows: int) -> list[float]:
+    """Probability of each model: its Akaike weight, in the mean over bootstrap draws of the blocks of data left out.
+
+    gains: squares, of as many models as there are: what the effects take in which it differs from the first. With more
+    parameters than the first a model has to be ahead by a share of that, or counts as alike. Models after these lack an
+    effect, which has to be worth it. Where the best leaves more than noise, a difference counts by that.
+
+    Source: Burnham, Anderson: Model Selection and Multimodel Inference, 2002, sections 2.5 (lack of fit) and 2.9.
+    """
+    draw = np.random.default_rng(0).integers(0, split.blocks, (DRAWS, split.blocks))
+    unit = max(1.0, min(float(model.blocks.sum()) for model in models) / rows)
+    sizes = np.array([model.fitted.tangents[0].shape[1] for model in models])
+    loss = np.stack([model.blocks[draw].sum(axis=1) for model in models])
+    least = loss[0] - SIMPLER_SHARE * np.pad(gains, (0, len(models) - len(gains)))[:, None]
+    alike = (sizes > sizes[0])[:, None] & (loss > least)
+    loss = np.where(alike, np.maximum(loss, loss[0]), loss) / unit + 2.0 * sizes[:, None]
+    loss[len(gains) :] -= LEAST_GAIN * rows
+    weight = np.exp(-0.5 * (loss - loss.min(axis=0)))
+    return (weight / weight.sum(axis=0)).mean(axis=1).tolist()
 
 
 def undecided(selection: Selection, rounds: list[ModelComparison]) -> ModelComparison | None:
     """The first round whose winner others might be as well; where there is none, the first of all."""
+    doubtful = {effect.name for effect, one in selection.standings.items() if one.probability < SURE or one.confusable}
     for comparison, (_, taken) in zip(rounds, selection.path, strict=True):
         if taken is not None:
             for name in added(taken, comparison.before):
-                if comparison.probability(name) < SURE or confusable(selection, name):
+                if comparison.probability(name) < SURE or name in doubtful:
                     return comparison
     return rounds[0] if rounds else None
 
 
-def confusable(selection: Selection, name: str) -> list[str]:
-    """Effects that would have done as well as `name` when it was chosen, as far as this data can tell."""
-    for before, tried, taken in selection.rounds():
-        if taken is None:
-            break
-        if name in added(taken, before):
-            gains = [float((before.blocks - scored.blocks).sum()) for scored in (taken, *tried)]
-            rivals = [
-                added(rival, before)
-                for rival, gain in zip(tried, gains[1:], strict=True)
-                if rival is not taken
-                and (z_score(rival.blocks, taken.blocks) < TOLD_APART or gain > SAME_SHARE * gains[0])
-                and gain > 0.5 * gains[0]
-            ]
-            return [rival for rival in dict.fromkeys(itertools.chain(*rivals)) if rival not in added(taken, before)]
-    return []
+def standings(
+    regressors: Regressors, selection: Selection, best: Scored, refits: Mapping[Effect, Scored],
+    allows: Callable[[Effect, int], bool],
+) -> dict[Effect, Standing]:  # fmt: skip
+    """How each effect of `best` stands against models without it, the others fitted anew beside each rival.
+
+    When an effect was added, others that are at work were still in the gap, and what stood in for them. refits: `best`
+    without each effect.
+    """
+    given = len(selection.none.hypothesis.terms)
+    seen = {}
+    for model, instead in _rivals(regressors, selection, best, refits, allows):
+        seen.setdefault(frozenset((term.effect, term.joints) for term in model.hypothesis.terms), (model, instead))
+    rivals = list(seen.values())
+    models = [best, *(model for model, _ in rivals), *refits.values()]
+    lacks = {effect: [effect.name not in model.names[given:] for model in models] for effect in refits}
+    worth = {effect: float((refit.blocks - best.blocks).sum()) for effect, refit in refits.items()}
+    full = range(1 + len(rivals))
+    gains = [min((worth[effect] for effect in refits if lacks[effect][place]), default=0.0) for place in full]
+    chances = shares(models, gains, regressors.split, regressors.problem.count)
+    result = {}
+    for effect, refit in refits.items():
+        others = [place for place in full if lacks[effect][place]]
+        confusable = [name for place in others if chances[place] >= CONFUSED for name in rivals[place - 1][1]]
+        leads = [float((models[place].blocks - best.blocks).sum()) for place in others]
+        result[effect] = Standing(
+            refit,
+            1.0 - sum(chance for chance, lack in zip(chances, lacks[effect], strict=True) if lack),
+            list(dict.fromkeys(confusable)),
+            min(leads, default=np.inf),
+        )
+    return result
+
+
+def _rivals(
+    regressors: Regressors, selection: Selection, best: Scored, refits: Mapping[Effect, Scored],
+    allows: Callable[[Effect, int], bool],
+) -> Iterator[tuple[Scored, tuple[str, ...]]]:  # fmt: skip
+    """Models that lack an effect of `best` and none of what fell, with the effects that they have instead."""
+    found = set(best.names)
+    fallen = set(selection.best.names) - found
+    begun = []
+    for before, tried, _ in selection.rounds():
+        begun.append(set(before.names))
+        for model in tried:
+            names = set(model.names)
+            if names - found and not fallen & names:
+                yield model, tuple(name for name in added(model, before) if name not in found)
+    for effect, fewer in refits.items():
+        if set(fewer.names) not in begun:
+            gain = fewer.loss - best.loss
+            for model in _in_its_place(regressors, fewer, effect, NEAR * gain, allows):
+                yield model, added(model, fewer)
+
+
+def _in_its_place(
+    regressors: Regressors, fewer: Scored, effect: Effect, least: float, allows: Callable[[Effect, int], bool]
+) -> Iterator[Scored]:
+    """What else might be beside `fewer`, fitted: those that promise to take `least` squares."""
+    problem, dictionary = regressors.problem, Dictionary(regressors, fewer.fitted)
+    joints, given = problem.recordings[0].mechanism.joints, len(regressors.start.terms)
+    for loss, candidate in dictionary.ranking(fewer.hypothesis.terms, joints, allows)[:SHORTLIST]:
+        if candidate.effect is not effect and dictionary.nothing - loss > least:
+            model = score(fit_added(problem, fewer.fitted, candidate.term()), regressors.split)
+            if fault_of(problem, model.hypothesis, given) is None:
+                yield model

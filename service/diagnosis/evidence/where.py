@@ -76,7 +76,8 @@ def budget(findings: Findings, joint: int) -> dict[str, float]:
     explained = before - after
     left = energy(findings.best.residuals)
     weights = {
-        effect.name: max(energy(refit.residuals) - left, 0.0) for effect, refit in findings.selection.without.items()
+        effect.name: max(energy(one.without.residuals) - left, 0.0)
+        for effect, one in findings.selection.standings.items()
     }
     weights["refit"] = max(before - energy(findings.selection.none.residuals), 0.0)
     total = sum(weights.values())

@@ -351,12 +351,24 @@ def z_score(worse: np.ndarray, better: np.ndarray) -> float:
 
 
 @dataclass(frozen=True)
+class Standing:
+    """How a name stands against models that lack its effect. without: the best model refitted without it. probability:
+    that it is at work. confusable: what may be in its place. lead: squares, as they weigh, that the next of what may
+    be leaves more."""
+
+    without: Scored
+    probability: float
+    confusable: list[str]
+    lead: float
+
+
+@dataclass(frozen=True)
 class Selection:
     """How the search went. none: the base model. best: with the effects found.
 
     path: a round each, the hypotheses fitted and the one taken (None where none was worth it).
     trimmed: a hypothesis taken -> what was left of it after the backward check. fault: of the hypothesis that would
-    have been taken next and cannot be. without: `best` refitted without each effect that has earned its name.
+    have been taken next and cannot be. standings: of each effect of `best` that has earned its name.
     """
 
     none: Scored
@@ -364,7 +376,7 @@ class Selection:
     path: list[tuple[list[Scored], Scored | None]]
     trimmed: dict[int, Scored]
     fault: Fault | None = None
-    without: Mapping[Effect, Scored] = field(default_factory=dict)
+    standings: Mapping[Effect, Standing] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:

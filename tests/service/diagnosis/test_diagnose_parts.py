@@ -14,7 +14,6 @@ from schemas.axes import Axes
 from schemas.diagnosis import Caution
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
-from service.diagnosis.fit.selection import FAR_ABOVE
 from tests.service.diagnosis.toy import split_of
 from tests.service.subject import EFFECTS, Hypothesis, Parameters, Term, described, diagnose, statistics
 from tests.service.world import BASE, ROBOT, course, stub
@@ -77,7 +76,7 @@ def test_names_are_asked_for_more_where_the_noise_of_a_joint_is_not_known(
     asked, judged = [], diagnose._judged
 
     def listening(*arguments: Any) -> diagnose.Judged:
-        asked.append(arguments[6])
+        asked.append(arguments[5])
         return judged(*arguments)
 
     monkeypatch.setattr(diagnose, "_judged", listening)
@@ -146,11 +145,11 @@ def test_a_baseline_of_another_robot_is_refused_by_what_is_not_the_same(key: str
 
 
 class Judging:
-    """A search that took one effect, and what the rules for names are asked. loss: what it leaves, of 100 rows."""
+    """A search that took one effect, and what the rules for names are asked."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, loss: float = 100.0, fell: bool = False, left: float = 1.0):
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, fell: bool = False, left: float = 1.0):
         self.none: Any = stub(hypothesis=stub(terms=()), loss=900.0)
-        self.best: Any = stub(hypothesis=stub(terms=(SPRING,)), loss=loss)
+        self.best: Any = stub(hypothesis=stub(terms=(SPRING,)), loss=100.0)
         self.found: Any = selected(self.none, self.best)
         self.fault, self.too_weak, self.by_chance = (
             Caution(code=code, advice="record_runs") for code in ("one_run", "too_little_motion", "one_way")
@@ -158,8 +157,8 @@ class Judging:
         self.asked: dict[str, Any] = {}
         self.split = split_of(4, 25, 2)
 
-        def earned(problem: Any, split: Any, found: Any, given: int, tests: Any, far: bool) -> Any:
-            self.asked |= {"earned": found, "given": given, "tests": tests, "far": far}
+        def earned(regressors: Any, found: Any, tests: Any, allows: Any) -> Any:
+            self.asked |= {"earned": found, "tests": tests, "allows": allows}
             return found, [self.too_weak]
 
         def together(problem: Any, split: Any, found: Any, after: Any, given: int, guessed: bool) -> Any:
@@ -172,9 +171,9 @@ class Judging:
         monkeypatch.setattr(statistics, "walked", lambda found, split, count: [found.best] * split.folds)
         monkeypatch.setattr(statistics, "by_fold", lambda chosen, split: [left * np.ones(100)])
 
-    def __call__(self, *doubts: Caution, unknown: bool = False, weights: tuple[Any, ...] = ()) -> Any:
-        made: Any = stub(count=100, weights=list(weights))
-        return diagnose._judged(made, self.split, self.found, list(doubts), 1, ["kept"], unknown, 1.2)  # pyright: ignore[reportArgumentType]
+    def __call__(self, *doubts: Caution, unknown: bool = False) -> Any:
+        made: Any = stub(problem=stub(count=100), split=self.split)
+        return diagnose._judged(made, self.found, list(doubts), 1, ["kept"], unknown, 1.2, all)  # pyright: ignore[reportArgumentType]
 
 
 def selected(none: Any, best: Any) -> Any:
@@ -188,7 +187,7 @@ def test_names_are_asked_whether_they_are_earned_one_by_one_and_together(monkeyp
     assert found.selection is judging.found is judging.asked["earned"] is judging.asked["together"]
     assert found.chosen == [judging.best] * 4
     assert found.cautions == [judging.fault, judging.too_weak]
-    assert (judging.asked["given"], judging.asked["tests"]) == (1, ["kept"])
+    assert (judging.asked["tests"], judging.asked["allows"]) == (["kept"], all)
     chance = Judging(monkeypatch, fell=True)
     found = chance()
     assert found.chosen == [chance.none] * 4
@@ -205,17 +204,6 @@ def test_where_there_is_doubt_none_is_named_and_what_came_nearest_is_told(monkey
     assert taken is None
     assert found.chosen == [judging.none] * 4
     assert found.cautions == [doubt, judging.fault]
-
-
-@pytest.mark.parametrize(("share", "far"), [(0.99, False), (1.01, True)])
-def test_names_beside_much_that_is_left_are_asked_for_more(
-    monkeypatch: pytest.MonkeyPatch, share: float, far: bool
-) -> None:
-    judging = Judging(monkeypatch, share * 100 * (FAR_ABOVE * 1.2) ** 2)
-    judging()
-    assert judging.asked["far"] is far
-    judging(weights=(1.0,))
-    assert judging.asked["far"] is True, "a stranger was set aside"
 
 
 @pytest.mark.parametrize(("left", "more"), [(1.19, False), (1.21, True)])

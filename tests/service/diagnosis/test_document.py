@@ -10,6 +10,7 @@ import pytest
 from schemas.robot import Identified, Parameter
 from service.diagnosis.documents import document
 from service.diagnosis.evidence.rivals import ModelComparison
+from service.diagnosis.fit.selection import Standing
 from service.model.description import digits
 from tests.service.diagnosis.toy import split_of
 from tests.service.subject import EFFECTS, Delta, Hypothesis, Parameters, Term
@@ -37,10 +38,12 @@ def told(*terms: Term, given: tuple[Term, ...] = ()):
             best=stub(hypothesis=hypothesis, loss=ROWS),
             selection=stub(
                 none=stub(loss=ROWS + 600.0), rounds=list,
-                without={term.effect: stub(loss=ROWS + worse[term.effect.name]) for term in terms},
+                standings={
+                    term.effect: Standing(stub(loss=ROWS + worse[term.effect.name]), 0.91234, ["air_drag"], 1.0)  # pyright: ignore[reportArgumentType]
+                    for term in terms
+                },
             ),
-        ),
-        [],
+        )
     )  # fmt: skip
 
 
@@ -48,6 +51,7 @@ def test_each_quantity_of_an_effect_has_a_name_of_its_own():
     """By joint where it sits on several, by order where it is there twice; what the description says is not named."""
     cogging, offset = told(OFFSET, ripple(0, 2.0), ripple(0, 7.0), ripple(1, 2.0), given=(SPRING,))
     assert (cogging.name, cogging.joints, cogging.gap_share) == ("cogging", [1, 2], 0.5)
+    assert (cogging.probability, cogging.confusable_with) == (0.9123, ["air_drag"])
     assert (offset.name, offset.joints, offset.gap_share) == ("torque_offset", [3], 0.05)
     assert {key: one.value for key, one in cogging.parameters.items()} == {
         "cosine_1_2": 0.5, "sine_1_2": 2.0, "order_1_2": 2.0,
@@ -86,15 +90,13 @@ def rounds() -> list[ModelComparison]:
 
 
 def test_the_ranking_tells_each_effect_in_the_round_that_speaks_for_it_most():
-    """Named ones where they won, the others where the first of them won."""
-    findings = stub(
-        problem=stub(count=100, sigma=np.array([1.0, 2.0, 2.0])),
-        best=stub(hypothesis=Hypothesis(BASE, (SPRING, ripple(1, 2.0)))),
-    )
+    """Named ones where they won, as likely as they are in the end, the others where the first of them won."""
+    likely = {SPRING.effect: stub(probability=0.9), ripple(1, 2.0).effect: stub(probability=0.55)}
+    findings = stub(problem=stub(count=100, sigma=np.array([1.0, 2.0, 2.0])), selection=stub(standings=likely))
     found = document._ranking(findings, rounds())
     assert [(one.name, one.joints, one.probability, one.shrink) for one in found] == [
-        ("joint_spring", [1], 0.7, 0.3),
-        ("cogging", [2], 0.6, 0.5),
+        ("joint_spring", [1], 0.9, 0.3),
+        ("cogging", [2], 0.55, 0.5),
         ("torque_offset", [3], 0.2, 0.2),
     ]
     assert found[0].after_nm == pytest.approx(3**0.5 * 4.41**0.5, rel=1e-3)
@@ -102,7 +104,7 @@ def test_the_ranking_tells_each_effect_in_the_round_that_speaks_for_it_most():
 
 def test_rivals_are_those_of_the_open_round_that_shrink_the_gap():
     comparisons = rounds()
-    findings = stub(robot=ROBOT, selection=stub(path=[([], None), ([], None)]))
+    findings = stub(robot=ROBOT, selection=stub(path=[([], None), ([], None)], standings={}))
     found = document._rivals(findings, comparisons)
     assert [(one.effects[0].name, one.probability, one.shrink) for one in found] == [
         ("joint_spring", 0.7, 0.3),

@@ -10,8 +10,20 @@ import pytest
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence import earned as judged
 from service.diagnosis.evidence.earned import earned, together
+from service.diagnosis.fit.selection import Standing
 from tests.service.injected import reports
-from tests.service.subject import EFFECTS, Hypothesis, Parameters, Problem, Selection, Split, Term, fit, selection
+from tests.service.subject import (
+    EFFECTS,
+    Hypothesis,
+    Parameters,
+    Problem,
+    Regressors,
+    Selection,
+    Split,
+    Term,
+    fit,
+    selection,
+)
 from tests.service.world import BASE, course, problem, stub
 
 SECONDS, NOISE = 4.0, 0.3
@@ -35,6 +47,12 @@ def chosen(made: Problem, *terms: Term) -> Selection:
     return Selection(none, best, [([best], best)], {})
 
 
+def judge(made: Problem, found: Selection, *kept_out: Problem) -> tuple[Selection, list[Caution]]:
+    """Beside air drag, which is not there."""
+    regressors = Regressors(made, Split.of(made), [EFFECTS["air_drag"]], found.none.hypothesis)
+    return earned(regressors, found, kept_out, lambda effect, joint: True)
+
+
 def codes(found: list[Caution]) -> list[tuple[str, str | None, str | None]]:
     return [(one.code, one.effect, one.run) for one in found]
 
@@ -48,36 +66,36 @@ DELAY = Term(EFFECTS["torque_delay"], (), np.zeros((1, 0)), (0.0005,))
 def test_a_name_that_shrinks_the_gap_everywhere_stands():
     made = logs((1, 2, 3), "joint_spring")
     found = chosen(made, SPRING)
-    kept, fallen = earned(made, Split.of(made), found, 0, [logs((4,), "joint_spring")])
+    kept, fallen = judge(made, found, logs((4,), "joint_spring"))
     assert (kept.best, kept.path) == (found.best, found.path)
-    assert kept.without == {SPRING.effect: found.none}
+    assert kept.standings == {SPRING.effect: Standing(found.none, 1.0, [], np.inf)}
     assert fallen == []
 
 
 def test_a_delay_beside_an_effect_is_worth_what_the_gap_grows_by_when_it_goes():
     """It has no amplitude to take away: the other has to stay and be fitted anew."""
     made = logs((1, 2, 3), "joint_spring", "torque_delay")
-    kept, fallen = earned(made, Split.of(made), chosen(made, SPRING, DELAY), 0, [])
+    kept, fallen = judge(made, chosen(made, SPRING, DELAY))
     assert fallen == []
     alone = chosen(made, SPRING).best
-    assert kept.without[DELAY.effect].loss == pytest.approx(alone.loss, rel=1e-3)
+    assert kept.standings[DELAY.effect].without.loss == pytest.approx(alone.loss, rel=1e-3)
     assert alone.loss < 0.5 * kept.none.loss
 
 
 def test_a_name_that_shrinks_nothing_falls_and_the_others_stay():
     made = logs((1, 2, 3), "joint_spring")
     found = chosen(made, SPRING, RIPPLE)
-    kept, fallen = earned(made, Split.of(made), found, 0, [])
+    kept, fallen = judge(made, found)
     assert kept.best.names == ("joint_spring",)
     assert [one.effect for one in fallen] == ["cogging"]
     assert fallen[0].code in ("no_shrink", "left_open")
     assert kept.path[-1][1] is None  # nothing was taken there
-    assert kept.without == {SPRING.effect: found.none}, "without what fell"
+    assert kept.standings[SPRING.effect].without is found.none, "without what fell"
 
 
 def test_a_name_that_a_log_kept_out_does_not_bear_out_falls_by_that_logs_name():
     made, other = logs((1, 2, 3), "joint_spring"), logs((4,))
-    kept, fallen = earned(made, Split.of(made), chosen(made, SPRING), 0, [other])
+    kept, fallen = judge(made, chosen(made, SPRING), other)
     assert kept.best.names == ()
     assert codes(fallen) == [("no_shrink_on", "joint_spring", "run_0")]
     assert fallen[0].share is not None
@@ -87,13 +105,13 @@ def test_a_name_that_a_log_kept_out_does_not_bear_out_falls_by_that_logs_name():
 def test_a_log_kept_out_that_does_not_show_it_says_nothing():
     made = logs((1, 2, 3), "cogging")
     slow = problem([course(4, SECONDS, 1e-3)], [course(4, SECONDS, 1e-3).torque])
-    assert len(earned(made, Split.of(made), chosen(made, RIPPLE), 0, [slow])[1]) == 0
+    assert len(judge(made, chosen(made, RIPPLE), slow)[1]) == 0
 
 
 def test_a_delay_that_may_as_well_be_none_is_left_open():
     """Runs of noise alone: whatever shift fits best has no sign."""
     made = logs((1, 2, 3))
-    kept, fallen = earned(made, Split.of(made), chosen(made, DELAY), 0, [])
+    kept, fallen = judge(made, chosen(made, DELAY))
     assert kept.best.names == ()
     assert fallen[0].effect == "torque_delay"
 
@@ -116,7 +134,7 @@ def test_a_figure_that_changes_from_run_to_run_is_a_stand_in(offsets, seconds, s
         for run, offset in zip(runs, offsets, strict=True)
     ]
     made = problem(runs, pushed)
-    kept, fallen = earned(made, Split.of(made), chosen(made, OFFSET), 0, [])
+    kept, fallen = judge(made, chosen(made, OFFSET))
     assert kept.best.names == (("torque_offset",) if stands else ())
     assert codes(fallen) == ([] if stands else [("varies", "torque_offset", "run_2")])
 
@@ -127,7 +145,7 @@ def test_a_name_is_worth_more_than_one_and_a_half_percent(left, stands):
     made = logs((1, 2, 3), "joint_spring")
     found = chosen(made, SPRING)
     best = replace(found.best, residuals=[left * one for one in found.none.residuals])
-    kept, fallen = earned(made, Split.of(made), replace(found, best=best, path=[([best], best)]), 0, [])
+    kept, fallen = judge(made, replace(found, best=best, path=[([best], best)]))
     assert kept.best.names == (("joint_spring",) if stands else ())
     assert codes(fallen) == ([] if stands else [("no_shrink", "joint_spring", None)])
 
@@ -151,17 +169,8 @@ def test_it_is_open_whether_there_is_any_of_what_is_within_its_own_error(monkeyp
     assert (said is None) == stands
 
 
-@pytest.mark.parametrize(("probability", "stands"), [(0.4, False), (0.6, True)])
-def test_far_above_the_noise_a_name_has_to_be_likelier_than_all_others(monkeypatch, probability, stands):
-    monkeypatch.setattr(judged, "comparisons", lambda *_: [])
-    monkeypatch.setattr(judged, "probability_of", lambda *_: probability)
-    best, alike = stub(hypothesis=Hypothesis(BASE, (SPRING,))), stub(count=1, weights=())
-    said = judged._rivalled(alike, stub(), stub(rounds=list, best=best), best, SPRING.effect)
-    assert (said is None) == stands
-
-
-@pytest.mark.parametrize(("worse", "far", "stands"), [(0.0, True, False), (0.0, False, True), (0.5, True, True)])
-def test_a_name_that_others_would_do_as_well_as_falls_where_something_else_is_at_work_too(worse, far, stands):
+@pytest.mark.parametrize(("worse", "stands"), [(0.0, False), (0.5, True)])
+def test_a_name_that_others_would_do_as_well_as_falls(worse, stands):
     """worse: share by which the rivals' loss is above that of the name. Level with it, each is ahead on every other
     block: on nearly every draw one of them wins."""
     made = logs((1, 2, 3), "joint_spring")
@@ -175,37 +184,56 @@ def test_a_name_that_others_would_do_as_well_as_falls_where_something_else_is_at
         )
         for term, sign in ((RIPPLE, 1), (OFFSET, -1))
     ]
-    kept, fallen = earned(made, split, replace(found, path=[([found.best, *rivals], found.best)]), 0, [], far)
+    kept, fallen = judge(made, replace(found, path=[([found.best, *rivals], found.best)]))
     assert kept.best.names == (("joint_spring",) if stands else ())
     assert codes(fallen) == ([] if stands else [("rivalled", "joint_spring", None)])
     assert all(one.share is not None and 0 < one.share < 0.3 and one.joints == [1] for one in fallen)
 
 
+def stood(made: Problem, found: Selection, monkeypatch, **chances: tuple[float, float]) -> tuple[str, ...]:
+    """Names that stand, each with a probability and a lead."""
+
+    def standings(regressors, selection, best, refits, allows):
+        return {effect: Standing(refit, chances[effect.name][0], [], chances[effect.name][1])
+                for effect, refit in refits.items()}  # fmt: skip
+
+    monkeypatch.setattr(judged.rivals, "standings", standings)
+    kept, fallen = judge(made, found)
+    assert {one.code for one in fallen} <= {"rivalled"}
+    assert set(kept.standings) == {EFFECTS[name] for name in kept.names}
+    return kept.names
+
+
+def test_a_name_less_likely_than_what_may_be_in_its_place_falls_and_leaves_the_others(monkeypatch):
+    """Also where next to nothing is left beside it."""
+    made = logs((1, 2, 3), "joint_spring", "cogging")
+    found = chosen(made, SPRING, RIPPLE)
+    for spring, ripple, names in (
+        (0.51, 0.49, ("joint_spring",)), (0.49, 0.51, ("cogging",)), (0.51, 0.51, ("joint_spring", "cogging")),
+        (0.0, 0.49, ()),
+    ):  # fmt: skip
+        chances = {"joint_spring": (spring, np.inf), "cogging": (ripple, np.inf)}
+        assert stood(made, found, monkeypatch, **chances) == names
+
+
 @pytest.mark.parametrize(("left", "stands"), [(1.9, True), (2.1, False)])
-def test_beside_a_stranger_a_name_has_to_lead_by_half_of_what_is_left(left, stands):
-    """left: above the noise, over the lead, when all that was found is known; one found as well is no rival."""
+def test_beside_a_stranger_a_name_has_to_lead_by_half_of_what_is_left(monkeypatch, left, stands):
+    """left: above the noise, over the lead, when all that was found is known."""
     made = logs((1, 2, 3), "joint_spring")
-    made = replace(made, weights=[np.ones(rows.shape) for rows in made.rows])
-    split, found = Split.of(made), chosen(made, SPRING)
-    lead = 0.2 * made.count
-    taken = replace(found.best, blocks=np.full(split.blocks, (made.count + left * lead) / split.blocks))
-
-    def rival(term: Term, behind: float):
-        other = replace(found.best.fitted, hypothesis=Hypothesis(BASE, (term,)))
-        return replace(found.best, fitted=other, blocks=taken.blocks + behind / split.blocks)
-
-    best = replace(taken, fitted=replace(taken.fitted, hypothesis=Hypothesis(BASE, (SPRING, RIPPLE))))
-    further = rival(Term(EFFECTS["arm_mass"], (1,), np.zeros((1, 1)), ()), 9.0 * lead)
-    tried = [taken, rival(OFFSET, lead), rival(RIPPLE, 0.1 * lead), further]
-    path = [(tried, taken), ([rival(RIPPLE, 0.0), further], rival(RIPPLE, 0.0)), ([further], None)]
-    fell = judged._rivalled(made, split, replace(found, best=best, path=path), best, SPRING.effect)
-    assert (fell is None) == stands
+    weighed = replace(made, weights=[np.ones(rows.shape) for rows in made.rows])
+    found, lead = chosen(made, SPRING), 0.2 * made.count
+    blocks = np.full(len(found.best.blocks), (made.count + left * lead) / len(found.best.blocks))
+    best = replace(found.best, blocks=blocks)
+    found = replace(found, best=best, path=[([best], best)])
+    assert stood(weighed, found, monkeypatch, joint_spring=(1.0, lead)) == (("joint_spring",) if stands else ())
+    assert stood(made, found, monkeypatch, joint_spring=(1.0, -lead)) == ("joint_spring",)
 
 
 @pytest.mark.parametrize("given", [0, 1])
 def test_what_the_description_says_does_not_have_to_earn_it(given):
     made = logs((1, 2, 3))
-    kept, fallen = earned(made, Split.of(made), chosen(made, RIPPLE), given, [])
+    found = chosen(made, RIPPLE)
+    kept, fallen = judge(made, replace(found, none=found.best) if given else found)
     assert len(fallen) == 1 - given
     assert kept.best.names == ("cogging",) * given
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from service.diagnosis.evidence.earned import earned
 from service.diagnosis.fit.exchange import exchanged
 from tests.service.injected import INJECTED, reports
-from tests.service.subject import CATALOGUE, EFFECTS, Hypothesis, Split, evidence, selection
+from tests.service.subject import CATALOGUE, EFFECTS, Hypothesis, Split, selection
 from tests.service.world import BASE, course, problem
 
 SECONDS, NOISE, SCALE = 3.0, 0.2, 1.04
@@ -45,12 +46,14 @@ def test_what_explains_all_goes_before_what_stood_in_for_it(wrong_gear):
     assert found.best.loss <= LIMIT**2 * wrong_gear[0].problem.count
 
 
-def test_it_has_the_probability_of_the_round_that_found_it(wrong_gear):
-    found = told(wrong_gear, LIMIT)
-    rounds = evidence.comparisons(found, wrong_gear[0].split, wrong_gear[0].problem.count)
-    for name in found.names:
-        assert evidence.probability_of(rounds, name) > 0.5
-    assert evidence.probability_of(rounds, "angle_scale") == rounds[-1].probability("angle_scale")
+def test_what_was_exchanged_stands_against_what_may_be_in_its_place(wrong_gear):
+    regressors, found = wrong_gear[0], told(wrong_gear, LIMIT)
+    kept, fallen = earned(regressors, found, [], lambda effect, joint: True)
+    assert fallen == []
+    assert {effect.name for effect in kept.standings} == set(found.names)
+    for one in kept.standings.values():
+        assert one.probability > 0.9
+        assert one.without.loss > found.best.loss
 
 
 @pytest.mark.parametrize(("share", "taken"), [(1.01, True), (0.99, False)])

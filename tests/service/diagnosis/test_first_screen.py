@@ -47,8 +47,15 @@ def test_the_box_says_what_where_how_much_and_what_to_do(findings):
     ]
     assert said.causes[0].how_much[0].startswith("breakaway friction above the Coulomb level, joint 1 = ")
     assert said.causes[0].how_much[0].endswith(" N m")
-    assert said.causes[0].surety.endswith("of the resampled data. On this data it cannot be told from cogging.")
-    assert said.check == ["To be sure, record a slow sweep with reversals, 0.005 to 1 rad/s.", PLANNED]
+    assert said.causes[0].surety == "100 % likely, by the resampled data."
+    assert said.check == []
+    first, *others = found.effects
+    open_ = first.model_copy(update={"probability": 0.8, "confusable_with": ["backlash"]})
+    said_open = answer(found.model_copy(update={"effects": [open_, *others]}))
+    assert said_open.causes[0].surety == (
+        "80 % likely, by the resampled data. On this data it cannot be told from backlash."
+    )
+    assert said_open.check == ["To be sure, record a slow sweep with reversals, 0.005 to 1 rad/s.", PLANNED]
     assert "relubricate" in said.causes[0].means
     cosine, sine = (found.effects[1].parameters[name].value for name in ("cosine", "sine"))
     amplitude = re.match(r"amplitude, joint side = ([\d.]+) ± [\d.]+ N m$", said.causes[1].how_much[0])

@@ -1,11 +1,169 @@
-"""What a diagnosis hands on to the planning of a run."""
+"""How sure a name is beside what may be in its place, and what a diagnosis hands on to the planning of a run."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
-from tests.service.subject import Selection, diagnose, document, evidence, terms_of
-from tests.service.world import stub
+import numpy as np
+import pytest
+
+from service.diagnosis.fit.selection import Standing
+from tests.service.diagnosis.toy import named, split_of
+from tests.service.injected import INJECTED, reports
+from tests.service.subject import (
+    EFFECTS,
+    Hypothesis,
+    Regressors,
+    Scored,
+    Selection,
+    Split,
+    diagnose,
+    document,
+    evidence,
+    fit,
+    selection,
+    terms_of,
+)
+from tests.service.world import BASE, course, problem, stub
+
+ROWS, BLOCKS = 400, 40
+SPLIT = split_of(4, ROWS // 4, BLOCKS // 4)
+
+
+def model(left: float, *names: str, size: int = 3, away: float = 0.0) -> Scored:
+    """Leaves `left` squares, alike in all blocks but for `away` up and down."""
+    terms = tuple(stub(effect=named(name), joints=(0,)) for name in names)
+    return stub(  # pyright: ignore[reportReturnType]
+        names=names, hypothesis=stub(terms=terms), fitted=stub(tangents=[np.zeros((1, size))]), loss=left,
+        blocks=left / BLOCKS + np.tile([away, -away], BLOCKS // 2),
+    )  # fmt: skip
+
+
+def standings(found: Selection, *refits: Scored, rows: int = ROWS) -> dict[str, Standing]:
+    """By name. refits: what was found without each of its effects, in their order."""
+    regressors = stub(problem=stub(count=rows), split=SPLIT)
+    by_effect = dict(zip((term.effect for term in found.best.hypothesis.terms), refits, strict=True))
+    made = evidence.standings(regressors, found, found.best, by_effect, lambda effect, joint: True)
+    return {effect.name: one for effect, one in made.items()}
+
+
+NONE = model(4000.0, size=2)
+
+
+@pytest.mark.parametrize(
+    ("left", "size", "probability", "confusable"),
+    [
+        (0.0, 3, 0.5, ["twin"]),
+        (0.0, 4, 1 / (1 + np.exp(-1.0)), ["twin"]),  # a parameter more: two squares
+        (4.0, 3, 1 / (1 + np.exp(-2.0)), ["twin"]),
+        (100.0, 3, 1.0, []),
+        (-100.0, 3, 0.0, ["twin"]),
+        (-71.0, 4, 1 / (1 + np.exp(-1.0)), ["twin"]),  # ahead with a parameter more: by a fiftieth of the gain at least
+        (-73.0, 4, 0.0, ["twin"]),
+    ],
+)
+def test_a_name_is_as_likely_as_it_does_better_than_what_may_be_in_its_place(left, size, probability, confusable):
+    """left: squares that the other leaves more. A name that is sure has nothing that it cannot be told from."""
+    taken, twin = model(ROWS, "taken"), model(ROWS + left, "twin", size=size)
+    found = Selection(NONE, taken, [([taken, twin], taken)], {})
+    (one,) = standings(found, NONE).values()
+    assert one.probability == pytest.approx(probability, abs=1e-6)
+    assert one.confusable == confusable
+    assert one.lead == pytest.approx(left)
+
+
+def test_blocks_that_differ_leave_it_open():
+    """The other is ahead in every other block: on half of the draws."""
+    taken, other = model(ROWS, "taken", away=5.0), model(ROWS, "other", away=-5.0)
+    found = Selection(NONE, taken, [([taken, other], taken)], {})
+    assert 0.4 < standings(found, NONE)["taken"].probability < 0.6
+
+
+def test_where_far_more_than_noise_is_left_a_difference_counts_by_that():
+    taken, other = model(9.0 * ROWS, "taken"), model(9.0 * ROWS + 18.0, "other")
+    found = Selection(NONE, taken, [([taken, other], taken)], {})
+    assert standings(found, NONE)["taken"].probability == pytest.approx(1 / (1 + np.exp(-1.0)), abs=1e-6)
+
+
+def test_an_effect_has_to_be_worth_it():
+    """Three hundredths of the noise."""
+    for more, least in ((0.04, 0.8), (0.02, 0.0)):
+        taken, none = model(ROWS, "taken"), model((1 + more) * ROWS, size=3)
+        probability = standings(Selection(none, taken, [([taken], taken)], {}), none)["taken"].probability
+        assert least < probability < least + 0.2
+
+
+def test_what_has_the_effect_too_is_no_rival_of_it():
+    """Two were added at once, of which one went again; the other couples hold the one that stayed."""
+    taken, kept = model(ROWS, "offset", "spring"), model(ROWS + 1.0, "offset")
+    couples = [taken, model(ROWS, "offset", "ripple"), model(ROWS + 1.0, "offset", "drag")]
+    found = Selection(NONE, kept, [(couples, taken)], {id(taken): kept})
+    assert standings(found, NONE) == {"offset": Standing(NONE, 1.0, [], np.inf)}
+
+
+def test_a_name_that_led_while_others_were_in_the_gap_is_asked_again_beside_them(monkeypatch):
+    """It won its round far ahead; beside what came later another does better."""
+    first, both = model(2000.0, "stand-in"), model(ROWS, "stand-in", "later")
+    alone, beside = model(900.0, "later"), model(0.9 * ROWS, "later", "true")
+    path: list[tuple[list[Scored], Scored | None]] = [
+        ([first, model(3000.0, "true")], first),
+        ([both, model(2500.0, "stand-in", "other")], both),
+    ]
+    asked = []
+
+    def in_its_place(regressors, fewer, effect, least, allows):
+        asked.append((fewer, effect.name, least))
+        return [beside]
+
+    monkeypatch.setattr(evidence, "_in_its_place", in_its_place)
+    made = standings(Selection(NONE, both, path, {}), alone, first)
+    assert asked == [(alone, "stand-in", 0.5 * (900.0 - ROWS))], "beside the first all is fitted already"
+    assert made["stand-in"].probability == pytest.approx(0.0, abs=1e-6)
+    assert made["stand-in"].confusable == ["true"]
+    assert made["stand-in"].lead == pytest.approx(-0.1 * ROWS)
+    assert made["later"].probability == pytest.approx(1.0)
+    assert (made["later"].confusable, made["later"].lead) == ([], pytest.approx(2500.0 - ROWS))
+
+
+def test_what_fell_and_what_was_found_are_in_nobodys_place():
+    kept, fell = model(ROWS, "kept"), model(ROWS, "kept", "fell")
+    path: list[tuple[list[Scored], Scored | None]] = [
+        ([model(ROWS, "kept"), model(ROWS, "fell"), model(1000.0, "far")], kept),
+        ([fell], fell),
+    ]
+    regressors = stub(problem=stub(count=ROWS), split=SPLIT)
+    found = Selection(NONE, fell, path, {})
+    made = evidence.standings(regressors, found, kept, {named("kept"): NONE}, lambda *_: True)[named("kept")]
+    assert (made.probability, made.confusable, made.lead) == (pytest.approx(1.0), [], pytest.approx(1000.0 - ROWS))
+
+
+def names_in_place_of(name: str, least: float, rivals: Sequence[str]) -> list[tuple[str, ...]]:
+    runs, random = [course(seed, 2.0) for seed in (1, 2)], np.random.default_rng(3)
+    torques = [
+        sum(reports(one, seed, 2.0) - run.torque for one in ("torque_offset", "cogging"))
+        + run.torque + 0.3 * random.standard_normal(run.torque.shape)
+        for seed, run in zip((1, 2), runs, strict=True)
+    ]  # fmt: skip
+    logs, start = problem(runs, torques), Hypothesis(BASE)
+    split = Split.of(logs)
+    other = {"torque_offset": "cogging", "cogging": "torque_offset"}[name]
+    fewer = selection.score(fit(logs, Hypothesis(BASE, (INJECTED[other].term(other),))), split)
+    regressors = Regressors(logs, split, [EFFECTS[one] for one in (name, *rivals)], start)
+    whole = selection.score(fit(logs, Hypothesis(BASE, tuple(INJECTED[n].term(n) for n in (other, name)))), split)
+    gain = fewer.loss - whole.loss
+    found = list(evidence._in_its_place(regressors, fewer, EFFECTS[name], least * gain, lambda *_: True))
+    for one in found:
+        assert one.loss < fewer.loss - least * gain
+        again = fit(logs, one.hypothesis)
+        assert again.cost == pytest.approx(one.fitted.cost, rel=1e-3), "all are fitted beside it"
+    return [one.names for one in found]
+
+
+def test_what_may_be_in_its_place_is_fitted_beside_what_stays():
+    """A constant torque is friction that differs by direction; drag does nothing for it."""
+    rivals = ("asymmetric_friction", "air_drag")
+    assert names_in_place_of("torque_offset", 0.5, rivals) == [("cogging", "asymmetric_friction")]
+    assert names_in_place_of("torque_offset", 1.1, rivals) == []
 
 
 def test_the_rivals_are_whole_models_of_the_round_that_is_decided_least(findings: diagnose.Findings) -> None:
@@ -19,30 +177,3 @@ def test_the_rivals_are_whole_models_of_the_round_that_is_decided_least(findings
     term = terms_of(findings.robot.model_copy(update={"effect": best.effects}))[-1]
     np.testing.assert_allclose(term.amplitude, scored.hypothesis.terms[-1].amplitude, rtol=1e-6)
     np.testing.assert_allclose(term.nonlinear, scored.hypothesis.terms[-1].nonlinear, rtol=1e-6)
-
-
-def test_rivals_are_weighed_as_their_search_weighed_them():
-    """Not by all that is left, most of which may be a stranger's."""
-
-    def of(name, weighed, loss):
-        away = np.tile([0.5, -0.5], 20)
-        return stub(names=(name,) * bool(name), blocks=weighed / 40 + away * (name == "near"), loss=loss)
-
-    none, taken = of("", 400.0, 5000.0), of("taken", 80.0, 4000.0)
-    near, far = of("near", 100.0, 4990.0), of("far", 300.0, 4000.0)
-    found = Selection(none, taken, [([taken, near, far], taken)], {})  # pyright: ignore[reportArgumentType]
-    assert evidence.confusable(found, "taken") == []
-    near.blocks = near.blocks - 0.3
-    assert evidence.confusable(found, "taken") == ["near"]
-
-
-def test_a_name_is_as_likely_as_in_the_round_that_speaks_for_it_most():
-    def tried(*names: str):
-        return stub(names=("given", *names))
-
-    rounds = [
-        evidence.ModelComparison(tried(), [(tried("first"), 0.3), (tried("second"), 0.6)], 0.1),
-        evidence.ModelComparison(tried("second"), [(tried("second", "first"), 0.8)], 0.2),
-    ]
-    assert [evidence.probability_of(rounds, name) for name in ("first", "second", "other")] == [0.8, 0.6, 0.0]
-    assert evidence.probability_of([], "first") == 0.0

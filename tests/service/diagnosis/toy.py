@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from typing import Any
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from tests.service.subject import Fit, Scored, Split, selection
 from tests.service.world import stub
+
+
+@cache
+def named(name: str) -> Any:
+    """An effect that is nothing but a name, the same each time."""
+    return type("Named", (), {"name": name})()
 
 
 def split_of(recordings: int, rows: int, blocks: int) -> Split:
