@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -16,8 +15,6 @@ from service.model.signals import Segment
 
 ANGLE_STEP, SPEED_STEP = 1e-5, 1e-3  # rad, rad/s, of the finite differences of the rigid torque
 GEOMETRY_STEP = 5e-4  # m or rad, of the same by lengths and angles of the arms
-
-Moved = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -63,22 +60,20 @@ class Recording:
         return self.mechanism
 
     @cached_property
-    def by_angle(self) -> np.ndarray:
-        """(N, n, joint, k + 1): slope of each column and, last, of the known torque with the joint's angle."""
-        motion = self.segment
-        return self._slope(ANGLE_STEP, lambda step: (motion.theta + step, motion.theta_dot, motion.theta_ddot))
-
-    @cached_property
-    def by_speed(self) -> np.ndarray:
-        """The same with the joint's speed."""
-        motion = self.segment
-        return self._slope(SPEED_STEP, lambda step: (motion.theta, motion.theta_dot + step, motion.theta_ddot))
-
-    @cached_property
-    def by_acceleration(self) -> np.ndarray:
-        """The same with the joint's acceleration."""
-        motion = self.segment
-        return self._slope(1.0, lambda step: (motion.theta, motion.theta_dot, motion.theta_ddot + step))
+    def by_motion(self) -> np.ndarray:
+        """(joint, N, n, 3, k + 1): slope of each column and, last, of the known torque with the angle, speed and
+        acceleration of a joint."""
+        motion, slopes = (self.segment.theta, self.segment.theta_dot, self.segment.theta_ddot), []
+        for joint in np.eye(self.mechanism.joints):
+            each = []
+            for place, size in enumerate((ANGLE_STEP, SPEED_STEP, 1.0)):
+                above, below = (
+                    self.mechanism.rigid(*(x + step * joint if i == place else x for i, x in enumerate(motion)))
+                    for step in (size, -size)
+                )
+                each.append((_stacked(above) - _stacked(below)) / (2 * size))
+            slopes.append(np.stack(each, axis=2))
+        return np.stack(slopes)
 
     def by_geometry(self, part: str, arm: int) -> tuple[np.ndarray, np.ndarray]:
         """(N, n, k + 1) twice: slope of each column and, last, of the known torque by a part of `Correction` at an arm,
@@ -99,15 +94,6 @@ class Recording:
     @cached_property
     def _by_geometry(self) -> dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]:
         return {}
-
-    def _slope(self, size: float, moved: Moved) -> np.ndarray:
-        slopes = []
-        for joint in range(self.mechanism.joints):
-            step = np.zeros(self.mechanism.joints)
-            step[joint] = size
-            above, below = self.mechanism.rigid(*moved(step)), self.mechanism.rigid(*moved(-step))
-            slopes.append((_stacked(above) - _stacked(below)) / (2 * size))
-        return np.stack(slopes, axis=2)
 
 
 def _stacked(rigid: Rigid) -> np.ndarray:
@@ -186,24 +172,19 @@ class Scene:
         rubs = self.base.viscous * self.sliding + self.base.coulomb * self.friction_direction
         return self.load + rubs @ self.mechanism.rows
 
-    @cached_property
-    def inertia(self) -> np.ndarray:
-        """(N, n, joint): d load / d theta_ddot, kg m^2."""
-        return self._at(self.recording.by_acceleration)
+    def slopes(self, joint: int) -> np.ndarray:
+        """(N, n, 3): of load and viscous friction with the joint's angle, speed and acceleration, N m/rad, N m s/rad,
+        kg m^2."""
+        if joint not in self._slopes:
+            slopes = np.tensordot(self.recording.by_motion[joint], np.append(self.base.rigid, 1.0), 1)
+            rows = self.mechanism.rows
+            slopes[..., 1] += (self.base.viscous * rows[:, joint]) @ rows
+            self._slopes[joint] = slopes
+        return self._slopes[joint]
 
     @cached_property
-    def damping(self) -> np.ndarray:
-        """(N, n, joint): d (load + viscous friction) / d theta_dot, N m s/rad."""
-        rows = self.mechanism.rows
-        return self._at(self.recording.by_speed) + (rows.T * self.base.viscous) @ rows
-
-    @cached_property
-    def stiffness(self) -> np.ndarray:
-        """(N, n, joint): d load / d theta, N m/rad."""
-        return self._at(self.recording.by_angle)
-
-    def _at(self, slopes: np.ndarray) -> np.ndarray:
-        return np.tensordot(slopes, np.append(self.base.rigid, 1.0), 1)
+    def _slopes(self) -> dict[int, np.ndarray]:
+        return {}
 
     def at_platform(self, force: np.ndarray) -> np.ndarray:
         """Joint torque (N, 3) that holds a force (N, 3) or (3,) N acting from the platform on its surroundings."""
@@ -221,7 +202,7 @@ class Scene:
 
         angle, speed, acceleration: (N, L) rad, rad/s, rad/s^2 more than recorded.
         """
-        slopes = np.stack([part[:, :, joint] for part in (self.stiffness, self.damping, self.inertia)], axis=-1)
+        slopes = self.slopes(joint)
         torque = np.empty((*slopes.shape[:2], angle.shape[1]))
         _perturbed(slopes, angle, speed, acceleration, torque)
         return torque

@@ -99,7 +99,7 @@ class Relative(NamedTuple):
 def relative_motion(scene: Scene, joint: int, figures: Sequence[tuple[float, float, float, float]]) -> Relative:
     """Link behind the recorded motor of `joint`, for L `figures` as of `two_masses`."""
     half, natural_hz, damping_ratio, motor_share = np.array(figures, float).T.copy()
-    whole = np.ascontiguousarray(scene.inertia[:, joint, joint])
+    spring, drag, whole = scene.slopes(joint)[:, joint].T.copy()
     motor = motor_share * float(np.mean(whole))
     mean = np.array([float(np.mean(np.maximum(whole - one, 0.02 * whole))) for one in motor])
     mean = np.maximum(mean, 0.0)  # a base model that found no inertia has no link that could swing
@@ -109,8 +109,8 @@ def relative_motion(scene: Scene, joint: int, figures: Sequence[tuple[float, flo
     demand = scene.load[:, joint] - whole * acceleration
     angle, speed, change = np.empty((3, len(demand), len(half)))
     substeps = max(1, round(SUBSTEPS_PER_SECOND * scene.period))
-    drag = scene.damping[:, joint, joint] - scene.base.viscous[joint]  # the gear's own friction stays with the motor
-    link = Link(demand, whole, drag, np.ascontiguousarray(scene.stiffness[:, joint, joint]))
+    drag -= scene.base.viscous[joint]  # the gear's own friction stays with the motor
+    link = Link(demand, whole, drag, spring)
     _two_masses(acceleration, link, gears, scene.period, substeps, angle, speed, change)
     return Relative(angle, speed, change, gears)
 

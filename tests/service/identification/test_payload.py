@@ -146,6 +146,29 @@ def test_what_is_carried_has_been_trusted_once_and_was_no_lighter_since(robot, r
     found = carried()
     assert found is not None
     np.testing.assert_allclose(found, held[:, None] * a_kilogram)
+    mass[:], trusted[:] = 2.0, np.arange(500) == 0
+    found = carried()
+    assert found is not None
+    np.testing.assert_allclose(found, 2.0 * a_kilogram, err_msg="trusted at once")
+
+
+def test_events_are_those_of_the_fullest_model_and_calm_is_what_they_leave(robot, record, monkeypatch):
+    """Of a robot without friction every reversal would be one."""
+    trace = record(3, seconds=4.0)
+    knock = np.where(np.abs(trace.time - 2.0) < 0.05, 40.0 * (-1.0) ** (np.arange(4000) // 10), 0.0)
+    trace = replace(trace, torque=trace.torque + knock[:, None] * [0.0, 1.0, 0.0])
+    assert (evaluate(robot, trace).events, evaluate(robot, trace).calm_share) == ([], 1.0)
+    known = identified(robot, [record(seed) for seed in (4, 5)])
+    found = evaluate(known, trace)
+    (event,) = found.events
+    assert event.joint == 1
+    assert 1.85 < event.start < 2.0 < event.end < 2.15
+    quiet = found.calm[FULL].count / found.errors[FULL].count
+    assert found.calm_share == pytest.approx(float(np.average(quiet, weights=found.errors[FULL].count)))
+    assert 0.9 < found.calm_share < 0.97
+    assert found.calm[FULL].rms[1] < 0.3 * found.errors[FULL].rms[1]
+    monkeypatch.setattr(evaluation, "_carried", lambda *_: knock[:, None] * [0.0, 1.0, 0.0])
+    assert evaluate(known, trace).events == []
 
 
 @pytest.mark.parametrize(("std_dev", "trusted", "mass"), [(0.99, True, 2.0), (1.01, True, 0.0), (0.1, False, np.nan)])
@@ -251,9 +274,9 @@ def test_rows_that_were_not_measured_are_counted(robot, record):
 
 
 def test_moments_are_those_of_the_rows_that_are_known():
-    error = np.array([[1.0, np.nan], [4.0, np.nan], [np.nan, np.nan], [-2.0, np.nan]])
+    error = np.array([[0.1, np.nan], [0.4, np.nan], [np.nan, np.nan], [-0.2, np.nan]])
     found = evaluation.pooled([evaluation._moments(error[:2]), evaluation._moments(error[2:])])
-    known = np.array([1.0, 4.0, -2.0])
+    known = np.array([0.1, 0.4, -0.2])
     for got, expected in (
         (found.mean, known.mean()),
         (found.std, known.std()),

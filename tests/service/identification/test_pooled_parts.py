@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from schemas.axes import Axes
 from schemas.errors import DataError
-from service.identification import pooled
+from service.identification import folds, pooled
 from service.identification.pooled import Plain
 from service.model.parameters import Quantity
 from tests.service.subject import (
@@ -405,3 +406,43 @@ def test_a_log_a_fold_or_four_stretches_and_half_a_second_a_block(count: int) ->
         np.testing.assert_array_equal(split.block[number], first + place // length)
         done, first = done + len(rows), first + -(-len(rows) // length)
     assert (split.folds, split.blocks) == ({2: 4, 3: 3}[count], first)
+
+
+@pytest.mark.parametrize(
+    ("count", "uneven", "mixed"), [(3, 0.98, False), (3, 1.02, True), (4, 0.98, False), (4, 1.02, True)]
+)
+def test_folds_are_mixed_where_one_log_left_out_tells_the_others_too_much(
+    count: int, uneven: float, mixed: bool
+) -> None:
+    """Two parameters that each log tells alike, one log more than the others: how far the answer moves without each log
+    in turn, over how far it moves where all tell as much."""
+    made = logs(count=count)
+
+    def moves(share: float) -> float:
+        return share / (1 - share) + (count - 1) ** 2 * (1 - share) / (count - 2 + share) / (count - 1)
+
+    limit = uneven * folds.UNEVEN * count / (count - 1)
+    share: Any = brentq(lambda share: moves(share) - limit, 1 / count, 0.999)
+    tangents = []
+    for number, rows in enumerate(made.joints_of_rows):
+        tangent = np.zeros((len(rows), 2))
+        tangent[::2, 0] = tangent[1::2, 1] = 1.0
+        tangents.append(tangent * np.sqrt((share if not number else (1 - share) / (count - 1)) / tangent.sum(axis=0)))
+    split = Split.fair(made, stub(moving=tangents, residuals=[np.zeros(len(one)) for one in tangents]))
+    assert np.array_equal(split.fold[1], Split.of(made, mixed=mixed).fold[1])
+    assert len(np.unique(np.concatenate(split.fold))) == split.folds
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_rows_of_the_analysis_band_are_folds_and_blocks_by_their_time(mixed: bool) -> None:
+    """Of logs at 1 kHz, whose last block is one row; mixed, a second of each log in turn."""
+    runs = [course(seed, 2.005) for seed in (1, 2, 3)]
+    made = problem(runs, [run.torque for run in runs])
+    step, split = made.band.period * made.band.step, Split.of(made, mixed=mixed)
+    assert len(made.rows[0]) % round(0.5 / step) == 1
+    for number, rows in enumerate(made.rows):
+        time = rows.T.nonzero()[1] * step
+        second = np.floor(time + 1e-9).astype(int)
+        np.testing.assert_array_equal(split.fold[number], (number + second) % 4 if mixed else number)
+        np.testing.assert_array_equal(split.block[number], 5 * number + np.floor(time / 0.5 + 1e-9))
+    assert (split.folds, split.blocks) == (4 if mixed else 3, 15)

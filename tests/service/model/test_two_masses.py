@@ -81,7 +81,7 @@ def test_on_the_robot_it_is_what_the_plant_does(name, effect, joint, left_over):
     base = Base(BASE.rigid, np.full(3, viscous), np.zeros(3), 0.002)
     here = Scene(Recording(thin(part), Delta.of(ROBOT), 0, "plant"), base)
     band = Band.of(PERIOD)
-    whole = float(np.mean(here.inertia[:, joint, joint]))
+    whole = float(np.mean(here.slopes(joint)[:, joint, 2]))
     share = TRUTH.rotor_inertia_kgm2[joint] / whole
     link = (1 - share) * whole
     if name == "joint_elasticity":
