@@ -67,7 +67,9 @@ def test_two_at_once_are_taken_where_what_they_leave_is_noise_and_not_where_it_i
 
 
 def test_what_cannot_be_looked_for_is_in_no_couple(wrong_gear):
-    found = exchanged(
-        wrong_gear[0], wrong_gear[1], LIMIT, lambda effect, joint: effect is not EFFECTS["angle_scale"], lambda _: None
-    )
+    """And who waits is told what is done."""
+    said: list[str] = []
+    search, asked = wrong_gear
+    found = exchanged(search, asked, LIMIT, lambda effect, joint: effect is not EFFECTS["angle_scale"], said.append)
+    assert said[0] == "weighing effects in place of others"
     assert "angle_scale" not in found.names

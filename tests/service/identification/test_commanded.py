@@ -50,6 +50,15 @@ def test_a_torque_is_the_commanded_one_where_nothing_but_white_noise_is_between(
     assert is_commanded(trace) is expected
 
 
+@pytest.mark.parametrize(("rows", "expected"), [(1000, True), (999, False)])
+def test_it_takes_fifty_blocks_of_twenty_to_tell(make, rows, expected):
+    known = make(4.0)
+    torque = known.torque + NOISE * np.random.default_rng(3).standard_normal(known.torque.shape)
+    trace = replace(trace_of(known), torque=torque, torque_command=known.torque)
+    part = {name: getattr(trace, name)[:rows] for name in ("time", "position", "torque", "torque_command", "flags")}
+    assert is_commanded(replace(trace, **part)) is expected
+
+
 @pytest.mark.parametrize(("slow", "expected"), [(0.08, True), (0.2, False)])
 def test_a_slow_part_shows_from_five_deviations_of_what_blocks_scatter_by(make, slow, expected):
     """Two hundred blocks of twenty scatter by a tenth: 1.5 times the noise; a part of so much of it makes 1.13, 1.8."""

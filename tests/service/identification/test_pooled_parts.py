@@ -358,13 +358,13 @@ def test_of_logs_that_ask_for_several_widths_all_rows_count_by_their_square(monk
 
 
 def test_ripple_is_followed_as_far_as_its_strongest_orders_at_the_middle_speed() -> None:
-    """A motor behind a gear of 10 at one turn a second; the four strongest of joint 1's six orders, none of joint 2."""
+    """A motor behind a gear of 10, half a turn a second backwards; the four strongest of joint 1's six orders."""
     period, time = 1e-3, np.arange(10_000) * 1e-3
-    theta = 2 * np.pi * 0.1 * time[:, None] * [1.0, 1.0]
-    ripple = sum(size * np.sin(2 * np.pi * order * time) for order, size in
+    theta = -2 * np.pi * 0.05 * time[:, None] * [1.0, 1.0]
+    ripple = sum(size * np.sin(2 * np.pi * order * 0.5 * time) for order, size in
                  ((1, 5.0), (3, 4.0), (7, 3.0), (16, 2.0), (40, 1.0), (60, 0.9)))  # fmt: skip
     noise = 0.01 * np.random.default_rng(0).standard_normal((10_000, 2))
-    for moving, hz in ((np.ones(10_000, bool), 1.3 * 16.0), (time < 0.05, 0.0)):
+    for moving, hz in ((np.ones(10_000, bool), 1.3 * 16.0 * 0.5), (time < 0.1, 0.0)):
         segment = stub(theta=theta, period=period, moving=np.stack([moving, moving], axis=1))
         recording: Any = stub(segment=segment, mechanism=stub(gear_ratio=np.full(2, 10.0)))
         above = np.stack([ripple, 0 * time], axis=1) + noise
