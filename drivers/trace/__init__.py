@@ -83,6 +83,10 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
         return read_csv(path, robot, columns, fallback)
     if path.name.endswith((*TABLE_ENDINGS, *CSV_ENDINGS)) or path.is_dir():
         if mapping is None:
+            if path.is_dir():
+                from drivers.trace.tables.rosbag import parts_of
+
+                parts_of(path)
             raise TraceError(f"{path}: what its columns mean has to be said first: deltatwin import {path.name}")
         return _foreign(path, robot, mapping)
     endings = ", ".join((".csv", ".csv.gz", *TABLE_ENDINGS, ".pcap", ".pcapng"))

@@ -25,17 +25,24 @@ MAX_JOINTS = 64
 MAX_NAME = 256  # characters
 
 
+def parts_of(folder: Path) -> list[Path]:
+    """The files of a rosbag2, in their order.
+
+    Raises:
+        TraceError: there are none.
+    """
+    parts = sorted([*folder.glob("*.db3"), *folder.glob("*.mcap")])
+    if not parts:
+        raise TraceError(f"{folder}: a folder without .db3 or .mcap, no rosbag2: name the logs in it")
+    return parts
+
+
 def read(path: Path) -> Table:
     """
     Raises:
         TraceError: not a rosbag2, none or several topics of joint states in it, or a message that is not whole.
     """
-    if path.is_dir():
-        parts = sorted([*path.glob("*.db3"), *path.glob("*.mcap")])
-        if not parts:
-            raise TraceError(f"{path}: a folder without .db3 or .mcap, no rosbag2")
-    else:
-        parts = [path]
+    parts = parts_of(path) if path.is_dir() else [path]
     stamps: list[int] = []
     rows: list[list[np.ndarray]] = []
     names: list[str] = []

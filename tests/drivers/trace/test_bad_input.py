@@ -335,3 +335,8 @@ def test_samples_of_an_axis_that_is_no_delta(shared: Path) -> None:
     trace = read_trace(shared / "real/emps/emps.csv", columns=find_columns("emps"))
     with pytest.raises(TraceError, match="1 joints, a sample message holds 3"):
         trace.samples()
+
+
+def test_a_folder_that_holds_no_recording_is_told_as_one(tmp_path: Path) -> None:
+    with pytest.raises(TraceError, match=r"a folder without \.db3 or \.mcap, no rosbag2: name the logs in it"):
+        read_trace(tmp_path)
