@@ -170,10 +170,23 @@ class Watch:
         ratio = _typical(window)
         message = self._message(stop, reduce(add, (look.stretch for look in window)) if window else None, ratio)
         if self.state != WatchState.LEARNING:
-            moves = bool(window) and window[-1].time == stop
+            moves, before = bool(window) and window[-1].time == stop, self.raised
             self._judge(ratio, moves and float(message["known"][0]) < LEAST_KNOWN)
+            if self.raised and not before:
+                self._look_back(stop)
         message["state"] = self.state
         return message
+
+    def _look_back(self, stop: float) -> None:
+        """Look again at the time before `stop` in which a mass that stays was taken for a pick: since when is asked."""
+        count = round(BEFORE_MOST_S / EVERY_S)
+        earlier = [look for look in self._looks if look.time < stop - (count - 0.5) * EVERY_S]
+        again = []
+        for time in stop - EVERY_S * np.arange(count)[::-1]:
+            stretch = self._stretch(time - EVERY_S, time)
+            if stretch is not None:
+                again.append(Look(float(time), stretch, self._ratio(stretch)))
+        self._looks = deque([*earlier, *again], self._looks.maxlen)
 
     def _stretch(self, start: float, stop: float) -> Stretch | None:
         trace = self._kept.trace(start - BEFORE_S - EDGE, stop + EDGE, "bus")

@@ -4,9 +4,10 @@ uv run python -m tests.bench.bench_watch --seeds 1 2 3 --minutes 60
 
 Robots are those of `drivers.plant.cases`, identified from its logs without an effect; the motion is pick-and-place with
 masses, of which the bus has the gripper or, with --no-gripper, the estimator alone tells. A watch as `deltatwin watch`
-makes it learns for 30 s of motion, at 60 s the effect comes on. Time to the name: from the change to the moment the
-diagnosis starts, in samples, and the processor's time of the process that makes it and stores what it found. The
-unchanged hour is five motions of two minutes, each six times with torque noise of its own.
+makes it learns for 30 s of free motion (18 s without a gripper, where less of it is free), at 60 s the effect comes on.
+Time to the name: from the change to the moment the diagnosis starts, in samples, and the processor's time of the
+process that makes it and stores what it found. The unchanged hour is five motions of two minutes, each six times with
+torque noise of its own.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from service.model.nominal import pack
 from service.watch import node
 from service.watch.node import Examination
 from service.watch.watch import Case as Rise
-from service.watch.watch import Watch
+from service.watch.watch import Patience, Watch
 
 TEN = (
     "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "tool_mass", "arm_mass", "joint_spring",
@@ -101,7 +102,8 @@ def over(robot: Robot, watch: Watch, samples: np.ndarray) -> tuple[Rise | None, 
 
 def named(robot: Robot, name: str, joints: list[int], seed: int, trace: Trace) -> bool:
     """Whether what came on at `ONSET` is; prints what was found."""
-    rise, _ = over(robot, Watch(robot), trace.samples())
+    patience = Patience() if trace.gripper is not None else Patience(learn=18.0)
+    rise, _ = over(robot, Watch(robot, patience), trace.samples())
     if rise is None:
         print(f"{name:24} seed {seed}: not risen", flush=True)
         return False

@@ -175,9 +175,13 @@ def test_what_is_picked_with_a_tool_left_on_is_no_gap() -> None:
     payload = picked(45.0)
     payload["mass"] += np.where(stamp_ns(payload) > onset * NANOSECONDS, 0.3, 0.0)
     samples = log(run, run.torque + torque[:, None]).samples()
-    told = np.concatenate(list(fed(Watch(KNOWN, Patience(learn=8.0)), samples, payload)))
+    one = Watch(KNOWN, Patience(learn=8.0, after=20.0))
+    told = np.concatenate(list(fed(one, samples, payload)))
     assert told["state"][-1] == WatchState.RAISED
     np.testing.assert_allclose(told["gap"][-1], tool, rtol=0.2)
+    case = one.case()
+    assert case is not None
+    assert case.since == pytest.approx(onset, abs=1.5)
 
 
 def test_a_payload_of_another_clock_or_without_a_number_changes_nothing() -> None:
