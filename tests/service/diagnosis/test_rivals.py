@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,6 +71,31 @@ def test_a_name_is_as_likely_as_it_does_better_than_what_may_be_in_its_place(lef
     assert one.probability == pytest.approx(probability, abs=1e-6)
     assert one.confusable == confusable
     assert one.lead == pytest.approx(left)
+
+
+@pytest.mark.parametrize(("left", "likely"), [(-71.0, 1 / (1 + np.exp(1.0))), (-73.0, 1.0)])
+def test_in_a_round_too_more_parameters_have_to_be_ahead_by_a_fiftieth_of_the_gain(left, likely):
+    taken, other = model(ROWS, "taken"), model(ROWS + left, "other", size=4)
+    (found,) = evidence.comparisons(Selection(NONE, taken, [([taken, other], taken)], {}), SPLIT, ROWS)
+    assert [found.probability(name) for name in ("taken", "other")] == pytest.approx([1 - likely, likely], abs=1e-6)
+    assert found.none == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(
+    ("probability", "confusable", "first"), [(0.91, [], "early"), (0.89, [], "late"), (0.91, ["twin"], "late")]
+)
+def test_the_open_round_is_that_of_the_first_name_that_others_might_replace(probability, confusable, first):
+    """By how it stands in the end; where all are sure, it is the first round."""
+    early, late = model(2000.0, "early"), model(ROWS, "early", "late")
+    path: list[tuple[list[Scored], Scored | None]] = [([early], early), ([late], late)]
+    stands = {
+        term.effect: Standing(NONE, *told, 0.0)
+        for term, told in zip(late.hypothesis.terms, ((1.0, []), (probability, confusable)), strict=True)
+    }
+    found = replace(Selection(NONE, late, path, {}), standings=stands)
+    rounds = evidence.comparisons(found, SPLIT, ROWS)
+    chosen = evidence.undecided(found, rounds)
+    assert chosen is rounds[("early", "late").index(first)]
 
 
 def test_blocks_that_differ_leave_it_open():
