@@ -17,10 +17,12 @@ from service.identification.regression import PARAMETERS, NormalEquations
 from service.identification.units import refuse_wrong_angles
 from service.model.description import identified_of
 from service.model.nominal import pack
+from service.model.parameters import TIMING_LIMIT
 from service.model.scene import Base, Recording
 
 Method = Literal["pooled", "paper"]
 MINIMUM_BLOCKS = 2 * PARAMETERS
+AT_LIMIT = 1.0 - 1e-6  # of the timing within a sample: so near to its limit it stands there
 
 
 def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "pooled") -> Identification[Robot]:
@@ -72,6 +74,13 @@ def written(
         told = f"{names}: found on an earlier identification, left out of this one; `diagnose` says what still is there"
         constants = ", `identify --carried` how far torque constants are off" if isinstance(robot, Robot) else ""
         warnings = [*warnings, told + constants]
+    if abs(base.timing) >= AT_LIMIT * TIMING_LIMIT * fit.problem.recordings[0].segment.period:
+        older, newer = ("torque", "position") if base.timing > 0 else ("position", "torque")
+        told = (
+            f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}, {TIMING_LIMIT} of a sample, the "
+            "most that is fitted: it may be more, or something else that looks like it; `deltatwin diagnose` tells"
+        )
+        warnings = [*warnings, told]
     return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))
 
 

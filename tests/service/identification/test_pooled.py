@@ -12,7 +12,7 @@ from schemas.errors import DataError
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.identification.identify import identify
-from service.identification.pooled import Plain
+from service.identification.pooled import Identification, Plain
 from service.identification.regression import summarise
 from service.model.nominal import pack
 from tests.service.identification.conftest import Truth, multisine
@@ -31,15 +31,27 @@ def test_truth_is_recovered_without_noise(robot: Robot, record: Record) -> None:
     assert {estimate.verdict for estimate in result.estimates} == {"identifiable"}
 
 
-def test_torque_of_another_instant_within_a_sample_is_told(robot: Robot, record: Record) -> None:
-    """Every fifth of 5 kHz, the torque 0.2 ms old."""
-    truth, traces = Truth(noise=0.3), []
+def late(robot: Robot, record: Record, torque: int, position: int) -> Identification[Robot]:
+    """Every fifth of 5 kHz, torque and position old by so many times 0.2 ms."""
+    traces = []
     for seed in range(3):
-        fine = record(seed, truth, period=2e-4)
-        now, earlier = slice(5, None, 5), slice(4, -1, 5)
-        traces.append(replace(fine, time=fine.time[now], position=fine.position[now], torque=fine.torque[earlier],
+        fine = record(seed, Truth(noise=0.3), period=2e-4)
+        now, past, seen = (slice(5 - age, -age or None, 5) for age in (0, torque, position))
+        traces.append(replace(fine, time=fine.time[now], position=fine.position[seen], torque=fine.torque[past],
                               flags=fine.flags[now]))  # fmt: skip
-    found = identify(robot, [summarise(pack(robot), trace) for trace in traces])
+    return identify(robot, [summarise(pack(robot), trace) for trace in traces])
+
+
+def test_a_timing_at_its_limit_is_said(robot: Robot, record: Record) -> None:
+    (said,) = (line for line in late(robot, record, 3, 0).warnings if "older than" in line)
+    assert said.startswith("the torque is 0.25 ms older than the position, 0.25 of a sample, the most that is fitted")
+    (said,) = (line for line in late(robot, record, 0, 3).warnings if "older than" in line)
+    assert said.startswith("the position is 0.25 ms older than the torque")
+
+
+def test_torque_of_another_instant_within_a_sample_is_told(robot: Robot, record: Record) -> None:
+    truth, found = Truth(noise=0.3), late(robot, record, 1, 0)
+    assert not any("older than" in line for line in found.warnings)
     assert found.robot.identified is not None
     assert found.robot.identified.torque_timing_s == pytest.approx(2e-4, abs=2e-5)
     np.testing.assert_allclose(found.fit.values, truth.values, rtol=0.02)
