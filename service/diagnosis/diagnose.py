@@ -13,7 +13,7 @@ from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.aside import Quiet
-from service.diagnosis.evidence.cautions import base_doubts, doubts_of, faults_of, limits_of, loops_of, noise_of
+from service.diagnosis.evidence.cautions import base_doubts, doubts_of, faults_of, limits_of, noise_of
 from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.evidence.follows import follows
 from service.diagnosis.evidence.unseen import kept_out
@@ -24,6 +24,7 @@ from service.diagnosis.fit.selection import FAR_ABOVE, Regressors, Scored, Selec
 from service.identification import pooled
 from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import Split
+from service.identification.loops import loops_of, position_errors
 from service.identification.units import refuse_wrong_angles
 from service.model.description import hypothesis_of
 from service.model.effects.base import Effect
@@ -76,7 +77,7 @@ def diagnose(
     start = plain.hypothesis.carrying(given)
     if given:
         plain = score(fit(problem, start), split)
-    scope = limits_of(problem, loops_of(problem, traces, plain.residuals))
+    scope = limits_of(problem, loops_of(problem, position_errors(recordings, traces), plain.residuals))
 
     regressors = Regressors(problem, split, effects if scope.enough else (), start)
 

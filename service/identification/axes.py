@@ -13,6 +13,7 @@ from schemas.trace import Trace
 from service.identification import checks
 from service.identification.folds import BLOCK, Split, block_loss, held_out
 from service.identification.identify import fit_to, written
+from service.identification.loops import loops_of, position_errors, told
 from service.identification.pooled import Identification, Plain
 from service.model.mechanism import SerialArm, mechanism_of
 from service.model.parameters import base_parameters
@@ -43,7 +44,13 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
             f"{names}: too little motion, {np.max(seconds):.1f} s of an axis, at least {least:.0f} s needed"
         )
     fit = fit_to(axes, recordings, [trace.path.name for trace in traces])
-    return written(axes, fit, fit.fitted.hypothesis.base, _warnings(fit, traces))
+    return written(axes, fit, fit.fitted.hypothesis.base, [*_commanded(fit, traces), *_warnings(fit, traces)])
+
+
+def _commanded(fit: Plain, traces: Sequence[Trace]) -> list[str]:
+    """Of torque that is the controller's answer to its position error."""
+    errors = position_errors(fit.problem.recordings, traces)
+    return told(loops_of(fit.problem, errors, fit.fitted.residuals))
 
 
 def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:

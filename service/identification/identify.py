@@ -12,6 +12,7 @@ from schemas.axes import Description
 from schemas.errors import DataError
 from schemas.robot import JointParameter, Robot
 from service.identification import checks, paper, pooled
+from service.identification.loops import loops_of, told
 from service.identification.pooled import Described, Identification, Plain
 from service.identification.regression import PARAMETERS, NormalEquations
 from service.identification.units import refuse_wrong_angles
@@ -35,8 +36,10 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
     _enough(logs)
     recordings = [replace(part, trace=number) for number, log in enumerate(logs) for part in log.recordings]
     fit = fit_to(robot, recordings, [log.name for log in logs])
+    errors = [error for log in logs for error in log.position_errors]
+    loops = loops_of(fit.problem, errors if len(errors) == len(recordings) else [], fit.fitted.residuals)
     base = fit.fitted.hypothesis.base
-    warnings = checks.check_fit(logs, fit, pack(robot).moving_mass)
+    warnings = [*told(loops), *checks.check_fit(logs, fit, pack(robot).moving_mass)]
     if method == "paper":
         fit, base = paper.refit(logs, fit), replace(base, transition=0.0, timing=0.0)
         warnings = [*warnings, *paper.edges(logs)]
@@ -71,16 +74,16 @@ def written(
     identified = identified_of(robot, figures, base, verdicts).model_copy(update=more)
     if robot.effect:
         names = ", ".join(dict.fromkeys(effect.name for effect in robot.effect))
-        told = f"{names}: found on an earlier identification, left out of this one; `diagnose` says what still is there"
+        said = f"{names}: found on an earlier identification, left out of this one; `diagnose` says what still is there"
         constants = ", `identify --carried` how far torque constants are off" if isinstance(robot, Robot) else ""
-        warnings = [*warnings, told + constants]
+        warnings = [*warnings, said + constants]
     if abs(base.timing) >= AT_LIMIT * TIMING_LIMIT * fit.problem.recordings[0].segment.period:
         older, newer = ("torque", "position") if base.timing > 0 else ("position", "torque")
-        told = (
+        said = (
             f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}, {TIMING_LIMIT} of a sample, the "
             "most that is fitted: it may be more, or something else that looks like it; `deltatwin diagnose` tells"
         )
-        warnings = [*warnings, told]
+        warnings = [*warnings, said]
     return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))
 
 

@@ -4,6 +4,7 @@ data and the paper's grid need. The samples are passed over once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -12,6 +13,7 @@ import numpy as np
 from schemas.errors import PoseError, TraceError
 from schemas.trace import Trace
 from service.identification.commanded import is_commanded
+from service.identification.loops import position_errors
 from service.model.kinematics import jacobian
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel
@@ -39,13 +41,15 @@ class NormalEquations:
     """What one trace has to say, B blocks of 3 joints. Sums are over moving samples, times the sample time.
 
     gram: (B, 3, COLUMNS, COLUMNS) products of the low-passed columns. recordings: the parts that no fault interrupts.
-    commanded: whether the reported torque is the commanded one and white noise.
+    commanded: whether the reported torque is the commanded one and white noise. position_errors: (N, 3) rad a
+    recording, none without commands.
     """
 
     name: str
     gram: np.ndarray
     recordings: list[Recording]
     commanded: bool = False
+    position_errors: Sequence[np.ndarray] = ()
 
     @property
     def seconds(self) -> np.ndarray:
@@ -65,7 +69,8 @@ def summarise(model: DeltaModel, trace: Trace) -> NormalEquations:
         gram = np.concatenate([_blocks(model, recording) for recording in recordings])
     except PoseError as error:
         raise TraceError(f"{trace.path}: {error}") from error
-    return NormalEquations(trace.path.name, gram, recordings, is_commanded(trace))
+    errors = position_errors(recordings, [trace])
+    return NormalEquations(trace.path.name, gram, recordings, is_commanded(trace), errors)
 
 
 def regressors(recording: Recording) -> np.ndarray:

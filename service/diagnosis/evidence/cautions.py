@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from schemas.diagnosis import Caution, Follows
-from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
-from service.diagnosis.evidence.follows import position_error
 from service.diagnosis.fit.selection import FAR_ABOVE, Scored, Selection, each_arm
 from service.identification.checks import FOREIGN_LEFT, FOREIGN_TOGETHER
 from service.identification.fit import Problem, fit, solve
@@ -27,9 +25,6 @@ FOLLOWS = 0.3  # of the gap above the noise that follows what the base model lac
 AS_GOOD = 0.05  # of the same by which an effect has to do better than that,
 BETTER = 0.2  # or leave less than this of what that leaves: a spring and a weight differ by a hundredth of a large gap
 OTHER_GRAVITY = 3.0  # m/s^2 beside the description's: no base is mounted so far from level by mistake
-LOOP = 0.98  # of the torque's variance that position error and speeds explain: it is what the controller makes of them
-TOLD_BETTER = 4.0  # times what the base model leaves of the square: from there the torque is the robot's
-LOOP_ALONE = 0.25  # of what speed leaves of it that is left at most when the error is known
 
 
 @dataclass(frozen=True)
@@ -77,41 +72,6 @@ def limits_of(problem: Problem, loops: dict[int, float] | None = None) -> Search
     for joint, gain in sorted((loops or {}).items()):
         cautions.append(Caution(code="closed_loop", joints=[joint + 1], gain=gain, advice="measure_torque"))
     return SearchScope(still, one_way, frozenset(loops or ()), enough, cautions)
-
-
-def loops_of(problem: Problem, traces: Sequence[Trace], plain: Sequence[np.ndarray]) -> dict[int, float]:
-    """Gain, N m/rad or N/m, of each joint (from 0) whose torque the controller makes of its position error at once.
-
-    Such a torque shows the controller: a delay, viscous friction and inertia trade places in it. One that the base
-    model tells better was measured, however directly the drives answer. plain: (R,) a recording, what that leaves.
-    """
-    if any(trace.position_command is None for trace in traces):
-        return {}
-    loops, physics = {}, statistics.rms_per_joint(problem, plain) ** 2
-    for joint in range(len(problem.sigma)):
-        columns, torque = [], []
-        for number, recording in enumerate(problem.recordings):
-            error = position_error(problem, number, traces)[:, joint]
-            speed = recording.segment.theta_dot[:, joint]
-            seen = np.stack([error, np.gradient(error, recording.segment.period), speed, np.ones_like(speed)], axis=1)
-            rows = problem.rows[number][:, joint]
-            columns.append(problem.band(seen)[rows])
-            torque.append(problem.target[number][rows, joint])
-        basis, wanted = np.concatenate(columns), np.concatenate(torque)
-        if len(wanted) < 50 or not np.ptp(basis[:, 0]) > 0:
-            continue
-        weight, left = _least_squares(basis, wanted)
-        _, without = _least_squares(basis[:, 2:], wanted)
-        most = min((1.0 - LOOP) * float(np.var(wanted)), TOLD_BETTER * physics[joint])
-        if left < most and left < LOOP_ALONE * without and abs(weight[0]) > 0:
-            loops[joint] = float(f"{weight[0]:.4g}")
-    return loops
-
-
-def _least_squares(basis: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, float]:
-    """Weights, and the mean square that they leave."""
-    weight = solve(basis.T @ basis, basis.T @ wanted)
-    return weight, float(np.mean((wanted - basis @ weight) ** 2))
 
 
 def noise_of(floor: Floor) -> list[Caution]:

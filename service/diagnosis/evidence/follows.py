@@ -13,6 +13,7 @@ from schemas.diagnosis import Follows
 from schemas.trace import Trace
 from service.identification.fit import Problem, solve
 from service.identification.folds import Split
+from service.identification.loops import position_errors
 from service.model.friction import mean_direction
 
 What = Literal["motion", "sine_of_angle", "position_error"]
@@ -82,16 +83,9 @@ def _sine(problem: Problem, number: int, joint: int) -> np.ndarray:
 
 
 def _error(problem: Problem, number: int, joint: int, traces: Sequence[Trace]) -> np.ndarray:
-    return _rows(problem, number, joint, position_error(problem, number, traces)[:, [joint]])
-
-
-def position_error(problem: Problem, number: int, traces: Sequence[Trace]) -> np.ndarray:
-    """(N, n) commanded minus measured position of a recording; zero where there is no command."""
-    recording = problem.recordings[number]
-    command = traces[recording.trace].position_command
-    rows = recording.segment.rows
-    assert command is not None
-    return np.nan_to_num(command[rows] - traces[recording.trace].position[rows])
+    return _rows(
+        problem, number, joint, position_errors(problem.recordings[number : number + 1], traces)[0][:, [joint]]
+    )
 
 
 def _share(

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 from drivers.trace import read_trace
 from schemas.diagnosis import Follows
@@ -16,12 +15,11 @@ from schemas.errors import DataError, RobotError
 from schemas.robot import load_robot
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
-from service.diagnosis.evidence.cautions import base_doubts, faults_of, limits_of, loops_of, noise_of
-from service.identification.fit import Problem, evaluate
+from service.diagnosis.evidence.cautions import base_doubts, faults_of, limits_of, noise_of
+from service.identification.fit import Problem
 from service.identification.noise import Floor
 from service.model.effects import CATALOGUE, by_name, catalogue
-from service.model.hypothesis import Hypothesis
-from tests.service.world import BASE, course, problem, stub
+from tests.service.world import stub
 
 EFFECTS = by_name(CATALOGUE)
 
@@ -79,54 +77,6 @@ def test_a_joint_reverses_and_moves_if_it_does_for_some_of_the_time(back, second
         codes = [(one.code, one.joints) for one in limits_of(motion(way * speed, SWING)).cautions]
         assert (("one_way", [1]) in codes) == one_way
         assert (("joints_at_rest", [1]) in codes) == still
-
-
-@pytest.mark.parametrize(
-    ("noise", "gain", "closed"),
-    [(0.0, 40.0, True), (0.1, 40.0, True), (0.2, 40.0, False), (0.05, 0.0, False)],
-)
-def test_a_torque_that_is_the_controllers_answer_is_told_by_its_gain(noise, gain, closed):
-    """Joint 2's is a PD controller's of its position error, but for noise of so much of it (2 % of its square may be),
-    or follows its speed alone; the others' are the robot's, of which one has no error at all."""
-    run, random = course(1, 2.0), np.random.default_rng(3)
-    error = np.asarray(lfilter([0.02], [1.0, -0.98], random.standard_normal((2000, 3)), axis=0))
-    error[:, 0] = 0.0
-    controlled = gain * (error[:, 1] + 0.0075 * np.gradient(error[:, 1], 1e-3)) + 0.5 * run.motion[1][:, 1]
-    torque = run.torque.copy()
-    made = problem([run], [run.torque])
-    smooth = made.band(np.column_stack([controlled, controlled, controlled]))
-    loud = made.band(random.standard_normal((2000, 3)))
-    torque[:, 1] = controlled + noise * smooth.std() / loud.std() * random.standard_normal(2000)
-    position = run.motion[0]
-    trace = stub(position=position, position_command=position + error)
-    logs = problem([run], [torque])
-    left = evaluate(logs, Hypothesis(BASE)).residuals
-    found = loops_of(logs, [trace], left)
-    assert list(found) == ([1] if closed else [])
-    assert loops_of(logs, [trace], [0.0 * values for values in left]) == {}, "told better by the robot's own model"
-    if closed:
-        assert found[1] == pytest.approx(gain, rel=0.05)
-    trace.position_command = None
-    assert loops_of(logs, [trace], left) == {}
-
-
-@pytest.mark.parametrize(
-    ("share", "base", "closed"), [(0.22, 9.0, True), (0.28, 9.0, False), (0.22, 0.4, True), (0.22, 0.15, False)]
-)
-def test_beside_speed_the_error_has_to_tell_three_quarters_of_the_rest(share, base, closed):
-    """Nearly all of it is a damper's torque, beside 40 N m/rad and noise that leaves so much of what those make;
-    base: mean square that the robot's own model leaves, of the noise's. A quarter of it tells more than the error."""
-    run, random = course(1, 2.0), np.random.default_rng(3)
-    error = np.asarray(lfilter([0.02], [1.0, -0.98], random.standard_normal((2000, 3)), axis=0))
-    made, noise = problem([run], [run.torque]), random.standard_normal((2000, 3))
-    size = 40.0 * made.band(error).std(axis=0) / made.band(noise).std(axis=0) * np.sqrt(share / (1 - share))
-    torque = run.torque.copy()
-    torque[:, 1] = (40.0 * error + size * noise + 300.0 * run.motion[1])[:, 1]
-    logs = problem([run], [torque])
-    trace = stub(position=run.motion[0], position_command=run.motion[0] + error)
-    level = np.sqrt(base) * (size * made.band(noise).std(axis=0) / logs.sigma)[1]
-    left = [np.full(len(rows), level) for rows in logs.joints_of_rows]
-    assert (1 in loops_of(logs, [trace], left)) is closed
 
 
 def test_what_is_said_of_the_noise_and_of_what_cannot_be():

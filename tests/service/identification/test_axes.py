@@ -186,6 +186,7 @@ def test_two_blocks_a_parameter_and_axis_are_enough(monkeypatch, seconds, enough
     monkeypatch.setattr(axes, "segments", lambda trace: [part])
     monkeypatch.setattr(axes, "thin", lambda segment: segment)
     monkeypatch.setattr(axes, "written", lambda *parts: parts[1])
+    monkeypatch.setattr(axes, "_commanded", lambda fit, traces: [])
     monkeypatch.setattr(axes, "_warnings", lambda fit, traces: [])
     made = Axes.model_validate({"name": "two", "kind": "axes", "axis": [{"gravity": False}] * 2})
     logs: list[Any] = [stub(name="a", path=Path("a.csv")), stub(name="b", path=Path("b.csv"))]

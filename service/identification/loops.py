@@ -1,0 +1,72 @@
+"""Torque that was not measured but is the controller's answer to its position error: a command."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from schemas.trace import Trace
+from service.identification.fit import Problem, solve
+from service.model.scene import Recording
+
+LOOP = 0.98  # of the torque's variance that position error and speeds explain: it is what the controller makes of them
+TOLD_BETTER = 4.0  # times what the base model leaves of the square: from there the torque is the robot's
+LOOP_ALONE = 0.25  # of what speed leaves of it that is left at most when the error is known
+
+
+def position_errors(recordings: Sequence[Recording], traces: Sequence[Trace]) -> list[np.ndarray]:
+    """(N, n) commanded minus measured position a recording, zero where there is no command; none where a trace has no
+    commands at all."""
+    errors = []
+    for recording in recordings:
+        trace, rows = traces[recording.trace], recording.segment.rows
+        if trace.position_command is None:
+            return []
+        errors.append(np.nan_to_num(trace.position_command[rows] - trace.position[rows]))
+    return errors
+
+
+def loops_of(problem: Problem, errors: Sequence[np.ndarray], plain: Sequence[np.ndarray]) -> dict[int, float]:
+    """Gain, N m/rad or N/m, of each joint (from 0) whose torque the controller makes of its position error at once.
+
+    Such a torque shows the controller: a delay, viscous friction and inertia trade places in it. One that the base
+    model tells better was measured, however directly the drives answer. errors: (N, n) a recording, of its position;
+    none where there is no command. plain: (R,) a recording, what the base model leaves.
+    """
+    if not errors:
+        return {}
+    loops, physics = {}, problem.rms(plain, [0] * len(plain))[0] ** 2
+    for joint in range(len(problem.sigma)):
+        columns, torque = [], []
+        for number, recording in enumerate(problem.recordings):
+            error = errors[number][:, joint]
+            speed = recording.segment.theta_dot[:, joint]
+            seen = np.stack([error, np.gradient(error, recording.segment.period), speed, np.ones_like(speed)], axis=1)
+            rows = problem.rows[number][:, joint]
+            columns.append(problem.band(seen)[rows])
+            torque.append(problem.target[number][rows, joint])
+        basis, wanted = np.concatenate(columns), np.concatenate(torque)
+        if len(wanted) < 50 or not np.ptp(basis[:, 0]) > 0:
+            continue
+        weight, left = _least_squares(basis, wanted)
+        _, without = _least_squares(basis[:, 2:], wanted)
+        most = min((1.0 - LOOP) * float(np.var(wanted)), TOLD_BETTER * physics[joint])
+        if left < most and left < LOOP_ALONE * without and abs(weight[0]) > 0:
+            loops[joint] = float(f"{weight[0]:.4g}")
+    return loops
+
+
+def _least_squares(basis: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, float]:
+    """Weights, and the mean square that they leave."""
+    weight = solve(basis.T @ basis, basis.T @ wanted)
+    return weight, float(np.mean((wanted - basis @ weight) ** 2))
+
+
+def told(loops: dict[int, float]) -> list[str]:
+    """What to say of them."""
+    return [
+        f"the torque of joint {joint + 1} is the controller's answer to its position error ({gain:.3g} N m per rad, or "
+        "N per m, without lag), not measured: the figures show the controller as well; log the drive's measured current"
+        for joint, gain in sorted(loops.items())
+    ]
