@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from schemas.kernels import kernel
@@ -11,9 +13,11 @@ from service.estimator.payload.change import find_change
 from service.estimator.payload.loads import prior_of
 from service.estimator.payload.scatter import part_blocks, scatter_kernel
 from service.estimator.payload.state import LEAST_TIME, LOADS, MEMORY_TIME, PRIOR_STD, STILL_TIME, TELLING_TIME, WINDOW
-from service.estimator.payload.verdict import conclude
+from service.estimator.payload.verdict import conclude, is_sure
 
 UNKNOWN = Gripper.UNKNOWN.value
+# What the model lacks is this many times the variance of the noise in what is remembered, where it forbids trust.
+MEMORY_WORTH = 4.0
 OFFSET_MEMORY = 5.0  # memory times after which nothing is left of what a turn said
 
 
@@ -65,6 +69,7 @@ def payload_kernel(settings, state):
     state.in_bin += 1
     if state.in_bin >= settings.bin_size:
         state.in_bin = 0
+        _forget_beyond_bias(state)
         onset = find_change(state)
         head = state.head = (head + 1) % WINDOW
         state.filled = min(WINDOW, state.filled + 1)
@@ -81,6 +86,32 @@ def payload_kernel(settings, state):
             if state.active > 1:
                 part_blocks(settings, state, samples)
     return conclude(settings, state)
+
+
+@kernel
+def _forget_beyond_bias(state):
+    """Noise averages out, what the model lacks does not: where that alone forbids trust, older samples add nothing, and
+    keep a change that may hide in it from showing."""
+    if state.active > 1 or is_sure(math.sqrt(state.bias), state.mass):
+        return
+    keep = MEMORY_WORTH / (state.bias * state.information[0, 0])
+    if keep >= 1.0:
+        return
+    prior = prior_of(0)
+    state.information[0, 0] = prior + (state.information[0, 0] - prior) * keep
+    state.raw_information = prior + (state.raw_information - prior) * keep
+    state.moment[0] *= keep
+    state.told *= keep
+    for a in range(departure.COUNT):
+        state.drag[0, a] *= keep
+    index = state.head
+    for _ in range(state.filled):
+        state.bin_information[index, 0, 0] *= keep
+        state.bin_moment[index, 0] *= keep
+        state.bin_told[index] *= keep
+        for a in range(departure.COUNT):
+            state.bin_drag[index, 0, a] *= keep
+        index = index - 1 if index > 0 else WINDOW - 1
 
 
 @kernel

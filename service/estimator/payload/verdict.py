@@ -20,6 +20,9 @@ EVENT_SIGMAS = 3.0  # standard deviations of now and then that a change of load 
 # A pick or release is reported once its step stands out of one standard deviation this many times, which for a heavy
 # load is well before its mass is trusted.
 CLEAR_STEP = 10.0
+# The same where most of that is what the model lacked when it was identified, which unlike noise is not drawn anew with
+# every sample.
+BIASED_STEP = 4.0
 # What the model lacks is this many times the noise: what it says of the mass is not to be used.
 FOREIGN = 12.0
 # What it lacks is so many times the noise over some seconds of motion and, what is learnt taken off, now: such a thing
@@ -28,6 +31,8 @@ LASTING, STILL_LASTING = 1.5, 3.0
 # What the model lacks over some seconds of motion comes again with every move: this share of it, brought to the
 # platform, does not average out of the mass.
 BIAS_SHARE = 0.55
+# Of a block it is all, which this much motion halves.
+BIAS_AVERAGING = 0.1  # s
 # Torque constants hold to some 5 %, and to 6 with what else of the model moves with them: two of these. Without a known
 # load nothing shows by how much a mass is off.
 TORQUE_SHARE = 0.03
@@ -59,13 +64,16 @@ def conclude(settings, state):
     worse = max(1.0, state.inflation * state.information[0, 0] / state.raw_information)
     state.shortfall *= settings.remember
     state.bias = gentle = 0.0
+    as_identified = False
     if state.leverage > 0.0:  # averages that are not full yet are judged by what is in them
         lacking = settings.model_error + max(state.excess / state.judged, (state.inflation - 1.0) / COLOUR)
         state.bias = BIAS_SHARE * BIAS_SHARE * lacking * state.judged / state.leverage
+        as_identified = lacking <= 2.0 * settings.model_error
         gained = state.raw_information - prior_of(0)
         if gained > 0.0:  # a block since the last change may tell less of the mass, in a gentle move
             lacking = max(lacking, state.scatter / state.judged - LEAST_INFLATION)
-            gentle = BIAS_SHARE * BIAS_SHARE * lacking * state.told / (settings.block_size * gained)
+            share = max(BIAS_SHARE * BIAS_SHARE, 1.0 / (1.0 + state.told * settings.period / BIAS_AVERAGING))
+            gentle = share * lacking * state.told / (settings.block_size * gained)
     std_dev = math.sqrt(worse * inverse[0, 0] + doubt + state.bias)
     known_empty = state.gripper == OPEN
     contradicted = known_empty and mass > EMPTY_SIGMAS * std_dev + SMALLEST_CHANGE
@@ -79,7 +87,7 @@ def conclude(settings, state):
     std_dev = math.hypot(std_dev, state.shortfall)
     if empty:
         std_dev = max(std_dev, (abs(mass) - SHORTFALL_FLOOR) / CONTRADICTION)
-    trusted = _is_sure(std_dev, mass) and state.inflation < FOREIGN
+    trusted = is_sure(std_dev, mass) and state.inflation < FOREIGN
     state.quiet += 1
     state.burst = max(0.0, state.burst - EVENT_RATE * settings.period)
     margin = CONTRADICTION * std_dev + CONTRADICTION_FLOOR
@@ -100,8 +108,12 @@ def conclude(settings, state):
         for a in range(departure.COUNT):
             drag[a] = 0.0
     variance = _step_variance(state, held - state.load, own)
-    if trusted or (held - state.load) ** 2 > CLEAR_STEP * CLEAR_STEP * variance:
-        event = _event(settings, state, held, own, variance, trusted)
+    least = CLEAR_STEP * CLEAR_STEP * variance
+    if as_identified and own <= 2.0 * state.bias:
+        least = min(least, BIASED_STEP * BIASED_STEP * (variance + state.load_variance))
+    refined = own < state.load_variance and (held - state.load) ** 2 < variance + state.load_variance
+    if trusted or refined or (held - state.load) ** 2 > least:
+        event = _event(settings, state, held, own, variance, trusted or refined)
     if event != PayloadEvent.NONE.value:
         state.untold = min(state.untold, LEAST_TIME)  # weighed anew
     state.mass = held
@@ -110,13 +122,13 @@ def conclude(settings, state):
         std_dev = math.sqrt(std_dev * std_dev + state.hidden + max(0.0, gentle - state.bias))
     state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
     fits = state.scatter <= LASTING * state.judged or state.inflation < STILL_LASTING
-    state.trusted = 1 if borne_out and (known_empty or (fits and _is_sure(std_dev, mass))) else 0
+    state.trusted = 1 if borne_out and (known_empty or (fits and is_sure(std_dev, mass))) else 0
     _reckon(settings, state, borne_out)
     return event
 
 
 @kernel
-def _is_sure(std_dev, mass):
+def is_sure(std_dev, mass):
     """Whether a mass is known well enough to be trusted, kg."""
     return std_dev < TRUST_SHARE * abs(mass) + TRUST_FLOOR
 

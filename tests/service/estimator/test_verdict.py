@@ -62,23 +62,22 @@ def test_the_error_of_a_mass_is_all_that_is_not_known_of_it(active, worse, exces
 
 
 @pytest.mark.parametrize(
-    ("samples", "a_block", "scatter", "lacking"),
+    ("samples", "a_block", "share", "scatter", "lacking"),
     [
-        (1000, 2499.75 / 50, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
-        (1000, 2499.75 / 50, 3.0, 3.0 / 0.6 - 0.4),  # what is beyond white noise
-        (10, 400.0 / 0.6, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
+        (1000, 2499.75 / 50, verdict.BIAS_SHARE**2, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
+        (1000, 2499.75 / 50, verdict.BIAS_SHARE**2, 3.0, 3.0 / 0.6 - 0.4),  # what is beyond white noise
+        (200, 2499.75 / 10, 1 / 3, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
+        (10, 400.0 / 0.6, verdict.BIAS_SHARE**2, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
     ],
-    ids=["gentle", "and scattering", "as ever"],
+    ids=["gentle", "and scattering", "short", "as ever"],
 )
-def test_what_the_model_lacks_counts_for_more_in_a_gentle_move(samples, a_block, scatter, lacking):
+def test_what_the_model_lacks_counts_for_more_in_a_gentle_move(samples, a_block, share, scatter, lacking):
     """Of 0.02 kg known by so many samples, blocks of 20, beside the 400/kg^2 of the moves before."""
     state = believing(2.0, 0.02, excess=0.9, judged=0.6, leverage=400.0, told=samples, scatter=scatter)
     told(state)
     events = verdict.BIAS_SHARE**2 * (SETTINGS["model_error"] + 0.9 / 0.6) * 0.6 / 400.0
     assert state["bias"] == pytest.approx(events), "what events stand out of is that of all moves"
-    assert state["std_dev"] ** 2 == pytest.approx(
-        0.02**2 + verdict.BIAS_SHARE**2 * lacking / a_block + (TORQUE_SHARE * 2.0) ** 2
-    )
+    assert state["std_dev"] ** 2 == pytest.approx(0.02**2 + share * lacking / a_block + (TORQUE_SHARE * 2.0) ** 2)
 
 
 @pytest.mark.parametrize(
@@ -122,6 +121,34 @@ def test_what_cannot_be_is_held_to_what_can_and_off_by_the_rest(mass, fields, he
     told(state)
     assert state["mass"] == pytest.approx(held)
     assert state["std_dev"] == pytest.approx(np.hypot(std_dev, TORQUE_SHARE * held))
+
+
+@pytest.mark.parametrize(
+    ("mass", "noise", "lacks", "event"),
+    [
+        (3.3, 0.3, 1.0, PICK), (3.1, 0.3, 1.0, NONE),  # four standard deviations: 3.22 kg
+        (3.3, 0.3, 1.1, NONE),  # more than was left when it was identified
+        (4.5, 0.6, 1.0, NONE),  # mostly noise
+        (-3.3, 0.3, 1.0, RELEASE),
+    ],
+)  # fmt: skip
+def test_a_step_that_stands_out_of_what_the_model_lacks_is_an_event(mass, noise, lacks, event):
+    """0.55 kg by what was left over where the robot was identified: never trusted, and told all the same."""
+    left = SETTINGS["model_error"]
+    leverage = verdict.BIAS_SHARE**2 * (1.0 + lacks) * left / 0.55**2
+    load = 0.5 if mass > 0 else 0.5 - mass
+    state = believing(load + mass, noise, excess=lacks * left, judged=1.0, leverage=leverage)
+    state["load"], state["load_variance"] = load, 0.55**2 - 0.05
+    assert told(state) == event
+    assert not state["trusted"]
+
+
+@pytest.mark.parametrize(("mass", "noise", "refined"), [(2.4, 0.4, True), (2.9, 0.4, False), (2.4, 0.61, False)])
+def test_a_load_that_is_known_better_than_at_its_event_is_told_anew(mass, noise, refined):
+    state = believing(mass, noise, load=2.0, load_variance=0.6**2)
+    assert told(state) == NONE
+    assert state["load"] == pytest.approx(mass if refined else 2.0)
+    assert state["load_variance"] == pytest.approx((noise if refined else 0.6) ** 2)
 
 
 def fallen_short(wrong, samples):

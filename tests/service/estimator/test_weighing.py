@@ -90,6 +90,32 @@ def test_every_sample_adds_what_it_says_and_the_past_fades(active):
     assert state["turning"] == (15_000 if active > 1 else 0), "samples of 5 times 3 s"
 
 
+@pytest.mark.parametrize(
+    ("bias", "fields", "keep"),
+    [
+        (0.3, {}, 4.0 / (0.3 * 50.25)),
+        (0.05, {}, 1.0),  # 50 kg^-2 is less than four times as sure
+        (0.3, {"mass": 5.2}, 1.0),  # 0.55 kg: sure enough of a mass like that
+        (0.3, {"active": LOADS, "turning": 9}, 1.0),
+    ],
+)
+def test_where_what_the_model_lacks_forbids_trust_noise_is_averaged_no_longer(bias, fields, keep):
+    """Newer samples weigh as much as they tell: the past fades, in the window of onsets too."""
+    state = fresh(bias=bias, moment=10.0, drag=2.0, raw_information=30.25, told=100.0, **fields)
+    state["information"][0, 0], state["filled"] = 50.25, 2
+    for name in ("bin_information", "bin_moment", "bin_drag", "bin_told"):
+        state[name][[0, -1]] = 1.0
+    state["in_bin"] = 1
+    rest(state)
+    fade = np.exp(-PERIOD / 3.0)
+    kept = (keep if keep == 1.0 else 4.0 / (bias * (0.25 + 50.0 * fade))) * fade
+    assert state["information"][0, 0] == pytest.approx(0.25 + 50.0 * kept)
+    assert state["raw_information"] == pytest.approx(0.25 + 30.0 * kept)
+    assert (state["moment"][0], state["drag"][0, 0], state["told"]) == pytest.approx((10 * kept, 2 * kept, 100 * kept))
+    for name in ("bin_information", "bin_moment", "bin_drag", "bin_told"):
+        assert state[name].reshape(150, -1)[[0, -1], 0] == pytest.approx(kept / fade)
+
+
 def test_a_bin_that_comes_round_again_starts_at_nothing():
     state = fresh(bin_information=1.0, bin_moment=1.0, bin_drag=1.0, head=148, filled=149)
     rest(state, 2)
