@@ -18,9 +18,10 @@ from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.evidence.follows import follows
 from service.diagnosis.evidence.unseen import kept_out
 from service.diagnosis.findings import Findings
+from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.exchange import exchanged
 from service.diagnosis.fit.orders import more_orders
-from service.diagnosis.fit.selection import FAR_ABOVE, Regressors, Scored, Selection, score, search
+from service.diagnosis.fit.selection import FAR_ABOVE, Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import Split

@@ -4,8 +4,9 @@ from service.diagnosis import diagnose
 from service.diagnosis.documents import document
 from service.diagnosis.evidence import cautions, statistics, where
 from service.diagnosis.evidence import rivals as evidence
-from service.diagnosis.fit import selection
-from service.diagnosis.fit.selection import Candidate, Dictionary, Regressors, Scored, Selection
+from service.diagnosis.fit import candidates, selection
+from service.diagnosis.fit.candidates import Candidate, Dictionary, Regressors
+from service.diagnosis.fit.selection import Scored, Selection
 from service.identification import events, noise
 from service.identification.fit import Fit, Problem, evaluate, fit, solve
 from service.identification.folds import Split
@@ -46,6 +47,7 @@ __all__ = [
     "Split",
     "Term",
     "added",
+    "candidates",
     "cautions",
     "delayed",
     "described",

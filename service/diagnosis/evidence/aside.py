@@ -15,18 +15,18 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from schemas.diagnosis import Caution
-from service.diagnosis.fit.selection import (
+from service.diagnosis.fit.candidates import Regressors
+from service.diagnosis.fit.selection import (  # fmt: skip
     FAR_ABOVE,
     LEAST_GAIN,
     LEAST_Z,
     MOST_EFFECTS,
-    Regressors,
     Scored,
     Selection,
     additions,
     score,
     z_score,
-)  # fmt: skip
+)
 from service.identification.fit import Problem, fit
 from service.identification.folds import Split
 from service.model.effects.base import Effect

@@ -14,7 +14,8 @@ import numpy as np
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence import rivals, statistics
 from service.diagnosis.evidence.unseen import without_events
-from service.diagnosis.fit.selection import LEAST_GAIN, Regressors, Scored, Selection, without
+from service.diagnosis.fit.candidates import Regressors
+from service.diagnosis.fit.selection import LEAST_GAIN, Scored, Selection, without
 from service.identification.events import events_of
 from service.identification.fit import Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.diagnosis.fit.candidates import Dictionary, Regressors
 from service.diagnosis.fit.selection import (
     LEAST_GAIN,
     SHORTLIST,
     SIMPLER_SHARE,
-    Dictionary,
-    Regressors,
     Scored,
     Selection,
     Standing,

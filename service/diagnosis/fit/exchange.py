@@ -10,13 +10,11 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+from service.diagnosis.fit.candidates import Candidate, Dictionary, Regressors
 from service.diagnosis.fit.selection import (
     LEAST_GAIN,
     MOST_EFFECTS,
     SHORTLIST,
-    Candidate,
-    Dictionary,
-    Regressors,
     Scored,
     Selection,
     fit_added,

@@ -1,31 +1,23 @@
 """Which effects: forward selection on held-out prediction, every parameter refitted each time, with a backward check.
 
-A dictionary of candidate regressors (every effect, joint and point of its grid) is turned into normal equations once a
-step, one Gram matrix a fold; leaving a fold out, adding any candidate and predicting what was left out then costs a
-small linear solve. The best few are fitted exactly, nonlinear parameters included, before one is believed.
+The best few of the candidates are fitted exactly, nonlinear parameters included, before one is believed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from copy import copy
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import chain, combinations, groupby, pairwise
-from operator import itemgetter
-from typing import NamedTuple
 
 import numpy as np
 
+from service.diagnosis.fit.candidates import JOINT_SHARE, Dictionary, Regressors
 from service.diagnosis.fit.sound import Fault, fault_of
-from service.identification.fit import THREADS, Fit, Problem, fit, solve, within
+from service.identification.fit import Fit, Problem, fit
 from service.identification.folds import Split, block_loss, held_out
-from service.model.effects.base import Effect, on_joint
+from service.model.effects.base import Effect
 from service.model.hypothesis import Hypothesis, Term
-from service.model.scene import Scene
-from service.model.torque import reported
 
 SHORTLIST = 5  # candidates fitted exactly a step
-COUPLES = 40  # pairs of effects asked on data left out
 MOST_EFFECTS = 4
 # What an effect has to be worth on data left out, as a fall of the mean square in units of the noise:
 LEAST_GAIN = 0.03  # 1.5 % of the noise floor's rms
@@ -39,22 +31,7 @@ TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
 ROUGH_PROMISE = 0.7  # of the cost: a rough effect that does not get below it is not refined
 ROUGH_STEPS = (0.88, 1.13, 0.94, 1.06, 0.97, 1.03)  # factors tried on its nonlinear parameters, where slopes mislead
 SPREAD_GAIN = 40.0  # squared residual, in units of the noise, that nonlinear parameters of their own must be worth
-ROUGH_JOINT_SHARE = 0.3  # the same where the grid only comes near
 FAR_ABOVE = 2.0  # times the noise, from which what is left is a cause of its own
-JOINT_SHARE = 0.05  # an effect on all joints must beat the one on a single joint by this share of its gain
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One way an effect may be at work: where, and at which point of its grid."""
-
-    effect: Effect
-    joints: tuple[int, ...]
-    nonlinear: tuple[float, ...]
-
-    def term(self) -> Term:
-        """At amplitude zero."""
-        return Term.blank(self.effect, self.joints, self.nonlinear)
 
 
 @dataclass(frozen=True)
@@ -85,251 +62,6 @@ def score(fitted: Fit, split: Split) -> Scored:
     """Held-out residuals of a fit."""
     residuals = held_out(fitted, split)
     return Scored(fitted, residuals, block_loss(residuals, split))
-
-
-class Piece(NamedTuple):
-    """What a recording has of a joint in a fold. rows: among its (R,). columns: (r, C_j) of the candidates that reach
-    the joint, in units of the noise, as they weigh."""
-
-    fold: int
-    joint: int
-    recording: int
-    rows: np.ndarray | slice
-    columns: np.ndarray
-
-
-class Regressors:
-    """All candidates' regressors in the band, kept from round to round: only a delay or a filter of the torque alters
-    them so much that it would show in the ranking.
-
-    start: what is known before any of them is added. low: (C,) least that each amplitude can be. reach: of each joint
-    the candidates (C_j,) that add torque to it: most are of one joint alone.
-    """
-
-    def __init__(self, problem: Problem, split: Split, effects: Iterable[Effect], start: Hypothesis):
-        self.problem, self.split, self.start = problem, split, start
-        self.effects = [e for e in effects if problem.recordings[0].mechanism.kind in e.kinds]
-        self.index: dict[tuple[Effect, int, tuple[float, ...]], np.ndarray] = {}
-        scenes, low = problem.scenes(start), []
-        joints = range(scenes[0].joints)
-        reach: list[list[int]] = [[] for _ in joints]
-        for effect in self.effects:
-            grid = dict.fromkeys(point for scene in scenes for point in effect.grid(scene))
-            for joint in joints if effect.per_joint else (0,):
-                for nonlinear in grid:
-                    own = [amplitude.low for amplitude in effect.amplitudes.values()] or [0.0]
-                    self.index[effect, joint, nonlinear] = len(low) + np.arange(len(own))
-                    for place in (joint,) if effect.own_joint else joints:
-                        reach[place] += range(len(low), len(low) + len(own))
-                    low += own
-        self.low, self.reach = np.array(low), [np.array(numbers, int) for numbers in reach]
-        self.seen: list[Effect] | None = None
-        self.pieces: list[Piece] = []
-        self.grams: list[np.ndarray] = []
-
-    def along(self, hypothesis: Hypothesis) -> None:
-        """Fill pieces, and grams, (C, C) a fold, as `hypothesis` sees them."""
-        bent = [term.effect for term in hypothesis.terms if term.effect.measured and not term.effect.amplitudes]
-        if bent == self.seen:
-            return
-        self.seen = bent
-        scenes = self.problem.scenes(hypothesis)
-        found = THREADS.map(lambda n, scene: self._pieces(n, scene, hypothesis), range(len(scenes)), scenes)
-        self.pieces = list(chain.from_iterable(found))
-        self.grams = self._grams()
-
-    def weighing(self, problem: Problem) -> Regressors:
-        """The same where rows that weighed alike weigh as in `problem`."""
-        other = copy(self)
-        other.problem = problem
-        weights = [problem.pick(number, weights) for number, weights in enumerate(problem.weights)]
-        other.pieces = [p._replace(columns=p.columns * weights[p.recording][p.rows, None]) for p in self.pieces]
-        other.grams = other._grams()
-        return other
-
-    def _grams(self) -> list[np.ndarray]:
-        grams = [np.zeros((len(self.low), len(self.low))) for _ in range(self.split.folds)]
-        for piece in self.pieces:
-            grams[piece.fold][np.ix_(self.reach[piece.joint], self.reach[piece.joint])] += (
-                piece.columns.T @ piece.columns
-            )
-        return grams
-
-    def _pieces(self, number: int, scene: Scene, hypothesis: Hypothesis) -> Iterator[Piece]:
-        """Of a recording; an effect is filtered in one go."""
-        problem, joints = self.problem, range(scene.joints)
-        parts: list[list[np.ndarray]] = [[] for _ in joints]
-        for effect, keys in groupby(self.index, key=itemgetter(0)):
-            places = [
-                (joint, _columns(scene, hypothesis, effect, joint, [point for *_, point in points]))
-                for joint, points in groupby(keys, key=itemgetter(1))
-            ]
-            band = problem.band(np.concatenate([values for _, values in places], axis=-1))
-            owner = np.concatenate([np.full(values.shape[-1], joint) for joint, values in places])
-            for joint in joints:
-                mine = band[:, owner == joint] if effect.own_joint else band[:, joint]
-                parts[joint].append(problem.of_joint(number, joint, mine))
-        ends = np.cumsum([0, *problem.rows[number].sum(axis=0)])
-        for joint, (start, end) in enumerate(pairwise(ends)):
-            columns, fold = np.concatenate(parts[joint], axis=1), self.split.fold[number][start:end]
-            for one in np.unique(fold):
-                mine = fold == one
-                rows = slice(start, end) if mine.all() else start + np.flatnonzero(mine)
-                yield Piece(int(one), joint, number, rows, columns if mine.all() else columns[mine])
-
-
-def _columns(
-    scene: Scene, hypothesis: Hypothesis, effect: Effect, joint: int, grid: Sequence[tuple[float, ...]]
-) -> np.ndarray:
-    """As reported: (N, K) on its own joint, (N, n, K) of an effect that reaches others."""
-    values = effect.columns(scene, joint, grid)
-    if not effect.own_joint:
-        return reported(scene, hypothesis, values)
-    if not any(term.effect.measured for term in hypothesis.terms):
-        return values
-    return reported(scene, hypothesis, on_joint(values, joint, scene.joints))[:, joint]
-
-
-class Dictionary:
-    """Normal equations of the present hypothesis's tangents, every candidate's regressors, and the residual."""
-
-    def __init__(self, regressors: Regressors, fitted: Fit):
-        regressors.along(fitted.hypothesis)
-        self.index, self.effects, self.low = regressors.index, regressors.effects, regressors.low
-        own, folds = fitted.moving, regressors.split.folds
-        self.own = own[0].shape[1]
-        near = [np.concatenate([m, r[:, None]], axis=1) for m, r in zip(own, fitted.residuals, strict=True)]
-        nears = np.zeros((folds, self.own + 1, self.own + 1))
-        crosses = np.zeros((folds, self.own + 1, len(self.low)))
-        for fold, joint, recording, rows, columns in regressors.pieces:
-            mine = near[recording][rows]
-            nears[fold] += mine.T @ mine
-            crosses[fold][:, regressors.reach[joint]] += mine.T @ columns
-        whole = zip(nears, crosses, regressors.grams, strict=True)
-        self._reduce(np.stack([_assembled(self.own, *parts) for parts in whole]))
-
-    def _reduce(self, grams: np.ndarray) -> None:
-        """Project the hypothesis's own tangents out of everything, a fold left out at a time."""
-        own, train = self.own, grams.sum(axis=0) - grams
-        map_ = solve(train[:, :own, :own], train[:, :own, own:])
-        across = np.swapaxes(map_, 1, 2)
-        self.training = train[:, own:, own:] - train[:, own:, :own] @ map_
-        cross = grams[:, own:, :own] @ map_
-        self.left_out = grams[:, own:, own:] - cross - np.swapaxes(cross, 1, 2) + across @ grams[:, :own, :own] @ map_
-        known = np.diag(self.training.sum(axis=0))[:-1] <= 1e-9 * np.diag(grams.sum(axis=0))[own:-1]
-        self.training[:, :-1][:, known] = self.training[:, :, :-1][:, :, known] = 0.0  # to rounding a sum of its own
-        self.nothing = float(self.left_out[:, -1, -1].sum())
-
-    def losses(self, several: Sequence[Sequence[Candidate]]) -> np.ndarray:
-        """Squared residual on the folds left out, with some candidates added inside their limits; for many such."""
-        result = np.empty(len(several))
-        for members, chosen in _alike([self._columns(*candidates) for candidates in several]):
-            weight = within(_among(self.training, chosen), self.training[:, chosen, -1], self.low[chosen], np.inf)
-            product = (_among(self.left_out, chosen) @ weight[..., None])[..., 0]
-            result[members] = self.nothing + np.sum(weight * (product - 2 * self.left_out[:, chosen, -1]), axis=(0, 2))
-        return result
-
-    def ranking(
-        self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
-    ) -> list[tuple[float, Candidate]]:
-        """The best candidate of every effect, best first. An effect at work is not offered on its own joints again."""
-        result = []
-        for scored in self._options(taken, joints, allows).values():
-            found = _prefer_single(scored, self.nothing)
-            if len(found[1].joints) > 1 and self._dead(found[1]):  # the others make up for what one cannot be
-                found = min((item for item in scored if len(item[1].joints) == 1), key=lambda item: item[0])
-            result.append(found)
-        return sorted(result, key=lambda item: item[0])
-
-    def couples(
-        self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
-    ) -> list[tuple[float, tuple[Candidate, Candidate]]]:
-        """Two effects at once, those that promise most, best first."""
-        every = [candidate for scored in self._options(taken, joints, allows).values() for _, candidate in scored]
-        own = [self._columns(candidate) for candidate in every]
-        pairs = [(a, b) for a, b in combinations(range(len(every)), 2) if every[a].effect is not every[b].effect]
-        total, rough = self.left_out.sum(axis=0), np.empty(len(pairs))
-        for members, chosen in _alike([own[a] + own[b] for a, b in pairs]):
-            moment = total[chosen, -1]
-            gain = np.sum(moment * solve(_among(total, chosen), moment), axis=1)
-            rough[members] = 2.0 * chosen.shape[1] - gain
-        best = [(every[a], every[b]) for a, b in (pairs[place] for place in np.argsort(rough, kind="stable")[:COUPLES])]
-        return sorted(zip(self.losses(best).tolist(), best, strict=True), key=itemgetter(0))
-
-    def _options(
-        self, taken: Iterable[Term], joints: int, allows: Callable[[Effect, int], bool]
-    ) -> dict[Effect, list[tuple[float, Candidate]]]:
-        """Where each effect may sit, with the point of its grid that does best there."""
-        busy = {(term.effect, place) for term in taken for place in term.places}
-        grids: dict[Effect, set[tuple[float, ...]]] = {}
-        for effect, _, nonlinear in self.index:
-            grids.setdefault(effect, set()).add(nonlinear)
-        places: list[list[Candidate]] = []
-        for effect in self.effects:
-            options: list[tuple[int, ...]] = [(joint,) for joint in range(joints)] if effect.per_joint else [()]
-            options = [
-                option
-                for option in options
-                if not any((effect, place) in busy or not allows(effect, place) for place in option or (0,))
-            ]
-            if effect.per_joint and len(options) == joints > 1:
-                options.append(tuple(range(joints)))
-            places += [[Candidate(effect, option, point) for point in grids[effect]] for option in options]
-        losses = iter(self.losses([(candidate,) for grid in places for candidate in grid]).tolist())
-        result: dict[Effect, list[tuple[float, Candidate]]] = {}
-        for grid in places:
-            scored = [(next(losses) + 2.0 * len(self._columns(candidate)), candidate) for candidate in grid]
-            result.setdefault(grid[0].effect, []).append(min(scored, key=itemgetter(0)))
-        return result
-
-    def _dead(self, candidate: Candidate) -> bool:
-        """Whether all data together leave nothing of an effect on one of its joints."""
-        total = np.sum(self.left_out, axis=0)
-        chosen = [self.index[candidate.effect, joint, candidate.nonlinear] for joint in candidate.joints]
-        every = np.concatenate(chosen)
-        low = self.low[every]
-        weight = within(total[np.ix_(every, every)], total[every, -1], low, np.inf)
-        parts = np.split(np.isfinite(low) & (weight <= low), len(chosen))
-        bounded = np.split(np.isfinite(low), len(chosen))
-        return any(b.any() and part[b].all() for part, b in zip(parts, bounded, strict=True))
-
-    def _columns(self, *candidates: Candidate) -> list[int]:
-        sits = [(c.effect, joint, c.nonlinear) for c in candidates for joint in c.joints or (0,)]
-        return list(chain.from_iterable(self.index[where] for where in sits))
-
-
-def _alike(columns: Sequence[list[int]]) -> Iterator[tuple[list[int], np.ndarray]]:
-    """Those of as many columns: their places, and their columns (G, k)."""
-    for size in sorted(set(map(len, columns))):
-        members = [place for place, mine in enumerate(columns) if len(mine) == size]
-        yield members, np.array([columns[place] for place in members], int)
-
-
-def _among(grams: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """(..., G, k, k) of Gram matrices (..., C, C): each row of columns chosen (G, k) among themselves."""
-    return grams[..., chosen[:, :, None], chosen[:, None, :]]
-
-
-def _assembled(own: int, near: np.ndarray, cross: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """One Gram matrix, in the order own tangents, candidates, residual. near: of the first and the last."""
-    size = own + len(columns) + 1
-    gram = np.empty((size, size))
-    ends = np.r_[0:own, size - 1]
-    gram[np.ix_(ends, ends)] = near
-    gram[ends, own:-1] = cross
-    gram[own:-1, ends] = cross.T
-    gram[own:-1, own:-1] = columns
-    return gram
-
-
-def _prefer_single(scored: list[tuple[float, Candidate]], nothing: float) -> tuple[float, Candidate]:
-    best = min(scored, key=lambda item: item[0])
-    single = [item for item in scored if len(item[1].joints) <= 1]
-    if not single:
-        return best
-    best_single = min(single, key=lambda item: item[0])
-    share = ROUGH_JOINT_SHARE if best[1].effect.rough else JOINT_SHARE
-    return best_single if best_single[0] - best[0] < share * (nothing - best[0]) else best
 
 
 def z_score(worse: np.ndarray, better: np.ndarray) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.service.subject import EFFECTS, Hypothesis, Term, selection
+from tests.service.subject import EFFECTS, Hypothesis, Term, candidates, selection
 from tests.service.world import BASE, stub
 
 BLOCKS = 50
@@ -63,7 +63,7 @@ def test_an_effect_on_all_joints_has_to_gain_by_the_others(rough, lacks, single)
     effect = stub(rough=rough)
     every, one, other = (stub(joints=joints, effect=effect) for joints in ((0, 1), (1,), (0,)))
     scored = [(50.0, every), (50.0 + lacks * 50.0, one), (99.0, other)]
-    assert selection._prefer_single(scored, 100.0)[1] is (one if single else every)
+    assert candidates._prefer_single(scored, 100.0)[1] is (one if single else every)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_an_effect_is_dead_on_a_joint_that_would_want_less_than_none_of_it(low, 
         grams.append(whole.T @ whole)
     index = {("effect", joint, ()): np.arange(joint * size, (joint + 1) * size) for joint in (0, 1)}
     dictionary = stub(left_out=grams, index=index, low=np.array(low))
-    assert selection.Dictionary._dead(dictionary, stub(effect="effect", joints=(0, 1), nonlinear=())) is dead
+    assert candidates.Dictionary._dead(dictionary, stub(effect="effect", joints=(0, 1), nonlinear=())) is dead
 
 
 @pytest.mark.parametrize(("dead", "joints"), [((), (0, 1)), ((0, 1), (1,))])
@@ -102,7 +102,7 @@ def test_an_effect_that_is_dead_on_a_joint_is_offered_on_the_one_joint_that_want
         nothing=100.0, _options=lambda *asked: {"other": other, "spread": spread},
         _dead=lambda candidate: candidate.joints == dead,
     )  # fmt: skip
-    found = selection.Dictionary.ranking(dictionary, (), 2, lambda *asked: True)
+    found = candidates.Dictionary.ranking(dictionary, (), 2, lambda *asked: True)
     assert [candidate.joints for _, candidate in found] == ([(0,), joints] if dead else [joints, (0,)])
 
 

@@ -8,7 +8,7 @@ import pytest
 from service.diagnosis.evidence.earned import earned
 from service.diagnosis.fit.exchange import exchanged
 from tests.service.injected import INJECTED, reports
-from tests.service.subject import CATALOGUE, EFFECTS, Hypothesis, Split, selection
+from tests.service.subject import CATALOGUE, EFFECTS, Hypothesis, Split, candidates, selection
 from tests.service.world import BASE, course, problem
 
 SECONDS, NOISE, SCALE = 3.0, 0.2, 1.04
@@ -16,7 +16,7 @@ LIMIT = 1.06  # rms in units of the noise
 
 
 @pytest.fixture(scope="module")
-def wrong_gear() -> tuple[selection.Regressors, selection.Selection]:
+def wrong_gear() -> tuple[candidates.Regressors, selection.Selection]:
     """Another gear ratio than was entered on joint 2: its angle and its torque are scaled."""
     runs, random = [course(seed, SECONDS) for seed in (1, 2, 3)], np.random.default_rng(7)
     torques = [reports("angle_scale", seed, SECONDS).copy() for seed in (1, 2, 3)]
@@ -25,11 +25,11 @@ def wrong_gear() -> tuple[selection.Regressors, selection.Selection]:
         torque += NOISE * random.standard_normal(torque.shape)
     logs = problem(runs, torques, NOISE)
     rivals = [effect for effect in CATALOGUE if not effect.rough]
-    regressors = selection.Regressors(logs, Split.of(logs), rivals, Hypothesis(BASE))
+    regressors = candidates.Regressors(logs, Split.of(logs), rivals, Hypothesis(BASE))
     return regressors, selection.search(regressors, lambda _: None)
 
 
-def told(wrong_gear: tuple[selection.Regressors, selection.Selection], limit: float) -> selection.Selection:
+def told(wrong_gear: tuple[candidates.Regressors, selection.Selection], limit: float) -> selection.Selection:
     return exchanged(*wrong_gear, limit, lambda effect, joint: True, lambda _: None)
 
 

@@ -17,6 +17,7 @@ from tests.service.subject import (
     Regressors,
     Scene,
     Split,
+    candidates,
     evaluate,
     fit,
     on_joint,
@@ -157,7 +158,7 @@ def test_what_the_hypothesis_already_has_is_nothing_new():
     regressors = stub(
         along=lambda hypothesis: None, index={(again, 0, ()): np.array([0]), (other, 0, ()): np.array([1])},
         effects=[again, other], low=np.full(2, -np.inf), split=split, reach=[np.arange(2)],
-        pieces=[selection.Piece(fold, 0, fold, slice(None), part) for fold, part in enumerate(columns)],
+        pieces=[candidates.Piece(fold, 0, fold, slice(None), part) for fold, part in enumerate(columns)],
         grams=[part.T @ part for part in columns],
     )  # fmt: skip
     dictionary = Dictionary(regressors, stub(hypothesis=None, moving=own, residuals=target))
