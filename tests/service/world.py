@@ -92,9 +92,9 @@ def segment(course: Course, torque: np.ndarray | None = None, start: float = 0.0
     return Segment(np.arange(count), course.time + start, PERIOD, *course.motion, values, moving)
 
 
-def scene(course: Course, base: Base = BASE, start: float = 0.0) -> Scene:
+def scene(course: Course, base: Base = BASE, start: float = 0.0, robot: Robot = ROBOT) -> Scene:
     """A course as effects see it."""
-    return Scene(Recording(segment(course, start=start), Delta.of(ROBOT), 0, "course"), base)
+    return Scene(Recording(segment(course, start=start), Delta.of(robot), 0, "course"), base)
 
 
 def problem(

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import pytest
 
 from drivers.plant.mechanism import Design, build, close, dependence, required_torque
+from schemas.errors import PoseError
 from service.model import kinematics
 from service.model.dynamics import torque_terms
 from service.model.forward import bias_kernel, forward_dynamics, mass_kernel
@@ -32,6 +34,12 @@ def test_it_turns_the_inverse_dynamics_round():
     np.testing.assert_allclose(found, theta_ddot, atol=1e-9)
     np.testing.assert_array_equal(mass, np.swapaxes(mass, 1, 2))
     assert (np.linalg.eigvalsh(mass) > 0).all()
+
+
+def test_angles_that_are_no_pose_are_named():
+    theta = np.array([[0.3, 0.3, 0.3], [3.1, 0.0, 0.0]])
+    with pytest.raises(PoseError, match=r"unreachable pose \(3\.1, 0, 0\) rad in row 1"):
+        forward_dynamics(pack(ROBOT), BASE.rigid, theta, np.zeros((2, 3)), np.zeros((2, 3)))
 
 
 def test_what_is_carried_weighs_as_a_heavier_platform():

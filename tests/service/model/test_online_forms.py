@@ -14,10 +14,11 @@ from service.model.kinematics import POSE
 from service.model.nominal import record_of
 from tests.service.injected import INJECTED
 from tests.service.subject import EFFECTS, added
-from tests.service.world import PERIOD, course, scene, stub
+from tests.service.world import PERIOD, ROBOT, course, scene, stub
 
 ONLINE = [name for name, effect in EFFECTS.items() if effect.online is not None]
 EVERY = 23  # samples
+LEANING = ROBOT.model_copy(update={"gravity_mps2": (2.0, -3.5, -9.0)})  # no component stands for another
 
 
 def test_what_needs_the_past_or_the_measurement_alone_has_no_online_form():
@@ -32,7 +33,7 @@ def test_what_needs_the_past_or_the_measurement_alone_has_no_online_form():
 
 @pytest.mark.parametrize("name", ONLINE)
 def test_the_online_torque_is_the_offline_one(name):
-    here = scene(course(1, 1.0))
+    here = scene(course(1, 1.0), robot=LEANING)
     injected, effect = INJECTED[name], EFFECTS[name]
     arms, motion, model = here.arms, here.segment, here.delta.model
     # an even power of a speed, whole cycles of a turn: not what a sign or a slip shows at
