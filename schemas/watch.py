@@ -9,7 +9,7 @@ from pydantic import Field
 from schemas.diagnosis import Diagnosis, DocumentPart
 
 
-class Finding(DocumentPart):
+class WatchFinding(DocumentPart):
     """What has changed in a robot: since when, where, which effect, how much.
 
     since_s: s of bus time, 1970 where the bus keeps that. joints: from 1, in which the gap has risen. before_nm,

@@ -33,7 +33,7 @@ class Setpoints:
         return len(self.position)
 
 
-class Course:
+class SetpointPlan:
     """A motion between two pauses, with room before it for the way from where the drives hold to its start.
 
     Made before they are in operation: copying an hour of motion takes longer than their watchdogs wait.

@@ -51,7 +51,7 @@ STRING = RosType(
 )
 
 
-class Scene:
+class ViewerScene:
     """What a viewer has to be told of `robot`. topics: the name of each topic and what its messages are."""
 
     def __init__(self, robot: Robot) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.bus import Bus
 from drivers.inbox import sending
-from drivers.view.scene import Scene
+from drivers.view.scene import ViewerScene
 from schemas.errors import BusError
 from schemas.keys import topic_name
 from schemas.messages import TOPICS
@@ -45,7 +45,7 @@ class LiveView:
         self._channels = {
             topic: channel(topic_name(robot.name, topic), ros_type(message)) for topic, message in TOPICS.items()
         }
-        self._scene, self._shape_at = Scene(robot), 0
+        self._scene, self._shape_at = ViewerScene(robot), 0
         self._drawn = {name: channel(name, kind) for name, kind in self._scene.topics.items()}
         self.shown = 0
         try:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from service.feedforward import InCycle, OverBus
 
 
-class Source(enum.StrEnum):
+class FeedforwardOrigin(enum.StrEnum):
     """Where tau_FF comes from."""
 
     CYCLE = "cycle"
@@ -32,12 +32,12 @@ def command(
     interface: Annotated[str, typer.Argument(metavar="INTERFACE", help="Ethernet interface that the drives hang on.")],
     robot: Annotated[Path, robot_file(" with its drives and their process data.")],
     feedforward: Annotated[
-        Source,
+        FeedforwardOrigin,
         typer.Option(
             help="The estimator inside the cycle; one that runs elsewhere, over Zenoh (`deltatwin estimate`, fed by "
             "`deltatwin tap`); or no torque offset."
         ),
-    ] = Source.CYCLE,
+    ] = FeedforwardOrigin.CYCLE,
     rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second (Hz).")] = 1000.0,
     motion: Annotated[
         Path | None,
@@ -76,7 +76,7 @@ def command(
 
     from drivers.bus import Bus, open_bus
     from drivers.ethercat.report import Report
-    from drivers.ethercat.setpoints import Course
+    from drivers.ethercat.setpoints import SetpointPlan
     from drivers.health import Health
     from drivers.motion import Planner
     from replay.clock import wait_until
@@ -100,12 +100,12 @@ def command(
         from drivers.motion_file import read_motion
 
         planned = read_motion(motion, description, planner)
-    course = Course(planned, description.geometry.joint_range_rad)
+    course = SetpointPlan(planned, description.geometry.joint_range_rad)
     sent = np.zeros(len(course), np.int64)
     with ExitStack() as stack:
         show = stack.enter_context(counting(f"master {interface}", len(planned)))
         torque: InCycle | OverBus | None = None
-        if feedforward is Source.CYCLE:
+        if feedforward is FeedforwardOrigin.CYCLE:
             torque = InCycle(Estimator(description, period))
         standing = go_realtime("master")
         bus: Bus | None = None
@@ -114,10 +114,10 @@ def command(
             bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config, insecure, ros_domain))
             health = stack.enter_context(Health(bus, standing))
         except BusError as error:
-            if feedforward is Source.BUS or zenoh_config is not None or isinstance(error, RoleTakenError):
+            if feedforward is FeedforwardOrigin.BUS or zenoh_config is not None or isinstance(error, RoleTakenError):
                 raise  # two masters would fight for the drives
             typer.echo(f"master: {error}; runs on, its health is not heard", err=True)
-        if feedforward is Source.BUS and bus:
+        if feedforward is FeedforwardOrigin.BUS and bus:
             torque = OverBus(bus, peak, period)
         done, interrupted = 0, False
         with Master(interface, description, period, wait_until) as master:

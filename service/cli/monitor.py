@@ -38,7 +38,7 @@ def command(
     import datetime
 
     from drivers.bus import open_bus, running
-    from drivers.view.scene import Scene
+    from drivers.view.scene import ViewerScene
     from replay.realtime import PRIORITY, go_realtime
     from schemas.errors import StorageError
     from schemas.files import check_folder
@@ -55,7 +55,7 @@ def command(
     if path.exists():
         raise StorageError(f"{path}: exists already; give another name with --out")
     check_folder(path.parent)  # before anything runs: a monitor that cannot record has nothing to do
-    scene, stopped = Scene(description), stop_requested()
+    scene, stopped = ViewerScene(description), stop_requested()
     with counting(f"monitor {name}", 0) as show:
         standing = go_realtime("monitor", PRIORITY - 10)  # below those whose work it watches
         with open_bus(name, Role.MONITOR, zenoh_config, insecure, ros_domain) as bus:

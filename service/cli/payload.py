@@ -14,7 +14,7 @@ from service.cli.reading import reading
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from service.identification.payload import Level, PayloadHistory, Score
+    from service.identification.payload import MassLevel, PayloadHistory, Score
 
 
 def command(
@@ -80,7 +80,7 @@ def _write(found: PayloadHistory, path: Path) -> None:
         np.savetxt(partial, columns, ("%.6f", "%.5f", "%.5f", "%d", "%d"), ",", header=header, comments="")
 
 
-def _found(name: str, seen: list[Level]) -> Table:
+def _found(name: str, seen: list[MassLevel]) -> Table:
     head = ("seen at, s", "until, s", "what", "mass, kg", "std dev, kg", "trusted")
     rows = [
         (f"{one.begin:.3f}", f"{one.end:.3f}", one.event.name.lower(), f"{one.mass:.3f}", f"{one.std_dev:.3f}",

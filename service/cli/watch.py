@@ -51,7 +51,7 @@ def command(
     from schemas.robot import load_robot
     from service.cli.reading import reading
     from service.stopping import stop_requested
-    from service.watch.node import Examination, Node, run
+    from service.watch.node import Examination, WatchNode, run
     from service.watch.watch import Patience, Watch
 
     description = load_robot(robot, effects)
@@ -74,6 +74,6 @@ def command(
     os.nice(10)  # nobody steers by it
     with open_bus(description.name, Role.WATCH, zenoh_config, insecure) as bus:
         typer.echo(f"watching {description.name}; findings go to {folder}; Ctrl-C ends it", err=True)
-        node = Node(watch, bus, partial(Examination, robot, effects, folder), partial(print, flush=True))
+        node = WatchNode(watch, bus, partial(Examination, robot, effects, folder), partial(print, flush=True))
         run(node, stopped)
     typer.echo(f"watch: stopped; {node.counts()['received']} samples, {node.counts()['lost']} lost", err=True)

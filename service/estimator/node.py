@@ -26,7 +26,7 @@ PERIOD_AGREES = 0.01  # relative, of two readings in a row: what garbage among t
 _INVALID = int(SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE | SampleFlag.JUMP)
 
 
-class Node:
+class EstimatorNode:
     """One estimator behind one bus; `step` does what came in since the last call."""
 
     def __init__(self, robot: Robot, bus: Bus, flags: HealthFlag, keeper: Keeper | None = None) -> None:
@@ -192,7 +192,7 @@ def run(
     Raises:
         StorageError: what was learnt cannot be kept.
     """
-    node = Node(robot, bus, flags, keeper)
+    node = EstimatorNode(robot, bus, flags, keeper)
     with node.health:
         try:
             while not stopped():

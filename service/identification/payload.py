@@ -64,7 +64,7 @@ class Pick:
 
 
 @dataclass(frozen=True)
-class Level:
+class MassLevel:
     """What hangs on the platform from one event to the next: begin, end s, mass and standard deviation kg, the share of
     that time in which it was trusted, and the event that it begins with."""
 
@@ -193,7 +193,7 @@ def picks(found: Weighed) -> list[Pick]:
     return result
 
 
-def levels(found: Weighed) -> list[Level]:
+def levels(found: Weighed) -> list[MassLevel]:
     """Every level that the estimator saw; its figures are those of its later half."""
     starts = np.flatnonzero(found.event != PayloadEvent.NONE)
     result = []
@@ -201,7 +201,7 @@ def levels(found: Weighed) -> list[Level]:
         last = int(stop) - 1
         late = slice(start + (stop - start) // 2, stop)  # when most is known of it
         result.append(
-            Level(
+            MassLevel(
                 begin=float(found.time[start]),
                 end=float(found.time[last]),
                 mass=float(np.median(found.mass[late])),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.trace.bag import BagWriter
-from drivers.view.scene import Scene
+from drivers.view.scene import ViewerScene
 from schemas.errors import StorageError
 from schemas.keys import topic_name
 from schemas.messages import TOPICS, stamp_ns
@@ -28,7 +28,7 @@ class RecordingWriter:
     What `flush` has returned from survives the death of the process; a file without its end is repaired by `recover`.
     """
 
-    def __init__(self, path: Path, robot: str, scene: Scene | None = None) -> None:
+    def __init__(self, path: Path, robot: str, scene: ViewerScene | None = None) -> None:
         """scene: of the robot, drawn every `DRAW_NS`.
 
         Raises:
@@ -79,7 +79,7 @@ class RecordingWriter:
                 self._draw(self._scene, records[-1], int(log_ns[-1]), max(int(publish_ns[-1]), 0))
         self.written += len(records)
 
-    def _draw(self, scene: Scene, sample: np.void, log_ns: int, publish_ns: int) -> None:
+    def _draw(self, scene: ViewerScene, sample: np.void, log_ns: int, publish_ns: int) -> None:
         if log_ns >= self._shape_at:
             self._shape_at = log_ns + SHAPE_NS
             self._bag.add_message(*scene.shapes(), log_ns, publish_ns)

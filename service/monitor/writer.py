@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.view.scene import Scene
+from drivers.view.scene import ViewerScene
 from schemas.errors import StorageError
 from service.monitor.recording import RecordingWriter
 
@@ -23,7 +23,7 @@ Batch = tuple[dict[str, tuple[np.ndarray, np.ndarray]], list[dict[str, str]]]  #
 class WriterThread:
     """Writes batches to `path` until `close`. When the disk refuses it says so once, and goes on without recording."""
 
-    def __init__(self, path: Path, robot: str, scene: Scene | None = None) -> None:
+    def __init__(self, path: Path, robot: str, scene: ViewerScene | None = None) -> None:
         """Raises StorageError: the file exists, cannot be made, or the disk refuses from the start."""
         self.failed = False
         self.dropped = 0  # messages that could not wait any longer

@@ -31,7 +31,7 @@ from service.model.scene import Recording
 from service.model.signals import EDGE, LONGEST_STEP, Segment, one_period, segments, smooth
 from service.model.torque import predict
 from service.rollout.kernel import NO_DRIVES, SCRATCH, Drives, Pace, Runs, run_kernel
-from service.rollout.robot import Stretch, stretch
+from service.rollout.robot import SeenStretch, stretch
 from service.rollout.servo import commands_of, gains_of, identified
 
 HORIZON = 0.2  # s
@@ -103,7 +103,7 @@ class Windows:
         """(W, S, ...) of (N, ...)."""
         return values[self.starts[:, None] + np.arange(self.samples)]
 
-    def run(self, seen: Stretch, start: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def run(self, seen: SeenStretch, start: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Angles rad and torque N m, (W, S, 3) each, from `start` (W, 5, 3). torque: (N, 3) N m, of which the drives
         take the first in a window."""
         runs = Runs(start, self.cut(torque), self.payload, self.segment.time[self.starts])
@@ -284,7 +284,7 @@ def _regimes(cut: Windows) -> np.ndarray:
 
 
 def simulate(
-    seen: Stretch,
+    seen: SeenStretch,
     start: np.ndarray,
     torque: np.ndarray,
     clock: np.ndarray,
@@ -300,14 +300,14 @@ def simulate(
     return run(seen, runs, period, NO_DRIVES)[0]
 
 
-def run(seen: Stretch, runs: Runs, period: float, drives: Drives) -> tuple[np.ndarray, np.ndarray]:
+def run(seen: SeenStretch, runs: Runs, period: float, drives: Drives) -> tuple[np.ndarray, np.ndarray]:
     """Angles that the encoders give, rad, and torque, N m, (W, S, 3) each, NaN once a run ends."""
     motor, pushed = np.empty(runs.torque.shape), np.empty(runs.torque.shape)
     run_kernel(seen.forward, np.zeros(1, SCRATCH), runs, drives, Pace.of(period), motor, pushed)
     return seen.measured(motor), pushed
 
 
-def _deviation(name: str, seen: Stretch, windows: Windows) -> Deviation:
+def _deviation(name: str, seen: SeenStretch, windows: Windows) -> Deviation:
     angle, torque = windows.run(seen, seen.start[windows.starts], seen.torque)
     off = torque - windows.cut(seen.torque)
     return _compared(name, seen.model, angle, windows.cut(windows.segment.theta), off)
@@ -334,7 +334,7 @@ def _followed(model: DeltaModel, angle: np.ndarray) -> np.ndarray:
     return platform
 
 
-def _floor(robot: Robot, seen: Stretch, trace: Trace, windows: Windows) -> Deviation:
+def _floor(robot: Robot, seen: SeenStretch, trace: Trace, windows: Windows) -> Deviation:
     """Runs of the same robot with noise over torque and start state, less the run without."""
     rng = np.random.default_rng(SEED)
     segment, starts = windows.segment, windows.starts

@@ -32,7 +32,7 @@ def left_out(robot: Robot) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class SeenStretch:
     """N samples between two faults, as one description understands them.
 
     model: its geometry. forward: (1,) FORWARD record. start: (N, 5, 3) state at each sample - link, link speed, motor,
@@ -57,7 +57,7 @@ class Stretch:
         return result
 
 
-def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
+def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> SeenStretch:
     """`segment` with raw `position` (N, 3) rad as `robot` sees it.
 
     Raises:
@@ -98,7 +98,7 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> Stretch:
     forward["ball_joints"] = inside.ball_joints
     forward["bristle"], forward["distance"] = inside.bristle, inside.distance
     forward["motor"], forward["stiffness"], forward["damping"], forward["half"] = motor, stiffness, damping, half
-    return Stretch(model, forward, start, encoders, torque, inside.wobble, robot.drive.gear_ratio)
+    return SeenStretch(model, forward, start, encoders, torque, inside.wobble, robot.drive.gear_ratio)
 
 
 def true_torque(terms: tuple[Term, ...], timing: float, torque: np.ndarray, period: float) -> np.ndarray:

@@ -19,7 +19,7 @@ from schemas.robot import Servo
 from schemas.trace import Trace
 from service.model.signals import Band, Segment
 from service.rollout.kernel import DriveGains
-from service.rollout.robot import Stretch
+from service.rollout.robot import SeenStretch
 
 MOST_LEFT = 0.3  # of the torque's rms that a drive's law may leave to be believed
 
@@ -53,7 +53,7 @@ def commands_of(trace: Trace, segment: Segment) -> np.ndarray:
     return np.stack([command, speed, np.gradient(speed, segment.period, axis=0)], axis=1)
 
 
-def identified(parts: Sequence[tuple[Trace, Segment, Stretch]]) -> Servo:
+def identified(parts: Sequence[tuple[Trace, Segment, SeenStretch]]) -> Servo:
     """The drives by what their torque follows, in the band, a constant a part aside.
 
     Raises:

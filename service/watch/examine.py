@@ -16,7 +16,7 @@ from schemas.diagnosis import NamedEffect, named_joints
 from schemas.files import make_folder, write_text
 from schemas.robot import Robot, load_robot
 from schemas.trace import Trace
-from schemas.watch import Finding
+from schemas.watch import WatchFinding
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected, document
 from service.identification.fit import evaluate
@@ -24,7 +24,7 @@ from service.model.effects import catalogue
 from service.model.effects.base import Effect
 from service.watch.change import changes
 from service.watch.kept import flagged
-from service.watch.watch import Case
+from service.watch.watch import Rise
 
 BEFORE_PARTS, AFTER_PARTS = 2, 3  # runs that each is taken for, one left out at a time
 WORDS = 2  # quantities of an effect that the line tells
@@ -37,7 +37,7 @@ def stand_back(niceness: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def report(description: Path, effects: Path | None, folder: Path, case: Case) -> Finding:
+def report(description: Path, effects: Path | None, folder: Path, rise: Rise) -> WatchFinding:
     """Examine, and leave the finding and the motion behind it in `folder`.
 
     Raises:
@@ -45,42 +45,42 @@ def report(description: Path, effects: Path | None, folder: Path, case: Case) ->
     """
     robot = load_robot(description, effects)
     make_folder(folder)
-    for name, trace in (("before", case.before), ("after", case.after)):
+    for name, trace in (("before", rise.before), ("after", rise.after)):
         if trace is not None:
             write_trace(trace, folder / f"{name}.mcap", robot.name)
-    finding = examine(robot, case, catalogue(effects))
+    finding = examine(robot, rise, catalogue(effects))
     write_text(folder / "finding.json", finding.model_dump_json(indent=1, by_alias=True))
     return finding
 
 
-def examine(robot: Robot, case: Case, effects: Sequence[Effect]) -> Finding:
+def examine(robot: Robot, rise: Rise, effects: Sequence[Effect]) -> WatchFinding:
     """Find out which of `effects` came between before and after; where there is no before, what the description lacks.
 
     Raises:
         TraceError, DataError, PoseError: as `diagnose`.
     """
-    parts, known, first = _parts(case.after, AFTER_PARTS, robot), robot, 0
-    if case.before is not None:
-        earlier, first = _parts(case.before, BEFORE_PARTS, robot), BEFORE_PARTS
+    parts, known, first = _parts(rise.after, AFTER_PARTS, robot), robot, 0
+    if rise.before is not None:
+        earlier, first = _parts(rise.before, BEFORE_PARTS, robot), BEFORE_PARTS
         known = standing(robot, earlier, effects)
         parts, effects = earlier + parts, changes(effects, first)
     found = diagnose(known, parts, effects)
     late = [int(recording.trace >= first) for recording in found.problem.recordings]
     best = found.best.hypothesis
     without = evaluate(found.problem, replace(best, terms=best.terms[: len(found.given)])).residuals
-    epoch = case.after.epoch_ns * 1e-9
+    epoch = rise.after.epoch_ns * 1e-9
     before_nm, after_nm = found.problem.rms(without, late)
-    finding = Finding(
+    finding = WatchFinding(
         schema="deltatwin.finding/1",
         robot=robot.name,
-        since_s=round(epoch + case.since, 3),
-        until_s=round(epoch + float(case.after.time[-1]), 3),
-        joints=(np.flatnonzero(case.joints) + 1).tolist(),
+        since_s=round(epoch + rise.since, 3),
+        until_s=round(epoch + float(rise.after.time[-1]), 3),
+        joints=(np.flatnonzero(rise.joints) + 1).tolist(),
         before_nm=_rounded(before_nm),
         after_nm=_rounded(after_nm),
         left_nm=_rounded(found.problem.rms(found.best.fitted.residuals, late)[1]),
         floor_nm=_rounded(found.problem.sigma),
-        compared=case.before is not None,
+        compared=rise.before is not None,
         text="",
         diagnosis=document(found),
     )
@@ -100,7 +100,7 @@ def standing(robot: Robot, before: Sequence[Trace], effects: Sequence[Effect]) -
     return known
 
 
-def in_words(finding: Finding) -> str:
+def in_words(finding: WatchFinding) -> str:
     """The finding in one line."""
     rise = f"{finding.robot}: gap of {named_joints(finding.joints)} higher since {_when(finding.since_s)}"
     verdict, effects = finding.diagnosis.verdict, finding.diagnosis.effects

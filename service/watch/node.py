@@ -13,10 +13,10 @@ from drivers.bus import Bus
 from drivers.health import Health
 from drivers.sequence import SequenceCounter
 from schemas.messages import FINDING, NANOSECONDS, FindingVerdict, HealthFlag, StopReason, WatchState, set_stamp
-from schemas.watch import Finding
+from schemas.watch import WatchFinding
 from service.monitor.tally import INVALID
 from service.watch.examine import report, stand_back
-from service.watch.watch import RISEN, Case, Watch
+from service.watch.watch import RISEN, Rise, Watch
 
 CYCLE_S = 0.1
 NICENESS = 19  # of a diagnosis
@@ -28,18 +28,18 @@ LONGEST_S = 900.0  # of a diagnosis; one that was killed never answers
 class Examination:
     """One diagnosis under way in a process of its own. Its files go into a folder in `out` that has the time's name."""
 
-    def __init__(self, description: Path, effects: Path | None, out: Path, case: Case) -> None:
-        self.case, self.folder = case, out / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+    def __init__(self, description: Path, effects: Path | None, out: Path, rise: Rise) -> None:
+        self.rise, self.folder = rise, out / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         self._until = time.monotonic() + LONGEST_S
         self._pool = multiprocessing.get_context("spawn").Pool(1, stand_back, (NICENESS,))
-        self._result = self._pool.apply_async(report, (description, effects, self.folder, case))
+        self._result = self._pool.apply_async(report, (description, effects, self.folder, rise))
 
     @property
     def done(self) -> bool:
         """Whether it has ended, or has to."""
         return self._result.ready() or time.monotonic() > self._until
 
-    def result(self) -> Finding:
+    def result(self) -> WatchFinding:
         """What it found; only once.
 
         Raises:
@@ -58,11 +58,11 @@ class Examination:
         self._pool.terminate()
 
 
-class Node:
+class WatchNode:
     """Call `step` every `CYCLE_S`, and `close` at the end."""
 
     def __init__(
-        self, watch: Watch, bus: Bus, examination: Callable[[Case], Examination], say: Callable[[str], object]
+        self, watch: Watch, bus: Bus, examination: Callable[[Rise], Examination], say: Callable[[str], object]
     ) -> None:
         self.health = Health(bus)
         self._watch, self._examination_of, self._say = watch, examination, say
@@ -109,9 +109,9 @@ class Node:
 
     def _examine(self) -> None:
         if self._examination is None:
-            case = self._watch.case()
-            if case is not None:
-                self._examination = self._examination_of(case)
+            rise = self._watch.rise()
+            if rise is not None:
+                self._examination = self._examination_of(rise)
             return
         if not self._examination.done:
             return
@@ -121,7 +121,7 @@ class Node:
             found = examination.result()
         except Exception as error:  # whatever it was, it is told, and the watch goes on
             text = f"the diagnosis failed: {type(error).__name__}: {error}"
-            self._finding(_failed(examination.case, self._found).tobytes())
+            self._finding(_failed(examination.rise, self._found).tobytes())
         else:
             text = found.text
             self._finding(message_of(found, self._found).tobytes())
@@ -147,7 +147,7 @@ def _figures(values: np.ndarray) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
 
 
-def message_of(found: Finding, sequence: int) -> np.ndarray:
+def message_of(found: WatchFinding, sequence: int) -> np.ndarray:
     """A finding as a message (1,)."""
     message = _message(found.since_s, found.until_s, sequence)
     message["before"], message["after"] = found.before_nm, found.after_nm
@@ -161,9 +161,9 @@ def message_of(found: Finding, sequence: int) -> np.ndarray:
     return message
 
 
-def _failed(case: Case, sequence: int) -> np.ndarray:
-    epoch = case.after.epoch_ns / NANOSECONDS
-    message = _message(epoch + case.since, epoch + float(case.after.time[-1]), sequence)
+def _failed(rise: Rise, sequence: int) -> np.ndarray:
+    epoch = rise.after.epoch_ns / NANOSECONDS
+    message = _message(epoch + rise.since, epoch + float(rise.after.time[-1]), sequence)
     message["verdict"] = FindingVerdict.FAILED
     for name in ("before", "after", "left", "floor"):
         message[name] = np.nan
@@ -177,7 +177,7 @@ def _message(since: float, until: float, sequence: int) -> np.ndarray:
     return message
 
 
-def run(node: Node, stopped: Callable[[], bool]) -> None:
+def run(node: WatchNode, stopped: Callable[[], bool]) -> None:
     """Step until `stopped`."""
     with node.health:
         try:

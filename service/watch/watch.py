@@ -52,7 +52,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Case:
+class Rise:
     """What to diagnose. since: s, when the gap rose; joints: (3,) bool, where. before, after: the motion around."""
 
     since: float
@@ -62,7 +62,7 @@ class Case:
 
 
 class Watch:
-    """Give it samples as they come; it gives a GAP record a second, and a `Case` when there is one to diagnose."""
+    """Give it samples as they come; it gives a GAP record a second, and a `Rise` when there is one to diagnose."""
 
     def __init__(self, robot: Robot, patience: Patience | None = None) -> None:
         self._robot, self._patience = robot, patience or Patience()
@@ -76,7 +76,7 @@ class Watch:
         self._due = BEFORE_S + EVERY_S + 2 * EDGE
         self._calm = True
         self._sequence = 0
-        self._told_at: float | None = None  # when a case was last given
+        self._told_at: float | None = None  # when a rise was last given
 
     @property
     def raised(self) -> bool:
@@ -139,7 +139,7 @@ class Watch:
         if self.state != WatchState.LEARNING:
             self.state = WatchState.IDLE
 
-    def case(self) -> Case | None:
+    def rise(self) -> Rise | None:
         """What to diagnose now, once for a rise."""
         if self.state != WatchState.RAISED or self.diagnosing:
             return None
@@ -154,7 +154,7 @@ class Watch:
         before = None
         if since - MARGIN_S - begin >= BEFORE_LEAST_S:
             before = self._kept.trace(begin, since - MARGIN_S, "before")
-        return Case(since, joints, before, self._kept.trace(since + MARGIN_S, now - BEHIND_S, "after"))
+        return Rise(since, joints, before, self._kept.trace(since + MARGIN_S, now - BEHIND_S, "after"))
 
     def _look(self, stop: float) -> np.ndarray:
         stretch = self._stretch(stop - EVERY_S, stop)

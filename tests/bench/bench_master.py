@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.ethercat.master import Master, OffsetRamp, follow
-from drivers.ethercat.setpoints import Course
+from drivers.ethercat.setpoints import SetpointPlan
 from drivers.motion import Planner
 from replay.clock import wait_until
 from replay.realtime import go_realtime
@@ -42,7 +42,7 @@ def main(minutes: float, rate: float, turn: float) -> None:
         folder = Path(name)
         robot = rig.robot(folder)
         motion = Planner(robot, 1 / rate).pick_and_place(np.random.default_rng(0), turn, (1.5,), speed=0.5)
-        inside, course = InCycle(Estimator(robot, 1 / rate)), Course(motion, robot.geometry.joint_range_rad)
+        inside, course = InCycle(Estimator(robot, 1 / rate)), SetpointPlan(motion, robot.geometry.joint_range_rad)
         segment = rig.SegmentProcess(space, "--robot", str(folder / "robot.toml"), "--rate", str(rate))
 
         def run() -> dict[str, list[np.ndarray]]:

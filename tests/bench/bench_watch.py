@@ -36,8 +36,7 @@ from service.identification.regression import summarise
 from service.model.nominal import pack
 from service.watch import node
 from service.watch.node import Examination
-from service.watch.watch import Case as Rise
-from service.watch.watch import Patience, Watch
+from service.watch.watch import Patience, Rise, Watch
 
 TEN = (
     "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "tool_mass", "arm_mass", "joint_spring",
@@ -94,7 +93,7 @@ def over(robot: Robot, watch: Watch, samples: np.ndarray) -> tuple[Rise | None, 
     for k in range(0, len(samples), CHUNK):
         told = watch.add(samples[k : k + CHUNK], payload[k : k + CHUNK])
         raised += sum(int(gap["state"][0]) == WatchState.RAISED for gap in told)
-        rise = watch.case()
+        rise = watch.rise()
         if rise is not None:
             return rise, raised
     return None, raised

@@ -23,7 +23,7 @@ import pytest
 from drivers.ethercat import cia402
 from drivers.ethercat.cia402 import Scale
 from drivers.ethercat.master import BRING_UP_TIME, FAULTY_TIME, SILENCE, Master, OffsetRamp, follow
-from drivers.ethercat.setpoints import Course, Setpoints
+from drivers.ethercat.setpoints import SetpointPlan, Setpoints
 from drivers.motion import Planner, Trajectory
 from drivers.motion_file import write_motion
 from drivers.segment.wire import INPUT_DELAY_CYCLES
@@ -101,7 +101,7 @@ def run(
     change: Callable[[Setpoints], Setpoints] = lambda whole: whole,
 ) -> np.ndarray:
     """Records of SAMPLE of every cycle of a short pick-and-place."""
-    taken, course = [], Course(plan(robot.folder), robot.geometry.joint_range_rad)
+    taken, course = [], SetpointPlan(plan(robot.folder), robot.geometry.joint_range_rad)
     with Master(rig.NEAR, robot, PERIOD, wait_until) as master:
         whole = change(course.begin(master.operate()))
         offset = OffsetRamp(master.scale, math.inf, 5000.0, FADE, PERIOD)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.ethercat.setpoints import APPROACH_SPEED, SETTLE, Course
+from drivers.ethercat.setpoints import APPROACH_SPEED, SETTLE, SetpointPlan
 from drivers.motion import Planner, Trajectory
 from schemas.errors import BusError
 from schemas.robot import load_robot
@@ -22,7 +22,7 @@ def motion() -> Trajectory:
 
 
 def test_from_where_the_drives_hold_through_the_motion(motion: Trajectory) -> None:
-    course = Course(motion, RANGE)
+    course = SetpointPlan(motion, RANGE)
     for start in (motion.position[0] + [0.3, -0.5, 0.1], np.full(3, RANGE[0]), motion.position[0]):
         plan = course.begin(start)
         end = plan.begin + len(motion.position)
@@ -41,7 +41,7 @@ def test_from_where_the_drives_hold_through_the_motion(motion: Trajectory) -> No
 
 
 def test_the_motion_is_not_copied_while_the_drives_wait(motion: Trajectory) -> None:
-    course = Course(motion, RANGE)
+    course = SetpointPlan(motion, RANGE)
     first, second = course.begin(motion.position[0]), course.begin(motion.position[0] + 0.2)
     for name in ("position", "velocity", "acceleration", "grip"):
         assert np.shares_memory(getattr(first, name), getattr(second, name))
@@ -49,4 +49,4 @@ def test_the_motion_is_not_copied_while_the_drives_wait(motion: Trajectory) -> N
 
 def test_a_start_out_of_reach_is_named(motion: Trajectory) -> None:
     with pytest.raises(BusError, match=r"^joints at 9, 9, 9 rad: further from the motion's start than geometry\."):
-        Course(motion, RANGE).begin(np.full(3, 9.0))
+        SetpointPlan(motion, RANGE).begin(np.full(3, 9.0))

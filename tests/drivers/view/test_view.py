@@ -23,7 +23,7 @@ from tornado.websocket import websocket_connect
 from drivers.bus import open_bus
 from drivers.trace.tables import read_table
 from drivers.view.layout import layout
-from drivers.view.scene import Scene, transforms
+from drivers.view.scene import ViewerScene, transforms
 from schemas.errors import TraceError
 from schemas.messages import PAYLOAD, SAMPLE, TOPICS, PayloadEvent, Role, fields_of, set_stamp
 from schemas.robot import load_robot
@@ -61,7 +61,7 @@ def test_the_robot_is_told_in_messages_of_ros_2() -> None:
     robot, sample = load_robot("d3-1200"), SAMPLE.empty(1)
     sample["position"], sample["torque"] = [0.1, 0.2, 0.3], [1.0, -2.0, 3.0]
     set_stamp(sample, 12_500_000_000)
-    scene = Scene(robot)
+    scene = ViewerScene(robot)
     told = dict([*scene.state(sample[0]), scene.shapes()])
     assert told.keys() == scene.topics.keys()
     read: dict[str, Any] = {}
@@ -90,7 +90,7 @@ def test_a_recording_shows_what_the_live_view_shows(tmp_path: Path) -> None:
     samples["sequence"], samples["position"] = np.arange(2000), 0.2
     log = 1_790_000_000_000_000_000 + np.arange(2000) * 1_000_000
     set_stamp(samples, np.arange(2000) * 1_000_000)
-    recording = RecordingWriter(tmp_path / "run.mcap", robot.name, Scene(robot))
+    recording = RecordingWriter(tmp_path / "run.mcap", robot.name, ViewerScene(robot))
     for first in range(0, 2000, 20):
         recording.write("sample", samples[first : first + 20], log[first : first + 20])
     recording.close()

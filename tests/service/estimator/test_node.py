@@ -9,7 +9,7 @@ from drivers.bus import LINK_S, open_bus
 from schemas.messages import REFERENCE, FeedforwardSource, HealthFlag, Role
 from service.estimator.estimator import Estimator
 from service.estimator.keep import Keeper
-from service.estimator.node import STALE_NS, Node, run
+from service.estimator.node import STALE_NS, EstimatorNode, run
 from tests.service.world import stub
 
 KEPT = "friction.json"
@@ -22,7 +22,11 @@ class Bench:
     def __init__(self, robot, player, bus, until, keeper):
         self._inboxes, self._until = {topic: player.subscribe(topic) for topic in TOPICS}, until
         self._samples, self.plan = player.publisher("sample"), player.publisher("reference").put
-        self.node, self.sent, self.said = Node(robot, bus, HealthFlag(0), keeper), 0, {topic: [] for topic in TOPICS}
+        self.node, self.sent, self.said = (
+            EstimatorNode(robot, bus, HealthFlag(0), keeper),
+            0,
+            {topic: [] for topic in TOPICS},
+        )
         until(lambda: self._samples.heard and Role.ESTIMATOR in player.alive)
         time.sleep(LINK_S)
 

@@ -19,7 +19,7 @@ from service.cli.main import app
 from service.model import kinematics
 from service.rollout.export import STEP, to_mjcf
 from service.rollout.gap import simulate
-from service.rollout.robot import Stretch, stretch
+from service.rollout.robot import SeenStretch, stretch
 from tests.service.rollout.test_kernel import HORIZON, effect, identified, recorded
 from tests.service.world import PERIOD, ROBOT
 
@@ -34,7 +34,7 @@ CALLED = (
 )  # fmt: skip
 
 
-def run(robot: Robot, seen: Stretch, at: int, torque: np.ndarray) -> np.ndarray:
+def run(robot: Robot, seen: SeenStretch, at: int, torque: np.ndarray) -> np.ndarray:
     """Angles (3,) rad that the encoders of the exported model give after the horizon, from the state of row `at`."""
     made = to_mjcf(robot)
     model = made.spec.compile()

@@ -7,7 +7,7 @@ import pytest
 
 from schemas.trace import Trace
 from service.watch.examine import examine
-from service.watch.watch import Case
+from service.watch.watch import Rise
 from tests.service.subject import EFFECTS
 from tests.service.watch.logs import KNOWN, log, motion, rest_of
 from tests.service.world import VISCOUS
@@ -19,7 +19,7 @@ def test_a_change_of_friction_is_named_as_one_and_measured() -> None:
     before, after = motion(7.0), rest_of(motion(14.0), 7.0)
     worn = after.torque.copy()
     worn[:, 2] += 0.4 * VISCOUS[2] * after.motion[1][:, 2]
-    case = Case(7.0, np.array([False, False, True]), log(before, before.torque), log(after, worn, seed=1))
+    case = Rise(7.0, np.array([False, False, True]), log(before, before.torque), log(after, worn, seed=1))
     finding = examine(KNOWN, case, SOME)
     (effect,) = finding.diagnosis.effects
     assert (effect.name, effect.joints) == ("friction_level", [3])
@@ -39,7 +39,7 @@ def test_where_the_positions_jump_is_left_out() -> None:
     rows = np.r_[2000:5000, 0:4000, 1000:5000]
     position, torque = whole.position[rows], whole.torque[rows]
     jumps = Trace(whole.path, 1e-3 * np.arange(len(rows)), position, torque, position_command=position)
-    finding = examine(KNOWN, Case(0.0, np.array([False, False, True]), None, jumps), SOME)
+    finding = examine(KNOWN, Rise(0.0, np.array([False, False, True]), None, jumps), SOME)
     (effect,) = finding.diagnosis.effects
     assert (effect.name, effect.joints) == ("torque_offset", [3])
     assert effect.parameters["offset"].value == pytest.approx(3.0, rel=0.05)
@@ -49,7 +49,7 @@ def test_what_was_there_before_is_no_change() -> None:
     """A description that is wrong all along: the difference between before and after is nothing."""
     before, after = motion(7.0), rest_of(motion(14.0), 7.0)
     logs = [log(run, run.torque + 1.5, seed) for seed, run in enumerate((before, after))]
-    finding = examine(KNOWN, Case(7.0, np.array([True, False, False]), *logs), SOME)
+    finding = examine(KNOWN, Rise(7.0, np.array([True, False, False]), *logs), SOME)
     assert finding.diagnosis.effects == []
     assert finding.diagnosis.given == ["torque_offset"]
     assert "explains it" in finding.text or "within the noise" in finding.text

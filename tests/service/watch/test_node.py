@@ -18,7 +18,7 @@ from service.monitor.node import Monitor
 from service.monitor.readback import read_recording
 from service.monitor.writer import WriterThread
 from service.watch import node
-from service.watch.node import Examination, Node
+from service.watch.node import Examination, WatchNode
 from service.watch.watch import Patience, Watch
 from tests.service.watch.logs import KNOWN, log, motion, stribeck
 
@@ -43,7 +43,7 @@ def test_a_change_on_the_bus_is_found_published_stored_and_recorded(
         source = robot.publisher("sample")
         monitor = Monitor(monitors, writer, HealthFlag(0))
         examination = partial(Examination, description, None, tmp_path / "found")
-        role = Node(Watch(KNOWN, Patience(learn=6.0, after=7.0)), watching, examination, said.append)
+        role = WatchNode(Watch(KNOWN, Patience(learn=6.0, after=7.0)), watching, examination, said.append)
         until(lambda: {Role.ROBOT, Role.MONITOR} <= watching.alive)
         until(lambda: source.wait_until_heard(1.0))
 

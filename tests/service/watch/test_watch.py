@@ -10,20 +10,20 @@ import pytest
 
 from schemas.messages import GAP, NANOSECONDS, PAYLOAD, Gripper, WatchState, set_stamp, stamp_ns
 from schemas.trace import Trace
-from service.watch.watch import FALLEN, RISEN, Case, Patience, Watch
+from service.watch.watch import FALLEN, RISEN, Patience, Rise, Watch
 from tests.service.watch.logs import KNOWN, log, motion, rest_of, stribeck
 
 ONSET = 30.0  # s
 IMPATIENT = Patience(learn=18.0, after=12.0)
 
 
-def through(trace: Trace) -> tuple[Watch, np.ndarray, Case | None]:
+def through(trace: Trace) -> tuple[Watch, np.ndarray, Rise | None]:
     """The watch, its messages and the first case."""
     one, case = Watch(KNOWN, IMPATIENT), None
     told = []
     for messages in fed(one, trace.samples()):
         told.append(messages)
-        case = case or one.case()
+        case = case or one.rise()
     return one, np.concatenate(told), case
 
 
@@ -63,7 +63,7 @@ def test_a_change_raises_the_alarm_once_says_where_and_since_when() -> None:
     assert case.joints.tolist() == [False, True, False]
     assert case.before is not None
     assert case.before.time[-1] < ONSET < case.after.time[0]
-    assert one.case() is None  # until it is told that the diagnosis is done, and for ten minutes
+    assert one.rise() is None  # until it is told that the diagnosis is done, and for ten minutes
 
 
 def test_a_faster_motion_is_learnt_not_alarmed_about() -> None:
@@ -179,7 +179,7 @@ def test_what_is_picked_with_a_tool_left_on_is_no_gap() -> None:
     told = np.concatenate(list(fed(one, samples, payload)))
     assert told["state"][-1] == WatchState.RAISED
     np.testing.assert_allclose(told["gap"][-1], tool, rtol=0.2)
-    case = one.case()
+    case = one.rise()
     assert case is not None
     assert case.since == pytest.approx(onset, abs=1.5)
 
