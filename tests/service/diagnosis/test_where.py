@@ -203,6 +203,17 @@ def test_the_section_names_joints_and_runs(findings):
     assert evaluate(findings.problem, findings.reference).cost > 2 * findings.problem.count
 
 
+def test_the_strongest_burst_is_told_first(findings):
+    """Two stretches of one run, the second twice as strong."""
+    after = [values.copy() for values in findings.after]
+    after[0][100:110] += 30.0
+    after[0][400:410] += 60.0
+    told = where.where(replace(findings, after=after)).bursts
+    weak, strong = sorted(told, key=lambda burst: burst.from_s)
+    assert [burst.from_s for burst in told] == [strong.from_s, weak.from_s]
+    assert strong.over_noise > 1.5 * weak.over_noise
+
+
 def test_a_spectrum_of_runs_shorter_than_its_window():
     """400 samples each, where 512 are wanted: as long as the longest run, at the level of the noise."""
     random = np.random.default_rng(3)
