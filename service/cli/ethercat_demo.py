@@ -14,7 +14,7 @@ from service.cli.output import as_json, console, table
 def command(
     out: Annotated[Path, typer.Option(help="Folder for everything that is recorded.")] = Path("ethercat-demo"),
     rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second (Hz).")] = 1000.0,
-    duration: Annotated[float, typer.Option(min=6.0, help="Length of each of the two pick-and-place runs (s).")] = 8.0,
+    duration: Annotated[float, typer.Option(min=10.0, help="Length of each of two pick-and-place runs (s).")] = 12.0,
     product: Annotated[float, typer.Option(min=0.1, help="What the gripper lifts in the second run (kg).")] = 1.5,
     json: AsJson = False,
 ) -> None:
