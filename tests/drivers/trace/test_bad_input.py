@@ -232,7 +232,7 @@ def test_time_that_does_not_rise(own_csv: Path) -> None:
         ("a.csv", b"PK\x03\x04\x14\x00", "an Excel file or an archive, save it as CSV"),
         ("a.csv", bytes(range(1, 256)) * 40, "is missing|is not utf-8 text"),
         ("a.csv.gz", b"\x1f\x8b\x08 broken", "broken gzip file"),
-        ("a.csv.gz", gzip.compress(b"time_s\n0\n" * 1000)[:-20], "broken gzip file"),
+        ("a.csv.gz", gzip.compress(b"time_s\n0\n" * 1000, mtime=0)[:-20], "broken gzip file"),
         ("a.mcap", b"", "not a whole MCAP file"),
         ("a.mcap", b"\x7fELF" * 100, "not a whole MCAP file"),
         ("a.docx", b"x", "unknown kind of trace, its name should end in"),
