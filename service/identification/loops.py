@@ -15,16 +15,19 @@ TOLD_BETTER = 4.0  # times what the base model leaves of the square: from there 
 LOOP_ALONE = 0.25  # of what speed leaves of it that is left at most when the error is known
 
 
+def position_error(recording: Recording, trace: Trace) -> np.ndarray:
+    """(N, n) commanded minus measured position, zero where there is no command; of a trace with commands."""
+    assert trace.position_command is not None
+    rows = recording.segment.rows
+    return np.nan_to_num(trace.position_command[rows] - trace.position[rows])
+
+
 def position_errors(recordings: Sequence[Recording], traces: Sequence[Trace]) -> list[np.ndarray]:
-    """(N, n) commanded minus measured position a recording, zero where there is no command; none where a trace has no
-    commands at all."""
-    errors = []
-    for recording in recordings:
-        trace, rows = traces[recording.trace], recording.segment.rows
-        if trace.position_command is None:
-            return []
-        errors.append(np.nan_to_num(trace.position_command[rows] - trace.position[rows]))
-    return errors
+    """The same of each recording; none where the trace of one has no commands at all."""
+    mine = [traces[recording.trace] for recording in recordings]
+    if any(trace.position_command is None for trace in mine):
+        return []
+    return [position_error(recording, trace) for recording, trace in zip(recordings, mine, strict=True)]
 
 
 def loops_of(problem: Problem, errors: Sequence[np.ndarray], plain: Sequence[np.ndarray]) -> dict[int, float]:

@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 
 from schemas.diagnosis import Caution
 from service.diagnosis.fit.candidates import Regressors
-from service.diagnosis.fit.selection import (  # fmt: skip
+from service.diagnosis.fit.selection import (
     FAR_ABOVE,
     LEAST_GAIN,
     LEAST_Z,

@@ -13,7 +13,7 @@ from schemas.diagnosis import Follows
 from schemas.trace import Trace
 from service.identification.fit import Problem, solve
 from service.identification.folds import Split
-from service.identification.loops import position_errors
+from service.identification.loops import position_error
 from service.model.friction import mean_direction
 
 What = Literal["motion", "sine_of_angle", "position_error"]
@@ -83,9 +83,8 @@ def _sine(problem: Problem, number: int, joint: int) -> np.ndarray:
 
 
 def _error(problem: Problem, number: int, joint: int, traces: Sequence[Trace]) -> np.ndarray:
-    return _rows(
-        problem, number, joint, position_errors(problem.recordings[number : number + 1], traces)[0][:, [joint]]
-    )
+    recording = problem.recordings[number]
+    return _rows(problem, number, joint, position_error(recording, traces[recording.trace])[:, [joint]])
 
 
 def _share(
