@@ -51,7 +51,7 @@ def command(
     from schemas.robot import load_robot
     from service.cli.reading import reading
     from service.stopping import stop_requested
-    from service.watch.node import Examination, WatchNode, run
+    from service.watch.node import Examination, WatchNode, beyond_description, run
     from service.watch.watch import Patience, Watch
 
     description = load_robot(robot, effects)
@@ -70,6 +70,12 @@ def command(
             err=True,
         )
     watch.settle()
+    if reference and (doubt := beyond_description(watch)):
+        typer.echo(
+            f"watch: level learnt from the reference; {doubt}: of another robot, the torque's sign or unit, or changed "
+            "by then",
+            err=True,
+        )
     stopped = stop_requested()
     os.nice(10)  # nobody steers by it
     with open_bus(description.name, Role.WATCH, zenoh_config, insecure) as bus:

@@ -97,11 +97,9 @@ class WatchNode:
         raised = (WatchState.RAISED, WatchState.DIAGNOSING)
         if before == WatchState.LEARNING != self._state:
             self._say(f"level learnt: {_figures(gap['gap'])} N m rms")
-            over = self._watch.beyond_description
-            if (over > RISEN).any():
-                self._say(
-                    f"that is {_figures(over)} times what the description left when it was made: diagnose a log of now"
-                )
+            doubt = beyond_description(self._watch)
+            if doubt:
+                self._say(f"{doubt}: diagnose a log of now")
         elif self._state in raised and before not in raised:
             self._say(f"gap has risen: {_figures(gap['ratio'])} times its level by joint")
         elif before in raised and self._state == WatchState.WATCHING:
@@ -141,6 +139,12 @@ class WatchNode:
         """End a diagnosis that is under way."""
         if self._examination is not None:
             self._examination.end()
+
+
+def beyond_description(watch: Watch) -> str:
+    """What to say where the level that was learnt is above what the description left when it was made, else nothing."""
+    over = watch.beyond_description
+    return f"that is {_figures(over)} times what the description left when it was made" if (over > RISEN).any() else ""
 
 
 def _figures(values: np.ndarray) -> str:

@@ -24,6 +24,9 @@ EVERY_S = 1.0  # between two looks
 BEFORE_S = 1.0  # of motion before what counts, for effects with a memory
 BEHIND_S = 0.3  # by which a pick is told late, and the filters' end
 WINDOW = 10  # looks that the gap is told over
+OFTEN, OFTEN_WINDOW = 5, 20  # looks of so many, that what is not in most has to stand in; two collisions are in four
+LESSON = 600  # looks that is learnt from what `OFTEN` of them reach
+DELAY_S = 25.0  # before new motion is learnt: by then a change that came on in it has raised the alarm
 LEAST_S = 0.15  # of motion of a joint in a look, that it takes to tell
 LEAST_KNOWN = 0.5  # of that motion whose level has to be known
 RISEN, FALLEN = 1.25, 1.12  # gap over level from which it has risen, and to which it has to fall again
@@ -72,9 +75,13 @@ class Watch:
         self._measure: Measure | None = None
         self._level: Level | None = None
         self.learnt = 0.0  # s of free motion that the level is from
+        self._lesson: deque[Stretch] = deque(maxlen=LESSON)
+        self._usual = np.full(3, np.nan)  # the most that `_often` was while the level was learnt
         self._looks: deque[Look] = deque(maxlen=round(KEEP_S / EVERY_S))
         self._due = BEFORE_S + EVERY_S + 2 * EDGE
+        self._new: deque[Look] = deque()  # not learnt yet
         self._calm = True
+        self._high = np.zeros(3, bool)  # joints in which the gap has risen
         self._sequence = 0
         self._told_at: float | None = None  # when a rise was last given
 
@@ -105,15 +112,18 @@ class Watch:
         """What was learnt is the level."""
         if self._level is not None and self.learnt > 0.0:
             self._level.settle()
+            ratios = np.array([self._ratio(stretch) for stretch in self._lesson])
+            windows = [ratios[k : k + OFTEN_WINDOW] for k in range(max(1, len(ratios) - OFTEN_WINDOW + 1))]
+            self._usual = np.fmax.reduce([_often(window) for window in windows])
             self.state = WatchState.WATCHING
 
     @property
     def beyond_description(self) -> np.ndarray:
-        """(3,) gap of what was looked at over what the description left when it was made; NaN: it does not say."""
+        """(3,) gap of what was learnt over what the description left when it was made; NaN: it does not say."""
         found = self._robot.identified
-        if found is None or found.model_error_nm is None or self._measure is None or not self._looks:
+        if found is None or found.model_error_nm is None or self._measure is None or not self._lesson:
             return np.full(3, np.nan)
-        total = reduce(add, (look.stretch for look in self._looks))
+        total = reduce(add, self._lesson)
         left = np.hypot(self._measure.floor, found.model_error_nm.value)
         return _rms(total.square.sum(axis=0), total.count.sum(axis=0)) / left
 
@@ -135,6 +145,7 @@ class Watch:
     def _anew(self) -> None:
         """The clock of the bus began anew."""
         self._looks.clear()
+        self._new.clear()
         self._due, self._told_at, self._calm = BEFORE_S + EVERY_S + 2 * EDGE, None, True
         if self.state != WatchState.LEARNING:
             self.state = WatchState.IDLE
@@ -146,7 +157,7 @@ class Watch:
         now = self._kept.newest
         if self._told_at is not None and now - self._told_at < AGAIN_S:
             return None
-        joints = _typical(list(self._looks)[-WINDOW:]) > FALLEN
+        joints = self._risen(self._looks[-1].time) > FALLEN
         if not joints.any() or now - (since := self._since(joints)) < self._patience.after:
             return None
         self._told_at, self.diagnosing = now, True
@@ -160,14 +171,16 @@ class Watch:
         stretch = self._stretch(stop - EVERY_S, stop)
         if stretch is not None and self._level is not None:
             self._looks.append(Look(stop, stretch, self._ratio(stretch)))
-            if not self.raised and self._calm:
+            if self.state != WatchState.LEARNING:
+                self._learn_late(stop)
+            else:
                 self._level.learn(stretch.square, stretch.count)
-            if self.state == WatchState.LEARNING:
+                self._lesson.append(stretch)
                 self.learnt += float(stretch.seconds.mean())
                 if self.learnt >= self._patience.learn:
                     self.settle()
         window = [look for look in self._looks if look.time > stop - WINDOW * EVERY_S]
-        ratio = _typical(window)
+        ratio = self._risen(stop)
         message = self._message(stop, reduce(add, (look.stretch for look in window)) if window else None, ratio)
         if self.state != WatchState.LEARNING:
             moves, before = bool(window) and window[-1].time == stop, self.raised
@@ -176,6 +189,17 @@ class Watch:
                 self._look_back(stop)
         message["state"] = self.state
         return message
+
+    def _learn_late(self, stop: float) -> None:
+        """Learn motion of `DELAY_S` before `stop`, if nothing has risen since."""
+        assert self._level is not None
+        if self.raised:
+            self._new.clear()
+        elif self._calm:
+            self._new.append(self._looks[-1])
+        while self._new and self._new[0].time <= stop - DELAY_S:
+            stretch = self._new.popleft().stretch
+            self._level.learn(stretch.square, stretch.count)
 
     def _look_back(self, stop: float) -> None:
         """Look again at the time before `stop` in which a mass that stays was taken for a pick: since when is asked."""
@@ -199,6 +223,14 @@ class Watch:
             self._level = Level(self._measure.floor)
         return None if self._measure is None else self._measure(parts, start, stop)
 
+    def _risen(self, stop: float) -> np.ndarray:
+        """(3,) how far the gap stands above its level at `stop`, s: in most looks, or again and again in some."""
+        ratios = {
+            count: np.array([one.ratio for one in self._looks if one.time > stop - count * EVERY_S]).reshape(-1, 3)
+            for count in (WINDOW, OFTEN_WINDOW)
+        }
+        return np.fmax(_typical(ratios[WINDOW]), _often(ratios[OFTEN_WINDOW]) / self._usual)
+
     def _ratio(self, stretch: Stretch) -> np.ndarray:
         """(3,) root mean over the rows whose level is known of square over level; NaN where they are too few."""
         assert self._level is not None
@@ -212,13 +244,14 @@ class Watch:
 
     def _judge(self, ratio: np.ndarray, new: bool) -> None:
         """new: whether the motion is mostly of kinds whose level is not known."""
+        above = ratio > (FALLEN if self.raised else RISEN)
+        self._high = np.where(np.isnan(ratio), self._high & self.raised, above)  # at rest nothing tells that it fell
         if np.isnan(ratio).all():
             if not self.raised:
                 self.state = WatchState.NEW_MOTION if new else WatchState.IDLE
             return
-        worst = float(np.nanmax(ratio))
-        self._calm = worst < FALLEN
-        if worst > RISEN or (self.raised and not self._calm):
+        self._calm = float(np.nanmax(ratio)) < FALLEN
+        if self._high.any():
             self.state = WatchState.DIAGNOSING if self.diagnosing else WatchState.RAISED
         else:
             self.state = WatchState.WATCHING
@@ -256,11 +289,19 @@ class Watch:
         return message
 
 
-def _typical(window: list[Look]) -> np.ndarray:
-    """(3,) median of the looks' ratios, which a collision or a stop in one of them does not move; NaN of few."""
-    ratios = np.array([look.ratio for look in window]).reshape(-1, 3)
+def _typical(ratios: np.ndarray) -> np.ndarray:
+    """(3,) median of looks' ratios (M, 3), which a collision or a stop in one of them does not move; NaN of few."""
     told = np.isfinite(ratios)
     return np.array([np.median(r[t]) if t.sum() >= HOLD else np.nan for r, t in zip(ratios.T, told.T, strict=True)])
+
+
+def _often(ratios: np.ndarray) -> np.ndarray:
+    """(3,) what looks' ratios (M, 3) reach `OFTEN` times; NaN of few. Friction at reversals is not in every look."""
+    if len(ratios) < 2 * OFTEN:
+        return np.full(3, np.nan)
+    told = np.isfinite(ratios)
+    largest = np.sort(np.where(told, ratios, -np.inf), axis=0)[-OFTEN]
+    return np.where(told.sum(axis=0) >= 2 * OFTEN, largest, np.nan)
 
 
 def _rms(square: np.ndarray, count: np.ndarray) -> np.ndarray:

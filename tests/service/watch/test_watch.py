@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from schemas.messages import GAP, NANOSECONDS, PAYLOAD, Gripper, WatchState, set_stamp, stamp_ns
+from schemas.robot import JointParameter
 from schemas.trace import Trace
+from service.watch.node import beyond_description
 from service.watch.watch import FALLEN, RISEN, Patience, Rise, Watch
 from tests.service.watch.logs import KNOWN, log, motion, rest_of, stribeck
 
@@ -66,6 +68,40 @@ def test_a_change_raises_the_alarm_once_says_where_and_since_when() -> None:
     assert one.rise() is None  # until it is told that the diagnosis is done, and for ten minutes
 
 
+def test_what_comes_again_and_again_but_not_in_most_seconds_raises_the_alarm() -> None:
+    run = motion(52.0)
+    torque = run.torque.copy()
+    torque[(run.time > ONSET) & (run.time % 3.3 < 0.25), 1] += 2.0
+    _, told, case = through(log(run, torque))
+    assert WatchState.RAISED in states(told)
+    assert case is not None
+    assert case.joints.tolist() == [False, True, False]
+    assert case.since == pytest.approx(ONSET, abs=3.3)
+
+
+def test_two_collisions_in_ten_seconds_raise_no_alarm() -> None:
+    """Each on the seam of two looks, so that four have something of them."""
+    run = motion(50.0)
+    seams = np.array([35.8, 41.8])  # s; what counts of a look ends 0.2 s before the second
+    strikes = (np.abs(run.time[:, None] - seams) < 0.05).any(axis=1, keepdims=True)
+    _, told, case = through(log(run, run.torque + np.where(strikes, 30.0, 0.0)))
+    time = told["stamp_sec"] + told["stamp_nanosec"] * 1e-9
+    assert np.isin(seams, time.round(3)).all()
+    assert (told["gap"][time > 43] > 10 * told["floor"][time > 43]).any()  # there was something to alarm about
+    assert case is None
+    assert WatchState.RAISED not in states(told)
+
+
+def test_what_comes_on_in_a_motion_that_is_new_is_not_learnt_with_it() -> None:
+    run, onset = motion(25.0), 8.0
+    learning = Watch(KNOWN, Patience(learn=2.0))
+    told = np.concatenate(list(fed(learning, log(run, stribeck(run, onset)).samples())))
+    time = told["stamp_sec"] + told["stamp_nanosec"] * 1e-9
+    assert told["known"][(time > 4) & (time < onset)].max() < 0.9  # and the rest comes while the effect is at work
+    np.testing.assert_allclose(told["level"][time > onset, 1], told["floor"][0, 1], rtol=0.3)
+    assert WatchState.RAISED in states(told)
+
+
 def test_a_faster_motion_is_learnt_not_alarmed_about() -> None:
     slow, fast = motion(30.0, 3.0), motion(30.0, 12.0)
     torque = np.concatenate([run.torque + 0.05 * run.motion[2] for run in (slow, fast)])  # kg m^2 not described
@@ -108,6 +144,16 @@ def test_a_robot_at_rest_is_idle_and_keeps_its_level() -> None:
     assert case is None
     assert WatchState.RAISED not in states(told)
     assert states(told)[-1] == WatchState.IDLE
+
+
+def test_a_robot_that_is_stopped_after_the_alarm_is_diagnosed_all_the_same() -> None:
+    run, stopped = motion(45.0), 24_000
+    samples = log(run, stribeck(run, 12.0)).samples()
+    samples["position"][stopped:] = samples["position"][stopped]
+    one, cases = Watch(KNOWN, Patience(learn=6.0, after=31.0)), []
+    for _ in fed(one, samples):
+        cases += [case for case in [one.rise()] if case]
+    assert [case.joints.tolist() for case in cases] == [[False, True, False]]
 
 
 def picked(seconds: float, first: float = 2.0) -> np.ndarray:
@@ -213,6 +259,17 @@ def test_the_level_comes_from_a_reference_log_and_what_differs_on_the_bus_raises
     worn = log(run, stribeck(run, 0.0)).samples()
     told = np.concatenate(list(fed(one, worn[:12_000])))
     assert WatchState.RAISED in states(told)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_reference_whose_torque_is_turned_round_is_told(sign: int) -> None:
+    assert KNOWN.identified is not None
+    left = JointParameter(value=[0.02] * 3)
+    described = KNOWN.model_copy(update={"identified": KNOWN.identified.model_copy(update={"model_error_nm": left})})
+    run, one = motion(20.0), Watch(described)
+    one.learn(log(run, sign * run.torque), PAYLOAD.empty(0))
+    one.settle()
+    assert ("times what the description left" in beyond_description(one)) == (sign < 0)
 
 
 def test_stamps_of_another_clock_and_a_clock_that_begins_anew() -> None:
