@@ -100,20 +100,24 @@ def _robots(paths: list[Path], effects: Path | None) -> dict[str, Robot]:
 
 
 def _table(result: RolloutDocument) -> Table:
+    from service.rollout.document import in_figures
+
     head, rows = ["robot", "joint 1, mrad", "joint 2, mrad", "joint 3, mrad", "platform, mm"], []
     if result.servo is not None:
         head.append("torque, rms N m, joints 1, 2 and 3")
     for robot in (*result.robots, result.floor):
-        torque = [", ".join(map(_figure, robot.torque_nm))] if robot.torque_nm else []
-        rows.append((robot.robot, *map(_figure, robot.joint_mrad), _figure(robot.platform_mm), *torque))
+        torque = [", ".join(map(in_figures, robot.torque_nm))] if robot.torque_nm else []
+        rows.append((robot.robot, *map(in_figures, robot.joint_mrad), in_figures(robot.platform_mm), *torque))
     title = f"simulated less measured after {1e3 * result.horizon_s:.0f} ms, rms of {result.windows} windows"
     return table(head, rows, title)
 
 
 def _regimes(result: RolloutDocument) -> Table:
+    from service.rollout.document import in_figures
+
     names = [robot.robot for robot in (*result.robots, result.floor)]
     rows = [
-        (str(one.joint), one.regime, str(one.windows), *(_figure(one.joint_mrad[name]) for name in names))
+        (str(one.joint), one.regime, str(one.windows), *(in_figures(one.joint_mrad[name]) for name in names))
         for one in result.regimes
     ]
     return table(
@@ -122,7 +126,3 @@ def _regimes(result: RolloutDocument) -> Table:
         "by kind of motion",
         figures=slice(2, None),
     )
-
-
-def _figure(value: float | None) -> str:
-    return "ran away" if value is None else f"{value:.3g}"

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 CONFIG = {"responsive": True, "displaylogo": False}
 LOOK = {"font": {"size": 12}, "margin": {"l": 60, "r": 20, "t": 40, "b": 45}}  # of plots that say nothing else
+_TICKS = [digit * 10.0**power for power in range(-6, 7) for digit in (1, 2, 5)]
+LOG_AXIS: dict[str, Any] = {"type": "log", "tickvals": _TICKS, "ticktext": [f"{tick:g}" for tick in _TICKS]}  # Plotly
+# itself says 5 for .05
 templates.default = None  # a figure gets its look when it is written: every one would copy and check Plotly's own
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")  # that print without a window
 PRINTING_S = 120.0  # a page takes seconds

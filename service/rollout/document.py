@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 
 from schemas.robot import Robot
 from schemas.rollout import LogInterruption, Reached, RegimeReached, RolloutDocument
-from service.pages import write_page
+from service.pages import LOG_AXIS, write_page
 from service.rollout.gap import REGIMES, Deviation, Rollout, rms
 from service.rollout.robot import left_out
 
@@ -92,7 +92,14 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 def write_rollout(result: RolloutDocument, path: Path) -> None:
     """Write the page of a rollout."""
     plots = {"How the platform's error grows": _growth(result), "By joint and kind of motion": _by_regime(result)}
-    write_page("rollout", path, document=result, sentences=sentences(result), plots=plots)
+    write_page("rollout", path, document=result, sentences=sentences(result), in_figures=in_figures, plots=plots)
+
+
+def in_figures(value: float | None) -> str:
+    """An error, mrad, mm or N m, as it is read."""
+    if value is None:
+        return "ran away"
+    return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
 
 
 def sentences(result: RolloutDocument) -> list[str]:
@@ -158,7 +165,7 @@ def _growth(result: RolloutDocument) -> go.Figure:
         dash = "dot" if robot is result.floor else "solid"
         figure.add_scatter(x=times, y=robot.growth_mm[1:], name=robot.robot, line={"color": colour, "dash": dash})
     figure.update_xaxes(title_text="time from the start of a window, ms")
-    figure.update_yaxes(title_text="rms error of the platform, mm", type="log", dtick="D2")
+    figure.update_yaxes(title_text="rms error of the platform, mm", **LOG_AXIS)
     figure.update_layout(height=380)
     return figure
 
@@ -169,7 +176,7 @@ def _by_regime(result: RolloutDocument) -> go.Figure:
     for robot, colour in zip((*result.robots, result.floor), _colours(result), strict=True):
         values = [entry.joint_mrad[robot.robot] for entry in result.regimes]
         figure.add_bar(x=labels, y=values, name=robot.robot, marker_color=colour)
-    figure.update_yaxes(title_text=f"rms after {1e3 * result.horizon_s:.0f} ms, mrad", type="log", dtick="D2")
+    figure.update_yaxes(title_text=f"rms after {1e3 * result.horizon_s:.0f} ms, mrad", **LOG_AXIS)
     figure.update_layout(barmode="group", height=420)
     return figure
 

@@ -28,14 +28,18 @@ addEventListener('load',()=>setTimeout(()=>{
     if(Math.min(p.right,q.right)-Math.max(p.left,q.left)>1&&Math.min(p.bottom,q.bottom)-Math.max(p.top,q.top)>1)
       over.push([a,b]);}));
   const told=document.createElement('pre');told.id='told';
-  told.textContent=JSON.stringify({errors,over,texts:boxes.length});document.body.append(told);
+  const ticks=[...document.querySelectorAll('.ytick text')].map(t=>t.textContent);
+  told.textContent=JSON.stringify({errors,over,ticks,texts:boxes.length});document.body.append(told);
 },1000));
 </script>
 """
 
 
 def looked_at(path: Path) -> dict[str, Any]:
-    """`errors` of the console, pairs of texts `over` each other, number of `texts` in plots. Skips without one."""
+    """`errors` of the console, pairs of texts `over` each other, number of `texts` in plots, `ticks` of upright axes.
+
+    Skips without a browser.
+    """
     try:
         browser = headless(path.parent / "profile")
     except StorageError as error:

@@ -18,7 +18,7 @@ from schemas.robot import EffectParameter, Robot, save_robot
 from service.cli.main import app
 from service.model import kinematics
 from service.rollout.export import STEP, to_mjcf
-from service.rollout.gap import simulate
+from service.rollout.gap import plain, simulate
 from service.rollout.robot import SeenStretch, stretch
 from tests.service.rollout.test_kernel import HORIZON, effect, identified, recorded
 from tests.service.world import PERIOD, ROBOT
@@ -93,6 +93,20 @@ def test_it_goes_where_rollout_goes(names: tuple[str, ...]) -> None:
         print(f"{names}: {1e3 * off:.3f} mm of {1e3 * moved:.0f} mm")
         assert moved > 0.05
         assert off < 0.01 * moved
+
+
+def test_a_robot_as_it_was_drawn_up_is_exported_too() -> None:
+    """Its forearms are point masses: rods without any are left between them."""
+    robot = plain(ROBOT)
+    part = recorded(robot)
+    seen = stretch(robot, part, part.theta)
+    at, rows = 200, slice(200, 200 + HORIZON)
+    ours = simulate(seen, seen.start[[at]], seen.torque[None, rows], part.time[[at]], PERIOD)[0]
+    there, begin = (kinematics.forward(seen.model, angle) for angle in (ours[-1], ours[0]))
+    theirs = kinematics.forward(seen.model, run(robot, seen, at, part.torque[rows]))
+    moved = np.linalg.norm(there - begin)
+    assert moved > 0.05
+    assert np.linalg.norm(theirs - there) < 0.01 * moved
 
 
 def test_the_command_writes_model_and_callback_and_says_what_is_left_out(tmp_path: Path) -> None:
