@@ -59,7 +59,7 @@ class _JointChannel(_Channel):
     gear_ratio: Positive | None = None  # motor turns per joint turn; absent: `drive.gear_ratio` of the robot
     sign: Literal[1, -1] = 1  # -1: positive turns the active link up
     zero: float = 0.0  # reading, in the column's unit, where the joint's angle (or torque) is zero
-    bits: Literal[16, 32] | None = None  # width of an unsigned reading that is meant signed
+    bits: Literal[8, 16, 32] | None = None  # width of an unsigned reading that is meant signed
     times: str | None = None  # name of a column to multiply with, such as the voltage a duty cycle is a share of
     between: Literal["linear", "hold"] = "linear"  # value between two samples where the stamps are another channel's
 
@@ -68,21 +68,31 @@ class PositionColumn(_JointChannel):
     """A joint position."""
 
     unit: Literal["rad", "deg", "turns", "counts", "m", "mm"] = "rad"
-    counts_per_rev: Positive | None = None  # encoder increments per turn of its shaft
+    counts_per_rev: Positive | None = None  # encoder increments per turn of its shaft,
+    counts_per_m: Positive | None = None  # or per metre that a linear axis goes
 
     @model_validator(mode="after")
     def _complete(self) -> PositionColumn:
-        if (self.unit == "counts") != (self.counts_per_rev is not None):
+        given = sum(count is not None for count in (self.counts_per_rev, self.counts_per_m))
+        if given != (self.unit == "counts"):
             raise ValueError(
-                f"unit {self.unit!r} with counts_per_rev {self.counts_per_rev}: give it with 'counts' only"
+                f"unit {self.unit!r} with counts_per_rev {self.counts_per_rev}, counts_per_m {self.counts_per_m}: give "
+                "one of them, with 'counts' only"
             )
         return self
+
+    @property
+    def linear(self) -> bool:
+        """Whether it goes along a line."""
+        return self.unit in ("m", "mm") or self.counts_per_m is not None
 
     @property
     def scale(self) -> float:
         """Radians (or metres) per unit of the column, before the gear."""
         if self.counts_per_rev is not None:
             return 2 * math.pi / self.counts_per_rev
+        if self.counts_per_m is not None:
+            return 1 / self.counts_per_m
         return {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi, "m": 1.0, "mm": 1e-3}[self.unit]
 
 

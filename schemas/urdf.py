@@ -103,7 +103,7 @@ def _massive(path: Path, joints: dict[str, Any], links: dict[str, Any], logged: 
                 body.add(link)
                 todo += below.get(link, [])
         if not any(masses[link] > 0 for link in body):
-            raise RobotError(f"{path}: link {first!r} moves with joint {name!r} and has no inertia: no <inertial>")
+            raise RobotError(f"{path}: link {first!r} moves with joint {name!r} and has no mass (<inertial>)")
 
 
 def _mass(path: Path, name: str, link: Element) -> float:

@@ -268,7 +268,7 @@ def _add_arm(upper: mujoco.MjsBody, design: Design, i: int, step: float) -> None
     rod_mass, rod_length = truth.forearm_kg[i] / 2, truth.passive_link_length_m[i]
     across = rod_mass * rod_length**2 / 12
     for number, side in enumerate(SIDES):
-        middle, inertia = [rod_length / 2, 0, 0], [THIN, across, across]
+        middle, inertia = [rod_length / 2, 0, 0], [min(THIN, across), across, across]
         rod = _add_body(arm, f"rod{i}{number}", rod_mass, middle, inertia, pos=[length, side, 0.0])
         rod.add_joint(name=f"swing{i}{number}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 1, 0])
         rod.add_joint(name=f"tilt{i}{number}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])

@@ -191,7 +191,7 @@ def assemble(
         findings=tuple(notes),
         epoch_ns=epoch_ns,
         own_time=own_time,
-        angular=all(getattr(channel.column, "unit", "") not in ("m", "mm") for channel in channels),
+        angular=not any(isinstance(c.column, PositionColumn) and c.column.linear for c in channels),
     )
     return check(trace, RowNames(word, lines.numbers[rows]), robot)
 

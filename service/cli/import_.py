@@ -38,6 +38,9 @@ def command(
     torque: Annotated[str | None, typer.Option(help="Columns of the torques or currents, with commas.")] = None,
     position_unit: Annotated[str | None, typer.Option(help="rad, deg, turns, counts, m or mm.")] = None,
     counts_per_rev: Annotated[float | None, typer.Option(min=1.0, help="Increments a turn of the encoder.")] = None,
+    counts_per_m: Annotated[
+        float | None, typer.Option(min=1.0, help="Increments a metre, of an axis that goes along a line.")
+    ] = None,
     torque_unit: Annotated[
         str | None,
         typer.Option(
@@ -79,6 +82,7 @@ def command(
     description = load_description(robot) if robot else None
     stated = replace(
         _stated(time, rate, position, torque, position_unit, counts_per_rev, torque_unit),
+        counts_per_m=counts_per_m,
         torque_times=torque_times,
         where=None if where is None else _row_filter(where),
     )

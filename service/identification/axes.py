@@ -20,6 +20,8 @@ from service.model.parameters import base_parameters
 from service.model.scene import Recording
 from service.model.signals import segments, thin
 
+MUCH = 0.2  # of an axis' torque, rms, that is left: more than friction of another kind does on most real arms
+CLEARLY = 0.95  # of what the masses found leave of stretches left out; nearer than this both are as good
 BLOCKS_A_PARAMETER = {"axes": 2, "chain": 1}  # a mass shows in the torque of several joints of an arm
 
 
@@ -60,8 +62,10 @@ def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
     if share.max() > checks.HOPELESS:
         warnings.append(
             f"{name}: the model leaves {100 * share.max():.0f} % of the torque of axis {axis + 1} unexplained; wrong "
-            "units, gear, coupling? `deltatwin diagnose` tells more"
+            "units, joints in another order, gear, coupling? `deltatwin diagnose` tells more"
         )
+    else:
+        warnings += _much_left(fit)
     together, alone = np.sum(fit.residual**2), np.sum(fit.alone**2)
     noise = len(traces) * np.sum(fit.noise_floor**2)
     if together > checks.FOREIGN_LEFT**2 * noise and together - alone > checks.FOREIGN_TOGETHER * (together - noise):
@@ -76,6 +80,15 @@ def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
     return warnings
 
 
+def _much_left(fit: Plain) -> list[str]:
+    """Of axes whose torque on all logs together the model leaves much of."""
+    share = np.sqrt(np.sum(fit.residual**2, axis=0) / np.maximum(np.sum(fit.torque**2, axis=0), 1e-12))
+    told = [f"{100 * share[axis]:.0f} % of the torque of axis {axis + 1}" for axis in np.flatnonzero(share > MUCH)]
+    if not told:
+        return []
+    return [f"the model leaves {', '.join(told)}: joints in another order, gear, coupling? `deltatwin diagnose` tells"]
+
+
 def _described_better(fit: Plain) -> list[str]:
     """Whether an arm's stretches left out are better told by the masses of its URDF than by those that were found."""
     problem = fit.problem
@@ -86,7 +99,7 @@ def _described_better(fit: Plain) -> list[str]:
     described = fit.fitted.holding(links, mechanism.start[links])
     torque = sum(float(np.sum(problem.select(i, target) ** 2)) for i, target in enumerate(problem.target))
     left = [np.sqrt(block_loss(held_out(one, split), split).sum() / torque) for one in (fit.fitted, described)]
-    if left[1] >= left[0]:
+    if left[1] > CLEARLY * left[0]:
         return []
     return [
         f"stretches left out are told better by the masses of the URDF ({left[1]:.1%} of the torque is left) than by "

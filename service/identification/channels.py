@@ -21,7 +21,7 @@ WORDS = {
         "curr", "strom", "load", "force", "kraft", "vir",
     },
     "command": {
-        "set", "soll", "sollwert", "setpoint", "cmd", "command", "commanded", "target", "ref", "reference", "desired",
+        "set", "soll", "setpoint", "cmd", "command", "commanded", "target", "ref", "reference", "desired",
         "goal", "qg",
     },
     "other": {
@@ -30,6 +30,8 @@ WORDS = {
         "acc", "qdd", "pwm", "status", "state", "enable", "enabled",
     },
 }  # fmt: skip
+MEASURED = {"ist", "act", "actual", "meas", "measured", "feedback", "fbk"}
+_PARTS = re.compile(r"^(ist|soll)(\w+)$|^(\w+?)(?:s|en)?(ist|soll)wert$")  # Istposition; Lageistwert, Momentensollwert
 POSITION_UNITS = {
     "rad": "rad", "radian": "rad", "radians": "rad", "deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg",
     "°": "deg", "turns": "turns", "rev": "turns", "inc": "counts", "count": "counts", "counts": "counts",
@@ -74,7 +76,9 @@ def guess(table: Table, joints: int | None) -> Channels:
     else:
         found = {role: [name for name in names if roles[name] == role] for role in CHANNELS}
     reasons = ["columns are told by their names"]
-    if not (found["position"] and found["torque"]):
+    wanted = joints or len(found["torque"] or found["torque_command"])
+    found = {role: _measured(columns, wanted) for role, columns in found.items()}
+    if not (found["position"] and (found["torque"] or found["torque_command"])):
         by_shape = _by_smoothness(table, names, joints)
         if by_shape:
             found |= dict(zip(("position", "torque"), by_shape, strict=True))
@@ -83,6 +87,21 @@ def guess(table: Table, joints: int | None) -> Channels:
     count = joints or len(ordered["position"])
     ordered = {role: columns if len(columns) == count else [] for role, columns in ordered.items()}
     return Channels(time, **ordered, reasons=reasons)
+
+
+def _measured(columns: list[str], count: int) -> list[str]:
+    """Of more columns than there are joints those that say that they are measured, if these are as many."""
+    said = [name for name in columns if MEASURED & _words(name)]
+    return said if len(columns) > count == len(said) > 0 else columns
+
+
+def _words(name: str) -> set[str]:
+    """The words of a column's name, and of those that are two in one (German) both."""
+    words = set(tokens(name))
+    for word in list(words):
+        if parts := _PARTS.match(word):
+            words |= {part for part in parts.groups() if part}
+    return words
 
 
 def clocks_of(tables: Sequence[Table], time: str | None) -> list[str | None]:
@@ -160,7 +179,7 @@ def _moves(values: np.ndarray) -> bool:
 
 
 def _role(name: str, table: Table) -> str | None:
-    words = set(tokens(name))
+    words = _words(name)
     if table.layout.get("beside") and ":" not in name:
         words |= set(tokens(table.path.name.split(".")[0]))
     if said_unit(table, name, {"rad/s": "x", "deg/s": "x", "rpm": "x"}) or words & WORDS["other"]:

@@ -68,7 +68,8 @@ def _level(run: JointRun) -> np.ndarray:
     parts = np.split(run.error, np.flatnonzero(np.diff(run.time) > BREAK) + 1)
     slow, width = max(1, round(SLOW / period)), max(1, round(WIDTH / period))
     fast = [part - uniform_filter1d(part, slow, mode="nearest") for part in parts]
-    return np.sqrt(np.concatenate([uniform_filter1d(part**2, width, mode="nearest") for part in fast]))
+    squares = np.concatenate([uniform_filter1d(part**2, width, mode="nearest") for part in fast])
+    return np.sqrt(np.maximum(squares, 0.0))  # a running sum that rounds: below none behind a strong event
 
 
 def _stretches(run: JointRun, level: np.ndarray, limit: float) -> list[Event]:

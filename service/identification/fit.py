@@ -6,11 +6,13 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from service.model.hypothesis import Hypothesis
-from service.model.parameters import Parameters
+from service.model.parameters import FILTERED_LIMIT, TIMING_LIMIT, Parameters
 from service.model.scene import Recording, Scene
 from service.model.signals import Band
 from service.model.torque import tangent
@@ -18,6 +20,8 @@ from service.model.torque import tangent
 # A recording a thread: filters, matrix products and compiled kernels let go of the interpreter.
 THREADS = ThreadPoolExecutor(os.cpu_count())
 ITERATIONS = 6
+TOLD = 1e-8  # of a column, or of a field's largest singular value: what is left of it below that is rounding
+WITHIN_COLOURED = 1.25  # times the noise floor that is read from the noise's colour above the band
 SETTLED = 1e-4  # relative fall of the squared residual that ends the fit
 
 
@@ -26,7 +30,9 @@ class Problem:
     """Recordings, their torque in the analysis band, and the rows that count.
 
     target: (M, n) a recording. rows: (M, n) bool. sigma: (n,) N m, rms of the noise in the band, the unit of residuals.
-    weights: (M, n) a recording, by which residuals are multiplied besides; none: 1.
+    weights: (M, n) a recording, by which residuals are multiplied besides; none: 1. fields: (R, K) a recording, torque
+    of each joint that nobody asks about; what it could explain, with figures of its own a joint, says nothing.
+    filtered: the noise has a memory, so the torque went through a filter.
     """
 
     recordings: Sequence[Recording]
@@ -35,6 +41,8 @@ class Problem:
     target: list[np.ndarray] = field(default_factory=list)
     rows: list[np.ndarray] = field(default_factory=list)
     weights: Sequence[np.ndarray] = ()
+    fields: Sequence[np.ndarray] = ()
+    filtered: bool = False
 
     @classmethod
     def of(cls, recordings: Sequence[Recording], band: Band, sigma: np.ndarray) -> Problem:
@@ -50,11 +58,21 @@ class Problem:
         return [hypothesis.seen(recording) for recording in self.recordings]
 
     @property
+    def most(self) -> float:
+        """Times sigma, that the noise may have: its level in the band is extrapolated where it has a memory."""
+        return WITHIN_COLOURED if self.filtered else 1.0
+
+    @property
+    def apart(self) -> float:
+        """Samples that torque and position may be, before it is an effect."""
+        return FILTERED_LIMIT if self.filtered else TIMING_LIMIT
+
+    @property
     def count(self) -> int:
         """Rows in all recordings and joints, as they weigh: squared residual that noise alone leaves."""
-        if self.weights:
-            return round(float(sum((w[rows] ** 2).sum() for w, rows in zip(self.weights, self.rows, strict=True))))
-        return int(sum(rows.sum() for rows in self.rows))
+        squares = [self.pick(i, w) ** 2 for i, w in enumerate(self.weights)] or [np.ones(r.sum()) for r in self.rows]
+        spent = sum(float(square @ (q**2).sum(axis=1)) for square, q in zip(squares, self._known_away, strict=False))
+        return round(sum(float(square.sum()) for square in squares) - spent)
 
     @property
     def joints_of_rows(self) -> list[np.ndarray]:
@@ -84,7 +102,36 @@ class Problem:
         """Rows of `joint` that count, of its (M, ...) on recording `index`, in units of the noise, as they weigh."""
         rows = self.rows[index][:, joint]
         unit = self.sigma[joint] / (self.weights[index][rows, joint] if self.weights else np.ones(1))
-        return values[rows] / unit.reshape(-1, *([1] * (values.ndim - 1)))
+        scaled = values[rows] / unit.reshape(-1, *([1] * (values.ndim - 1)))
+        return self.clear(index, self._places(index)[joint], scaled) if self.fields else scaled
+
+    def clear(self, index: int, rows: np.ndarray | slice, values: np.ndarray) -> np.ndarray:
+        """Values (r, ...), as they weigh, of one joint's rows among the (R,) of recording `index` without what `fields`
+        explain of them. rows: all of the joint, or all that a figure of the fields is about."""
+        if not self.fields:
+            return values
+        along = self._known_away[index][rows]
+        left = values - along @ (along.T @ values)
+        told = np.linalg.norm(left, axis=0) > TOLD * np.linalg.norm(values, axis=0)
+        return np.where(told, left, 0.0)
+
+    def _places(self, index: int) -> list[slice]:
+        """Where the rows of each joint are among the (R,) of recording `index`."""
+        return [slice(start, end) for start, end in pairwise(np.cumsum([0, *self.rows[index].sum(axis=0)]).tolist())]
+
+    @cached_property
+    def _known_away(self) -> list[np.ndarray]:
+        """`fields` as they weigh, orthonormal over the rows of each joint."""
+        result = []
+        for index, columns in enumerate(self.fields):
+            weight = self.pick(index, self.weights[index])[:, None] if self.weights else 1.0
+            along = np.zeros(columns.shape)
+            for rows in self._places(index):
+                left, sizes, _ = np.linalg.svd((weight * columns)[rows], full_matrices=False)
+                told = sizes > TOLD * sizes.max(initial=0.0)
+                along[rows, : told.sum()] = left[:, told]
+            result.append(along)
+        return result
 
     def select(self, index: int, values: np.ndarray) -> np.ndarray:
         """The same of (M, n, ...), joint after joint."""
@@ -141,10 +188,10 @@ def evaluate(problem: Problem, hypothesis: Hypothesis) -> Fit:
     residuals, tangents = [residual for residual, _ in parts], [slope for _, slope in parts]
     parameters = Parameters(hypothesis)
     mechanism, period = problem.recordings[0].mechanism, problem.band.period
-    low, high = parameters.limits(mechanism, period)
+    low, high = parameters.limits(mechanism, period, problem.apart)
     values = parameters.values[parameters.free]
     inside = (values > low) & (values < high)
-    reach = parameters.reach(mechanism, period)
+    reach = parameters.reach(mechanism, period, problem.apart)
     return Fit(hypothesis, residuals, tangents, inside, inside & ~parameters.rough, reach)
 
 
@@ -175,7 +222,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS) 
         moment = np.asarray(sum(t.T @ r for t, r in zip(best.tangents, best.residuals, strict=True)))
         parameters = Parameters(best.hypothesis)
         start = parameters.values[parameters.free]
-        low, high = parameters.limits(problem.recordings[0].mechanism, problem.band.period)
+        low, high = parameters.limits(problem.recordings[0].mechanism, problem.band.period, problem.apart)
         step = within(gram, moment, low - start, high - start)
         for share in (1.0, 0.5, 0.2, 0.05):
             candidate = evaluate(problem, parameters.at(start + share * step))

@@ -18,7 +18,6 @@ from service.identification.regression import PARAMETERS, NormalEquations
 from service.identification.units import refuse_wrong_angles
 from service.model.description import identified_of
 from service.model.nominal import pack
-from service.model.parameters import TIMING_LIMIT
 from service.model.scene import Base, Recording
 
 Method = Literal["pooled", "paper"]
@@ -77,11 +76,11 @@ def written(
         said = f"{names}: found on an earlier identification, left out of this one; `diagnose` says what still is there"
         constants = ", `identify --carried` how far torque constants are off" if isinstance(robot, Robot) else ""
         warnings = [*warnings, said + constants]
-    if abs(base.timing) >= AT_LIMIT * TIMING_LIMIT * fit.problem.recordings[0].segment.period:
+    if abs(base.timing) >= AT_LIMIT * fit.problem.apart * fit.problem.recordings[0].segment.period:
         older, newer = ("torque", "position") if base.timing > 0 else ("position", "torque")
         said = (
-            f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}, {TIMING_LIMIT} of a sample, the "
-            "most that is fitted: it may be more, or something else that looks like it; `deltatwin diagnose` tells"
+            f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}, {fit.problem.apart} of a sample, "
+            "the most that is fitted: it may be more, or something else that looks like it; `deltatwin diagnose` tells"
         )
         warnings = [*warnings, said]
     return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))

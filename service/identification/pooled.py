@@ -130,7 +130,7 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:
     if wider.cutoff_hz > band.cutoff_hz:
         problem = Problem.of(recordings, wider, problem.sigma)
     found = floor(recordings, left, problem.band)
-    return replace(problem, sigma=found.band), found
+    return replace(problem, sigma=found.band, filtered=bool(found.coloured.any())), found
 
 
 def _ripple_hz(recordings: Sequence[Recording], above: Sequence[np.ndarray]) -> float:

@@ -44,6 +44,7 @@ CLEAR = 0.6  # a reading is told from another that leaves this many times as muc
 CLEAR_SCALE = 0.8
 HOPELESS = 0.5  # share of the torque left, from which nothing can be said
 LEAPS = 0.5  # of the way that readings go, that is left where their sign is put right
+FOLLOWS_WITHIN = 2.0  # factor between the way of a command and that of what follows it
 SAME = 1.25  # factor within which a torque's scale goes with the masses of the description
 _WHENCE = "by the masses of the description; the data sheet is better: --torque-unit"
 AS_GIVEN = (1, 1, 1)  # signs
@@ -64,6 +65,7 @@ class Stated:
     torque_unit: tuple[str, float | None] | None = None
     torque_times: str | None = None
     where: tuple[str, float] | None = None
+    counts_per_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -90,8 +92,9 @@ def propose(table: Table, robot: Description | None, stated: Stated) -> Proposal
         position=stated.position or channels.position,
         torque=stated.torque or channels.torque,
     )
-    _check(table, channels, stated, joints)
     reasons, doubts = list(channels.reasons), []
+    channels = _told_once(channels, doubts)
+    _check(table, channels, stated, joints)
     if stated.position and stated.torque:
         reasons.clear()
     layout: dict[str, Any] = dict(table.layout)
@@ -129,12 +132,58 @@ def propose(table: Table, robot: Description | None, stated: Stated) -> Proposal
     for role in CHANNELS:
         names = getattr(channels, role)
         entry, sign = (torque, torque_signs) if role.startswith("torque") else (position, signs)
+        if names and role.endswith("command"):
+            units = TORQUE_UNITS if role.startswith("torque") else POSITION_UNITS
+            measured = getattr(channels, role.removesuffix("_command"))
+            meant = _as_measured(table, names, measured, entry, units, robot.gear_ratios[0] if robot else 1.0)
+            if meant is None:
+                doubts.append(f"{_listed(names)} are in another unit than what was measured: left out")
+                channels = replace(channels, **{role: ()})
+                continue
+            if meant is not entry:
+                reasons.append(f"{_listed(names)} are {_named(meant)}: so they go as far as what was measured")
+                entry = meant
         if names:
             columns[role] = [
                 _entry(table, channels, name, {**entry, **readings.get(name, {})}, s)
                 for name, s in zip(names, sign, strict=True)
             ]
     return Proposal(columns, reasons, doubts, channels)
+
+
+def _told_once(channels: Channels, doubts: list[str]) -> Channels:
+    """The channels without a command that stands for what was measured."""
+    if channels.torque_command and not channels.torque:
+        doubts.append(
+            f"{_listed(channels.torque_command)} are commands, and no torque was measured: what the controller asked "
+            "for stands in for it, with the controller's lag"
+        )
+        return replace(channels, torque=channels.torque_command, torque_command=())
+    twice = {
+        f"{role}_command": () for role in ("position", "torque")
+        if set(getattr(channels, role)) & set(getattr(channels, f"{role}_command"))
+    }  # fmt: skip
+    return replace(channels, **twice)
+
+
+def _as_measured(
+    table: Table, names: Sequence[str], measured: Sequence[str], entry: dict[str, Any], units: Mapping[str, str],
+    gear: float,
+) -> dict[str, Any] | None:  # fmt: skip
+    """How commands are to be read so that they go as far as what was measured, which `entry` says; None where no unit
+    is known in which they do."""
+    said = said_unit(table, names[0], units)
+    same = said in (None, entry["unit"])
+    if units is TORQUE_UNITS:  # a command may be a part of the torque, however large
+        return entry if same else None
+    way, wanted = (sum(np.nanvar(table.columns[name]) for name in columns) ** 0.5 for columns in (names, measured))
+    wanted *= _scale(entry, gear)
+    linear = entry["unit"] in ("m", "mm") or "counts_per_m" in entry
+    others = [said] if said else ["m", "mm"] if linear else ["rad", "deg", "turns"]
+    sides: list[dict[str, Any]] = [{}, {"side": "motor"}] if entry.get("side") == "motor" else [{}]
+    readings = [entry] * same + [{"unit": unit} | side for unit in others if unit in SCALES for side in sides]
+    near = (r for r in readings if wanted < FOLLOWS_WITHIN * way * _scale(r, gear) < FOLLOWS_WITHIN**2 * wanted)
+    return next(near, None)
 
 
 def _check(table: Table, channels: Channels, stated: Stated, joints: int | None) -> None:
@@ -145,10 +194,10 @@ def _check(table: Table, channels: Channels, stated: Stated, joints: int | None)
             if name not in table.columns:
                 raise DataError(f"{table.path}: no column {name!r}; it has: {listed}")
         if not names or (joints and len(names) != joints):
-            wanted = f"{joints} " if joints else ""
+            which = "column is the" if joints == 1 else f"{joints} columns are the" if joints else "columns are the"
+            many, what = ("", "NAME") if joints == 1 else ("s", "NAME,NAME,...")
             raise DataError(
-                f"{table.path}: which {wanted}columns are the {role}s cannot be told; say --{role} NAME,NAME,... "
-                f"(columns: {listed})"
+                f"{table.path}: which {which} {role}{many} cannot be told; say --{role} {what} (columns: {listed})"
             )
     if len(channels.position) != len(channels.torque):
         raise DataError(
@@ -185,7 +234,7 @@ def _readings(
     meant, readings = dict(table.columns), {}
     for role in ("torque", "torque_command"):
         names = getattr(channels, role)
-        bits = next((b for b in (16, 32) if any(_without_sign(meant[name], b) for name in names)), None)
+        bits = next((b for b in (8, 16, 32) if any(_without_sign(meant[name], b) for name in names)), None)
         for name in names:
             keys = {"bits": bits, "times": times if role == "torque" else None}
             readings[name] = {key: value for key, value in keys.items() if value is not None}
@@ -262,7 +311,16 @@ class _Units:
         """What the positions may be, the likeliest first."""
         stated, robot = self._stated, self._robot
         said = stated.position_unit or said_unit(self._table, self._channels.position[0], POSITION_UNITS)
-        if said == "counts" or (said is None and self._integers()):
+        counts = said == "counts" or (said is None and self._integers())
+        if counts and (stated.counts_per_m is not None or (robot is not None and robot.linear)):
+            if stated.counts_per_m is None:
+                raise DataError(
+                    f"{self._table.path}: positions are increments, of an axis in m; how many make a metre? say "
+                    "--counts-per-m"
+                )
+            reasons.append(f"positions are increments, {stated.counts_per_m:g} a metre")
+            return [{"unit": "counts", "counts_per_m": stated.counts_per_m}]
+        if counts:
             per_turn = stated.counts_per_rev or _counts(robot)
             if per_turn is None:
                 raise DataError(
@@ -469,6 +527,8 @@ def _known(torque: Mapping[str, Any], scale: float) -> dict[str, Any]:
 
 
 def _scale(position: Mapping[str, Any], gear: float) -> float:
+    if "counts_per_m" in position:
+        return 1 / position["counts_per_m"]
     scale = 2 * np.pi / position["counts_per_rev"] if "counts_per_rev" in position else SCALES[position["unit"]]
     return scale / gear if position.get("side") == "motor" else scale
 

@@ -16,6 +16,7 @@ from service.model.hypothesis import Hypothesis, Term
 from service.model.mechanism import Mechanism
 
 TIMING_LIMIT = 0.25  # samples: a shift below this is sampling, beyond it an effect
+FILTERED_LIMIT = 0.5  # the same of a torque that went through a recorder's filter, which makes it late
 REACH, REACH_OF_RANGE = 0.5, 0.02  # of a value, of its range: further than both together a slope says nothing
 TRANSITION = (2e-4, 2e-2)  # rad/s, limits of the speed over which Coulomb friction turns; beyond is an effect
 WIDE_TRANSITION = 0.5  # rad/s, the upper limit where each friction has its own
@@ -107,23 +108,24 @@ class Parameters:
             rough[mine] = [parameter.rough for parameter in parameters]
         return rough[self.free]
 
-    def limits(self, mechanism: Mechanism, period: float) -> tuple[np.ndarray, np.ndarray]:
-        """(F,) lowest and highest values that a fit may give the free parameters. period: s between samples."""
+    def limits(self, mechanism: Mechanism, period: float, apart: float = TIMING_LIMIT) -> tuple[np.ndarray, np.ndarray]:
+        """(F,) lowest and highest values that a fit may give the free parameters. period: s between samples. apart:
+        samples that torque and position may be."""
         low, high = np.full(len(self.values), -np.inf), np.full(len(self.values), np.inf)
         base = base_parameters(mechanism)
         low[: len(base)], high[: len(base)] = [known.low for known in base], [known.high for known in base]
         low[self.transition], high[self.transition] = TRANSITION
         if np.ndim(self.hypothesis.base.transition):
             high[self.transition] = WIDE_TRANSITION
-        low[self.timing], high[self.timing] = -TIMING_LIMIT * period, TIMING_LIMIT * period
+        low[self.timing], high[self.timing] = -apart * period, apart * period
         for mine, parameters in zip(self.terms, self.of_terms, strict=True):
             low[mine], high[mine] = [known.low for known in parameters], [known.high for known in parameters]
         return low[self.free], high[self.free]
 
-    def reach(self, mechanism: Mechanism, period: float) -> tuple[np.ndarray, np.ndarray]:
+    def reach(self, mechanism: Mechanism, period: float, apart: float = TIMING_LIMIT) -> tuple[np.ndarray, np.ndarray]:
         """(F,) steps down and up that a slope can be trusted over, inside the limits: without end where the torque is
         linear, `REACH` of a value where it is not."""
-        low, high = self.limits(mechanism, period)
+        low, high = self.limits(mechanism, period, apart)
         bent = np.zeros(len(self.values), bool)
         bent[self.transition] = True
         for term, mine in zip(self.hypothesis.terms, self.terms, strict=True):

@@ -105,11 +105,12 @@ class Effect(ABC):
     parameters, so they are kept when a part of the data is left out. own_nonlinear: each joint may have own ones.
     repeats: may be at work more than once on a joint. kinds: mechanisms it makes sense for. settles: the motion that
     tells it from what it resembles. directional: a joint that moves one way only does not show it. dissipates:
-    friction, which together with the base model's takes energy out of the motion in either direction. same: effects
-    that no motion tells it from. takes_timing: it has the place of the timing within a sample. beyond: `size` that no
-    robot which runs has, several times the strongest of the blind test: an effect that large stands in for a wrong
-    description; beyond_together: the same on several joints at once. online: compiled (effect record, Instant, joint)
-    -> N m from the present sample, where there is such a form; of the effects that come along only.
+    friction, which together with the base model's takes energy out of the motion in either direction. above_coulomb: it
+    falls to the base model's friction, without which it is none. same: effects that no motion tells it from.
+    takes_timing: it has the place of the timing within a sample. beyond: `size` that no robot which runs has, several
+    times the strongest of the blind test: an effect that large stands in for a wrong description; beyond_together: the
+    same on several joints at once. online: compiled (effect record, Instant, joint) -> N m from the present sample,
+    where there is such a form; of the effects that come along only.
     """
 
     name: ClassVar[str]
@@ -125,6 +126,7 @@ class Effect(ABC):
     settles: ClassVar[str]
     directional: ClassVar[bool] = False
     dissipates: ClassVar[bool] = False
+    above_coulomb: ClassVar[bool] = False
     same: ClassVar[frozenset[str]] = frozenset()
     takes_timing: ClassVar[bool] = False
     beyond: ClassVar[float] = math.inf

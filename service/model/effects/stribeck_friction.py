@@ -30,6 +30,7 @@ class StribeckFriction(Effect):
     title = "More friction at low speed (sticking)"
     means = "Grease or preload of the gear: relubricate, check the seals; expect stick-slip in slow moves until then."
     dissipates = True
+    above_coulomb = True
     directional = True
     online = staticmethod(_online)
     own_nonlinear = True

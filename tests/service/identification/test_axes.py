@@ -168,6 +168,7 @@ def test_what_cannot_be_is_one_line(tmp_path: Path, line: str, words: str) -> No
 def test_logs_of_two_machines_and_a_model_that_is_none_are_told(monkeypatch, noise, alone, worst, told):
     """Two logs of two axes; what each sheds alone is summed over its axes."""
     monkeypatch.setattr(axes, "_described_better", lambda fit: [])
+    monkeypatch.setattr(axes, "_much_left", lambda fit: [])
     residual = np.array([[3.1, 3.1], [4.0, 0.5]])
     fit = stub(
         residual=residual, torque=np.array([[10.0, 10.0], [4.0 / worst, 10.0]]), noise_floor=np.full(2, noise),
@@ -177,6 +178,16 @@ def test_logs_of_two_machines_and_a_model_that_is_none_are_told(monkeypatch, noi
     assert len(found) == len(told)
     for line, words in zip(found, told, strict=True):
         assert line.startswith(words)
+
+
+@pytest.mark.parametrize(("second", "told"), [(4.2, "axis 2"), (3.8, None)])
+def test_an_axis_of_which_all_logs_leave_a_fifth_is_told(second: float, told: str | None) -> None:
+    """One log alone may leave more: too little motion of it is no wrong model."""
+    residual = np.array([[5.0, second], [1.0, second]])
+    fit = stub(residual=residual, torque=np.array([[10.0, 20.0], [40.0, 20.0]]))
+    found = axes._much_left(fit)
+    assert len(found) == (told is not None)
+    assert all(line.startswith(f"the model leaves 21 % of the torque of {told}: ") for line in found)
 
 
 @pytest.mark.parametrize(("seconds", "enough"), [(3.9, False), (4.1, True)])
@@ -203,9 +214,9 @@ def test_two_blocks_a_parameter_and_axis_are_enough(monkeypatch, seconds, enough
             axes.identify_axes(made, logs)
 
 
-@pytest.mark.parametrize(("described", "better"), [(0.9, True), (1.1, False)])
+@pytest.mark.parametrize(("described", "better"), [(0.55, True), (0.65, False)])
 def test_the_masses_of_a_description_are_told_to_be_better_where_they_are(monkeypatch, described, better):
-    """By what both leave of stretches left out, of the torque."""
+    """By what both leave of stretches left out, of the torque: a twentieth less."""
 
     class Arm:
         start = np.array([9.0, 2.0, 3.0])

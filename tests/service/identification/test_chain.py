@@ -113,6 +113,17 @@ def test_degrees_that_are_called_radians(bench: Path, tmp_path: Path) -> None:
     assert "small.csv: with the masses of the URDF the torque fits positions in degrees" in str(result.exception)
 
 
+def test_joints_in_another_order_than_the_log_has_are_told(bench: Path, tmp_path: Path) -> None:
+    """A fit of free masses explains much of it."""
+    robot = arm.write(tmp_path)
+    robot.write_text(robot.read_text().replace('"j1", "j2"', '"j2", "j1"'))
+    logs = [bench / "log_0.csv", bench / "log_1.csv"]
+    told = " ".join(run("identify", *logs, "--robot", robot, "--out", tmp_path / "out.toml").split())
+    assert "joints in another order, gear, coupling?" in told
+    own = run("identify", *logs, "--robot", bench / "small.toml", "--out", tmp_path / "own.toml")
+    assert "another order" not in " ".join(own.split())
+
+
 def test_a_joint_that_never_moves_and_logs_of_two_arms(bench: Path, tmp_path: Path) -> None:
     heavy = arm.URDF.replace('mass value="3"', 'mass value="6"')
     logs = [bench / "log_0.csv", arm.record(tmp_path / "theirs.csv", 6, urdf=heavy)]

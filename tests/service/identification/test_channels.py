@@ -63,6 +63,10 @@ def test_names_fall_into_words(name: str, words: list[str]) -> None:
         ("time,a [deg],b [Nm]", "a [deg]", "b [Nm]", ("", "")),
         ("time,qm,qg,vir", "qm", "vir", ("qg", "")),
         ("time,goal,position,load", "position", "load", ("goal", "")),
+        ("Zeit,Sollposition,Istposition,Schleppfehler,Strom", "Istposition", "Strom", ("Sollposition", "")),
+        ("Zeit,Lageistwert,Lagesollwert,Momentenistwert", "Lageistwert", "Momentenistwert", ("Lagesollwert", "")),
+        ("time,pos act,pos nc,torque", "pos act", "torque", ("", "")),
+        ("t,x pos,x force cmd", "x pos", "", ("", "x force cmd")),
         ("time,joint m,joint torque,joint angle", "joint angle", "joint m,joint torque", None),
     ],
 )  # fmt: skip
@@ -73,7 +77,7 @@ def test_names_tell_what_a_column_is(names: str, position: str, torque: str, com
     if commands is None:  # another number of torques than of positions: which is meant is not said
         assert list(found.torque) == []
         return
-    assert list(found.torque) == torque.split(",")
+    assert ",".join(found.torque) == torque
     assert [",".join(found.position_command), ",".join(found.torque_command)] == list(commands)
     assert found.reasons == ["columns are told by their names"]
 

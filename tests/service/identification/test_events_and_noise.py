@@ -50,6 +50,17 @@ def test_nothing_below_the_floor_is_an_event():
     assert events.events(runs, np.array([3.0, 3.0])) == []
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [17.0, 1e3, 1e6])
+def test_the_level_behind_a_strong_event_is_a_number(size: float) -> None:
+    """What a running sum rounds off may be less than none."""
+    time = np.arange(2000) * 2e-3
+    for rows in (97, 301, 450):
+        error = np.zeros(2000)
+        error[200 : 200 + rows] = size * np.sin(1.3 * np.arange(rows))
+        assert np.isfinite(events._level(events.JointRun("run", 0, time, error))).all()
+
+
 @pytest.mark.parametrize(("above", "seen"), [(3.4, 0), (3.6, 1)])
 def test_an_event_stands_three_and_a_half_times_above_the_median_of_the_level(above: float, seen: int):
     time = np.arange(2000) * STEP

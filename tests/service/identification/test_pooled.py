@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from schemas.errors import DataError
 from schemas.robot import Robot
@@ -31,11 +32,14 @@ def test_truth_is_recovered_without_noise(robot: Robot, record: Record) -> None:
     assert {estimate.verdict for estimate in result.estimates} == {"identifiable"}
 
 
-def late(robot: Robot, record: Record, torque: int, position: int) -> Identification[Robot]:
-    """Every fifth of 5 kHz, torque and position old by so many times 0.2 ms."""
+def late(robot: Robot, record: Record, torque: int, position: int, memory: float = 0.0) -> Identification[Robot]:
+    """Every fifth of 5 kHz, torque and position old by so many times 0.2 ms. memory: s of the torque's noise."""
     traces = []
     for seed in range(3):
-        fine = record(seed, Truth(noise=0.3), period=2e-4)
+        fine = record(seed, Truth(noise=0.0), period=2e-4)
+        keep = np.exp(-2e-4 / memory) if memory else 0.0
+        white = 0.3 * (1.0 - keep**2) ** 0.5 * np.random.default_rng(seed).standard_normal(fine.torque.shape)
+        fine = replace(fine, torque=fine.torque + lfilter([1.0], [1.0, -keep], white, axis=0))
         now, past, seen = (slice(5 - age, -age or None, 5) for age in (0, torque, position))
         traces.append(replace(fine, time=fine.time[now], position=fine.position[seen], torque=fine.torque[past],
                               flags=fine.flags[now]))  # fmt: skip
@@ -55,6 +59,15 @@ def test_torque_of_another_instant_within_a_sample_is_told(robot: Robot, record:
     assert found.robot.identified is not None
     assert found.robot.identified.torque_timing_s == pytest.approx(2e-4, abs=2e-5)
     np.testing.assert_allclose(found.fit.values, truth.values, rtol=0.02)
+
+
+def test_torque_whose_noise_has_a_memory_went_through_a_filter_and_is_later(robot: Robot, record: Record) -> None:
+    found = late(robot, record, 2, 0, memory=3e-3)
+    assert not any("older than" in line for line in found.warnings)
+    assert found.robot.identified is not None
+    assert found.robot.identified.torque_timing_s == pytest.approx(4e-4, abs=2e-5)
+    (said,) = (line for line in late(robot, record, 4, 0, memory=3e-3).warnings if "older than" in line)
+    assert said.startswith("the torque is 0.5 ms older than the position, 0.5 of a sample, the most that is fitted")
 
 
 def test_standard_errors_cover_the_truth(robot: Robot, record: Record) -> None:

@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.trace import read_trace
 from drivers.trace.quality import ANY_JOINT, MAX_SPEED
 from drivers.trace.tables import Table
 from schemas.axes import Axes
+from schemas.columns import Columns
 from schemas.errors import DataError
 from schemas.robot import Drive, Robot
 from schemas.trace import Trace
@@ -254,6 +256,56 @@ def test_a_linear_axis_is_in_metres_or_millimetres_by_its_range(scale: float, un
     assert f"positions taken as {unit}, by their range" in found.doubts
 
 
+@pytest.mark.parametrize(
+    ("name", "per_metre", "unit"),
+    [("set pos", 1.0, "m"), ("set pos", 1e3, "mm"), ("set pos [mm]", 1e3, "mm"), ("set pos [deg]", 1.0, None),
+     ("set pos", 10.0, None), ("set pos [mm]", 1.0, None)],
+)  # fmt: skip
+def test_a_command_is_in_the_unit_in_which_it_goes_as_far(name: str, per_metre: float, unit: str | None) -> None:
+    """Or it is left out: taken in another it would be a position error that no loop has."""
+    made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
+    command = per_metre * np.roll(made.columns["pos"], -3)
+    found = propose(replace(made, columns={**made.columns, name: command}), AXIS, Stated())
+    assert entries(found, "position") == [{"unit": "m"}]
+    assert found.columns.get("position_command") == (None if unit is None else [{"name": name, "unit": unit}])
+    assert found.channels.position_command == (() if unit is None else [name])
+    assert any(f"{name!r} are in another unit" in doubt for doubt in found.doubts) == (unit is None)
+    assert any(f"{name!r} are mm of the joint" in reason for reason in found.reasons) == (unit == "mm")
+
+
+def test_where_torque_was_only_commanded_that_stands_in_for_it_and_is_doubted() -> None:
+    made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
+    columns = {**made.columns, "force cmd": made.columns["force"]}
+    del columns["force"]
+    commanded = replace(made, columns=columns)
+    for stated in (Stated(), Stated(torque=["force cmd"])):
+        found = propose(commanded, AXIS, stated)
+        assert found.columns["torque"] == [{"name": "force cmd", "unit": "N"}]
+        assert "torque_command" not in found.columns
+    assert any("no torque was measured" in doubt for doubt in propose(commanded, AXIS, Stated()).doubts)
+
+
+def test_a_torque_command_in_another_unit_than_the_torque_is_left_out() -> None:
+    made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
+    columns = {**made.columns, "force cmd [%]": made.columns["force"] / 8}
+    found = propose(replace(made, columns=columns), AXIS, Stated())
+    assert "torque_command" not in found.columns
+    assert any("'force cmd [%]' are in another unit" in doubt for doubt in found.doubts)
+
+
+def test_increments_of_a_linear_axis_are_so_many_a_metre(tmp_path: Path) -> None:
+    made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
+    counts = replace(made, columns={**made.columns, "pos": np.round(1e6 * made.columns["pos"])})
+    with pytest.raises(DataError, match=r"slide\.csv: .* increments, of an axis in m; .* say --counts-per-m$"):
+        propose(counts, AXIS, Stated())
+    found = propose(counts, AXIS, Stated(counts_per_m=1e6))
+    assert found.columns["position"] == [{"name": "pos", "unit": "counts", "counts_per_m": 1e6}]
+    rows = np.column_stack(list(counts.columns.values()))
+    np.savetxt(tmp_path / "slide.csv", rows, delimiter=",", header=",".join(counts.columns), comments="")
+    trace = read_trace(tmp_path / "slide.csv", AXIS, Columns.model_validate(found.columns))
+    np.testing.assert_allclose(trace.position[:, 0], made.columns["pos"], atol=0.6e-6)
+
+
 def test_of_the_rows_that_count_the_longest_run_is_taken() -> None:
     mode = np.array([1.0, 0, 1, 1, 0, 1, 1, 1, 0, 1, 1])
     made = Table(Path("log.csv"), "text", {"mode": mode, "row": np.arange(11.0)})
@@ -275,6 +327,14 @@ WAVE = np.round(20_000 * np.sin(np.arange(400) / 40))
 )  # fmt: skip
 def test_numbers_that_lost_their_sign_leap_and_hardly_do_with_it(values: np.ndarray, unsigned: bool) -> None:
     assert proposal._without_sign(np.array(values, float), 16) is unsigned
+
+
+def test_a_byte_that_lost_its_sign_is_told() -> None:
+    made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
+    force = np.round(100 * made.columns["force"] / np.abs(made.columns["force"]).max())
+    found = propose(replace(made, columns={**made.columns, "force": force % 256}), AXIS, Stated())
+    assert entries(found, "torque") == [{"unit": "N", "bits": 8}]
+    assert "'force' are of 8 bits without their sign: 255 stands for -1" in found.reasons
 
 
 def test_where_one_joint_lost_its_sign_all_did(geared: Robot, log: Trace) -> None:
