@@ -23,7 +23,7 @@ from service.diagnosis.fit.exchange import exchanged
 from service.diagnosis.fit.orders import more_orders
 from service.diagnosis.fit.selection import FAR_ABOVE, Scored, Selection, score, search
 from service.identification import pooled
-from service.identification.fit import Problem, evaluate, fit
+from service.identification.fit import WITHIN_COLOURED, Problem, evaluate, fit
 from service.identification.folds import Split
 from service.identification.loops import loops_of, position_errors
 from service.identification.units import refuse_wrong_angles
@@ -35,9 +35,8 @@ from service.model.scene import Recording
 from service.model.signals import segments, thin
 
 # What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
-# smoothing of the motion costs another two.
+# smoothing of the motion costs another two. Where it is read from the noise's colour above the band: `WITHIN_COLOURED`.
 WITHIN_NOISE = 1.06
-WITHIN_COLOURED = 1.25  # the same where it is read from the noise's colour above the band
 
 
 def diagnose(
@@ -149,7 +148,7 @@ def _judged(
     else:
         selection, fell = earned(regressors, selection, tests, allows)
         fallen += fell
-    chosen = statistics.walked(selection, split, problem.count)
+    chosen = statistics.walked(selection, split, problem.count, problem.most)
     after = statistics.by_fold(chosen, split)
     selection, fell = together(problem, split, selection, after, given, unknown and _left(problem, after) > limit)
     if fell:

@@ -17,7 +17,7 @@ from service.diagnosis.findings import Findings
 from service.model.description import in_units_of
 from service.model.hypothesis import Hypothesis
 from service.model.torque import predict
-from service.pages import write_page
+from service.pages import LOG_AXIS, write_page
 
 COLOURS = {"before": "#b0b7c3", "after": "#1f6feb", "noise": "#d0d7de"}
 EFFECTS = ("#1f6feb", "#2da44e", "#8250df", "#bf8700")
@@ -38,7 +38,7 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
         "Over angle and speed": _maps(findings),
         "Over the workspace": _workspace(findings),
         "Which effect": _ranking(document),
-        "Spectrum of what is left": _spectrum(findings),
+        "Spectrum of what is left (grey: above what is analysed)": _spectrum(findings),
     }
     write_page(
         "diagnosis", path, document=document, answer=answer(document), levels=_levels(document), paragraphs=rest,
@@ -236,7 +236,10 @@ def _workspace(findings: Findings) -> go.Figure | None:
 
 def _ranking(document: Diagnosis) -> go.Figure | None:
     entries = [(entry.name.replace("_", " "), entry.probability) for entry in document.ranking]
-    entries += [("none", document.probability_none), ("structure beyond the catalogue", document.probability_unknown)]
+    entries += [
+        ("none", document.probability_none),
+        ("structure beyond the catalogue beside them", document.probability_unknown),
+    ]
     figure = go.Figure()
     figure.add_bar(
         y=[name for name, _ in entries][::-1], x=[100 * p for _, p in entries][::-1], orientation="h",
@@ -260,10 +263,15 @@ def _spectrum(findings: Findings) -> go.Figure:
             )  # fmt: skip
             figure.add_trace(trace, row=1, col=joint + 1)
     for joint in range(n):
-        level = findings.noise[joint] ** 2 * 2 * findings.problem.band.period
-        figure.add_hline(y=float(np.sqrt(level)), line_dash="dot", line_color="#59636e", row=1, col=joint + 1)  # pyright: ignore[reportArgumentType]
-    figure.update_xaxes(type="log", title_text="Hz", dtick=1)
-    figure.update_yaxes(type="log", dtick="D2")
+        level = float(np.sqrt(findings.noise[joint] ** 2 * 2 * findings.problem.band.period))
+        noise = go.Scatter(
+            x=frequency[[0, -1]], y=[level] * 2, name="noise", legendgroup="noise", showlegend=joint == 0,
+            mode="lines", line={"dash": "dot", "color": "#59636e"},
+        )  # fmt: skip
+        figure.add_trace(noise, row=1, col=joint + 1)
+    figure.add_vrect(x0=findings.problem.band.cutoff_hz, x1=frequency[-1], fillcolor="#59636e", opacity=0.08)
+    figure.update_xaxes(title_text="frequency, Hz", **LOG_AXIS)
+    figure.update_yaxes(**LOG_AXIS)
     figure.update_yaxes(title_text=f"{in_units_of(findings.robot, 'N m')} / √Hz", col=1)
     figure.update_layout(height=340, legend={"orientation": "h", "y": 1.2})
     return figure

@@ -65,6 +65,8 @@ CAUTIONS = {
     "rivalled": "{Effect}{where} fits, but others may be in its place: cannot be told apart on this data, not named.",
     "set_aside": "{share:.0%} of the motion{where} has something at work that is not in the catalogue; what is named "
     "was told by the rest.",
+    "by_place": "Something that is not in the catalogue pulls at the platform wherever it is; what is named was told "
+    "beside any torque that goes by the platform's place, springs, offsets and weights cannot be told.",
 }
 # with these no effect is told from others
 NO_NAMES = {

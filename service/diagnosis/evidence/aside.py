@@ -4,12 +4,17 @@ little, and all is searched again, under the same rules.
 A stranger sits on one joint, acts in one place, or comes and goes. An effect of the catalogue is at work in the other
 rows too, and what is left of them with it is noise. Which they are shows only once the effects are known: one by one,
 that is added which does most for rows that weigh by what the others leave of them, and the rows are weighed again.
+
+A stranger that pulls at the platform wherever it is leaves no such rows, and springs, weights and offsets stand in for
+it. Then any torque that goes by the platform's place is left open, on each joint and run another: friction, delays,
+ripple, inertia show beside it, what goes by the place alone cannot be told.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -27,22 +32,28 @@ from service.diagnosis.fit.selection import (
     score,
     z_score,
 )
-from service.identification.fit import Problem, fit
-from service.identification.folds import Split
+from service.identification.fit import Problem, evaluate, fit
+from service.identification.folds import Split, held_out
 from service.model.effects.base import Effect
+from service.model.parameters import Parameters
 
 WIDTH = 0.06  # s over which the level of what is left is taken
 EVEN = 1.5  # level from which rows weigh less while effects are looked for, all that are above it alike
 SETTLING = 3  # times that the rows are weighed by what is left and the parameters fitted to them
+EVERYWHERE = 1.2  # times the noise, of what is left of the rows as they weigh: more, and no row is free of the stranger
+FREED = 1.1  # times as many rows have to weigh, with a torque left open that goes by the platform's place,
+ORDER = 2  # to this power of it: a force that changes evenly, and its lever
 LESS = 0.9  # of a joint's rows: one that keeps more is not told as set aside
 
 
 @dataclass(frozen=True)
 class Quiet:
-    """The rows of `whole` as they weigh beside a stranger: where it is at work the less, the more it leaves."""
+    """The rows of `whole` as they weigh beside a stranger: where it is at work the less, the more it leaves. left: rms
+    in units of the noise, as they weigh, with what was added to find them."""
 
     whole: Problem
     regressors: Regressors
+    left: float
 
     @property
     def problem(self) -> Problem:
@@ -54,10 +65,25 @@ class Quiet:
         cls, regressors: Regressors, none: Scored, given: int, allows: Callable[[Effect, int], bool],
         progress: Callable[[str], None],
     ) -> Quiet:  # fmt: skip
-        """Effects are added while that helps, none of them believed yet; what they leave far above the noise is the
-        stranger's. none: the base model on rows that weigh alike."""
+        """none: the base model on rows that weigh alike. Where no row is free of the stranger, torque that goes by the
+        platform's place is left open, if that frees some."""
         whole, split = regressors.problem, regressors.split
-        problem, best = _settled(whole, split, none, none.residuals)
+        found = cls._settled_on(regressors, whole, none, given, allows, progress)
+        if found.left <= EVERYWHERE:
+            return found
+        field = replace(whole, fields=_by_place(whole, split))
+        none = score(fit(field, none.hypothesis), split)
+        freed = cls._settled_on(regressors, field, none, given, allows, progress)
+        return freed if freed.problem.count > FREED * found.problem.count else found
+
+    @classmethod
+    def _settled_on(
+        cls, regressors: Regressors, asked: Problem, none: Scored, given: int, allows: Callable[[Effect, int], bool],
+        progress: Callable[[str], None],
+    ) -> Quiet:  # fmt: skip
+        """Effects are added while that helps, none of them believed yet; what they leave far above the noise is the
+        stranger's."""
+        problem, best = _settled(asked, regressors.split, none, none.residuals)
         base = best
         for _ in range(MOST_EFFECTS):
             exact, fault = additions(regressors.weighing(problem), best, base, given, allows, progress)
@@ -66,14 +92,28 @@ class Quiet:
             gain = float((best.blocks - exact[0].blocks).sum())
             if gain < LEAST_GAIN * problem.count or z_score(best.blocks, exact[0].blocks) < LEAST_Z:
                 break
-            problem, best = _settled(whole, split, exact[0], _unweighed(problem, exact[0].residuals))
-        levels = _levels(whole, _unweighed(problem, best.residuals))
-        weights = [np.where(level > FAR_ABOVE, 1.0 / level**2, 1.0) for level in levels]
-        return cls(whole, regressors.weighing(replace(whole, weights=weights)))
+            problem, best = _settled(asked, regressors.split, exact[0], _unweighed(problem, exact[0].residuals))
+        left = _unweighed(problem, best.residuals)
+        weights = [np.where(level > FAR_ABOVE, 1.0 / level**2, 1.0) for level in _levels(asked, left)]
+        weighed = replace(asked, weights=weights)
+        square = sum(float(np.sum((r * weighed.pick(i, weights[i])) ** 2)) for i, r in enumerate(left))
+        return cls(regressors.problem, regressors.weighing(weighed), (square / weighed.count) ** 0.5)
 
     def on_all(self, scored: Scored) -> Scored:
-        """A hypothesis with all that it leaves, however little it weighs against it."""
-        return replace(scored, residuals=_unweighed(self.problem, scored.residuals))
+        """A hypothesis with all that it leaves, however little it weighs against it. Beside a torque that was left open
+        its effects stay as they are and the base model is fitted to all that there is."""
+        if not self.problem.fields:
+            return replace(scored, residuals=_unweighed(self.problem, scored.residuals))
+        parameters, every = Parameters(scored.hypothesis), evaluate(self.whole, scored.hypothesis)
+        values = parameters.values[parameters.free]
+        effects = parameters.among_free(slice(parameters.timing + 1, None))
+        held = every.holding(effects, values[effects])
+        gram = np.asarray(sum(tangent.T @ tangent for tangent in held.moving))
+        moment = np.asarray(sum(t.T @ r for t, r in zip(held.moving, held.residuals, strict=True)))
+        values[held.free] += (step := held.step(gram, moment))
+        left = [r - t @ step for t, r in zip(held.moving, held.residuals, strict=True)]
+        fitted = replace(held, hypothesis=parameters.at(values), residuals=left)
+        return replace(scored, fitted=fitted, residuals=held_out(held, self.regressors.split))
 
     def selection_on_all(self, selection: Selection) -> Selection:
         """The same of a whole search."""
@@ -90,6 +130,8 @@ class Quiet:
 
     def caution(self) -> Caution:
         """What was set aside."""
+        if self.problem.fields:
+            return Caution(code="by_place", advice="look_there")
         weights = zip(self.problem.weights, self.whole.rows, strict=True)
         weighs = np.sum([(weight**2 * rows).sum(axis=0) for weight, rows in weights], axis=0)
         every = np.sum([rows.sum(axis=0) for rows in self.whole.rows], axis=0)
@@ -97,6 +139,21 @@ class Quiet:
         joints = [joint + 1 for joint, part in enumerate(kept) if part < max(LESS, kept.min() + 1e-9)]
         share = 1.0 - self.problem.count / self.whole.count
         return Caution(code="set_aside", joints=joints, share=round(share, 4), advice="look_there")
+
+
+def _by_place(problem: Problem, split: Split) -> list[np.ndarray]:
+    """(R, K) a recording: torque that goes by the platform's place up to `ORDER`, on each fold with figures of its
+    own."""
+    result = []
+    for number, recording in enumerate(problem.recordings):
+        place = recording.arms.position - recording.arms.position.mean(axis=0)
+        place = np.concatenate([np.ones((len(place), 1)), place / np.abs(place).max()], axis=1)
+        products = [place[:, factors].prod(axis=1) for factors in combinations_with_replacement(range(4), ORDER)]
+        columns = problem.band(np.stack(products, axis=1))
+        rows = problem.pick(number, np.repeat(columns[:, None], len(problem.sigma), axis=1))
+        fold = split.fold[number]
+        result.append(np.concatenate([np.where(fold[:, None] == one, rows, 0.0) for one in np.unique(fold)], axis=1))
+    return result
 
 
 def _settled(whole: Problem, split: Split, best: Scored, left: Sequence[np.ndarray]) -> tuple[Problem, Scored]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from schemas.diagnosis import Caution, Follows
 from service.diagnosis.evidence import statistics
-from service.diagnosis.fit.selection import FAR_ABOVE, Scored, Selection, each_arm
+from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, Scored, Selection, each_arm
 from service.identification.checks import FOREIGN_LEFT, FOREIGN_TOGETHER
 from service.identification.fit import Problem, fit, solve
 from service.identification.noise import Floor
@@ -155,7 +155,8 @@ def _gravity(problem: Problem, none: Scored, best: Scored) -> list[Caution]:
     change = solve(np.asarray(sum(grams)), moment)
     rest = none.fitted.cost - float(change @ moment) - problem.count
     size = float(np.linalg.norm(change[-6:-3]))
-    if size < OTHER_GRAVITY or rest > left + AS_GOOD * gap:
+    told = max(left, LEAST_GAIN * problem.count) < BETTER * rest
+    if size < OTHER_GRAVITY or rest > left + AS_GOOD * gap or told:
         return []
     return [Caution(code="gravity", share=round(1.0 - max(rest, 0.0) / gap, 4), advice="check_description")]
 
@@ -208,6 +209,7 @@ def _alone(problem: Problem, selection: Selection) -> float:
             target=[problem.target[i] for i in mine],
             rows=[problem.rows[i] for i in mine],
             weights=[problem.weights[i] for i in mine] if problem.weights else (),
+            fields=[problem.fields[i] for i in mine] if problem.fields else (),
         )
         cost += fit(part, selection.best.hypothesis, iterations=3).cost
     return cost / problem.count

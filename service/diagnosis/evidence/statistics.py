@@ -71,7 +71,7 @@ def by_fold(chosen: Sequence[Scored], split: Split) -> list[np.ndarray]:
     return result
 
 
-def walked(selection: Selection, split: Split, rows: int) -> list[Scored]:
+def walked(selection: Selection, split: Split, rows: int, most: float = 1.0) -> list[Scored]:
     """The hypothesis for each fold that is chosen without it.
 
     The search is walked again among the hypotheses that were fitted, weighing them by folds that are neither this one
@@ -91,7 +91,7 @@ def walked(selection: Selection, split: Split, rows: int) -> list[Scored]:
             kept = next(item for item in inner if item[1] is taken)
             if z_score(kept[0], loss) < TOLD_APART:
                 loss, best = kept  # without this fold nothing speaks against the choice made with it
-            if not worth(loss, _inner(chosen, split, fold), _inner(selection.none, split, fold), share):
+            if not worth(loss, _inner(chosen, split, fold), _inner(selection.none, split, fold), share, most):
                 break
             chosen = selection.after(best)
             if best is not taken:

@@ -92,11 +92,12 @@ class Regressors:
         self.grams = self._grams()
 
     def weighing(self, problem: Problem) -> Regressors:
-        """The same where rows that weighed alike weigh as in `problem`."""
+        """The same where rows that weighed alike weigh as in `problem`, beside its fields."""
         other = copy(self)
         other.problem = problem
         weights = [problem.pick(number, weights) for number, weights in enumerate(problem.weights)]
-        other.pieces = [p._replace(columns=p.columns * weights[p.recording][p.rows, None]) for p in self.pieces]
+        weighed = ((p, p.columns * weights[p.recording][p.rows, None]) for p in self.pieces)
+        other.pieces = [p._replace(columns=problem.clear(p.recording, p.rows, columns)) for p, columns in weighed]
         other.grams = other._grams()
         return other
 

@@ -52,7 +52,7 @@ def exchanged(
             and (
                 scored.loss < best.loss + LEAST_GAIN * problem.count
                 if explained
-                else worth(scored.blocks, best.blocks, selection.none.blocks, problem.count)
+                else worth(scored.blocks, best.blocks, selection.none.blocks, problem.count, problem.most)
             )
         ]
         if not tried:

@@ -155,7 +155,7 @@ def search(
         if not exact:
             break
         rough = any(not term.effect.amplitudes for term in best.hypothesis.terms)
-        if fault is not None or not worth(exact[0].blocks, best.blocks, none.blocks, rows, rough):
+        if fault is not None or not worth(exact[0].blocks, best.blocks, none.blocks, rows, problem.most, rough):
             path.append((exact, None))
             break
         path.append((exact, exact[0]))
@@ -202,7 +202,8 @@ def _sound_first(
     near = [s for s in sound if s.loss - lead.loss < JOINT_SHARE * gain or z_score(s.blocks, lead.blocks) < TOLD_APART]
     if near:
         return [near[0], *(scored for scored in sound if scored is not near[0])], None
-    return sound or ordered, faults[0] if worth(lead.blocks, without.blocks, none.blocks, problem.count) else None
+    found = worth(lead.blocks, without.blocks, none.blocks, problem.count, problem.most)
+    return sound or ordered, faults[0] if found else None
 
 
 def simplest_first(tried: list[Scored], without: Scored) -> list[Scored]:
@@ -260,14 +261,17 @@ def fit_added(problem: Problem, without: Fit, term: Term) -> Fit:
     return best
 
 
-def worth(candidate: np.ndarray, without: np.ndarray, none: np.ndarray, rows: int, rough: bool = False) -> bool:
+def worth(
+    candidate: np.ndarray, without: np.ndarray, none: np.ndarray, rows: int, most: float = 1.0, rough: bool = False
+) -> bool:
     """Whether the data left out support an addition: enough, of enough of the gap, and not by chance.
 
-    candidate, without, none: (blocks,) held-out losses with the addition, without it, and of the base model. rough: an
-    effect is at work whose own model leaves more.
+    candidate, without, none: (blocks,) held-out losses with the addition, without it, and of the base model. most: rms
+    that noise may have: what is below it is no part of the gap. rough: an effect is at work whose own model leaves
+    more.
     """
     gain = float(without.sum() - candidate.sum()) / rows
-    gap, rest = float(none.sum()) / rows - 1.0, float(without.sum()) / rows - 1.0
+    gap, rest = float(none.sum()) / rows - most**2, float(without.sum()) / rows - most**2
     share = LEAST_SHARE_OF_GAP * gap if rough else min(LEAST_SHARE_OF_GAP * gap, max(MOST_OF_REST * rest, LEAST_BESIDE))
     least = max(LEAST_GAIN, share, LEAST_SHARE_OF_REST * rest)
     return gain > least and z_score(without, candidate) > LEAST_Z
@@ -298,7 +302,7 @@ def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int
     for effect in dict.fromkeys(term.effect for term in best.hypothesis.terms[given:-1]):
         fewer = tuple(t for t in best.hypothesis.terms if t.effect is not effect)
         trial = score(fit(problem, replace(best.hypothesis, terms=fewer)), split)
-        if not worth(best.blocks, trial.blocks, none.blocks, rows):
+        if not worth(best.blocks, trial.blocks, none.blocks, rows, problem.most):
             best = trial
     for term in best.hypothesis.terms[given:]:
         for joint in term.joints if len(term.joints) > 1 else ():

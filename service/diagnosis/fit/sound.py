@@ -31,6 +31,8 @@ def fault_of(problem: Problem, hypothesis: Hypothesis, given: int) -> Fault | No
             return Fault("beyond_any_robot", term)
         if any(_nothing_of(term, place) for place in range(len(term.amplitude))):
             return Fault("at_limit", term, next(iter(term.effect.amplitudes)))
+        if term.effect.above_coulomb and any(_frictionless(hypothesis, joint) for joint in term.joints):
+            return Fault("at_limit", term, "coulomb_friction")
         for (name, searched), value in zip(term.effect.nonlinear.items(), term.nonlinear, strict=True):
             near = AT_LIMIT * (searched.high - searched.low)
             at_end = min(value - searched.low, searched.high - value) <= near
@@ -41,6 +43,11 @@ def fault_of(problem: Problem, hypothesis: Hypothesis, given: int) -> Fault | No
         if term.effect.dissipates and any(_drives(problem, hypothesis, rubbing, joint) for joint in term.joints):
             return Fault("drives", term)
     return None
+
+
+def _frictionless(hypothesis: Hypothesis, joint: int) -> bool:
+    """Whether none is left of the base model's friction, as where a lag of the command looks like less than none."""
+    return not hypothesis.base.coulomb[joint] > 0 and not hypothesis.base.viscous[joint] > 0
 
 
 def _nothing_of(term: Term, place: int) -> bool:

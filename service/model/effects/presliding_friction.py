@@ -3,7 +3,8 @@
 Physics: bristles bend before they slip; Dahl: dF/dtheta = sigma_0 (1 - F sign v / f_c), sigma_0 = f_c / distance.
 Implementation: the Dahl state is integrated along the recorded motion; its difference from sign v is the
 regressor, so an amplitude equal to f_c replaces all Coulomb friction. distance shared by the joints.
-Limitations: within the resolution of the encoder it is a jump; no velocity-dependent damping of the bristles.
+Limitations: within the resolution of the encoder it is a jump; no velocity-dependent damping of the bristles. What
+builds up over more than 0.2 rad is no contact: a cable that creeps looks like that.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def deflection(theta: np.ndarray, distance: float) -> np.ndarray:
 @dataclass(frozen=True)
 class PreslidingFriction(Effect):
     f: Amplitude = Amplitude("N m", "part of the Coulomb friction that builds up over the distance", low=0.0)
-    distance: Nonlinear = Nonlinear("rad", "displacement of the build-up", geometric(3e-4, 0.1, 8), 2e-4, 0.3)
+    distance: Nonlinear = Nonlinear("rad", "displacement of the build-up", geometric(3e-4, 0.1, 8), 2e-4, 0.2)
     name = "presliding_friction"
     title = "Friction builds up over a small distance"
     means = (

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.plant.mechanism import Design, build, close
 from drivers.trace import read_trace
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.evidence import aside
 from service.diagnosis.evidence.aside import WIDTH, Quiet
 from tests.service.diagnosis.logs import ROBOT, record, swing
-from tests.service.subject import EFFECTS, Hypothesis, Regressors, Split, evaluate, fit, selection
-from tests.service.world import BASE, PERIOD, course, problem, stub
+from tests.service.diagnosis.toy import left_out
+from tests.service.subject import EFFECTS, Hypothesis, Regressors, Split, Term, added, evaluate, fit, selection
+from tests.service.world import BASE, PERIOD, TRUTH, at_joints, course, problem, stub
 
 JOINT = 2  # that the stranger sits on
 SIGMA = 0.2  # N m, of the noise
@@ -93,14 +95,60 @@ def test_rows_that_an_effect_explains_weigh_in_full():
         assert (np.mean(np.concatenate(first) == 1.0) > 0.9) == explained
 
 
-def test_regressors_weigh_as_their_rows(quiet):
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("field", [False, True])
+def test_regressors_weigh_as_their_rows(quiet, field, mixed):
+    """mixed: stretches of one log are in several folds."""
     logs, found = quiet
-    start = Hypothesis(BASE)
-    again = Regressors(found.problem, Split.of(logs), found.regressors.effects, start)
+    start, split = Hypothesis(BASE), Split.of(logs, mixed)
+    raw = Regressors(logs, split, found.regressors.effects, start)
+    raw.along(start)
+    asked = replace(found.problem, fields=aside._by_place(logs, split) if field else ())
+    again = Regressors(asked, split, found.regressors.effects, start)
     again.along(start)
-    for mine, other in zip(found.regressors.pieces, again.pieces, strict=True):
+    weighed = raw.weighing(asked)
+    for mine, other in zip(weighed.pieces, again.pieces, strict=True):
         np.testing.assert_allclose(mine.columns, other.columns, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(found.regressors.grams, again.grams, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(weighed.grams, again.grams, rtol=1e-9, atol=1e-9)
+
+
+def pulled(angles: np.ndarray) -> np.ndarray:
+    """(N, 3) N m: a hose that is too short pulls at the platform, hard where its slack is used up. angles: rad."""
+    mechanism = build(Design(TRUTH), PERIOD)
+    line = np.array([0.1, 0.2, -0.33]) - close(mechanism, angles)[:, mechanism.platform]
+    length = np.linalg.norm(line, axis=1, keepdims=True)
+    return at_joints((angles, angles, angles), line / length * 80.0 * np.maximum(length - 0.42, 0.0))
+
+
+def test_what_goes_by_the_platforms_place_says_nothing_where_that_is_left_open():
+    """On each run and joint with figures of its own; a constant too."""
+    runs = [course(seed, 2.0) for seed in (1, 2, 3)]
+    random = np.random.default_rng(4)
+    for mixed in (False, True):
+        torques = []
+        for run in runs:
+            mechanism = build(Design(TRUTH), PERIOD)
+            x, y, z = close(mechanism, run.motion[0])[:, mechanism.platform].T
+            terms = np.stack([np.ones(len(x)), x, y, z, x * x, x * y, y * z, z * z], axis=1)
+            torques.append(run.torque + 20.0 * terms @ random.standard_normal((8, 3)))
+        logs = problem(runs, torques, SIGMA)
+        beside = replace(logs, fields=aside._by_place(logs, Split.of(logs, mixed)))
+        assert evaluate(logs, Hypothesis(BASE)).cost > 1000 * logs.count
+        assert evaluate(beside, Hypothesis(BASE)).cost < 0.05 * logs.count
+        assert beside.count == logs.count - 3 * 3 * 10 * (2 if mixed else 1)  # a second each
+
+
+def test_torque_by_place_is_left_open_only_where_that_frees_rows():
+    """A hose at the platform pulls on all joints at once; what sits on one joint leaves the others free."""
+    runs = [course(seed, 2.0) for seed in (1, 2, 3)]
+    random = np.random.default_rng(5)
+    noisy = [run.torque + SIGMA * random.standard_normal(run.torque.shape) for run in runs]
+    hose = [torque + pulled(run.motion[0]) for run, torque in zip(runs, noisy, strict=True)]
+    found = beside(problem(runs, hose, SIGMA))
+    assert found.problem.fields
+    assert found.problem.count > 0.9 * found.whole.count
+    assert found.caution().code == "by_place"
+    assert not beside(made()).problem.fields
 
 
 def test_what_is_told_of_a_hypothesis_is_all_that_it_leaves(quiet):
@@ -116,6 +164,31 @@ def test_what_is_told_of_a_hypothesis_is_all_that_it_leaves(quiet):
         true = logs.band(stranger(number + 1, 2000)[:, None])[logs.rows[number][:, JOINT], 0] / logs.sigma[JOINT]
         assert np.corrcoef(residual[mine], true)[0, 1] > 0.95  # its own friction is not known as well
     assert seen.loss / logs.count > 5 * scored.loss / found.problem.count
+
+
+def test_what_is_told_beside_a_torque_that_is_left_open_is_all_that_it_leaves_too():
+    """Effects keep their figures, the base model does for all rows what it can."""
+    runs = [course(seed, 2.0) for seed in (1, 2, 3)]
+    random = np.random.default_rng(6)
+    torques = [r.torque + pulled(r.motion[0]) + SIGMA * random.standard_normal(r.torque.shape) for r in runs]
+    logs = problem(runs, [torque + 4.0 * np.tanh(torque / 9.0) for torque in torques], SIGMA)
+    found, split = beside(logs), Split.of(logs)
+    rubs = Term(EFFECTS["load_dependent_friction"], (0, 1), np.array([[0.1], [0.2]]), ())
+    scored = selection.score(fit(found.problem, Hypothesis(BASE, (rubs,)), iterations=2), split)
+    seen = found.on_all(scored)
+    assert seen.blocks is scored.blocks
+    amplitude = scored.hypothesis.terms[0].amplitude
+    np.testing.assert_array_equal(seen.hypothesis.terms[0].amplitude, amplitude)
+    known = [
+        logs.select(n, logs.band(added(s, scored.hypothesis.terms[0])))
+        for n, s in enumerate(logs.scenes(Hypothesis(BASE)))
+    ]
+    plain = evaluate(logs, Hypothesis(BASE))
+    wanted = [r - k for r, k in zip(plain.residuals, known, strict=True)]
+    for number, rest in enumerate(left_out(plain.tangents, wanted)):
+        assert np.corrcoef(seen.residuals[number], rest)[0, 1] > 0.98
+    best = selection.score(fit(found.problem, Hypothesis(BASE)), split)
+    assert evaluate(logs, found.on_all(best).hypothesis).cost < 1.01 * fit(logs, Hypothesis(BASE)).cost
 
 
 def test_the_level_round_a_row_is_the_rms_of_the_rows_within_six_hundredths_of_a_second():
@@ -203,11 +276,14 @@ def test_effects_are_added_while_they_gain_and_what_they_leave_far_above_the_noi
     regressors = stub(
         problem=whole, split=stub(), weighing=lambda problem: ("weighing", getattr(problem, "number", problem))
     )
-    asked_of: Any = (regressors, state(0), 7, "allows", "progress")
-    weighed: Any = Quiet.beside(*asked_of).regressors
+    asked_of: Any = (regressors, whole, state(0), 7, "allows", "progress")
+    settled_on = Quiet._settled_on(*asked_of)
+    weighed: Any = settled_on.regressors
     assert asked == list(range(min(taken + 1, 4)))
     weights = weighed[1].weights[0][:, 0]
     np.testing.assert_allclose(weights, np.where(np.arange(100) < 50, 1.0, 1.0 / (2.1 + taken) ** 2))
+    loud = 2.1 + taken  # 50 rows of 1.9 that weigh in full, and these
+    assert settled_on.left == pytest.approx(np.sqrt((1.9**2 + loud**-2) / (1 + loud**-4)), rel=0.02)
 
 
 @pytest.mark.parametrize(("keeps", "joints"), [((0.89, 0.91, 0.5), [1, 3]), ((0.95, 0.92, 1.0), [2])])
@@ -215,7 +291,8 @@ def test_joints_that_keep_less_than_nine_tenths_are_told_or_the_one_that_keeps_l
     rows = [np.ones((30, 4), bool), np.ones((70, 4), bool)]
     rows[0][:, 3] = rows[1][:, 3] = False  # rests
     weights = [np.tile(np.sqrt([*keeps, 0.3]), (len(part), 1)) for part in rows]
-    found = Quiet(stub(rows=rows, count=300), stub(problem=stub(weights=weights, count=120)))
+    weighed = stub(weights=weights, fields=(), count=120)
+    found = Quiet(stub(rows=rows, count=300), stub(problem=weighed), 1.0)
     said = found.caution()
     assert (said.joints, said.share, said.advice) == (joints, 0.6, "look_there")
 
@@ -247,3 +324,18 @@ def test_an_effect_is_named_beside_a_stranger_on_another_joint(tmp_path):
     assert ("set_aside", [JOINT + 1]) in [(one.code, one.joints) for one in found.cannot_tell]
     # the gap that is told is that of all rows
     assert sum(len(r) for r in found.after) == found.problem.count == sum(len(r) for r in found.before)
+
+
+def test_beside_a_hose_that_is_too_short_friction_is_named_and_no_spring(tmp_path):
+    traces = []
+    for seed in (1, 2, 3):
+        trace = read_trace(record(tmp_path / f"run_{seed}.csv", ROBOT, swing(seed), 5.0, seed, 2.5), ROBOT)
+        traces.append(replace(trace, torque=trace.torque + pulled(trace.position)))
+    names = ("stribeck_friction", "joint_spring", "hose_spring", "torque_offset")
+    found = diagnose(ROBOT, traces, [EFFECTS[name] for name in names])
+    assert found.verdict == "partly_explained"
+    assert found.selection.names == ("stribeck_friction",)
+    (friction,) = found.best.hypothesis.terms
+    assert friction.joints == (0, 1, 2)
+    np.testing.assert_allclose(friction.amplitude[:, 0], 2.5, rtol=0.1)
+    assert "by_place" in [one.code for one in found.cannot_tell]

@@ -151,7 +151,7 @@ def test_what_cannot_be_is_out_and_its_fault_where_it_leads_alone(monkeypatch, l
     wrong = {id(tried[k].hypothesis) for k in faulty}
     monkeypatch.setattr(selection, "fault_of", lambda _, hypothesis, given: FAULT if id(hypothesis) in wrong else None)
     found, told = selection._sound_first(
-        stub(count=80), list(tried), made(180.0, noise=0.01), made(180.0, noise=0.01), 0
+        stub(count=80, most=1.0), list(tried), made(180.0, noise=0.01), made(180.0, noise=0.01), 0
     )
     assert [tried.index(scored) for scored in found] == list(order)
     assert told is fault
@@ -162,7 +162,10 @@ def test_what_blocks_do_not_tell_apart_is_as_good(monkeypatch):
     monkeypatch.setattr(
         selection, "fault_of", lambda _, hypothesis, given: FAULT if hypothesis is lead.hypothesis else None
     )
-    assert selection._sound_first(stub(count=80), [lead, near], made(1800.0), made(1800.0), 0) == ([near], None)
+    assert selection._sound_first(stub(count=80, most=1.0), [lead, near], made(1800.0), made(1800.0), 0) == (
+        [near],
+        None,
+    )
 
 
 @pytest.mark.parametrize(
@@ -273,7 +276,7 @@ def searched(
     }  # fmt: skip
     for name, part in parts.items():
         monkeypatch.setattr(selection, name, part)
-    problem = stub(count=100, weights=None, recordings=[stub(mechanism=stub(kind=kind, joints=3))])
+    problem = stub(count=100, most=1.0, weights=None, recordings=[stub(mechanism=stub(kind=kind, joints=3))])
     start = Hypothesis(BASE, timed=False)
     found = selection.search(stub(problem=problem, split=stub(), start=start, effects=[effect]), said.append)
     path = [([scored.loss for scored in tried], taken and taken.loss) for tried, taken in found.path]

@@ -168,11 +168,11 @@ class Judging:
         monkeypatch.setattr(diagnose, "faults_of", lambda found: [self.fault])
         monkeypatch.setattr(diagnose, "earned", earned)
         monkeypatch.setattr(diagnose, "together", together)
-        monkeypatch.setattr(statistics, "walked", lambda found, split, count: [found.best] * split.folds)
+        monkeypatch.setattr(statistics, "walked", lambda found, split, count, most: [found.best] * split.folds)
         monkeypatch.setattr(statistics, "by_fold", lambda chosen, split: [left * np.ones(100)])
 
     def __call__(self, *doubts: Caution, unknown: bool = False) -> Any:
-        made: Any = stub(problem=stub(count=100), split=self.split)
+        made: Any = stub(problem=stub(count=100, most=1.0), split=self.split)
         return diagnose._judged(made, self.found, list(doubts), 1, ["kept"], unknown, 1.2, all)  # pyright: ignore[reportArgumentType]
 
 

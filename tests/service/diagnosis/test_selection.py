@@ -253,6 +253,13 @@ class TestWorth:
         noisy = self.losses(without) + RANDOM(1).normal(0, 0.02, 50)
         assert selection.worth(self.losses(candidate), noisy, self.losses(none), 1000) is worth
 
+    def test_what_noise_may_leave_is_no_gap_of_which_a_quarter_is_wanted(self):
+        candidate, without, none = (self.losses(loss) for loss in (1.11, 1.142, 1.2))
+        without += RANDOM(1).normal(0, 0.02, 50)
+        assert not selection.worth(candidate, without, none, 1000), "a quarter of .142 is .0355"
+        assert selection.worth(candidate, without, none, 1000, most=1.02)  # a quarter of .10 is .025
+        assert not selection.worth(self.losses(1.115), without, none, 1000, most=1.25), "3 % of the noise in any case"
+
     @pytest.mark.parametrize(("candidate", "worth"), [(0.99, True), (1.03, False)])
     def test_beside_a_rough_effect_it_is_a_hundredth_of_the_gap(self, candidate, worth):
         noisy = self.losses(2.0) + RANDOM(1).normal(0, 0.02, 50)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from drivers.plant.effects.out_of_catalogue import CableMemory
 from service.diagnosis.fit.sound import fault_of
 from tests.service.subject import EFFECTS, Hypothesis, Problem, Regressors, Split, Term, fit, selection
-from tests.service.world import BASE, COULOMB, VISCOUS, course, problem
+from tests.service.world import BASE, COULOMB, PERIOD, VISCOUS, course, problem, stub
 
 NOISE = 0.3
 RUNS = [course(seed, 4.0) for seed in (1, 2, 3)]
@@ -37,11 +40,39 @@ def test_a_spring_that_pushes_is_no_spring():
     assert found.best.names == ()
 
 
+def crept(run, stiffness: float, relaxation: float) -> np.ndarray:
+    """(N,) N m of a cable bundle on the first joint, as the plant has it."""
+    cable, seen = CableMemory([stiffness, 0.0, 0.0], relaxation), stub(theta=run.motion[0][0], step=PERIOD)
+    cable.start(seen)
+    return np.array([-cable.joint_torque(stub(theta=theta, step=PERIOD))[0] for theta in run.motion[0]])
+
+
+@pytest.mark.parametrize("relaxation", [0.25, 0.33])
+def test_a_cable_that_creeps_is_no_presliding_friction(relaxation):
+    """It is as a friction that builds up over 0.23 and 0.29 rad, as nearly as to leave 1.3 times the noise."""
+    found = named(logs(*on(0, [crept(run, 4.5, relaxation) for run in RUNS])), "presliding_friction", "cogging")
+    assert found.best.names == ()
+    assert found.fault is not None
+    assert (found.fault.code, found.fault.quantity) == ("at_limit", "distance")
+
+
 def test_less_than_no_friction_is_no_stribeck_friction():
     speed = [run.motion[1][:, 0] for run in RUNS]
     bump = [1.5 * np.tanh(s / 0.004) * np.exp(-((s / 0.2) ** 2)) for s in speed]
     assert named(logs(*on(0, bump)), "stribeck_friction").best.names == ("stribeck_friction",)
     assert named(logs(*on(0, [-b for b in bump])), "stribeck_friction").best.names == ()
+
+
+@pytest.mark.parametrize(("coulomb", "viscous", "none_left"), [(0.0, 0.0, True), (0.1, 0.0, False), (0.0, 0.1, False)])
+def test_friction_that_falls_to_none_is_no_stribeck_friction(coulomb, viscous, none_left):
+    """As a drive that lags its logged command makes it look."""
+    base = replace(BASE, coulomb=BASE.coulomb.copy(), viscous=BASE.viscous.copy())
+    base.coulomb[0], base.viscous[0] = coulomb, viscous
+    term = Term(EFFECTS["stribeck_friction"], (0,), np.array([[1.5]]), (0.2,))
+    found = fault_of(logs(*[np.zeros_like(r.torque) for r in RUNS]), Hypothesis(base, (term,)), 0)
+    assert ((found.code, found.quantity) if found else None) == (
+        ("at_limit", "coulomb_friction") if none_left else None
+    )
 
 
 @pytest.mark.parametrize("end", ["low", "high"])

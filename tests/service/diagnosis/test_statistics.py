@@ -260,6 +260,8 @@ def test_a_step_without_a_fold_is_worth_it_by_the_rows_of_the_others(monkeypatch
     target = [random.standard_normal(25) for _ in range(4)]
     none = scored([column[:, :1] for column in columns], target, split)
     more = scored(columns, target, split, "more")
-    monkeypatch.setattr(statistics, "worth", lambda loss, without, none, rows: asked.append(rows) or False)
-    statistics.walked(Selection(none, more, [([more], more)], {}), split, 100)
-    assert asked == [75] * 4
+    monkeypatch.setattr(
+        statistics, "worth", lambda loss, without, none, rows, most: asked.append((rows, most)) or False
+    )
+    statistics.walked(Selection(none, more, [([more], more)], {}), split, 100, 1.25)
+    assert asked == [(75, 1.25)] * 4

@@ -60,7 +60,7 @@ STATED = {
     ),
     "presliding_friction": (
         "per_joint own_joint own_nonlinear directional",
-        {"f": ("N m", 0.0, INF), "distance": ("rad", 0.0002, 0.3)},
+        {"f": ("N m", 0.0, INF), "distance": ("rad", 0.0002, 0.2)},
         [],
         INF,
         INF,
