@@ -81,6 +81,7 @@ def slow_kernel(slow, period, widest):
     _add(slow.newest, now, math.exp(-period / NEWEST_TIME))
     _solve(slow)
     if _contradicted(slow):
+        _leave_newest_out(slow)
         _start_anew(slow, widest)
     wander = 0.0
     for i in range(3):
@@ -113,6 +114,19 @@ def _start_anew(slow, widest):
     slow.mass_before, slow.mass_variance, slow.variance = slow.mass, widest, widest
     _clear(slow.whole)
     _clear(slow.newest)
+
+
+@kernel
+def _leave_newest_out(slow):
+    """The step is in the newest samples, which would put it down to friction."""
+    whole, newest = slow.whole, slow.newest
+    for i in range(3):
+        whole.load[i] -= newest.load[i]
+        whole.cross[i] -= newest.cross[i]
+        whole.way[i] -= newest.way[i]
+        whole.pull[i] -= newest.pull[i]
+        whole.rub[i] -= newest.rub[i]
+    _solve(slow)
 
 
 @kernel

@@ -174,6 +174,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
             loose = variance > LOOSE_ACCELERATION * settings.motion.acceleration_variance
         swing_kernel(settings, state, weighed.column)
         torque_kernel(settings, state, past.stamp_sec + past.stamp_nanosec * 1e-9)
+        weighed.resting = 0 if loose else 1
         for i in range(3):
             speed = abs(motion[VELOCITY, i])
             kh = terms[INERTIA, i] + terms[GRAVITY, i] + terms[PLATFORM, i]
@@ -200,6 +201,8 @@ def lagged_kernel(settings, state, payload_out, error_out):
             # a resting joint's friction can be anything within Coulomb's bounds, the same for as long as it rests
             weight = 0.0 if loose else 1.0 / (settings.variance[i] + doubt * doubt)
             weighed.weight[i] = weight if speed > REVERSAL_SPEED else 0.0
+            if speed > REST_SPEED:
+                weighed.resting = 0
             weighed.slow.now.weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
         weighed.gripper = past.gripper
         event = payload_kernel(settings.payload, weighed)

@@ -6,5 +6,5 @@ own noise. delta is how far friction and torque scale are from the identified on
 off, its covariance counts in the mass's (a consider state, Schmidt 1966).
 
 `state` what is remembered, `loads` the normal equations, `scatter` how far the noise may be believed, `change` whether
-the load is another, `verdict` what is said, `step` a sample in.
+the load is another, `rest` the same while nothing moves, `verdict` what is said, `step` a sample in.
 """

@@ -55,7 +55,9 @@ def scatter_kernel(settings, state):
         found = _inflate(state)
         # friction is not to learn from what it cannot be: the block itself has a say
         doubtful = max(LEAST_LEARNING, found, _inflation(OUTLYING * own))
+        _note_delta(state)
         departure.learn_kernel(state.departure, settings.prior, settings.departure_forgetting, doubtful)
+        _weigh_load_again(state)
         state.block = oldest
     state.sums[state.block] = 0.0
 
@@ -111,7 +113,9 @@ def part_blocks(settings, state, samples):
         state.in_block = 0
         state.sums[state.block] = 0.0
     state.fresh = 0
+    _note_delta(state)
     departure.unlearn_kernel(state.departure, settings.prior)  # which a swinging load looks like until it is found
+    _weigh_load_again(state)
     index = state.block
     for _ in range(BLOCKS - 1):
         index = index - 1 if index > 0 else BLOCKS - 1
@@ -121,6 +125,19 @@ def part_blocks(settings, state, samples):
             state.blocks[index] = 1.0
         else:
             break
+
+
+@kernel
+def _note_delta(state):
+    for a in range(departure.COUNT):
+        state.delta_before[a] = state.departure.delta[a]
+
+
+@kernel
+def _weigh_load_again(state):
+    """The load believed so far by what is known of friction and scale now: what these do to a mass is no step of it."""
+    for a in range(departure.COUNT):
+        state.load -= state.load_drag[a] * (state.departure.delta[a] - state.delta_before[a])
 
 
 @kernel

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from service.estimator import departure, slow
+from service.estimator.payload import rest
 
 BIN_TIME = 0.002  # s, resolution of an onset
-WINDOW = 150  # bins, how far back an onset is looked for
+WINDOW = 150  # bins in which the mass was told, how far back an onset is looked for
 MEMORY_TIME = 3.0  # s, forgetting: longer than a carry, shorter than the drift of friction with temperature
 # An unloaded gripper is the prior, within this; also the bound of the covariance when nothing excites.
 PRIOR_STD = 2.0  # kg
@@ -76,6 +77,7 @@ STATE = np.dtype(
         ("sums", "f8", (BLOCKS, 3, COLUMN + LOADS)),  # of each block, a joint: weight, residual and loads times weight
         ("departure", departure.STATE),
         ("slow", slow.STATE),
+        ("rest", rest.STATE),
         # scratch: sums since an onset and before it, of all loads and of the mass alone
         ("since_information", "f8", (LOADS, LOADS)),
         ("since_moment", "f8", LOADS),
@@ -90,11 +92,13 @@ STATE = np.dtype(
         ("inverse_spread", "f8", (LOADS, LOADS)),
         ("spread", "f8", (LOADS, LOADS)),
         ("contrast", "f8", (LOADS, departure.COUNT)),
+        ("delta_before", "f8", departure.COUNT),  # of the departure, before a block was learnt from
         ("known", "f8", 3),  # of this sample, N m: of the load's offset
         ("shape", "f8", (3, departure.PARTS)),  # of this sample: direction, speed, 1, torque, that of ball joints
         ("column", "f8", (3, LOADS)),  # of this sample: what each load does, phi N m/kg and swing N m/(kg m)
         ("residual", "f8", 3),  # of this sample, N m, measured minus predicted without payload
         ("weight", "f8", 3),  # of this sample, (N m)^-2, 0 where a joint has nothing to say
+        ("resting", "i8"),  # whether nothing moves in this sample
         ("still", "f8"),  # s, without motion that tells the mass
         ("untold", "f8"),  # s of motion that it takes until the mass is known again
         ("gripper", "i8"),  # of this sample, schemas.messages.Gripper

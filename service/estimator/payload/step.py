@@ -10,10 +10,11 @@ from schemas.kernels import kernel
 from schemas.messages import Gripper
 from service.estimator import departure, slow
 from service.estimator.payload.change import find_change
-from service.estimator.payload.loads import prior_of
+from service.estimator.payload.loads import corrected_moment, prior_of
+from service.estimator.payload.rest import moved_kernel, rest_kernel
 from service.estimator.payload.scatter import part_blocks, scatter_kernel
 from service.estimator.payload.state import LEAST_TIME, LOADS, MEMORY_TIME, PRIOR_STD, STILL_TIME, TELLING_TIME, WINDOW
-from service.estimator.payload.verdict import conclude, is_sure
+from service.estimator.payload.verdict import CONTRADICTION, CONTRADICTION_FLOOR, conclude, is_sure
 
 UNKNOWN = Gripper.UNKNOWN.value
 # What the model lacks is this many times the variance of the noise in what is remembered, where it forbids trust.
@@ -66,26 +67,36 @@ def payload_kernel(settings, state):
     elif state.active == 1:
         told = _weigh_slowly(settings, state)
     _note_rest(settings, state, told)
+    _weigh_at_rest(settings, state)
     state.in_bin += 1
     if state.in_bin >= settings.bin_size:
         state.in_bin = 0
-        _forget_beyond_bias(state)
-        onset = find_change(state)
-        head = state.head = (head + 1) % WINDOW
-        state.filled = min(WINDOW, state.filled + 1)
-        state.bin_told[head] = 0.0
-        for p in range(LOADS):
-            state.bin_moment[head, p] = 0.0
-            for q in range(LOADS):
-                state.bin_information[head, p, q] = 0.0
-            for a in range(departure.COUNT):
-                state.bin_drag[head, p, a] = 0.0
-        if onset > 0:
-            samples = onset * settings.bin_size
-            state.untold = max(0.0, LEAST_TIME - samples * settings.period)
-            if state.active > 1:
-                part_blocks(settings, state, samples)
+        if state.active > 1 or state.bin_told[head] > 0.0:  # a doubt that rest does not settle is not to run out in it
+            _close_bin(settings, state)
     return conclude(settings, state)
+
+
+@kernel
+def _close_bin(settings, state):
+    """Look whether the load has changed, and begin the next bin."""
+    _forget_beyond_bias(state)
+    onset = find_change(state)
+    head = state.head = (state.head + 1) % WINDOW
+    state.filled = min(WINDOW, state.filled + 1)
+    _empty_bin(state, head)
+    if onset > 0:
+        samples = onset * settings.bin_size
+        state.untold = max(0.0, LEAST_TIME - samples * settings.period)
+        if state.active > 1:
+            part_blocks(settings, state, samples)
+
+
+@kernel
+def _empty_bin(state, index):
+    state.bin_information[index] = 0.0
+    state.bin_moment[index] = 0.0
+    state.bin_drag[index] = 0.0
+    state.bin_told[index] = 0.0
 
 
 @kernel
@@ -128,6 +139,36 @@ def _note_rest(settings, state, told):
 
 
 @kernel
+def _weigh_at_rest(settings, state):
+    """Where nothing moves and nobody hears of the gripper: what was known of the mass is known of another, by the step
+    of the torque, unless no gripper could make it (a brake that closes)."""
+    rest = state.rest
+    rest.step = 0.0
+    if state.resting == 0 or state.gripper != UNKNOWN or state.active > 1:
+        moved_kernel(rest)
+        return
+    if not rest_kernel(settings, rest, state.column, state.residual):
+        return
+    mass, variance = state.mass + rest.step, rest.variance + state.std_dev * state.std_dev
+    margin = CONTRADICTION * math.sqrt(variance) + CONTRADICTION_FLOOR
+    if mass < -margin or mass > settings.max_payload + margin:
+        rest.step = 0.0
+        return
+    prior, known = prior_of(0), state.information[0, 0]
+    left = max(prior, known / (1.0 + known * rest.variance))
+    lifted = known * mass - corrected_moment(state, state.moment, state.drag, 0)
+    state.moment[0] = (state.moment[0] + lifted) * left / known
+    for a in range(departure.COUNT):
+        state.drag[0, a] *= left / known
+    state.information[0, 0] = left
+    state.raw_information = left * state.inflation
+    state.told = state.still = 0.0
+    state.untold = LEAST_TIME
+    _forget_bins(state)
+    slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
+
+
+@kernel
 def _weigh_slowly(settings, state):
     """Where nothing moves fast: take what gravity says for all that is known of the mass. Returns whether it says
     anything."""
@@ -151,6 +192,7 @@ def _weigh_slowly(settings, state):
         state.told = 0.0
         for a in range(departure.COUNT):
             state.drag[0, a] = 0.0
+        _forget_bins(state)
     return told
 
 
@@ -165,13 +207,7 @@ def _grip(state):
 @kernel
 def weigh_anew_kernel(state):
     """Nothing is known of what hangs there."""
-    for n in range(WINDOW):
-        state.bin_information[n] = 0.0
-        state.bin_moment[n] = 0.0
-        state.bin_drag[n] = 0.0
-        state.bin_told[n] = 0.0
-    state.in_bin = 0
-    state.filled = 1
+    _forget_bins(state)
     state.information[:] = 0.0
     for p in range(LOADS):
         state.information[p, p] = prior_of(p)
@@ -181,6 +217,13 @@ def weigh_anew_kernel(state):
     state.told = 0.0
     state.untold = LEAST_TIME
     slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
+
+
+@kernel
+def _forget_bins(state):
+    """What was told before is of no use to find a change by."""
+    _empty_bin(state, state.head)
+    state.in_bin, state.filled, state.hidden = 0, 1, 0.0
 
 
 @kernel

@@ -31,8 +31,8 @@ LASTING, STILL_LASTING = 1.5, 3.0
 # What the model lacks over some seconds of motion comes again with every move: this share of it, brought to the
 # platform, does not average out of the mass.
 BIAS_SHARE = 0.55
-# Of a block it is all, which this much motion halves.
-BIAS_AVERAGING = 0.1  # s
+# Of a block it is all, which this much motion halves: what a gear rubs more or less keeps its sign for a stroke.
+BIAS_AVERAGING = 0.2  # s
 # Torque constants hold to some 5 %, and to 6 with what else of the model moves with them: two of these. Without a known
 # load nothing shows by how much a mass is off.
 TORQUE_SHARE = 0.03
@@ -112,7 +112,11 @@ def conclude(settings, state):
     if as_identified and own <= 2.0 * state.bias:
         least = min(least, BIASED_STEP * BIASED_STEP * (variance + state.load_variance))
     refined = own < state.load_variance and (held - state.load) ** 2 < variance + state.load_variance
-    if trusted or refined or (held - state.load) ** 2 > least:
+    if state.rest.step != 0.0:
+        event = (PayloadEvent.PICK if state.rest.step > 0.0 else PayloadEvent.RELEASE).value
+        _note_event(state, event, state.load)
+        _believe(state, held, own)
+    elif trusted or refined or (held - state.load) ** 2 > least:
         event = _event(settings, state, held, own, variance, trusted or refined)
     if event != PayloadEvent.NONE.value:
         state.untold = min(state.untold, LEAST_TIME)  # weighed anew
@@ -175,13 +179,25 @@ def _event(settings, state, mass, own, variance, trusted):
         event = PayloadEvent.RELEASE.value
     before = state.load
     if trusted or event != PayloadEvent.NONE.value:
-        state.load, state.load_variance = mass, own
-        for a in range(departure.COUNT):
-            state.load_drag[a] = state.contrast[0, a]
+        _believe(state, mass, own)
     if event == PayloadEvent.NONE.value or small or (event == state.last_event and soon):
         return PayloadEvent.NONE.value
+    _note_event(state, event, before)
+    return event
+
+
+@kernel
+def _believe(state, mass, own):
+    """A load of `mass`, its variance without what friction does, which is in state.contrast, `own`."""
+    state.load, state.load_variance = mass, own
+    for a in range(departure.COUNT):
+        state.load_drag[a] = state.contrast[0, a]
+
+
+@kernel
+def _note_event(state, event, before):
+    """before: kg, the load until then."""
     state.load_before = before
     state.last_event = event
     state.quiet = 0
     state.burst += 1.0
-    return event

@@ -157,3 +157,19 @@ def test_the_block_in_which_a_load_changed_says_nothing_of_the_model(samples):
     parted = samples < 8
     assert state["in_block"] == (0 if parted else 8)
     assert state["sums"][3].any() != parted
+
+
+def test_what_is_learnt_of_friction_moves_the_load_that_is_believed_too():
+    """The same samples say another mass by another friction; the load before is said by as much another, no step."""
+    random, state = np.random.default_rng(8), fresh()
+    state["load"], state["load_drag"] = 2.0, random.standard_normal(COUNT)
+    for _ in range(4 * SIZE):
+        state["column"][:, 0], state["weight"], state["shape"] = 1.0, 1.0, random.standard_normal((3, PARTS))
+        state["residual"] = slopes_of(state["shape"]) @ np.full(COUNT, 0.2) + random.standard_normal(3)
+        scatter.scatter_kernel(SETTINGS, state)
+    learnt = state["departure"]["delta"].copy()
+    assert np.abs(learnt).max() > 0.05
+    assert state["load"] == pytest.approx(2.0 - state["load_drag"] @ learnt)
+    scatter.part_blocks(SETTINGS, state, SIZE)
+    assert (state["departure"]["delta"] != learnt).any(), "taken back"
+    assert state["load"] == pytest.approx(2.0 - state["load_drag"] @ state["departure"]["delta"])

@@ -68,15 +68,17 @@ def test_nothing_is_seen_where_nothing_hangs(robot, make):
 WIDEST, DRIFT, CYCLE = 4.0, np.array([0.3, 0.4, 0.5]), 0.01  # kg^2, N m, s
 
 
-def least_squares(rows, before, slow_before):
-    """Mass and its variance by normal equations in m and three b. rows: newest last, (phi, residual, way, weight)."""
+def least_squares(rows, before, slow_before, newest=1.0):
+    """Mass and its variance by normal equations in m and three b. rows: newest last, (phi, residual, way, weight).
+    newest: share that counts of what may contradict the others."""
     mass, variance = before
     levels, spreads = slow_before
     information = np.diag([1 / variance, *(1 / spreads)])
     moment = information @ [mass, *levels]
     for age, (phi, residual, way, weight) in enumerate(reversed(rows)):
         column = np.column_stack([phi, np.diag(way)])
-        fading = np.exp(-age * CYCLE / slow.MEMORY_TIME) * weight[:, None] * column
+        share = np.exp(-age * CYCLE / slow.MEMORY_TIME) - (1.0 - newest) * np.exp(-age * CYCLE / slow.NEWEST_TIME)
+        fading = share * weight[:, None] * column
         information, moment = information + column.T @ fading, moment + fading.T @ residual
     covariance = np.linalg.inv(information)
     return covariance @ moment, covariance
@@ -140,6 +142,7 @@ def test_slow_motion_is_least_squares_in_a_mass_and_three_levels(known):
         if state["variance"] == WIDEST:
             break
         assert len(rows) < 130
+    found, covariance = least_squares(rows, *before, newest=0.0)  # in which the step is, that friction did not make
     anew = (found[0], WIDEST), (found[1:], np.diag(covariance)[1:])
     rows = [take(3.0)[1] for _ in range(40)]
     found, covariance = least_squares(rows, *anew)

@@ -66,7 +66,7 @@ def test_the_error_of_a_mass_is_all_that_is_not_known_of_it(active, worse, exces
     [
         (1000, 2499.75 / 50, verdict.BIAS_SHARE**2, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
         (1000, 2499.75 / 50, verdict.BIAS_SHARE**2, 3.0, 3.0 / 0.6 - 0.4),  # what is beyond white noise
-        (200, 2499.75 / 10, 1 / 3, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
+        (200, 2499.75 / 10, 0.5, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
         (10, 400.0 / 0.6, verdict.BIAS_SHARE**2, 0.0, SETTINGS["model_error"] + 0.9 / 0.6),
     ],
     ids=["gentle", "and scattering", "short", "as ever"],
