@@ -353,7 +353,7 @@ def _weighed(found: PaperResult) -> PageTable:
 def _each_pick(found: PaperResult) -> PageTable:
     rows = tuple(
         (
-            f"{score.truth.begin:.2f} s",
+            f"{score.truth.begin - found.picks.trace.time[0]:.2f} s",
             f"{score.truth.mass:.2f}",
             f"{score.mass:.3f}",
             _time(score.seen),
@@ -365,7 +365,8 @@ def _each_pick(found: PaperResult) -> PageTable:
     without, aware = found.evaluated.errors[FULL], found.evaluated.errors.get(WITH_PAYLOAD)
     note = f"rms error of the full model over υ_P, in motion below 40 Hz, with m_p = 0: {_three(without.rms)} N m"
     if aware is not None:
-        note += f"; with m_p = m̂_p: {_three(aware.rms)} N m"
+        same = np.array_equal(aware.rms, without.rms)
+        note += "; m̂_p is never trusted, so none is added" if same else f"; with m_p = m̂_p: {_three(aware.rms)} N m"
     head = ("picked", "true / kg", "m̂_p / kg", "seen after", "within 5 % after", "release seen after")
     return PageTable("Payload: our estimator, pick by pick", head, rows, note + ".")
 

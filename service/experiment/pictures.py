@@ -296,5 +296,8 @@ def _sketched(diagram: Diagram, title: str) -> Any:
             middle = (start.column + end.column) / 2, (start.row + end.row) / 2
             upright = start.column == end.column
             place: Any = {"ha": "left", "va": "center"} if upright else {"ha": "center", "va": "bottom"}
-            axis.text(*middle, f"  {arrow.text}" if upright else arrow.text, fontsize=7, color="#333333", **place)
+            axis.annotate(
+                arrow.text, middle, (4, 0) if upright else (0, 3), textcoords="offset points",
+                fontsize=7, color="#333333", annotation_clip=False, **place,
+            )  # fmt: skip
     return canvas
