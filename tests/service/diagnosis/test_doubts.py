@@ -114,6 +114,20 @@ def test_runs_of_several_robots_fit_alone_but_not_together():
     assert evaluate(made, Hypothesis(BASE)).cost > together.cost
 
 
+def test_what_is_left_open_of_a_run_is_left_open_where_it_fits_alone():
+    """Beside a field in each of the runs, which is another one's nothing."""
+    runs, random = [course(seed, 2.0) for seed in (*SEEDS, 3)], np.random.default_rng(0)
+    strange = [20.0 * random.standard_normal(run.torque.shape).cumsum(axis=0) / len(run.torque) ** 0.5 for run in runs]
+    noise = [0.3 * random.standard_normal(run.torque.shape) for run in runs]
+    torques = [run.torque + s + n for run, s, n in zip(runs, strange, noise, strict=True)]
+    made = problem(runs, torques)
+    fields = [made.pick(number, made.band(one))[:, None] for number, one in enumerate(strange)]
+    beside = replace(made, fields=fields)
+    best = selection.score(fit(beside, Hypothesis(BASE)), Split.of(beside))
+    assert cautions._alone(made, Selection(best, best, [], {})) > 100.0
+    assert cautions._alone(beside, Selection(best, best, [], {})) == pytest.approx(1.0, abs=0.1)
+
+
 @pytest.mark.parametrize(
     ("left", "gap", "alone", "told"),
     [(9.0, 20.9, 3.3, True), (9.0, 21.1, 3.3, False), (9.0, 14.0, 3.5, False), (3.99, 6.0, 1.0, False)],

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
-from schemas.diagnosis import Caution, Diagnosis, Estimate, Simulated
+from schemas.diagnosis import Advice, Caution, CautionCode, Diagnosis, Estimate, Simulated
 from service.diagnosis.documents import text
 
 ONE = {"name": "cogging", "title": "Cogging", "means": "The motor.", "joints": [2], "probability": 0.8,
@@ -153,6 +153,17 @@ def test_what_cannot_be_told_names_joints_and_what_to_do() -> None:
     assert text.caution(limit).startswith(
         "What comes nearest is joint spring in joint 1, but with rest angle at the end"
     )
+
+
+def test_there_are_words_for_all_that_cannot_be_told_and_for_every_advice() -> None:
+    assert set(text.CAUTIONS) == set(get_args(CautionCode))
+    assert set(text.ADVICE) == set(get_args(Advice))
+    beside = document(cannot_tell=[Caution(code="by_place", advice="look_there")])
+    assert (
+        "Something that is not in the catalogue pulls at the platform wherever it is; what is named was told beside "
+        "any torque that goes by the platform's place, springs, offsets and weights cannot be told. "
+        "Look for it where and when most is left, see below."
+    ) in text.sentences(beside)
 
 
 def test_a_gap_hardly_above_the_noise_is_called_that() -> None:
