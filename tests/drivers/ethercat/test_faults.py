@@ -276,10 +276,17 @@ def running(wire: Wire) -> Process:
 
 
 def test_a_second_master_does_not_start(wire: Wire, running: Process) -> None:
-    second = wire.start("master", rig.NEAR, "--robot", wire.robot, "--feedforward", "off")
-    assert second.ends(READY) == 1, f"{second.said}\nthe first: {running.said}"
+    tries = 3
+    while True:
+        second = wire.start("master", rig.NEAR, "--robot", wire.robot, "--feedforward", "off", "--duration", "1")
+        code = second.ends(READY)
+        tries -= 1
+        if running.process.is_alive() or not tries:
+            break
+        running = wire.survivor = wire.master(duration=300)  # the host held its segment up: there was no first
+    assert code == 1, f"{second.said}\nthe first: {running.said}"
     assert "robot 'rig' already has a master running" in second.said.splitlines()[-1]
-    assert running.process.is_alive()
+    assert running.process.is_alive(), running.said
 
 
 def offsets(wire: Wire, since: float, until: float) -> tuple[np.ndarray, np.ndarray]:
