@@ -8,7 +8,7 @@ import os
 import socket
 import struct
 
-from schemas.errors import BusError
+from schemas.errors import BusError, RoleTakenError
 
 _SIOCGIFFLAGS, _IFF_UP = 0x8913, 1
 
@@ -45,6 +45,22 @@ def check_interface(interface: str) -> None:
         BusError: it does not exist, is down, or may not be used.
     """
     open_interface(interface, 0).close()
+
+
+def claim(interface: str) -> socket.socket:
+    """Be the only master on `interface`, whatever its robot is called, until the socket is closed or this process ends:
+    an abstract name, which like the interface belongs to the network namespace.
+
+    Raises:
+        RoleTakenError: another process of this host is.
+    """
+    name = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        name.bind(f"\0deltatwin master {interface}")
+    except OSError:
+        name.close()
+        raise RoleTakenError(f"{interface}: already has a master running") from None
+    return name
 
 
 def _check_up(interface: str, wire: socket.socket) -> None:

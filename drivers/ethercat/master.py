@@ -24,7 +24,7 @@ import pysoem
 from drivers.ethercat import cia402
 from drivers.ethercat.bus_clock import BusClock
 from drivers.ethercat.cia402 import Control, DriveState, Mode, Scale, drive_state
-from drivers.ethercat.interface import check_interface
+from drivers.ethercat.interface import check_interface, claim
 from drivers.ethercat.pdo import DIGITAL_OUTPUTS, GRIPPER, Pdo, joint_pdos
 from drivers.ethercat.setpoints import Setpoints
 from schemas.errors import BusError
@@ -162,10 +162,12 @@ class Master:
 
     def __enter__(self) -> Master:
         check_interface(self._interface)
+        self._claim = claim(self._interface)
         before = _packet_sockets()
         try:
             self._soem.open(self._interface)
         except ConnectionError as error:
+            self._claim.close()
             raise BusError(f"{self._interface}: {error}") from error
         try:
             (self._wire,) = _packet_sockets() - before
@@ -173,6 +175,7 @@ class Master:
             self._bring_up()
         except BaseException:
             self._soem.close()
+            self._claim.close()
             raise
         return self
 
@@ -182,6 +185,7 @@ class Master:
         self._soem.state = pysoem.INIT_STATE
         self._soem.write_state()
         self._soem.close()
+        self._claim.close()
 
     def _compile(self) -> None:
         """What a cycle needs: where it takes longer than the drives' watchdogs wait, they trip."""

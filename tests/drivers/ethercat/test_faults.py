@@ -276,17 +276,23 @@ def running(wire: Wire) -> Process:
     return wire.survivor
 
 
-def test_a_second_master_does_not_start(wire: Wire, running: Process) -> None:
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [("rig", "robot 'rig' already has a master running"), ("other", f"{rig.NEAR}: already has a master running")],
+)
+def test_a_second_master_does_not_start(wire: Wire, running: Process, tmp_path: Path, name: str, says: str) -> None:
+    robot = tmp_path / "robot.toml"
+    robot.write_text(Path(wire.robot).read_text().replace('name = "rig"', f'name = "{name}"'))
     tries = 3
     while True:
-        second = wire.start("master", rig.NEAR, "--robot", wire.robot, "--feedforward", "off", "--duration", "5")
+        second = wire.start("master", rig.NEAR, "--robot", str(robot), "--feedforward", "off", "--duration", "5")
         code = second.ends(READY)
         tries -= 1
         if NO_ANSWER not in running.said or not tries:
             break
         running = wire.survivor = wire.master(duration=300)  # the host held the segment up: there was no first
     assert code == 1, f"{second.said}\nthe first: {running.said}"
-    assert "robot 'rig' already has a master running" in second.said.splitlines()[-1]
+    assert says in second.said.splitlines()[-1], f"{second.said}\nthe first: {running.said}"
     assert running.process.is_alive(), running.said
 
 
