@@ -51,6 +51,8 @@ class RolloutDocument(DocumentPart):
 
     payload_kg: what hangs on all of them, one a window. untold_s: left out as that could not be told. windows_lost:
     what `interruptions` cost. path_mm: rms way of the measured platform. seconds: of the logs; used_s: in windows.
+    over_identified: of the last robot, a joint, rms torque that it does not explain here, empty, over that of the
+    logs it was identified on; null: the joint never moves so, or the description does not say.
     """
 
     schema_: Literal["deltatwin.rollout/1"] = Field("deltatwin.rollout/1", alias="schema")
@@ -64,6 +66,7 @@ class RolloutDocument(DocumentPart):
     seconds: float
     used_s: float
     path_mm: float
+    over_identified: list[float | None] | None
     times_s: list[float]
     robots: list[Reached]
     floor: Reached

@@ -12,12 +12,14 @@ from schemas.robot import Robot
 from schemas.rollout import LogInterruption, Reached, RegimeReached, RolloutDocument
 from service.pages import LOG_AXIS, write_page
 from service.rollout.gap import REGIMES, Deviation, Rollout, rms
+from service.rollout.recognise import over_identified
 from service.rollout.robot import left_out
 
 TIMES = 21  # of the growth over the horizon
 COLOURS = ("#b0b7c3", "#bf8700", "#1f6feb", "#8250df", "#2da44e")
 FLOOR = "#d0d7de"
 NAMED = 5  # interruptions of logs that are told one by one
+STRANGE = 3.0  # times the torque unexplained that a description left when made, from which its log may be another's
 
 
 def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) -> RolloutDocument:
@@ -25,6 +27,7 @@ def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) ->
     cuts, samples = found.cuts, found.floor.platform.shape[1]
     rows = np.unique(np.linspace(0, samples - 1, TIMES).round().astype(int))
     driven = found.servo is not None
+    over = over_identified(robots[found.deviations[-1].name], cuts)
     shown = [reached(deviation, rows, left_out(robots[deviation.name]), driven) for deviation in found.deviations]
     return RolloutDocument(
         schema="deltatwin.rollout/1",
@@ -41,6 +44,7 @@ def document(found: Rollout, robots: dict[str, Robot], traces: Sequence[str]) ->
         seconds=round(cuts.seconds, 3),
         used_s=round(len(cuts.runs) * cuts.horizon, 3),
         path_mm=found.floor.path_mm,
+        over_identified=None if over is None else _numbers(over),
         times_s=[round(float(row * cuts.period), 6) for row in rows],
         robots=shown,
         floor=reached(found.floor, rows, torque=driven),
@@ -114,7 +118,9 @@ def sentences(result: RolloutDocument) -> list[str]:
             f"({first.robot}) to {last.platform_mm:.3g} mm ({last.robot})."
         )
     elif shown:
-        lines.append(f"In the simulator the platform is off by {shown[0].platform_mm:.3g} mm after {horizon}.")
+        lines.append(
+            f"In the simulator the platform is off by {shown[0].platform_mm:.3g} mm ({shown[0].robot}) after {horizon}."
+        )
     if result.servo is not None:
         gains, speeds = (
             ", ".join(f"{value:.3g}" for value in values)
@@ -126,7 +132,7 @@ def sentences(result: RolloutDocument) -> list[str]:
     if result.floor.platform_mm is not None:
         lines.append(
             f"Torque noise and start state alone give {result.floor.platform_mm:.3g} mm; "
-            f"it goes {result.path_mm:.3g} mm in that time."
+            f"the platform goes {result.path_mm:.3g} mm in that time."
         )
     masses = [mass for mass in result.payload_kg if mass]
     if masses:
@@ -145,6 +151,14 @@ def sentences(result: RolloutDocument) -> list[str]:
         more = f" and {len(result.interruptions) - NAMED} more" if len(result.interruptions) > NAMED else ""
         lines.append(
             f"No window spans what interrupts a log, which costs {result.windows_lost} windows: {where}{more}."
+        )
+    if result.over_identified is None:
+        lines.append(f"{result.robots[-1].robot} was not identified on logs: whether these are of it cannot be told.")
+    elif any(over is not None and over > STRANGE for over in result.over_identified):
+        times = ", ".join("-" if over is None else f"{over:.3g}" for over in result.over_identified)
+        lines.append(
+            f"Of these logs' torque {result.robots[-1].robot} leaves {times} times as much unexplained, by joint, as "
+            "of those it was identified on: they are of another robot, in another unit, or it has changed since."
         )
     for robot in result.robots:
         if robot.ran_away:

@@ -90,14 +90,19 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Windows:
-    """W windows of a part: first samples (W,), how many samples each has, what is carried in them, (W,) kg, and what
-    drives the robot in them: the recorded torque, or drives."""
+    """W windows of a part: first samples (W,), how many samples each has, what is carried, (N,) kg, NaN where it cannot
+    be told, and what drives the robot in them: the recorded torque, or drives."""
 
     segment: Segment
     starts: np.ndarray
     samples: int
-    payload: np.ndarray
+    mass: np.ndarray
     drives: Drives = NO_DRIVES
+
+    @property
+    def payload(self) -> np.ndarray:
+        """(W,) kg, one mass a window."""
+        return self.mass[self.starts]
 
     def cut(self, values: np.ndarray) -> np.ndarray:
         """(W, S, ...) of (N, ...)."""
@@ -235,7 +240,7 @@ def cut_up(robots: dict[str, Robot], traces: Sequence[Trace], horizon: float = H
             starts = _windows(segment, samples, mass)
             untold += period * int(np.sum(np.isnan(mass)))
             if len(starts):
-                result.append((trace, Windows(segment, starts, samples, mass[starts])))
+                result.append((trace, Windows(segment, starts, samples, mass)))
         of_trace, fewer = _interrupted(trace, whole, horizon)
         interruptions += of_trace
         lost += fewer

@@ -47,6 +47,9 @@ TESTS = {
     "estimator": ["tests/service/estimator", STORED_RUN],
     "identification": ["tests/service/identification"],
     "diagnosis": ["tests/service/diagnosis"],
+    "rollout": ["tests/service/rollout"],
+    "planning": ["tests/service/planning"],
+    "watch": ["tests/service/watch"],
 }
 EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 PAGES = ("blindpage.py", "report.py")  # pictures and prose, looked at in tests/service/pages
@@ -365,7 +368,7 @@ def room_of(room: str, count: int, seed: int, only: set[int]) -> tuple[int, int]
 def main() -> None:
     """The rooms asked for, one after the other."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--room", choices=TESTS, action="append", help="default: all four")
+    parser.add_argument("--room", choices=TESTS, action="append", help="default: all")
     parser.add_argument("--count", type=int, default=60, help="mutants a room")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="+", default=[], metavar="NUMBER", help="these of them")

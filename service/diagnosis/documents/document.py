@@ -12,7 +12,7 @@ import numpy as np
 
 from schemas.axes import Description
 from schemas.diagnosis import Diagnosis, Estimate, Gap, Moved, NamedEffect, Online, Provenance, Ranked, Rival
-from schemas.robot import Robot
+from schemas.robot import JointParameter, Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.rivals import ModelComparison, comparisons, undecided
@@ -29,8 +29,15 @@ Z95 = 1.96
 
 
 def corrected(findings: Findings) -> Description:
-    """The description with base model and effects refitted together."""
-    return described(findings.robot, findings.best.hypothesis, findings.errors, findings.noise)
+    """The description with base model and effects refitted together, and a robot's with what that leaves of runs left
+    out."""
+    known = described(findings.robot, findings.best.hypothesis, findings.errors, findings.noise)
+    if not isinstance(known, Robot) or known.identified is None:
+        return known
+    left = statistics.rms_per_joint(findings.problem, findings.after)
+    error = np.sqrt(np.maximum(left**2 - findings.problem.sigma**2, 0.0))
+    told = known.identified.model_copy(update={"model_error_nm": JointParameter(value=[digits(e) for e in error])})
+    return known.model_copy(update={"identified": told})
 
 
 def made_from(paths: Iterable[Path]) -> Provenance:

@@ -103,7 +103,10 @@ ONLINE = {
     "of_the_measurement": "offline only: of the reported torque, not of the robot",
     "no_online_form": "offline only: the online model does without it",
 }
-PLANNED = "deltatwin plan-motion --diagnosis FOLDER makes the run that tells apart what came into question here."
+PLANNED = (
+    "deltatwin plan-motion --robot FILE --diagnosis FOLDER --out motion.csv makes the run that tells apart what came "
+    "into question here."
+)
 MOST_TOLD = 6  # events
 MOST_NEAR = 3  # candidates told where none is named
 HARDLY = 0.1  # shrink below which there was hardly a gap

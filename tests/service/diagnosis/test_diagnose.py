@@ -49,6 +49,10 @@ def test_names_what_was_put_in(shared, tmp_path, case, name, joints, parameter, 
     measured = np.sqrt(np.nanmean(np.concatenate(errors) ** 2))
     claimed = np.sqrt(np.mean(np.square(document["gap"]["after_nm"])))
     assert measured == pytest.approx(claimed, rel=0.15)
+    assert robot.identified is not None
+    assert robot.identified.model_error_nm is not None
+    left = np.hypot(robot.identified.model_error_nm.value, document["gap"]["noise_floor_nm"])
+    assert measured == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.15)
 
     # and in the simulator, under the torque of those logs, it comes down to what noise alone does
     for test in document["tests"]:

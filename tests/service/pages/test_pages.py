@@ -104,14 +104,16 @@ def rollout(path: Path) -> None:
     three = [20.0, 21.0, 22.0]
     document = RolloutDocument(
         schema="deltatwin.rollout/1", traces=["pick", "slow"], horizon_s=0.2, windows=60, payload_kg=[0.0, 1.2],
-        untold_s=0.8, interruptions=[], windows_lost=0, seconds=13.0, used_s=12.0, path_mm=60.0, times_s=times,
-        robots=robots, floor=floor, regimes=regimes, servo=Servo(position_gain_ps=three, velocity_gain_nms=three),
+        untold_s=0.8, interruptions=[], windows_lost=0, seconds=13.0, used_s=12.0, path_mm=60.0,
+        over_identified=[4.0, None, 1.0], times_s=times, robots=robots, floor=floor, regimes=regimes,
+        servo=Servo(position_gain_ps=three, velocity_gain_nms=three),
     )  # fmt: skip
     write_rollout(document, path)
     text = path.read_text(encoding="utf-8")
     assert "under the recorded position commands alone" in text
     assert "<td>1, 2, 3</td>" in text
     assert "1 of 60 windows 1.2 kg hang" in text
+    assert "corrected leaves 4, -, 1 times as much unexplained" in text
 
 
 def blind_test(path: Path) -> None:

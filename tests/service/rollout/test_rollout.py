@@ -12,12 +12,13 @@ from typer.testing import CliRunner
 from drivers.data_frames import pl
 from drivers.trace import read_trace
 from schemas.errors import DataError
-from schemas.robot import Robot, save_robot
+from schemas.robot import JointParameter, Robot, save_robot
 from service.cli.main import app
 from service.rollout.document import document, sentences
 from service.rollout.gap import PLAIN, Rollout, cut_up, plain, rollout
 from tests.service.rollout.test_kernel import effect, identified, recorded
-from tests.service.world import ROBOT
+from tests.service.subject import Band
+from tests.service.world import PERIOD, ROBOT
 
 NOISE, ENCODER = 0.3, 2e-5  # N m, rad
 runner = CliRunner()
@@ -107,6 +108,35 @@ def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
     page = (tmp_path / "out" / "rollout.html").read_text()
     assert f"{off[2]:.3f}" in page
     assert "corrected" in page
+
+
+def made_on_logs(robot: Robot, noise: float = NOISE, left: float = 0.05) -> Robot:
+    """With what `identify` writes beside the figures. noise: N m a sample; left: N m rms above it, in the band."""
+    assert robot.identified is not None
+    told = {"torque_noise_nm": JointParameter(value=[noise] * 3), "model_error_nm": JointParameter(value=[left] * 3)}
+    return robot.model_copy(update={"identified": robot.identified.model_copy(update=told)})
+
+
+def test_a_log_of_another_robot_is_told(tmp_path: Path) -> None:
+    known = made_on_logs(identified())
+
+    def said(truth: Robot, **robots: Robot) -> tuple[str, list]:
+        result = document(run(log(tmp_path, truth), **robots), robots, ["log"])
+        return " ".join(sentences(result)), result.over_identified or []
+
+    words, own = said(identified(), plain=plain(ROBOT), known=known)
+    assert "another robot" not in words
+    assert "cannot be told" not in words
+    usual = np.hypot(NOISE * Band.of(PERIOD).white_share ** 0.5, 0.05)
+    pushed = said(identified(effect("torque_offset")), known=known)[1]
+    np.testing.assert_allclose(np.square(pushed) - np.square(own), [0.0, 0.0, (1.3 / usual) ** 2], rtol=0.05, atol=0.1)
+    heavier = ROBOT.mass.model_copy(update={"active_link": 1.2 * ROBOT.mass.active_link})
+    words = said(identified().model_copy(update={"mass": heavier}), known=known)[0]
+    assert "Of these logs' torque known leaves" in words
+    assert "they are of another robot, in another unit, or it has changed since." in words
+    words, none = said(identified(), known=identified())
+    assert none == []
+    assert "known was not identified on logs: whether these are of it cannot be told." in words
 
 
 def test_what_cannot_be_simulated_is_told_in_one_line(tmp_path: Path) -> None:
