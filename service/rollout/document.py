@@ -111,6 +111,14 @@ def sentences(result: RolloutDocument) -> list[str]:
     horizon = f"{1e3 * result.horizon_s:.0f} ms"
     shown = [robot for robot in result.robots if robot.platform_mm is not None]
     lines = []
+    if result.over_identified is None:
+        lines.append(f"{result.robots[-1].robot} was not identified on logs: whether these are of it cannot be told.")
+    elif any(over is not None and over > STRANGE for over in result.over_identified):
+        times = ", ".join("-" if over is None else f"{over:.3g}" for over in result.over_identified)
+        lines.append(
+            f"{result.robots[-1].robot} leaves {times} times as much torque unexplained, by joint, as in the logs it "
+            "was identified on: these are of another robot, in another unit, or it has changed since."
+        )
     if len(shown) > 1:
         first, last = shown[-2], shown[-1]
         lines.append(
@@ -151,14 +159,6 @@ def sentences(result: RolloutDocument) -> list[str]:
         more = f" and {len(result.interruptions) - NAMED} more" if len(result.interruptions) > NAMED else ""
         lines.append(
             f"No window spans what interrupts a log, which costs {result.windows_lost} windows: {where}{more}."
-        )
-    if result.over_identified is None:
-        lines.append(f"{result.robots[-1].robot} was not identified on logs: whether these are of it cannot be told.")
-    elif any(over is not None and over > STRANGE for over in result.over_identified):
-        times = ", ".join("-" if over is None else f"{over:.3g}" for over in result.over_identified)
-        lines.append(
-            f"Of these logs' torque {result.robots[-1].robot} leaves {times} times as much unexplained, by joint, as "
-            "of those it was identified on: they are of another robot, in another unit, or it has changed since."
         )
     for robot in result.robots:
         if robot.ran_away:

@@ -113,7 +113,7 @@ def rollout(path: Path) -> None:
     assert "under the recorded position commands alone" in text
     assert "<td>1, 2, 3</td>" in text
     assert "1 of 60 windows 1.2 kg hang" in text
-    assert "corrected leaves 4, -, 1 times as much unexplained" in text
+    assert "corrected leaves 4, -, 1 times as much torque unexplained" in text
 
 
 def blind_test(path: Path) -> None:
