@@ -57,5 +57,5 @@ def picture(recorded: dict[str, Recorded]) -> go.Figure:
         title_text="kg", range=[-0.5, max(0.5, 1.2 * float(payload["mass"].max(initial=0.0)))], row=4, col=1
     )
     figure.update_xaxes(title_text="bus time, s", row=4, col=1)
-    figure.update_layout(height=1000, legend={"orientation": "h", "y": 1.06, "x": 1, "xanchor": "right"})
+    figure.update_layout(height=1000, legend={"orientation": "h", "y": 1.06})
     return figure

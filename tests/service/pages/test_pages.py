@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from schemas.errors import StorageError
+from schemas.messages import MODEL_ERROR, PAYLOAD, SAMPLE, set_stamp
 from schemas.robot import Servo
 from schemas.rollout import Reached, RegimeReached, RolloutDocument
 from service.cli.closed_loop import _page as loop_page
@@ -22,7 +23,10 @@ from service.diagnosis.blindpage import BOUNDS
 from service.diagnosis.blindpage import write_page as write_blindtest
 from service.experiment.closed_loop import FEEDBACK, Tracking
 from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, write_page
+from service.monitor.readback import Recorded
+from service.monitor.report import picture
 from service.pages import LOOK, print_page
+from service.pages import write_page as write_any_page
 from service.rollout.document import write_rollout
 from service.rollout.gap import REGIMES
 from tests.service.pages.browser import looked_at
@@ -132,7 +136,21 @@ def blind_test(path: Path) -> None:
     assert not re.search(r"[a-z]_[a-z]+_?friction|partly_", outside)
 
 
-@pytest.mark.parametrize("write", [closed_loop, rollout, blind_test])
+def recording(path: Path) -> None:
+    records = [dtype.empty(1000) for dtype in (SAMPLE, MODEL_ERROR, PAYLOAD)]
+    for k, some in enumerate(records):
+        set_stamp(some, 1_000_000 * np.arange(1000))
+        some["sequence"] = np.arange(1000)
+        for name in (("torque",), ("kh", "full"), ("mass", "std_dev"))[k]:
+            some[name] = 3.0 * np.sin(np.arange(1000) / 50).reshape(-1, *[1] * (some[name].ndim - 1))
+    recorded = {
+        topic: Recorded(some, np.arange(1000))
+        for topic, some in zip(("sample", "error", "payload"), records, strict=True)
+    }
+    write_any_page("recording", path, title="pick.mcap replayed", figure=picture(recorded))
+
+
+@pytest.mark.parametrize("write", [closed_loop, rollout, blind_test, recording])
 def test_pages_are_clear(tmp_path: Path, write: Callable[[Path], None]) -> None:
     path = tmp_path / "page.html"
     write(path)
