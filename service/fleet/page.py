@@ -35,10 +35,12 @@ def _gap(fleet: Fleet) -> go.Figure:
     """The gap to the reference as a share of the torque, by robot and day."""
     days = sorted({day.day for robot in fleet.robots for day in robot.days}, key=natural)
     rows = [[next((d for d in robot.days if d.day == day), None) for day in days] for robot in fleet.robots]
+    gaps = [[day.gap_percent if day else None for day in row] for row in rows]
+    most = max((gap for row in gaps for gap in row if gap is not None), default=1.0)
     figure = go.Figure(
         go.Heatmap(
-            x=days, y=[robot.robot for robot in fleet.robots], colorscale="Blues", zmin=0, xgap=1, ygap=1,
-            z=[[day.gap_percent if day else None for day in row] for row in rows],
+            x=days, y=[robot.robot for robot in fleet.robots], colorscale="Blues", xgap=1, ygap=1,
+            z=gaps, zmin=0, zmax=most,  # Plotly takes one without the other for none
             customdata=[[_told(day) for day in row] for row in rows],
             colorbar={"title": "gap, % of<br>the torque", "thickness": 12},
             hovertemplate="%{y}, %{x}: %{z:.3g} % of the torque<br>%{customdata}<extra></extra>",

@@ -1,0 +1,26 @@
+"""The page of a fleet, where a full diagnosis would show no more."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from schemas.diagnosis import Provenance
+from schemas.fleet import DayResult, Fleet, RobotHistory
+from service.fleet.page import write_page
+from tests.service.pages.browser import looked_at
+
+
+def test_the_colours_of_the_gap_begin_at_zero(tmp_path: Path) -> None:
+    """A hundredth more is no dark day."""
+    days = [
+        DayResult(made_of="0", robot="cell", day=day, verdict="within_noise", gap_nm=gap, after_nm=gap, torque_nm=10.0)
+        for day, gap in (("2026-01-30", 0.50), ("2026-01-31", 0.505))
+    ]
+    made = Provenance(at="2026-02-01T00:00:00+00:00", version="1", inputs={})
+    robots = [RobotHistory(robot="cell", days=days)]
+    write_page(Fleet(schema="deltatwin.fleet/1", made=made, robots=robots), tmp_path / "fleet.html")
+    seen = looked_at(tmp_path / "fleet.html")
+    assert seen["errors"] == seen["over"] == []
+    text = (tmp_path / "fleet.html").read_text(encoding="utf-8")
+    assert '"zmin":0' in text
+    assert '"zmax":5.05' in text
