@@ -49,7 +49,7 @@ def _gap(fleet: Fleet) -> go.Figure:
     shown = days[:: -(-len(days) // MOST_DAYS)] if days else days
     figure.update_xaxes(type="category", tickvals=shown, automargin=True, title_text="day")
     figure.update_yaxes(type="category", autorange="reversed", automargin=True)
-    figure.update_layout(margin={"t": 20}, height=180 + 22 * len(rows))
+    figure.update_layout(margin={"t": 32}, height=192 + 22 * len(rows))
     return figure
 
 
