@@ -111,7 +111,8 @@ def diagnose(
         again = exchanged(quiet.regressors, again, limit, scope.allows, progress)
         less = doubts_of(quiet.problem, again, limit)
         judged = _judged(quiet.regressors, again, less, len(given), kept, unknown, limit, scope.allows)
-        if judged.selection.names:
+        # what was found before and not beside a torque that goes by the platform's place may be that
+        if judged.selection.names or quiet.problem.fields:
             errors = statistics.standard_errors(judged.selection.best.fitted, split)
             found, chosen = quiet.selection_on_all(judged.selection), [quiet.on_all(one) for one in judged.chosen]
             cautions = [quiet.caution(), *judged.cautions]

@@ -20,6 +20,7 @@ from service.estimator.effects import EFFECT, MAX_EFFECTS, effects_kernel
 from service.model.dynamics import TERMS
 from service.model.effects.base import Instant
 from service.model.forward import bias_kernel, mass_kernel, solve_kernel
+from service.model.friction import SOFT
 from service.model.kinematics import POSE, REACHED
 from service.model.nominal import MODEL
 
@@ -167,7 +168,6 @@ def _effects(f, s, effects, theta, theta_dot, seconds, torque):
 def _ball_joints(f, s, link_dot, torque):
     """Add the ball joints' friction, as `passive_joint_friction` has it: by virtual power of the forearms' turning."""
     forearm, column, elbow, lever, velocity = s.pose.forearm, s.pose.column, s.pose.elbow, s.pose.lever, s.pose.velocity
-    smooth = max(f.transition, 1e-3)
     turn, per, swing = s.turning[0], s.turning[1], s.turning[2]
     for arm in range(3):
         axle_x, axle_y = -f.model.azimuth_sin[arm], f.model.azimuth_cos[arm]
@@ -183,7 +183,7 @@ def _ball_joints(f, s, link_dot, torque):
                 turn[0] -= axle_x * link_dot[arm]
                 turn[1] -= axle_y * link_dot[arm]
             speed = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
-            level = f.ball_joints[end] * math.tanh(speed / smooth) / max(speed, 1e-12) + f.ball_joints[2 + end]
+            level = f.ball_joints[end] * math.tanh(speed / SOFT) / max(speed, 1e-12) + f.ball_joints[2 + end]
             for joint in range(3):
                 for axis in range(3):
                     swing[axis] = column[joint, axis] * lever[joint] - (elbow[arm, axis] if joint == arm else 0.0)

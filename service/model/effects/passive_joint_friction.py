@@ -3,7 +3,7 @@
 Physics: each forearm turns against the active link at its elbow and against the platform; dry friction loses
 T |omega|, viscous friction d omega^2.
 Implementation: omega of a forearm is s x s_dot / l2^2 (no spin about itself); joint torques by virtual power, both
-ends of all forearms with the same coefficients, per ball joint pair.
+ends of all forearms with the same coefficients, per ball joint pair. Dry friction fades below `SOFT` as the seat gives.
 Limitations: friction about the rod's own axis and unequal joints are left out.
 """
 
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.model.effects.base import Amplitude, Inside, WholeDelta
+from service.model.friction import SOFT
 from service.model.scene import Scene
 
 
@@ -44,10 +45,9 @@ class PassiveJointFriction(WholeDelta):
         for arm in range(3):
             bend_per_joint[:, arm, :, arm] -= arms.axle[arm]
         columns = []
-        smooth = max(float(scene.base.transition), 1e-3)
         for rate, per_joint in ((bend, bend_per_joint), (turn, turn_per_joint)):
             speed = np.sqrt(np.sum(rate**2, axis=-1, keepdims=True))
-            unit = rate * np.tanh(speed / smooth) / np.maximum(speed, 1e-12)
+            unit = rate * np.tanh(speed / SOFT) / np.maximum(speed, 1e-12)
             columns.append((unit, per_joint))
         for rate, per_joint in ((bend, bend_per_joint), (turn, turn_per_joint)):
             columns.append((rate, per_joint))

@@ -55,6 +55,14 @@ def test_its_torque_is_that_of_the_independent_effect(name):
         assert not found[:, spared].any()
 
 
+def test_the_seat_of_a_ball_joint_gives_before_it_slips():
+    """In motion so slow that a forearm turns by less than `SOFT` for a good part of it."""
+    injected, run = INJECTED["passive_joint_friction"], course(1, SECONDS, low=0.1, high=0.5)
+    truth = injected.measured(run, 0.0) - run.torque
+    found = added(scene(run), injected.term("passive_joint_friction"))
+    assert np.sqrt(np.mean((found - truth) ** 2)) < injected.close * np.sqrt(np.mean(truth**2))
+
+
 def test_masses_found_beside_a_tilt_lean_with_it():
     run = course(1, 0.6)
     terms = tuple(INJECTED[name].term(name) for name in ("base_tilt", "tool_mass", "arm_mass"))
