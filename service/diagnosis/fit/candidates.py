@@ -215,9 +215,9 @@ class Dictionary:
     ) -> dict[Effect, list[tuple[float, Candidate]]]:
         """Where each effect may sit, with the point of its grid that does best there."""
         busy = {(term.effect, place) for term in taken for place in term.places}
-        grids: dict[Effect, set[tuple[float, ...]]] = {}
+        grids: dict[Effect, dict[tuple[float, ...], None]] = {}  # in the order of the grid, which decides a tie
         for effect, _, nonlinear in self.index:
-            grids.setdefault(effect, set()).add(nonlinear)
+            grids.setdefault(effect, {})[nonlinear] = None
         places: list[list[Candidate]] = []
         for effect in self.effects:
             options: list[tuple[int, ...]] = [(joint,) for joint in range(joints)] if effect.per_joint else [()]

@@ -106,6 +106,18 @@ def test_an_effect_that_is_dead_on_a_joint_is_offered_on_the_one_joint_that_want
     assert [candidate.joints for _, candidate in found] == ([(0,), joints] if dead else [joints, (0,)])
 
 
+@pytest.mark.parametrize("name", ["drive_lag", "torque_delay", "presliding_friction"])
+def test_of_points_that_do_as_well_as_each_other_the_first_of_the_grid_is_taken(name):
+    effect = EFFECTS[name]
+    grid = [(value,) for value in next(iter(effect.nonlinear.values())).grid]
+    for points in (grid, grid[::-1], sorted(grid)):
+        index = {(effect, joint, point): None for joint in range(3) for point in points}
+        dictionary = stub(index=index, effects=[effect], losses=lambda several: np.zeros(len(several)))
+        dictionary._columns = lambda candidate: []
+        for _, candidate in candidates.Dictionary._options(dictionary, (), 3, lambda *asked: True)[effect]:
+            assert candidate.nonlinear == points[0]
+
+
 def apart(joints: tuple[int, ...], dissipates: bool = False, nonlinear: tuple[str, ...] = ()):
     return stub(joints=joints, effect=stub(dissipates=dissipates, nonlinear=nonlinear))
 
