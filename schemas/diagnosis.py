@@ -136,7 +136,7 @@ class Moved(DocumentPart):
 class Gap(DocumentPart):
     """Rms a joint on runs left out of fitting and selection, in the analysis band. unit: N m, N for linear axes.
 
-    torque_nm: rms of the recorded torque on the same samples.
+    torque_nm: rms of the recorded torque on the same samples. shrink_ci95: of as many other runs of these kinds.
     """
 
     unit: str

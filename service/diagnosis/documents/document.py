@@ -59,7 +59,7 @@ def document(findings: Findings, tests: Sequence[Trace] = (), made: Provenance |
     after = statistics.rms_per_joint(problem, findings.after)
     before_blocks = statistics.pooled_squares(problem, findings.before, split)
     after_blocks = statistics.pooled_squares(problem, findings.after, split)
-    shrink = statistics.shrink(before_blocks, after_blocks)
+    shrink = statistics.shrink(before_blocks, after_blocks, runs=statistics.run_of_blocks(problem, split))
     count = np.sum([rows.sum(axis=0) for rows in problem.rows], axis=0)
     floor_energy = float(np.sum(count * (problem.sigma**2 + findings.reversal**2)))
     explainable = float(before_blocks.sum()) - floor_energy

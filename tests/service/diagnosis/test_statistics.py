@@ -85,6 +85,30 @@ def test_the_shrinks_interval_covers_the_truth():
     assert 0.90 <= np.mean(inside) <= 0.985
 
 
+def test_the_shrinks_interval_over_runs_is_that_of_other_such_runs():
+    """Three runs alike in all their blocks: 27 draws with repetition, each as likely; and of one run that of its
+    blocks."""
+    squares, runs = np.array([1.0, 25.0, 100.0]), np.array([0, 0, 1, 1, 2, 2])
+    found = statistics.shrink(squares[runs], np.ones(6), runs=runs)
+    every = [1 - np.sqrt(3 / (squares[[a, b, c]]).sum()) for a in range(3) for b in range(3) for c in range(3)]
+    assert (found.low, found.high) == pytest.approx((min(every), max(every)))  # of 27 each one is more than 2.5 %
+    random = np.random.default_rng(3)
+    before, after = random.gamma(5.0, 1.0, 40), random.gamma(5.0, 0.3, 40)
+    assert statistics.shrink(before, after, runs=np.full(40, 2)) == statistics.shrink(before, after)
+    inside = statistics.shrink(before, after)
+    alike = statistics.shrink(np.tile(before, 4), np.tile(after, 4), runs=np.repeat(range(4), 40))
+    assert alike.high - alike.low == pytest.approx((inside.high - inside.low) / 2, rel=0.1)  # four times the blocks
+
+
+def test_a_block_is_of_the_run_of_its_recording():
+    logs, split = problem([course(1, 2.0)] * 3, [course(1, 2.0).torque] * 3), Split.of
+    parts = [replace(recording, trace=trace) for recording, trace in zip(logs.recordings, (4, 2, 4), strict=True)]
+    logs = replace(logs, recordings=parts)
+    found = statistics.run_of_blocks(logs, split(logs))
+    for recording, block in zip(parts, split(logs).block, strict=True):
+        assert set(found[block]) == {recording.trace}
+
+
 def rows(split: Split) -> int:
     return sum(len(fold) for fold in split.fold)
 
