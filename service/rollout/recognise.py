@@ -8,7 +8,7 @@ from schemas.robot import Robot
 from service.model.description import hypothesis_of
 from service.model.mechanism import Delta
 from service.model.scene import Recording
-from service.model.signals import EDGE, Band, resolved_hz
+from service.model.signals import Band, resolved_hz
 from service.model.torque import predict
 from service.rollout.gap import Cuts, rms
 
@@ -29,11 +29,10 @@ def over_identified(robot: Robot, cuts: Cuts) -> np.ndarray | None:
     band = Band.of(cuts.period, resolved_hz([cut.segment for _, cut in cuts.parts]))
     left: list[list[np.ndarray]] = [[], [], []]
     for trace, cut in cuts.parts:
-        segment, edge = cut.segment, round(EDGE / cuts.period)
+        segment = cut.segment
         scene = hypothesis.seen(Recording(segment, Delta.of(robot), 0, trace.name))
         off = band(segment.torque - predict(scene, hypothesis))
         counts = segment.moving & (cut.mass == 0.0)[:, None]
-        counts[:edge] = counts[len(counts) - edge :] = False
         for joint, rows in enumerate(counts[:: band.step].T):
             left[joint].append(off[rows, joint])
     usual = np.hypot(np.array(found.torque_noise_nm.value) * band.white_share**0.5, found.model_error_nm.value)

@@ -56,6 +56,18 @@ def test_the_fastest_kind_is_not_held_against_what_slower_ones_left() -> None:
     assert level.mean_square[fast, 0] == pytest.approx(0.5**2)
 
 
+def test_after_so_many_rows_a_kind_is_learnt_no_more() -> None:
+    """A level that crept up with a fault would never tell it."""
+    here = kind(REVERSAL, 100.0)
+    for first, mean in ((600, 0.3**2), (599, (0.3**2 + 0.9**2) / 2)):
+        level, square, count = Level(np.array([FLOOR])), np.zeros((KINDS, 1)), np.zeros((KINDS, 1))
+        square[here], count[here] = first * 0.3**2, first
+        level.learn(square, count)
+        square[here] = first * 0.9**2
+        level.learn(square, count)
+        assert level.mean_square[here, 0] == pytest.approx(mean)
+
+
 def test_a_kind_that_is_known_well_speaks_for_itself_and_no_level_is_below_the_noise() -> None:
     here, next_ = kind(REVERSAL, 100.0), kind(REVERSAL, 150.0)
     level = learnt({here: (KNOWN_ROWS, 0.3), next_: (FULL_ROWS, FLOOR / 2)})
