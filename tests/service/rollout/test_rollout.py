@@ -139,6 +139,27 @@ def test_a_log_of_another_robot_is_told(tmp_path: Path) -> None:
     assert "known was not identified on logs: whether these are of it cannot be told." in words
 
 
+def test_what_figures_do_not_say_of_a_robot_is_told(tmp_path: Path) -> None:
+    known = identified()
+    result = document(run(log(tmp_path, known), known=known), {"known": known}, ["log"])
+
+    def said(**changed: object) -> list[str]:
+        return sentences(result.model_copy(update={"robots": [result.robots[0].model_copy(update=changed)]}))
+
+    still, away = "known: no better than a robot that stands still.", "known: runs away in 2 of 13 windows"
+    for changed, told in (
+        ({}, False),
+        ({"platform_mm": result.path_mm}, False),
+        ({"platform_mm": result.path_mm + 1.0}, True),
+        ({"platform_mm": None}, False),
+        ({"platform_mm": result.path_mm + 1.0, "ran_away": 2}, False),
+    ):
+        assert (still in said(**changed)) == told, changed
+        assert any(line.startswith(away) for line in said(**changed)) == ("ran_away" in changed)
+    assert "known: the simulation does without thunder, lightning." in said(left_out=["thunder", "lightning"])
+    assert not any("does without" in line for line in said())
+
+
 def test_what_cannot_be_simulated_is_told_in_one_line(tmp_path: Path) -> None:
     trace = log(tmp_path, identified(), seconds=0.6)
     save_robot(identified(), tmp_path / "r.toml")
