@@ -65,13 +65,15 @@ def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -
     joints = tuple(joint - 1 for joint in entry_.joints) if effect.per_joint else ()
     blank = Term.blank(effect, joints, (0.0,) * len(effect.nonlinear))
     keys = [parameter.name for parameter in parameters_of(blank)]
+    kept = {name: searched.grid[0] for name, searched in effect.nonlinear.items() if searched.fixed}
     for key in keys:
-        if key not in entry_.parameters:
+        if key not in entry_.parameters and key not in kept:
             raise RobotError(f"{at}: parameter {key!r} is missing")
     for key in entry_.parameters:
         if key not in keys:
             raise RobotError(f"{at}: unknown parameter {key!r}")
-    numbers = np.array([entry_.parameters[key].value for key in keys])
+    given = {key: parameter.value for key, parameter in entry_.parameters.items()}
+    numbers = np.array([(kept | given)[key] for key in keys])
     amplitude = numbers[: blank.amplitude.size].reshape(blank.amplitude.shape)
     return replace(blank, amplitude=amplitude, nonlinear=tuple(float(v) for v in numbers[blank.amplitude.size :]))
 

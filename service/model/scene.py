@@ -60,6 +60,12 @@ class Recording:
         return self.mechanism
 
     @cached_property
+    def at_rest(self) -> Rigid:
+        """The same in each pose without motion."""
+        still = np.zeros_like(self.segment.theta)
+        return self.mechanism.rigid(self.segment.theta, still, still)
+
+    @cached_property
     def by_motion(self) -> np.ndarray:
         """(joint, N, n, 3, k + 1): slope of each column and, last, of the known torque with the angle, speed and
         acceleration of a joint."""
@@ -165,6 +171,11 @@ class Scene:
     def load(self) -> np.ndarray:
         """(N, n) N m: torque through the gear, without friction."""
         return self.recording.rigid.torque(self.base.rigid)
+
+    @cached_property
+    def weight(self) -> np.ndarray:
+        """(N, n) N m: `load` without motion."""
+        return self.recording.at_rest.torque(self.base.rigid)
 
     @cached_property
     def total(self) -> np.ndarray:

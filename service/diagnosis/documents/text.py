@@ -56,6 +56,8 @@ CAUTIONS = {
     "known, 1 % of the torque stands in for it.",
     "at_limit": "What comes nearest is {effect}{where}, but with {quantity} at the end of what it can be: no finding.",
     "drives": "What comes nearest is {effect}{where}, but as friction that would drive the joint: no finding.",
+    "by_weight": "What comes nearest is {effect}{where}, over so little of a turn that friction which grows with the "
+    "weight looks like it: cannot be told apart on this data.",
     "left_open": "{Effect}{where} fits, but no quantity of it is told from nothing: not named.",
     "no_shrink": "{Effect}{where} fits, but the gap on data left out does not shrink by it ({share:.0%}): not named.",
     "no_shrink_on": "{Effect}{where} fits, but on {run}, kept out of everything, the gap does not shrink by it "

@@ -17,7 +17,7 @@ AT_LIMIT = 1e-6  # of a nonlinear parameter's range: so near to its end it stand
 class Fault:
     """Why an effect at work in a hypothesis cannot be. quantity: the one at its limit."""
 
-    code: Literal["at_limit", "drives", "beyond_any_robot"]
+    code: Literal["at_limit", "drives", "beyond_any_robot", "by_weight"]
     term: Term
     quantity: str = ""
 
@@ -29,6 +29,8 @@ def fault_of(problem: Problem, hypothesis: Hypothesis, given: int) -> Fault | No
         # of a Delta it says that the geometry is wrong, and with it all that was found before
         if mechanism.kind != "delta" and term.effect.size(mechanism, term.amplitude) > term.effect.beyond:
             return Fault("beyond_any_robot", term)
+        if mechanism.kind != "delta" and any(_by_weight(problem, hypothesis, term, joint) for joint in term.joints):
+            return Fault("by_weight", term)
         if any(_nothing_of(term, place) for place in range(len(term.amplitude))):
             return Fault("at_limit", term, next(iter(term.effect.amplitudes)))
         if term.effect.above_coulomb and any(_frictionless(hypothesis, joint) for joint in term.joints):
@@ -43,6 +45,15 @@ def fault_of(problem: Problem, hypothesis: Hypothesis, given: int) -> Fault | No
         if term.effect.dissipates and any(_drives(problem, hypothesis, rubbing, joint) for joint in term.joints):
             return Fault("drives", term)
     return None
+
+
+def _by_weight(problem: Problem, hypothesis: Hypothesis, term: Term, joint: int) -> bool:
+    """Whether friction goes by the angle of a joint as that by its weight would, which changes at least as much."""
+    angles = np.concatenate([recording.segment.theta[:, joint] for recording in problem.recordings])
+    if not term.effect.goes_by_load(float(np.ptp(angles)), term.nonlinear):
+        return False
+    weight = np.concatenate([np.abs(hypothesis.seen(recording).weight[:, joint]) for recording in problem.recordings])
+    return bool(np.ptp(weight) >= np.abs(term.amplitude[term.joints.index(joint)]).max())
 
 
 def _frictionless(hypothesis: Hypothesis, joint: int) -> bool:

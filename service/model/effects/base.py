@@ -67,6 +67,9 @@ class Inside:
     tool: float = 0.0
 
 
+PERIODS = 1.5  # over a joint's travel, below which nothing shows that a torque is periodic
+
+
 @dataclass(frozen=True)
 class Amplitude:
     """A quantity that the torque is proportional to. unit: SI. meaning: for the report. low, high: what it can be."""
@@ -159,6 +162,10 @@ class Effect(ABC):
     def columns(self, scene: Scene, joint: int, points: Sequence[tuple[float, ...]]) -> np.ndarray:
         """`regressors` at P nonlinear parameters side by side, (N, P k) or (N, n, P k)."""
         return np.concatenate([self.regressors(scene, joint, point) for point in points], axis=-1)
+
+    def goes_by_load(self, travel: float, nonlinear: tuple[float, ...]) -> bool:
+        """Whether friction that grows with the weight of a joint which goes `travel` rad would look like it."""
+        return False
 
     def is_weight(self, gear_ratio: float, travel: float, nonlinear: tuple[float, ...]) -> bool:
         """Whether it is what a weight that turns with the joint asks for, or another load that goes by its angle, and

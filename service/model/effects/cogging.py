@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, Nonlinear
+from service.model.effects.base import PERIODS, Amplitude, Effect, Nonlinear
 from service.model.ripple import MOST_ORDER, standing_out
 from service.model.scene import Scene
 
 COGGING_ORDERS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 14, 16, 18, 20, 22, 24, 30, 36)
 MOST_PEAKS = 4  # a joint and run
-PERIODS = 1.5  # over a joint's travel, below which nothing shows that a torque is periodic
 ONCE = 0.1  # periods a joint turn: so near to one it is a weight
 
 

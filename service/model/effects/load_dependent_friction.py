@@ -1,7 +1,9 @@
 """Gear friction that grows with the torque through it.
 
-Physics: tooth friction is proportional to the tooth force; T = mu |load| sign v.
-Implementation: load is the rigid-body torque of the base model at the operating point.
+Physics: tooth friction is proportional to the tooth force; T = mu |load| sign v. What accelerates the rotor does not
+pass the teeth: behind a high gear it is the weight that loads them.
+Implementation: load is the rigid-body torque of the base model at the operating point; of single axes and arms, whose
+rotors are not described, less a share of what acceleration takes.
 Limitations: at a nearly constant load (gravity only) it is Coulomb friction.
 """
 
@@ -12,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect
+from service.model.effects.base import Amplitude, Effect, Nonlinear
 from service.model.scene import Scene
 
 
@@ -24,6 +26,10 @@ def _online(effect, now, i):
 @dataclass(frozen=True)
 class LoadDependentFriction(Effect):
     mu: Amplitude = Amplitude("", "friction torque per torque through the gear", low=0.0)
+    motor_share: Nonlinear = Nonlinear(
+        "", "share of what acceleration takes that is spent before the gear", (0.0, 0.25, 0.5, 0.75, 1.0), 0.0, 1.0,
+        fixed=True,
+    )  # fmt: skip
     name = "load_dependent_friction"
     title = "Gear friction grows with load"
     means = (
@@ -35,6 +41,13 @@ class LoadDependentFriction(Effect):
     online = staticmethod(_online)
     settles = "fast and slow runs of one path, or the same path with a payload"
 
+    def grid(self, scene: Scene) -> list[tuple[float, ...]]:
+        """Of a Delta's load nothing is taken off, as its online form takes nothing off."""
+        return [(0.0,)] if scene.mechanism.kind == "delta" else super().grid(scene)
+
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
-        return (np.abs(scene.load[:, joint]) * scene.direction[:, joint])[:, None]
+        load, share = scene.load[:, joint], nonlinear[0]
+        if share:
+            load = load - share * (load - scene.weight[:, joint])
+        return (np.abs(load) * scene.direction[:, joint])[:, None]

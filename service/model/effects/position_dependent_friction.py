@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.effects.base import Amplitude, Effect, Nonlinear
+from service.model.effects.base import PERIODS, Amplitude, Effect, Nonlinear
 from service.model.scene import Scene
 
 
@@ -40,3 +40,7 @@ class PositionDependentFriction(Effect):
         """(N, 2)."""
         angle, sign = nonlinear[0] * scene.segment.theta[:, joint], scene.direction[:, joint]
         return np.stack([np.cos(angle) * sign, np.sin(angle) * sign], axis=1)
+
+    def goes_by_load(self, travel: float, nonlinear: tuple[float, ...]) -> bool:
+        """So little of it that nothing comes round again."""
+        return nonlinear[0] * travel < 2 * np.pi * PERIODS

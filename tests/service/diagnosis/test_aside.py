@@ -173,7 +173,7 @@ def test_what_is_told_beside_a_torque_that_is_left_open_is_all_that_it_leaves_to
     torques = [r.torque + pulled(r.motion[0]) + SIGMA * random.standard_normal(r.torque.shape) for r in runs]
     logs = problem(runs, [torque + 4.0 * np.tanh(torque / 9.0) for torque in torques], SIGMA)
     found, split = beside(logs), Split.of(logs)
-    rubs = Term(EFFECTS["load_dependent_friction"], (0, 1), np.array([[0.1], [0.2]]), ())
+    rubs = Term(EFFECTS["load_dependent_friction"], (0, 1), np.array([[0.1], [0.2]]), (0.0,))
     scored = selection.score(fit(found.problem, Hypothesis(BASE, (rubs,)), iterations=2), split)
     seen = found.on_all(scored)
     assert seen.blocks is scored.blocks

@@ -17,14 +17,18 @@ from tests.service.world import PERIOD, direction, sines
 SECONDS = 5.0
 
 
-def two_axes(seed: int, coupling: float, weight: float = 0.0, noise: float = 0.05, lag: float = 0.0) -> Trace:
+def two_axes(
+    seed: int, coupling: float, weight: float = 0.0, noise: float = 0.05, lag: float = 0.0, rubs: float = 0.0
+) -> Trace:
     """Two axes of 0.5 kg m^2; `coupling` kg m^2 of the first in the second, `weight` N m on the second. lag: s by which
-    first-order drives lag the command, which is what is logged."""
+    first-order drives lag the command, which is what is logged. rubs: share of its weight that the second's gear loses
+    as friction, its motor doing the accelerating."""
     time = np.arange(round(SECONDS / PERIOD)) * PERIOD
     theta, speed, acceleration = (signal[:, :2] for signal in sines(seed, 0.8)(time))
     random = np.random.default_rng([seed, 3])
     torque = 0.5 * acceleration + 0.4 * speed + 0.6 * direction(speed)
     torque[:, 1] += coupling * acceleration[:, 0] + weight * np.sin(theta[:, 1])
+    torque[:, 1] += rubs * np.abs(weight * np.sin(theta[:, 1])) * direction(speed)[:, 1]
     torque += lag * np.gradient(torque, PERIOD, axis=0)
     torque += noise * random.standard_normal(torque.shape)
     return Trace(Path(f"run_{seed}.csv"), time, theta + 1e-7 * random.standard_normal(theta.shape), torque)
@@ -69,6 +73,25 @@ def test_a_weight_behind_another_gear_ratio_is_not_cogging():
     found = told(axes(), [replace(run, position=run.position * [1.0, 0.5]) for run in runs], ("cogging",))
     assert found.effects == []
     assert ("sine_of_angle", [2]) in [(one.code, one.joints) for one in found.cannot_tell]
+
+
+def test_friction_that_grows_with_the_weight_is_told_from_a_tight_spot():
+    """What accelerates the rotor does not load the teeth. Named was friction over the angle, 2.4 periods a turn."""
+    runs = [two_axes(seed, 0.0, weight=8.0, rubs=0.12) for seed in (1, 2, 3)]
+    found = told(axes(), runs, ("load_dependent_friction", "position_dependent_friction", "stribeck_friction"))
+    assert [(effect.name, effect.joints) for effect in found.effects] == [("load_dependent_friction", [2])]
+    figures = found.effects[0].parameters
+    assert figures["mu"].value == pytest.approx(0.12, rel=0.05)
+    assert figures["motor_share"].value == 1.0
+    assert found.verdict == "explained"
+
+
+def test_friction_over_a_part_of_a_turn_is_no_tight_spot_where_a_weight_may_cause_it():
+    runs = [two_axes(seed, 0.0, weight=8.0, rubs=0.12) for seed in (1, 2, 3)]
+    found = told(axes(), runs, ("position_dependent_friction",))
+    assert found.effects == []
+    assert ("by_weight", [2]) in [(one.code, one.joints) for one in found.cannot_tell]
+    assert "friction which grows with the weight looks like it" in " ".join(sentences(found))
 
 
 def test_a_drive_that_lags_its_logged_command_is_no_elastic_gear():

@@ -33,7 +33,14 @@ STATED = {
         INF,
         "",
     ),
-    "load_dependent_friction": ("per_joint own_joint directional", {"mu": ("", 0.0, INF)}, [], INF, INF, ""),
+    "load_dependent_friction": (
+        "per_joint own_joint directional",
+        {"mu": ("", 0.0, INF), "motor_share": ("", 0.0, 1.0, "fixed")},
+        [],
+        INF,
+        INF,
+        "",
+    ),
     "nonlinear_viscous_friction": (
         "per_joint own_joint own_nonlinear directional",
         {"f": ("N m (s/rad)^p", 0.0, INF), "p": ("", 0.2, 4.0)},
@@ -173,6 +180,7 @@ RATIOS = {
 SPANS = {
     ("stribeck_friction", "v_s"): (0.01, 1.0),
     ("nonlinear_viscous_friction", "p"): (0.35, 3.0),
+    ("load_dependent_friction", "motor_share"): (0.0, 1.0),
     ("position_dependent_friction", "order"): (1, 12),
     ("warmup_friction", "tau"): (3.0, 600.0),
     ("presliding_friction", "distance"): (3e-4, 0.1),

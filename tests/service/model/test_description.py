@@ -12,7 +12,7 @@ import pytest
 from schemas.axes import Axes, AxesIdentified, Description, load_axes
 from schemas.chain import Chain, ChainIdentified
 from schemas.errors import RobotError
-from schemas.robot import EffectParameter, JointParameter, Parameter, Robot
+from schemas.robot import EffectEntry, EffectParameter, JointParameter, Parameter, Robot
 from service.model.arm import A_LINK
 from service.model.description import (
     base_errors,
@@ -222,6 +222,13 @@ def test_effects_are_read_as_they_were_written() -> None:
         terms_of(wrong(parameters={name: parameters[name] for name in ("f_s_1", "f_s_3")}))
     with pytest.raises(RobotError, match="unknown parameter 'slope'"):
         terms_of(wrong(parameters=parameters | {"slope": parameters["v_s"]}))
+
+
+def test_a_quantity_that_is_never_searched_may_be_left_out() -> None:
+    mu = EffectParameter(value=0.1, unit="")
+    entry = EffectEntry(name="load_dependent_friction", joints=[2], parameters={"mu": mu})
+    (term,) = terms_of(ROBOT.model_copy(update={"effect": [entry]}))
+    assert term.nonlinear == (0.0,)
 
 
 def test_units_are_those_of_the_axes(tmp_path: Path) -> None:
