@@ -17,6 +17,7 @@ CLIP = 3.0  # standard deviations of a window's variance
 BANDS = 5  # between the analysis band and half the sample rate, in which the colour is read
 COLOURED = 1.25  # rms of the lowest of these over the highest: white noise on robots of all kinds stays below 1.1
 MEMORY = 4.0  # most that the density may rise further below the lowest of them: beyond, the colour is not known
+ROUNDING = 1e-9  # of a signal: less is none
 LEAST_SHARE = 1e-3  # of the torque's rms in the band: no drive measures better than that
 UNKNOWN_SHARE = 1e-2  # the same where noise cannot be read at all: no model of a machine is better than that
 
@@ -107,6 +108,15 @@ def _extrapolated(levels: np.ndarray, band: Band) -> tuple[np.ndarray, np.ndarra
 
     The drives of a machine are of one kind, so the corner is that of all: it is what the levels of one tell least.
     """
+    told = levels.min(axis=1) > ROUNDING * levels.max(axis=1)  # a torque that stood at its limit tells nothing
+    result = np.zeros(len(levels)), told.copy()
+    if told.any():
+        result[0][told], result[1][told] = _coloured(levels[told], band)
+    return result
+
+
+def _coloured(levels: np.ndarray, band: Band) -> tuple[np.ndarray, np.ndarray]:
+    """`_extrapolated` of levels none of which is zero."""
     middle = np.sqrt(np.array([low * high for low, high in pairwise(_edges(band))]))
     densities, fits = levels**2, []
     for corner in np.geomspace(0.2 * band.cutoff_hz, 0.5 / band.period, 60):
@@ -126,7 +136,7 @@ def _steps(recordings: Sequence[Recording]) -> np.ndarray:
     for column in torque.T:
         values = np.unique(column)
         apart = np.diff(values)
-        apart = apart[apart > 1e-9 * np.ptp(values)]  # less is rounding
+        apart = apart[apart > ROUNDING * np.ptp(values)]
         steps.append(float(apart.min()) if 0 < len(apart) < 0.2 * len(column) else 0.0)
     return np.array(steps)
 

@@ -184,3 +184,13 @@ def test_white_noise_is_read_above_the_robots_own_motion_or_the_upper_half(monke
     assert [values for values, _ in asked] == [["torque"], ["left"]] * 3
     highest = [bands for _, bands in asked[::2]]
     assert highest == [[(min(noise.NOISE_HZ, hz), np.inf)] for hz in (250.0, 125.0, 2500.0)]
+
+
+def test_a_torque_that_stood_at_its_limit_has_no_colour_to_be_read() -> None:
+    """Of a saturated drive the quietest windows hold nothing at all; beside it another joint is read as it is alone."""
+    read = np.array([[4.0, 3.0, 2.0, 1.5, 1.2]])
+    inside, known = noise._extrapolated(np.concatenate([read, [[4.0, 3.0, 2.0, 1.5, 0.0]], np.zeros((1, 5))]), BAND)
+    alone, its = noise._extrapolated(read, BAND)
+    assert (inside[0], known[0]) == (alone[0], its[0])
+    assert known.tolist()[1:] == [False, False]
+    assert inside.tolist()[1:] == [0.0, 0.0]
