@@ -10,6 +10,7 @@ import numpy as np
 from service.identification.fit import Problem
 from service.model.hypothesis import Hypothesis, Term
 
+ALIKE = 0.8  # of the variance of one curve that another has, from which they may be one
 AT_LIMIT = 1e-6  # of a nonlinear parameter's range: so near to its end it stands there
 
 
@@ -49,11 +50,17 @@ def fault_of(problem: Problem, hypothesis: Hypothesis, given: int) -> Fault | No
 
 def _by_weight(problem: Problem, hypothesis: Hypothesis, term: Term, joint: int) -> bool:
     """Whether friction goes by the angle of a joint as that by its weight would, which changes at least as much."""
-    angles = np.concatenate([recording.segment.theta[:, joint] for recording in problem.recordings])
+    scenes = [hypothesis.seen(recording) for recording in problem.recordings]
+    angles = np.concatenate([scene.segment.theta[:, joint] for scene in scenes])
     if not term.effect.goes_by_load(float(np.ptp(angles)), term.nonlinear):
         return False
-    weight = np.concatenate([np.abs(hypothesis.seen(recording).weight[:, joint]) for recording in problem.recordings])
-    return bool(np.ptp(weight) >= np.abs(term.amplitude[term.joints.index(joint)]).max())
+    amplitude = term.amplitude[term.joints.index(joint)]
+    columns = [term.effect.regressors(scene, joint, term.nonlinear) @ amplitude for scene in scenes]
+    friction = np.concatenate([c * scene.direction[:, joint] for c, scene in zip(columns, scenes, strict=True)])
+    weight = np.concatenate([np.abs(scene.weight[:, joint]) for scene in scenes])
+    if np.ptp(weight) < np.abs(amplitude).max():
+        return False
+    return bool(np.corrcoef(friction, weight)[0, 1] > ALIKE**0.5)
 
 
 def _frictionless(hypothesis: Hypothesis, joint: int) -> bool:

@@ -94,6 +94,18 @@ def test_friction_over_a_part_of_a_turn_is_no_tight_spot_where_a_weight_may_caus
     assert "friction which grows with the weight looks like it" in " ".join(sentences(found))
 
 
+def test_a_tight_spot_at_one_end_of_the_travel_is_no_doing_of_the_weight():
+    runs = [two_axes(seed, 0.0, weight=8.0) for seed in (1, 2, 3)]
+    forward = [np.sign(np.gradient(run.position, axis=0)) * [0.0, 1.0] for run in runs]
+    tight = [
+        replace(run, torque=run.torque + np.sin(1.5 * run.position) * sign)
+        for run, sign in zip(runs, forward, strict=True)
+    ]
+    found = told(axes(), tight, ("load_dependent_friction", "position_dependent_friction"))
+    assert [(effect.name, effect.joints) for effect in found.effects] == [("position_dependent_friction", [2])]
+    assert found.effects[0].parameters["order"].value == pytest.approx(1.5, rel=0.05)
+
+
 def test_a_drive_that_lags_its_logged_command_is_no_elastic_gear():
     """At 25 Hz the torque is a delay to first order; which stood in for it at 100 %, or an elastic gear did."""
     names = (
