@@ -196,7 +196,7 @@ INJECTED: dict[str, Injected] = {
         (1,), [[0.7, 0.15]], (), rub(lambda: friction.AsymmetricFriction([0.0, 1.4, 0.0], [0.0, 0.3, 0.0])), 0.03
     ),
     "load_dependent_friction": Injected(
-        (0, 1, 2), [[0.06], [0.05], [0.08]], (), rub(lambda: friction.LoadDependentFriction([0.06, 0.05, 0.08]))
+        (0, 1, 2), [[0.06], [0.05], [0.08]], (0.0,), rub(lambda: friction.LoadDependentFriction([0.06, 0.05, 0.08]))
     ),
     "nonlinear_viscous_friction": Injected(
         (0, 1, 2),

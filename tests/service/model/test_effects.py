@@ -163,11 +163,12 @@ def test_tangents_are_slopes_of_the_prediction(names):
 
 
 def approximate(term: Term) -> list[float]:
-    """How far each slope of a term may be off, amplitudes before nonlinear parameters."""
+    """How far each slope of a term may be off, amplitudes before nonlinear parameters that are searched."""
     name = term.effect.name
     amplitude = {"torque_scale": 0.06}.get(name, 1e-6)
     nonlinear = 0.13 if name in ("cogging", "encoder_eccentricity") else 0.03
-    return [amplitude] * term.amplitude.size + [nonlinear] * len(term.nonlinear)
+    searched = sum(not one.fixed for one in term.effect.nonlinear.values())
+    return [amplitude] * term.amplitude.size + [nonlinear] * searched
 
 
 def test_torque_is_sampled_later_by_a_fraction_of_a_sample():
