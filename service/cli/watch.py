@@ -77,8 +77,8 @@ def command(
             err=True,
         )
     stopped = stop_requested()
-    os.nice(10)  # nobody steers by it
     with open_bus(description.name, Role.WATCH, zenoh_config, insecure) as bus:
+        os.nice(10)  # nobody steers by it; but Zenoh's thread, begun before, takes what comes: who sends waits for that
         typer.echo(f"watching {description.name}; findings go to {folder}; Ctrl-C ends it", err=True)
         node = WatchNode(watch, bus, partial(Examination, robot, effects, folder), partial(print, flush=True))
         run(node, stopped)

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -79,3 +83,18 @@ def test_a_change_on_the_bus_is_found_published_stored_and_recorded(
     stored = json.loads((folder / "finding.json").read_text())
     assert stored["text"] in said[-1]
     assert {path.name for path in folder.iterdir()} == {"before.mcap", "after.mcap", "finding.json"}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have priorities of their own on Linux alone")
+def test_who_sends_does_not_wait_for_a_watch_whose_turn_it_is_not(bus_folder: Path, tmp_path: Path) -> None:
+    """Zenoh's threads take what comes off the socket; full, it holds up whoever publishes for 20 ms at a time."""
+    save_robot(KNOWN, tmp_path / "known.toml")
+    command = [Path(sys.executable).with_name("deltatwin"), "watch", "--robot", tmp_path / "known.toml"]
+    with subprocess.Popen([*command, "--out", tmp_path / "out"], stderr=subprocess.PIPE, text=True) as watch:
+        assert watch.stderr is not None
+        assert any(line.startswith("watching known") for line in iter(watch.stderr.readline, "")), "it ended"
+        tasks = [(task / "stat").read_text() for task in Path(f"/proc/{watch.pid}/task").iterdir()]
+        watch.send_signal(signal.SIGINT)
+    nice = [(int(text.split()[0]), "(acc-" in text, int(text.rpartition(")")[2].split()[16])) for text in tasks]
+    assert [value for task, _, value in nice if task == watch.pid] == [os.nice(0) + 10]
+    assert {value for _, taking, value in nice if taking} == {os.nice(0)}  # `drivers.peer`: these threads take all
