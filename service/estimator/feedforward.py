@@ -204,6 +204,15 @@ def load_kernel(settings, state, i):
 
 
 @kernel
+def weight_kernel(settings, state, i):
+    """The same of a payload that nothing accelerates."""
+    pose, gravity, weight = state.pose, settings.model.gravity, 0.0
+    for axis in range(3):
+        weight -= pose.column[i, axis] * pose.lever[i] * gravity[axis]
+    return settings.scale[i] * weight
+
+
+@kernel
 def _within_bounds(settings, state, seconds, out):
     """out.torque: what is wanted, at most the peak, and from answer to answer at most the slope, but for a reversal of
     Coulomb friction, which is a step by nature."""

@@ -5,7 +5,8 @@ share of the Coulomb friction more or less than it, the same for as long as noth
 
     r_i = m phi_i + b_i way_i + noise
 
-is least squares in m and three b_i, each known beforehand to what a gear may depart by. Three things tell them apart:
+with phi of the weight alone (of a slow acceleration the noise is more than the acceleration, and it is in r_i too) is
+least squares in m and three b_i, each known beforehand to what a gear may depart by. Three things tell them apart:
 the mass that was known when the motion became slow, turns of direction, and steps, for b does not step when something
 is picked. A step is found where the newest samples contradict those before; then m starts anew, and b is kept.
 """
@@ -29,7 +30,7 @@ _SUMS = np.dtype([("load", "f8", 3), ("cross", "f8", 3), ("way", "f8", 3), ("pul
 # One sample, and what is believed beside: a joint where it is three.
 _NOW = np.dtype(
     [
-        ("phi", "f8", 3),  # N m/kg
+        ("phi", "f8", 3),  # N m/kg, of a mass that nothing accelerates
         ("residual", "f8", 3),  # N m
         ("way", "f8", 3),
         ("weight", "f8", 3),  # (N m)^-2, 0 where a joint rests

@@ -25,6 +25,7 @@ from service.estimator.feedforward import (
     hold_kernel,
     load_kernel,
     torque_kernel,
+    weight_kernel,
 )  # fmt: skip
 from service.estimator.kalman import (
     ACCELERATION,
@@ -67,6 +68,8 @@ from service.model.kinematics import REACHED
 
 # Presliding and Stribeck effects live below this speed: the payload looks at a joint there where nothing is faster.
 REVERSAL_SPEED = 0.05  # rad/s
+# And die out below this one, in gears that lubricant keeps apart; whether they do is seen (`scatter`).
+CREEPING_SPEED = 0.4  # rad/s
 # In a shorter hole the load is taken to stay; what it did shows as soon as it is weighed again.
 UNSEEN_TIME = 0.5  # s
 # Variance of an acceleration, over that of one with all samples around it, beyond which it says nothing of the mass: at
@@ -201,8 +204,10 @@ def lagged_kernel(settings, state, payload_out, error_out):
             # a resting joint's friction can be anything within Coulomb's bounds, the same for as long as it rests
             weight = 0.0 if loose else 1.0 / (settings.variance[i] + doubt * doubt)
             weighed.weight[i] = weight if speed > REVERSAL_SPEED else 0.0
+            weighed.creeps[i] = 1 if REVERSAL_SPEED < speed <= CREEPING_SPEED else 0
             if speed > REST_SPEED:
                 weighed.resting = 0
+            weighed.slow.now.phi[i] = (1.0 + scale) * weight_kernel(settings, state, i)
             weighed.slow.now.weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
         weighed.gripper = past.gripper
         event = payload_kernel(settings.payload, weighed)

@@ -14,7 +14,7 @@ from service.estimator.kalman import MotionFilter, design
 from service.estimator.payload import state as p
 from service.estimator.payload.step import payload_kernel
 from service.estimator.state import settings
-from service.estimator.step import MODEL_SHARE, REVERSAL_SPEED
+from service.estimator.step import CREEPING_SPEED, MODEL_SHARE, REVERSAL_SPEED
 from service.estimator.stream import SETTLE_TIME
 from service.model.dynamics import REST_SPEED
 from service.model.friction import SOFT
@@ -112,10 +112,12 @@ class NumpyEstimator:
         full = grey + self.forearm * forearm + friction
         torque = sample["torque"]
         doubt = MODEL_SHARE * (np.abs(inertia) + np.abs(gravity) + np.abs(platform) + np.abs(friction))
-        noise = np.where(np.abs(state[:, 1]) > REVERSAL_SPEED, self.variance + doubt**2, np.inf)
+        speed = np.abs(state[:, 1])
+        noise = np.where(speed > REVERSAL_SPEED, self.variance + doubt**2, np.inf)
         now = self.weighed[0]
         scale, carried = self.learnt("delta")[3:-1:4], now["mass"] * load
         now["column"][:, 0], now["weight"] = (1.0 + scale) * load, 1.0 / noise
+        now["creeps"] = (speed > REVERSAL_SPEED) & (speed <= CREEPING_SPEED)
         now["residual"] = torque - full + scale * carried
         direction = np.clip(state[:, 1] / REST_SPEED, -1, 1)
         now["shape"] = np.stack([direction, state[:, 1], np.ones(3), full + carried, balls], axis=1)

@@ -17,30 +17,29 @@ BIAS_TIME = 3.0  # s of motion over which what the model lacks is averaged
 OUTLYING = 0.3  # of the scatter of a single block, which noise alone makes three times its mean now and then
 ONSET_DOUBT = 3  # bins by which an onset is found too late
 PENDING = 5  # newest blocks that a change not yet found may lie in
+# A gear that sticks more than it did shows while a joint sets out and stops, some 50 ms of a move: what samples with a
+# creeping joint scatter by is averaged apart, over so much of them.
+CREEPING_TIME = 0.5  # s
 
 
 @kernel
 def scatter_kernel(settings, state):
     """Average of what the residuals of a block show at right angles to phi, friction and offset taken off, over their
     noise."""
-    delta, sums = state.departure.delta, state.sums[state.block]
+    if state.creeps[0] + state.creeps[1] + state.creeps[2] > 0:
+        _add(state, state.creeping)
+        state.creeping_time += settings.period
+    _add(state, state.sums[state.block])
     for i in range(3):
         state.known[i] = state.column[i, 1] * state.offset[0] + state.column[i, 2] * state.offset[1]
-        rubbed = 0.0
-        for a in range(departure.PARTS):
-            rubbed += state.shape[i, a] * delta[departure.place(i, a)]
-        weight = state.weight[i]
-        sums[i, WEIGHT] += weight
-        sums[i, RESIDUAL] += weight * (state.residual[i] - rubbed)
-        for p in range(LOADS):
-            sums[i, COLUMN + p] += weight * state.column[i, p]
     departure.gather_kernel(state.departure, state.column, state.residual, state.known, state.weight, state.shape)
     state.in_block += 1
     state.clock += 1
     if state.in_block < settings.block_size:
         return
     state.in_block = 0
-    own, leverage = _misfit(sums, state.offset)
+    _judge_creeping(state)
+    own, leverage = _misfit(state.sums[state.block], state.offset)
     if own >= 0.0:
         oldest = (state.block + 1) % BLOCKS
         share = settings.block_size * settings.period / BIAS_TIME
@@ -60,6 +59,36 @@ def scatter_kernel(settings, state):
         _weigh_load_again(state)
         state.block = oldest
     state.sums[state.block] = 0.0
+
+
+@kernel
+def _add(state, sums):
+    """Take the sample into the sums of a block."""
+    for i in range(3):
+        left, weight = state.residual[i], state.weight[i]
+        for a in range(departure.PARTS):
+            left -= state.shape[i, a] * state.departure.delta[departure.place(i, a)]
+        sums[i, WEIGHT] += weight
+        sums[i, RESIDUAL] += weight * left
+        for p in range(LOADS):
+            sums[i, COLUMN + p] += weight * state.column[i, p]
+
+
+@kernel
+def _judge_creeping(state):
+    """state.breakaway, from what the samples of a block in which a joint creeps show."""
+    own = _misfit(state.creeping, state.offset)[0]
+    if own >= 0.0:
+        share = state.creeping_time / CREEPING_TIME
+        state.sticking += share * (own - state.sticking)
+        state.breakaway = _inflation(state.sticking)
+    _empty_creeping(state)
+
+
+@kernel
+def _empty_creeping(state):
+    state.creeping[:] = 0.0
+    state.creeping_time = 0.0
 
 
 @kernel
@@ -112,6 +141,7 @@ def part_blocks(settings, state, samples):
     if begun > state.clock - state.in_block:
         state.in_block = 0
         state.sums[state.block] = 0.0
+        _empty_creeping(state)
     state.fresh = 0
     _note_delta(state)
     departure.unlearn_kernel(state.departure, settings.prior)  # which a swinging load looks like until it is found

@@ -74,6 +74,11 @@ STATE = np.dtype(
         ("clock", "i8"),  # samples taken
         ("ended", "i8", BLOCKS),  # when each block did
         ("fresh", "i8"),  # blocks since the last change, as far as they are kept
+        ("creeping", "f8", (3, COLUMN + LOADS)),  # the same sums of samples in which a joint creeps
+        ("creeping_time", "f8"),  # s of them
+        ("sticking", "f8"),  # what they scatter by over their noise, over CREEPING_TIME
+        ("breakaway", "f8"),  # inflation of the variance of the noise for that
+        ("creeps", "i8", 3),  # of this sample, whether a joint does
         ("sums", "f8", (BLOCKS, 3, COLUMN + LOADS)),  # of each block, a joint: weight, residual and loads times weight
         ("departure", departure.STATE),
         ("slow", slow.STATE),
@@ -166,7 +171,7 @@ def start(state: np.ndarray, prior: np.ndarray) -> None:
     state["information"][..., range(LOADS), range(LOADS)] = [PRIOR_STD**-2, OFFSET_STD**-2, OFFSET_STD**-2]
     state["active"] = state["filled"] = 1
     state["untold"] = LEAST_TIME
-    state["blocks"] = state["inflation"] = 1.0
+    state["blocks"] = state["inflation"] = state["sticking"] = state["breakaway"] = 1.0
     state["raw_information"] = PRIOR_STD**-2
     state["std_dev"] = PRIOR_STD
     departure.start(state["departure"], prior)

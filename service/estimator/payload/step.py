@@ -35,7 +35,7 @@ def payload_kernel(settings, state):
     raw = 0.0
     for i in range(3):
         raw += weight[i] * column[i, 0] * column[i, 0]
-        weight[i] /= state.inflation
+        weight[i] /= state.inflation if state.creeps[i] == 0 else max(state.inflation, state.breakaway)
     for p in range(state.active):
         prior = prior_of(p)
         for q in range(state.active):
@@ -174,11 +174,7 @@ def _weigh_slowly(settings, state):
     anything."""
     now = state.slow.now
     for i in range(3):
-        now.drift[i], now.phi[i], now.way[i] = (
-            settings.prior[departure.place(i, 0)],
-            state.column[i, 0],
-            state.shape[i, 0],
-        )
+        now.drift[i], now.way[i] = settings.prior[departure.place(i, 0)], state.shape[i, 0]
         now.residual[i] = state.residual[i]
         for a in range(departure.PARTS):
             now.residual[i] -= state.shape[i, a] * state.departure.delta[departure.place(i, a)]

@@ -42,6 +42,36 @@ def fill(state, random, resting):
     return rest[0] / (len(moving) - 1), np.sum((root * mean["phi"]) ** 2)
 
 
+def misfit(residual, phi, weight):
+    """What least squares leave of the mean of samples (N, 3) of joints that move, over the noise, a degree."""
+    total = weight.sum(axis=0)
+    left, load = (np.sum(weight * values, axis=0) / np.sqrt(total) for values in (residual, phi))
+    _, rest, *_ = np.linalg.lstsq(load[:, None], left, rcond=None)
+    return rest[0] / 2
+
+
+def test_what_sticks_shows_in_the_samples_in_which_a_joint_creeps():
+    """A quarter of a block, then none: those are judged apart, and averaged over half a second of them."""
+    random, state = np.random.default_rng(6), fresh()
+    phi, weight = random.standard_normal((SIZE, 3, LOADS)), random.uniform(0.2, 3.0, (SIZE, 3))
+    creeps = np.zeros((SIZE, 3), int)
+    creeps[[3, 4, 5, 12, 13], [0, 0, 1, 2, 2]] = 1
+    apart = creeps.any(axis=1)
+    residual = random.standard_normal((SIZE, 3)) + 20.0 * apart[:, None] * [1, -1, 1]
+    for flags in (creeps, 0 * creeps):
+        for n in range(SIZE):
+            state["column"], state["residual"], state["weight"] = phi[n], residual[n], weight[n]
+            state["shape"], state["creeps"] = 0.0, flags[n]
+            scatter.scatter_kernel(SETTINGS, state)
+        own = misfit(residual[apart], phi[apart, :, 0], weight[apart])
+        expected = 1.0 + 5 * PERIOD / 0.5 * (own - 1.0)
+        assert state["sticking"] == pytest.approx(expected), "as it was, where nothing creeps"
+        assert state["breakaway"] == pytest.approx(inflation(expected))
+        assert expected > 3
+        assert state["creeping_time"] == 0.0
+        assert not state["creeping"].any()
+
+
 def inflation(scattered):
     return scattered if scattered < 1 else COLOUR * scattered - (COLOUR - 1)
 

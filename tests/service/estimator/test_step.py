@@ -53,6 +53,7 @@ def seen(corrected, make):
             continue
         after = {name: state["payload"][name].copy() for name in ("weight", "column", "residual", "shape", "inflation")}
         after["slow"], after["usable"] = state["payload"]["slow"]["now"]["weight"].copy(), state["payload"]["usable"]
+        after["pull"], after["breakaway"] = state["payload"]["slow"]["now"]["phi"].copy(), state["payload"]["breakaway"]
         after["motion"], after["error"] = state["trajectory"].copy(), estimator.error[0].copy()
         after["balls"] = state["balls"].copy()
         told.append(before | after)
@@ -114,6 +115,9 @@ def test_what_is_left_of_a_torque_is_what_a_mass_has_to_explain(corrected, seen)
     load, mass = SCALE * terms[:, 4], column(told, "mass")[:, None]
     np.testing.assert_allclose(column(told, "residual"), torque - full + LEARNT * mass * load, atol=1e-9)
     np.testing.assert_allclose(column(told, "column")[:, :, 0], load * (1 + LEARNT))
+    still = np.zeros_like(speed)
+    weight = SCALE * torque_terms(pack(corrected), column(told, "motion")[:, 0], still, still)[:, 4]
+    np.testing.assert_allclose(column(told, "pull"), weight * (1 + LEARNT), err_msg="slow motion: weight alone")
     assert not column(told, "column")[:, :, 1:].any()
     balls = SCALE * column(told, "balls")
     shape = np.stack([SCALE * way, SCALE * speed, np.ones(way.shape), full + mass * load, balls], axis=2)
@@ -139,7 +143,9 @@ def test_a_sample_weighs_by_what_is_known_of_it(corrected, seen):
     assert 10 < loose.sum() < 120
     assert (loose & (column(told, "unexpected") == 0)).any()
     weight[loose] = 0.0
-    share = 1 / 3 / column(told, "inflation")[:, None]
+    inflation, breakaway = column(told, "inflation")[:, None], column(told, "breakaway")[:, None]
+    assert (breakaway > inflation).any()
+    share = 1 / 3 / np.where(np.abs(speed) <= 0.4, np.maximum(inflation, breakaway), inflation)
     fast, slow = np.abs(speed) > 0.05, (np.abs(speed) > 0.01) & (np.abs(speed) <= 0.05)
     assert slow.sum() > 5
     assert (~fast & ~slow).sum() > 1

@@ -56,8 +56,9 @@ def test_what_a_model_left_counts_for_as_long_as_it_lasts_where_it_stands_out():
 
 @pytest.mark.parametrize("active", [1, LOADS])
 def test_every_sample_adds_what_it_says_and_the_past_fades(active):
-    """Seven of them, two a bin, in the metric of noise that scatters 1.7 times as much as it should."""
-    random, state = np.random.default_rng(1), fresh(inflation=1.7)
+    """Seven of them, two a bin, in the metric of noise that scatters 1.7 times as much as it should, 2.9 where a joint
+    creeps."""
+    random, state = np.random.default_rng(1), fresh(inflation=1.7, breakaway=2.9, creeps=[0, 1, 0])
     information, moment, drag, raw = PRIOR[:active, :active], np.zeros(active), np.zeros((active, COUNT)), PRIOR[0, 0]
     bins = np.zeros((4, active, active + 1 + COUNT))
     fade = np.exp(-PERIOD / 3.0)
@@ -71,7 +72,7 @@ def test_every_sample_adds_what_it_says_and_the_past_fades(active):
         step.payload_kernel(SETTINGS, state)
         worth = np.diag(weight) * PERIOD / 0.003  # noise is alike for 3 ms
         raw = PRIOR[0, 0] + fade * (raw - PRIOR[0, 0]) + column[:, 0] @ worth @ column[:, 0]
-        worth = worth / 1.7
+        worth = worth / [1.7, 2.9, 1.7]
         gained, pulled, dragged = column.T @ worth @ column, column.T @ worth @ residual, column.T @ worth @ slopes
         information = PRIOR[:active, :active] * (1 - fade) + fade * information + gained
         moment, drag = fade * moment + pulled, fade * drag + dragged
@@ -238,7 +239,8 @@ def test_slow_motion_hands_on_what_gravity_says():
         residual = 1.2 * phi + 0.1 * random.standard_normal(3)
         mass, variance = state["mass"], state["std_dev"] ** 2
         state["column"], state["weight"], state["residual"], state["shape"] = 0.0, 0.0, residual, shape
-        state["column"][:, 0], state["slow"]["now"]["weight"] = phi, weight
+        state["column"][:, 0] = 0.9 * phi  # with an acceleration in it, that slow motion does not look at
+        state["slow"]["now"]["phi"], state["slow"]["now"]["weight"] = phi, weight
         step.payload_kernel(rule, state)
         now = expected["now"]
         now["phi"], now["way"], now["drift"], now["weight"] = phi, shape[:, 0], DRIFT[:-1:OWN], weight * slowly / 0.003
