@@ -42,6 +42,7 @@ PLAIN = "plain"
 SLOW_SHARE = 0.5  # of a joint's rms speed, below which a window is slow for it
 PARTS = ("angle", "platform", "path", "torque")  # of a `Deviation`, in its order
 REGIMES = ("at rest", "reversal", "slow", "fast")
+ASTRAY = 0.5  # of the way, from which a sign is asked for; one joint turned round leaves nine tenths of it
 TURNED = 0.5  # share of the error that is left with the torque turned round, if its sign is wrong
 
 
@@ -385,11 +386,11 @@ def check_sign(robot: Robot, cuts: Cuts, found: Rollout) -> None:
     """See whether the last deviation of `found`, which is `robot`'s, runs away because of a torque's sign.
 
     Raises:
-        DataError: the simulated robot does no better than one that stands still, and with some torque turned round it
-            does.
+        DataError: the simulated robot does little better than one that stands still, and with some torque turned round
+            it does.
     """
     deviation = found.deviations[-1]
-    if deviation.good.all() and deviation.platform_mm < deviation.path_mm:
+    if deviation.good.all() and deviation.platform_mm < ASTRAY * deviation.path_mm:
         return
     parts = cuts.parts
     best, error = None, _typical(deviation)

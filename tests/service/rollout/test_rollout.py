@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +13,12 @@ from typer.testing import CliRunner
 
 from drivers.data_frames import pl
 from drivers.trace import read_trace
+from schemas.diagnosis import named_joints
 from schemas.errors import DataError
 from schemas.robot import JointParameter, Robot, save_robot
 from service.cli.main import app
 from service.rollout.document import document, sentences
-from service.rollout.gap import PLAIN, Rollout, cut_up, plain, rollout
+from service.rollout.gap import PLAIN, Rollout, check_sign, cut_up, plain, rollout
 from tests.service.rollout.test_kernel import effect, identified, recorded
 from tests.service.subject import Band
 from tests.service.world import PERIOD, ROBOT
@@ -88,6 +91,19 @@ def test_a_torque_of_the_wrong_sign_is_named(
     assert isinstance(told.exception, DataError)
     assert f"{path}: the simulated robot runs away" in str(told.exception)
     assert f"with the torque of {said} turned round it does not" in str(told.exception)
+
+
+@pytest.mark.parametrize(
+    "turned", [turned for many in (1, 2, 3) for turned in itertools.combinations(range(3), many)], ids=str
+)
+def test_whichever_torque_is_turned_round_the_rest_is_as_it_should_be(tmp_path: Path, turned: tuple[int, ...]) -> None:
+    robots = {"known": identified()}
+    cuts = cut_up(robots, [read_trace(log(tmp_path, identified(), turned), ROBOT)])
+    with pytest.raises(DataError, match=f"torque of {named_joints([j + 1 for j in turned])} turned round it") as told:
+        check_sign(identified(), cuts, rollout(robots, cuts))
+    off = re.search(r"does not \(off by ([\d.]+) mm\)", str(told.value))
+    assert off is not None
+    assert float(off[1]) < 2.0  # with the right signs it is at the floor, 1 mm
 
 
 def test_the_command_writes_what_it_says(tmp_path: Path) -> None:
