@@ -18,6 +18,7 @@ from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.evidence.follows import follows
 from service.diagnosis.evidence.unseen import kept_out
 from service.diagnosis.findings import Findings
+from service.diagnosis.fit import signature
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.exchange import exchanged
 from service.diagnosis.fit.orders import more_orders
@@ -104,15 +105,13 @@ def diagnose(
     judged = _judged(regressors, selection, doubts, len(given), kept, unknown, limit, scope.allows)
     found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
     errors = statistics.standard_errors(found.best.fitted, split)
-    far = FAR_ABOVE * limit
-    if regressors.effects and not wrong and mechanism.kind == "delta" and selection.best.loss > far**2 * problem.count:
+    if regressors.effects and not wrong and mechanism.kind == "delta" and _strange(problem, selection.best, limit):
         quiet = Quiet.beside(regressors, selection.none, len(given), scope.allows, progress)
         again = search(quiet.regressors, progress, scope.allows, more_orders)
         again = exchanged(quiet.regressors, again, limit, scope.allows, progress)
         less = doubts_of(quiet.problem, again, limit)
         judged = _judged(quiet.regressors, again, less, len(given), kept, unknown, limit, scope.allows)
-        # what was found before and not beside a torque that goes by the platform's place may be that
-        if judged.selection.names or quiet.problem.fields:
+        if _tells_more(judged.selection.names, found.names):
             errors = statistics.standard_errors(judged.selection.best.fitted, split)
             found, chosen = quiet.selection_on_all(judged.selection), [quiet.on_all(one) for one in judged.chosen]
             cautions = [quiet.caution(), *judged.cautions]
@@ -147,7 +146,7 @@ def _judged(
     if doubts:
         selection = replace(selection, best=selection.none, path=_untaken(selection))
     else:
-        selection, fell = earned(regressors, selection, tests, allows)
+        selection, fell = earned(regressors, selection, tests, allows, limit)
         fallen += fell
     chosen = statistics.walked(selection, split, problem.count, problem.most)
     after = statistics.by_fold(chosen, split)
@@ -155,6 +154,18 @@ def _judged(
     if fell:
         chosen = [selection.none] * split.folds
     return Judged(selection, chosen, [*doubts, *fallen, *fell])
+
+
+def _strange(problem: Problem, best: Scored, limit: float) -> bool:
+    """Whether something is at work beside `best`: far more than noise is left, or a pull by the platform's place."""
+    left = _left(problem, best.residuals)
+    return left > FAR_ABOVE * limit or (left > limit and signature.pulled(problem, best.hypothesis))
+
+
+def _tells_more(told: Sequence[str], before: Sequence[str]) -> bool:
+    """Whether names told by quiet rows replace those that stood `before`: not where they are a part of them. What
+    stands on all rows does not fall because fewer of them weigh."""
+    return bool(told) and not set(told) < set(before)
 
 
 def _untaken(selection: Selection) -> list[tuple[list[Scored], Scored | None]]:

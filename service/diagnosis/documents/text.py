@@ -65,6 +65,8 @@ CAUTIONS = {
     "varies": "{Effect}{where} fits, but {run} alone asks for a figure {share:.0%} off that of all runs together: what "
     "stands behind it is something else, not named.",
     "rivalled": "{Effect}{where} fits, but others may be in its place: cannot be told apart on this data, not named.",
+    "not_its_own": "{Effect}{where} fits, but what is left gives {share:.0%} as much to the same torque at other times "
+    "or in other places and runs: what stands behind it is something else, not named.",
     "set_aside": "{share:.0%} of the motion{where} has something at work that is not in the catalogue; what is named "
     "was told by the rest.",
     "by_place": "Something that is not in the catalogue pulls at the platform wherever it is; what is named was told "

@@ -15,7 +15,8 @@ from schemas.diagnosis import Caution
 from service.diagnosis.evidence import rivals, statistics
 from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
-from service.diagnosis.fit.selection import LEAST_GAIN, Scored, Selection, without
+from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, TOLD_APART, Scored, Selection, without
+from service.diagnosis.fit.signature import BY_PLACE, GOES_BY_PLACE, OWN, Signature
 from service.identification.events import events_of
 from service.identification.fit import Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations
@@ -29,32 +30,60 @@ LEAST_UNKNOWN = 0.1  # the same of all names together where the noise is not kno
 LEAST_PART = 0.1  # of what tells an effect's figures that a run has to hold to be asked for its own
 Z95 = 1.96
 LIKELY = 0.5  # probability that a name needs
-TILTED = 0.5  # of what is left above the noise: by so much it may favour one of two names beside a stranger
 OPEN = 0.5  # standard error over value of a parameter without amplitudes, from which it is open whether there is any
 
 
 def earned(
-    regressors: Regressors, selection: Selection, kept_out: Sequence[Problem], allows: Callable[[Effect, int], bool]
-) -> tuple[Selection, list[Caution]]:
-    """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on."""
-    best, refits, fallen = _borne_out(regressors, selection, selection.best, kept_out)
+    regressors: Regressors, selection: Selection, kept_out: Sequence[Problem], allows: Callable[[Effect, int], bool],
+    limit: float,
+) -> tuple[Selection, list[Caution]]:  # fmt: skip
+    """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on. limit:
+    rms that noise leaves at most."""
+    problem, best = regressors.problem, selection.best
+    left = (best.loss / problem.count) ** 0.5
+    delta = problem.recordings[0].mechanism.kind == "delta"
+    beside = delta and (bool(problem.weights) or left > FAR_ABOVE * limit)
+    best, fallen = _its_own(regressors, selection, beside) if delta and (beside or left > limit) else (best, [])
+    best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside)
+    fallen += fell
     standings = rivals.standings(regressors, selection, best, refits, allows)
-    weighed = regressors.problem.weights
-    # beside a stranger one name may stand in for a part of it: by how much it has to lead
-    least = TILTED * (selection.best.blocks.sum() - regressors.problem.count) if weighed else -np.inf
-    told = [effect for effect, one in standings.items() if one.probability < LIKELY or one.lead < least]
+    # what is left beside a stranger is no noise, by which a likelihood could count: blocks tell how it scatters
+    least = TOLD_APART if beside else -np.inf
+    told = [effect for effect, one in standings.items() if one.probability < LIKELY or one.ahead < least]
     if told:
         fallen += [_fell("rivalled", effect, best, share=standings[effect].probability) for effect in told]
         best = without(regressors.problem, regressors.split, selection, best, *told)
-        best, refits, fell = _borne_out(regressors, selection, best, kept_out)
+        best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside)
         fallen += fell
     kept = _cut(selection, best) if fallen else selection
     standings = {effect: replace(standings[effect], without=refit) for effect, refit in refits.items()}
     return replace(kept, standings=standings), fallen
 
 
+def _its_own(regressors: Regressors, selection: Selection, beside: bool) -> tuple[Scored, list[Caution]]:
+    """What was found without effects that go by the platform's place where what is left goes by it; and, beside a
+    stranger, without those to whose torque it gives as much elsewhere; and why each fell."""
+    problem, split, given = regressors.problem, regressors.split, len(selection.none.hypothesis.terms)
+    best, fallen = selection.best, []
+    signature = Signature(problem, best.hypothesis)
+    if not problem.fields and signature.goes_by_place() > GOES_BY_PLACE:
+        gone = [effect for effect in _effects(best, given) if signature.by_place(effect) > BY_PLACE]
+        if gone:
+            fallen.append(Caution(code="by_place", advice="look_there"))
+            best = without(problem, split, selection, best, *gone)
+    while beside and (effects := _effects(best, given)):
+        signature = Signature(problem, best.hypothesis)
+        shares = {effect: signature.elsewhere(effect) for effect in effects}
+        worst = max(effects, key=shares.__getitem__)
+        if OWN * shares[worst] < 1.0:
+            break
+        fallen.append(_fell("not_its_own", worst, best, share=shares[worst]))
+        best = without(problem, split, selection, best, worst)
+    return best, fallen
+
+
 def _borne_out(
-    regressors: Regressors, selection: Selection, best: Scored, kept_out: Sequence[Problem]
+    regressors: Regressors, selection: Selection, best: Scored, kept_out: Sequence[Problem], beside: bool
 ) -> tuple[Scored, dict[Effect, Scored], list[Caution]]:
     """`best` with the effects that the data bear out, the same without each of these, and why each of the others
     fell."""
@@ -62,11 +91,11 @@ def _borne_out(
     fallen: list[Caution] = []
     while True:
         refits = {}
-        for effect in dict.fromkeys(term.effect for term in best.hypothesis.terms[given:]):
+        for effect in _effects(best, given):
             refits[effect] = fewer = without(problem, split, selection, best, effect)
             caution = (
                 _open(best, split, effect)
-                or _varies(problem, best, effect)
+                or (None if beside else _varies(problem, best, effect))
                 or _carries_over(problem, split, best, fewer, effect, kept_out)
             )
             if caution is not None:
@@ -83,7 +112,7 @@ def together(
     """The selection, or none of its names where all of them leave the gap as it is on stretches that nothing was chosen
     by: each stretch would have another name. after: residuals of these stretches. vague: the noise is not known, and
     more is left than it could be."""
-    names = list(dict.fromkeys(term.effect for term in selection.best.hypothesis.terms[given:]))
+    names = _effects(selection.best, given)
     shrink = statistics.shrink(
         statistics.pooled_squares(problem, selection.none.residuals, split),
         statistics.pooled_squares(problem, after, split),
@@ -182,6 +211,11 @@ def _fell(code: str, effect: Effect, best: Scored, share: float | None = None, r
     return Caution.model_validate(
         {"code": code, "effect": effect.name, "joints": joints, "share": rounded, "run": run, "advice": "record_more"}
     )
+
+
+def _effects(best: Scored, given: int) -> list[Effect]:
+    """Beyond the `given` ones."""
+    return list(dict.fromkeys(term.effect for term in best.hypothesis.terms[given:]))
 
 
 def _terms(best: Scored, effect: Effect) -> list[Term]:

@@ -18,6 +18,7 @@ from service.diagnosis.fit.selection import (
     added,
     fit_added,
     score,
+    z_score,
 )
 from service.diagnosis.fit.sound import fault_of
 from service.identification.folds import Split
@@ -108,12 +109,12 @@ def standings(
     for effect, refit in refits.items():
         others = [place for place in full if lacks[effect][place]]
         confusable = [name for place in others if chances[place] >= CONFUSED for name in rivals[place - 1][1]]
-        leads = [float((models[place].blocks - best.blocks).sum()) for place in others]
+        ahead = [z_score(models[place].blocks, best.blocks) for place in others]
         result[effect] = Standing(
             refit,
             1.0 - sum(chance for chance, lack in zip(chances, lacks[effect], strict=True) if lack),
             list(dict.fromkeys(confusable)),
-            min(leads, default=np.inf),
+            min(ahead, default=np.inf),
         )
     return result
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from service.diagnosis.fit.candidates import JOINT_SHARE, Dictionary, Regressors
+from service.diagnosis.fit.signature import OWN, Signature
 from service.diagnosis.fit.sound import Fault, fault_of
 from service.identification.fit import Fit, Problem, fit
 from service.identification.folds import Split, block_loss, held_out
@@ -24,7 +25,7 @@ LEAST_GAIN = 0.03  # 1.5 % of the noise floor's rms
 LEAST_SHARE_OF_GAP = 0.01  # of the gap above the noise; or, as beside a strong effect a weak one is less,
 MOST_OF_REST = 0.6  # of what was still above the noise when it was added, and
 LEAST_BESIDE = 0.12  # more than what a strong effect's own model leaves, which passes for noise
-LEAST_SHARE_OF_REST = 0.25  # of the same, in any case
+LEAST_SHARE_OF_REST = 0.25  # of the same, or of what is `FAR_ABOVE`, if that is less
 LEAST_Z = 3.0  # standard errors over blocks
 SIMPLER_SHARE = 0.02  # of a gain that a hypothesis with fewer parameters may lack
 TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
@@ -85,13 +86,13 @@ def z_score(worse: np.ndarray, better: np.ndarray) -> float:
 @dataclass(frozen=True)
 class Standing:
     """How a name stands against models that lack its effect. without: the best model refitted without it. probability:
-    that it is at work. confusable: what may be in its place. lead: squares, as they weigh, that the next of what may
-    be leaves more."""
+    that it is at work. confusable: what may be in its place. ahead: standard errors over blocks that it is ahead of the
+    next of what may be."""
 
     without: Scored
     probability: float
     confusable: list[str]
-    lead: float
+    ahead: float
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,8 @@ def search(
         if not exact:
             break
         rough = any(not term.effect.amplitudes for term in best.hypothesis.terms)
-        if fault is not None or not worth(exact[0].blocks, best.blocks, none.blocks, rows, problem.most, rough):
+        found = worth(exact[0].blocks, best.blocks, none.blocks, rows, problem.most, rough)
+        if fault is not None or not found or not _its_own(problem, exact[0], best):
             path.append((exact, None))
             break
         path.append((exact, exact[0]))
@@ -273,8 +275,20 @@ def worth(
     gain = float(without.sum() - candidate.sum()) / rows
     gap, rest = float(none.sum()) / rows - most**2, float(without.sum()) / rows - most**2
     share = LEAST_SHARE_OF_GAP * gap if rough else min(LEAST_SHARE_OF_GAP * gap, max(MOST_OF_REST * rest, LEAST_BESIDE))
-    least = max(LEAST_GAIN, share, LEAST_SHARE_OF_REST * rest)
+    least = max(LEAST_GAIN, share, LEAST_SHARE_OF_REST * min(rest, FAR_ABOVE**2 - 1.0))
     return gain > least and z_score(without, candidate) > LEAST_Z
+
+
+def _its_own(problem: Problem, candidate: Scored, without: Scored) -> bool:
+    """Whether an addition takes a large share of what is left, or what it takes of something larger is its own."""
+    rest = without.loss - problem.most**2 * problem.count
+    if without.loss - candidate.loss > LEAST_SHARE_OF_REST * rest:
+        return True
+    if problem.recordings[0].mechanism.kind != "delta":
+        return False
+    signature = Signature(problem, candidate.hypothesis)
+    new = {term.effect for term in candidate.hypothesis.terms[len(without.hypothesis.terms) :]}
+    return all(OWN * signature.elsewhere(effect) < 1.0 for effect in new)
 
 
 def without(problem: Problem, split: Split, selection: Selection, best: Scored, *effects: Effect) -> Scored:

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.service.subject import EFFECTS, Hypothesis, Term, candidates, selection
-from tests.service.world import BASE, stub
+from tests.service.diagnosis.toy import named
+from tests.service.subject import EFFECTS, Hypothesis, Regressors, Split, Term, candidates, selection
+from tests.service.world import BASE, course, stub
+from tests.service.world import problem as logged
 
 BLOCKS = 50
 
@@ -325,3 +327,35 @@ def test_a_search_ends_at_a_fault_and_where_nothing_promises_anything(monkeypatc
     assert path == [([160.0, 150.0], 160.0), ([110.0], None)]
     assert found.fault is FAULT
     assert searched(monkeypatch, [150.0], promise=99.5)[1] == []
+
+
+@pytest.mark.parametrize(
+    ("loss", "kind", "shares", "own"),
+    [
+        (749.0, "delta", {}, True),  # more than a quarter of the 1000 that are left above the noise: not asked
+        (851.0, "delta", {"one": 0.19}, True),
+        (851.0, "delta", {"one": 0.21}, False),
+        (851.0, "delta", {"one": 0.19, "two": 0.21}, False),
+        (851.0, "axes", {"one": 0.0}, False),
+    ],
+)
+def test_what_takes_little_of_a_large_rest_takes_what_is_its_own(monkeypatch, loss, kind, shares, own):
+    terms = [stub(effect=named(name)) for name in shares or ("one",)]
+    signature = stub(elsewhere=lambda effect: shares[effect.name])
+    monkeypatch.setattr(selection, "Signature", lambda problem, hypothesis: signature)
+    candidate, without = (
+        stub(loss=100.0 + left, hypothesis=stub(terms=t)) for left, t in ((loss, terms), (1000.0, []))
+    )
+    problem = stub(most=1.0, count=100, recordings=[stub(mechanism=stub(kind=kind))])
+    assert selection._its_own(problem, candidate, without) is own
+
+
+def test_a_search_ends_at_what_takes_little_and_not_its_own(monkeypatch):
+    """Noise, and a constant torque: it takes nearly all, and would if it were asked."""
+    made = logged(
+        [course(seed, 1.0) for seed in (1, 2, 3)], [course(seed, 1.0).torque + [2.0, 0, 0] for seed in (1, 2, 3)]
+    )
+    regressors = Regressors(made, Split.of(made), [EFFECTS["torque_offset"]], Hypothesis(BASE))
+    for own, names in ((True, ("torque_offset",)), (False, ())):
+        monkeypatch.setattr(selection, "_its_own", lambda *_, own=own: own)
+        assert selection.search(regressors, lambda _: None).names == names

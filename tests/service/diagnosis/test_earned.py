@@ -47,10 +47,10 @@ def chosen(made: Problem, *terms: Term) -> Selection:
     return Selection(none, best, [([best], best)], {})
 
 
-def judge(made: Problem, found: Selection, *kept_out: Problem) -> tuple[Selection, list[Caution]]:
-    """Beside air drag, which is not there."""
+def judge(made: Problem, found: Selection, *kept_out: Problem, limit: float = 1e3) -> tuple[Selection, list[Caution]]:
+    """Beside air drag, which is not there. limit: rms that noise may leave."""
     regressors = Regressors(made, Split.of(made), [EFFECTS["air_drag"]], found.none.hypothesis)
-    return earned(regressors, found, kept_out, lambda effect, joint: True)
+    return earned(regressors, found, kept_out, lambda effect, joint: True, limit)
 
 
 def codes(found: list[Caution]) -> list[tuple[str, str | None, str | None]]:
@@ -190,15 +190,17 @@ def test_a_name_that_others_would_do_as_well_as_falls(worse, stands):
     assert all(one.share is not None and 0 < one.share < 0.3 and one.joints == [1] for one in fallen)
 
 
-def stood(made: Problem, found: Selection, monkeypatch, **chances: tuple[float, float]) -> tuple[str, ...]:
-    """Names that stand, each with a probability and a lead."""
+def stood(
+    made: Problem, found: Selection, monkeypatch, limit: float = 1e3, **chances: tuple[float, float]
+) -> tuple[str, ...]:
+    """Names that stand, each with a probability and the standard errors that it is ahead."""
 
     def standings(regressors, selection, best, refits, allows):
         return {effect: Standing(refit, chances[effect.name][0], [], chances[effect.name][1])
                 for effect, refit in refits.items()}  # fmt: skip
 
     monkeypatch.setattr(judged.rivals, "standings", standings)
-    kept, fallen = judge(made, found)
+    kept, fallen = judge(made, found, limit=limit)
     assert {one.code for one in fallen} <= {"rivalled"}
     assert set(kept.standings) == {EFFECTS[name] for name in kept.names}
     return kept.names
@@ -216,17 +218,72 @@ def test_a_name_less_likely_than_what_may_be_in_its_place_falls_and_leaves_the_o
         assert stood(made, found, monkeypatch, **chances) == names
 
 
-@pytest.mark.parametrize(("left", "stands"), [(1.9, True), (2.1, False)])
-def test_beside_a_stranger_a_name_has_to_lead_by_half_of_what_is_left(monkeypatch, left, stands):
-    """left: above the noise, over the lead, when all that was found is known."""
+@pytest.mark.parametrize(("ahead", "stands"), [(2.1, True), (1.9, False)])
+def test_beside_a_stranger_a_name_has_to_be_told_from_what_may_be_in_its_place(monkeypatch, ahead, stands):
+    """ahead: standard errors over blocks. A stranger: rows that weigh less, or more than twice what noise may leave."""
     made = logs((1, 2, 3), "joint_spring")
     weighed = replace(made, weights=[np.ones(rows.shape) for rows in made.rows])
-    found, lead = chosen(made, SPRING), 0.2 * made.count
-    blocks = np.full(len(found.best.blocks), (made.count + left * lead) / len(found.best.blocks))
-    best = replace(found.best, blocks=blocks)
-    found = replace(found, best=best, path=[([best], best)])
-    assert stood(weighed, found, monkeypatch, joint_spring=(1.0, lead)) == (("joint_spring",) if stands else ())
-    assert stood(made, found, monkeypatch, joint_spring=(1.0, -lead)) == ("joint_spring",)
+    found, left = chosen(made, SPRING), ("joint_spring",) if stands else ()
+    assert stood(weighed, found, monkeypatch, joint_spring=(1.0, ahead)) == left
+    rms = (found.best.loss / made.count) ** 0.5
+    assert stood(made, found, monkeypatch, limit=0.49 * rms, joint_spring=(1.0, ahead)) == left
+    assert stood(made, found, monkeypatch, limit=0.51 * rms, joint_spring=(1.0, -9.0)) == ("joint_spring",)
+
+
+class Told:
+    """A signature that says what it is told to."""
+
+    def __init__(self, place: float, elsewhere: dict[str, list[float]], by_place: dict[str, float]):
+        self.goes_by_place = lambda: place
+        self.elsewhere = lambda effect: elsewhere[effect.name].pop(0)
+        self.by_place = lambda effect: by_place[effect.name]
+
+
+@pytest.mark.parametrize(
+    ("place", "elsewhere", "limit", "names", "fallen"),
+    [
+        (0.0, {"joint_spring": [0.19], "cogging": [0.19]}, 0.1, ("joint_spring", "cogging"), []),
+        (0.0, {"joint_spring": [0.19, 0.19], "cogging": [0.21]}, 0.1, ("joint_spring",), ["not_its_own"]),
+        (0.0, {"joint_spring": [0.3, 0.1], "cogging": [0.4]}, 0.1, ("joint_spring",), ["not_its_own"]),  # worst first
+        (0.0, {"joint_spring": [0.3, 0.3], "cogging": [0.4]}, 0.1, (), ["not_its_own", "not_its_own"]),
+        (0.51, {"cogging": [0.1]}, 0.1, ("cogging",), ["by_place"]),
+        (0.49, {"joint_spring": [0.1], "cogging": [0.1]}, 0.1, ("joint_spring", "cogging"), []),
+        (0.51, {}, 0.9, ("cogging",), ["by_place"]),  # something is left, not far more than noise
+        (0.51, {}, 1.1, ("joint_spring", "cogging"), []),  # noise
+    ],
+)
+def test_beside_a_stranger_what_a_name_takes_is_its_own(monkeypatch, place, elsewhere, limit, names, fallen):
+    """limit: over what is left. elsewhere: a look each."""
+    made = logs((1, 2, 3), "joint_spring", "cogging")
+    found = chosen(made, SPRING, RIPPLE)
+    told = Told(
+        place, {name: list(shares) for name, shares in elsewhere.items()}, {"joint_spring": 0.91, "cogging": 0.89}
+    )
+    monkeypatch.setattr(judged, "Signature", lambda problem, hypothesis: told)
+    kept, fell = judge(made, found, limit=limit * (found.best.loss / made.count) ** 0.5)
+    assert kept.names == names
+    assert [one.code for one in fell] == fallen
+
+
+def test_a_torque_by_place_that_is_left_open_takes_no_name(monkeypatch):
+    made = logs((1, 2, 3), "joint_spring")
+    found = chosen(made, SPRING)
+    told = Told(0.9, {"joint_spring": [0.1, 0.1]}, {"joint_spring": 1.0})
+    monkeypatch.setattr(judged, "Signature", lambda problem, hypothesis: told)
+    open_ = replace(
+        made, weights=[np.ones(r.shape) for r in made.rows], fields=[np.zeros((r.sum(), 1)) for r in made.rows]
+    )
+    assert judge(open_, found)[0].names == ("joint_spring",)
+    assert judge(made, found, limit=0.1)[0].names == ()
+
+
+def test_beside_a_stranger_a_run_may_have_another_figure_by_what_is_left(monkeypatch):
+    """What is left of that run, not the effect, has it otherwise: what it takes of all runs is its own."""
+    made = logs((1, 2, 3), "joint_spring")
+    found = chosen(made, SPRING)
+    monkeypatch.setattr(judged, "_varies", lambda *_: Caution(code="varies", advice="record_more"))
+    assert judge(made, found)[0].names == ()
+    assert judge(made, found, limit=0.1)[0].names == ("joint_spring",)
 
 
 @pytest.mark.parametrize("given", [0, 1])

@@ -70,7 +70,6 @@ def test_a_name_is_as_likely_as_it_does_better_than_what_may_be_in_its_place(lef
     (one,) = standings(found, NONE).values()
     assert one.probability == pytest.approx(probability, abs=1e-6)
     assert one.confusable == confusable
-    assert one.lead == pytest.approx(left)
 
 
 @pytest.mark.parametrize(("left", "likely"), [(-71.0, 1 / (1 + np.exp(1.0))), (-73.0, 1.0)])
@@ -111,6 +110,14 @@ def test_where_far_more_than_noise_is_left_a_difference_counts_by_that():
     assert standings(found, NONE)["taken"].probability == pytest.approx(1 / (1 + np.exp(-1.0)), abs=1e-6)
 
 
+def test_a_name_is_ahead_by_standard_errors_over_blocks_of_the_next():
+    """Half a square a block, up and down by one: half of the root of forty of them."""
+    taken, near, far = model(ROWS, "taken"), model(1.05 * ROWS, "near", away=1.0), model(2.0 * ROWS, "far", away=1.0)
+    made = standings(Selection(NONE, taken, [([taken, near, far], taken)], {}), NONE)["taken"]
+    assert made.ahead == pytest.approx(0.5 * BLOCKS**0.5, rel=0.02)
+    assert standings(Selection(NONE, taken, [([taken], taken)], {}), NONE)["taken"].ahead == np.inf
+
+
 def test_an_effect_has_to_be_worth_it():
     """Three hundredths of the noise."""
     for more, least in ((0.04, 0.8), (0.02, 0.0)):
@@ -130,10 +137,10 @@ def test_what_has_the_effect_too_is_no_rival_of_it():
 def test_a_name_that_led_while_others_were_in_the_gap_is_asked_again_beside_them(monkeypatch):
     """It won its round far ahead; beside what came later another does better."""
     first, both = model(2000.0, "stand-in"), model(ROWS, "stand-in", "later")
-    alone, beside = model(900.0, "later"), model(0.9 * ROWS, "later", "true")
+    alone, beside = model(900.0, "later"), model(0.9 * ROWS, "later", "true", away=0.01)
     path: list[tuple[list[Scored], Scored | None]] = [
-        ([first, model(3000.0, "true")], first),
-        ([both, model(2500.0, "stand-in", "other")], both),
+        ([first, model(3000.0, "true", away=1.0)], first),
+        ([both, model(2500.0, "stand-in", "other", away=1.0)], both),
     ]
     asked = []
 
@@ -146,21 +153,23 @@ def test_a_name_that_led_while_others_were_in_the_gap_is_asked_again_beside_them
     assert asked == [(alone, "stand-in", 0.5 * (900.0 - ROWS))], "beside the first all is fitted already"
     assert made["stand-in"].probability == pytest.approx(0.0, abs=1e-6)
     assert made["stand-in"].confusable == ["true"]
-    assert made["stand-in"].lead == pytest.approx(-0.1 * ROWS)
+    assert made["stand-in"].ahead < -10.0
     assert made["later"].probability == pytest.approx(1.0)
-    assert (made["later"].confusable, made["later"].lead) == ([], pytest.approx(2500.0 - ROWS))
+    assert made["later"].confusable == []
+    assert made["later"].ahead > 10.0
 
 
 def test_what_fell_and_what_was_found_are_in_nobodys_place():
     kept, fell = model(ROWS, "kept"), model(ROWS, "kept", "fell")
     path: list[tuple[list[Scored], Scored | None]] = [
-        ([model(ROWS, "kept"), model(ROWS, "fell"), model(1000.0, "far")], kept),
+        ([model(ROWS, "kept"), model(ROWS, "fell"), model(1000.0, "far", away=0.1)], kept),
         ([fell], fell),
     ]
     regressors = stub(problem=stub(count=ROWS), split=SPLIT)
     found = Selection(NONE, fell, path, {})
     made = evidence.standings(regressors, found, kept, {named("kept"): NONE}, lambda *_: True)[named("kept")]
-    assert (made.probability, made.confusable, made.lead) == (pytest.approx(1.0), [], pytest.approx(1000.0 - ROWS))
+    assert (made.probability, made.confusable) == (pytest.approx(1.0), [])
+    assert made.ahead > 100.0, "of the one that is far"
 
 
 def names_in_place_of(name: str, least: float, rivals: Sequence[str]) -> list[tuple[str, ...]]:

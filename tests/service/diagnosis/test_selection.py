@@ -260,6 +260,12 @@ class TestWorth:
         assert selection.worth(candidate, without, none, 1000, most=1.02)  # a quarter of .10 is .025
         assert not selection.worth(self.losses(1.115), without, none, 1000, most=1.25), "3 % of the noise in any case"
 
+    @pytest.mark.parametrize(("candidate", "worth"), [(39.2, True), (39.3, False)])
+    def test_of_what_is_far_above_the_noise_a_quarter_of_what_begins_there_is_wanted(self, candidate, worth):
+        """Twice the noise: three quarters, of the 39 that are left."""
+        noisy = self.losses(40.0) + RANDOM(1).normal(0, 0.02, 50)
+        assert selection.worth(self.losses(candidate), noisy, self.losses(45.0), 1000) is worth
+
     @pytest.mark.parametrize(("candidate", "worth"), [(0.99, True), (1.03, False)])
     def test_beside_a_rough_effect_it_is_a_hundredth_of_the_gap(self, candidate, worth):
         noisy = self.losses(2.0) + RANDOM(1).normal(0, 0.02, 50)

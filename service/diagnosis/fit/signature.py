@@ -1,0 +1,141 @@
+"""Whether what a hypothesis gives to an effect is the effect's own, where far more than noise is left.
+
+What is left there is coloured and comes again in every run: no error of the noise says how much of it an effect may
+take by chance. That shows in what it gives to the same torque where the effect is not at work: at another time, or
+stronger in one run or on one side of the workspace than on the other. Something that the effect only stands in for
+gives about as much to those. All rows of a joint weigh alike, whatever an effect leaves of them, so that none chooses
+the rows by which it is judged; and the joints by what is left of them, so that a stranger on one hides nothing of the
+others. Delta robots only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations_with_replacement
+
+import numpy as np
+
+from service.identification.fit import TOLD, Problem, evaluate, solve
+from service.model.effects.base import Effect
+from service.model.hypothesis import Hypothesis
+from service.model.parameters import Parameters
+
+SHIFTS = (0.02, 0.06, 0.15, 0.4)  # s, either way: a reversal, a jerk, a stroke, a pick
+OWN = 5.0  # times what is given to the same torque elsewhere, that an effect takes: the best of a catalogue is asked
+ORDER = 2  # of the torque that goes by the platform's place: a force that changes evenly, and its lever
+GOES_BY_PLACE = 0.5  # of what is left above the noise, that such a torque explains: then something pulls there
+LEAST = 0.03  # of the noise's squares, that is left above it before it goes by anything
+BY_PLACE = 0.9  # of an effect's own torque, that is such a torque: then it cannot be told beside it
+
+
+def pulled(problem: Problem, hypothesis: Hypothesis) -> bool:
+    """Whether what is left goes by the platform's place."""
+    return Signature(problem, hypothesis).goes_by_place() > GOES_BY_PLACE
+
+
+class Signature:
+    """What `hypothesis` leaves of all rows of `problem`, beside its fields: residual (R,) and tangents (R, F), in units
+    of the noise or of what is left of the joint, if that is more."""
+
+    def __init__(self, problem: Problem, hypothesis: Hypothesis):
+        self.problem, self.hypothesis = replace(problem, weights=()), hypothesis
+        every = evaluate(self.problem, hypothesis)
+        self.joints, residual = np.concatenate(self.problem.joints_of_rows), np.concatenate(every.residuals)
+        count = np.bincount(self.joints, minlength=len(problem.sigma))
+        square = np.bincount(self.joints, residual**2, len(problem.sigma)) / np.maximum(count, 1)
+        self.unit = np.sqrt(np.maximum(square, 1.0))[self.joints]
+        self.residual = residual / self.unit
+        self.tangents = np.concatenate(every.tangents) / self.unit[:, None]
+
+    def elsewhere(self, effect: Effect) -> float:
+        """Rms of what is left gives to the torque of `effect` elsewhere, over what the effect takes itself."""
+        mine, torque = self._of(effect)
+        own = self._beside(self.tangents[:, ~mine], torque[:, None])
+        others = self._beside(self.tangents, np.stack([*self._modulated(torque), *self._shifted(torque)], axis=1))
+        square = np.sum(others**2, axis=0)
+        told = square > TOLD * float(torque @ torque)
+        given = (self.residual @ others[:, told]) ** 2 / square[told]
+        return float(np.sqrt(np.mean(given) / max(float(np.sum(own**2)), 1e-300)))
+
+    def goes_by_place(self) -> float:
+        """Share of what is left above the noise that goes by the platform's place, on each joint in its own way; 0 of
+        next to nothing."""
+        noise = float(np.sum(self.unit**-2.0))
+        above = float(self.residual @ self.residual) - noise
+        if above < LEAST * noise:
+            return 0.0
+        field = self._beside(self.tangents, self._field())
+        moment = field.T @ self.residual
+        change = solve(field.T @ field, moment)
+        return (float(change @ moment) - field.shape[1]) / above
+
+    def by_place(self, effect: Effect) -> float:
+        """Share of the effect's own torque that goes by the platform's place."""
+        mine, torque = self._of(effect)
+        rest = self.tangents[:, ~mine]
+        own = self._beside(rest, torque[:, None])[:, 0]
+        field = self._beside(rest, self._field())
+        moment = field.T @ own
+        return float(solve(field.T @ field, moment) @ moment) / max(float(own @ own), 1e-300)
+
+    def _of(self, effect: Effect) -> tuple[np.ndarray, np.ndarray]:
+        """(F,) tangents of `effect`, and its torque (R,): of its amplitudes, or of a shift or lag, which has none, as
+        far as its slope says."""
+        parameters = Parameters(self.hypothesis)
+        mine, at_work = np.zeros((2, len(parameters.values)), bool)
+        for term, places in zip(self.hypothesis.terms, parameters.terms, strict=True):
+            if term.effect is effect:
+                mine[places] = True
+                at_work[places] = np.arange(mine[places].sum()) < (term.amplitude.size or np.inf)
+        mine, at_work = mine[parameters.free], at_work[parameters.free]
+        return mine, self.tangents[:, at_work] @ parameters.values[parameters.free][at_work]
+
+    @staticmethod
+    def _beside(known: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Columns (R, K) without what columns `known` (R, F) explain of them."""
+        return columns - known @ solve(known.T @ known, known.T @ columns)
+
+    def _modulated(self, torque: np.ndarray) -> list[np.ndarray]:
+        """Stronger on one side of the workspace, or in one run."""
+        place = self._rows([recording.arms.position for recording in self.problem.recordings])
+        place = (place - place.mean(axis=0)) / np.maximum(place.std(axis=0), 1e-300)
+        log = np.repeat(self.problem.logs, [rows.sum() for rows in self.problem.rows])
+        return [torque * side for side in place.T] + [np.where(log == one, torque, 0.0) for one in np.unique(log)[1:]]
+
+    def _shifted(self, torque: np.ndarray) -> list[np.ndarray]:
+        """Earlier and later."""
+        period = self.problem.band.period * self.problem.band.step
+        steps = [max(1, round(shift / period)) for shift in SHIFTS]
+        shifted: list[list[np.ndarray]] = [[] for _ in (*steps, *steps)]
+        start = 0
+        for rows in self.problem.rows:
+            for column in rows.T:
+                end = start + int(column.sum())
+                along = np.zeros(len(column))
+                along[column] = torque[start:end]
+                for number, step in enumerate(steps):
+                    late = np.concatenate([np.zeros(step), along])[: len(along)]
+                    early = np.concatenate([along, np.zeros(step)])[-len(along) :]
+                    for place, values in ((2 * number, late), (2 * number + 1, early)):
+                        shifted[place].append(values[column])
+                start = end
+        return [np.concatenate(parts) for parts in shifted]
+
+    def _field(self) -> np.ndarray:
+        """(R, K n) torque that goes by the platform's place up to `ORDER`."""
+        place = [recording.arms.position for recording in self.problem.recordings]
+        middle = np.concatenate(place).mean(axis=0)
+        reach = np.abs(np.concatenate(place) - middle).max()
+        products = []
+        for along in place:
+            factors = np.concatenate([np.ones((len(along), 1)), (along - middle) / reach], axis=1)
+            chosen = combinations_with_replacement(range(4), ORDER)
+            products.append(np.stack([factors[:, one].prod(axis=1) for one in chosen], axis=1))
+        columns, each = self._rows(products), np.unique(self.joints)
+        return np.concatenate([np.where(self.joints[:, None] == one, columns, 0.0) for one in each], axis=1)
+
+    def _rows(self, values: list[np.ndarray]) -> np.ndarray:
+        """(R, K) in the band, of (N, K) a recording that are the same for all joints."""
+        joints = len(self.problem.sigma)
+        parts = [np.repeat(self.problem.band(one)[:, None], joints, axis=1) for one in values]
+        return np.concatenate([self.problem.pick(number, part) for number, part in enumerate(parts)])
