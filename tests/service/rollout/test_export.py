@@ -157,6 +157,13 @@ def test_a_urdf_has_the_three_active_links(tmp_path: Path) -> None:
     joints = root.findall("joint")
     assert [joint.get("type") for joint in joints] == ["revolute"] * 3
     assert len(root.findall("link")) == 4
+    for joint, azimuth in zip(joints, ROBOT.arm_angles, strict=True):
+        origin = joint.find("origin")
+        assert origin is not None
+        place, turn = ([float(v) for v in origin.attrib[name].split()] for name in ("xyz", "rpy"))
+        radius = ROBOT.geometry.base_radius
+        np.testing.assert_allclose(place, [radius * np.cos(azimuth), radius * np.sin(azimuth), 0.0], atol=1e-6)
+        np.testing.assert_allclose(turn, [0.0, 0.0, azimuth], atol=1e-5)
 
 
 def test_figures_that_no_body_can_have_are_told(tmp_path: Path) -> None:
