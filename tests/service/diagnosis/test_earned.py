@@ -191,7 +191,7 @@ def test_a_name_that_others_would_do_as_well_as_falls(worse, stands):
 
 
 def stood(
-    made: Problem, found: Selection, monkeypatch, limit: float = 1e3, **chances: tuple[float, float]
+    made: Problem, found: Selection, monkeypatch, limit: float = 1e3, /, **chances: tuple[float, float]
 ) -> tuple[str, ...]:
     """Names that stand, each with a probability and the standard errors that it is ahead."""
 
@@ -226,8 +226,8 @@ def test_beside_a_stranger_a_name_has_to_be_told_from_what_may_be_in_its_place(m
     found, left = chosen(made, SPRING), ("joint_spring",) if stands else ()
     assert stood(weighed, found, monkeypatch, joint_spring=(1.0, ahead)) == left
     rms = (found.best.loss / made.count) ** 0.5
-    assert stood(made, found, monkeypatch, limit=0.49 * rms, joint_spring=(1.0, ahead)) == left
-    assert stood(made, found, monkeypatch, limit=0.51 * rms, joint_spring=(1.0, -9.0)) == ("joint_spring",)
+    assert stood(made, found, monkeypatch, 0.49 * rms, joint_spring=(1.0, ahead)) == left
+    assert stood(made, found, monkeypatch, 0.51 * rms, joint_spring=(1.0, -9.0)) == ("joint_spring",)
 
 
 class Told:
