@@ -38,6 +38,23 @@ def corrected_moment(state, moment, drag, load):
 
 
 @kernel
+def begin_whole(state):
+    """From here on the whole of what tells the mass is what is known of it now."""
+    state.whole_information, state.whole_moment = state.information[0, 0], state.moment[0]
+    for a in range(departure.COUNT):
+        state.whole_drag[a] = state.drag[0, a]
+
+
+@kernel
+def weigh_whole(state):
+    """The mass, kg, by all that told it since the last change."""
+    left = state.whole_moment
+    for a in range(departure.COUNT):
+        left -= state.whole_drag[a] * state.departure.delta[a]
+    return left / state.whole_information
+
+
+@kernel
 def locate(state):
     """The mass, kg, which it returns, and state.offset, by the normal equations; their inverse is in state.inverse."""
     active, inverse, found = state.active, state.inverse, state.found

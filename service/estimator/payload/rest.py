@@ -91,7 +91,7 @@ def _steps(settings, rest, column):
     if abs(before) > DRIFT_BEFORE * abs(along) or abs(after) > DRIFT_AFTER * abs(along):
         return False
     rest.step, rest.variance = along / load, rubbed / (load * load) + noise / load
-    rest.filled = 0
+    rest.filled = 2 * STRETCH  # what stands behind this step stands before the next
     return True
 
 

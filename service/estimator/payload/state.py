@@ -40,6 +40,9 @@ STATE = np.dtype(
         ("information", "f8", (LOADS, LOADS)),
         ("moment", "f8", LOADS),
         ("drag", "f8", (LOADS, departure.COUNT)),  # sum of weight column x: what delta adds to the moment
+        ("whole_information", "f8"),  # kg^-2, the same three of the mass since the last change, none of it forgotten
+        ("whole_moment", "f8"),  # for what the model lacks
+        ("whole_drag", "f8", departure.COUNT),
         ("bin_information", "f8", (WINDOW, LOADS, LOADS)),
         ("bin_moment", "f8", (WINDOW, LOADS)),
         ("bin_drag", "f8", (WINDOW, LOADS, departure.COUNT)),
@@ -172,6 +175,6 @@ def start(state: np.ndarray, prior: np.ndarray) -> None:
     state["active"] = state["filled"] = 1
     state["untold"] = LEAST_TIME
     state["blocks"] = state["inflation"] = state["sticking"] = state["breakaway"] = 1.0
-    state["raw_information"] = PRIOR_STD**-2
+    state["raw_information"] = state["whole_information"] = PRIOR_STD**-2
     state["std_dev"] = PRIOR_STD
     departure.start(state["departure"], prior)

@@ -10,11 +10,11 @@ from schemas.kernels import kernel
 from schemas.messages import Gripper
 from service.estimator import departure, slow
 from service.estimator.payload.change import find_change
-from service.estimator.payload.loads import corrected_moment, prior_of
+from service.estimator.payload.loads import begin_whole, corrected_moment, prior_of
 from service.estimator.payload.rest import moved_kernel, rest_kernel
 from service.estimator.payload.scatter import part_blocks, scatter_kernel
 from service.estimator.payload.state import LEAST_TIME, LOADS, MEMORY_TIME, PRIOR_STD, STILL_TIME, TELLING_TIME, WINDOW
-from service.estimator.payload.verdict import CONTRADICTION, CONTRADICTION_FLOOR, conclude, is_sure
+from service.estimator.payload.verdict import CONTRADICTION, CONTRADICTION_FLOOR, conclude, is_sure, lacks_a_load
 
 UNKNOWN = Gripper.UNKNOWN.value
 # What the model lacks is this many times the variance of the noise in what is remembered, where it forbids trust.
@@ -58,6 +58,7 @@ def payload_kernel(settings, state):
         state.moment[p] = state.moment[p] * settings.forgetting + gained
         state.bin_moment[head, p] += gained
     state.raw_information = prior_of(0) + (state.raw_information - prior_of(0)) * settings.forgetting + raw
+    _gather_whole(settings, state)
     told = raw > 0.0
     state.told *= settings.forgetting
     if told:
@@ -77,6 +78,23 @@ def payload_kernel(settings, state):
 
 
 @kernel
+def _gather_whole(settings, state):
+    """The sample into the whole of what tells the mass."""
+    gained = pull = 0.0
+    for a in range(departure.COUNT):
+        state.whole_drag[a] *= settings.forgetting
+    for i in range(3):
+        push = state.weight[i] * state.column[i, 0]
+        gained += push * state.column[i, 0]
+        pull += push * state.residual[i]
+        for a in range(departure.PARTS):
+            state.whole_drag[departure.place(i, a)] += push * state.shape[i, a]
+    state.whole_moment = state.whole_moment * settings.forgetting + pull
+    prior = prior_of(0)
+    state.whole_information = prior + (state.whole_information - prior) * settings.forgetting + gained
+
+
+@kernel
 def _close_bin(settings, state):
     """Look whether the load has changed, and begin the next bin."""
     _forget_beyond_bias(state)
@@ -85,6 +103,7 @@ def _close_bin(settings, state):
     state.filled = min(WINDOW, state.filled + 1)
     _empty_bin(state, head)
     if onset > 0:
+        begin_whole(state)
         samples = onset * settings.bin_size
         state.untold = max(0.0, LEAST_TIME - samples * settings.period)
         if state.active > 1:
@@ -135,6 +154,8 @@ def _note_rest(settings, state, told):
         return
     state.still += settings.period
     if state.still > STILL_TIME:
+        if state.still - settings.period <= STILL_TIME and state.active == 1 and lacks_a_load(state):
+            _loosen(state, PRIOR_STD * PRIOR_STD)
         state.untold = TELLING_TIME
 
 
@@ -154,16 +175,24 @@ def _weigh_at_rest(settings, state):
     if mass < -margin or mass > settings.max_payload + margin:
         rest.step = 0.0
         return
-    prior, known = prior_of(0), state.information[0, 0]
-    left = max(prior, known / (1.0 + known * rest.variance))
-    lifted = known * mass - corrected_moment(state, state.moment, state.drag, 0)
-    state.moment[0] = (state.moment[0] + lifted) * left / known
+    state.moment[0] += state.information[0, 0] * mass - corrected_moment(state, state.moment, state.drag, 0)
+    _loosen(state, rest.variance)
+    state.still = 0.0
+    state.untold = LEAST_TIME
+
+
+@kernel
+def _loosen(state, variance):
+    """The mass is another by nobody knows what of `variance`, kg^2."""
+    known = state.information[0, 0]
+    left = max(prior_of(0), known / (1.0 + known * variance))
+    state.moment[0] *= left / known
     for a in range(departure.COUNT):
         state.drag[0, a] *= left / known
     state.information[0, 0] = left
     state.raw_information = left * state.inflation
-    state.told = state.still = 0.0
-    state.untold = LEAST_TIME
+    state.told = 0.0
+    begin_whole(state)
     _forget_bins(state)
     slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
 
@@ -188,6 +217,7 @@ def _weigh_slowly(settings, state):
         state.told = 0.0
         for a in range(departure.COUNT):
             state.drag[0, a] = 0.0
+        begin_whole(state)
         _forget_bins(state)
     return told
 
@@ -211,6 +241,7 @@ def weigh_anew_kernel(state):
         state.drag[p] = 0.0
     state.raw_information = prior_of(0)
     state.told = 0.0
+    begin_whole(state)
     state.untold = LEAST_TIME
     slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
 

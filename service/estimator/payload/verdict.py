@@ -9,7 +9,7 @@ import math
 from schemas.kernels import kernel
 from schemas.messages import Gripper, PayloadEvent
 from service.estimator import departure
-from service.estimator.payload.loads import locate, prior_of
+from service.estimator.payload.loads import begin_whole, locate, prior_of, weigh_whole
 from service.estimator.payload.scatter import LEAST_INFLATION
 from service.estimator.payload.state import COLOUR, LEAST_TIME, SMALLEST_CHANGE, WINDOW
 
@@ -31,6 +31,11 @@ LASTING, STILL_LASTING = 1.5, 3.0
 # What the model lacks over some seconds of motion comes again with every move: this share of it, brought to the
 # platform, does not average out of the mass.
 BIAS_SHARE = 0.55
+# Where it is as much as a load, it is all of it at one place and in one direction, and as much along the mass as at
+# right angles to it.
+PLACE_SHARE = 1.0
+# A move's directions average out; what the newest samples say beyond so many standard deviations of it is no average.
+AVERAGE_SIGMAS = 3.0
 # Of a block it is all, which this much motion halves: what a gear rubs more or less keeps its sign for a stroke.
 BIAS_AVERAGING = 0.2  # s
 # Torque constants hold to some 5 %, and to 6 with what else of the model moves with them: two of these. Without a known
@@ -120,15 +125,37 @@ def conclude(settings, state):
         event = _event(settings, state, held, own, variance, trusted or refined)
     if event != PayloadEvent.NONE.value:
         state.untold = min(state.untold, LEAST_TIME)  # weighed anew
-    state.mass = held
+    if event != PayloadEvent.NONE.value:
+        begin_whole(state)
+    state.mass = _averaged(settings, state, mass, held)
     borne_out = trusted and (known_empty or state.untold == 0.0)
     if not known_empty:  # a change may hide in what passes for the model's error; none to take a load away for
-        std_dev = math.sqrt(std_dev * std_dev + state.hidden + max(0.0, gentle - state.bias))
+        here = PLACE_SHARE * PLACE_SHARE / (BIAS_SHARE * BIAS_SHARE) * state.bias if lacks_a_load(state) else 0.0
+        std_dev = math.sqrt(std_dev * std_dev + state.hidden + max(0.0, max(gentle, here) - state.bias))
     state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
     fits = state.scatter <= LASTING * state.judged or state.inflation < STILL_LASTING
     state.trusted = 1 if borne_out and (known_empty or (fits and is_sure(std_dev, mass))) else 0
     _reckon(settings, state, borne_out)
     return event
+
+
+@kernel
+def lacks_a_load(state):
+    """Whether what the model lacks does to a mass what the smallest load does."""
+    return state.bias > SMALLEST_CHANGE * SMALLEST_CHANGE
+
+
+@kernel
+def _averaged(settings, state, mass, held):
+    """The mass to be said, kg, of `mass` by the newest samples and `held` in its bounds: where older ones are forgotten
+    for what the model lacks (`step`), the average since the last change is nearer, for a move goes both ways."""
+    if state.active > 1 or state.gripper == OPEN or not lacks_a_load(state):
+        return held
+    average = weigh_whole(state)
+    if (mass - average) ** 2 > AVERAGE_SIGMAS * AVERAGE_SIGMAS * state.bias:
+        begin_whole(state)
+        return held
+    return min(max(average, 0.0), settings.max_payload)
 
 
 @kernel

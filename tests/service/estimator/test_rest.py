@@ -72,6 +72,18 @@ def test_what_else_torque_does_at_rest_is_no_load(given):
     assert seen(residuals, moves_at)[0] is None
 
 
+@pytest.mark.parametrize("apart", [30, 40, 60, 120, 300])  # ms, GRIPPER_TIME and more
+@pytest.mark.parametrize("then", [2.0, -2.0])
+def test_a_load_that_changes_again_is_seen_again(apart, then):
+    residuals = torques(kilograms=2.0, samples=AT + apart + 80)
+    residuals[AT + apart :] += then * PHI
+    (state,), column = np.zeros(1, rest.STATE), np.zeros((3, LOADS))
+    column[:, 0] = PHI
+    steps = {n: state["step"] for n, one in enumerate(residuals) if rest.rest_kernel(SETTINGS, state, column, one)}
+    assert list(steps.values()) == pytest.approx([2.0, then], abs=0.3)
+    assert max(steps) - AT - apart <= 40
+
+
 def known(**fields):
     """2 kg, known to 0.1 kg, of a robot that stands."""
     states = np.zeros(1, STATE)

@@ -7,6 +7,7 @@ from schemas.messages import Gripper
 from service.estimator import slow
 from service.estimator.departure import COUNT, OWN, PARTS
 from service.estimator.payload import step
+from service.estimator.payload.loads import weigh_whole
 from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, STATE, sample_variance, settings, start
 from tests.service.estimator.test_departure import PRIOR as DRIFT
 from tests.service.estimator.test_departure import slopes_of
@@ -147,6 +148,54 @@ def test_a_change_that_may_have_happened_is_doubted_through_a_rest(active):
         assert state["filled"] == 150, "where blocks are parted by the time that has passed"
     step.weigh_anew_kernel(state)
     assert state["hidden"] == 0.0
+
+
+LACKING = {"excess": 4.0, "judged": 1.0, "leverage": 1.0, "untold": 0.0}  # 1.1 kg, as events see it
+
+
+def test_a_move_there_and_back_is_averaged_where_each_way_is_off_by_a_load():
+    """4.2 kg on the way up, 1.8 on the way down."""
+    state, column = fresh(**LACKING), np.array([-0.4, -3.0, -0.9])
+
+    def weigh(mass, samples=600):
+        for _ in range(samples):
+            state["column"][:, 0], state["residual"], state["weight"] = column, mass * column, 0.015  # 1/kg^2 a block
+            state["excess"], state["judged"], state["leverage"] = 4.0, 1.0, 1.0
+            step.payload_kernel(SETTINGS, state)
+
+    weigh(4.2)
+    assert state["mass"] == pytest.approx(4.2, abs=0.05)
+    weigh(1.8)
+    assert state["mass"] == pytest.approx(2.8, abs=0.1), "a little nearer to what is newer"
+    assert state["moment"][0] / state["information"][0, 0] == pytest.approx(1.8, abs=0.2), "the newest, for events"
+    assert state["std_dev"] ** 2 > state["bias"] / 0.55**2, "in one place and direction, all that the model lacks"
+    weigh(4.2)
+    weigh(-1.0, 100)
+    assert state["mass"] < 0.1, "beyond three standard deviations it is another load, event or none"
+    step.weigh_anew_kernel(state)
+    weigh(2.0, 40)
+    assert state["mass"] == pytest.approx(2.0, abs=0.15), "nothing of what was before"
+
+
+def test_learnt_friction_is_taken_off_the_average_too():
+    state = fresh(whole_information=50.0, whole_moment=100.0, whole_drag=3.0)
+    state["departure"]["delta"] = np.arange(COUNT)
+    assert weigh_whole(state) == pytest.approx((100.0 - 3.0 * np.arange(COUNT).sum()) / 50.0)
+
+
+@pytest.mark.parametrize(("lacking", "active"), [(True, 1), (True, LOADS), (False, 1)])
+def test_a_rest_may_have_changed_the_load_where_a_model_that_lacks_as_much_would_not_see_it(lacking, active):
+    state = fresh(**(LACKING if lacking else {"untold": 0.0}), active=active, turning=100_000, mass=2.0, load=2.0)
+    state["information"][0, 0], state["moment"][0], state["raw_information"] = 3.0, 6.0, 3.0
+    rest(state, 119)
+    assert state["information"][0, 0] > 2.5
+    rest(state, 3)
+    if lacking and active == 1:
+        assert state["information"][0, 0] == PRIOR[0, 0]
+        assert state["mass"] == pytest.approx(2.0, abs=0.3)
+        assert state["std_dev"] > 2.0
+    else:
+        assert state["information"][0, 0] > 2.5
 
 
 def test_what_a_rest_hides_takes_motion_to_be_known_again():
