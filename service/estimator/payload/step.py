@@ -154,7 +154,7 @@ def _note_rest(settings, state, told):
         return
     state.still += settings.period
     if state.still > STILL_TIME:
-        if state.still - settings.period <= STILL_TIME and state.active == 1 and lacks_a_load(state):
+        if state.still - settings.period <= STILL_TIME and state.active == 1 and lacks_a_load(settings, state):
             _loosen(state, PRIOR_STD * PRIOR_STD)
         state.untold = TELLING_TIME
 

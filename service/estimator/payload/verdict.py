@@ -130,7 +130,7 @@ def conclude(settings, state):
     state.mass = _averaged(settings, state, mass, held)
     borne_out = trusted and (known_empty or state.untold == 0.0)
     if not known_empty:  # a change may hide in what passes for the model's error; none to take a load away for
-        here = PLACE_SHARE * PLACE_SHARE / (BIAS_SHARE * BIAS_SHARE) * state.bias if lacks_a_load(state) else 0.0
+        here = (PLACE_SHARE / BIAS_SHARE) ** 2 * state.bias if lacks_a_load(settings, state) else 0.0
         std_dev = math.sqrt(std_dev * std_dev + state.hidden + max(0.0, max(gentle, here) - state.bias))
     state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
     fits = state.scatter <= LASTING * state.judged or state.inflation < STILL_LASTING
@@ -140,16 +140,17 @@ def conclude(settings, state):
 
 
 @kernel
-def lacks_a_load(state):
-    """Whether what the model lacks does to a mass what the smallest load does."""
-    return state.bias > SMALLEST_CHANGE * SMALLEST_CHANGE
+def lacks_a_load(settings, state):
+    """Whether what the model lacked when it was identified does to a mass what the smallest load does."""
+    lacked = BIAS_SHARE * BIAS_SHARE * settings.model_error * state.judged
+    return state.leverage > 0.0 and lacked > SMALLEST_CHANGE * SMALLEST_CHANGE * state.leverage
 
 
 @kernel
 def _averaged(settings, state, mass, held):
     """The mass to be said, kg, of `mass` by the newest samples and `held` in its bounds: where older ones are forgotten
     for what the model lacks (`step`), the average since the last change is nearer, for a move goes both ways."""
-    if state.active > 1 or state.gripper == OPEN or not lacks_a_load(state):
+    if state.active > 1 or state.gripper == OPEN or not lacks_a_load(settings, state):
         return held
     average = weigh_whole(state)
     if (mass - average) ** 2 > AVERAGE_SIGMAS * AVERAGE_SIGMAS * state.bias:
