@@ -170,6 +170,7 @@ def test_a_move_there_and_back_is_averaged_where_each_way_is_off_by_a_load():
     weigh(4.2)
     weigh(-1.0, 100)
     assert state["mass"] < 0.1, "beyond three standard deviations it is another load, event or none"
+    assert weigh_whole(state) < 1.0, "and the average begins with it"
     step.weigh_anew_kernel(state)
     weigh(2.0, 40)
     assert state["mass"] == pytest.approx(2.0, abs=0.15), "nothing of what was before"
