@@ -56,7 +56,7 @@ def test_what_sticks_shows_in_the_samples_in_which_a_joint_creeps():
     phi, weight = random.standard_normal((SIZE, 3, LOADS)), random.uniform(0.2, 3.0, (SIZE, 3))
     creeps = np.zeros((SIZE, 3), int)
     creeps[[3, 4, 5, 12, 13], [0, 0, 1, 2, 2]] = 1
-    apart = creeps.any(axis=1)
+    apart = creeps.max(axis=1) > 0
     residual = random.standard_normal((SIZE, 3)) + 20.0 * apart[:, None] * [1, -1, 1]
     for flags in (creeps, 0 * creeps):
         for n in range(SIZE):

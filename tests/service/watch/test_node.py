@@ -86,15 +86,22 @@ def test_a_change_on_the_bus_is_found_published_stored_and_recorded(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="threads have priorities of their own on Linux alone")
-def test_who_sends_does_not_wait_for_a_watch_whose_turn_it_is_not(bus_folder: Path, tmp_path: Path) -> None:
+def test_who_sends_does_not_wait_for_a_watch_whose_turn_it_is_not(
+    bus_folder: Path, tmp_path: Path, until: Callable[..., None]
+) -> None:
     """Zenoh's threads take what comes off the socket; full, it holds up whoever publishes for 20 ms at a time."""
     save_robot(KNOWN, tmp_path / "known.toml")
     command = [Path(sys.executable).with_name("deltatwin"), "watch", "--robot", tmp_path / "known.toml"]
     with subprocess.Popen([*command, "--out", tmp_path / "out"], stderr=subprocess.PIPE, text=True) as watch:
         assert watch.stderr is not None
         assert any(line.startswith("watching known") for line in iter(watch.stderr.readline, "")), "it ended"
-        tasks = [(task / "stat").read_text() for task in Path(f"/proc/{watch.pid}/task").iterdir()]
+        until(lambda: any("(acc-" in text for text in _threads(watch.pid)))  # each gives itself its name
+        nice = {text.split()[0]: int(text.rpartition(")")[2].split()[16]) for text in _threads(watch.pid)}
+        taking = {text.split()[0] for text in _threads(watch.pid) if "(acc-" in text}
         watch.send_signal(signal.SIGINT)
-    nice = [(int(text.split()[0]), "(acc-" in text, int(text.rpartition(")")[2].split()[16])) for text in tasks]
-    assert [value for task, _, value in nice if task == watch.pid] == [os.nice(0) + 10]
-    assert {value for _, taking, value in nice if taking} == {os.nice(0)}  # `drivers.peer`: these threads take all
+    assert nice[str(watch.pid)] == os.nice(0) + 10
+    assert {nice[thread] for thread in taking} == {os.nice(0)}  # `drivers.peer`: these threads take all
+
+
+def _threads(process: int) -> list[str]:
+    return [(task / "stat").read_text() for task in Path(f"/proc/{process}/task").iterdir()]
