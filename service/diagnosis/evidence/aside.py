@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations_with_replacement
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -32,6 +31,7 @@ from service.diagnosis.fit.selection import (
     score,
     z_score,
 )
+from service.diagnosis.fit.signature import of_place
 from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import Split, held_out
 from service.model.effects.base import Effect
@@ -41,8 +41,7 @@ WIDTH = 0.06  # s over which the level of what is left is taken
 EVEN = 1.5  # level from which rows weigh less while effects are looked for, all that are above it alike
 SETTLING = 3  # times that the rows are weighed by what is left and the parameters fitted to them
 EVERYWHERE = 1.2  # times the noise, of what is left of the rows as they weigh: more, and no row is free of the stranger
-FREED = 1.1  # times as many rows have to weigh, with a torque left open that goes by the platform's place,
-ORDER = 2  # to this power of it: a force that changes evenly, and its lever
+FREED = 1.1  # times as many rows have to weigh, with a torque left open that goes by the platform's place
 LESS = 0.9  # of a joint's rows: one that keeps more is not told as set aside
 
 
@@ -142,14 +141,12 @@ class Quiet:
 
 
 def _by_place(problem: Problem, split: Split) -> list[np.ndarray]:
-    """(R, K) a recording: torque that goes by the platform's place up to `ORDER`, on each fold with figures of its
+    """(R, K) a recording: torque that goes by the platform's place, on each fold with figures of its
     own."""
     result = []
     for number, recording in enumerate(problem.recordings):
         place = recording.arms.position - recording.arms.position.mean(axis=0)
-        place = np.concatenate([np.ones((len(place), 1)), place / np.abs(place).max()], axis=1)
-        products = [place[:, factors].prod(axis=1) for factors in combinations_with_replacement(range(4), ORDER)]
-        columns = problem.band(np.stack(products, axis=1))
+        columns = problem.band(of_place(place / np.abs(place).max()))
         rows = problem.pick(number, np.repeat(columns[:, None], len(problem.sigma), axis=1))
         fold = split.fold[number]
         result.append(np.concatenate([np.where(fold[:, None] == one, rows, 0.0) for one in np.unique(fold)], axis=1))

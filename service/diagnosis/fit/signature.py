@@ -33,6 +33,12 @@ def pulled(problem: Problem, hypothesis: Hypothesis) -> bool:
     return Signature(problem, hypothesis).goes_by_place() > GOES_BY_PLACE
 
 
+def of_place(place: np.ndarray) -> np.ndarray:
+    """(N, K) products up to `ORDER` of the platform's place (N, 3), in parts of its reach."""
+    factors = np.concatenate([np.ones((len(place), 1)), place], axis=1)
+    return np.stack([factors[:, one].prod(axis=1) for one in combinations_with_replacement(range(4), ORDER)], axis=1)
+
+
 class Signature:
     """What `hypothesis` leaves of all rows of `problem`, beside its fields: residual (R,) and tangents (R, F), in units
     of the noise or of what is left of the joint, if that is more."""
@@ -126,11 +132,7 @@ class Signature:
         place = [recording.arms.position for recording in self.problem.recordings]
         middle = np.concatenate(place).mean(axis=0)
         reach = np.abs(np.concatenate(place) - middle).max()
-        products = []
-        for along in place:
-            factors = np.concatenate([np.ones((len(along), 1)), (along - middle) / reach], axis=1)
-            chosen = combinations_with_replacement(range(4), ORDER)
-            products.append(np.stack([factors[:, one].prod(axis=1) for one in chosen], axis=1))
+        products = [of_place((along - middle) / reach) for along in place]
         columns, each = self._rows(products), np.unique(self.joints)
         return np.concatenate([np.where(self.joints[:, None] == one, columns, 0.0) for one in each], axis=1)
 

@@ -125,7 +125,6 @@ def conclude(settings, state):
         event = _event(settings, state, held, own, variance, trusted or refined)
     if event != PayloadEvent.NONE.value:
         state.untold = min(state.untold, LEAST_TIME)  # weighed anew
-    if event != PayloadEvent.NONE.value:
         begin_whole(state)
     state.mass = _averaged(settings, state, mass, held)
     borne_out = trusted and (known_empty or state.untold == 0.0)
