@@ -1,0 +1,221 @@
+"""The mass where the model is not quite right: robots and faults of our own, judged as a scale is.
+
+Each robot makes empty motions to be identified on, and then picks, with a fault in both or only since the fit. Judged
+from 0.15 s after each change of the mass, events within 0.4 s of one.
+
+uv run python -m tests.bench.bench_payload --robots d3-1200 rl5-1450-6kg 901 --seed 1
+uv run python -m tests.bench.bench_payload --only shaft_friction slow --no-commands
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from drivers.motion import Payload, Planner, Trajectory
+from drivers.plant.cases import PERIOD, random_case
+from drivers.plant.effects import EFFECTS, PlantEffect
+from drivers.plant.plant import Plant
+from drivers.plant.simulate import simulate
+from drivers.plant.truth import PlantTruth, load_truth, shipped_truth
+from schemas.robot import Robot, load_robot
+from schemas.trace import Trace
+from service.identification.identify import identify
+from service.identification.payload import weighed
+from service.identification.regression import summarise
+from service.model.nominal import pack
+
+MASSES = (0.3, 0.5, 1.0, 2.0, 3.0, 3.8)  # kg
+SETTLED, FOUND, STEADY = 0.15, 0.4, 0.3  # s after a change: judged, told, trust is counted
+LEAST_CHANGE, SLACK = 0.01, 0.02  # kg
+WILD = (-0.1, 6.0)  # kg
+SPEED = (0.5, 1.0)  # of the motion limits
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is not as the description or the fit has it. truth: factors of fields of `PlantTruth`. effects: figures."""
+
+    truth: tuple[tuple[str, float], ...] = ()
+    effects: tuple[PlantEffect, ...] = ()
+
+    def plant(self, robot: Robot, truth: PlantTruth, seed: int) -> Plant:
+        """A plant that has it."""
+        changed = {name: _times(getattr(truth, name), factor) for name, factor in self.truth}
+        return Plant(robot, truth.model_copy(update=changed), self.effects, PERIOD, seed)
+
+
+def _times(value: float | list[float], factor: float) -> float | list[float]:
+    return [one * factor for one in value] if isinstance(value, list) else value * factor
+
+
+def _effect(name: str, *figures) -> Fault:
+    return Fault(effects=(EFFECTS[name](*figures),))
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A fault while the robot is identified, one while it picks, and how it picks."""
+
+    fitted: Fault = Fault()
+    picking: Fault = Fault()
+    speed: float = 1.0
+    stacked: bool = False
+
+
+NONE = Fault()
+FRICTION = ("coulomb_friction_nm", "viscous_friction_nms")
+COLD, WARM = (Fault(truth=tuple((name, factor) for name in FRICTION)) for factor in (1.25, 0.8))
+SHAFT, BALLS = _effect("shaft_friction", 5.0, 1.5), _effect("passive_joint_friction", 0.17, 0.015)
+SCALE, ONE_SCALE = _effect("torque_scale", [0.05] * 3), _effect("torque_scale", [0.0, 0.06, 0.0])
+TILT, TOOL = _effect("base_tilt", 0.025, 0.025), _effect("tool_mass", 0.2)
+STRIBECK = _effect("stribeck_friction", [1.0, 1.3, 0.8], 0.1)
+SOFT = _effect("joint_elasticity", [4000.0] * 3, 0.05)
+SCENARIOS = {
+    "clean": Scenario(),
+    "stacked": Scenario(stacked=True),
+    "cold": Scenario(NONE, COLD),
+    "warm": Scenario(NONE, WARM),
+    "slow": Scenario(speed=0.06),
+    "gentle": Scenario(speed=0.2),
+    "tilted": Scenario(TILT, TILT),
+    "shaft_friction": Scenario(SHAFT, SHAFT),
+    "shaft_since": Scenario(NONE, SHAFT),
+    "ball_joints_since": Scenario(NONE, BALLS),
+    "constant": Scenario(SCALE, SCALE),
+    "constant_since": Scenario(NONE, SCALE),
+    "one_constant_since": Scenario(NONE, ONE_SCALE),
+    "tool_since": Scenario(NONE, TOOL),
+    "stribeck_since": Scenario(NONE, STRIBECK),
+    "elastic": Scenario(SOFT, SOFT),
+}
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A robot as described, and what it is."""
+
+    robot: Robot
+    truth: PlantTruth
+
+    @classmethod
+    def of(cls, name: str) -> Machine:
+        """A number is the seed of a random one, else a description or the name of one."""
+        if name.isdigit():
+            case = random_case(int(name))
+            return cls(case.robot, case.truth)
+        robot = load_robot(name)
+        shipped = shipped_truth(robot)
+        return cls(robot, load_truth(shipped, robot) if shipped else PlantTruth.nominal(robot))
+
+
+def stack(motion: Trajectory, rng: np.random.Generator) -> Trajectory:
+    """Each product comes in two parts, or leaves in two."""
+    parts = []
+    for begin, end, mass in motion.payloads:
+        middle = begin + rng.uniform(0.4, 0.6) * (end - begin)
+        lighter = mass * rng.uniform(0.3, 0.6)
+        first, second = (lighter, mass) if rng.random() < 0.5 else (mass, lighter)
+        parts += [Payload(begin, middle, first), Payload(middle, end, second)]
+    return dataclasses.replace(motion, payloads=tuple(parts))
+
+
+def logs(machine: Machine, scenario: Scenario, seed: int, seconds: float) -> tuple[list[Trace], Trace, Trajectory]:
+    """Empty logs to fit on, the log of picks, and what was carried in it."""
+    rng = np.random.default_rng([seed, 71])
+    planner = Planner(machine.robot, PERIOD)
+    empty = [
+        planner.pick_and_place(rng, 5.0, speed=rng.uniform(*SPEED)),
+        planner.multisine(rng, 8.0, rng.uniform(*SPEED)),
+        planner.slow(rng, 8.0),
+        planner.pick_and_place(rng, 5.0, speed=rng.uniform(*SPEED)),
+    ]
+    plant = scenario.fitted.plant(machine.robot, machine.truth, seed)
+    fitted = [simulate(plant, motion, f"fit_{number}") for number, motion in enumerate(empty)]
+    motion = planner.pick_and_place(rng, seconds, MASSES, scenario.speed)
+    if scenario.stacked:
+        motion = stack(motion, rng)
+    plant = scenario.picking.plant(machine.robot, machine.truth, seed + 1)
+    return fitted, simulate(plant, motion, "pick"), motion
+
+
+def judge(robot: Robot, log: Trace, motion: Trajectory) -> dict[str, float]:
+    """The figures of one log."""
+    found = weighed(robot, log)
+    time = found.time - found.time[0]
+    true, end = np.zeros(len(time)), time[-1]
+    for begin, release, mass in motion.payloads:
+        true[(time >= begin) & (time < release)] = mass
+    at = np.flatnonzero(np.abs(np.diff(true)) > LEAST_CHANGE) + 1
+    changes = time[at]
+    judged = changes[changes < end - FOUND]
+    error = np.abs(found.mass - true)
+    right, covered, steady, squares = [], [], [], []
+    for begin, until in pairwise([*judged, *changes[len(judged) :], end][: len(judged) + 1]):
+        span = (time >= begin + SETTLED) & (time < until)
+        late = (time >= begin + STEADY) & (time < until)
+        right.append(span.any() and (error[span] <= np.maximum(0.05 * true[span], 0.05)).all())
+        trusted = span & found.trusted
+        covered.append(error[trusted] <= 2 * found.std_dev[trusted] + SLACK)
+        steady.append(found.trusted[late])
+        squares.append(error[late] ** 2)
+    told = time[found.event != 0]
+    lag = told[:, None] - changes
+    false = ~((lag >= 0) & (lag <= FOUND)).any(axis=1)
+    after = told[:, None] - judged
+    missed = ~((after >= 0) & (after <= FOUND)).any(axis=0)
+    return {
+        "changes": len(judged),
+        "in_time": float(np.mean(right)),
+        "rms": float(np.mean(np.concatenate(squares)) ** 0.5),
+        "covered": float(np.mean(np.concatenate(covered))) if any(map(len, covered)) else float("nan"),
+        "trusted": float(np.mean(np.concatenate(steady))),
+        "false": 60 * float(false.sum()) / end,
+        "missed": int(missed.sum()),
+        "wild": int(((found.mass < WILD[0]) | (found.mass > WILD[1])).sum()),
+    }
+
+
+def one(robot: str, name: str, seed: int, seconds: float, commands: Sequence[bool]) -> list[dict]:
+    """The figures of a scenario on a robot, with its commands and without as asked."""
+    machine = Machine.of(robot)
+    fitted, log, motion = logs(machine, SCENARIOS[name], seed, seconds)
+    rows = []
+    for known in commands:
+        seen = (
+            (lambda trace: trace) if known else partial(dataclasses.replace, position_command=None, torque_command=None)
+        )
+        base = pack(machine.robot)
+        identified = identify(machine.robot, [summarise(base, seen(trace)) for trace in fitted]).robot
+        rows.append({"robot": robot, "scenario": name, "commands": known} | judge(identified, seen(log), motion))
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robots", nargs="+", default=["d3-1200", "rl5-1450-6kg", "901"], help="names, or seeds")
+    parser.add_argument("--only", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=24.0, help="of picks a log")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--commands", action=argparse.BooleanOptionalAction, default=None, help="default: both")
+    asked = parser.parse_args()
+    commands = (True, False) if asked.commands is None else (asked.commands,)
+    calls = (
+        delayed(one)(robot, name, asked.seed, asked.seconds, commands) for name in asked.only for robot in asked.robots
+    )
+    for rows in Parallel(asked.jobs, return_as="generator")(calls) or ():
+        for row in rows:
+            print(json.dumps({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
