@@ -212,8 +212,8 @@ def main() -> None:
     calls = (
         delayed(one)(robot, name, asked.seed, asked.seconds, commands) for name in asked.only for robot in asked.robots
     )
-    for rows in Parallel(asked.jobs, return_as="generator")(calls) or ():
-        for row in rows:
+    for rows in Parallel(asked.jobs, return_as="generator")(calls):
+        for row in rows or ():
             print(json.dumps({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}), flush=True)
 
 
