@@ -14,6 +14,9 @@ MEMORY_TIME = 3.0  # s, forgetting: longer than a carry, shorter than the drift 
 PRIOR_STD = 2.0  # kg
 # Smallest change that counts as a pick or release: friction and inertia errors imitate less than this.
 SMALLEST_CHANGE = 0.12  # kg
+# The least that ever hung after a release may be a tool left on since the model was identified; it is remembered for
+# this long, for tools are changed and friction drifts.
+GROUND_TIME = 600.0  # s
 # Torque noise and small errors are alike for about this long, so a sample is worth period / this time; what a model
 # with unmodelled effects leaves over lasts as long as a stretch of a move.
 CORRELATION_TIME, MODEL_ERROR_TIME = 0.003, 0.015  # s
@@ -73,6 +76,8 @@ STATE = np.dtype(
         ("hidden", "f8"),  # kg^2, of a change that the newest samples suggest and that may be the model's error
         ("wrong_for", "f8"),  # s
         ("shortfall", "f8"),  # kg, how far below nothing masses have been of late, or off it where nothing hung
+        ("grounded", "i8"),  # whether a mass was ever known after a release
+        ("ground", "f8"),  # kg, the least of those
         ("in_block", "i8"),
         ("clock", "i8"),  # samples taken
         ("ended", "i8", BLOCKS),  # when each block did
@@ -127,6 +132,7 @@ SETTINGS = np.dtype(
         ("bin_size", "i8"),  # samples
         ("block_size", "i8"),
         ("remember", "f8"),  # per sample, of the shortfall
+        ("rise", "f8"),  # per sample, of the least mass after a release towards that of now
         ("lighten", "f8"),  # per sample, of what a mass not trusted is lighter by
         ("leave", "f8"),  # per sample, of a mass not trusted
         ("model_error", "f8"),  # squared, over the noise of a block
@@ -159,6 +165,7 @@ def settings(
     record["forgetting"] = np.exp(-period / MEMORY_TIME)
     for name, time in (("remember", SHORTFALL_TIME), ("lighten", LIGHTER_TIME), ("leave", LEAVING_TIME)):
         record[name] = np.exp(-period / time)
+    record["rise"] = period / GROUND_TIME
     record["departure_forgetting"] = np.exp(-record["block_size"] * period / departure.MEMORY_TIME)
     record["information_weight"] = min(1.0, period / CORRELATION_TIME)
     record["model_error"] = (

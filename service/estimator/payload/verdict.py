@@ -41,6 +41,9 @@ BIAS_AVERAGING = 0.2  # s
 # Torque constants hold to some 5 %, and to 6 with what else of the model moves with them: two of these. Without a known
 # load nothing shows by how much a mass is off.
 TORQUE_SHARE = 0.03
+# What hangs there after every release is a tool, or a load that nobody let go of: the mass of what was picked is off
+# by it or by nothing, so this share of it covers either way within two standard deviations.
+TOOL_SHARE = 0.6
 # Trusted when one standard deviation is below share * mass + floor.
 TRUST_SHARE, TRUST_FLOOR = 0.1, 0.03  # -, kg
 # A shortfall counts where a mass is this sure, and shows for this long, by more than this: a release is not seen at
@@ -131,10 +134,13 @@ def conclude(settings, state):
     if not known_empty:  # a change may hide in what passes for the model's error; none to take a load away for
         here = (PLACE_SHARE / BIAS_SHARE) ** 2 * state.bias if lacks_a_load(settings, state) else 0.0
         std_dev = math.sqrt(std_dev * std_dev + state.hidden + max(0.0, max(gentle, here) - state.bias))
-    state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
     fits = state.scatter <= LASTING * state.judged or state.inflation < STILL_LASTING
-    state.trusted = 1 if borne_out and (known_empty or (fits and is_sure(std_dev, mass))) else 0
-    _reckon(settings, state, borne_out)
+    sure = borne_out and (known_empty or (fits and is_sure(std_dev, mass)))
+    if not known_empty:
+        std_dev = math.hypot(std_dev, TOOL_SHARE * _ground(settings, state, sure))
+    state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
+    state.trusted = 1 if sure and (known_empty or is_sure(std_dev, mass)) else 0
+    _reckon(settings, state, borne_out, sure)
     return event
 
 
@@ -165,10 +171,20 @@ def is_sure(std_dev, mass):
 
 
 @kernel
-def _reckon(settings, state, borne_out):
-    """state.usable: only a trusted mass gets in. What motion does not bear out leaves smoothly, but for a release,
-    which is a step by nature."""
-    if state.trusted != 0:
+def _ground(settings, state, sure):
+    """The least mass, kg, that was known to hang there after any release: 0 where that is none to speak of."""
+    if state.grounded != 0:
+        state.ground += settings.rise * (state.mass - state.ground)
+    if sure and state.last_event == PayloadEvent.RELEASE.value and (state.grounded == 0 or state.mass < state.ground):
+        state.grounded, state.ground = 1, state.mass
+    return state.ground if state.ground > SMALLEST_CHANGE else 0.0
+
+
+@kernel
+def _reckon(settings, state, borne_out, sure):
+    """state.usable: only a mass that is sure gets in, load or tool. What motion does not bear out leaves smoothly, but
+    for a release, which is a step by nature."""
+    if sure:
         state.usable = state.mass
         return
     usable = min(state.usable, state.mass)

@@ -305,6 +305,24 @@ def test_stacked_picks_and_partial_releases_are_events(robot, make):
     assert (np.abs(at - [0.8, 1.6, 2.4, 3.2, 4.0, 4.8, 8.0]) < 0.15).all()
 
 
+@pytest.mark.parametrize("tool", [0.5, 0.2, 0.0])
+def test_what_hangs_there_after_every_release_is_no_load_to_trust(robot, make, tool):
+    """A tool mounted since the model was identified: 2 kg picked weigh as 2 and the tool."""
+    known = make(9.0, payload=lambda t: tool + carried(t), noise=0.25)
+    payload, time = weigh(robot, known.samples)
+    told = time > PICKS[0][1] + 0.15  # the first release
+    truth = carried(time)
+    inside, trusted = covered(payload[told], time[told], truth[told])
+    assert inside >= 0.95
+    settled = told & np.all([np.abs(time - edge - 0.075) > 0.075 for pick in PICKS for edge in pick[:2]], axis=0)
+    if tool:
+        assert not (payload["trusted"] != 0)[settled & (truth == 0.0)].any(), "what hangs there may be the tool"
+        heavy = (payload["trusted"] != 0) & (truth > 3.5)
+        assert heavy.any(), "of which the tool is a small part"
+    else:
+        assert trusted >= 0.7
+
+
 def test_friction_is_learnt_whatever_hangs_on_the_gripper(robot, make):
     """No empty move at all, and the payload unknown: all comes out within its error."""
     known = make(8.0, payload=lambda t: 1.0 + 1.0 * (t > 3.0), noise=0.25)

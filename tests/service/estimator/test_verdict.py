@@ -281,3 +281,34 @@ def test_what_the_feed_forward_torque_reckons_with(fields, usable):
     state = believing(2.0, 0.02, **({"usable": 3.0} | fields))
     told(state)
     assert state["usable"] == pytest.approx(usable)
+
+
+@pytest.mark.parametrize(
+    ("fields", "ground", "trusted"),
+    [
+        ({"last_event": RELEASE}, 2.0, False),
+        ({}, 0.0, True),  # after a pick
+        ({"last_event": RELEASE, "grounded": 1, "ground": 0.1}, 0.1, True),  # less than a load
+        ({"last_event": RELEASE, "grounded": 1, "ground": 1.0}, 1.0, False),
+        ({"last_event": RELEASE, "grounded": 1, "ground": 2.5}, 2.0, False),
+        ({"grounded": 1, "ground": 0.2}, 0.2, True),
+        ({"last_event": RELEASE, "hidden": 1.0}, 0.0, False),  # what is not sure is no ground
+        ({"gripper": Gripper.OPEN, "grounded": 1, "ground": 1.0}, 1.0, False),  # which says what the mass is
+    ],
+)
+def test_the_least_that_ever_hung_there_may_be_a_tool(fields, ground, trusted):
+    state = believing(2.0, 0.02, **fields)
+    told(state)
+    assert state["ground"] == pytest.approx(ground, rel=1e-4)
+    assert bool(state["trusted"]) == trusted
+    if trusted:
+        doubt = verdict.TOOL_SHARE * ground if ground > 0.12 else 0.0
+        assert state["std_dev"] ** 2 == pytest.approx(0.02**2 + doubt**2 + (TORQUE_SHARE * 2.0) ** 2, rel=1e-4)
+    if "hidden" not in fields and "gripper" not in fields:
+        assert state["usable"] == pytest.approx(2.0), "the feed-forward torque accelerates a tool too"
+
+
+def test_a_tool_is_forgotten_within_ten_minutes_or_so():
+    state = believing(2.0, 0.02, grounded=1, ground=0.5)
+    told(state, 100)
+    assert state["ground"] == pytest.approx(0.5 + 1.5 * 100 * PERIOD / 600.0, rel=1e-6)
