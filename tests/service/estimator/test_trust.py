@@ -311,7 +311,7 @@ def test_what_hangs_there_after_every_release_is_no_load_to_trust(robot, make, t
     known = make(9.0, payload=lambda t: tool + carried(t), noise=0.25)
     payload, time = weigh(robot, known.samples)
     told = time > PICKS[0][1] + 0.15  # the first release
-    truth = carried(time)
+    truth = np.asarray(carried(time))
     inside, trusted = covered(payload[told], time[told], truth[told])
     assert inside >= 0.95
     settled = told & np.all([np.abs(time - edge - 0.075) > 0.075 for pick in PICKS for edge in pick[:2]], axis=0)
