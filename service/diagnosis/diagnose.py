@@ -106,7 +106,7 @@ def diagnose(
     found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
     errors = statistics.standard_errors(found.best.fitted, split)
     if regressors.effects and not wrong and mechanism.kind == "delta" and _strange(problem, selection.best, limit):
-        quiet = Quiet.beside(regressors, selection.none, len(given), scope.allows, progress)
+        quiet = Quiet.beside(regressors, selection.none, selection.best, len(given), scope.allows, progress)
         again = search(quiet.regressors, progress, scope.allows, more_orders)
         again = exchanged(quiet.regressors, again, limit, scope.allows, progress)
         less = doubts_of(quiet.problem, again, limit)

@@ -71,6 +71,8 @@ CAUTIONS = {
     "was told by the rest.",
     "by_place": "Something that is not in the catalogue pulls at the platform wherever it is; what is named was told "
     "beside any torque that goes by the platform's place, springs, offsets and weights cannot be told.",
+    "comes_again": "Something that is not in the catalogue pulls at the platform again every {pitch:.0f} mm of its way "
+    "(a toothed belt, a rack?); what is named was told beside it.",
 }
 # with these no effect is told from others
 NO_NAMES = {
@@ -273,7 +275,8 @@ def caution(found: Caution) -> str:
         joints=joints, Joints=joints.capitalize(), s="" if len(found.joints) > 1 else "s",
         effect=effect, Effect=effect.capitalize(), where=f" in {joints}" if joints else "",
         first=found.joints[0] if found.joints else "", last=found.joints[-1] if found.joints else "",
-        share=found.share, gain=found.gain, run=found.run, quantity=(found.quantity or "").replace("_", " "),
+        share=found.share, gain=found.gain, run=found.run, pitch=1000 * (found.pitch_m or 0.0),
+        quantity=(found.quantity or "").replace("_", " "),
     )  # fmt: skip
     return f"{said} {ADVICE[found.advice]}"
 

@@ -8,6 +8,8 @@ that is added which does most for rows that weigh by what the others leave of th
 A stranger that pulls at the platform wherever it is leaves no such rows, and springs, weights and offsets stand in for
 it. Then any torque that goes by the platform's place is left open, on each joint and run another: friction, delays,
 ripple, inertia show beside it, what goes by the place alone cannot be told.
+
+One that comes again along the platform's way is a torque of its own, which nothing else is: it is left open first.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from schemas.diagnosis import Caution
+from service.diagnosis.evidence.wave import Wave, wave_of
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import (
     FAR_ABOVE,
@@ -48,11 +51,14 @@ LESS = 0.9  # of a joint's rows: one that keeps more is not told as set aside
 @dataclass(frozen=True)
 class Quiet:
     """The rows of `whole` as they weigh beside a stranger: where it is at work the less, the more it leaves. left: rms
-    in units of the noise, as they weigh, with what was added to find them."""
+    in units of the noise, as they weigh, with what was added to find them. wave: of a pull that is left open. open:
+    whether any torque by the platform's place is."""
 
     whole: Problem
     regressors: Regressors
     left: float
+    wave: Wave | None = None
+    open: bool = False
 
     @property
     def problem(self) -> Problem:
@@ -61,18 +67,25 @@ class Quiet:
 
     @classmethod
     def beside(
-        cls, regressors: Regressors, none: Scored, given: int, allows: Callable[[Effect, int], bool],
+        cls, regressors: Regressors, none: Scored, best: Scored, given: int, allows: Callable[[Effect, int], bool],
         progress: Callable[[str], None],
     ) -> Quiet:  # fmt: skip
-        """none: the base model on rows that weigh alike. Where no row is free of the stranger, torque that goes by the
-        platform's place is left open, if that frees some."""
+        """none, best: the base model on rows that weigh alike, and the most that was found there. Where no row is free
+        of the stranger, torque that goes by the platform's place is left open, if that frees some."""
         whole, split = regressors.problem, regressors.split
-        found = cls._settled_on(regressors, whole, none, given, allows, progress)
+        asked, waves = whole, []
+        if (wave := wave_of(whole, best.residuals)) is not None:
+            waves = [_own(columns, fold) for columns, fold in zip(wave.fields(whole), split.fold, strict=True)]
+            asked = replace(whole, fields=waves)
+            none = score(fit(asked, none.hypothesis), split)
+        found = replace(cls._settled_on(regressors, asked, none, given, allows, progress), wave=wave)
         if found.left <= EVERYWHERE:
             return found
-        field = replace(whole, fields=_by_place(whole, split))
+        places = _by_place(whole, split)
+        both = [np.concatenate(parts, axis=1) for parts in zip(places, waves, strict=True)] if waves else places
+        field = replace(whole, fields=both)
         none = score(fit(field, none.hypothesis), split)
-        freed = cls._settled_on(regressors, field, none, given, allows, progress)
+        freed = replace(cls._settled_on(regressors, field, none, given, allows, progress), wave=wave, open=True)
         return freed if freed.problem.count > FREED * found.problem.count else found
 
     @classmethod
@@ -129,8 +142,10 @@ class Quiet:
 
     def caution(self) -> Caution:
         """What was set aside."""
-        if self.problem.fields:
+        if self.open:
             return Caution(code="by_place", advice="look_there")
+        if self.wave is not None:
+            return Caution(code="comes_again", pitch_m=round(self.wave.pitch, 4), advice="look_there")
         weights = zip(self.problem.weights, self.whole.rows, strict=True)
         weighs = np.sum([(weight**2 * rows).sum(axis=0) for weight, rows in weights], axis=0)
         every = np.sum([rows.sum(axis=0) for rows in self.whole.rows], axis=0)
@@ -148,9 +163,13 @@ def _by_place(problem: Problem, split: Split) -> list[np.ndarray]:
         place = recording.arms.position - recording.arms.position.mean(axis=0)
         columns = problem.band(of_place(place / np.abs(place).max()))
         rows = problem.pick(number, np.repeat(columns[:, None], len(problem.sigma), axis=1))
-        fold = split.fold[number]
-        result.append(np.concatenate([np.where(fold[:, None] == one, rows, 0.0) for one in np.unique(fold)], axis=1))
+        result.append(_own(rows, split.fold[number]))
     return result
+
+
+def _own(columns: np.ndarray, fold: np.ndarray) -> np.ndarray:
+    """Columns (R, K) with figures of their own on each fold (R,)."""
+    return np.concatenate([np.where(fold[:, None] == one, columns, 0.0) for one in np.unique(fold)], axis=1)
 
 
 def _settled(whole: Problem, split: Split, best: Scored, left: Sequence[np.ndarray]) -> tuple[Problem, Scored]:

@@ -61,12 +61,19 @@ def earned(
 
 
 def _its_own(regressors: Regressors, selection: Selection, beside: bool) -> tuple[Scored, list[Caution]]:
-    """What was found without effects that go by the platform's place where what is left goes by it; and, beside a
-    stranger, without those to whose torque it gives as much elsewhere; and why each fell."""
+    """What was found without effects that are hardly told beside what is left open; without those that go by the
+    platform's place where what is left goes by it; and, beside a stranger, without those to whose torque it gives as
+    much elsewhere; and why each fell."""
     problem, split, given = regressors.problem, regressors.split, len(selection.none.hypothesis.terms)
     best, fallen = selection.best, []
+    if problem.fields:
+        bare = Signature(replace(problem, fields=()), best.hypothesis)
+        gone = [effect for effect in _effects(best, given) if bare.left_open(effect, problem.fields) > BY_PLACE]
+        if gone:
+            fallen += [_fell("rivalled", effect, best) for effect in gone]
+            best = without(problem, split, selection, best, *gone)
     signature = Signature(problem, best.hypothesis)
-    if not problem.fields and signature.goes_by_place() > GOES_BY_PLACE:
+    if signature.goes_by_place() > GOES_BY_PLACE:
         gone = [effect for effect in _effects(best, given) if signature.by_place(effect) > BY_PLACE]
         if gone:
             fallen.append(Caution(code="by_place", advice="look_there"))

@@ -10,6 +10,7 @@ others. Delta robots only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations_with_replacement
 
@@ -77,12 +78,25 @@ class Signature:
 
     def by_place(self, effect: Effect) -> float:
         """Share of the effect's own torque that goes by the platform's place."""
-        mine, torque = self._of(effect)
-        rest = self.tangents[:, ~mine]
-        own = self._beside(rest, torque[:, None])[:, 0]
-        field = self._beside(rest, self._field())
+        mine, own = self._own(effect)
+        field = self._beside(self.tangents[:, ~mine], self._field())
         moment = field.T @ own
         return float(solve(field.T @ field, moment) @ moment) / max(float(own @ own), 1e-300)
+
+    def left_open(self, effect: Effect, fields: Sequence[np.ndarray]) -> float:
+        """Share of the effect's own torque that `fields`, as in `Problem`, could explain."""
+        (_, own), beside = self._own(effect), replace(self.problem, fields=fields)
+        ends, left = np.cumsum([0, *(len(joints) for joints in beside.joints_of_rows)]), 0.0
+        for number, joints in enumerate(beside.joints_of_rows):
+            part = own[ends[number] : ends[number + 1], None]
+            for rows in (np.flatnonzero(joints == joint) for joint in np.unique(joints)):
+                left += float(np.sum(beside.clear(number, rows, part[rows]) ** 2))
+        return 1.0 - left / max(float(own @ own), 1e-300)
+
+    def _own(self, effect: Effect) -> tuple[np.ndarray, np.ndarray]:
+        """(F,) tangents of `effect`, and its torque (R,) beside all others."""
+        mine, torque = self._of(effect)
+        return mine, self._beside(self.tangents[:, ~mine], torque[:, None])[:, 0]
 
     def _of(self, effect: Effect) -> tuple[np.ndarray, np.ndarray]:
         """(F,) tangents of `effect`, and its torque (R,): of its amplitudes, or of a shift or lag, which has none, as

@@ -48,7 +48,7 @@ def beside(logs, names=("torque_offset",)) -> Quiet:
     regressors = Regressors(logs, split, [EFFECTS[name] for name in names], start)
     regressors.along(start)
     none = selection.score(fit(logs, start), split)
-    return Quiet.beside(regressors, none, 0, lambda effect, joint: True, lambda _: None)
+    return Quiet.beside(regressors, none, none, 0, lambda effect, joint: True, lambda _: None)
 
 
 @pytest.fixture(scope="module")

@@ -235,6 +235,7 @@ class Told:
 
     def __init__(self, place: float, elsewhere: dict[str, list[float]], by_place: dict[str, float]):
         self.goes_by_place = lambda: place
+        self.left_open = lambda effect, fields: by_place[effect.name]
         self.elsewhere = lambda effect: elsewhere[effect.name].pop(0)
         self.by_place = lambda effect: by_place[effect.name]
 
@@ -265,16 +266,18 @@ def test_beside_a_stranger_what_a_name_takes_is_its_own(monkeypatch, place, else
     assert [one.code for one in fell] == fallen
 
 
-def test_a_torque_by_place_that_is_left_open_takes_no_name(monkeypatch):
-    made = logs((1, 2, 3), "joint_spring")
-    found = chosen(made, SPRING)
-    told = Told(0.9, {"joint_spring": [0.1, 0.1]}, {"joint_spring": 1.0})
+def test_what_is_nearly_all_left_open_is_not_named(monkeypatch):
+    """However little of what is left goes by it: it has been taken away."""
+    made = logs((1, 2, 3), "joint_spring", "cogging")
+    found = chosen(made, SPRING, RIPPLE)
+    told = Told(0.0, {"cogging": [0.1, 0.1], "joint_spring": [0.1]}, {"joint_spring": 0.91, "cogging": 0.89})
     monkeypatch.setattr(judged, "Signature", lambda problem, hypothesis: told)
-    open_ = replace(
-        made, weights=[np.ones(r.shape) for r in made.rows], fields=[np.zeros((r.sum(), 1)) for r in made.rows]
-    )
-    assert judge(open_, found)[0].names == ("joint_spring",)
-    assert judge(made, found, limit=0.1)[0].names == ()
+    weighed = replace(made, weights=[np.ones(r.shape) for r in made.rows])
+    open_ = replace(weighed, fields=[np.zeros((r.sum(), 1)) for r in made.rows])
+    kept, fell = judge(open_, found)
+    assert kept.names == ("cogging",)
+    assert [(one.code, one.effect) for one in fell] == [("rivalled", "joint_spring")]
+    assert judge(weighed, found)[0].names == ("joint_spring", "cogging")
 
 
 def test_beside_a_stranger_a_run_may_have_another_figure_by_what_is_left(monkeypatch):

@@ -8,11 +8,13 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
+from service.diagnosis.evidence.aside import _by_place
+from service.diagnosis.evidence.wave import Wave
 from service.diagnosis.fit import signature as own
 from service.diagnosis.fit.signature import Signature
 from tests.service.diagnosis.test_aside import SIGMA, pulled, stranger
 from tests.service.injected import reports
-from tests.service.subject import EFFECTS, Hypothesis, Parameters, Problem, Term, evaluate, fit
+from tests.service.subject import EFFECTS, Hypothesis, Parameters, Problem, Split, Term, evaluate, fit
 from tests.service.world import BASE, PERIOD, course, problem
 
 SECONDS, SEEDS = 3.0, (1, 2, 3)
@@ -150,6 +152,17 @@ def test_a_pull_at_the_platform_goes_by_its_place_and_a_spring_with_it_but_no_fr
     assert found.goes_by_place() > 0.8
     assert found.by_place(SPRING.effect) > 0.99
     assert found.by_place(drag.effect) < 0.2
+
+
+def test_what_is_left_open_holds_an_effect_that_goes_by_it_and_no_other():
+    """A wave holds neither."""
+    made, drag = logs("joint_spring"), Term(EFFECTS["air_drag"], (), np.zeros((1, 1)), ())
+    found = Signature(made, fit(made, Hypothesis(BASE, (SPRING, drag))).hypothesis)
+    place, wave = _by_place(made, Split.of(made)), Wave(np.array([0.0, 16.0])).fields(made)
+    assert found.left_open(SPRING.effect, place) > 0.95
+    assert found.left_open(drag.effect, place) < 0.5  # in a run of three seconds
+    assert found.left_open(SPRING.effect, wave) < 0.1
+    assert found.left_open(drag.effect, wave) < 0.1
 
 
 def test_what_goes_by_nothing_does_not_go_by_place():

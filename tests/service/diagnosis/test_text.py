@@ -164,6 +164,8 @@ def test_there_are_words_for_all_that_cannot_be_told_and_for_every_advice() -> N
         "any torque that goes by the platform's place, springs, offsets and weights cannot be told. "
         "Look for it where and when most is left, see below."
     ) in text.sentences(beside)
+    belt = text.caution(Caution(code="comes_again", pitch_m=0.0643, advice="look_there"))
+    assert "pulls at the platform again every 64 mm of its way" in belt
 
 
 def test_a_gap_hardly_above_the_noise_is_called_that() -> None:
