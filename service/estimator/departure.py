@@ -3,10 +3,12 @@ identified ones, now.
 
 Per joint i the torque residual of a sample is r_i = m_p phi_i + x_i delta_i + noise with x_i = (direction, speed, 1,
 torque of the model): a torque constant that has changed does to every part of the torque the same. The payload is
-eliminated sample by sample: only the part of the residuals at right angles to phi, in the metric of the noise, is
-looked at, so what hangs on the gripper, and when it was picked, need not be known. What is left is linear least squares
-in thirteen numbers, with slow forgetting and the identified values as the prior: the last is the dry friction of the
-forearms' ball joints, which looks much like a load where a joint's own does not.
+eliminated from the mean of a few samples: only the part of the residuals at right angles to phi, in the metric of the
+noise, is looked at, so what hangs on the gripper, and when it was picked, need not be known. (Noise of the acceleration
+turns a single sample's phi away from friction along it: where little moves, least squares would put the load down to
+that, Fuller 1987.) What is left is linear least squares in thirteen numbers, with slow forgetting and the identified
+values as the prior: the last is the dry friction of the forearms' ball joints, which looks much like a load where a
+joint's own does not.
 
 A scale is told from an inertia that is a little wrong by little: below `CHANGED_SCALE` it is taken for that, left out,
 and all that it would change counts as error.
@@ -47,6 +49,10 @@ STATE = np.dtype(
     [
         ("information", "f8", (COUNT, COUNT)),
         ("moment", "f8", COUNT),
+        ("sum_weight", "f8", 3),  # over some samples, and of weight times
+        ("sum_load", "f8", 3),  # phi
+        ("sum_pull", "f8", 3),  # residual
+        ("sum_shape", "f8", (3, PARTS)),
         ("block_information", "f8", (COUNT, COUNT)),
         ("block_moment", "f8", COUNT),
         ("earlier_information", "f8", (2, COUNT, COUNT)),  # as they were UNDONE blocks ago at most, and at least
@@ -111,25 +117,43 @@ def place(joint, part):
 
 @kernel
 def gather_kernel(state, column, residual, known, weight, shape):
-    """Take one sample into the block. column[:, 0]: phi, N m/kg. residual, known, weight: (3,) N m, N m of it that is
-    known not to be friction, (N m)^-2. shape: (3, PARTS), x_i."""
-    load = 0.0
+    """Take one sample. column[:, 0]: phi, N m/kg. residual, known, weight: (3,) N m, N m of it that is known not to be
+    friction, (N m)^-2. shape: (3, PARTS), x_i."""
     for i in range(3):
-        load += weight[i] * column[i, 0] * column[i, 0]
-    if load <= 0.0:
-        return
+        state.sum_weight[i] += weight[i]
+        state.sum_load[i] += weight[i] * column[i, 0]
+        state.sum_pull[i] += weight[i] * (residual[i] - known[i])
+        for a in range(PARTS):
+            state.sum_shape[i, a] += weight[i] * shape[i, a]
+
+
+@kernel
+def eliminate_kernel(state):
+    """Take what the mean of the samples since the last time says at right angles to phi into the block."""
+    weight, across, load = state.sum_weight, state.sum_load, 0.0
     for i in range(3):
-        if weight[i] <= 0.0:
-            continue
-        for j in range(3):
-            part = -weight[i] * column[i, 0] * column[j, 0] * weight[j] / load
-            if i == j:
-                part += weight[i]
-            for a in range(PARTS):
-                at, pull = place(i, a), shape[i, a] * part
-                state.block_moment[at] += pull * (residual[j] - known[j])
-                for b in range(PARTS):
-                    state.block_information[at, place(j, b)] += pull * shape[j, b]
+        if weight[i] > 0.0:
+            load += across[i] * across[i] / weight[i]
+    if load > 0.0:
+        for i in range(3):
+            for j in range(3):
+                if weight[i] <= 0.0 or weight[j] <= 0.0:
+                    continue
+                part = ((weight[i] if i == j else 0.0) - across[i] * across[j] / load) / (weight[i] * weight[j])
+                for a in range(PARTS):
+                    at, pull = place(i, a), state.sum_shape[i, a] * part
+                    state.block_moment[at] += pull * state.sum_pull[j]
+                    for b in range(PARTS):
+                        state.block_information[at, place(j, b)] += pull * state.sum_shape[j, b]
+    _clear_sums(state)
+
+
+@kernel
+def _clear_sums(state):
+    for i in range(3):
+        state.sum_weight[i] = state.sum_load[i] = state.sum_pull[i] = 0.0
+        for a in range(PARTS):
+            state.sum_shape[i, a] = 0.0
 
 
 @kernel
@@ -167,6 +191,7 @@ def unlearn_kernel(state, prior):
     _copy(state.earlier_information[1], state.earlier_moment[1], state.information, state.moment)
     _copy(state.information, state.moment, state.earlier_information[0], state.earlier_moment[0])
     state.since = 0
+    _clear_sums(state)
     for a in range(COUNT):
         state.block_moment[a] = 0.0
         for b in range(COUNT):

@@ -35,6 +35,8 @@ def scatter_kernel(settings, state):
     departure.gather_kernel(state.departure, state.column, state.residual, state.known, state.weight, state.shape)
     state.in_block += 1
     state.clock += 1
+    if state.in_block % settings.mean_size == 0 or state.in_block >= settings.block_size:
+        departure.eliminate_kernel(state.departure)
     if state.in_block < settings.block_size:
         return
     state.in_block = 0

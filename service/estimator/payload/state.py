@@ -22,6 +22,7 @@ GROUND_TIME = 600.0  # s
 CORRELATION_TIME, MODEL_ERROR_TIME = 0.003, 0.015  # s
 # Residuals are averaged over blocks of this length; what then stands out of the noise lasts longer by this factor.
 BLOCK_TIME, COLOUR = 0.02, 3.0  # s, -
+MEAN_TIME = 0.005  # s, of samples whose mean friction is learnt from: noise of the acceleration lasts for less
 BLOCKS = 16  # with motion, over which their scatter is averaged
 # A mass below nothing, or of nothing, shows a bias that other masses have too; it is remembered for this long.
 SHORTFALL_TIME = 30.0  # s
@@ -131,6 +132,7 @@ SETTINGS = np.dtype(
         ("prior", "f8", departure.COUNT),
         ("bin_size", "i8"),  # samples
         ("block_size", "i8"),
+        ("mean_size", "i8"),
         ("remember", "f8"),  # per sample, of the shortfall
         ("rise", "f8"),  # per sample, of the least mass after a release towards that of now
         ("lighten", "f8"),  # per sample, of what a mass not trusted is lighter by
@@ -160,7 +162,7 @@ def settings(
     """One SETTINGS record. period: s. prior: (COUNT,) of departure. max_payload: kg. model_error: (3,) N m rms that the
     model left where it was identified. variance: (3,) (N m)^2, as `sample_variance`."""
     record = np.zeros((), SETTINGS)
-    for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME)):
+    for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME), ("mean_size", MEAN_TIME)):
         record[name] = max(1, round(time / period))
     record["forgetting"] = np.exp(-period / MEMORY_TIME)
     for name, time in (("remember", SHORTFALL_TIME), ("lighten", LIGHTER_TIME), ("leave", LEAVING_TIME)):

@@ -9,7 +9,7 @@ import pytest
 from schemas.errors import StorageError
 from schemas.messages import SampleFlag
 from service.estimator import departure
-from service.estimator.departure import BALLS, COUNT, OWN, SCALE
+from service.estimator.departure import BALLS, COUNT, OWN, PARTS, SCALE
 from service.estimator.estimator import Estimator
 from service.estimator.keep import Keeper
 from tests.known import PERIOD
@@ -83,19 +83,25 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     for inflation in (1.0, 2.0):
         gained, pulled = np.zeros((COUNT, COUNT)), np.zeros(COUNT)
         for row in range(200):
-            phi, known, weight = random.uniform(-3, 3, 3), random.standard_normal(3), random.uniform(0.1, 4.0, 3)
-            weight[2 if row % 7 == 0 else 1] *= row % 5 > 0  # a joint that rests says nothing
-            moved = 20.0 * random.standard_normal(3)
-            rub, speed, balls = random.choice([-1.0, 1.0], 3), random.uniform(-5, 5, 3), random.uniform(-3, 3, 3)
-            x = np.stack([rub, speed, np.ones(3), moved, balls], axis=1)
-            slopes = slopes_of(x)
-            residual = 1.3 * phi + known + slopes @ truth + random.standard_normal(3) / 3
-            departure.gather_kernel(state, np.repeat(phi[:, None], 3, axis=1), residual, known, weight, x)
-            root = np.sqrt(np.diag(weight))
-            load = root @ phi
+            weights, loads, pulls, shapes = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros((3, PARTS))
+            for _ in range(1 + row % 3):
+                phi, known, weight = random.uniform(-3, 3, 3), random.standard_normal(3), random.uniform(0.1, 4.0, 3)
+                weight[2 if row % 7 == 0 else 1] *= row % 5 > 0  # a joint that rests says nothing
+                moved = 20.0 * random.standard_normal(3)
+                rub, speed, balls = random.choice([-1.0, 1.0], 3), random.uniform(-5, 5, 3), random.uniform(-3, 3, 3)
+                x = np.stack([rub, speed, np.ones(3), moved, balls], axis=1)
+                residual = 1.3 * phi + known + slopes_of(x) @ truth + random.standard_normal(3) / 3
+                departure.gather_kernel(state, np.repeat(phi[:, None], 3, axis=1), residual, known, weight, x)
+                weights, loads, pulls = weights + weight, loads + weight * phi, pulls + weight * (residual - known)
+                shapes += weight[:, None] * x
+            departure.eliminate_kernel(state)
+            moving = weights > 0.0
+            whole = np.where(moving, weights, 1.0)
+            root, slopes = np.diag(np.sqrt(weights)), slopes_of(shapes / whole[:, None])
+            load = root @ (loads / whole)
             across = root @ (np.eye(3) - np.outer(load, load) / (load @ load)) @ root
             gained += slopes.T @ across @ slopes
-            pulled += slopes.T @ across @ (residual - known)
+            pulled += slopes.T @ across @ (pulls / whole)
         departure.learn_kernel(state, prior, forgetting, inflation)
         information = forgetting * information + gained / inflation
         moment = forgetting * moment + pulled / inflation
@@ -118,6 +124,24 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     np.testing.assert_array_equal(learnt, state["delta"])
     np.testing.assert_allclose(spread**2, np.diag(covariance))
     assert departure.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
+
+
+def test_noise_of_the_acceleration_makes_no_friction_of_a_load():
+    """In slow motion, all one way, the torque of a load is what friction along it would be: nothing is to be learnt."""
+    random, states = np.random.default_rng(5), np.zeros(1, departure.STATE)
+    departure.start(states, PRIOR)
+    (state,) = states
+    steady, weight, x = np.array([-0.5, -1.3, -2.7]), np.ones(3), np.zeros((3, PARTS))
+    x[:, 0] = -1.0
+    noise = random.standard_normal((1001, 3))
+    for few in 0.01 * np.diff(noise, axis=0).reshape(-1, 5, 3):
+        for sample in few:
+            phi = steady + sample
+            residual = 3.8 * steady - 4.0 * sample  # of the arms and drives
+            departure.gather_kernel(state, np.repeat(phi[:, None], 3, axis=1), residual, np.zeros(3), weight, x)
+        departure.eliminate_kernel(state)
+    departure.learn_kernel(state, PRIOR, 1.0, 0.2)
+    assert np.abs(state["delta"]).max() < 0.1
 
 
 def test_a_small_scale_is_left_out_and_counted():
@@ -181,12 +205,13 @@ def test_what_the_newest_blocks_taught_can_be_unlearnt():
         departure.learn_kernel(state, prior, 0.9, 1.0)
         after.append((state["information"].copy(), state["moment"].copy()))
     for _ in range(2):
-        state["block_information"] = state["block_moment"] = 1.0
+        state["block_information"] = state["block_moment"] = state["sum_weight"] = 1.0
         departure.unlearn_kernel(state, prior)
         np.testing.assert_array_equal(state["information"], after[4][0])
         np.testing.assert_array_equal(state["moment"], after[4][1])
         assert not state["block_information"].any()
         assert not state["block_moment"].any()
+        assert not state["sum_weight"].any()
     departure.learn_kernel(state, prior, 1.0, 1.0)
     expected = np.linalg.inv(after[4][0] + np.diag(prior**-2))
     np.testing.assert_allclose(np.diag(state["covariance"]), np.diag(expected), rtol=0.5)

@@ -148,8 +148,9 @@ def test_friction_learns_little_from_a_block_that_it_cannot_be():
             departure.gather_kernel(
                 expected["departure"], state["column"], state["residual"], known, state["weight"], state["shape"]
             )
+        departure.eliminate_kernel(expected["departure"])
         departure.learn_kernel(expected["departure"], PRIOR, SETTINGS["departure_forgetting"], learnt[-1][1])
-        np.testing.assert_allclose(state["departure"]["delta"], expected["departure"]["delta"], rtol=1e-12)
+        np.testing.assert_allclose(state["departure"]["delta"], expected["departure"]["delta"], rtol=1e-9, atol=1e-15)
     assert learnt[1][1] > 10 * learnt[0][1]
     assert np.trace(learnt[1][0]) > np.trace(learnt[0][0]), "and knows less for it"
 
