@@ -29,7 +29,7 @@ CautionCode = Literal[
     "too_little_motion", "joints_at_rest", "one_way", "one_run", "beyond_any_robot", "several_arms", "runs_differ",
     "much_is_left", "other_joints", "sine_of_angle", "gravity", "closed_loop", "noise_coloured", "noise_unknown",
     "at_limit", "drives", "by_weight", "left_open", "no_shrink", "no_shrink_on", "varies", "one_cause", "set_aside",
-    "by_place", "rivalled", "not_its_own", "comes_again",
+    "by_place", "rivalled", "not_its_own", "comes_again", "misplaced",
 ]  # fmt: skip
 Advice = Literal[
     "record_runs", "record_all_joints", "record_reversals", "record_more", "check_description", "check_runs",

@@ -25,6 +25,8 @@ FIRST = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
 DEPENDENT = 1e-4  # of a column's length that the columns before it leave: angles in a URDF are written to four digits
 NOTHING = 1e-6  # of the longest column: what an angle written to six digits makes of none at all
 POSES = 400  # random, that tell dependent columns
+STEP = 1e-6  # m or rad, of finite differences by a joint's place
+LEAST_MASS = 1e-3  # kg: a body of less has no centre that could carry its first moments
 SPEED, ACCELERATION = 3.0, 10.0  # rad/s, rad/s^2, of them
 
 
@@ -56,11 +58,11 @@ class Arm:
             raise RobotError(f"{urdf.path}: not a URDF that Pinocchio builds: {cause}") from cause
         self._model.gravity.linear = np.array(gravity)
         self._library, self._urdf = library, urdf
-        identifiers = [self._model.getJointId(name) for name in joints]
-        self._order = np.array([self._model.joints[number].idx_v for number in identifiers])
+        self._numbers = [self._model.getJointId(name) for name in joints]
+        self._order = np.array([self._model.joints[number].idx_v for number in self._numbers])
         # (10 n,) where the URDF's body of each joint stands among Pinocchio's columns
         own = [A_LINK.index(name) for name in FIRST]
-        self._columns = np.concatenate([10 * (number - 1) + np.array(own) for number in identifiers])
+        self._columns = np.concatenate([10 * (number - 1) + np.array(own) for number in self._numbers])
         self.names = tuple(f"{name}_{joint}" for joint in range(1, len(joints) + 1) for name in FIRST)
         self.weights = self._parameters([inertia.toDynamicParameters() for inertia in self._model.inertias[1:]])
 
@@ -89,6 +91,32 @@ class Arm:
         result = np.empty((len(theta), self.joints, len(self._columns)))
         for row in range(len(theta)):
             result[row] = compute(self._model, data, *motions[:, row])[np.ix_(self._order, self._columns)]
+        return result
+
+    def misplaced(
+        self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, weights: np.ndarray
+    ) -> np.ndarray:
+        """(N, n, 6 n): torque along (N, n) motions that links of `weights` (10 n,) ask for beside that of the URDF, N m
+        per m and per rad that each joint is off in the link before it, along and about its own axes there."""
+        library, model = self._library, self._model.copy()
+        bodies = np.zeros(10 * (model.njoints - 1))
+        bodies[self._columns] = weights
+        for number, body in enumerate(bodies.reshape(-1, 10), start=1):
+            model.inertias[number] = library.Inertia.FromDynamicParameters(np.r_[max(body[0], LEAST_MASS), body[1:]])
+        motions = np.empty((3, *theta.shape))
+        motions[:, :, self._order] = theta, theta_dot, theta_ddot
+
+        def torque() -> np.ndarray:
+            data = model.createData()
+            return np.array([library.rnea(model, data, *motions[:, row]) for row in range(len(theta))])
+
+        described, result = torque(), np.empty((*theta.shape, 6 * self.joints))
+        for place, number in enumerate(self._numbers):
+            placed = model.jointPlacements[number].copy()
+            for along in range(6):
+                model.jointPlacements[number] = placed * library.exp6(STEP * np.eye(6)[along])
+                result[..., 6 * place + along] = ((torque() - described) / STEP)[:, self._order]
+            model.jointPlacements[number] = placed
         return result
 
     def poses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

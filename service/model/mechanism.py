@@ -313,6 +313,24 @@ class SerialArm(_Servos):
             described[-len(self.arm.weights) :] = self.arm.weights
         return self._reduction.shares @ described
 
+    def misplaced(
+        self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
+    ) -> np.ndarray:
+        """(N, n, 6 n): as `Arm.misplaced`, of links that `coefficients` are found of.
+
+        What they leave open of the links stays as described. It makes a difference that coefficients do not make up for
+        only where a joint is turned so that motion would tell more of the links.
+        """
+        weights = self.known
+        if self.asked:
+            candidates = np.concatenate([np.zeros(len(self._candidates) - len(self.arm.weights)), self.arm.weights])
+            reduction = self._reduction
+            candidates[reduction.kept] += coefficients - reduction.shares @ candidates
+            weights = weights + candidates[-len(self.arm.weights) :]
+        elif self.payload is not None:
+            weights = weights + coefficients[list(self.coefficients).index("payload")] * self.payload
+        return self.arm.misplaced(theta, theta_dot, theta_ddot, weights)
+
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, n) motions."""
         links = self.arm.columns(theta, theta_dot, theta_ddot)

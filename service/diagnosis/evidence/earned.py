@@ -13,6 +13,7 @@ import numpy as np
 
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence import rivals, statistics
+from service.diagnosis.evidence.placement import Placement
 from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, TOLD_APART, Scored, Selection, without
@@ -30,6 +31,9 @@ LEAST_UNKNOWN = 0.1  # the same of all names together where the noise is not kno
 LEAST_PART = 0.1  # of what tells an effect's figures that a run has to hold to be asked for its own
 Z95 = 1.96
 LIKELY = 0.5  # probability that a name needs
+# Of what an effect on a serial arm takes, that it still takes where joints may be elsewhere: true ones keep two thirds
+# and more, what stands in for a wrong URDF nothing.
+STANDS = 0.3
 OPEN = 0.5  # standard error over value of a parameter without amplitudes, from which it is open whether there is any
 
 
@@ -46,6 +50,9 @@ def earned(
     best, fallen = _its_own(regressors, selection, beside) if delta and (beside or left > limit) else (best, [])
     best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside)
     fallen += fell
+    if refits and problem.recordings[0].mechanism.kind == "chain":
+        best, refits, fell = _where_joints_are(regressors, selection, best, refits, kept_out)
+        fallen += fell
     standings = rivals.standings(regressors, selection, best, refits, allows)
     # what is left beside a stranger is no noise, by which a likelihood could count: blocks tell how it scatters
     least = TOLD_APART if beside else -np.inf
@@ -111,6 +118,31 @@ def _borne_out(
                 break
         else:
             return best, refits, fallen
+
+
+def _where_joints_are(
+    regressors: Regressors, selection: Selection, best: Scored, refits: dict[Effect, Scored],
+    kept_out: Sequence[Problem],
+) -> tuple[Scored, dict[Effect, Scored], list[Caution]]:  # fmt: skip
+    """As `_borne_out`, of a serial arm, with the effects that still take something where its joints may be elsewhere
+    than the URDF has them."""
+    problem, split = regressors.problem, regressors.split
+    placement = Placement(problem, split, best)
+    with_all = placement.beside(best)
+    gone = [
+        effect
+        for effect, fewer in refits.items()
+        if placement.beside(fewer) - with_all < STANDS * (fewer.loss - best.loss)
+    ]
+    if not gone:
+        return best, refits, []
+    fallen = [_fell("rivalled", effect, best) for effect in gone]
+    best = without(problem, split, selection, best, *gone)
+    joint, loss = min(((j, placement.beside(best, j)) for j in range(len(problem.sigma))), key=lambda item: item[1])
+    share = round(min((best.loss - loss) / max(best.loss - problem.count, 1e-9), 1.0), 4)
+    fallen.append(Caution(code="misplaced", joints=[joint + 1], share=share, advice="check_description"))
+    best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside=False)
+    return best, refits, fallen + fell
 
 
 def together(

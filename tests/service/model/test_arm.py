@@ -103,3 +103,58 @@ def test_without_pinocchio_one_line_says_how_to_get_it(tmp_path: Path, monkeypat
     monkeypatch.setitem(sys.modules, "pinocchio", None)
     with pytest.raises(RobotError, match=r"small.urdf: Pinocchio is not installed .*pip install 'deltatwin\[chain\]'"):
         mechanism(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("along", "urdf"),
+    [  # of joint 3, turned by 0.4 rad about y in the link before it
+        ({6 * 2 + 0: 1e-4}, ('xyz="0.3 0 0"', f'xyz="{0.3 + 1e-4 * math.cos(0.4)} 0 {-1e-4 * math.sin(0.4)}"')),
+        ({6 * 2 + 1: 1e-4}, ('xyz="0.3 0 0"', 'xyz="0.3 1e-4 0"')),
+        ({6 * 2 + 4: 1e-4}, ('rpy="0 0.4 0"', 'rpy="0 0.4001 0"')),
+        ({6 * 1 + 2: 1e-4}, ('xyz="0.05 0 0.1"', 'xyz="0.05 -1e-4 0.1"')),
+        ({6 * 1 + 3: 1e-4}, ('rpy="1.5707963 0 0"', 'rpy="1.5708963 0 0"')),
+    ],
+)
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])
+def test_a_joint_elsewhere_in_its_link_asks_for_another_torque(tmp_path: Path, along, urdf, order) -> None:
+    """As another engine has it, of a URDF that says so."""
+    path = arm.write(tmp_path)
+    joints = ", ".join(f'"j{joint + 1}"' for joint in order)
+    path.write_text(path.read_text().replace('"j1", "j2", "j3"', joints))
+    description = load_axes(path)
+    assert isinstance(description, Chain)
+    found = SerialArm.of(description)
+    assert urdf[0] in arm.URDF
+    expected = (arm.torque(*MOTION, urdf=arm.URDF.replace(*urdf)) - arm.torque(*MOTION))[:, order]
+    ((column, size),) = along.items()
+    column = 6 * order.index(column // 6) + column % 6
+    motion = MOTION[:, :, order]
+    torque = found.misplaced(*motion, coefficients=found.start)[..., column] * size
+    np.testing.assert_allclose(torque, expected, atol=2e-3 * np.abs(expected).max() + 1e-8)
+
+
+def test_a_joint_elsewhere_is_told_of_the_links_as_identified_and_of_what_they_carry(tmp_path: Path) -> None:
+    """What the URDF says of a mass does not matter where it was identified, but for what the masses tell as well."""
+    true, wrong = mechanism(tmp_path), arm.URDF.replace('mass value="3"', 'mass value="5"')
+    described = load_axes(arm.write(tmp_path, wrong))
+    assert isinstance(described, Chain)
+    other = SerialArm.of(described)
+    columns = true.rigid(*MOTION).columns.reshape(120, -1)
+    first, second = (known.misplaced(*MOTION, coefficients=true.start).reshape(120, -1) for known in (true, other))
+    basis, _ = np.linalg.qr(columns)
+    change = second - first
+    change -= basis @ (basis.T @ change)
+    same = np.abs(change).max(axis=0) < 1e-6
+    assert np.flatnonzero(~same).tolist() == [3, 4, 9], "turns after which motion would tell more of the masses"
+    assert np.abs((first - basis @ (basis.T @ first))[:, same]).max() > 5
+    more = 'masses = "known"\npayload = { frame = "tool", mass_kg = 1.5 }\n'
+    loaded, asked = mechanism(tmp_path, more), mechanism(tmp_path, more.replace(", mass_kg = 1.5", ""))
+    kilograms = np.zeros(len(asked.coefficients))
+    kilograms[list(asked.coefficients).index("payload")] = 1.5
+    np.testing.assert_allclose(
+        asked.misplaced(*MOTION, coefficients=kilograms),
+        loaded.misplaced(*MOTION, coefficients=loaded.start),
+        rtol=1e-6,
+        atol=1e-6,
+    )
+    assert np.abs(loaded.misplaced(*MOTION, coefficients=loaded.start).reshape(120, -1) - first).max() > 1
