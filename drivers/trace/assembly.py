@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from drivers.data_frames import pl
 from drivers.trace.quality import RowNames, check
@@ -247,6 +246,8 @@ def _refuse_wraps(raw: np.ndarray, channel: Channel, lines: RowNames, path: Path
     values = raw[known]
     if len(values) < STAYS + 2 or np.ptp(values) < 0.9 * 2.0**16 or np.any(values != np.round(values)):
         return
+    from scipy.ndimage import median_filter
+
     step = np.diff(values)
     beside = step - median_filter(step, size=5, mode="nearest")
     for bits in (16, 32):

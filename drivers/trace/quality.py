@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from schemas.axes import Description
 from schemas.chain import Chain
@@ -140,7 +139,8 @@ def _jumps(trace: Trace, rows: RowNames, burst: float) -> Iterator[Finding]:
         speed = np.diff(trace.position, axis=0) / step
     unknown = ~np.isfinite(speed)
     speed = np.where(unknown, 0.0, speed)
-    away = np.abs(speed - median_filter(speed, size=(5, 1)))
+    beside = np.lib.stride_tricks.sliding_window_view(np.pad(speed, ((2, 2), (0, 0)), "symmetric"), 5, axis=0)
+    away = np.abs(speed - np.median(beside, axis=-1))
     noise = 1.4826 * np.median(away, axis=0)
     fastest = np.maximum(MAX_SPEED, burst * np.percentile(np.abs(speed), 95, axis=0))
     jumped = (np.abs(speed) > fastest) | (away > 2 * MAX_ACCELERATION * step + NOISE_SIGMAS * noise)

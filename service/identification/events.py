@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from schemas.diagnosis import Burst
 from service.identification.fit import Problem
@@ -64,6 +63,8 @@ def events(runs: Sequence[JointRun], floor: np.ndarray) -> list[Event]:
 
 def _level(run: JointRun) -> np.ndarray:
     """(R,) rms of the fast part of the error around each row."""
+    from scipy.ndimage import uniform_filter1d
+
     period = float(np.median(np.diff(run.time)))
     parts = np.split(run.error, np.flatnonzero(np.diff(run.time) > BREAK) + 1)
     slow, width = max(1, round(SLOW / period)), max(1, round(WIDTH / period))

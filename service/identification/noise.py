@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import nnls
 
 from service.model.scene import Recording
 from service.model.signals import NOISE_HZ, Band
@@ -117,6 +116,8 @@ def _extrapolated(levels: np.ndarray, band: Band) -> tuple[np.ndarray, np.ndarra
 
 def _coloured(levels: np.ndarray, band: Band) -> tuple[np.ndarray, np.ndarray]:
     """`_extrapolated` of levels none of which is zero."""
+    from scipy.optimize import nnls
+
     middle = np.sqrt(np.array([low * high for low, high in pairwise(_edges(band))]))
     densities, fits = levels**2, []
     for corner in np.geomspace(0.2 * band.cutoff_hz, 0.5 / band.period, 60):

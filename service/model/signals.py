@@ -1,11 +1,14 @@
 """Offline signals of a trace: joint motion by Kalman smoothing, rest, segments without a fault, the common low-pass.
 
-The smoother is Rauch, Tung and Striebel's on a white-jerk model. Its gains do not depend on the data, so filterpy
-designs them once for each bandwidth and sample time: exact over the start, constant once they have settled. The kernel
+The smoother is Rauch, Tung and Striebel's on a white-jerk model. Its gains do not depend on the data, so they are
+designed once for each bandwidth and sample time: exact over the start, constant once they have settled. The kernel
 only applies them.
 
 Both sides of the model are filtered alike: the motion comes from a smoother of wide bandwidth, regressors are built
 from it (sign theta_dot among them), and the same zero-phase low-pass is then put on regressors and torque.
+
+What is needed of `scipy.signal` and filterpy are a few lines: importing them, `scipy.stats` with them, takes longer
+than reading the logs and fitting the base model.
 """
 
 from __future__ import annotations
@@ -16,10 +19,6 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from filterpy.common import Q_continuous_white_noise
-from filterpy.kalman import KalmanFilter
-from scipy.ndimage import correlate1d
-from scipy.signal import butter, decimate, freqz_sos, lfilter, sosfilt_zi
 
 from schemas.errors import DataError, TraceError
 from schemas.kernels import kernel
@@ -71,34 +70,29 @@ class Gains(NamedTuple):
     smoother: np.ndarray
 
 
-def smoother_model(bandwidth: float) -> KalmanFilter:
-    """The white-jerk model as a filterpy filter.
+@lru_cache(maxsize=32)
+def design(bandwidth: float) -> Gains:
+    """Gains of the smoother, run until they no longer change.
 
     bandwidth: half-amplitude frequency of the smoother, rad a sample. The unit of time is its inverse, which keeps the
     covariances well conditioned. In the steady state the smoother is 1 / (1 + w^6), w in units of the bandwidth: the
     Wiener filter of a spectrum 1 / w^6 in white noise of density 1.
     """
-    model = KalmanFilter(dim_x=3, dim_z=1)
-    model.F = np.array([[1.0, bandwidth, bandwidth**2 / 2], [0.0, 1.0, bandwidth], [0.0, 0.0, 1.0]])
-    model.H = np.array([[1.0, 0.0, 0.0]])
-    model.Q = np.asarray(Q_continuous_white_noise(3, dt=bandwidth, spectral_density=1.0), np.float64)
-    model.R = np.array([[1.0 / bandwidth]])
-    model.P = np.diag([1.0 / bandwidth, START_VARIANCE, START_VARIANCE])
-    return model
-
-
-@lru_cache(maxsize=32)
-def design(bandwidth: float) -> Gains:
-    """Gains of `smoother_model`, run until they no longer change."""
-    model = smoother_model(bandwidth)
+    b = bandwidth
+    transition = np.array([[1.0, b, b**2 / 2], [0.0, 1.0, b], [0.0, 0.0, 1.0]])
+    jerk = np.array([[b**5 / 20, b**4 / 8, b**3 / 6], [b**4 / 8, b**3 / 3, b**2 / 2], [b**3 / 6, b**2 / 2, b]])
+    noise = 1.0 / b  # of a position
+    covariance = np.diag([noise, START_VARIANCE, START_VARIANCE])
     filters: list[np.ndarray] = []
     smoothers: list[np.ndarray] = []
     for _ in range(100_000):
-        model.update(np.zeros((1, 1)))
-        before = model.P.copy()
-        filters.append(model.K[:, 0].copy())
-        model.predict()
-        smoothers.append(np.linalg.solve(model.P, model.F @ before).T)
+        gain = covariance[:, 0] / (covariance[0, 0] + noise)
+        kept = np.eye(3)
+        kept[:, 0] -= gain
+        updated = kept @ covariance @ kept.T + noise * np.outer(gain, gain)  # Joseph's form stays positive
+        covariance = transition @ updated @ transition.T + jerk
+        filters.append(gain)
+        smoothers.append(np.linalg.solve(covariance, transition @ updated).T)
         if len(filters) > 3:
             change = max(_change(filters), _change(smoothers))
             if change < _SETTLED:
@@ -222,10 +216,23 @@ def lowpass(values: np.ndarray, period: float, cutoff_hz: float = ANALYSIS_HZ, s
 
 @lru_cache(maxsize=32)
 def _sections(share: float) -> tuple[np.ndarray, np.ndarray]:
-    """The low-pass, and the state in which it has settled behind a constant 1. share: cut-off over the Nyquist
-    frequency."""
-    sections = np.asarray(butter(ANALYSIS_ORDER, share, output="sos"))
-    return sections, sosfilt_zi(sections)
+    """The low-pass, (S, 6) as SciPy's, and the state in which it has settled behind a constant 1. share: cut-off over
+    the Nyquist frequency.
+
+    Butterworth's poles, evenly on the left half of a circle, by the bilinear transform; a pair a section, the gain in
+    the first.
+    """
+    angles = np.pi * np.arange(1 - ANALYSIS_ORDER, ANALYSIS_ORDER, 2) / (2 * ANALYSIS_ORDER)
+    corner = 4.0 * np.tan(np.pi * share / 2.0)
+    poles = corner * -np.exp(1j * angles)
+    gain = corner**ANALYSIS_ORDER * np.real(1.0 / np.prod(4.0 - poles))
+    sections, settled, level = [], [], 1.0
+    for pole in ((4.0 + poles) / (4.0 - poles))[ANALYSIS_ORDER // 2 - 1 :: -1]:
+        b, a = np.array([gain, 2.0 * gain, gain]), np.real(np.poly([pole, pole.conj()]))
+        sections.append(np.append(b, a))
+        settled.append(level * np.linalg.solve([[1.0 + a[1], -1.0], [a[2], 1.0]], b[1:] - a[1:] * b[0]))
+        level, gain = level * b.sum() / a.sum(), 1.0
+    return np.array(sections), np.array(settled)
 
 
 def moving(position: np.ndarray, period: float) -> np.ndarray:
@@ -395,6 +402,8 @@ def thin(segment: Segment) -> Segment:
     step = int(1.0 / (RATE * segment.period) + 1e-6)
     if step < 2:
         return segment
+    from scipy.signal import decimate
+
     return replace(
         segment,
         rows=segment.rows[::step],
@@ -441,12 +450,27 @@ def lagging(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
     steps = period / time_constant(cutoff_hz)
     keep = np.exp(-steps)
     mean = (1.0 - keep) / steps
-    return lfilter([1.0 - mean, mean - keep], [1.0, -keep], values, axis=0, zi=mean * values[:1])[0]
+    flat = np.ascontiguousarray(values.reshape(len(values), -1), np.float64)
+    result = np.empty_like(flat)
+    _lagging(mean, keep, flat, result)
+    return result.reshape(values.shape)
+
+
+@kernel(nogil=True)
+def _lagging(mean, keep, values, result):
+    """Fill result (N, C), settled at the first row. mean, keep: share of the row before, and of its result."""
+    count, width = values.shape
+    state = mean * values[0]
+    for k in range(count):
+        for c in range(width):
+            result[k, c] = (1.0 - mean) * values[k, c] + state[c]
+            state[c] = (mean - keep) * values[k, c] + keep * result[k, c]
 
 
 def leading(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
     """(N, ...) such that a first-order low-pass makes `values` of it; fourth-order slopes."""
-    slope = correlate1d(values, np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0, axis=0, mode="nearest") / period
+    held = np.pad(values, ((2, 2), *([(0, 0)] * (values.ndim - 1))), mode="edge")
+    slope = (held[:-4] - 8.0 * held[1:-3] + 8.0 * held[3:-1] - held[4:]) / (12.0 * period)
     return values + time_constant(cutoff_hz) * slope
 
 
@@ -477,8 +501,10 @@ class Band:
     def passes(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies, Hz, evenly up to half the sample rate, and the share of a signal's power there that passes."""
         sections, _ = _sections(2.0 * self.cutoff_hz * self.period)
-        frequency, response = freqz_sos(sections, worN=8192, fs=1.0 / self.period)
-        return np.asarray(frequency), np.abs(response) ** 4
+        share = np.linspace(0.0, 0.5, 8192, endpoint=False)
+        back = np.exp(-2j * np.pi * share[:, None]) ** np.arange(3)  # by so many samples
+        response = np.prod((back @ sections[:, :3].T) / (back @ sections[:, 3:].T), axis=1)
+        return share / self.period, np.abs(response) ** 4
 
     @property
     def white_share(self) -> float:

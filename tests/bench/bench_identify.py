@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 
 from drivers.trace import read_trace, write_trace
 from schemas.robot import Geometry, Mass, Robot, load_robot
@@ -24,6 +23,7 @@ from service.identification.regression import NormalEquations, summarise
 from service.model import signals
 from service.model.nominal import pack
 from tests.service.identification.conftest import Truth, multisine, synthesise
+from tests.service.model.test_signals import white_jerk
 
 ROBOT = Robot(
     name="bench",
@@ -49,7 +49,7 @@ def smoother() -> None:
 
     def reference() -> None:
         for joint in range(3):
-            model: KalmanFilter = signals.smoother_model(2 * np.pi * signals.MOTION_HZ * period)
+            model = white_jerk(2 * np.pi * signals.MOTION_HZ * period)
             model.x = np.array([[position[0, joint]], [0.0], [0.0]])
             means, covariances, _, _ = model.batch_filter(position[:, joint], update_first=True)
             model.rts_smoother(means, covariances)

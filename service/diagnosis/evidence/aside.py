@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence.wave import Wave, wave_of
@@ -189,6 +188,8 @@ def _unweighed(problem: Problem, residuals: Sequence[np.ndarray]) -> list[np.nda
 
 def _levels(problem: Problem, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
     """(M, n) a recording: rms around each row, of the rows there are; 1 where there are none."""
+    from scipy.ndimage import uniform_filter1d
+
     result = []
     width = max(1, round(WIDTH / (problem.band.period * problem.band.step)))
     for rows, joints, residual in zip(problem.rows, problem.joints_of_rows, residuals, strict=True):

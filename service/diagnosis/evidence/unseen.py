@@ -21,9 +21,6 @@ from service.model.hypothesis import Hypothesis
 from service.model.parameters import Parameters
 from service.model.scene import Recording
 from service.model.signals import Band, segments, thin
-from service.rollout.document import reached
-from service.rollout.gap import cut_up, rollout
-from service.rollout.robot import left_out
 
 
 def kept_out(known: Problem, trace: Trace) -> Problem:
@@ -68,6 +65,10 @@ def unseen(findings: Findings, trace: Trace) -> Unseen:
 
 def _simulated(findings: Findings, trace: Trace) -> Simulated | None:
     """The models before and after in the simulator, under the trace's torque."""
+    from service.rollout.document import reached
+    from service.rollout.gap import cut_up, rollout
+    from service.rollout.robot import left_out
+
     robot = findings.robot
     if not isinstance(robot, Robot):
         return None

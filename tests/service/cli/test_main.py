@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 import service.cli
 from service.cli.main import GROUPS, app, summaries
 
+SLOW = ("scipy.signal", "scipy.stats", "scipy.ndimage", "scipy.optimize", "filterpy")
 HEAVY = ("numpy", "rich", "numba", "polars", "zenoh", "mujoco")  # seconds to import; help needs none of them
 
 
@@ -48,6 +49,19 @@ finally:
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == "[]"
+
+
+def test_a_diagnosis_waits_for_no_import_that_it_can_do_without() -> None:
+    """SciPy's signals import its statistics, as filterpy does: together they took an eighth of a diagnosis."""
+    code = f"""
+import sys
+import drivers.trace.csv_file
+from service.diagnosis.diagnose import diagnose
+from service.diagnosis.documents import document, report
+print([name for name in {SLOW} if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir() or os.cpu_count() == 1, reason="threads are not told here")

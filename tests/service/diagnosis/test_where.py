@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import welch
 
 from schemas.diagnosis import Regime
 from service.diagnosis.documents import report
@@ -222,3 +223,12 @@ def test_a_spectrum_of_runs_shorter_than_its_window():
     frequency, density = report._density(stub(problem=logs), Hypothesis(BASE))
     assert len(frequency) == len(density) == 200
     assert np.median(density) == pytest.approx(0.3 * (2e-3) ** 0.5, rel=0.2)  # one-sided, N m a root of a hertz
+
+
+@pytest.mark.parametrize("window", [512, 301])
+def test_the_spectrum_is_welchs(window):
+    values = np.random.default_rng(4).standard_normal((1300, 3)).cumsum(axis=0)
+    frequency, density = report.welch(values, 2e-3, window)
+    expected = welch(values, 1 / 2e-3, nperseg=window, axis=0)
+    np.testing.assert_allclose(frequency, expected[0])
+    np.testing.assert_allclose(density, expected[1], rtol=1e-9, atol=1e-12 * density.max())

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filterpy.common import Q_continuous_white_noise
+from filterpy.kalman import KalmanFilter
 from scipy.signal import butter, lsim, sosfiltfilt
 
 from schemas.errors import DataError, TraceError
@@ -31,10 +33,21 @@ def swing(count: int, period: float = PERIOD) -> tuple[np.ndarray, np.ndarray, n
     return time, np.asarray(theta), np.asarray(theta_dot), np.asarray(theta_ddot)
 
 
+def white_jerk(bandwidth: float) -> KalmanFilter:
+    """The smoother's model in filterpy, in units of 1 / bandwidth. bandwidth: rad a sample."""
+    model = KalmanFilter(dim_x=3, dim_z=1)
+    model.F = np.array([[1.0, bandwidth, bandwidth**2 / 2], [0.0, 1.0, bandwidth], [0.0, 0.0, 1.0]])
+    model.H = np.array([[1.0, 0.0, 0.0]])
+    model.Q = np.asarray(Q_continuous_white_noise(3, dt=bandwidth, spectral_density=1.0), np.float64)
+    model.R = np.array([[1.0 / bandwidth]])
+    model.P = np.diag([1.0 / bandwidth, signals.START_VARIANCE, signals.START_VARIANCE])
+    return model
+
+
 def filterpy_smooth(position: np.ndarray, period: float, bandwidth_hz: float) -> np.ndarray:
     """(N, 3) theta, theta_dot, theta_ddot of one joint by filterpy's filter and smoother, sample by sample."""
     bandwidth = 2 * np.pi * bandwidth_hz * period
-    model = signals.smoother_model(bandwidth)
+    model = white_jerk(bandwidth)
     model.x = np.array([[position[0]], [0.0], [0.0]])
     means, covariances, _, _ = model.batch_filter(position, update_first=True)
     result = model.rts_smoother(means, covariances)[0][:, :, 0]
