@@ -102,12 +102,14 @@ class Regressors:
         return other
 
     def _grams(self) -> list[np.ndarray]:
-        grams = [np.zeros((len(self.low), len(self.low))) for _ in range(self.split.folds)]
-        for piece in self.pieces:
-            grams[piece.fold][np.ix_(self.reach[piece.joint], self.reach[piece.joint])] += (
-                piece.columns.T @ piece.columns
-            )
-        return grams
+        def one(pieces: list[Piece]) -> np.ndarray:
+            gram = np.zeros((len(self.low), len(self.low)))
+            for piece in pieces:
+                reach = self.reach[piece.joint]
+                gram[np.ix_(reach, reach)] += piece.columns.T @ piece.columns
+            return gram
+
+        return list(THREADS.map(one, _by_fold(self.pieces, self.split.folds)))
 
     def _pieces(self, number: int, scene: Scene, hypothesis: Hypothesis) -> Iterator[Piece]:
         """Of a recording; an effect is filtered in one go."""
@@ -132,6 +134,10 @@ class Regressors:
                 yield Piece(int(one), joint, number, rows, columns if mine.all() else columns[mine])
 
 
+def _by_fold(pieces: Sequence[Piece], folds: int) -> list[list[Piece]]:
+    return [[piece for piece in pieces if piece.fold == fold] for fold in range(folds)]
+
+
 def _columns(
     scene: Scene, hypothesis: Hypothesis, effect: Effect, joint: int, grid: Sequence[tuple[float, ...]]
 ) -> np.ndarray:
@@ -150,27 +156,35 @@ class Dictionary:
     def __init__(self, regressors: Regressors, fitted: Fit):
         regressors.along(fitted.hypothesis)
         self.index, self.effects, self.low = regressors.index, regressors.effects, regressors.low
-        own, folds = fitted.moving, regressors.split.folds
+        own = fitted.moving
         self.own = own[0].shape[1]
         near = [np.concatenate([m, r[:, None]], axis=1) for m, r in zip(own, fitted.residuals, strict=True)]
-        nears = np.zeros((folds, self.own + 1, self.own + 1))
-        crosses = np.zeros((folds, self.own + 1, len(self.low)))
-        for fold, joint, recording, rows, columns in regressors.pieces:
-            mine = near[recording][rows]
-            nears[fold] += mine.T @ mine
-            crosses[fold][:, regressors.reach[joint]] += mine.T @ columns
-        whole = zip(nears, crosses, regressors.grams, strict=True)
-        self._reduce(np.stack([_assembled(self.own, *parts) for parts in whole]))
+
+        def one(pieces: list[Piece], columns: np.ndarray) -> np.ndarray:
+            square, cross = np.zeros((self.own + 1, self.own + 1)), np.zeros((self.own + 1, len(self.low)))
+            for piece in pieces:
+                mine = near[piece.recording][piece.rows]
+                square += mine.T @ mine
+                cross[:, regressors.reach[piece.joint]] += mine.T @ piece.columns
+            return _assembled(self.own, square, cross, columns)
+
+        folds = _by_fold(regressors.pieces, regressors.split.folds)
+        self._reduce(np.stack(list(THREADS.map(one, folds, regressors.grams))))
 
     def _reduce(self, grams: np.ndarray) -> None:
         """Project the hypothesis's own tangents out of everything, a fold left out at a time."""
-        own, train = self.own, grams.sum(axis=0) - grams
-        map_ = solve(train[:, :own, :own], train[:, :own, own:])
-        across = np.swapaxes(map_, 1, 2)
-        self.training = train[:, own:, own:] - train[:, own:, :own] @ map_
-        cross = grams[:, own:, :own] @ map_
-        self.left_out = grams[:, own:, own:] - cross - np.swapaxes(cross, 1, 2) + across @ grams[:, :own, :own] @ map_
-        known = np.diag(self.training.sum(axis=0))[:-1] <= 1e-9 * np.diag(grams.sum(axis=0))[own:-1]
+        own, every = self.own, grams.sum(axis=0)
+
+        def one(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            train = every - gram
+            map_ = solve(train[:own, :own], train[:own, own:])
+            cross = gram[own:, :own] @ map_
+            left_out = gram[own:, own:] - cross - cross.T + map_.T @ gram[:own, :own] @ map_
+            return train[own:, own:] - train[own:, :own] @ map_, left_out
+
+        parts = list(THREADS.map(one, grams))
+        self.training, self.left_out = np.stack([part for part, _ in parts]), np.stack([part for _, part in parts])
+        known = np.diag(self.training.sum(axis=0))[:-1] <= 1e-9 * np.diag(every)[own:-1]
         self.training[:, :-1][:, known] = self.training[:, :, :-1][:, :, known] = 0.0  # to rounding a sum of its own
         self.nothing = float(self.left_out[:, -1, -1].sum())
 
