@@ -6,6 +6,7 @@ Only the file of the command that runs is imported; help and completion read fir
 from __future__ import annotations
 
 import atexit
+import gc
 import importlib
 import os
 import sys
@@ -32,6 +33,7 @@ INTERRUPTED = 130  # exit code of Ctrl-C
 MISSED = 3  # exit code: everything ran, a stated bound does not hold
 EXTRAS = {"mujoco": "simulate", "foxglove": "view"}  # module: what it is installed by
 LINUX_ONLY = ("fcntl", "pysoem")  # what live commands import; the others run anywhere
+YOUNG = 50_000  # objects between two looks for rubbish; at Python's 700 the imports alone cause a hundred
 HELP_WIDTH = 120  # characters, where the terminal has as many
 METAVARS = {Path: "PATH", int: "N", float: "NUMBER", str: "TEXT"}  # of options that have none of their own
 _HEAD = '"""`deltatwin '
@@ -131,6 +133,7 @@ def main() -> None:
     terminate_as_interrupt()
     # Matrices here are small, and what is large has threads of its own: more would only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is imported
+    gc.set_threshold(YOUNG)
     try:
         _run()
     except SystemExit as end:

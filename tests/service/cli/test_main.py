@@ -64,6 +64,20 @@ print([name for name in {SLOW} if name in sys.modules])
     assert done.stdout.strip() == "[]"
 
 
+def test_a_start_hardly_looks_for_rubbish() -> None:
+    """At Python's own threshold some hundred times, a twentieth of a diagnosis in all."""
+    code = """
+import gc
+from service.cli import main
+main.app = lambda: __import__("service.diagnosis.diagnose")
+before = gc.get_stats()[0]["collections"]
+main.main()
+print(gc.get_stats()[0]["collections"] - before)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 20
+
+
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir() or os.cpu_count() == 1, reason="threads are not told here")
 def test_linear_algebra_has_no_threads_of_its_own() -> None:
     """Those that OpenBLAS starts on import took a fifth of the processor time of a diagnosis and more."""
