@@ -64,6 +64,7 @@ STATE = np.dtype(
         ("load_before", "f8"),  # kg, the same before the last event
         ("last_event", "i8"),
         ("quiet", "i8"),  # samples since then
+        ("sure_for", "f8"),  # s of them in which the mass was sure
         ("burst", "f8"),  # events of late, leaking
         ("blocks", "f8", BLOCKS),  # squared residuals at right angles to phi over what the noise explains, a ring
         ("block", "i8"),  # the next to be written

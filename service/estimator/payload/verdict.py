@@ -15,6 +15,8 @@ from service.estimator.payload.state import COLOUR, LEAST_TIME, SMALLEST_CHANGE,
 
 # So soon after an event a smaller part of the load than this is the estimate settling, not the next event.
 REFINING_TIME, REFINING_SHARE = 0.15, 0.5  # s, -
+# A mass that was sure for so long since its event is refined: another step the same way is another part.
+REFINED_TIME = 0.1  # s
 GRIPPER_TIME = 0.03  # s, no gripper lets go again sooner
 EVENT_SIGMAS = 3.0  # standard deviations of now and then that a change of load stands out of
 # A pick or release is reported once its step stands out of one standard deviation this many times, which for a heavy
@@ -108,7 +110,7 @@ def conclude(settings, state):
     elif known_empty:
         trusted, held, std_dev = True, 0.0, 0.0
     event = PayloadEvent.NONE.value
-    if state.last_event == PayloadEvent.RELEASE.value and state.quiet < WINDOW * settings.bin_size:
+    if state.last_event == PayloadEvent.RELEASE.value and _refining(settings, state):
         state.load = min(state.load, held)  # the rest of a release is no second one
     own = max(0.0, std_dev * std_dev - doubt)
     if known_empty:
@@ -140,6 +142,8 @@ def conclude(settings, state):
         std_dev = math.hypot(std_dev, TOOL_SHARE * _ground(settings, state, sure))
     state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
     state.trusted = 1 if sure and (known_empty or is_sure(std_dev, mass)) else 0
+    if sure:
+        state.sure_for += settings.period
     _reckon(settings, state, borne_out, sure)
     return event
 
@@ -207,9 +211,9 @@ def _step_variance(state, step, own):
 
 @kernel
 def _event(settings, state, mass, own, variance, trusted):
-    """What a mass says beside the one believed so far. Another step the same way soon after only refines the event."""
+    """What a mass says beside the one believed so far. Another step the same way only refines an event that is new."""
     step = mass - state.load
-    soon = state.quiet < WINDOW * settings.bin_size
+    soon = _refining(settings, state)
     since = state.quiet * settings.period
     small = abs(step) < REFINING_SHARE * state.load and since < REFINING_TIME
     sign = 1.0 if state.last_event == PayloadEvent.PICK.value else -1.0
@@ -230,6 +234,12 @@ def _event(settings, state, mass, own, variance, trusted):
 
 
 @kernel
+def _refining(settings, state):
+    """Whether the mass may still be settling since the last event."""
+    return state.quiet < WINDOW * settings.bin_size and state.sure_for < REFINED_TIME
+
+
+@kernel
 def _believe(state, mass, own):
     """A load of `mass`, its variance without what friction does, which is in state.contrast, `own`."""
     state.load, state.load_variance = mass, own
@@ -242,5 +252,5 @@ def _note_event(state, event, before):
     """before: kg, the load until then."""
     state.load_before = before
     state.last_event = event
-    state.quiet = 0
+    state.quiet, state.sure_for = 0, 0.0
     state.burst += 1.0

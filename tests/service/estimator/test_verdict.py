@@ -214,6 +214,8 @@ def test_where_nothing_can_hang_what_is_weighed_is_error(mass, fields, std_dev):
         (1.0, 0.49, 0.02, {"quiet": 148}, RELEASE),
         # another step the same way
         (1.0, 2.0, 0.02, {"quiet": 298}, NONE), (1.0, 2.0, 0.02, {"quiet": 301}, PICK),
+        (1.0, 2.0, 0.02, {"quiet": 298, "sure_for": 0.099}, NONE),  # unless the mass was known meanwhile
+        (1.0, 2.0, 0.02, {"quiet": 298, "sure_for": 0.101}, PICK),
         # no gripper lets go again so soon
         (2.0, 0.5, 0.02, {"quiet": 28}, NONE), (2.0, 0.5, 0.02, {"quiet": 31}, RELEASE),
         (2.0, 0.1, 0.01, {"quiet": 28}, RELEASE),
@@ -255,9 +257,9 @@ def test_what_friction_does_to_both_loads_is_no_doubt_of_the_step(before, inflat
         assert state["load_variance"] == pytest.approx(0.02**2)
 
 
-@pytest.mark.parametrize(("quiet", "load"), [(298, 0.5), (299, 1.0)])
-def test_the_rest_of_a_release_is_no_second_one(quiet, load):
-    state = believing(0.5, 0.1, load=1.0, last_event=RELEASE, quiet=quiet)
+@pytest.mark.parametrize(("quiet", "trusted", "load"), [(298, 0.0, 0.5), (298, 0.101, 1.0), (299, 0.0, 1.0)])
+def test_the_rest_of_a_release_is_no_second_one(quiet, trusted, load):
+    state = believing(0.5, 0.1, load=1.0, last_event=RELEASE, quiet=quiet, sure_for=trusted)
     assert told(state) == NONE
     assert state["load"] == pytest.approx(load)
 
@@ -312,3 +314,15 @@ def test_a_tool_is_forgotten_within_ten_minutes_or_so():
     state = believing(2.0, 0.02, grounded=1, ground=0.5)
     told(state, 100)
     assert state["ground"] == pytest.approx(0.5 + 1.5 * 100 * PERIOD / 600.0, rel=1e-6)
+
+
+def test_a_mass_is_sure_for_as_long_as_it_was_since_its_event():
+    state = believing(2.0, 0.02, sure_for=0.5)
+    told(state, 100)
+    assert state["sure_for"] == pytest.approx(0.5 + 100 * PERIOD)
+    state["hidden"] = 1.0  # not trusted
+    told(state, 100)
+    assert state["sure_for"] == pytest.approx(0.5 + 100 * PERIOD)
+    state["load"], state["hidden"] = 0.5, 0.0
+    assert told(state) == PICK
+    assert state["sure_for"] <= PERIOD
