@@ -136,29 +136,37 @@ def base_doubts(
 
 
 def _gravity(problem: Problem, none: Scored, best: Scored) -> list[Caution]:
-    """Whether another gravity would do as well as what was found: forces, masses and tilts stand in for it."""
+    """Whether another gravity would do as well as what was found: forces, masses and tilts stand in for it. What both
+    together leave is something else's."""
     gap, left = none.loss - problem.count, best.loss - problem.count
     if left >= gap:
         return []
-    moments, grams = [], []
-    hypothesis, own = none.hypothesis, none.fitted.tangents
-    for number, (scene, residual) in enumerate(zip(problem.scenes(hypothesis), none.fitted.residuals, strict=True)):
+    weights = []
+    for number, scene in enumerate(problem.scenes(none.hypothesis)):
         model = scene.delta.model
         # of an m/s^2 on platform and forearms, whose mass is known, up to its sign; on the active links as is fitted
         known = [model.moving_mass * scene.at_platform(axis) for axis in np.eye(3)]
         fitted = [scene.arms.slope @ axis for axis in np.eye(3)]
-        weights = problem.select(number, problem.band(np.stack([*known, *fitted], axis=-1)))
-        columns = np.concatenate([own[number], weights], axis=1)
-        grams.append(columns.T @ columns)
-        moments.append(columns.T @ residual)
-    moment = np.asarray(sum(moments))
-    change = solve(np.asarray(sum(grams)), moment)
-    rest = none.fitted.cost - float(change @ moment) - problem.count
+        weights.append(problem.select(number, problem.band(np.stack([*known, *fitted], axis=-1))))
+    change, taken = _beside(none, weights)
+    rest = none.fitted.cost - taken - problem.count
     size = float(np.linalg.norm(change[-6:-3]))
-    told = max(left, LEAST_GAIN * problem.count) < BETTER * rest
-    if size < OTHER_GRAVITY or rest > left + AS_GOOD * gap or told:
+    if size < OTHER_GRAVITY or rest > left + AS_GOOD * gap:
+        return []
+    _, more = _beside(best, weights)
+    both = best.fitted.cost - more - problem.count
+    if max(left - both, LEAST_GAIN * problem.count) < BETTER * (rest - both):
         return []
     return [Caution(code="gravity", share=round(1.0 - max(rest, 0.0) / gap, 4), advice="check_description")]
+
+
+def _beside(scored: Scored, columns: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
+    """Figures (F + K,) of tangents and `columns` (R, K) a recording together, and the squares that they take of what is
+    left."""
+    every = [np.concatenate(parts, axis=1) for parts in zip(scored.fitted.tangents, columns, strict=True)]
+    moment = np.asarray(sum(c.T @ r for c, r in zip(every, scored.fitted.residuals, strict=True)))
+    change = solve(np.asarray(sum(c.T @ c for c in every)), moment)
+    return change, float(change @ moment)
 
 
 def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caution]:
