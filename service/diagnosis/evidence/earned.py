@@ -18,6 +18,7 @@ from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, TOLD_APART, Scored, Selection, without
 from service.diagnosis.fit.signature import BY_PLACE, GOES_BY_PLACE, OWN, Signature
+from service.diagnosis.fit.sound import fault_of
 from service.identification.events import events_of
 from service.identification.fit import Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations
@@ -43,7 +44,7 @@ def earned(
 ) -> tuple[Selection, list[Caution]]:  # fmt: skip
     """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on. limit:
     rms that noise leaves at most."""
-    problem, best = regressors.problem, selection.best
+    problem, best, given = regressors.problem, selection.best, len(selection.none.hypothesis.terms)
     left = (best.loss / problem.count) ** 0.5
     delta = problem.recordings[0].mechanism.kind == "delta"
     beside = delta and (bool(problem.weights) or left > FAR_ABOVE * limit)
@@ -54,9 +55,14 @@ def earned(
         best, refits, fell = _where_joints_are(regressors, selection, best, refits, kept_out)
         fallen += fell
     standings = rivals.standings(regressors, selection, best, refits, allows)
-    # what is left beside a stranger is no noise, by which a likelihood could count: blocks tell how it scatters
-    least = TOLD_APART if beside else -np.inf
+    # where more than noise is left, it is not that by which a likelihood counts: blocks tell how it scatters
+    least = TOLD_APART if beside and (best.loss / problem.count) ** 0.5 > limit else -np.inf
     told = [effect for effect, one in standings.items() if one.probability < LIKELY or one.ahead < least]
+    for effect in told:
+        better = standings[effect].better
+        if better is not None and fault_of(problem, better.hypothesis, given) is None:
+            changed = _in_its_place(selection, best, standings[effect].without, better)
+            return earned(regressors, changed, kept_out, allows, limit)
     if told:
         fallen += [_fell("rivalled", effect, best, share=standings[effect].probability) for effect in told]
         best = without(regressors.problem, regressors.split, selection, best, *told)
@@ -65,6 +71,14 @@ def earned(
     kept = _cut(selection, best) if fallen else selection
     standings = {effect: replace(standings[effect], without=refit) for effect, refit in refits.items()}
     return replace(kept, standings=standings), fallen
+
+
+def _in_its_place(selection: Selection, best: Scored, fewer: Scored, better: Scored) -> Selection:
+    """The search with an effect in place of one that was taken as well when others were not known yet, and now is told
+    to be worse. fewer: without either."""
+    path = [(tried, taken) for tried, taken in selection.path if taken is not None]
+    trimmed = selection.trimmed | ({id(path[-1][1]): fewer} if path else {})
+    return replace(selection, best=better, path=[*path, ([better, best], better)], trimmed=trimmed)
 
 
 def _its_own(regressors: Regressors, selection: Selection, beside: bool) -> tuple[Scored, list[Caution]]:

@@ -12,6 +12,7 @@ from service.diagnosis.fit.selection import (
     LEAST_GAIN,
     SHORTLIST,
     SIMPLER_SHARE,
+    TOLD_APART,
     Scored,
     Selection,
     Standing,
@@ -110,11 +111,19 @@ def standings(
         others = [place for place in full if lacks[effect][place]]
         confusable = [name for place in others if chances[place] >= CONFUSED for name in rivals[place - 1][1]]
         ahead = [z_score(models[place].blocks, best.blocks) for place in others]
+        better = [
+            model
+            for model in (models[place] for place in others)
+            if model.names[:-1] == refit.names
+            and model.loss < best.loss
+            and z_score(best.blocks, model.blocks) > TOLD_APART
+        ]
         result[effect] = Standing(
             refit,
             1.0 - sum(chance for chance, lack in zip(chances, lacks[effect], strict=True) if lack),
             list(dict.fromkeys(confusable)),
             min(ahead, default=np.inf),
+            min(better, key=lambda model: model.loss, default=None),
         )
     return result
 

@@ -87,12 +87,14 @@ def z_score(worse: np.ndarray, better: np.ndarray) -> float:
 class Standing:
     """How a name stands against models that lack its effect. without: the best model refitted without it. probability:
     that it is at work. confusable: what may be in its place. ahead: standard errors over blocks that it is ahead of the
-    next of what may be."""
+    next of what may be. better: the best model with another effect in its place, of those that are told to be better.
+    """
 
     without: Scored
     probability: float
     confusable: list[str]
     ahead: float
+    better: Scored | None = None
 
 
 @dataclass(frozen=True)

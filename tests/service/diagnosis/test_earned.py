@@ -58,6 +58,7 @@ def codes(found: list[Caution]) -> list[tuple[str, str | None, str | None]]:
 
 
 SPRING = Term(EFFECTS["joint_spring"], (0,), np.zeros((1, 2)), ())
+DRAG = Term(EFFECTS["air_drag"], (), np.zeros((1, 1)), ())
 RIPPLE = Term(EFFECTS["cogging"], (1,), np.zeros((1, 2)), (2.0,))
 OFFSET = Term(EFFECTS["torque_offset"], (1,), np.zeros((1, 1)), ())
 DELAY = Term(EFFECTS["torque_delay"], (), np.zeros((1, 0)), (0.0005,))
@@ -190,6 +191,31 @@ def test_a_name_that_others_would_do_as_well_as_falls(worse, stands):
     assert all(one.share is not None and 0 < one.share < 0.3 and one.joints == [1] for one in fallen)
 
 
+@pytest.mark.parametrize("possible", [True, False])
+def test_what_is_told_to_be_better_takes_the_place_of_what_was_taken_before_the_rest_was_known(monkeypatch, possible):
+    """A ripple takes some of what the spring does; once the drag is known the spring does better. possible: it can be
+    at all."""
+    made = logs((1, 2, 3), "joint_spring", "air_drag")
+    split = Split.of(made)
+    none, first, both, right = (
+        selection.score(fit(made, Hypothesis(BASE, terms)), split)
+        for terms in ((), (OFFSET,), (OFFSET, DRAG), (DRAG, SPRING))
+    )
+    if not possible:
+        monkeypatch.setattr(judged, "fault_of", lambda *_: "driven by its spring")
+    found = Selection(none, both, [([first], first), ([both], both)], {})
+    regressors = Regressors(made, split, [SPRING.effect], Hypothesis(BASE))
+    kept, fallen = earned(regressors, found, (), lambda effect, joint: True, 1e3)
+    assert kept.names == (("air_drag", "joint_spring") if possible else ("air_drag",))
+    assert [one.effect for one in fallen] == ([] if possible else ["torque_offset"])
+    assert kept.best.loss == pytest.approx(right.loss if possible else kept.best.loss, rel=0.01)
+    before, tried, taken = list(kept.rounds())[-1] if possible else (none, [], None)
+    if possible:
+        assert (before.names, [one.names for one in tried], taken) == (
+            ("air_drag",), [kept.names, both.names], kept.best,
+        )  # fmt: skip
+
+
 def stood(
     made: Problem, found: Selection, monkeypatch, limit: float = 1e3, /, **chances: tuple[float, float]
 ) -> tuple[str, ...]:
@@ -220,12 +246,14 @@ def test_a_name_less_likely_than_what_may_be_in_its_place_falls_and_leaves_the_o
 
 @pytest.mark.parametrize(("ahead", "stands"), [(2.1, True), (1.9, False)])
 def test_beside_a_stranger_a_name_has_to_be_told_from_what_may_be_in_its_place(monkeypatch, ahead, stands):
-    """ahead: standard errors over blocks. A stranger: rows that weigh less, or more than twice what noise may leave."""
+    """ahead: standard errors over blocks. A stranger: rows that weigh less, or more than twice what noise may leave.
+    Where what is left as rows weigh is noise, the likelihood tells alone."""
     made = logs((1, 2, 3), "joint_spring")
     weighed = replace(made, weights=[np.ones(rows.shape) for rows in made.rows])
     found, left = chosen(made, SPRING), ("joint_spring",) if stands else ()
-    assert stood(weighed, found, monkeypatch, joint_spring=(1.0, ahead)) == left
     rms = (found.best.loss / made.count) ** 0.5
+    assert stood(weighed, found, monkeypatch, 0.99 * rms, joint_spring=(1.0, ahead)) == left
+    assert stood(weighed, found, monkeypatch, 1.01 * rms, joint_spring=(1.0, -9.0)) == ("joint_spring",)
     assert stood(made, found, monkeypatch, 0.49 * rms, joint_spring=(1.0, ahead)) == left
     assert stood(made, found, monkeypatch, 0.51 * rms, joint_spring=(1.0, -9.0)) == ("joint_spring",)
 
