@@ -19,6 +19,7 @@ PITCHES = (0.025, 0.12)  # m: below the band makes it noise, above it goes by th
 OVERSAMPLED = 2.0  # grid points over the width of a line
 ALONE = 0.5  # of the line, that the next one reaches at most; 0.7 and more where there is none, 0.3 where there is one
 SHARE = 0.2  # of what is left above the noise, that the line takes; 0.08 at most where there is none
+LATE = (0.0, 0.003)  # s by which the torque may be older than the place; between them it is nearly a mean of theirs
 ZOOM = (1.0, 0.25, 0.06)  # widths of a line, about the grid's best, over which it is looked for more closely
 
 
@@ -34,13 +35,16 @@ class Wave:
         return float(1.0 / np.hypot(*self.wave))
 
     def fields(self, problem: Problem) -> list[np.ndarray]:
-        """(R, 6) a recording: torque of a force along x, y and z that comes again like that."""
+        """(R, 12) a recording: torque of a force along x, y and z that comes again like that, reported late or not."""
         result = []
         for number, recording in enumerate(problem.recordings):
             turn = 2 * np.pi * (recording.arms.position[:, :2] @ self.wave)
             sides = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
             torque = np.swapaxes(recording.arms.jacobian, 1, 2)[..., None] * sides[:, None, None]
-            result.append(problem.pick(number, problem.band(torque.reshape(*torque.shape[:2], -1))))
+            torque = torque.reshape(*torque.shape[:2], -1)
+            steps, row = [round(late / recording.segment.period) for late in LATE], np.arange(len(torque))
+            late = np.concatenate([torque[np.maximum(row - step, 0)] for step in steps], axis=-1)
+            result.append(problem.pick(number, problem.band(late)))
         return result
 
 

@@ -65,6 +65,18 @@ def test_a_belt_is_seen_by_its_pitch_and_heading_and_explained(pitch: float, hea
     assert after.cost - made.count < 0.1 * (before.cost - made.count)
 
 
+@pytest.mark.parametrize("late", [0, 1, 2, 3])
+def test_a_belt_is_explained_where_the_torque_is_late(late: int) -> None:
+    """late: ms. A fiftieth of what the belt takes is left at most."""
+    torques = [belt(run.motion[0], 0.05, 1.57) for run in RUNS]
+    made = logs(*(np.roll(torque, round(1e-3 * late / PERIOD), axis=0) for torque in torques))
+    before = evaluate(made, Hypothesis(BASE))
+    found = wave_of(made, before.residuals)
+    assert found is not None
+    after = evaluate(replace(made, fields=found.fields(made)), Hypothesis(BASE))
+    assert after.cost - made.count < 0.02 * (before.cost - made.count)
+
+
 def test_what_has_no_pitch_is_no_wave() -> None:
     hose = [at_joints((q, q, q), 60.0 * (platform(q) - [0.1, 0.2, -0.3])) for q in (run.motion[0] for run in RUNS)]
     edge, stuck = ([of(run.motion[0]) for run in RUNS] for of in (bump, dirt))
