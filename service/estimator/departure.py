@@ -3,7 +3,7 @@ identified ones, now.
 
 Per joint i the torque residual of a sample is r_i = m_p phi_i + x_i delta_i + noise with x_i = (direction, speed, 1,
 torque of the model): a torque constant that has changed does to every part of the torque the same. The payload is
-eliminated from the mean of a few samples: only the part of the residuals at right angles to phi, in the metric of the
+eliminated from the mean over a short way: only the part of the residuals at right angles to phi, in the metric of the
 noise, is looked at, so what hangs on the gripper, and when it was picked, need not be known. (Noise of the acceleration
 turns a single sample's phi away from friction along it: where little moves, least squares would put the load down to
 that, Fuller 1987.) What is left is linear least squares in thirteen numbers, with slow forgetting and the identified

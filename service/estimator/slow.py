@@ -20,7 +20,7 @@ import numpy as np
 from schemas.kernels import kernel
 
 MEMORY_TIME, NEWEST_TIME = 3.0, 0.3  # s, of what is averaged, and of what may contradict it
-BEGIN_TIME = 0.3  # s of slow motion without anything fast between: what sets out or stops is through it in less
+BEGIN_TIME = 0.3  # s of slow motion, nothing fast nor a stop between: what sets out or stops is through it in less
 LEVEL_DRIFTS = 2.0  # standard deviations of a gear's drift, which one of b is: breakaway friction comes on top
 WANDER_DRIFTS = 1 / 3  # of the same; b may wander by so much along the way
 LEAST_STD = 0.01  # kg, no mass is known better beforehand
@@ -43,7 +43,7 @@ _NOW = np.dtype(
 STATE = np.dtype(
     [
         ("now", _NOW),
-        ("lasted", "f8"),  # s of slow motion since anything fast
+        ("lasted", "f8"),  # s of slow motion since anything fast or a stop
         ("begun", "i8"),
         ("whole", _SUMS),  # of weight times phi^2, phi way, way^2, phi r, way r, a joint
         ("newest", _SUMS),
@@ -66,6 +66,7 @@ def slow_kernel(slow, period, widest):
     for i in range(3):
         moving |= now.weight[i] > 0.0
     if not moving:
+        slow.lasted = 0.0
         return False
     slow.lasted += period
     if slow.lasted < BEGIN_TIME:

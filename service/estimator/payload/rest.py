@@ -27,6 +27,8 @@ COLOURED = 1.5
 ANY_TWO = 2.0 / 3.0
 # Of what friction may take up of a step, one standard deviation, what shows of it at least.
 SLIP_SHARE = 0.4
+# A load that is gripped or let go shakes the arms for less than this, until the drives hold them again.
+JOLT_TIME = 0.05  # s
 
 STATE = np.dtype(
     [
@@ -35,6 +37,8 @@ STATE = np.dtype(
         ("filled", "i8"),
         ("sum", "f8", 3),  # N m, of the bin that is being filled
         ("in_bin", "i8"),  # samples in it
+        ("jolted", "f8"),  # s, for which something has moved between
+        ("stood", "f8"),  # s, in which nothing has but for that
         ("mean", "f8", (STRETCHES, 3)),  # scratch, the latest first
         ("step", "f8"),  # kg, by which the load has changed at this sample
         ("variance", "f8"),  # kg^2, of it
@@ -49,6 +53,8 @@ def rest_kernel(settings, rest, column, residual):
     rest.variance say that the load is another."""
     for i in range(3):
         rest.sum[i] += residual[i]
+    rest.jolted = max(0.0, rest.jolted - settings.period)
+    rest.stood += settings.period
     rest.in_bin += 1
     if rest.in_bin < settings.bin_size:
         return False
@@ -62,9 +68,25 @@ def rest_kernel(settings, rest, column, residual):
 
 
 @kernel
+def jolt_kernel(settings, rest):
+    """Something moves, slowly: a jolt, whose torque is left out, unless it lasts."""
+    rest.jolted += settings.period
+    if rest.jolted > JOLT_TIME:
+        moved_kernel(rest)
+    _leave_bin_out(rest)
+
+
+@kernel
 def moved_kernel(rest):
     """Something moves, or nothing is known of it."""
-    rest.filled = rest.in_bin = 0
+    rest.filled = 0
+    rest.jolted = rest.stood = 0.0
+    _leave_bin_out(rest)
+
+
+@kernel
+def _leave_bin_out(rest):
+    rest.in_bin = 0
     for i in range(3):
         rest.sum[i] = 0.0
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from schemas.kernels import kernel
 from service.estimator import departure
-from service.estimator.payload.state import BLOCKS, COLOUR, COLUMN, LOADS, RESIDUAL, WEIGHT
+from service.estimator.payload.state import BLOCKS, COLOUR, COLUMN, LOADS, MEAN_PATH, RESIDUAL, WEIGHT
 
 # The newest few blocks, which may already speak for more scatter than the average does.
 NEWEST, NEWEST_SHARE = 4, 0.6
@@ -35,7 +35,9 @@ def scatter_kernel(settings, state):
     departure.gather_kernel(state.departure, state.column, state.residual, state.known, state.weight, state.shape)
     state.in_block += 1
     state.clock += 1
-    if state.in_block % settings.mean_size == 0 or state.in_block >= settings.block_size:
+    state.path += settings.period * max(abs(state.shape[0, 1]), abs(state.shape[1, 1]), abs(state.shape[2, 1]))
+    if state.path >= MEAN_PATH or state.in_block >= settings.block_size:
+        state.path = 0.0
         departure.eliminate_kernel(state.departure)
     if state.in_block < settings.block_size:
         return

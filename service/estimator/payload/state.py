@@ -22,7 +22,8 @@ GROUND_TIME = 600.0  # s
 CORRELATION_TIME, MODEL_ERROR_TIME = 0.003, 0.015  # s
 # Residuals are averaged over blocks of this length; what then stands out of the noise lasts longer by this factor.
 BLOCK_TIME, COLOUR = 0.02, 3.0  # s, -
-MEAN_TIME = 0.005  # s, of samples whose mean friction is learnt from: noise of the acceleration lasts for less
+# Friction is learnt from means over so much of the fastest joint's way: phi turns by less than its noise does.
+MEAN_PATH = 0.003  # rad
 BLOCKS = 16  # with motion, over which their scatter is averaged
 # A mass below nothing, or of nothing, shows a bias that other masses have too; it is remembered for this long.
 SHORTFALL_TIME = 30.0  # s
@@ -81,6 +82,7 @@ STATE = np.dtype(
         ("grounded", "i8"),  # whether a mass was ever known after a release
         ("ground", "f8"),  # kg, the least of those
         ("in_block", "i8"),
+        ("path", "f8"),  # rad, of the fastest joint since friction was learnt from
         ("clock", "i8"),  # samples taken
         ("ended", "i8", BLOCKS),  # when each block did
         ("fresh", "i8"),  # blocks since the last change, as far as they are kept
@@ -115,6 +117,10 @@ STATE = np.dtype(
         ("weight", "f8", 3),  # of this sample, (N m)^-2, 0 where a joint has nothing to say
         ("resting", "i8"),  # whether nothing moves in this sample
         ("still", "f8"),  # s, without motion that tells the mass
+        (
+            "unheard",
+            "i8",
+        ),  # whether the robot stood since, and a gripper that nobody hears of may have worked
         ("untold", "f8"),  # s of motion that it takes until the mass is known again
         ("gripper", "i8"),  # of this sample, schemas.messages.Gripper
         ("gripper_before", "i8"),
@@ -133,7 +139,6 @@ SETTINGS = np.dtype(
         ("prior", "f8", departure.COUNT),
         ("bin_size", "i8"),  # samples
         ("block_size", "i8"),
-        ("mean_size", "i8"),
         ("remember", "f8"),  # per sample, of the shortfall
         ("rise", "f8"),  # per sample, of the least mass after a release towards that of now
         ("lighten", "f8"),  # per sample, of what a mass not trusted is lighter by
@@ -163,7 +168,7 @@ def settings(
     """One SETTINGS record. period: s. prior: (COUNT,) of departure. max_payload: kg. model_error: (3,) N m rms that the
     model left where it was identified. variance: (3,) (N m)^2, as `sample_variance`."""
     record = np.zeros((), SETTINGS)
-    for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME), ("mean_size", MEAN_TIME)):
+    for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME)):
         record[name] = max(1, round(time / period))
     record["forgetting"] = np.exp(-period / MEMORY_TIME)
     for name, time in (("remember", SHORTFALL_TIME), ("lighten", LIGHTER_TIME), ("leave", LEAVING_TIME)):

@@ -11,7 +11,7 @@ from schemas.messages import Gripper
 from service.estimator import departure, slow
 from service.estimator.payload.change import find_change
 from service.estimator.payload.loads import begin_whole, corrected_moment, prior_of
-from service.estimator.payload.rest import moved_kernel, rest_kernel
+from service.estimator.payload.rest import jolt_kernel, moved_kernel, rest_kernel
 from service.estimator.payload.scatter import part_blocks, scatter_kernel
 from service.estimator.payload.state import LEAST_TIME, LOADS, MEMORY_TIME, PRIOR_STD, STILL_TIME, TELLING_TIME, WINDOW
 from service.estimator.payload.verdict import CONTRADICTION, CONTRADICTION_FLOOR, conclude, is_sure, lacks_a_load
@@ -68,7 +68,7 @@ def payload_kernel(settings, state):
     elif state.active == 1:
         told = _weigh_slowly(settings, state)
     _note_rest(settings, state, told)
-    _weigh_at_rest(settings, state)
+    _weigh_at_rest(settings, state, raw > 0.0)
     state.in_bin += 1
     if state.in_bin >= settings.bin_size:
         state.in_bin = 0
@@ -149,6 +149,8 @@ def _note_rest(settings, state, told):
     """Count time without motion that tells the mass, and behind a rest the motion that has told it."""
     if told:
         state.untold = max(0.0, state.untold - settings.period)
+        if state.untold == 0.0:
+            state.unheard = 0
     if told or state.gripper != UNKNOWN:
         state.still = 0.0
         return
@@ -160,15 +162,24 @@ def _note_rest(settings, state, told):
 
 
 @kernel
-def _weigh_at_rest(settings, state):
+def _weigh_at_rest(settings, state, fast):
     """Where nothing moves and nobody hears of the gripper: what was known of the mass is known of another, by the step
-    of the torque, unless no gripper could make it (a brake that closes)."""
-    rest = state.rest
+    of the torque, unless no gripper could make it (a brake that closes). fast: whether something moves so."""
+    rest, slowly = state.rest, False
     rest.step = 0.0
-    if state.resting == 0 or state.gripper != UNKNOWN or state.active > 1:
+    for i in range(3):
+        slowly |= state.slow.now.weight[i] > 0.0
+    if fast or state.gripper != UNKNOWN or state.active > 1 or (state.resting == 0 and not slowly):
         moved_kernel(rest)
         return
-    if not rest_kernel(settings, rest, state.column, state.residual):
+    if state.resting == 0:
+        jolt_kernel(settings, rest)
+        return
+    stepped = rest_kernel(settings, rest, state.column, state.residual)
+    if state.unheard == 0 and rest.stood > STILL_TIME:
+        state.unheard = 1
+        slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
+    if not stepped:
         return
     mass, variance = state.mass + rest.step, rest.variance + state.std_dev * state.std_dev
     margin = CONTRADICTION * math.sqrt(variance) + CONTRADICTION_FLOOR
@@ -208,7 +219,7 @@ def _weigh_slowly(settings, state):
         for a in range(departure.PARTS):
             now.residual[i] -= state.shape[i, a] * state.departure.delta[departure.place(i, a)]
         now.weight[i] *= settings.information_weight
-    now.mass, now.variance = state.mass, state.std_dev * state.std_dev
+    now.mass, now.variance = state.mass, PRIOR_STD * PRIOR_STD if state.unheard != 0 else state.std_dev * state.std_dev
     told = slow.slow_kernel(state.slow, settings.period, PRIOR_STD * PRIOR_STD)
     if told:
         state.information[0, 0] = 1.0 / state.slow.variance

@@ -99,11 +99,13 @@ def known(**fields):
     return state
 
 
-def stand(state, residuals):
-    """Events by sample."""
+def stand(state, residuals, shaken=()):
+    """Events by sample; shaken: samples in which something moves slowly."""
     events = {}
     for n, residual in enumerate(residuals):
         state["column"], state["weight"], state["residual"] = 0.0, 0.0, residual
+        if shaken:
+            state["resting"], state["slow"]["now"]["weight"] = n not in shaken, float(n in shaken)
         state["column"][:, 0] = PHI
         event = step.payload_kernel(SETTINGS, state)
         if event:
@@ -148,6 +150,42 @@ def test_what_no_gripper_does_unheard_leaves_the_mass_alone(kilograms, fields):
     assert stand(state, torques(kilograms=kilograms)) == {}
     assert state["information"][0, 0] > 90.0
     assert state["rest"]["step"] == 0.0
+
+
+@pytest.mark.parametrize(("jolt", "told"), [(25, True), (45, True), (60, False)])
+def test_a_load_shakes_the_arms_it_comes_to(jolt, told):
+    """Until the drives hold it, some ten milliseconds; what lasts longer is a motion."""
+    state = known()
+    residuals = torques(kilograms=2.0, samples=AT + jolt + 90)
+    residuals[AT : AT + jolt] *= np.linspace(0.0, 1.5, jolt)[:, None]
+    events = stand(state, residuals, range(AT, AT + jolt))
+    assert list(events.values()) == [PayloadEvent.PICK] * told
+    if told:
+        assert state["mass"] == pytest.approx(2.0 + 2.0, abs=0.3)
+
+
+@pytest.mark.parametrize(
+    ("stood", "gripper", "unheard"), [(100, 0, False), (140, 0, True), (140, Gripper.CLOSED, False)]
+)
+def test_slow_motion_does_not_take_over_a_mass_from_before_a_rest(stood, gripper, unheard):
+    """A gripper that nobody hears of may have let go, and friction hides it."""
+    state = known(gripper=gripper, gripper_before=gripper)
+    stand(state, torques(samples=stood))
+    assert state["unheard"] == unheard
+    state["resting"], state["slow"]["now"]["phi"] = 0, PHI
+    state["shape"][:, 0] = np.sign(-PHI)
+    for _ in range(320):
+        state["column"], state["weight"], state["residual"] = 0.0, 0.0, 0.0
+        state["column"][:, 0], state["slow"]["now"]["weight"] = PHI, 20.0
+        step.payload_kernel(SETTINGS, state)
+    assert state["slow"]["mass_variance"] == (PRIOR_STD**2 if unheard else pytest.approx(0.1**2, rel=0.7))
+    if unheard:
+        assert abs(state["mass"]) < 2 * state["std_dev"]
+        assert not state["trusted"]
+    for _ in range(200):
+        state["slow"]["now"]["weight"] = 20.0
+        step.payload_kernel(SETTINGS, state)
+    assert not state["unheard"], "the motion has told it"
 
 
 def test_a_mass_that_was_held_to_nothing_is_lifted_from_nothing():

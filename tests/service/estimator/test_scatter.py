@@ -155,6 +155,18 @@ def test_friction_learns_little_from_a_block_that_it_cannot_be():
     assert np.trace(learnt[1][0]) > np.trace(learnt[0][0]), "and knows less for it"
 
 
+@pytest.mark.parametrize(("speed", "gathered"), [(-3.5, 1), (1.1, 3), (0.1, SIZE)], ids=["fast", "gentle", "slow"])
+def test_friction_is_learnt_from_means_over_a_way(speed, gathered):
+    state = fresh()
+    state["column"], state["weight"], state["shape"][1, 1] = 1.0, 1.0, speed
+    left = []
+    for _ in range(SIZE):
+        scatter.scatter_kernel(SETTINGS, state)
+        left.append(state["departure"]["sum_weight"][0])
+    assert left[:gathered] == [*range(1, gathered), 0]
+    assert left[-1] == 0, "none is left for the next block"
+
+
 def test_blocks_since_a_change_are_judged_anew_by_the_place_of_the_load():
     random, state = np.random.default_rng(5), fresh(LOADS)
     sums = random.uniform(0.5, 2.0, state["sums"].shape)

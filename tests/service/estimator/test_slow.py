@@ -151,6 +151,12 @@ def test_slow_motion_is_least_squares_in_a_mass_and_three_levels(known):
 
     slow.grip_kernel(state, WIDEST)
     assert (state["mass"], state["variance"]) == (pytest.approx(found[0]), WIDEST), "another mass, not yet known"
+    assert take(3.0)[0]
+    now["weight"] = 0.0
+    assert not slow.slow_kernel(state, CYCLE, WIDEST)
+    setting_out = [take(3.0)[0] for _ in range(round(slow.BEGIN_TIME / CYCLE))]
+    assert not any(setting_out[:-1]), "behind a stop as behind what was fast"
+    assert setting_out[-1]
     slow.fast_kernel(state)
     assert not take(3.0)[0], "what was slow says nothing any more"
     now["mass"], now["variance"] = 3.0, 0.01
