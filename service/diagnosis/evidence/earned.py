@@ -35,6 +35,7 @@ LIKELY = 0.5  # probability that a name needs
 # Of what an effect on a serial arm takes, that it still takes where joints may be elsewhere: true ones keep two thirds
 # and more, what stands in for a wrong URDF nothing.
 STANDS = 0.3
+MISPLACED = 0.3  # of what is left above the noise, that one joint elsewhere takes: then it is said to be
 OPEN = 0.5  # standard error over value of a parameter without amplitudes, from which it is open whether there is any
 
 
@@ -153,8 +154,10 @@ def _where_joints_are(
     fallen = [_fell("rivalled", effect, best) for effect in gone]
     best = without(problem, split, selection, best, *gone)
     joint, loss = min(((j, placement.beside(best, j)) for j in range(len(problem.sigma))), key=lambda item: item[1])
-    share = round(min((best.loss - loss) / max(best.loss - problem.count, 1e-9), 1.0), 4)
-    fallen.append(Caution(code="misplaced", joints=[joint + 1], share=share, advice="check_description"))
+    share = min((best.loss - loss) / max(best.loss - problem.count, 1e-9), 1.0)
+    if share > MISPLACED:
+        caution = Caution(code="misplaced", joints=[joint + 1], share=round(share, 4), advice="check_description")
+        fallen.append(caution)
     best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside=False)
     return best, refits, fallen + fell
 

@@ -355,3 +355,34 @@ def test_a_search_is_told_as_if_it_had_stopped_before_what_fell():
     path = [([one], one), ([two], two), ([three], three)]
     cut = judged._cut(Selection(stub(names=()), three, path, {}), one)
     assert (cut.best, cut.path) == (one, [([one], one), ([two], None)])
+
+
+@pytest.mark.parametrize(
+    ("keeps", "takes", "told"), [(0.31, 0.9, []), (0.29, 0.9, ["rivalled", "misplaced"]), (0.29, 0.2, ["rivalled"])]
+)
+def test_a_joint_elsewhere_takes_a_name_that_keeps_nothing_and_is_told_where_it_explains_the_rest(
+    monkeypatch, keeps, takes, told
+):
+    made = logs((1, 2, 3), "joint_spring")
+    found = chosen(made, SPRING)
+    fewer, best = found.none, found.best
+
+    class Placed:
+        """`keeps` of what the spring takes is its own; joint 2 elsewhere takes `takes` of what is left without it."""
+
+        def __init__(self, problem, split, model):
+            assert model is best
+
+        def beside(self, model, joint=None):
+            if joint is not None:
+                return model.loss - (takes if joint == 1 else 0.1) * (model.loss - made.count)
+            return best.loss if model is best else best.loss + keeps * (fewer.loss - best.loss)
+
+    monkeypatch.setattr(judged, "Placement", Placed)
+    regressors = Regressors(made, Split.of(made), [EFFECTS["air_drag"]], found.none.hypothesis)
+    stands, refits, fallen = judged._where_joints_are(regressors, found, best, {SPRING.effect: fewer}, [])
+    assert [one.code for one in fallen] == told
+    assert stands.names == (() if told else ("joint_spring",))
+    assert list(refits) == ([] if told else [SPRING.effect])
+    if "misplaced" in told:
+        assert (fallen[1].joints, fallen[1].share) == ([2], 0.9)
