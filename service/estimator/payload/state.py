@@ -80,7 +80,7 @@ STATE = np.dtype(
         ("wrong_for", "f8"),  # s
         ("shortfall", "f8"),  # kg, how far below nothing masses have been of late, or off it where nothing hung
         ("grounded", "i8"),  # whether a mass was ever known after a release
-        ("ground", "f8"),  # kg, the least of those
+        ("ground", "f8"),  # kg, the least of those, whichever way it was off nothing
         ("in_block", "i8"),
         ("path", "f8"),  # rad, of the fastest joint since friction was learnt from
         ("clock", "i8"),  # samples taken

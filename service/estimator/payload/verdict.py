@@ -40,12 +40,13 @@ PLACE_SHARE = 1.0
 AVERAGE_SIGMAS = 3.0
 # Of a block it is all, which this much motion halves: what a gear rubs more or less keeps its sign for a stroke.
 BIAS_AVERAGING = 0.2  # s
-# Torque constants hold to some 5 %, and to 6 with what else of the model moves with them: two of these. Without a known
+# Torque constants hold to some 5 %, and to 7 with what else of the model moves with them: two of these. Without a known
 # load nothing shows by how much a mass is off.
-TORQUE_SHARE = 0.03
-# What hangs there after every release is a tool, or a load that nobody let go of: the mass of what was picked is off
-# by it or by nothing, so this share of it covers either way within two standard deviations.
-TOOL_SHARE = 0.6
+TORQUE_SHARE = 0.035
+# What hangs there after every release is a tool, a load that nobody let go of, or the platform's own weight by a wrong
+# torque constant: the mass of what was picked is off by it or by nothing, and this share of it covers either way within
+# two standard deviations, and what a mass still settles by.
+TOOL_SHARE = 0.75
 # Trusted when one standard deviation is below share * mass + floor.
 TRUST_SHARE, TRUST_FLOOR = 0.1, 0.03  # -, kg
 # A shortfall counts where a mass is this sure, and shows for this long, by more than this: a release is not seen at
@@ -138,10 +139,11 @@ def conclude(settings, state):
         std_dev = math.sqrt(std_dev * std_dev + state.hidden + max(0.0, max(gentle, here) - state.bias))
     fits = state.scatter <= LASTING * state.judged or state.inflation < STILL_LASTING
     sure = borne_out and (known_empty or (fits and is_sure(std_dev, mass)))
-    if not known_empty:
-        std_dev = math.hypot(std_dev, TOOL_SHARE * _ground(settings, state, sure))
-    state.std_dev = math.hypot(std_dev, TORQUE_SHARE * held)
-    state.trusted = 1 if sure and (known_empty or is_sure(std_dev, mass)) else 0
+    tool = 0.0 if known_empty else TOOL_SHARE * _ground(settings, state, sure, max(state.mass, -mass))
+    load = tool if tool > TOOL_SHARE * SMALLEST_CHANGE else 0.0  # less is no tool, and no reason to say nothing
+    state.trusted = 1 if sure and (known_empty or is_sure(math.hypot(std_dev, load), mass)) else 0
+    # a wrong torque constant makes a load of the platform's own weight, and the others heavier by as much: one error
+    state.std_dev = math.hypot(std_dev, tool + TORQUE_SHARE * held)
     if sure:
         state.sure_for += settings.period
     _reckon(settings, state, borne_out, sure)
@@ -175,13 +177,13 @@ def is_sure(std_dev, mass):
 
 
 @kernel
-def _ground(settings, state, sure):
-    """The least mass, kg, that was known to hang there after any release: 0 where that is none to speak of."""
+def _ground(settings, state, sure, off):
+    """The least, kg, that was known to hang there, or to be missing, after any release. off: the same of now."""
     if state.grounded != 0:
-        state.ground += settings.rise * (state.mass - state.ground)
-    if sure and state.last_event == PayloadEvent.RELEASE.value and (state.grounded == 0 or state.mass < state.ground):
-        state.grounded, state.ground = 1, state.mass
-    return state.ground if state.ground > SMALLEST_CHANGE else 0.0
+        state.ground += settings.rise * (off - state.ground)
+    if sure and state.last_event == PayloadEvent.RELEASE.value and (state.grounded == 0 or off < state.ground):
+        state.grounded, state.ground = 1, off
+    return state.ground
 
 
 @kernel

@@ -61,7 +61,7 @@ def test_an_exact_model_is_trusted(robot, make):
     first, empty, heavy = (payload["std_dev"][np.searchsorted(time, at)] for at in (0.0, 0.95, 4.05))
     assert first > 5 * empty, "little has been seen yet"
     assert empty < 0.02
-    assert 0.11 < heavy < 0.14, "3 % of 3.8 kg that the torque constants are unsure by"
+    assert 0.13 < heavy < 0.15, "3.5 % of 3.8 kg that the torque constants are unsure by"
 
 
 def swinging(robot, known, carried, offset=0.05, turns=np.pi / 2, rate=2.0):

@@ -12,7 +12,7 @@ from tests.service.estimator.test_departure import PRIOR as DRIFT
 PERIOD = 1e-3
 SETTINGS = settings(PERIOD, DRIFT, 6.0, 0.3 * np.ones(3), np.ones(3))[()]
 NONE, PICK, RELEASE = PayloadEvent.NONE, PayloadEvent.PICK, PayloadEvent.RELEASE
-TORQUE_SHARE = 0.03
+TORQUE_SHARE = 0.035
 
 
 def believing(mass, std_dev, **fields):
@@ -173,7 +173,7 @@ def test_a_mass_that_cannot_be_counts_against_all_that_come_after():
     assert unknown["shortfall"] == pytest.approx(fallen_short(0.14, 100), rel=0.02)
     later = believing(2.0, 0.02, shortfall=0.1)
     told(later, 200)
-    assert later["std_dev"] ** 2 == pytest.approx(0.02**2 + (0.1 * np.exp(-0.2 / 30)) ** 2 + 0.06**2)
+    assert later["std_dev"] ** 2 == pytest.approx(0.02**2 + (0.1 * np.exp(-0.2 / 30)) ** 2 + (TORQUE_SHARE * 2.0) ** 2)
 
 
 @pytest.mark.parametrize(("std_dev", "counts"), [(0.09, True), (0.11, False)])
@@ -303,11 +303,25 @@ def test_the_least_that_ever_hung_there_may_be_a_tool(fields, ground, trusted):
     told(state)
     assert state["ground"] == pytest.approx(ground, rel=1e-4)
     assert bool(state["trusted"]) == trusted
-    if trusted:
-        doubt = verdict.TOOL_SHARE * ground if ground > 0.12 else 0.0
-        assert state["std_dev"] ** 2 == pytest.approx(0.02**2 + doubt**2 + (TORQUE_SHARE * 2.0) ** 2, rel=1e-4)
+    if "gripper" not in fields and "hidden" not in fields:
+        known = verdict.TOOL_SHARE * ground + TORQUE_SHARE * 2.0
+        assert state["std_dev"] == pytest.approx(np.hypot(0.02, known), rel=1e-4)
     if "hidden" not in fields and "gripper" not in fields:
         assert state["usable"] == pytest.approx(2.0), "the feed-forward torque accelerates a tool too"
+
+
+@pytest.mark.parametrize(("mass", "trusted"), [(0.08, True), (-0.08, True), (0.13, False)])
+def test_what_is_off_nothing_after_a_release_is_in_the_error_of_every_mass(mass, trusted):
+    """As a wrong torque constant makes it, which scales the others the same way."""
+    state = believing(mass, 0.02, last_event=RELEASE)
+    told(state)
+    assert state["ground"] == pytest.approx(abs(mass))
+    assert bool(state["trusted"]) == trusted
+    least = np.hypot(0.02, verdict.TOOL_SHARE * abs(mass) + TORQUE_SHARE * max(mass, 0.0))
+    assert state["std_dev"] >= least * (1 - 1e-9)
+    state["last_event"], state["moment"][0] = PICK, 3.0 / 0.02**2
+    told(state)
+    assert state["std_dev"] == pytest.approx(np.hypot(0.02, verdict.TOOL_SHARE * abs(mass) + 0.105), rel=2e-3)
 
 
 def test_a_tool_is_forgotten_within_ten_minutes_or_so():
