@@ -62,13 +62,15 @@ def _rows(problem: Problem, index: int, values: np.ndarray) -> np.ndarray:
     return np.concatenate([values[rows] for rows in problem.rows[index].T])
 
 
-def held_out(fitted: Fit, split: Split, learnt: tuple[Fit, Split] | None = None) -> list[np.ndarray]:
+def held_out(
+    fitted: Fit, split: Split, learnt: tuple[Fit, Split] | None = None, prior: np.ndarray | float = 0.0
+) -> list[np.ndarray]:
     """Residuals (R,) a recording, each fold predicted by parameters from the other folds (linear in the refit, within
     reach of the slopes: what one fold left open may not run away on the next). learnt: the rows they are learnt from,
-    where these are not all; the same hypothesis on them."""
+    where these are not all; the same hypothesis on them. prior: (P, P) information on steps of the free parameters."""
     source, rows = learnt or (fitted, split)
     grams, moments = normal_equations(source.moving, source.residuals, rows)
-    gram, moment = sum(grams), sum(moments)
+    gram, moment = np.asarray(sum(grams)) + prior, sum(moments)
     moving = [tangent[:, source.free] for tangent in fitted.tangents]
     result = [residual.copy() for residual in fitted.residuals]
     for number in range(split.folds):

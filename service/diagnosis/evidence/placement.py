@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from service.diagnosis.fit.selection import Scored
-from service.identification.fit import Problem, within
-from service.identification.folds import Split, normal_equations
+from service.identification.fit import Problem
+from service.identification.folds import Split, held_out
 from service.model.mechanism import SerialArm
 
 # One standard deviation that a joint of a URDF is off by: castings and tools of another series, rounded drawings.
@@ -27,21 +29,18 @@ class Placement:
 
     def beside(self, model: Scored, joint: int | None = None) -> float:
         """Squared residual of `model` on data left out, the place of `joint` or of all joints left open."""
-        fitted, split = model.fitted, self.split
+        fitted = model.fitted
         asked = slice(None) if joint is None else slice(6 * joint, 6 * joint + 6)
         columns = [each[:, asked] for each in self.columns]
-        tangents = [np.concatenate(parts, axis=1) for parts in zip(fitted.moving, columns, strict=True)]
-        grams, moments = normal_equations(tangents, fitted.residuals, split)
         own, places = fitted.moving[0].shape[1], columns[0].shape[1]
-        prior = np.diag(np.repeat([0.0, 1.0], [own, places]))
-        far = np.full(places, np.inf)  # the slopes of the model's own parameters hold within reach
-        low, high = (
-            np.concatenate([reach[fitted.free], far * side]) for reach, side in zip(fitted.reach, (-1, 1), strict=True)
+        low, high = (reach[fitted.free] for reach in fitted.reach)
+        free, far = np.ones(own + places, bool), np.full(places, np.inf)
+        wide = replace(
+            fitted,
+            tangents=[np.concatenate(parts, axis=1) for parts in zip(fitted.moving, columns, strict=True)],
+            inside=free,
+            free=free,
+            reach=(np.append(low, -far), np.append(high, far)),
         )
-        gram, moment = np.asarray(sum(grams)) + prior, np.asarray(sum(moments))
-        loss = 0.0
-        for number in range(split.folds):
-            step = within(gram - grams[number], moment - moments[number], low, high)
-            for residual, slope, fold in zip(fitted.residuals, tangents, split.fold, strict=True):
-                loss += float(((residual - slope @ step)[fold == number] ** 2).sum())
-        return loss
+        left = held_out(wide, self.split, prior=np.diag(np.repeat([0.0, 1.0], [own, places])))
+        return sum(float(residual @ residual) for residual in left)

@@ -12,6 +12,8 @@ from drivers.trace import read_trace
 from schemas.axes import load_axes
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.text import caution
+from service.diagnosis.evidence import placement
+from service.diagnosis.evidence.placement import Placement
 from service.diagnosis.findings import Findings
 from service.model.effects import catalogue
 from service.model.effects.base import Amplitude, Effect
@@ -65,6 +67,17 @@ def test_what_a_wrong_urdf_explains_as_well_is_not_named(tmp_path, monkeypatch) 
     assert where.share is not None
     assert 0.3 < where.share <= 1.0
     assert "joint 2" in caution(where)
+
+
+def test_a_joint_is_elsewhere_by_as_much_as_a_urdf_may_be_off(tmp_path, monkeypatch) -> None:
+    """40 mm are two standard deviations of 20 mm, and out of reach of a nanometre."""
+    told = found(tmp_path, ELSEWHERE, monkeypatch)
+    gap = told.best.loss - told.problem.count
+    assert Placement(told.problem, told.split, told.best).beside(told.best) - told.problem.count < 0.05 * gap
+    monkeypatch.setattr(placement, "OFF_M", 1e-9)
+    monkeypatch.setattr(placement, "OFF_RAD", 1e-9)
+    known = Placement(told.problem, told.split, told.best)
+    assert known.beside(told.best) == pytest.approx(told.best.loss, rel=1e-3)
 
 
 def test_a_right_urdf_takes_no_name(tmp_path, monkeypatch) -> None:
