@@ -2,10 +2,10 @@
 
 What is left there is coloured and comes again in every run: no error of the noise says how much of it an effect may
 take by chance. That shows in what it gives to the same torque where the effect is not at work: at another time, or
-stronger in one run or on one side of the workspace than on the other. Something that the effect only stands in for
-gives about as much to those. All rows of a joint weigh alike, whatever an effect leaves of them, so that none chooses
-the rows by which it is judged; and the joints by what is left of them, so that a stranger on one hides nothing of the
-others. Delta robots only.
+stronger in one run, on one side of the workspace or in one part of a joint's way. Something that the effect only stands
+in for gives about as much to those. All rows of a joint weigh alike, whatever an effect leaves of them, so that none
+chooses the rows by which it is judged; and the joints by what is left of them, so that a stranger on one hides nothing
+of the others. Delta robots only.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from service.model.parameters import Parameters
 
 SHIFTS = (0.02, 0.06, 0.15, 0.4)  # s, either way: a reversal, a jerk, a stroke, a pick
 OWN = 5.0  # times what is given to the same torque elsewhere, that an effect takes: the best of a catalogue is asked
+PARTS = 4  # of a joint's way: a contact or a stop is in one of them, and a ripple stands in for it there
 ORDER = 2  # of the torque that goes by the platform's place: a force that changes evenly, and its lever
 GOES_BY_PLACE = 0.5  # of what is left above the noise, that such a torque explains: then something pulls there
 LEAST = 0.03  # of the noise's squares, that is left above it before it goes by anything
@@ -116,11 +117,26 @@ class Signature:
         return columns - known @ solve(known.T @ known, known.T @ columns)
 
     def _modulated(self, torque: np.ndarray) -> list[np.ndarray]:
-        """Stronger on one side of the workspace, or in one run."""
+        """Stronger on one side of the workspace, in one run, or in one part of a joint's way."""
         place = self._rows([recording.arms.position for recording in self.problem.recordings])
         place = (place - place.mean(axis=0)) / np.maximum(place.std(axis=0), 1e-300)
         log = np.repeat(self.problem.logs, [rows.sum() for rows in self.problem.rows])
-        return [torque * side for side in place.T] + [np.where(log == one, torque, 0.0) for one in np.unique(log)[1:]]
+        part = self._parts()
+        return [
+            *(torque * side for side in place.T),
+            *(np.where(log == one, torque, 0.0) for one in np.unique(log)[1:]),
+            *(np.where(part == one, torque, 0.0) for one in range(PARTS)),
+        ]
+
+    def _parts(self) -> np.ndarray:
+        """(R,) in which of `PARTS` equal parts of its way a row's joint is."""
+        along = [self.problem.band(recording.segment.theta) for recording in self.problem.recordings]
+        angle = np.concatenate([self.problem.pick(number, part) for number, part in enumerate(along)])
+        part = np.zeros(len(angle), int)
+        for rows in (self.joints == joint for joint in np.unique(self.joints)):
+            low, high = angle[rows].min(), angle[rows].max()
+            part[rows] = np.minimum(PARTS * (angle[rows] - low) / max(high - low, 1e-300), PARTS - 1)
+        return part
 
     def _shifted(self, torque: np.ndarray) -> list[np.ndarray]:
         """Earlier and later."""

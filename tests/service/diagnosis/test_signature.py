@@ -76,6 +76,21 @@ def test_a_figure_that_one_run_has_otherwise_is_none_of_its_own():
     assert shares[1] > 0.5
 
 
+def test_a_bump_at_one_place_is_no_ripple_of_every_turn():
+    """A contact within a part of a motor's turn, which the joint passes again and again."""
+
+    def bump(run, seed):
+        angle = run.motion[0][:, 1]
+        return on(1, 3.0 * np.exp(-0.5 * ((angle - np.median(angle)) / 0.05) ** 2))
+
+    def share(made, order):
+        ripple = Term(EFFECTS["cogging"], (1,), np.zeros((1, 2)), (order,))
+        return own.OWN * seen(made, ripple).elsewhere(ripple.effect)
+
+    assert share(logs(add=bump), 1.0) > 1.0
+    assert share(logs("cogging"), 2.0) < 1.0
+
+
 @pytest.mark.parametrize("term", [SPRING, RIPPLE])
 def test_a_share_by_hand(term):
     """The torque's neighbours one by one, each beside all that the hypothesis can tell. An order is no torque."""
@@ -98,6 +113,13 @@ def test_a_share_by_hand(term):
     place = np.concatenate([made.pick(i, np.repeat(p[:, None], 3, axis=1)) for i, p in enumerate(place)])
     neighbours = [torque * side for side in (place - place.mean(axis=0)).T]
     neighbours += [torque * (run == number) for number in (1, 2)]
+    ways = [made.band(recording.segment.theta) for recording in made.recordings]
+    angle = np.concatenate([made.pick(i, way) for i, way in enumerate(ways)])
+    quarter = np.zeros(len(angle), int)
+    for joint in range(3):
+        way = angle[joints == joint]
+        quarter[joints == joint] = np.digitize(way, np.linspace(way.min(), way.max(), own.PARTS + 1)[1:-1])
+    neighbours += [torque * (quarter == number) for number in range(own.PARTS)]
     period = made.band.period * made.band.step
     for steps in (round(shift / period) for shift in own.SHIFTS):
         late, early = [], []
