@@ -87,6 +87,7 @@ def diagnose(
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     coloured = bool((floor.coloured | floor.unknown).any())
     limit = (WITHIN_COLOURED if coloured else WITHIN_NOISE) * _floor(problem, reversal)
+    selection = _past_fault(regressors, selection, limit, scope.allows, progress)
     selection = exchanged(regressors, selection, limit, scope.allows, progress)
     angular = all(trace.angular for trace in traces)
     kept = [kept_out(problem, log) for log in tests]
@@ -126,6 +127,18 @@ def diagnose(
         robot, problem, split, plain, reference, selection, given, gap, after, floor.sample, reversal, errors, verdict,
         limit, [*noise_of(floor), *scope.cautions, *cautions], followed(selection.best), baseline,
     )  # fmt: skip
+
+
+def _past_fault(
+    regressors: Regressors, selection: Selection, limit: float, allows: Callable[[Effect, int], bool],
+    progress: Callable[[str], None],
+) -> Selection:  # fmt: skip
+    """A search that ended at what cannot be, gone on with what can be where that explains all: what cannot be may stand
+    in for several effects at once. limit: rms that noise leaves at most."""
+    if selection.fault is None:
+        return selection
+    again = search(regressors, progress, allows, more_orders, selection)
+    return again if _left(regressors.problem, again.best.residuals) <= limit else selection
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence import rivals, statistics
 from service.diagnosis.evidence.placement import Placement
+from service.diagnosis.evidence.rivals import LIKELY
 from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, TOLD_APART, Scored, Selection, without
@@ -31,7 +32,6 @@ MOST_CHANGE = 0.25  # of an effect's figures from run to run; true ones of ten l
 LEAST_UNKNOWN = 0.1  # the same of all names together where the noise is not known and what is left is far above it
 LEAST_PART = 0.1  # of what tells an effect's figures that a run has to hold to be asked for its own
 Z95 = 1.96
-LIKELY = 0.5  # probability that a name needs
 # Of what an effect on a serial arm takes, that it still takes where joints may be elsewhere: true ones keep two thirds
 # and more, what stands in for a wrong URDF nothing.
 STANDS = 0.3
@@ -55,9 +55,10 @@ def earned(
     if refits and problem.recordings[0].mechanism.kind == "chain":
         best, refits, fell = _where_joints_are(regressors, selection, best, refits, kept_out)
         fallen += fell
-    standings = rivals.standings(regressors, selection, best, refits, allows)
     # where more than noise is left, it is not that by which a likelihood counts: blocks tell how it scatters
-    least = TOLD_APART if beside and (best.loss / problem.count) ** 0.5 > limit else -np.inf
+    explained = (best.loss / problem.count) ** 0.5 <= limit
+    standings = rivals.standings(regressors, selection, best, refits, allows, explained)
+    least = TOLD_APART if beside and not explained else -np.inf
     told = [effect for effect, one in standings.items() if one.probability < LIKELY or one.ahead < least]
     for effect in told:
         better = standings[effect].better

@@ -29,6 +29,7 @@ DRAWS = 1000
 SURE = 0.9  # probability from which a name is not asked about again
 CONFUSED = 0.05  # probability from which what stands in for a name is told beside it
 NEAR = 0.5  # of an effect's gain: what promises less in its place is not fitted
+LIKELY = 0.5  # probability that a name needs
 
 
 @dataclass(frozen=True)
@@ -88,12 +89,12 @@ def undecided(selection: Selection, rounds: list[ModelComparison]) -> ModelCompa
 
 def standings(
     regressors: Regressors, selection: Selection, best: Scored, refits: Mapping[Effect, Scored],
-    allows: Callable[[Effect, int], bool],
+    allows: Callable[[Effect, int], bool], explained: bool,
 ) -> dict[Effect, Standing]:  # fmt: skip
     """How each effect of `best` stands against models without it, the others fitted anew beside each rival.
 
     When an effect was added, others that are at work were still in the gap, and what stood in for them. refits: `best`
-    without each effect.
+    without each effect. explained: what `best` leaves is noise, so that a likelihood tells which of two is better.
     """
     given = len(selection.none.hypothesis.terms)
     seen = {}
@@ -112,11 +113,10 @@ def standings(
         confusable = [name for place in others if chances[place] >= CONFUSED for name in rivals[place - 1][1]]
         ahead = [z_score(models[place].blocks, best.blocks) for place in others]
         better = [
-            model
-            for model in (models[place] for place in others)
-            if model.names[:-1] == refit.names
-            and model.loss < best.loss
-            and z_score(best.blocks, model.blocks) > TOLD_APART
+            models[place]
+            for place in others
+            if models[place].names[:-1] == refit.names
+            and (_told_better(models[place], best) or (explained and chances[place] >= LIKELY))
         ]
         result[effect] = Standing(
             refit,
@@ -126,6 +126,10 @@ def standings(
             min(better, key=lambda model: model.loss, default=None),
         )
     return result
+
+
+def _told_better(model: Scored, best: Scored) -> bool:
+    return model.loss < best.loss and z_score(best.blocks, model.blocks) > TOLD_APART
 
 
 def _rivals(

@@ -140,23 +140,29 @@ def search(
     progress: Callable[[str], None],
     allows: Callable[[Effect, int], bool] = lambda effect, joint: True,
     grow: Callable[[Problem, Split, Scored], Scored] = lambda problem, split, best: best,
+    begun: Selection | None = None,
 ) -> Selection:
     """Add effects one by one while each is worth it on data left out; then see whether one can go again.
 
     allows: whether the data let an effect be looked for on a joint at all. grow: what else an effect just found brings.
+    begun: a search that ended at what cannot be, to go on with what can be.
     """
     problem, split, start = regressors.problem, regressors.split, regressors.start
     given = len(start.terms)
     rows = problem.count
-    none = score(fit(problem, start), split)
-    best = none
+    none = best = score(fit(problem, start), split) if begun is None else begun.none
     path: list[tuple[list[Scored], Scored | None]] = []
     trimmed: dict[int, Scored] = {}
+    if begun is not None:
+        best, trimmed = begun.best, dict(begun.trimmed)
+        path = [(tried, taken) for tried, taken in begun.path if taken is not None]
     fault: Fault | None = None
-    for _ in range(MOST_EFFECTS if regressors.effects else 0):
+    for _ in range(MOST_EFFECTS - len(path) if regressors.effects else 0):
         exact, fault = additions(regressors, best, none, given, allows, progress)
         if not exact:
             break
+        if begun is not None and fault_of(problem, exact[0].hypothesis, given) is None:
+            fault = None
         rough = any(not term.effect.amplitudes for term in best.hypothesis.terms)
         found = worth(exact[0].blocks, best.blocks, none.blocks, rows, problem.most, rough)
         if fault is not None or not found or not _its_own(problem, exact[0], best):

@@ -262,9 +262,11 @@ def searched(
     promise: float = 50.0,
     fault: object = None,
     kind: str = "delta",
+    begun: selection.Selection | None = None,
 ):
     """A search of 100 rows from `none`; rounds: the losses of what is tried. promise: that all of them are ranked at.
-    fault: found in the second round. kind: of the mechanism; a Delta's are put in order once more, here backwards."""
+    fault: found in the second round, or where a search goes on at once. kind: of the mechanism; a Delta's are put in
+    order once more, here backwards. begun: to go on with."""
     effect, asked, said = stub(name="an_effect", amplitudes={"size": 0}), [], []
 
     class Dictionary:
@@ -278,7 +280,7 @@ def searched(
             return [(promise, stub(effect=effect, term=lambda loss=loss: loss)) for loss in losses]
 
     def sound(problem, ordered, best, none, given):
-        return ordered, fault if len(asked) == 2 else None
+        return ordered, fault if len(asked) == (2 if begun is None else 1) else None
 
     parts = {
         "Dictionary": Dictionary, "_sound_first": sound,
@@ -292,9 +294,11 @@ def searched(
         monkeypatch.setattr(selection, name, part)
     problem = stub(count=100, most=1.0, weights=None, recordings=[stub(mechanism=stub(kind=kind, joints=3))])
     start = Hypothesis(BASE, timed=False)
-    found = selection.search(stub(problem=problem, split=stub(), start=start, effects=[effect]), said.append)
+    found = selection.search(
+        stub(problem=problem, split=stub(), start=start, effects=[effect]), said.append, begun=begun
+    )
     path = [([scored.loss for scored in tried], taken and taken.loss) for tried, taken in found.path]
-    tried = sum(len(losses) for losses, _ in path)
+    tried = sum(len(losses) for losses, _ in path[0 if begun is None else len(begun.path) - 1 :])
     assert said.count("weighing the catalogue") == len(asked)
     assert said.count("fitting an effect") == len(said) - len(asked) == tried
     return found, path
@@ -327,6 +331,23 @@ def test_a_search_ends_at_a_fault_and_where_nothing_promises_anything(monkeypatc
     assert path == [([160.0, 150.0], 160.0), ([110.0], None)]
     assert found.fault is FAULT
     assert searched(monkeypatch, [150.0], promise=99.5)[1] == []
+
+
+@pytest.mark.parametrize("possible", [True, False])
+def test_a_search_that_ended_at_a_fault_goes_on_with_what_can_be(monkeypatch, possible):
+    """What was tried at the fault is tried again; where that cannot be either it ends there. Four effects in all."""
+    ended, _ = searched(monkeypatch, [150.0], [110.0], fault=FAULT)
+    monkeypatch.setattr(selection, "fault_of", lambda problem, hypothesis, given: None if possible else FAULT)
+    rounds = [130.0], [115.0], [104.0], [101.0]
+    found, path = searched(monkeypatch, *rounds, fault=FAULT, begun=ended)
+    assert ended.best.loss == 150.0
+    if possible:
+        assert path == [([150.0], 150.0), ([130.0], 130.0), ([115.0], 115.0), ([104.0], 104.0)]
+        assert (found.best.loss, found.fault) == (104.0, None)
+        assert found.trimmed.items() >= ended.trimmed.items()
+    else:
+        assert path == [([150.0], 150.0), ([130.0], None)]
+        assert (found.best, found.fault) == (ended.best, FAULT)
 
 
 @pytest.mark.parametrize(

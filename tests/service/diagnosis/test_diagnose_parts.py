@@ -217,6 +217,28 @@ def test_beside_a_noise_that_is_not_known_what_is_left_above_it_counts(
     assert judging.asked["guessed"] is False
 
 
+@pytest.mark.parametrize(("fault", "left", "gone_on"), [("at its limit", 1.09, True), ("at its limit", 1.11, False),
+                                                       (None, 1.0, False)])  # fmt: skip
+def test_what_cannot_be_gives_way_to_what_can_where_that_explains_all(monkeypatch, fault, left, gone_on):
+    """left: rms without it, of noise that may leave 1.1."""
+    ended, again = stub(fault=fault), stub(best=stub(residuals=[np.full(100, left)]))
+    asked: list[Any] = []
+    monkeypatch.setattr(diagnose, "search", lambda *arguments: asked.append(arguments[-1]) or again)
+    found = diagnose._past_fault(stub(problem=stub(count=100)), ended, 1.1, lambda effect, joint: True, print)
+    assert found is (again if gone_on else ended)
+    assert asked == ([ended] if fault else [])
+
+
+def test_it_is_asked_of_every_search_before_effects_are_exchanged(monkeypatch):
+    asked: list[tuple[str, Any]] = []
+    for name in ("_past_fault", "exchanged"):
+        monkeypatch.setattr(
+            diagnose, name, lambda regressors, found, limit, *_, name=name: asked.append((name, limit)) or found
+        )
+    found = diagnose.diagnose(ROBOT, [log(1), log(2)], [SPRING.effect])
+    assert asked == [("_past_fault", found.limit), ("exchanged", found.limit)]
+
+
 @pytest.mark.parametrize(
     ("left", "pulled", "strange"), [(1.09, True, False), (1.11, True, True), (2.19, False, False), (2.21, False, True)]
 )

@@ -221,7 +221,7 @@ def stood(
 ) -> tuple[str, ...]:
     """Names that stand, each with a probability and the standard errors that it is ahead."""
 
-    def standings(regressors, selection, best, refits, allows):
+    def standings(regressors, selection, best, refits, allows, explained):
         return {effect: Standing(refit, chances[effect.name][0], [], chances[effect.name][1])
                 for effect, refit in refits.items()}  # fmt: skip
 

@@ -40,11 +40,11 @@ def model(left: float, *names: str, size: int = 3, away: float = 0.0) -> Scored:
     )  # fmt: skip
 
 
-def standings(found: Selection, *refits: Scored, rows: int = ROWS) -> dict[str, Standing]:
-    """By name. refits: what was found without each of its effects, in their order."""
+def standings(found: Selection, *refits: Scored, rows: int = ROWS, explained: bool = False) -> dict[str, Standing]:
+    """By name. refits: what was found without each of its effects, in their order. explained: what is left is noise."""
     regressors = stub(problem=stub(count=rows), split=SPLIT)
     by_effect = dict(zip((term.effect for term in found.best.hypothesis.terms), refits, strict=True))
-    made = evidence.standings(regressors, found, found.best, by_effect, lambda effect, joint: True)
+    made = evidence.standings(regressors, found, found.best, by_effect, lambda effect, joint: True, explained)
     return {effect.name: one for effect, one in made.items()}
 
 
@@ -159,6 +159,23 @@ def test_a_name_that_led_while_others_were_in_the_gap_is_asked_again_beside_them
     assert made["later"].ahead > 10.0
 
 
+@pytest.mark.parametrize(
+    ("explained", "size", "more", "taken"),
+    [(True, 4, 0.0, True), (False, 4, 0.0, False), (True, 6, 0.0, False), (False, 6, -200.0, True)],
+)
+def test_where_noise_is_left_the_likelier_is_better_and_elsewhere_what_blocks_tell(
+    monkeypatch, explained, size, more, taken
+):
+    """size: figures of the other, of which that in question has five: two squares each tell. more: squares that it
+    leaves more, in the same blocks."""
+    both, alone = model(ROWS, "in question", "later", size=5), model(900.0, "later")
+    other = model(ROWS + more, "later", "other", size=size)
+    monkeypatch.setattr(evidence, "_in_its_place", lambda regressors, fewer, *_: [other] if fewer is alone else [])
+    made = standings(Selection(NONE, both, [], {}), alone, model(950.0, "in question"), explained=explained)
+    assert (made["in question"].better is other) is taken
+    assert made["later"].better is None
+
+
 def test_what_fell_and_what_was_found_are_in_nobodys_place():
     kept, fell = model(ROWS, "kept"), model(ROWS, "kept", "fell")
     path: list[tuple[list[Scored], Scored | None]] = [
@@ -167,7 +184,7 @@ def test_what_fell_and_what_was_found_are_in_nobodys_place():
     ]
     regressors = stub(problem=stub(count=ROWS), split=SPLIT)
     found = Selection(NONE, fell, path, {})
-    made = evidence.standings(regressors, found, kept, {named("kept"): NONE}, lambda *_: True)[named("kept")]
+    made = evidence.standings(regressors, found, kept, {named("kept"): NONE}, lambda *_: True, False)[named("kept")]
     assert (made.probability, made.confusable) == (pytest.approx(1.0), [])
     assert made.ahead > 100.0, "of the one that is far"
 
