@@ -139,7 +139,9 @@ def conclude(settings, state):
         std_dev = math.sqrt(std_dev * std_dev + state.hidden + max(0.0, max(gentle, here) - state.bias))
     fits = state.scatter <= LASTING * state.judged or state.inflation < STILL_LASTING
     sure = borne_out and (known_empty or (fits and is_sure(std_dev, mass)))
-    tool = 0.0 if known_empty else TOOL_SHARE * _ground(settings, state, sure, max(state.mass, -mass))
+    tool = 0.0  # of a gripper that is heard the shortfall says what hangs there when it is open
+    if state.gripper == UNKNOWN:
+        tool = TOOL_SHARE * _ground(settings, state, sure, max(state.mass, -mass))
     load = tool if tool > TOOL_SHARE * SMALLEST_CHANGE else 0.0  # less is no tool, and no reason to say nothing
     state.trusted = 1 if sure and (known_empty or is_sure(math.hypot(std_dev, load), mass)) else 0
     # a wrong torque constant makes a load of the platform's own weight, and the others heavier by as much: one error
