@@ -153,3 +153,14 @@ def test_whatever_else_comes_ends_in_no_torque_within_the_declared_time_and_good
     assert counted is None or refused[counted] >= cycles
     torque = talk.run(30, good)
     np.testing.assert_array_equal(torque[-1], TORQUE)
+
+
+def test_the_first_answer_to_a_question_counts(talk: Talk) -> None:
+    def twice(talk: Talk, reference: np.void) -> None:
+        good(talk, reference)
+        talk.answer(int(reference["sequence"]), -TORQUE)
+
+    torque = talk.run(40, twice)
+    assert (torque[:, 0] >= 0).all(), "nothing of the second answers"
+    np.testing.assert_array_equal(torque[-1], TORQUE)
+    assert talk.over.refused["repeated"] >= 20
