@@ -305,6 +305,20 @@ def test_friction_outlives_a_restart(robot, make, kept):
     assert rms(learnt(anew) - learnt(before)) > 3 * rms(learnt(estimator) - learnt(before))
 
 
+def test_a_change_of_load_found_soon_after_a_restart_does_not_take_what_was_kept(robot, kept):
+    """It unlearns the newest blocks, and there are none yet."""
+    path, _ = kept
+    estimator = Estimator(robot, PERIOD)
+    Keeper(path, robot).begin(estimator)
+    friction = estimator.state["payload"]["departure"]
+    information, moment = friction["information"].copy(), friction["moment"].copy()
+    assert moment.any()
+    for _ in range(2):
+        departure.unlearn_kernel(friction, PRIOR)
+        np.testing.assert_array_equal(friction["information"], information)
+        np.testing.assert_array_equal(friction["moment"], moment)
+
+
 def test_what_was_learnt_yesterday_says_little_of_a_cold_gear(robot, make, kept):
     path, _ = kept
     change(path, written_at=ago(hours=12))
