@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from schemas.errors import DataError
+from tests.bench import bench_payload
 from tests.conftest import REPOSITORY
 
 BENCHES = sorted(path.stem for path in (REPOSITORY / "tests" / "bench").glob("bench_*.py"))
@@ -36,6 +38,17 @@ def test_a_small_run_goes_to_its_end() -> None:
     done = start("tests.bench.bench_trace", "2000")
     assert done.returncode == 0, done.stderr
     assert "x library" in done.stdout
+
+
+def test_a_robot_that_cannot_be_identified_is_a_row_that_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise DataError("fit_0: a payload?")
+
+    monkeypatch.setattr(bench_payload, "logs", lambda *_: ([], None, None))
+    monkeypatch.setattr(bench_payload, "identify", refuse)
+    rows = bench_payload.one("d3-1200", "clean", 1, 24.0, (True, False))
+    row = {"robot": "d3-1200", "scenario": "clean", "error": "fit_0: a payload?"}
+    assert rows == [row | {"commands": True}, row | {"commands": False}]
 
 
 def test_what_is_missing_is_said_in_a_line(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from drivers.plant.effects import EFFECTS, PlantEffect
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
 from drivers.plant.truth import PlantTruth, load_truth, shipped_truth
+from schemas.errors import DataError
 from schemas.robot import Robot, load_robot
 from schemas.trace import Trace
 from service.identification.identify import identify
@@ -191,7 +192,7 @@ def judge(robot: Robot, log: Trace, motion: Trajectory) -> dict[str, float]:
 
 
 def one(robot: str, name: str, seed: int, seconds: float, commands: Sequence[bool]) -> list[dict]:
-    """The figures of a scenario on a robot, with its commands and without as asked."""
+    """The figures of a scenario on a robot, with its commands and without as asked; why it cannot be identified."""
     machine = Machine.of(robot)
     fitted, log, motion = logs(machine, SCENARIOS[name], seed, seconds)
     rows = []
@@ -200,8 +201,13 @@ def one(robot: str, name: str, seed: int, seconds: float, commands: Sequence[boo
             (lambda trace: trace) if known else partial(dataclasses.replace, position_command=None, torque_command=None)
         )
         base = pack(machine.robot)
-        identified = identify(machine.robot, [summarise(base, seen(trace)) for trace in fitted]).robot
-        rows.append({"robot": robot, "scenario": name, "commands": known} | judge(identified, seen(log), motion))
+        row = {"robot": robot, "scenario": name, "commands": known}
+        try:
+            identified = identify(machine.robot, [summarise(base, seen(trace)) for trace in fitted]).robot
+        except DataError as refused:
+            rows.append(row | {"error": str(refused)})
+        else:
+            rows.append(row | judge(identified, seen(log), motion))
     return rows
 
 
