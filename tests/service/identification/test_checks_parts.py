@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,19 @@ NAMES = ("a", "b", "c", "d")
 
 
 def told(
-    monkeypatch: pytest.MonkeyPatch, held: float, others: float, share: float = 0.05, hint: str = "", count: int = 4
+    monkeypatch: pytest.MonkeyPatch,
+    held: float,
+    others: float,
+    share: float = 0.05,
+    hint: str = "",
+    count: int = 4,
+    taken: float = 0.51,
 ) -> list[str]:
     """Warnings about logs of 10 N m a joint. held: share of log b's torque that the fit to the others leaves, on joint
-    3 only. others: of theirs, by that fit. share: of b's by the fit to all. hint: of a load on log b."""
+    3 only. others: of theirs, by that fit. share: of b's by the fit to all. hint: of a load on log b. taken: what that
+    would explain."""
     monkeypatch.setattr(checks, "_loads", lambda logs, fit, mass: {"b": hint} if hint else {})
+    monkeypatch.setattr(checks, "_taken", lambda log, values, noise: taken if values == 1 else 9.0)
     monkeypatch.setattr(checks, "_sameness", lambda logs: ["alike"])
     torque, whole = np.full((count, 3), 10.0), 10.0 * 3**0.5
     residual, held_out = np.full((count, 3), 0.1), np.full((count, 3), 0.1)
@@ -30,7 +39,9 @@ def told(
         assert values == 1, "the fit to the others of log b"
         return np.where(np.arange(count)[:, None] == 1, 99.0, others * 10.0) * np.ones(3)
 
-    fit: Any = stub(residual=residual, torque=torque, held_out=held_out, without=np.arange(count), left=left)
+    fit: Any = stub(
+        residual=residual, torque=torque, held_out=held_out, without=np.arange(count), left=left, noise=None
+    )
     logs: Any = [stub(name=name) for name in NAMES[:count]]
     return checks.check_fit(logs, fit, 2.0)
 
@@ -63,6 +74,11 @@ def test_a_log_that_others_do_not_explain_or_that_no_fit_does_is_refused(monkeyp
         told(monkeypatch, 0.41, 0.1)
     with pytest.raises(DataError, match=r"^b: does not go .* 21 % .*; a load$"):
         told(monkeypatch, 0.21, 0.01, hint="a load")
+    warning, alike = told(monkeypatch, 0.21, 0.01, hint="a load", taken=0.49)
+    assert re.match("b: does not go .* 21 % .* a motion that wakes what the model lacks", warning)
+    assert "load" not in warning + alike
+    with pytest.raises(DataError, match=r"^b: does not go .* 41 % .* most on joint 3$"):
+        told(monkeypatch, 0.41, 0.1, hint="a load", taken=0.49)
     assert told(monkeypatch, 0.19, 0.01, hint="a load.") == ["b: a load. Identify on empty motion", "alike"]
     assert told(monkeypatch, 0.1, 0.1, share=0.49) == ["alike"]
     with pytest.raises(DataError, match=r"^b: the model leaves 51 % of the torque unexplained; wrong robot"):
@@ -100,6 +116,24 @@ def test_a_log_is_loaded_that_steadily_asks_for_more_than_the_others(
         by_log["b"] = mass, spread / 2**0.5
     found = checks._loads(logs, fit, 2.0)
     assert found == ({"b": f"it asks for {mass:+.2f} kg on the platform on average: a payload?"} if loaded else {})
+
+
+def test_what_a_payload_would_take_is_a_mass_a_block_by_weight_and_inertia() -> None:
+    """Against least squares over the samples, joints by their noise; a block without motion has no say."""
+    random = np.random.default_rng(1)
+    noise, values = np.array([0.5, 1.0, 2.0]), random.standard_normal(9)
+    columns = random.standard_normal((3, 3, 40, COLUMNS))
+    columns[2] = 0.0
+    log: Any = stub(gram=np.einsum("bjna,bjnc->bjac", columns, columns))
+    before = after = 0.0
+    for block in (0, 1):
+        load, left = (np.concatenate(parts) for parts in zip(*(
+            (own[:, PLATFORM_COLUMN] / s, own @ (target(j) - selection(j) @ values) / s)
+            for j, (own, s) in enumerate(zip(columns[block], noise, strict=True))
+        ), strict=True))  # fmt: skip
+        mass = np.linalg.lstsq(load[:, None], left)[0]
+        before, after = before + left @ left, after + ((left - load * mass) ** 2).sum()
+    assert checks._taken(log, values, noise) == pytest.approx(1 - after / before)
 
 
 @pytest.mark.parametrize("first", [0.5, 1e-5])
