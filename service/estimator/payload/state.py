@@ -189,4 +189,5 @@ def start(state: np.ndarray, prior: np.ndarray) -> None:
     state["blocks"] = state["inflation"] = state["sticking"] = state["breakaway"] = 1.0
     state["raw_information"] = state["whole_information"] = PRIOR_STD**-2
     state["std_dev"] = PRIOR_STD
+    state["ground"] = SMALLEST_CHANGE  # before the first release nothing tells a tool from what was picked
     departure.start(state["departure"], prior)

@@ -25,6 +25,9 @@ CLEAR_STEP = 10.0
 # The same where most of that is what the model lacked when it was identified, which unlike noise is not drawn anew with
 # every sample.
 BIASED_STEP = 4.0
+# Where it lacks more than it did then, and as much as a load, a change whose onset is further back than this is
+# believed, and no event: of a late one nobody knows what it is about.
+FRESH_TIME = 0.25  # s of motion
 # What the model lacks is this many times the noise: what it says of the mass is not to be used.
 FOREIGN = 12.0
 # What it lacks is so many times the noise over some seconds of motion and, what is learnt taken off, now: such a thing
@@ -119,16 +122,18 @@ def conclude(settings, state):
         for a in range(departure.COUNT):
             drag[a] = 0.0
     variance = _step_variance(state, held - state.load, own)
-    least = CLEAR_STEP * CLEAR_STEP * variance
-    if as_identified and own <= 2.0 * state.bias:
-        least = min(least, BIASED_STEP * BIASED_STEP * (variance + state.load_variance))
+    foreign = not as_identified and state.bias > SMALLEST_CHANGE * SMALLEST_CHANGE
+    least = _least_step(settings, state, own, variance, as_identified, foreign)
     refined = own < state.load_variance and (held - state.load) ** 2 < variance + state.load_variance
     if state.rest.step != 0.0:
         event = (PayloadEvent.PICK if state.rest.step > 0.0 else PayloadEvent.RELEASE).value
         _note_event(state, event, state.load)
         _believe(state, held, own)
     elif trusted or refined or (held - state.load) ** 2 > least:
-        event = _event(settings, state, held, own, variance, trusted or refined)
+        if foreign and not known_empty and state.filled * settings.bin_size * settings.period > FRESH_TIME:
+            _believe(state, held, own)
+        else:
+            event = _event(settings, state, held, own, variance, trusted or refined)
     if event != PayloadEvent.NONE.value:
         state.untold = min(state.untold, LEAST_TIME)  # weighed anew
         begin_whole(state)
@@ -180,12 +185,15 @@ def is_sure(std_dev, mass):
 
 @kernel
 def _ground(settings, state, sure, off):
-    """The least, kg, that was known to hang there, or to be missing, after any release. off: the same of now."""
+    """The least, kg, that was known to hang there, or to be missing, after any release; before the first one a tool
+    that nobody has seen yet, which is no more than ever hung there. off: the same of now."""
     if state.grounded != 0:
         state.ground += settings.rise * (off - state.ground)
-    if sure and state.last_event == PayloadEvent.RELEASE.value and (state.grounded == 0 or off < state.ground):
-        state.grounded, state.ground = 1, off
-    return state.ground
+    first = state.grounded == 0 and state.last_event == PayloadEvent.RELEASE.value
+    if sure and (first or off < state.ground):
+        state.grounded |= first
+        state.ground = off
+    return state.ground if state.grounded != 0 else min(state.ground, off)
 
 
 @kernel
@@ -211,6 +219,18 @@ def _step_variance(state, step, own):
     for a in range(departure.COUNT):
         differs[a] = state.contrast[0, a] - state.load_drag[a]
     return own + departure.covariance_kernel(state.departure, differs, differs)
+
+
+@kernel
+def _least_step(settings, state, own, variance, as_identified, foreign):
+    """Squared step from the load believed so far, kg^2, beyond which it is told before the mass is trusted. own: kg^2,
+    of the mass without friction. variance: kg^2, of the step."""
+    clear = CLEAR_STEP * CLEAR_STEP * variance
+    biased = BIASED_STEP * BIASED_STEP * (variance + state.load_variance)
+    if foreign:  # a wait for a clear step would make a late event of a change that was found in time
+        unsettled = state.untold > 0.0 or state.quiet * settings.period <= REFINING_TIME
+        return math.inf if unsettled else biased
+    return min(clear, biased) if as_identified and own <= 2.0 * state.bias else clear
 
 
 @kernel

@@ -169,7 +169,7 @@ def test_a_load_shakes_the_arms_it_comes_to(jolt, told):
 )
 def test_slow_motion_does_not_take_over_a_mass_from_before_a_rest(stood, gripper, unheard):
     """A gripper that nobody hears of may have let go, and friction hides it."""
-    state = known(gripper=gripper, gripper_before=gripper)
+    state = known(gripper=gripper, gripper_before=gripper, ground=0.0)
     stand(state, torques(samples=stood))
     assert state["unheard"] == unheard
     state["resting"], state["slow"]["now"]["phi"] = 0, PHI
