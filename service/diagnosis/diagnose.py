@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -116,6 +116,10 @@ def diagnose(
             errors = statistics.standard_errors(judged.selection.best.fitted, split)
             found, chosen = quiet.selection_on_all(judged.selection), [quiet.on_all(one) for one in judged.chosen]
             cautions = [quiet.caution(), *judged.cautions]
+        elif untold := _untold(judged.cautions, found.names):
+            judged = _judged(regressors, selection, doubts, len(given), kept, unknown, limit, scope.allows, untold)
+            found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
+            errors = statistics.standard_errors(found.best.fitted, split)
     selection = found
     after = statistics.by_fold(chosen, split)
     gap, reference = plain.residuals, plain.hypothesis
@@ -152,14 +156,15 @@ class Judged:
 
 def _judged(
     regressors: Regressors, selection: Selection, doubts: list[Caution], given: int, tests: Sequence[Problem],
-    unknown: bool, limit: float, allows: Callable[[Effect, int], bool],
+    unknown: bool, limit: float, allows: Callable[[Effect, int], bool], untold: Collection[str] = (),
 ) -> Judged:  # fmt: skip
-    """Names have to earn it. doubts: reasons to believe none. unknown: the noise is not known."""
+    """Names have to earn it. doubts: reasons to believe none. unknown: the noise is not known. untold: effects that
+    other rows do not tell from what may be in their place."""
     problem, split, fallen = regressors.problem, regressors.split, faults_of(selection)
     if doubts:
         selection = replace(selection, best=selection.none, path=_untaken(selection))
     else:
-        selection, fell = earned(regressors, selection, tests, allows, limit)
+        selection, fell = earned(regressors, selection, tests, allows, limit, untold)
         fallen += fell
     chosen = statistics.walked(selection, split, problem.count, problem.most)
     after = statistics.by_fold(chosen, split)
@@ -179,6 +184,12 @@ def _tells_more(told: Sequence[str], before: Sequence[str]) -> bool:
     """Whether names told by quiet rows replace those that stood `before`: not where they are a part of them. What
     stands on all rows does not fall because fewer of them weigh."""
     return bool(told) and not set(told) < set(before)
+
+
+def _untold(cautions: Sequence[Caution], names: Sequence[str]) -> set[str]:
+    """Of `names`, those found on quiet rows too and not told there from what may be in their place: what tells
+    them on all rows is the stranger."""
+    return {one.effect for one in cautions if one.code == "rivalled" and one.effect in names}
 
 
 def _untaken(selection: Selection) -> list[tuple[list[Scored], Scored | None]]:

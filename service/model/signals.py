@@ -48,6 +48,11 @@ NOISY = 0.03  # of the acceleration, rms: bends an inertia by its square
 LEAST_HZ = 3.0  # of the analysis band
 RATE = 1000.0  # Hz, regressors are built at no less than this: plenty for what the motion smoother passes
 CHUNK = 32  # columns filtered at a time: what fits in the cache
+# A torque that the drive makes anew every few samples and holds between:
+HELD_CHANGES = 100  # of a joint's torque, before their rhythm says anything
+HELD_MOST = 0.02  # s; beyond, a torque stands still for reasons of its own
+HELD_EXCEPT = 0.02  # of its changes that may follow each other at once
+HELD_STEP = 1.5  # times its smallest change that a typical one is: one that rises by single steps is coarse, not held
 NOISE_HZ = 250.0  # above it (or a quarter of the sample rate) a robot's torque is noise
 
 UNUSABLE = (
@@ -259,7 +264,7 @@ class Segment:
     rows: (M,) row numbers in the trace, of the next sample where they were brought to an even clock. time: (M,) s.
     period: s. theta, theta_dot, theta_ddot, torque: (M, n), rad and N m. moving: (M, n), False at rest and, for all
     joints, within `EDGE` of the ends and where something is carried. noise: (n,) rad rms of the positions, which came
-    every `sampled` s.
+    every `sampled` s. held: s for which each torque stood in the log, where that is more than a sample.
     """
 
     rows: np.ndarray
@@ -272,6 +277,7 @@ class Segment:
     moving: np.ndarray
     noise: np.ndarray | None = None
     sampled: float = 0.0
+    held: float = 0.0
 
 
 def usable(trace: Trace) -> np.ndarray:
@@ -397,24 +403,65 @@ def resolved_hz(parts: Sequence[Segment]) -> float:
     return max(cutoff, LEAST_HZ)
 
 
+def held(torque: np.ndarray, period: float) -> int:
+    """Samples for which each value of a torque (N, n) is held before the drive's next: 1 where it is not, or not on
+    all of the joints that tell."""
+    held_for = []
+    for column in torque.T:
+        change = np.diff(column)
+        places = np.flatnonzero(change)
+        if len(places) > HELD_CHANGES:
+            gaps, size = np.diff(places), np.abs(change[places])
+            alone = np.mean(gaps < 2) <= HELD_EXCEPT and np.median(size) > HELD_STEP * size.min()
+            held_for.append(round(np.median(gaps)) if alone else 1)
+    shortest, longest = min(held_for, default=1), max(held_for, default=1)
+    return longest if shortest > 1 and longest * period <= HELD_MOST else 1
+
+
+def _anew(segment: Segment, samples: int) -> Segment:
+    """The samples at which a torque held for so many `samples` comes anew; those of a joint whose torque comes at other
+    times are read off a curve through its own."""
+    changes = [np.flatnonzero(np.diff(column)) + 1 for column in segment.torque.T]
+    start = int(np.argmax(np.bincount(np.concatenate(changes) % samples, minlength=samples)))
+    rows = np.arange(start, len(segment.time), samples)
+    torque = segment.torque[rows]
+    for joint, places in enumerate(changes):
+        if len(places) > HELD_CHANGES and np.mean(places % samples != start) > HELD_EXCEPT:
+            from scipy.interpolate import make_interp_spline
+
+            inside = rows.clip(places[0], places[-1])
+            torque[:, joint] = make_interp_spline(places, segment.torque[places, joint], 3)(inside)
+    return replace(_every(segment, rows, torque), held=samples * segment.period)
+
+
+def _every(segment: Segment, rows: np.ndarray, torque: np.ndarray) -> Segment:
+    """Evenly spaced `rows` (K,) of a segment, with a torque (K, n) of their own."""
+    return replace(
+        segment,
+        rows=segment.rows[rows],
+        time=segment.time[rows],
+        period=segment.period * float(rows[1] - rows[0]),
+        theta=segment.theta[rows],
+        theta_dot=segment.theta_dot[rows],
+        theta_ddot=segment.theta_ddot[rows],
+        torque=torque,
+        moving=segment.moving[rows],
+    )
+
+
 def thin(segment: Segment) -> Segment:
-    """Every k-th sample of `segment`, the torque low-passed for it, at no less than `RATE`."""
+    """Every k-th sample of `segment`: those at which a torque that the drive holds between comes anew, as the others
+    say nothing and say it late; of one that comes quicker than `RATE` no fewer than that, low-passed for it."""
+    samples = held(segment.torque, segment.period)
+    if samples > 1:
+        segment = _anew(segment, samples)
     step = int(1.0 / (RATE * segment.period) + 1e-6)
     if step < 2:
         return segment
     from scipy.signal import decimate
 
-    return replace(
-        segment,
-        rows=segment.rows[::step],
-        time=segment.time[::step],
-        period=segment.period * step,
-        theta=segment.theta[::step],
-        theta_dot=segment.theta_dot[::step],
-        theta_ddot=segment.theta_ddot[::step],
-        torque=decimate(segment.torque, step, ftype="fir", axis=0, zero_phase=True),
-        moving=segment.moving[::step],
-    )
+    torque = decimate(segment.torque, step, ftype="fir", axis=0, zero_phase=True)
+    return _every(segment, np.arange(0, len(segment.time), step), torque)
 
 
 def delayed(values: np.ndarray, seconds: float, period: float) -> np.ndarray:

@@ -50,6 +50,8 @@ CAUTIONS = {
     "closed_loop": "The torque of {joints} is the controller's answer to its position error ({gain:.3g} N m per "
     "rad, or N per m, without lag): it was not measured. A delay or filter of the torque, the torque constant, and "
     "what lies between command and shaft (back-EMF looks like viscous friction) cannot be known from it.",
+    "torque_held": "The torque comes anew every {held:.3g} ms only and stands still between: the samples between were "
+    "left out, as they say it late.",
     "noise_coloured": "The noise of {joints} has a memory: there is more of it in the band than white noise of "
     "its level would have. The floor is read from its colour and is good to about 20 %.",
     "noise_unknown": "The torque of {joints} shows no noise of its own (smoothed or computed?): its floor is not "
@@ -91,6 +93,7 @@ ADVICE = {
     "record_more": "Record more of the motion that shows it, and what else changed between the runs.",
     "measure_torque": "Log the drive's measured current beside the command.",
     "look_there": "Look for it where and when most is left, see below.",
+    "log_quicker": "Let the drive send its torque with every sample.",
     "measure_noise": "Log the torque unfiltered, or a stretch at rest with the drives on.",
 }
 # parameter of the base model, without its joint -> what it is
@@ -278,6 +281,7 @@ def caution(found: Caution) -> str:
         effect=effect, Effect=effect.capitalize(), where=f" in {joints}" if joints else "",
         first=found.joints[0] if found.joints else "", last=found.joints[-1] if found.joints else "",
         share=found.share, gain=found.gain, run=found.run, pitch=1000 * (found.pitch_m or 0.0),
+        held=1000 * (found.held_s or 0.0),
         quantity=(found.quantity or "").replace("_", " "),
     )  # fmt: skip
     return f"{said} {ADVICE[found.advice]}"

@@ -48,7 +48,8 @@ class SearchScope:
 
 
 def limits_of(problem: Problem, loops: dict[int, float] | None = None) -> SearchScope:
-    """Joints at rest, joints without reversals, too little motion. loops: gains of closed loops, by joint."""
+    """Joints at rest, joints without reversals, too little motion, a held torque. loops: gains of closed loops, by
+    joint."""
     joints = len(problem.sigma)
     forward, backward = np.zeros(joints), np.zeros(joints)
     for recording in problem.recordings:
@@ -69,6 +70,9 @@ def limits_of(problem: Problem, loops: dict[int, float] | None = None) -> Search
         cautions.append(Caution(code="one_way", joints=[joint + 1], advice="record_reversals"))
     if enough and len({recording.trace for recording in problem.recordings}) == 1:
         cautions.append(Caution(code="one_run", advice="record_runs"))
+    held = max(recording.segment.held for recording in problem.recordings)
+    if held:
+        cautions.append(Caution(code="torque_held", held_s=round(held, 6), advice="log_quicker"))
     for joint, gain in sorted((loops or {}).items()):
         cautions.append(Caution(code="closed_loop", joints=[joint + 1], gain=gain, advice="measure_torque"))
     return SearchScope(still, one_way, frozenset(loops or ()), enough, cautions)

@@ -6,7 +6,7 @@ figure in every run.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -41,15 +41,19 @@ OPEN = 0.5  # standard error over value of a parameter without amplitudes, from 
 
 def earned(
     regressors: Regressors, selection: Selection, kept_out: Sequence[Problem], allows: Callable[[Effect, int], bool],
-    limit: float,
+    limit: float, untold: Collection[str] = (),
 ) -> tuple[Selection, list[Caution]]:  # fmt: skip
     """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on. limit:
-    rms that noise leaves at most."""
+    rms that noise leaves at most. untold: effects that other rows do not tell from what may be in their place."""
     problem, best, given = regressors.problem, selection.best, len(selection.none.hypothesis.terms)
     left = (best.loss / problem.count) ** 0.5
     delta = problem.recordings[0].mechanism.kind == "delta"
     beside = delta and (bool(problem.weights) or left > FAR_ABOVE * limit)
     best, fallen = _its_own(regressors, selection, beside) if delta and (beside or left > limit) else (best, [])
+    gone = [effect for effect in _effects(best, given) if effect.name in untold]
+    if gone:
+        fallen += [_fell("rivalled", effect, best) for effect in gone]
+        best = without(problem, regressors.split, selection, best, *gone)
     best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside)
     fallen += fell
     if refits and problem.recordings[0].mechanism.kind == "chain":
@@ -64,7 +68,7 @@ def earned(
         better = standings[effect].better
         if better is not None and fault_of(problem, better.hypothesis, given) is None:
             changed = _in_its_place(selection, best, standings[effect].without, better)
-            return earned(regressors, changed, kept_out, allows, limit)
+            return earned(regressors, changed, kept_out, allows, limit, untold)
     if told:
         fallen += [_fell("rivalled", effect, best, share=standings[effect].probability) for effect in told]
         best = without(regressors.problem, regressors.split, selection, best, *told)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.diagnosis.fit.candidates import Dictionary, Regressors
+from service.diagnosis.fit.common import in_common
 from service.diagnosis.fit.selection import (
     LEAST_GAIN,
     SHORTLIST,
@@ -28,6 +29,7 @@ from service.model.effects.base import Effect
 DRAWS = 1000
 SURE = 0.9  # probability from which a name is not asked about again
 CONFUSED = 0.05  # probability from which what stands in for a name is told beside it
+EVEN = 0.5  # least that a probability falls to by what all joints may have alike
 NEAR = 0.5  # of an effect's gain: what promises less in its place is not fitted
 LIKELY = 0.5  # probability that a name needs
 
@@ -93,34 +95,38 @@ def standings(
 ) -> dict[Effect, Standing]:  # fmt: skip
     """How each effect of `best` stands against models without it, the others fitted anew beside each rival.
 
-    When an effect was added, others that are at work were still in the gap, and what stood in for them. refits: `best`
-    without each effect. explained: what `best` leaves is noise, so that a likelihood tells which of two is better.
+    When an effect was added, others that are at work were still in the gap, and what stood in for them. What all joints
+    may have alike takes no name from an effect, but leaves it no surer than even. refits: `best` without each effect.
+    explained: what `best` leaves is noise, so that a likelihood tells which of two is better.
     """
     given = len(selection.none.hypothesis.terms)
     seen = {}
     for model, instead in _rivals(regressors, selection, best, refits, allows):
         seen.setdefault(frozenset((term.effect, term.joints) for term in model.hypothesis.terms), (model, instead))
     rivals = list(seen.values())
-    models = [best, *(model for model, _ in rivals), *refits.values()]
-    lacks = {effect: [effect.name not in model.names[given:] for model in models] for effect in refits}
-    worth = {effect: float((refit.blocks - best.blocks).sum()) for effect, refit in refits.items()}
-    full = range(1 + len(rivals))
-    gains = [min((worth[effect] for effect in refits if lacks[effect][place]), default=0.0) for place in full]
-    chances = shares(models, gains, regressors.split, regressors.problem.count)
+    alike = [(one, instead) for model, instead in rivals if (one := in_common(model, regressors.split)) is not None]
+    apart = _weighed(regressors, best, [model for model, _ in rivals], refits, given)
+    every = _weighed(regressors, best, [model for model, _ in (*rivals, *alike)], refits, given) if alike else apart
     result = {}
     for effect, refit in refits.items():
-        others = [place for place in full if lacks[effect][place]]
-        confusable = [name for place in others if chances[place] >= CONFUSED for name in rivals[place - 1][1]]
-        ahead = [z_score(models[place].blocks, best.blocks) for place in others]
+        lacks = [place for place, (model, _) in enumerate(every) if effect.name not in model.names[given:]]
+        told = [(), *(instead for _, instead in (*rivals, *alike)), *[()] * len(refits)]
+        confusable = [name for place in lacks if every[place][1] >= CONFUSED for name in told[place]]
+        others = [one for one in apart[: 1 + len(rivals)] if effect.name not in one[0].names[given:]]
+        ahead = [z_score(model.blocks, best.blocks) for model, _ in others]
         better = [
-            models[place]
-            for place in others
-            if models[place].names[:-1] == refit.names
-            and (_told_better(models[place], best) or (explained and chances[place] >= LIKELY))
+            model
+            for model, chance in others
+            if model.names[:-1] == refit.names
+            and (_told_better(model, best) or (explained and chance >= LIKELY))
         ]
+        sure, alone = (
+            1.0 - sum(chance for model, chance in these if effect.name not in model.names[given:])
+            for these in (every, apart)
+        )
         result[effect] = Standing(
             refit,
-            1.0 - sum(chance for chance, lack in zip(chances, lacks[effect], strict=True) if lack),
+            max(sure, min(alone, EVEN)),
             list(dict.fromkeys(confusable)),
             min(ahead, default=np.inf),
             min(better, key=lambda model: model.loss, default=None),
@@ -132,11 +138,26 @@ def _told_better(model: Scored, best: Scored) -> bool:
     return model.loss < best.loss and z_score(best.blocks, model.blocks) > TOLD_APART
 
 
+def _weighed(
+    regressors: Regressors, best: Scored, others: Sequence[Scored], refits: Mapping[Effect, Scored], given: int
+) -> list[tuple[Scored, float]]:
+    """`best`, others and refits, each with its probability among them."""
+    worth = {effect: float((refit.blocks - best.blocks).sum()) for effect, refit in refits.items()}
+    full = [best, *others]
+    gains = [
+        min((worth[effect] for effect in refits if effect.name not in model.names[given:]), default=0.0)
+        for model in full
+    ]
+    models = [*full, *refits.values()]
+    return list(zip(models, shares(models, gains, regressors.split, regressors.problem.count), strict=True))
+
+
 def _rivals(
     regressors: Regressors, selection: Selection, best: Scored, refits: Mapping[Effect, Scored],
     allows: Callable[[Effect, int], bool],
 ) -> Iterator[tuple[Scored, tuple[str, ...]]]:  # fmt: skip
-    """Models that lack an effect of `best` and none of what fell, with the effects that they have instead."""
+    """Models that lack an effect of `best` and none of what fell, with the effects that they have instead. What has all
+    of `best` and more is none: with the same beside it a rival would be asked as well."""
     found = set(best.names)
     fallen = set(selection.best.names) - found
     begun = []
@@ -144,7 +165,7 @@ def _rivals(
         begun.append(set(before.names))
         for model in tried:
             names = set(model.names)
-            if names - found and not fallen & names:
+            if names - found and not fallen & names and not found <= names:
                 yield model, tuple(name for name in added(model, before) if name not in found)
     for effect, fewer in refits.items():
         if set(fewer.names) not in begun:

@@ -10,6 +10,8 @@ import pytest
 
 from drivers.plant.mechanism import Design, build, close
 from drivers.trace import read_trace
+from schemas.diagnosis import Caution
+from service.diagnosis import diagnose as diagnosis
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.evidence import aside
 from service.diagnosis.evidence.aside import WIDTH, Quiet
@@ -324,6 +326,32 @@ def test_an_effect_is_named_beside_a_stranger_on_another_joint(tmp_path):
     assert ("set_aside", [JOINT + 1]) in [(one.code, one.joints) for one in found.cannot_tell]
     # the gap that is told is that of all rows
     assert sum(len(r) for r in found.after) == found.problem.count == sum(len(r) for r in found.before)
+
+
+@pytest.mark.parametrize("code", ["rivalled", "no_shrink"])
+def test_a_name_that_quiet_rows_do_not_tell_from_another_falls_on_all_rows_too(monkeypatch, tmp_path, code):
+    """What speaks for it on the others is the stranger. For any other reason it stands: fewer rows say less."""
+    traces = []
+    for seed in (1, 2, 3):
+        trace = read_trace(record(tmp_path / f"run_{seed}.csv", ROBOT, swing(seed), 5.0, seed, 2.5), ROBOT)
+        torque = trace.torque.copy()
+        torque[:, JOINT] += 0.05 * stranger(seed, len(torque))
+        traces.append(replace(trace, torque=torque))
+    whole = diagnosis._judged
+
+    def judged(regressors, found, *others):
+        made = whole(regressors, found, *others)
+        if not regressors.problem.weights:
+            return made
+        fell = Caution(code=code, effect="stribeck_friction", joints=[1, 2], advice="record_more")
+        return replace(made, selection=replace(made.selection, best=made.selection.none), cautions=[fell])
+
+    monkeypatch.setattr(diagnosis, "_judged", judged)
+    found = diagnose(ROBOT, traces, [EFFECTS["stribeck_friction"]])
+    assert found.selection.names == (() if code == "rivalled" else ("stribeck_friction",))
+    told = [(one.code, one.effect) for one in found.cannot_tell]
+    assert (("rivalled", "stribeck_friction") in told) == (code == "rivalled")
+    assert found.verdict == ("unexplained" if code == "rivalled" else "partly_explained")
 
 
 @pytest.mark.parametrize("stuck", [2.5, 0.0])

@@ -24,10 +24,10 @@ from tests.service.world import stub
 EFFECTS = by_name(CATALOGUE)
 
 
-def motion(*speeds: np.ndarray) -> Any:
-    """A problem of one 10 s run whose joints move at the given (N,) speeds."""
+def motion(*speeds: np.ndarray, held: float = 0.0) -> Any:
+    """A problem of one 10 s run whose joints move at the given (N,) speeds. held: s for which a torque stands."""
     theta_dot = np.stack(speeds, axis=1)
-    segment = SimpleNamespace(theta_dot=theta_dot, moving=np.abs(theta_dot) > 0.01, period=0.01)
+    segment = SimpleNamespace(theta_dot=theta_dot, moving=np.abs(theta_dot) > 0.01, period=0.01, held=held)
     return SimpleNamespace(recordings=[SimpleNamespace(segment=segment, trace=0)], sigma=np.ones(theta_dot.shape[1]))
 
 
@@ -56,6 +56,11 @@ def test_of_a_torque_that_was_not_measured_nothing_is_said_to_be_done_to_it():
     assert scope.allows(EFFECTS["torque_scale"], 1)
     assert scope.allows(EFFECTS["joint_spring"], 0)
     assert ("closed_loop", [1], 40.0) in [(one.code, one.joints, one.gain) for one in scope.cautions]
+
+
+def test_a_torque_that_is_held_is_said_to_be():
+    (said, _) = limits_of(motion(SWING, SWING, SWING, held=0.008)).cautions
+    assert (said.code, said.held_s, said.advice) == ("torque_held", 0.008, "log_quicker")
 
 
 def test_a_short_log_is_too_little():

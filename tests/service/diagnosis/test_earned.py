@@ -244,6 +244,14 @@ def test_a_name_less_likely_than_what_may_be_in_its_place_falls_and_leaves_the_o
         assert stood(made, found, monkeypatch, **chances) == names
 
 
+def test_a_name_that_other_rows_do_not_tell_falls_and_leaves_the_others():
+    made = logs((1, 2, 3), "joint_spring", "cogging")
+    found, regressors = chosen(made, SPRING, RIPPLE), Regressors(made, Split.of(made), [], Hypothesis(BASE))
+    kept, fallen = earned(regressors, found, (), lambda effect, joint: True, 1e3, {"cogging", "torque_delay"})
+    assert kept.names == ("joint_spring",)
+    assert codes(fallen) == [("rivalled", "cogging", None)]
+
+
 @pytest.mark.parametrize(("ahead", "stands"), [(2.1, True), (1.9, False)])
 def test_beside_a_stranger_a_name_has_to_be_told_from_what_may_be_in_its_place(monkeypatch, ahead, stands):
     """ahead: standard errors over blocks. A stranger: rows that weigh less, or more than twice what noise may leave.

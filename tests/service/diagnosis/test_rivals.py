@@ -134,6 +134,34 @@ def test_what_has_the_effect_too_is_no_rival_of_it():
     assert standings(found, NONE) == {"offset": Standing(NONE, 1.0, [], np.inf)}
 
 
+def test_what_has_more_than_all_that_was_found_is_no_rival_either():
+    """It would be counted for the effect, and the other with as much beside it was not asked."""
+    taken, other, more = model(ROWS, "taken"), model(ROWS, "other"), model(0.5 * ROWS, "taken", "more")
+    path: list[tuple[list[Scored], Scored | None]] = [([taken, other], taken), ([more], None)]
+    made = standings(Selection(NONE, taken, path, {}), NONE)["taken"]
+    assert (made.probability, made.confusable) == (pytest.approx(0.5, abs=1e-6), ["other"])
+
+
+@pytest.mark.parametrize(
+    ("left", "alone", "probability", "confusable"),
+    [
+        (0.0, 100.0, 0.5, ["other"]),
+        (4.0, 100.0, 1 / (1 + np.exp(-2.0)), ["other"]),
+        (-100.0, 100.0, 0.5, ["other"]),  # no less than even
+        (100.0, 100.0, 1.0, []),
+        (-100.0, -100.0, 0.0, ["other"]),  # it was even less before
+    ],
+)
+def test_what_all_joints_may_have_alike_leaves_a_name_even(monkeypatch, left, alone, probability, confusable):
+    """left, alone: squares that the other leaves more with one figure for all joints, and with one each."""
+    taken, other, shared = model(ROWS, "taken"), model(ROWS + alone, "other", away=1e-3), model(ROWS + left, "other")
+    monkeypatch.setattr(evidence, "in_common", lambda one, split: shared if one is other else None)
+    made = standings(Selection(NONE, taken, [([taken, other], taken)], {}), NONE)["taken"]
+    assert made.probability == pytest.approx(probability, abs=1e-6)
+    assert made.confusable == confusable
+    assert (made.ahead > 0) == (alone > 0), "by those that have a figure a joint"
+
+
 def test_a_name_that_led_while_others_were_in_the_gap_is_asked_again_beside_them(monkeypatch):
     """It won its round far ahead; beside what came later another does better."""
     first, both = model(2000.0, "stand-in"), model(ROWS, "stand-in", "later")

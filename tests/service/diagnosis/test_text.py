@@ -166,6 +166,8 @@ def test_there_are_words_for_all_that_cannot_be_told_and_for_every_advice() -> N
     ) in text.sentences(beside)
     belt = text.caution(Caution(code="comes_again", pitch_m=0.0643, advice="look_there"))
     assert "pulls at the platform again every 64 mm of its way" in belt
+    held = text.caution(Caution(code="torque_held", held_s=0.004, advice="log_quicker"))
+    assert held.startswith("The torque comes anew every 4 ms only and stands still between")
 
 
 def test_a_gap_hardly_above_the_noise_is_called_that() -> None:

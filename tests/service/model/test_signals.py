@@ -188,6 +188,70 @@ def test_thinning_keeps_what_is_slow_of_the_torque() -> None:
     assert signals.thin(slow) is slow
 
 
+def held_log(every: int, late: int = 0, jitter: int = 0, steps: float = 0.0) -> tuple[signals.Segment, np.ndarray]:
+    """Two joints whose noisy torque a drive makes anew after `every` samples, give or take `jitter`, joint 2 `late`
+    samples after joint 1 and in steps of `steps` N m; and the torque (N, 2) that was there."""
+    random, count = np.random.default_rng(5), 4000
+    true = np.stack([np.sin(2 * np.pi * hz * np.arange(count) * PERIOD) for hz in (3.0, 5.0)], axis=1)
+    seen = true + 0.02 * random.standard_normal(true.shape)
+    seen = np.round(seen / steps) * steps if steps else seen
+    torque = seen.copy()
+    for joint, first in enumerate((1, 1 + late)):
+        updates = first + np.cumsum(random.integers(every - jitter, every + jitter + 1, count))
+        updates = np.r_[0, updates[updates < count]]
+        torque[:, joint] = np.repeat(seen[updates, joint], np.diff(np.r_[updates, count]))
+    part = seen_of(count)
+    return replace(part, torque=torque), seen
+
+
+def seen_of(count: int) -> signals.Segment:
+    time, theta, theta_dot, theta_ddot = swing(count)
+    moving = np.ones(theta.shape, bool)
+    return signals.Segment(np.arange(count), time, PERIOD, theta, theta_dot, theta_ddot, theta, moving)
+
+
+@pytest.mark.parametrize("every", [2, 4, 8, 20])
+@pytest.mark.parametrize("steps", [0.0, 0.005])
+def test_of_a_torque_that_is_held_the_samples_stay_at_which_it_came(every: int, steps: float) -> None:
+    part, true = held_log(every, steps=steps)
+    found = signals.thin(part)
+    assert found.period == pytest.approx(every * PERIOD)
+    assert found.held == pytest.approx(every * PERIOD)
+    np.testing.assert_array_equal(found.rows % every, 1 % every)
+    np.testing.assert_array_equal(found.torque[1:-1], true[found.rows][1:-1])
+    for name in ("time", "theta", "theta_dot", "theta_ddot", "moving"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(part, name)[found.rows])
+
+
+@pytest.mark.parametrize(("late", "jitter"), [(2, 0), (0, 2), (3, 2)])
+def test_a_torque_that_comes_at_other_times_is_read_off_between_them(late: int, jitter: int) -> None:
+    """Within its noise of 0.02 and the bend of 5 Hz in 6 ms; the stairs are off by 0.06 rms and late by 2.5 ms."""
+    part, _ = held_log(6, late=late, jitter=jitter)
+    true = np.stack([np.sin(2 * np.pi * hz * part.time) for hz in (3.0, 5.0)], axis=1)
+    found = signals.thin(part)
+    assert found.period == pytest.approx(6 * PERIOD)
+    error = (found.torque - true[found.rows])[5:-5]
+    assert error.std(axis=0).max() < 0.03
+    rise = np.gradient(true[found.rows], found.period, axis=0)[5:-5]
+    lag = -np.sum(error * rise, axis=0) / np.sum(rise**2, axis=0)
+    np.testing.assert_allclose(lag, 0.0, atol=0.2e-3)
+
+
+def test_a_torque_that_moves_with_every_sample_or_by_single_steps_is_not_held() -> None:
+    """Coarse steps without noise stand for several samples too, but rise by one of them at a time."""
+    part, true = held_log(1)
+    assert signals.held(true, PERIOD) == 1
+    assert signals.thin(part) is part
+    smooth = np.sin(2 * np.pi * 0.5 * part.time)[:, None]
+    assert signals.held(np.round(smooth / 0.02) * 0.02, PERIOD) == 1
+    slow, _ = held_log(25)  # longer than any drive takes
+    assert signals.thin(slow) is slow
+    one, _ = held_log(4)
+    mixed = np.stack([one.torque[:, 0], true[:, 1]], axis=1)
+    assert signals.held(mixed, PERIOD) == 1
+    assert signals.held(np.stack([one.torque[:, 0], np.zeros(len(true))], axis=1), PERIOD) == 4  # a joint says nothing
+
+
 def trace(count: int = 3000) -> Trace:
     time, theta, theta_dot, _ = swing(count)
     return Trace(Path("log.csv"), time, theta, theta_dot, flags=np.zeros(count, np.uint32))
