@@ -33,7 +33,7 @@ from service.model.effects.base import Effect
 from service.model.hypothesis import Term
 from service.model.mechanism import mechanism_of
 from service.model.scene import Recording
-from service.model.signals import segments, thin
+from service.model.signals import fresh, segments
 
 # What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
 # smoothing of the motion costs another two. Where it is read from the noise's colour above the band: `WITHIN_COLOURED`.
@@ -61,10 +61,10 @@ def diagnose(
     """
     progress("smoothing the motion")
     mechanism = mechanism_of(robot)
+    parts = [(index, segment) for index, trace in enumerate(traces) for segment in segments(trace)]
     recordings = [
-        Recording(thin(segment), mechanism, index, trace.name)
-        for index, trace in enumerate(traces)
-        for segment in segments(trace)
+        Recording(segment, mechanism, index, traces[index].name)
+        for (index, _), segment in zip(parts, fresh([segment for _, segment in parts]), strict=True)
     ]
     if not any(recording.segment.moving.any() for recording in recordings):
         raise DataError(f"{traces[0].path}: no joint moves")
@@ -189,7 +189,8 @@ def _tells_more(told: Sequence[str], before: Sequence[str]) -> bool:
 def _untold(cautions: Sequence[Caution], names: Sequence[str]) -> set[str]:
     """Of `names`, those found on quiet rows too and not told there from what may be in their place: what tells
     them on all rows is the stranger."""
-    return {one.effect for one in cautions if one.code == "rivalled" and one.effect in names}
+    rivalled = [one.effect for one in cautions if one.code == "rivalled"]
+    return {name for name in names if name in rivalled}
 
 
 def _untaken(selection: Selection) -> list[tuple[list[Scored], Scored | None]]:

@@ -49,7 +49,7 @@ LEAST_HZ = 3.0  # of the analysis band
 RATE = 1000.0  # Hz, regressors are built at no less than this: plenty for what the motion smoother passes
 CHUNK = 32  # columns filtered at a time: what fits in the cache
 # A torque that the drive makes anew every few samples and holds between:
-HELD_CHANGES = 100  # of a joint's torque, before their rhythm says anything
+HELD_CHANGES = 20  # of a joint's torque, before their rhythm says anything: those of the shortest segment
 HELD_MOST = 0.02  # s; beyond, a torque stands still for reasons of its own
 HELD_EXCEPT = 0.02  # of its changes that may follow each other at once
 HELD_STEP = 1.5  # times its smallest change that a typical one is: one that rises by single steps is coarse, not held
@@ -403,19 +403,19 @@ def resolved_hz(parts: Sequence[Segment]) -> float:
     return max(cutoff, LEAST_HZ)
 
 
-def held(torque: np.ndarray, period: float) -> int:
-    """Samples for which each value of a torque (N, n) is held before the drive's next: 1 where it is not, or not on
-    all of the joints that tell."""
+def held(torque: np.ndarray, period: float) -> int | None:
+    """Samples for which each value of a torque (N, n) is held before the drive's next, on the joint with the shortest:
+    1 where one is not held. None where too little changes to tell."""
     held_for = []
     for column in torque.T:
         change = np.diff(column)
         places = np.flatnonzero(change)
-        if len(places) > HELD_CHANGES:
+        if len(places) >= HELD_CHANGES:
             gaps, size = np.diff(places), np.abs(change[places])
             alone = np.mean(gaps < 2) <= HELD_EXCEPT and np.median(size) > HELD_STEP * size.min()
-            held_for.append(round(np.median(gaps)) if alone else 1)
-    shortest, longest = min(held_for, default=1), max(held_for, default=1)
-    return longest if shortest > 1 and longest * period <= HELD_MOST else 1
+            samples = round(np.median(gaps))
+            held_for.append(samples if alone and samples * period <= HELD_MOST else 1)
+    return min(held_for, default=None)
 
 
 def _anew(segment: Segment, samples: int) -> Segment:
@@ -426,7 +426,7 @@ def _anew(segment: Segment, samples: int) -> Segment:
     rows = np.arange(start, len(segment.time), samples)
     torque = segment.torque[rows]
     for joint, places in enumerate(changes):
-        if len(places) > HELD_CHANGES and np.mean(places % samples != start) > HELD_EXCEPT:
+        if len(places) >= HELD_CHANGES and np.mean(places % samples != start) > HELD_EXCEPT:
             from scipy.interpolate import make_interp_spline
 
             inside = rows.clip(places[0], places[-1])
@@ -450,11 +450,7 @@ def _every(segment: Segment, rows: np.ndarray, torque: np.ndarray) -> Segment:
 
 
 def thin(segment: Segment) -> Segment:
-    """Every k-th sample of `segment`: those at which a torque that the drive holds between comes anew, as the others
-    say nothing and say it late; of one that comes quicker than `RATE` no fewer than that, low-passed for it."""
-    samples = held(segment.torque, segment.period)
-    if samples > 1:
-        segment = _anew(segment, samples)
+    """Every k-th sample of `segment`, the torque low-passed for it, at no less than `RATE`."""
     step = int(1.0 / (RATE * segment.period) + 1e-6)
     if step < 2:
         return segment
@@ -462,6 +458,15 @@ def thin(segment: Segment) -> Segment:
 
     torque = decimate(segment.torque, step, ftype="fir", axis=0, zero_phase=True)
     return _every(segment, np.arange(0, len(segment.time), step), torque)
+
+
+def fresh(parts: Sequence[Segment]) -> list[Segment]:
+    """`thin` of the segments of one machine; of a torque that the drive holds, the samples at which it comes anew: the
+    others say nothing new, and say it late."""
+    found = [samples for part in parts if (samples := held(part.torque, part.period)) is not None]
+    if min(found, default=1) > 1:
+        parts = [_anew(part, round(np.median(found))) for part in parts]
+    return [thin(part) for part in parts]
 
 
 def delayed(values: np.ndarray, seconds: float, period: float) -> np.ndarray:

@@ -156,8 +156,7 @@ def _rivals(
     regressors: Regressors, selection: Selection, best: Scored, refits: Mapping[Effect, Scored],
     allows: Callable[[Effect, int], bool],
 ) -> Iterator[tuple[Scored, tuple[str, ...]]]:  # fmt: skip
-    """Models that lack an effect of `best` and none of what fell, with the effects that they have instead. What has all
-    of `best` and more is none: with the same beside it a rival would be asked as well."""
+    """Models that lack an effect of `best` and none of what fell, with the effects that they have instead."""
     found = set(best.names)
     fallen = set(selection.best.names) - found
     begun = []
@@ -165,7 +164,7 @@ def _rivals(
         begun.append(set(before.names))
         for model in tried:
             names = set(model.names)
-            if names - found and not fallen & names and not found <= names:
+            if names - found and not fallen & names:
                 yield model, tuple(name for name in added(model, before) if name not in found)
     for effect, fewer in refits.items():
         if set(fewer.names) not in begun:

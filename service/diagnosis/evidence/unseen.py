@@ -20,7 +20,7 @@ from service.model.description import described, digits
 from service.model.hypothesis import Hypothesis
 from service.model.parameters import Parameters
 from service.model.scene import Recording
-from service.model.signals import Band, segments, thin
+from service.model.signals import Band, fresh, segments
 
 
 def kept_out(known: Problem, trace: Trace) -> Problem:
@@ -30,7 +30,7 @@ def kept_out(known: Problem, trace: Trace) -> Problem:
         TraceError: no usable part, naming the file.
     """
     mechanism = known.recordings[0].mechanism
-    parts = [Recording(thin(part), mechanism, 0, trace.name) for part in segments(trace)]
+    parts = [Recording(part, mechanism, 0, trace.name) for part in fresh(segments(trace))]
     return Problem.of(parts, Band.of(parts[0].segment.period, known.band.cutoff_hz), known.sigma)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from service.diagnosis.fit.common import in_common
 from tests.service.subject import EFFECTS, Amplitude, Effect, Hypothesis, Scene, Split, Term, fit, selection
-from tests.service.world import BASE, course, problem
+from tests.service.world import BASE, course, problem, stub
 
 OFFSET = Amplitude("N m", "of all joints")
 OFFSETS = np.array([0.65, 0.60, 0.62])  # N m
@@ -58,3 +58,6 @@ def test_it_is_asked_of_what_sits_on_all_joints_with_one_figure_each(logs):
     ):  # fmt: skip
         term = Term(EFFECTS[name], joints, np.zeros((max(len(joints), 1), amplitudes)), nonlinear)
         assert in_common(selection.score(fit(made, Hypothesis(BASE, (term,)), 1), split), split) is None, name
+    alone = Term(EFFECTS["torque_offset"], (0,), np.zeros((1, 1)), ())
+    one_axis = stub(fitted=None, hypothesis=stub(terms=(alone,), base=stub(viscous=np.ones(1))))
+    assert in_common(one_axis, split) is None  # pyright: ignore[reportArgumentType]

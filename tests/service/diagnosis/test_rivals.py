@@ -134,14 +134,6 @@ def test_what_has_the_effect_too_is_no_rival_of_it():
     assert standings(found, NONE) == {"offset": Standing(NONE, 1.0, [], np.inf)}
 
 
-def test_what_has_more_than_all_that_was_found_is_no_rival_either():
-    """It would be counted for the effect, and the other with as much beside it was not asked."""
-    taken, other, more = model(ROWS, "taken"), model(ROWS, "other"), model(0.5 * ROWS, "taken", "more")
-    path: list[tuple[list[Scored], Scored | None]] = [([taken, other], taken), ([more], None)]
-    made = standings(Selection(NONE, taken, path, {}), NONE)["taken"]
-    assert (made.probability, made.confusable) == (pytest.approx(0.5, abs=1e-6), ["other"])
-
-
 @pytest.mark.parametrize(
     ("left", "alone", "probability", "confusable"),
     [

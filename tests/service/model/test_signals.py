@@ -214,7 +214,7 @@ def seen_of(count: int) -> signals.Segment:
 @pytest.mark.parametrize("steps", [0.0, 0.005])
 def test_of_a_torque_that_is_held_the_samples_stay_at_which_it_came(every: int, steps: float) -> None:
     part, true = held_log(every, steps=steps)
-    found = signals.thin(part)
+    (found,) = signals.fresh([part])
     assert found.period == pytest.approx(every * PERIOD)
     assert found.held == pytest.approx(every * PERIOD)
     np.testing.assert_array_equal(found.rows % every, 1 % every)
@@ -228,7 +228,7 @@ def test_a_torque_that_comes_at_other_times_is_read_off_between_them(late: int, 
     """Within its noise of 0.02 and the bend of 5 Hz in 6 ms; the stairs are off by 0.06 rms and late by 2.5 ms."""
     part, _ = held_log(6, late=late, jitter=jitter)
     true = np.stack([np.sin(2 * np.pi * hz * part.time) for hz in (3.0, 5.0)], axis=1)
-    found = signals.thin(part)
+    (found,) = signals.fresh([part])
     assert found.period == pytest.approx(6 * PERIOD)
     error = (found.torque - true[found.rows])[5:-5]
     assert error.std(axis=0).max() < 0.03
@@ -241,15 +241,29 @@ def test_a_torque_that_moves_with_every_sample_or_by_single_steps_is_not_held() 
     """Coarse steps without noise stand for several samples too, but rise by one of them at a time."""
     part, true = held_log(1)
     assert signals.held(true, PERIOD) == 1
-    assert signals.thin(part) is part
+    assert signals.fresh([part]) == [part]
     smooth = np.sin(2 * np.pi * 0.5 * part.time)[:, None]
     assert signals.held(np.round(smooth / 0.02) * 0.02, PERIOD) == 1
     slow, _ = held_log(25)  # longer than any drive takes
-    assert signals.thin(slow) is slow
+    assert signals.fresh([slow]) == [slow]
     one, _ = held_log(4)
     mixed = np.stack([one.torque[:, 0], true[:, 1]], axis=1)
     assert signals.held(mixed, PERIOD) == 1
-    assert signals.held(np.stack([one.torque[:, 0], np.zeros(len(true))], axis=1), PERIOD) == 4  # a joint says nothing
+    still = np.zeros(len(true))
+    assert signals.held(np.stack([one.torque[:, 0], still], axis=1), PERIOD) == 4  # a joint says nothing
+    assert signals.held(still[:, None], PERIOD) is None
+
+
+def test_segments_of_a_machine_are_held_alike_or_none_is() -> None:
+    """Those in which nothing changes go along; where some have it otherwise, the clock of most is for all."""
+    one, _ = held_log(4)
+    other, true = held_log(6)
+    still = replace(one, torque=np.zeros(true.shape))
+    assert [part.period for part in signals.fresh([one, still])] == pytest.approx([4 * PERIOD] * 2)
+    assert [part.period for part in signals.fresh([other, one, other])] == pytest.approx([6 * PERIOD] * 3)
+    plain = replace(one, torque=true)
+    assert signals.fresh([one, plain, still]) == [one, plain, still]
+    assert signals.fresh([still]) == [still]
 
 
 def trace(count: int = 3000) -> Trace:
