@@ -59,7 +59,7 @@ def test_of_a_torque_that_was_not_measured_nothing_is_said_to_be_done_to_it():
 
 
 def test_a_torque_that_is_held_is_said_to_be():
-    (said, _) = limits_of(motion(SWING, SWING, SWING, held=0.008)).cautions
+    *_, said = limits_of(motion(SWING, SWING, SWING, held=0.008)).cautions
     assert (said.code, said.held_s, said.advice) == ("torque_held", 0.008, "log_quicker")
 
 

@@ -260,7 +260,7 @@ def test_segments_of_a_machine_are_held_alike_or_none_is() -> None:
     other, true = held_log(6)
     still = replace(one, torque=np.zeros(true.shape))
     assert [part.period for part in signals.fresh([one, still])] == pytest.approx([4 * PERIOD] * 2)
-    assert [part.period for part in signals.fresh([other, one, other])] == pytest.approx([6 * PERIOD] * 3)
+    assert [part.period for part in signals.fresh([one, other, other])] == pytest.approx([6 * PERIOD] * 3)
     plain = replace(one, torque=true)
     assert signals.fresh([one, plain, still]) == [one, plain, still]
     assert signals.fresh([still]) == [still]
