@@ -157,8 +157,8 @@ class Judging:
         self.asked: dict[str, Any] = {}
         self.split = split_of(4, 25, 2)
 
-        def earned(regressors: Any, found: Any, tests: Any, allows: Any, limit: float) -> Any:
-            self.asked |= {"earned": found, "tests": tests, "allows": allows, "limit": limit}
+        def earned(regressors: Any, found: Any, tests: Any, allows: Any, limit: float, untold: Any) -> Any:
+            self.asked |= {"earned": found, "tests": tests, "allows": allows, "limit": limit, "untold": untold}
             return found, [self.too_weak]
 
         def together(problem: Any, split: Any, found: Any, after: Any, given: int, guessed: bool) -> Any:
@@ -173,7 +173,7 @@ class Judging:
 
     def __call__(self, *doubts: Caution, unknown: bool = False) -> Any:
         made: Any = stub(problem=stub(count=100, most=1.0), split=self.split)
-        return diagnose._judged(made, self.found, list(doubts), 1, ["kept"], unknown, 1.2, all)  # pyright: ignore[reportArgumentType]
+        return diagnose._judged(made, self.found, list(doubts), 1, ["kept"], unknown, 1.2, all, {"cogging"})  # pyright: ignore[reportArgumentType]
 
 
 def selected(none: Any, best: Any) -> Any:
@@ -188,6 +188,7 @@ def test_names_are_asked_whether_they_are_earned_one_by_one_and_together(monkeyp
     assert found.chosen == [judging.best] * 4
     assert found.cautions == [judging.fault, judging.too_weak]
     assert (judging.asked["tests"], judging.asked["allows"], judging.asked["limit"]) == (["kept"], all, 1.2)
+    assert judging.asked["untold"] == {"cogging"}
     chance = Judging(monkeypatch, fell=True)
     found = chance()
     assert found.chosen == [chance.none] * 4
