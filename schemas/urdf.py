@@ -68,11 +68,11 @@ def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
             )
         if name in logged and kind not in TURNS:
             raise RobotError(f"{path}: joint {name!r} is {kind}; joints that turn are known")
-        if name not in logged and name not in held:
-            raise RobotError(
-                f"{path}: joint {name!r} moves too: name it in `joints`, in the order of the log, or in `held` where "
-                "it stood still at its zero"
-            )
+    if loose := [name for name in moving if name not in logged and name not in held]:
+        named = ", ".join(map(repr, loose))
+        alone = f"joint {named} moves too: name it in `joints`, in the order of the log, or in `held` where it stood"
+        many = f"joints {named} move too: name them in `joints`, in the order of the log, or in `held` where they stood"
+        raise RobotError(f"{path}: {alone if len(loose) == 1 else many} still at zero")
     for name in logged:
         if name not in moving:
             raise RobotError(f"{path}: joint {name!r} is fixed; those that move: {', '.join(moving) or 'none'}")
