@@ -33,7 +33,7 @@ from service.model.effects.base import Effect
 from service.model.hypothesis import Term
 from service.model.mechanism import mechanism_of
 from service.model.scene import Recording
-from service.model.signals import fresh, segments
+from service.model.signals import fresh, segments_of
 
 # What is left counts as noise up to this ratio to the floor: the floor itself is known to about one percent, and the
 # smoothing of the motion costs another two. Where it is read from the noise's colour above the band: `WITHIN_COLOURED`.
@@ -61,7 +61,7 @@ def diagnose(
     """
     progress("smoothing the motion")
     mechanism = mechanism_of(robot)
-    parts = [(index, segment) for index, trace in enumerate(traces) for segment in segments(trace)]
+    parts = [(index, segment) for index, mine in enumerate(segments_of(traces)) for segment in mine]
     recordings = [
         Recording(segment, mechanism, index, traces[index].name)
         for (index, _), segment in zip(parts, fresh([segment for _, segment in parts]), strict=True)

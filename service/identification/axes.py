@@ -18,7 +18,7 @@ from service.identification.pooled import Identification, Plain
 from service.model.mechanism import SerialArm, mechanism_of
 from service.model.parameters import base_parameters
 from service.model.scene import Recording
-from service.model.signals import segments, thin
+from service.model.signals import segments_of, thin
 
 MUCH = 0.2  # of an axis' torque, rms, that is left: more than friction of another kind does on most real arms
 CLEARLY = 0.95  # of what the masses found leave of stretches left out; nearer than this both are as good
@@ -35,8 +35,8 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
     mechanism = mechanism_of(axes)
     recordings = [
         Recording(thin(part), mechanism, number, trace.name)
-        for number, trace in enumerate(traces)
-        for part in segments(trace)
+        for number, (trace, parts) in enumerate(zip(traces, segments_of(traces), strict=True))
+        for part in parts
     ]
     seconds = sum(r.segment.period * r.segment.moving.sum(axis=0) for r in recordings)
     least = BLOCKS_A_PARAMETER[mechanism.kind] * BLOCK * len(base_parameters(mechanism)) / mechanism.joints

@@ -299,11 +299,32 @@ def one_period(parts: Sequence[tuple[str, Segment]]) -> float:
     return period
 
 
-def segments(trace: Trace) -> list[Segment]:
+def segments_of(traces: Sequence[Trace]) -> list[list[Segment]]:
+    """`segments` of each trace, at one rate where their samples came at one.
+
+    Logs of one recorder are polled all or none. One that hardly moves, or that a coarse encoder read, does not show it
+    and would stay at the rate of its stamps beside the others' preferred one.
+
+    Raises:
+        TraceError: no part is long enough, naming the file.
+    """
+    found = [segments(trace) for trace in traces]
+    steps = [float(np.median(np.diff(trace.time[usable(trace)]))) for trace in traces]
+    if _one_rate([parts[0].period for parts in found]) or not _one_rate(steps):
+        return found
+    return [segments(trace, polled=True) for trace in traces]
+
+
+def _one_rate(periods: Sequence[float]) -> bool:
+    return max(periods) <= (1.0 + SAME_RATE) * min(periods)
+
+
+def segments(trace: Trace, polled: bool = False) -> list[Segment]:
     """The parts of `trace` that no gap and no unusable row interrupts and that outlast the filters' ends.
 
     Samples that were polled, at instants of their own, are brought to an even clock by straight lines between them, of
-    a preferred rate (10, 12.5, 16, 20, ... Hz), so that several such logs have one.
+    a preferred rate (10, 12.5, 16, 20, ... Hz), so that several such logs have one. polled: they were, whether they show
+    it or not.
 
     Raises:
         TraceError: no part is long enough, naming the file.
@@ -315,7 +336,7 @@ def segments(trace: Trace) -> list[Segment]:
     steps = np.diff(time)
     period = float(np.median(steps))
     shortest = round(4 * EDGE / period)
-    polled = _polled(time, position)
+    polled = polled or _polled(time, position)
     ends = np.flatnonzero(steps > (LONGEST_HOLE if polled else LONGEST_STEP) * period) + 1
     every = np.split(np.arange(len(good)), ends)
     parts = [part for part in every if len(part) >= shortest]

@@ -28,7 +28,7 @@ from service.model.dynamics import REST_SPEED
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel
 from service.model.scene import Recording
-from service.model.signals import EDGE, LONGEST_STEP, Segment, one_period, segments, smooth
+from service.model.signals import EDGE, LONGEST_STEP, Segment, one_period, segments_of, smooth
 from service.model.torque import predict
 from service.rollout.kernel import NO_DRIVES, SCRATCH, Drives, Pace, Runs, run_kernel
 from service.rollout.robot import SeenStretch, stretch
@@ -229,7 +229,7 @@ def cut_up(robots: dict[str, Robot], traces: Sequence[Trace], horizon: float = H
     robot = list(robots.values())[-1]
     if not SHORTEST <= horizon <= LONGEST:
         raise DataError(f"horizon of {horizon:g} s: must be {SHORTEST:g} to {LONGEST:g} s")
-    parts = [(trace, segments(trace)) for trace in traces]
+    parts = list(zip(traces, segments_of(traces), strict=True))
     period = one_period([(str(trace.path), segment) for trace, whole in parts for segment in whole])
     samples = max(2, round(horizon / period)) + 1
     horizon = (samples - 1) * period

@@ -10,12 +10,13 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 from schemas.axes import Axes
+from schemas.errors import DataError
 from schemas.messages import SampleFlag
 from schemas.trace import Trace
 from service.identification.axes import identify_axes
 from service.model import signals
 from service.model.prediction import motion
-from service.model.signals import resolved_hz, segments
+from service.model.signals import resolved_hz, segments, segments_of
 
 RATE = 6.0  # rad/s, of the motion
 INERTIA, WEIGHT, STEP = 0.4, 2.0, 2 * np.pi / 4096
@@ -134,3 +135,20 @@ def test_polled_samples_go_straight_to_the_clock_of_a_preferred_rate() -> None:
         straight = make_interp_spline(at, np.hstack([position, torque]), k=1)(np.minimum(clock, at[-1]))
         np.testing.assert_allclose(part.torque, straight[:, 1:])
         np.testing.assert_allclose(part.theta, signals.smooth(straight[:, :1], part.period)[0])
+
+
+def test_logs_of_one_recorder_come_to_one_clock() -> None:
+    """Read by a coarse encoder at 188 Hz, one log shows that it was polled and another does not: 5 ms and 5.3."""
+    draw = np.random.default_rng(8)
+    stamps = [np.cumsum(draw.uniform(0.9, 1.1, 3000) / 188) for _ in range(2)]
+    fine, coarse = trace(stamps[0], stamps[0]), trace(stamps[1], stamps[1], 16 * STEP)
+    alone = [segments(log)[0].period for log in (fine, coarse)]
+    assert alone == pytest.approx([5e-3, 1 / 188], rel=0.01), "each by itself"
+    periods = [parts[0].period for parts in segments_of([fine, coarse])]
+    assert periods == pytest.approx([alone[0]] * 2, rel=1e-6)
+    axes = Axes.model_validate({"name": "a", "kind": "axes", "axis": [{}]})
+    found = {e.name: e.value for e in identify_axes(axes, [fine, coarse]).fit.estimates}
+    assert found["inertia_1"] == pytest.approx(INERTIA, rel=0.02)
+    other = trace(2 * stamps[0], 2 * stamps[0])
+    with pytest.raises(DataError, match="give logs of one rate"):
+        identify_axes(axes, [fine, other])
