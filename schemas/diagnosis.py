@@ -30,21 +30,21 @@ CautionCode = Literal[
     "much_is_left", "other_joints", "sine_of_angle", "gravity", "closed_loop", "torque_held", "noise_coloured",
     "noise_unknown",
     "at_limit", "drives", "by_weight", "left_open", "no_shrink", "no_shrink_on", "varies", "one_cause", "set_aside",
-    "by_place", "rivalled", "not_its_own", "comes_again", "misplaced",
+    "by_place", "rivalled", "not_its_own", "comes_again", "misplaced", "degrees", "any_shape",
 ]  # fmt: skip
 Advice = Literal[
     "record_runs", "record_all_joints", "record_reversals", "record_more", "check_description", "check_runs",
-    "check_base", "measure_torque", "measure_noise", "log_quicker", "look_there",
+    "check_base", "measure_torque", "measure_noise", "log_quicker", "look_there", "say_degrees",
 ]  # fmt: skip
 
 
 class Caution(DocumentPart):
     """What this data cannot say. joints from 1, those it is about; advice: what to record or to check.
 
-    effect: that it is about. quantity: of the effect, at its limit. share: of the torque's rms that is left, of what is
-    left that follows something, the shrink that is too little, of the motion that was set aside, or of the draws that
-    prefer it. run: the log kept out that does not shrink. gain: of the loop, torque for position error. pitch_m: way of
-    the platform after which it comes again. held_s: time after which a torque comes anew.
+    effect: that it is about. quantity: of the effect, at its limit or open. share: of the torque's rms that is left, of
+    what is left that follows something, the shrink that is too little, of the motion that was set aside, or of the
+    draws that prefer it. run: the log kept out that does not shrink. gain: of the loop, torque for position error.
+    pitch_m: way of the platform after which it comes again. held_s: time after which a torque comes anew.
     """
 
     code: CautionCode

@@ -13,7 +13,7 @@ from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
 from service.diagnosis.evidence.aside import Quiet
-from service.diagnosis.evidence.cautions import base_doubts, doubts_of, faults_of, limits_of, noise_of
+from service.diagnosis.evidence.cautions import base_doubts, degrees_doubted, doubts_of, faults_of, limits_of, noise_of
 from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.evidence.follows import follows
 from service.diagnosis.evidence.unseen import kept_out
@@ -101,7 +101,8 @@ def diagnose(
     if scope.enough:
         none, best = selection.none, selection.best
         before = followed(none)
-        wrong = base_doubts(problem, before, before if best is none else followed(best), none, best)
+        wrong = degrees_doubted(problem, best)
+        wrong += base_doubts(problem, before, before if best is none else followed(best), none, best)
         doubts = wrong or doubts_of(problem, selection, limit)
     judged = _judged(regressors, selection, doubts, len(given), kept, unknown, limit, scope.allows)
     found, chosen, cautions = judged.selection, judged.chosen, judged.cautions

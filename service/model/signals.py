@@ -323,8 +323,8 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
     """The parts of `trace` that no gap and no unusable row interrupts and that outlast the filters' ends.
 
     Samples that were polled, at instants of their own, are brought to an even clock by straight lines between them, of
-    a preferred rate (10, 12.5, 16, 20, ... Hz), so that several such logs have one. polled: they were, whether they show
-    it or not.
+    a preferred rate (10, 12.5, 16, 20, ... Hz), so that several such logs have one. polled: they were, whether
+    they show it or not.
 
     Raises:
         TraceError: no part is long enough, naming the file.

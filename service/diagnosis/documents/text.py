@@ -45,6 +45,8 @@ CAUTIONS = {
     "joint {last}, which it knows nothing of. No effect is named on a wrong base.",
     "sine_of_angle": "The base model is wrong first: {share:.0%} of the gap in joint {first} goes by its angle, "
     "as a weight, a counterbalance or a wrong gear ratio makes it. No effect is named on a wrong base.",
+    "degrees": "The torque of {joints} goes by its angle as that of {effect} does, and as a weight's if the position "
+    "is in degrees and was taken for radians: cannot be told apart on this data. No effect is named on a wrong base.",
     "gravity": "The base model is wrong first: gravity of another direction or size explains {share:.0%} of the "
     "gap, as well as effects do. No effect is named on a wrong base.",
     "closed_loop": "The torque of {joints} is the controller's answer to its position error ({gain:.3g} N m per "
@@ -61,6 +63,8 @@ CAUTIONS = {
     "by_weight": "What comes nearest is {effect}{where}, over so little of a turn that friction which grows with the "
     "weight looks like it: cannot be told apart on this data.",
     "left_open": "{Effect}{where} fits, but no quantity of it is told from nothing: not named.",
+    "any_shape": "{Effect}{where} fits, but with {quantity} anywhere in what it can be: what it is, is not told, not "
+    "named.",
     "no_shrink": "{Effect}{where} fits, but the gap on data left out does not shrink by it ({share:.0%}): not named.",
     "no_shrink_on": "{Effect}{where} fits, but on {run}, kept out of everything, the gap does not shrink by it "
     "({share:.0%}): not named.",
@@ -81,7 +85,7 @@ CAUTIONS = {
 # with these no effect is told from others
 NO_NAMES = {
     "too_little_motion", "joints_at_rest", "beyond_any_robot", "several_arms", "runs_differ", "much_is_left",
-    "one_cause", "other_joints", "sine_of_angle", "gravity",
+    "one_cause", "other_joints", "sine_of_angle", "gravity", "degrees",
 }  # fmt: skip
 ADVICE = {
     "record_runs": "Record three or more runs of 5 s: picks, a multisine and a slow sweep with reversals.",
@@ -94,6 +98,8 @@ ADVICE = {
     "measure_torque": "Log the drive's measured current beside the command.",
     "look_there": "Look for it where and when most is left, see below.",
     "log_quicker": "Let the drive send its torque with every sample.",
+    "say_degrees": 'Say the unit of the position in the mapping (unit = "deg"), or gravity = false in the '
+    "description where the axis bears no weight.",
     "measure_noise": "Log the torque unfiltered, or a stretch at rest with the drives on.",
 }
 # parameter of the base model, without its joint -> what it is

@@ -3,6 +3,7 @@ open, is the noise known?"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,6 +16,7 @@ from service.identification.checks import FOREIGN_LEFT, FOREIGN_TOGETHER
 from service.identification.fit import Problem, fit, solve
 from service.identification.noise import Floor
 from service.model.effects.base import Effect
+from service.model.mechanism import DecoupledAxes
 
 LEAST_TIME = 3.0  # s of motion of a joint
 LEAST_SHARE = 0.02  # of the time that a joint moves in its rarer direction
@@ -24,6 +26,7 @@ EXCUSED = 0.95  # the same, from which effects may leave more than `WRONG_MODEL`
 FOLLOWS = 0.3  # of the gap above the noise that follows what the base model lacks: then the base is wrong, not a part
 AS_GOOD = 0.05  # of the same by which an effect has to do better than that,
 BETTER = 0.2  # or leave less than this of what that leaves: a spring and a weight differ by a hundredth of a large gap
+NO_WEIGHT = 0.1  # of what a spring changes by over its travel, that a weight beside it is at least
 OTHER_GRAVITY = 3.0  # m/s^2 beside the description's: no base is mounted so far from level by mistake
 
 
@@ -96,6 +99,25 @@ def faults_of(selection: Selection) -> list[Caution]:
     joints, name = [joint + 1 for joint in fault.term.joints], fault.term.effect.name
     quantity = fault.quantity or None
     return [Caution(code=fault.code, joints=joints, effect=name, quantity=quantity, advice="check_base")]
+
+
+def degrees_doubted(problem: Problem, best: Scored) -> list[Caution]:
+    """Whether what pulls an axis back, on which no weight is found though one may be, is a weight whose angle is in
+    degrees and was taken for radians: a Delta's geometry and an arm's masses tell, an axis has nothing to hold it
+    against."""
+    mechanism, base, cautions = problem.recordings[0].mechanism, best.hypothesis.base, []
+    if not isinstance(mechanism, DecoupledAxes):
+        return cautions
+    found = dict(zip(mechanism.coefficients, base.rigid.tolist(), strict=True))
+    for term in best.hypothesis.terms:
+        for place, joint in enumerate(term.joints if term.effect.is_weight_in_degrees() else ()):
+            travel = max(float(np.ptp(recording.segment.theta[:, joint])) for recording in problem.recordings)
+            weight = math.hypot(*(found.get(f"gravity_{part}_{joint + 1}", 0.0) for part in ("sin", "cos")))
+            pull = abs(float(term.amplitude[place, 0])) * travel
+            if joint in mechanism.weighs and weight < NO_WEIGHT * pull:
+                effect = term.effect.name
+                cautions.append(Caution(code="degrees", joints=[joint + 1], effect=effect, advice="say_degrees"))
+    return cautions
 
 
 def base_doubts(

@@ -36,6 +36,7 @@ Z95 = 1.96
 # and more, what stands in for a wrong URDF nothing.
 STANDS = 0.3
 MISPLACED = 0.3  # of what is left above the noise, that one joint elsewhere takes: then it is said to be
+DRAWN = 12**-0.5  # of a range, the standard deviation of a number drawn from it
 OPEN = 0.5  # standard error over value of a parameter without amplitudes, from which it is open whether there is any
 
 
@@ -196,19 +197,27 @@ def _cut(selection: Selection, best: Scored) -> Selection:
 
 
 def _open(best: Scored, split: Split, effect: Effect) -> Caution | None:
-    """Said of an effect none of whose quantities is told from nothing."""
+    """Said of an effect none of whose quantities is told from nothing, or whose shape may be any."""
     parameters, errors = Parameters(best.hypothesis), statistics.standard_errors(best.fitted, split)
+    code, quantity = "left_open", None
     for term, mine in zip(best.hypothesis.terms, parameters.terms, strict=True):
         if term.effect is effect:
-            values, error = parameters.values[mine], errors[mine]
-            if term.amplitude.size:
-                count = term.amplitude.size
-                told = np.abs(values[:count]) > Z95 * error[:count]
-            else:
-                told = error[:1] < OPEN * np.abs(values[:1])
-            if told.any():
+            values, error, count = parameters.values[mine], errors[mine], term.amplitude.size
+            told = np.abs(values[:count]) > Z95 * error[:count] if count else error[:1] < OPEN * np.abs(values[:1])
+            shape = _any_shape(effect, error[count:])
+            if told.any() and shape is None:
                 return None
-    return _fell("left_open", effect, best)
+            if told.any():
+                code, quantity = "any_shape", shape
+    return _fell(code, effect, best, quantity=quantity)
+
+
+def _any_shape(effect: Effect, errors: np.ndarray) -> str | None:
+    """The quantity of its shape that the data tell no better than its range does. errors: standard ones."""
+    for (name, searched), error in zip(effect.nonlinear.items(), errors.tolist(), strict=True):
+        if not (searched.fixed or searched.minor) and error > DRAWN * (searched.high - searched.low):
+            return name
+    return None
 
 
 def _varies(problem: Problem, best: Scored, effect: Effect) -> Caution | None:
@@ -266,11 +275,22 @@ def shrink_on(other: Problem, without: Hypothesis, best: Hypothesis) -> statisti
     return statistics.shrink(block_loss(before, split), block_loss(after, split))
 
 
-def _fell(code: str, effect: Effect, best: Scored, share: float | None = None, run: str | None = None) -> Caution:
+def _fell(
+    code: str, effect: Effect, best: Scored, share: float | None = None, run: str | None = None,
+    quantity: str | None = None,
+) -> Caution:  # fmt: skip
     joints = sorted({joint + 1 for term in _terms(best, effect) for joint in term.joints})
     rounded = None if share is None else round(share, 4)
     return Caution.model_validate(
-        {"code": code, "effect": effect.name, "joints": joints, "share": rounded, "run": run, "advice": "record_more"}
+        {
+            "code": code,
+            "effect": effect.name,
+            "joints": joints,
+            "share": rounded,
+            "run": run,
+            "quantity": quantity,
+            "advice": "record_more",
+        }
     )
 
 

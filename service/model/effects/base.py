@@ -167,6 +167,11 @@ class Effect(ABC):
         """Whether friction that grows with the weight of a joint which goes `travel` rad would look like it."""
         return False
 
+    def is_weight_in_degrees(self) -> bool:
+        """Whether a weight asks for it that turns with the joint, where degrees were taken for radians: over a few of
+        them its sine is a straight line."""
+        return False
+
     def is_weight(self, gear_ratio: float, travel: float, nonlinear: tuple[float, ...]) -> bool:
         """Whether it is what a weight that turns with the joint asks for, or another load that goes by its angle, and
         so the base model's. travel: rad from the joint's lowest to its highest angle."""

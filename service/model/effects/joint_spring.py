@@ -36,3 +36,7 @@ class JointSpring(Effect):
         """(N, 2)."""
         theta = scene.segment.theta[:, joint]
         return np.stack([theta, np.ones_like(theta)], axis=1)
+
+    def is_weight_in_degrees(self) -> bool:
+        """A pull that grows with the angle."""
+        return True

@@ -150,3 +150,23 @@ def test_smooth_torque_has_no_floor_to_be_read_and_that_is_said():
     assert "shows no noise of its own" in " ".join(sentences(result))
     ratio = np.array(result.gap.before_nm) / np.array(result.gap.noise_floor_nm)
     assert (ratio < 10).all()
+
+
+def test_a_weight_by_degrees_that_were_taken_for_radians_is_no_spring():
+    """Over one degree the sine of a weight is a straight line; where the description says that there is no weight, it
+    is a spring's. Named was a spring, 100 %."""
+    runs = []
+    for seed in (1, 2, 3):
+        run = two_axes(seed, 0.0)
+        time = run.time
+        theta, speed, acceleration = (0.02 * signal[:, :2] for signal in sines(seed, 0.8)(time))
+        torque = 0.5 * acceleration + 0.4 * speed + 0.1 * direction(speed)
+        torque[:, 1] += 6.0 * np.sin(theta[:, 1])
+        torque += 0.01 * np.random.default_rng([seed, 4]).standard_normal(torque.shape)
+        runs.append(replace(run, position=np.degrees(theta), torque=torque))
+    found = told(axes(), runs, ("joint_spring", "cogging"))
+    assert found.effects == []
+    assert [(one.joints, one.effect) for one in found.cannot_tell if one.code == "degrees"] == [([2], "joint_spring")]
+    assert 'unit = "deg"' in " ".join(sentences(found))
+    declared = told(axes(gravity=False), runs, ("joint_spring", "cogging"))
+    assert [one.name for one in declared.effects] == ["joint_spring"]

@@ -61,6 +61,7 @@ SPRING = Term(EFFECTS["joint_spring"], (0,), np.zeros((1, 2)), ())
 DRAG = Term(EFFECTS["air_drag"], (), np.zeros((1, 1)), ())
 RIPPLE = Term(EFFECTS["cogging"], (1,), np.zeros((1, 2)), (2.0,))
 OFFSET = Term(EFFECTS["torque_offset"], (1,), np.zeros((1, 1)), ())
+GREASE = Term(EFFECTS["nonlinear_viscous_friction"], (0,), np.full((1, 1), 0.5), (2.0,))
 DELAY = Term(EFFECTS["torque_delay"], (), np.zeros((1, 0)), (0.0005,))
 
 
@@ -115,6 +116,27 @@ def test_a_delay_that_may_as_well_be_none_is_left_open():
     kept, fallen = judge(made, chosen(made, DELAY))
     assert kept.best.names == ()
     assert fallen[0].effect == "torque_delay"
+
+
+@pytest.mark.parametrize(("relative", "stands"), [(0.9, True), (1.1, False)])
+def test_a_shape_that_may_be_any_is_no_finding(monkeypatch, relative, stands):
+    """relative: error of the exponent to what a draw from its range scatters by. Seen: an exponent of 0.6 +- 1.7 at
+    100 %, of friction that turned over more slowly than the base model's."""
+    made = logs((1, 2, 3), "nonlinear_viscous_friction")
+    found = chosen(made, GREASE)
+    exponent = GREASE.effect.nonlinear["p"]
+    errors = judged.statistics.standard_errors
+
+    def of(fitted, split):
+        result = errors(fitted, split)
+        if fitted.hypothesis.terms:
+            result[-1] = relative * (exponent.high - exponent.low) / 12**0.5
+        return result
+
+    monkeypatch.setattr(judged.statistics, "standard_errors", of)
+    kept, fallen = judge(made, found)
+    assert kept.best.names == (("nonlinear_viscous_friction",) if stands else ())
+    assert [(one.code, one.quantity) for one in fallen] == ([] if stands else [("any_shape", "p")])
 
 
 @pytest.mark.parametrize(
