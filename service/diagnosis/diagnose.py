@@ -56,7 +56,8 @@ def diagnose(
 
     Raises:
         RobotError: the baseline is of another robot.
-        TraceError: a trace without a usable part, naming the file. DataError: no joint moves, or logs of several rates.
+        TraceError: a trace without a usable part, naming the file. DataError: no joint moves, a torque that was
+        not recorded, or logs of several rates.
         PoseError: positions that are no pose of the robot.
     """
     progress("smoothing the motion")
@@ -68,6 +69,7 @@ def diagnose(
     ]
     if not any(recording.segment.moving.any() for recording in recordings):
         raise DataError(f"{traces[0].path}: no joint moves")
+    pooled.refuse_dead_torque(recordings)
     progress("fitting the base model")
     problem, floor = pooled.problem_of(recordings)
     fitted = pooled.fit(problem, floor.sample, robot).fitted

@@ -14,7 +14,7 @@ from service.identification import checks
 from service.identification.folds import BLOCK, Split, block_loss, held_out
 from service.identification.identify import fit_to, written
 from service.identification.loops import loops_of, position_errors, told
-from service.identification.pooled import Identification, Plain
+from service.identification.pooled import Identification, Plain, refuse_dead_torque
 from service.model.mechanism import SerialArm, mechanism_of
 from service.model.parameters import base_parameters
 from service.model.scene import Recording
@@ -38,6 +38,7 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
         for number, (trace, parts) in enumerate(zip(traces, segments_of(traces), strict=True))
         for part in parts
     ]
+    refuse_dead_torque(recordings)
     seconds = sum(r.segment.period * r.segment.moving.sum(axis=0) for r in recordings)
     least = BLOCKS_A_PARAMETER[mechanism.kind] * BLOCK * len(base_parameters(mechanism)) / mechanism.joints
     if np.max(seconds) < least:

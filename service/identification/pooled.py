@@ -21,6 +21,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from schemas.axes import Description
+from schemas.errors import DataError
 from schemas.robot import Robot
 from service.identification import fit as solver
 from service.identification.fit import Problem
@@ -45,6 +46,7 @@ NEGLIGIBLE_SHARE = 0.05
 HARM = 0.95  # of the loss on data left out that is left without the timing: then it is not of the plant
 # A parameter whose effect the others reproduce but for this share of its variance is not told apart from them.
 COLLINEAR = 1e-5
+CONSTANT = 1e-9  # of a torque: what rounding and a decimation make of one number
 MOVES = 0.02  # rad of travel below which a joint does not move
 REVERSES = 0.05  # share of the motion time that must go in each direction
 
@@ -112,6 +114,21 @@ class Identification(Generic[Described]):
     robot: Described
     fit: Plain
     warnings: tuple[str, ...]
+
+
+def refuse_dead_torque(recordings: Sequence[Recording]) -> None:
+    """Raises:
+    DataError: a joint moves and its torque is one number all the while, naming the log.
+    """
+    for recording in recordings:
+        segment = recording.segment
+        for joint, moving in enumerate(segment.moving.T):
+            torque = segment.torque[moving, joint]
+            if len(torque) > 1 and np.ptp(torque) <= CONSTANT * np.abs(torque).max():
+                raise DataError(
+                    f"{recording.name}: joint {joint + 1} moves and its torque is {torque[0]:g} throughout: was it "
+                    "recorded?"
+                )
 
 
 def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from schemas.axes import Axes, Axis
+from schemas.errors import DataError
 from schemas.trace import Trace
 from service.diagnosis.documents.text import sentences
+from service.identification.axes import identify_axes
 from tests.service.subject import CATALOGUE, EFFECTS, diagnose, document
 from tests.service.world import PERIOD, direction, sines
 
@@ -170,3 +172,13 @@ def test_a_weight_by_degrees_that_were_taken_for_radians_is_no_spring():
     assert 'unit = "deg"' in " ".join(sentences(found))
     declared = told(axes(gravity=False), runs, ("joint_spring", "cogging"))
     assert [one.name for one in declared.effects] == ["joint_spring"]
+
+
+@pytest.mark.parametrize("dead", [0.0, 1.3])
+def test_a_torque_that_was_not_recorded_is_no_machine_without_friction(dead: float):
+    """Was: within the noise, 0 N m between model and robot."""
+    good, bad = two_axes(1, 0.0), two_axes(2, 0.0)
+    bad.torque[:, 1] = dead
+    for answer in (lambda: told(axes(), [good, bad], ()), lambda: identify_axes(axes(), [good, bad])):
+        with pytest.raises(DataError, match=r"run_2: joint 2 moves and its torque is .* throughout: was it recorded"):
+            answer()

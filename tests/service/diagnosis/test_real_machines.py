@@ -159,7 +159,7 @@ def test_a_coupled_wrist_has_its_own_friction_and_a_coupled_arm_no_names(shared:
 
 def test_an_arm_by_its_urdf_has_the_friction_that_is_published(shared: Path, tmp_path: Path) -> None:
     """Staubli TX40 as a chain, friction as published with it; that of axis 1 turns over slowly, which `sign` has not:
-    its Coulomb friction comes out 16 % higher."""
+    its Coulomb friction comes out 19 % higher."""
     pytest.importorskip("pinocchio")
     folder = shared / "real" / "tx40"
     columns, coupling = tx40_columns()
