@@ -117,8 +117,7 @@ def standings(
         better = [
             model
             for model, chance in others
-            if model.names[:-1] == refit.names
-            and (_told_better(model, best) or (explained and chance >= LIKELY))
+            if model.names[:-1] == refit.names and (_told_better(model, best) or (explained and chance >= LIKELY))
         ]
         sure, alone = (
             1.0 - sum(chance for model, chance in these if effect.name not in model.names[given:])
