@@ -193,8 +193,9 @@ def test_an_axis_of_which_all_logs_leave_a_fifth_is_told(second: float, told: st
 @pytest.mark.parametrize(("seconds", "enough"), [(3.9, False), (4.1, True)])
 def test_two_blocks_a_parameter_and_axis_are_enough(monkeypatch, seconds, enough):
     """Half a second each, of the axis that moves most, over all logs; an axis without weight has four."""
-    part = stub(period=0.05, moving=np.stack([np.arange(100) < 10 * seconds, np.arange(100) < 3], axis=1))
-    monkeypatch.setattr(axes, "segments", lambda trace: [part])
+    moving = np.stack([np.arange(100) < 10 * seconds, np.arange(100) < 3], axis=1)
+    part = stub(period=0.05, moving=moving, torque=np.arange(200.0).reshape(100, 2))
+    monkeypatch.setattr(axes, "segments_of", lambda traces: [[part] for _ in traces])
     monkeypatch.setattr(axes, "thin", lambda segment: segment)
     monkeypatch.setattr(axes, "written", lambda *parts: parts[1])
     monkeypatch.setattr(axes, "_commanded", lambda fit, traces: [])
