@@ -26,7 +26,7 @@ CLEAR_STEP = 10.0
 # every sample.
 BIASED_STEP = 4.0
 # Where it lacks more than it did then, and as much as a load, a change whose onset is further back than this is
-# believed, and no event: of a late one nobody knows what it is about.
+# believed, and no event: of a late one nobody knows what it is about. Nor is a step at rest, where soft gears settle.
 FRESH_TIME = 0.25  # s of motion
 # What the model lacks is this many times the noise: what it says of the mass is not to be used.
 FOREIGN = 12.0
@@ -125,12 +125,13 @@ def conclude(settings, state):
     foreign = not as_identified and state.bias > SMALLEST_CHANGE * SMALLEST_CHANGE
     least = _least_step(settings, state, own, variance, as_identified, foreign)
     refined = own < state.load_variance and (held - state.load) ** 2 < variance + state.load_variance
-    if state.rest.step != 0.0:
+    if state.rest.step != 0.0 and not foreign:
         event = (PayloadEvent.PICK if state.rest.step > 0.0 else PayloadEvent.RELEASE).value
         _note_event(state, event, state.load)
         _believe(state, held, own)
-    elif trusted or refined or (held - state.load) ** 2 > least:
-        if foreign and not known_empty and state.filled * settings.bin_size * settings.period > FRESH_TIME:
+    elif state.rest.step != 0.0 or trusted or refined or (held - state.load) ** 2 > least:
+        late = state.filled * settings.bin_size * settings.period > FRESH_TIME
+        if state.rest.step != 0.0 or (foreign and not known_empty and late):
             _believe(state, held, own)
         else:
             event = _event(settings, state, held, own, variance, trusted or refined)

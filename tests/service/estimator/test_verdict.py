@@ -341,6 +341,18 @@ def test_the_least_that_ever_hung_there_may_be_a_tool(fields, ground, trusted):
         assert state["usable"] == pytest.approx(2.0), "the feed-forward torque accelerates a tool too"
 
 
+@pytest.mark.parametrize(("more", "step", "event"), [(0.9, 0.5, PICK), (0.9, -0.5, RELEASE), (3.0, 0.5, NONE),
+                                                     (3.0, -0.5, NONE)])  # fmt: skip
+def test_where_the_model_lacks_more_than_it_did_a_step_at_rest_is_believed_and_no_event(more, step, event):
+    """Soft gears settle. more: what it lacks beside what was left when it was identified, over that."""
+    left = SETTINGS["model_error"]
+    state = believing(1.0 + step, 0.3, excess=more * left, judged=1.0, leverage=verdict.BIAS_SHARE**2 * left / 0.5**2)
+    state["load"], state["rest"]["step"] = 1.0, step
+    assert told(state) == event
+    assert state["load"] == pytest.approx(1.0 + step)
+    assert state["last_event"] == (event or PICK)
+
+
 def test_before_the_first_release_a_tool_that_nobody_has_seen_is_in_the_error_of_every_mass():
     states = np.zeros(1, STATE)
     start(states, DRIFT)
