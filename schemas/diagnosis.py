@@ -140,7 +140,9 @@ class Moved(DocumentPart):
 class Gap(DocumentPart):
     """Rms a joint on runs left out of fitting and selection, in the analysis band. unit: N m, N for linear axes.
 
-    torque_nm: rms of the recorded torque on the same samples. shrink_ci95: of as many other runs of these kinds.
+    torque_nm: rms of the recorded torque on the same samples. shrink: of the runs in which the robot moves as at work,
+    all joints pooled; slow_runs are not, and where there are any the gap on the others is in work_before_nm and
+    work_after_nm. shrink_ci95: of as many other runs of these kinds.
     """
 
     unit: str
@@ -153,6 +155,9 @@ class Gap(DocumentPart):
     shrink_ci95: tuple[float, float]
     shrink_of_explainable: float | None
     band_hz: float
+    slow_runs: list[str] = []
+    work_before_nm: list[float] = []
+    work_after_nm: list[float] = []
 
 
 class Regime(DocumentPart):

@@ -59,7 +59,10 @@ def document(findings: Findings, tests: Sequence[Trace] = (), made: Provenance |
     after = statistics.rms_per_joint(problem, findings.after)
     before_blocks = statistics.pooled_squares(problem, findings.before, split)
     after_blocks = statistics.pooled_squares(problem, findings.after, split)
-    shrink = statistics.shrink(before_blocks, after_blocks, runs=statistics.run_of_blocks(problem, split))
+    runs, at_work = statistics.run_of_blocks(problem, split), statistics.runs_at_work(problem)
+    works = np.isin(runs, at_work)
+    shrink = statistics.shrink(before_blocks[works], after_blocks[works], runs=runs[works])
+    slow = sorted({recording.name for recording in problem.recordings if recording.trace not in at_work})
     count = np.sum([rows.sum(axis=0) for rows in problem.rows], axis=0)
     floor_energy = float(np.sum(count * (problem.sigma**2 + findings.reversal**2)))
     explainable = float(before_blocks.sum()) - floor_energy
@@ -92,6 +95,9 @@ def document(findings: Findings, tests: Sequence[Trace] = (), made: Provenance |
             torque_nm=[digits(v) for v in _torque(findings)],
             shrink=shrink.value,
             shrink_ci95=(shrink.low, shrink.high),
+            slow_runs=slow,
+            work_before_nm=_of_work(findings, findings.before, at_work) if slow else [],
+            work_after_nm=_of_work(findings, findings.after, at_work) if slow else [],
             shrink_of_explainable=min(1.0, removed / explainable) if explainable > 0.05 * floor_energy else None,
             band_hz=problem.band.cutoff_hz,
         ),
@@ -101,6 +107,11 @@ def document(findings: Findings, tests: Sequence[Trace] = (), made: Provenance |
         moved=_moved(findings),
         rivals=_rivals(findings, compared),
     )
+
+
+def _of_work(findings: Findings, residuals: Sequence[np.ndarray], runs: np.ndarray) -> list[float]:
+    """Rms a joint on the runs at work, N m."""
+    return [digits(value) for value in statistics.rms_per_joint(findings.problem, residuals, runs)]
 
 
 def _moved(findings: Findings) -> dict[str, Moved]:

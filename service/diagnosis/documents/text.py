@@ -261,9 +261,16 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
     before, after = _rms(document.gap.before_nm), _rms(document.gap.after_nm)
     if document.effects or after > WORSE * before:
         left_out = "runs" if len(document.traces) > 2 else "stretches"
-        gap = Shrunk.model_validate(document.gap.model_dump(include=set(Shrunk.model_fields)))
-        line = f"On {left_out} used neither to fit nor to choose, the gap goes {_goes(gap, document.gap.unit)}"
-        effects.append(line + (": what was fitted to the other runs does not carry over." if after > before else "."))
+        gap, apart = document.gap.model_dump(include=set(Shrunk.model_fields)), ""
+        if document.gap.slow_runs:
+            gap |= {"before_nm": document.gap.work_before_nm, "after_nm": document.gap.work_after_nm}
+            apart = f" and no slow sweep ({', '.join(document.gap.slow_runs)})"
+        shrunk = Shrunk.model_validate(gap)
+        line = (
+            f"On {left_out} used neither to fit nor to choose{apart}, the gap goes {_goes(shrunk, document.gap.unit)}"
+        )
+        grows = _rms(shrunk.after_nm) > _rms(shrunk.before_nm)
+        effects.append(line + (": what was fitted to the other runs does not carry over." if grows else "."))
     if not document.effects and document.verdict == "unexplained":
         effects += _nearest(document)
     tests = [line for test in document.tests for line in _unseen(test, document.gap.unit)]

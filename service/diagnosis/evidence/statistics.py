@@ -15,6 +15,8 @@ from service.model.parameters import Parameters
 # A reversal's place between two samples is known to about this share of the sample time.
 REVERSAL_PLACE = 0.2
 DRAWS = 2000
+# Of the rms acceleration of the liveliest run: one with less is a slow sweep, made to identify, not what a robot does.
+AT_WORK = 0.2
 
 
 def standard_errors(fitted: Fit, split: Split) -> np.ndarray:
@@ -120,9 +122,11 @@ def _inner(scored: Scored, split: Split, out: int) -> np.ndarray:
     return block_loss(residuals, split)
 
 
-def rms_per_joint(problem: Problem, residuals: Sequence[np.ndarray]) -> np.ndarray:
-    """(n,) N m."""
-    return problem.rms(residuals, [0] * len(residuals))[0]
+def rms_per_joint(
+    problem: Problem, residuals: Sequence[np.ndarray], runs: Sequence[int] | np.ndarray | None = None
+) -> np.ndarray:
+    """(n,) N m. runs: traces that count, default all."""
+    return problem.rms(residuals, [int(runs is not None and log not in runs) for log in problem.logs])[0]
 
 
 def pooled_squares(problem: Problem, residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:
@@ -137,6 +141,16 @@ def run_of_blocks(problem: Problem, split: Split) -> np.ndarray:
     for recording, block in zip(problem.recordings, split.block, strict=True):
         runs[block] = recording.trace
     return runs
+
+
+def runs_at_work(problem: Problem) -> np.ndarray:
+    """(T,) of the traces of which there are rows, in order, those that are no slow sweeps."""
+    square, count = np.zeros(max(problem.logs) + 1), np.zeros(max(problem.logs) + 1)
+    for recording in problem.recordings:
+        square[recording.trace] += np.sum(recording.segment.theta_ddot**2)
+        count[recording.trace] += recording.segment.theta_ddot.size
+    acceleration = np.sqrt(square / np.maximum(count, 1))
+    return np.flatnonzero(acceleration > AT_WORK * acceleration.max())
 
 
 @dataclass(frozen=True)

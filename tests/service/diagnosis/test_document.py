@@ -159,6 +159,28 @@ def test_what_can_be_explained_is_above_noise_and_reversals(findings):
         assert (found.shrink_of_explainable is not None) == worth_telling
 
 
+def test_the_shrink_is_that_of_runs_at_work_and_slow_ones_are_named(findings, monkeypatch):
+    """Of the first and the third run, (N m)^2 summed by hand; all count where none is slow."""
+    problem = findings.problem
+    assert document.document(findings).gap.slow_runs == document.document(findings).gap.work_before_nm == []
+    after = [(0.5 + 0.1 * number) * r for number, r in enumerate(findings.before)]
+    monkeypatch.setattr(document.statistics, "runs_at_work", lambda problem: np.array([0, 2]))
+    found = document.document(replace(findings, after=after)).gap
+    assert found.slow_runs == [problem.recordings[1].name]
+    squares = [
+        sum(float(np.sum((parts[k] * problem.sigma[problem.joints_of_rows[k]]) ** 2)) for k in (0, 2))
+        for parts in (findings.before, after)
+    ]
+    assert found.shrink == pytest.approx(1.0 - (squares[1] / squares[0]) ** 0.5)
+    assert found.shrink_ci95[0] < found.shrink < found.shrink_ci95[1]
+    for joint, (before, left) in enumerate(zip(found.work_before_nm, found.work_after_nm, strict=True)):
+        parts = [findings.before[k][problem.joints_of_rows[k] == joint] for k in (0, 2)]
+        mine = np.concatenate(parts) * problem.sigma[joint]
+        assert before == pytest.approx(np.sqrt(np.mean(mine**2)), rel=1e-3)
+        assert left < before
+    assert found.before_nm == document.document(findings).gap.before_nm, "of all runs"
+
+
 def test_what_moved_stands_beside_the_baselines_with_its_errors():
     identified = Identified(rho_1=Parameter(value=1.0, std_error=0.01), rho_2=Parameter(value=1.0, std_error=0.02))
     moved = replace(BASE, rigid=BASE.rigid * [1.1, 1.2, 1.3])

@@ -250,6 +250,19 @@ def test_squares_are_summed_by_joint_and_block():
     np.testing.assert_allclose(rms, [0.3, 0.0, 0.4 * 5.0])
 
 
+@pytest.mark.parametrize(("size", "slow"), [(0.19, True), (0.21, False)])
+def test_a_run_that_hardly_accelerates_is_no_work(size, slow):
+    """size: of its motion, the same in the same time, over that of the two others: up to a fifth it is slow."""
+    runs = [course(1, 3.0), course(1, 3.0, 0.3 * size), course(1, 3.0)]
+    logs = problem(runs, [run.torque for run in runs])
+    at_work = statistics.runs_at_work(logs)
+    assert at_work.tolist() == ([0, 2] if slow else [0, 1, 2])
+    left = [np.full(len(joints), 1.0 + number) for number, joints in enumerate(logs.joints_of_rows)]
+    counts = [np.bincount(joints, minlength=3) for joints in logs.joints_of_rows]
+    mean = sum(counts[k] * (1.0 + k) ** 2 for k in at_work) / sum(counts[k] for k in at_work)
+    np.testing.assert_allclose(statistics.rms_per_joint(logs, left, at_work), np.sqrt(mean) * logs.sigma)
+
+
 def test_where_a_terms_parameters_stand():
     terms = tuple(INJECTED[name].term(name) for name in ("stribeck_friction", "torque_scale", "cogging"))
     known = Parameters(Hypothesis(BASE, terms))
