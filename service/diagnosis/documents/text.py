@@ -264,7 +264,7 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
         gap, apart = document.gap.model_dump(include=set(Shrunk.model_fields)), ""
         if document.gap.slow_runs:
             gap |= {"before_nm": document.gap.work_before_nm, "after_nm": document.gap.work_after_nm}
-            apart = f" and no slow sweep ({', '.join(document.gap.slow_runs)})"
+            apart = f", slow sweeps apart ({', '.join(document.gap.slow_runs)})"
         shrunk = Shrunk.model_validate(gap)
         line = (
             f"On {left_out} used neither to fit nor to choose{apart}, the gap goes {_goes(shrunk, document.gap.unit)}"

@@ -49,7 +49,7 @@ def test_a_named_effect_is_told_in_one_line() -> None:
     assert text.paragraphs(two)[2][1].endswith("does not carry over.")
     work = {"slow_runs": ["b", "c"], "work_before_nm": [4.0, 0.0], "work_after_nm": [2.0, 0.0]}
     line = text.paragraphs(document(gap=document().gap.model_dump() | work))[2][1]
-    assert "to choose and no slow sweep (b, c), the gap goes from 2.83 to 1.41 N m, a shrink of 43 % [40, 46]." in line
+    assert "to choose, slow sweeps apart (b, c), the gap goes from 2.83 to 1.41 N m, a shrink of 43 % [40, 46]." in line
     for after, said in ((3.1, False), (3.3, True)):  # of 3 N m: 3 % more, 9 % more
         worse = document(effects=[], gap=document().gap.model_dump() | {"after_nm": [after, 1.0]})
         assert any("does not carry over" in line for line in text.sentences(worse)) is said
