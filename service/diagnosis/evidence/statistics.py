@@ -126,7 +126,8 @@ def rms_per_joint(
     problem: Problem, residuals: Sequence[np.ndarray], runs: Sequence[int] | np.ndarray | None = None
 ) -> np.ndarray:
     """(n,) N m. runs: traces that count, default all."""
-    return problem.rms(residuals, [int(runs is not None and log not in runs) for log in problem.logs])[0]
+    counts = [True] * len(residuals) if runs is None else [log in runs for log in problem.logs]
+    return problem.rms(residuals, [0 if counted else 1 for counted in counts])[0]
 
 
 def pooled_squares(problem: Problem, residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:

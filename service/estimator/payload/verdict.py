@@ -26,8 +26,10 @@ CLEAR_STEP = 10.0
 # every sample.
 BIASED_STEP = 4.0
 # Where it lacks more than it did then, and as much as a load, a change whose onset is further back than this is
-# believed, and no event: of a late one nobody knows what it is about. Nor is a step at rest, where soft gears settle.
+# believed, and no event: of a late one nobody knows what it is about.
 FRESH_TIME = 0.25  # s of motion
+# Where what it lacks is so many times that of then, squared, gears are soft and settle: no step at rest is an event.
+SOFT = 10.0
 # What the model lacks is this many times the noise: what it says of the mass is not to be used.
 FOREIGN = 12.0
 # What it lacks is so many times the noise over some seconds of motion and, what is learnt taken off, now: such a thing
@@ -78,11 +80,12 @@ def conclude(settings, state):
     worse = max(1.0, state.inflation * state.information[0, 0] / state.raw_information)
     state.shortfall *= settings.remember
     state.bias = gentle = 0.0
-    as_identified = False
+    as_identified = soft = False
     if state.leverage > 0.0:  # averages that are not full yet are judged by what is in them
         lacking = settings.model_error + max(state.excess / state.judged, (state.inflation - 1.0) / COLOUR)
         state.bias = BIAS_SHARE * BIAS_SHARE * lacking * state.judged / state.leverage
         as_identified = lacking <= 2.0 * settings.model_error
+        soft = lacking > SOFT * settings.model_error
         gained = state.raw_information - prior_of(0)
         if gained > 0.0:  # a block since the last change may tell less of the mass, in a gentle move
             lacking = max(lacking, state.scatter / state.judged - LEAST_INFLATION)
@@ -125,7 +128,7 @@ def conclude(settings, state):
     foreign = not as_identified and state.bias > SMALLEST_CHANGE * SMALLEST_CHANGE
     least = _least_step(settings, state, own, variance, as_identified, foreign)
     refined = own < state.load_variance and (held - state.load) ** 2 < variance + state.load_variance
-    if state.rest.step != 0.0 and not foreign:
+    if state.rest.step != 0.0 and not (foreign and soft):
         event = (PayloadEvent.PICK if state.rest.step > 0.0 else PayloadEvent.RELEASE).value
         _note_event(state, event, state.load)
         _believe(state, held, own)
