@@ -40,6 +40,7 @@ ENABLE_TIME = 2.0  # s for all drives to get into operation
 RECEIVE_SHARE = 0.8  # of a cycle to wait for the frame to come back
 SILENCE = 0.02  # s, SOEM's longest wait for an answer: what has not come by then is not on its way
 _LATE_FRAMES = 1024  # read at once at most
+_LEAST_TRIES = 3  # before a bus that says another thing each time is given up
 
 _NEXT_CONTROL = {
     DriveState.FAULT: Control.FAULT_RESET,
@@ -341,17 +342,24 @@ class Master:
         return zip(self._axes, [slaves[place - 1] for place in self._places], strict=True)
 
     def _bring_up(self) -> None:
-        give_up, before = time.monotonic() + BRING_UP_TIME, ""
+        give_up, said = time.monotonic() + BRING_UP_TIME, [""]
         while True:
-            while select.select([self._wire], [], [], SILENCE)[0] and time.monotonic() < give_up:
-                self._drop_late()
+            self._wait_for_silence()
             try:
                 return self._configure()
             except BusError as error:
-                late, said = time.monotonic() - give_up, str(error)
-                if late > BRING_UP_TIME or (late > 0 and said == before):  # one alone may be a frame that was lost
+                late = time.monotonic() - give_up
+                said.append(str(error))
+                alike = said[-1] == said[-2]  # one alone may be a frame that was lost, however long its try took
+                if late > 0 and (alike or (late > BRING_UP_TIME and len(said) > _LEAST_TRIES)):
                     raise
-                before = said
+
+    def _wait_for_silence(self) -> None:
+        """Read what is still on its way, before every try: one that begins among late answers is answered by them to
+        its end."""
+        give_up = time.monotonic() + BRING_UP_TIME
+        while select.select([self._wire], [], [], SILENCE)[0] and time.monotonic() < give_up:
+            self._drop_late()
 
     def _configure(self) -> None:
         found = self._soem.config_init()

@@ -249,10 +249,35 @@ def test_what_stops_a_bus_from_coming_up_is_believed_the_second_time(
     monkeypatch.setattr(Master, "_configure", configure)
     monkeypatch.setattr("drivers.ethercat.master.select.select", lambda *_: ([],))
     master = Master(rig.NEAR, robot, PERIOD, lambda _: 0)
-    times = iter([BRING_UP_TIME * tenths / 10 for tenths in (0, 4, 8, 12, 16, 19)])
+    times = iter([BRING_UP_TIME * tenths / 10 for tenths in (0, 0, 4, 4, 8, 8, 12, 12, 16, 16, 19)])
     monkeypatch.setattr("drivers.ethercat.master.time", SimpleNamespace(monotonic=lambda: next(times)))
     with pytest.raises(BusError, match=r"^bus0: 5 slaves on the bus$"):
         master._bring_up()
+
+
+def test_a_try_that_took_too_long_is_not_the_last_and_is_not_answered_by_what_came_late(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bus that stood still for longer than is waited for, and then answers all that it was asked meanwhile."""
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    near.setblocking(False)
+    tries = iter(["bus0: drive 1 (?) maps 0 bytes of outputs", "bus0: no EtherCAT slave answers", ""])
+    waiting: list[bool] = []
+
+    def configure(_: Master) -> None:
+        waiting.append(bool(select.select([near], [], [], 0)[0]))
+        if said := next(tries):
+            threading.Event().wait(5 * SILENCE)
+            far.send(b"a late answer")
+            raise BusError(said)
+
+    monkeypatch.setattr("drivers.ethercat.master.BRING_UP_TIME", SILENCE)
+    monkeypatch.setattr(Master, "_configure", configure)
+    master = Master(rig.NEAR, robot, PERIOD, lambda _: 0)
+    monkeypatch.setattr(master, "_wire", near.fileno())
+    with near, far:
+        master._bring_up()
+    assert waiting == [False, False, False]
 
 
 def test_what_comes_too_late_is_read_before_anything_is_asked_anew(
