@@ -83,8 +83,8 @@ def _write(found: PayloadHistory, path: Path) -> None:
 def _found(name: str, seen: list[MassLevel]) -> Table:
     head = ("seen at, s", "until, s", "what", "mass, kg", "std dev, kg", "trusted")
     rows = [
-        (f"{one.begin:.3f}", f"{one.end:.3f}", one.event.name.lower(), f"{one.mass:.3f}", f"{one.std_dev:.3f}",
-         f"{one.trusted:.0%}")
+        (f"{one.begin:.3f}", f"{one.end:.3f}", one.event.name.lower() if one.event else "changed unseen",
+         f"{one.mass:.3f}", f"{one.std_dev:.3f}", f"{one.trusted:.0%}")
         for one in seen
     ]  # fmt: skip
     return table(head, rows, f"{name}: payload", figures=slice(None))

@@ -17,6 +17,8 @@ from schemas.files import MIB, read_bytes
 from schemas.messages import Gripper, PayloadEvent, SampleFlag, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Trace
+from service.estimator.payload.state import SMALLEST_CHANGE
+from service.estimator.payload.verdict import EVENT_SIGMAS
 from service.estimator.recursion import FORGETTING, fixed_forgetting
 from service.model import kinematics
 from service.model.nominal import pack
@@ -65,8 +67,8 @@ class Pick:
 
 @dataclass(frozen=True)
 class MassLevel:
-    """What hangs on the platform from one event to the next: begin, end s, mass and standard deviation kg, the share of
-    that time in which it was trusted, and the event that it begins with."""
+    """What hangs on the platform for a time: begin, end s, mass and standard deviation kg, the share of that time in
+    which it was trusted, and the event that it begins with, NONE where nobody saw when it came to hang there."""
 
     begin: float
     end: float
@@ -128,8 +130,8 @@ def carried(robot: Robot, trace: Trace) -> np.ndarray:
     to change, never trusted, or of unknown mass by a flag.
 
     It is told up to `BEFORE_SEEN` of motion before an event, or before the end of a trace with events: while the robot
-    stands, a mass may change unseen. A robot that was never identified weighs nothing, and carries nothing but where
-    its gripper is closed.
+    stands, a mass may change unseen. Of one that did, it is told up to where the mass was trusted last. A robot that
+    was never identified weighs nothing, and carries nothing but where its gripper is closed.
 
     Raises:
         TraceError, DataError: as `weighed`.
@@ -142,7 +144,8 @@ def carried(robot: Robot, trace: Trace) -> np.ndarray:
         return mass
     found = weighed(robot, trace)
     events = np.flatnonzero(found.event != PayloadEvent.NONE)
-    if not len(events):
+    changed = unseen(found)
+    if not len(events) and not changed:
         return mass
     moves = np.any(moving(trace.position, trace.period), axis=1)
     for level in levels(found):
@@ -152,6 +155,8 @@ def carried(robot: Robot, trace: Trace) -> np.ndarray:
     for row in [*events, len(mass)]:
         moved = np.cumsum(moves[:row][::-1]) * trace.period
         mass[row - int(np.searchsorted(moved, BEFORE_SEEN)) : row] = np.nan
+    for gone, back in changed:
+        mass[gone:back] = np.nan
     return mass
 
 
@@ -194,8 +199,9 @@ def picks(found: Weighed) -> list[Pick]:
 
 
 def levels(found: Weighed) -> list[MassLevel]:
-    """Every level that the estimator saw; its figures are those of its later half."""
-    starts = np.flatnonzero(found.event != PayloadEvent.NONE)
+    """Every level that the estimator saw, by an event or by a mass that was another when it was trusted again; its
+    figures are those of its later half."""
+    starts = sorted([*np.flatnonzero(found.event != PayloadEvent.NONE), *(back for _, back in unseen(found))])
     result = []
     for start, stop in pairwise([*starts, len(found.time)]):
         last = int(stop) - 1
@@ -210,6 +216,22 @@ def levels(found: Weighed) -> list[MassLevel]:
                 event=PayloadEvent(int(found.event[start])),
             )
         )
+    return result
+
+
+def unseen(found: Weighed) -> list[tuple[int, int]]:
+    """Changes that no event tells, for nobody knows when they were (`FRESH_TIME`): the last row in which the mass of
+    before was trusted, and the first in which another was. Before the first row nothing hangs there."""
+    edges = np.flatnonzero(np.diff(found.trusted.astype(np.int8), prepend=0, append=0))
+    happened = np.cumsum(found.event != PayloadEvent.NONE)
+    result, gone, known, spread = [], 0, 0.0, 0.0
+    for start, stop in edges.reshape(-1, 2):
+        late = slice(start + (stop - start) // 2, stop)
+        mass, variance = float(np.median(found.mass[late])), float(np.median(found.std_dev[late]) ** 2)
+        least = max(SMALLEST_CHANGE, EVENT_SIGMAS * math.sqrt(variance + spread))
+        if happened[stop - 1] == happened[gone] and abs(mass - known) > least:
+            result.append((gone, int(start)))
+        gone, known, spread = int(stop) - 1, mass, variance
     return result
 
 

@@ -119,6 +119,7 @@ STATE = np.dtype(
         ("still", "f8"),  # s, without motion that tells the mass
         ("unheard", "i8"),  # whether a gripper that nobody hears of may have worked in a rest since
         ("untold", "f8"),  # s of motion that it takes until the mass is known again
+        ("crept", "f8"),  # s of slow motion since such a rest, until the mass is known again
         ("gripper", "i8"),  # of this sample, schemas.messages.Gripper
         ("gripper_before", "i8"),
         ("mass", "f8"),  # kg

@@ -173,11 +173,12 @@ def _weigh_at_rest(settings, state, fast):
         moved_kernel(rest)
         return
     if state.resting == 0:
+        state.crept += settings.period if state.unheard != 0 else 0.0
         jolt_kernel(settings, rest)
         return
     stepped = rest_kernel(settings, rest, state.column, state.residual)
     if state.unheard == 0 and rest.stood > STILL_TIME:
-        state.unheard = 1
+        state.unheard, state.crept = 1, 0.0
         slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
     if not stepped:
         return

@@ -25,8 +25,9 @@ CLEAR_STEP = 10.0
 # The same where most of that is what the model lacked when it was identified, which unlike noise is not drawn anew with
 # every sample.
 BIASED_STEP = 4.0
-# Where it lacks more than it did then, and as much as a load, a change whose onset is further back than this is
-# believed, and no event: of a late one nobody knows what it is about.
+# Where it lacks more than it did then, and as much as a load, or where the robot sets out from a rest as slowly as
+# nothing tells the mass in, a change whose onset is further back than this is believed, and no event: of a late one
+# nobody knows what it is about.
 FRESH_TIME = 0.25  # s of motion
 # Where what it lacks is so many times that of then, squared, gears are soft and settle: no step at rest is an event.
 SOFT = 10.0
@@ -133,9 +134,11 @@ def conclude(settings, state):
         _note_event(state, event, state.load)
         _believe(state, held, own)
     elif state.rest.step != 0.0 or trusted or refined or (held - state.load) ** 2 > least:
-        late = state.filled * settings.bin_size * settings.period > FRESH_TIME
-        if state.rest.step != 0.0 or (foreign and not known_empty and late):
+        late = foreign and not known_empty and state.filled * settings.bin_size * settings.period > FRESH_TIME
+        late |= state.gripper == UNKNOWN and state.crept > FRESH_TIME
+        if state.rest.step != 0.0 or late:
             _believe(state, held, own)
+            state.crept = 0.0 if trusted and state.unheard == 0 else state.crept
         else:
             event = _event(settings, state, held, own, variance, trusted or refined)
     if event != PayloadEvent.NONE.value:

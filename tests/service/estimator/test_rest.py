@@ -169,7 +169,7 @@ def test_a_load_shakes_the_arms_it_comes_to(jolt, told):
 )
 def test_slow_motion_does_not_take_over_a_mass_from_before_a_rest(stood, gripper, unheard):
     """A gripper that nobody hears of may have let go, and friction hides it."""
-    state = known(gripper=gripper, gripper_before=gripper, ground=0.0)
+    state = known(gripper=gripper, gripper_before=gripper, ground=0.0, crept=0.2 if unheard else 0.0)
     stand(state, torques(samples=stood))
     assert state["unheard"] == unheard
     state["resting"], state["slow"]["now"]["phi"] = 0, PHI
@@ -178,6 +178,7 @@ def test_slow_motion_does_not_take_over_a_mass_from_before_a_rest(stood, gripper
         state["column"], state["weight"], state["residual"] = 0.0, 0.0, 0.0
         state["column"][:, 0], state["slow"]["now"]["weight"] = PHI, 20.0
         step.payload_kernel(SETTINGS, state)
+    assert state["crept"] == pytest.approx(0.32 if unheard else 0.0)
     assert state["slow"]["mass_variance"] == (PRIOR_STD**2 if unheard else pytest.approx(0.1**2, rel=0.7))
     if unheard:
         assert abs(state["mass"]) < 2 * state["std_dev"]

@@ -398,3 +398,18 @@ def test_a_mass_is_sure_for_as_long_as_it_was_since_its_event():
     state["load"], state["hidden"] = 0.5, 0.0
     assert told(state) == PICK
     assert state["sure_for"] <= PERIOD
+
+
+@pytest.mark.parametrize(
+    ("crept", "gripper", "event"),
+    [(0.24, Gripper.UNKNOWN, PICK), (0.26, Gripper.UNKNOWN, NONE), (0.26, Gripper.CLOSED, PICK)],
+)
+def test_who_sets_out_slowly_from_a_rest_tells_no_event_of_what_came_to_hang_there(crept, gripper, event):
+    """But where it is heard of. What is told by then is believed, and the next change is an event again."""
+    state = believing(0.5, 0.02, load=0.0, crept=crept, unheard=0, gripper=gripper, gripper_before=gripper)
+    assert told(state) == event
+    assert state["load"] == pytest.approx(0.5)
+    assert state["crept"] == (crept if event == PICK else 0.0)
+    unsure = believing(0.5, 0.02, load=0.0, crept=0.26, unheard=1)
+    assert told(unsure, 3) == NONE
+    assert unsure["crept"] == 0.26, "what a rest may hide is not known yet"

@@ -12,6 +12,7 @@ from drivers.trace import read_trace
 from schemas.errors import TraceError
 from schemas.messages import Gripper, PayloadEvent, SampleFlag
 from schemas.robot import Identified, load_robot
+from service.estimator.payload.state import SMALLEST_CHANGE
 from service.estimator.recursion import fixed_forgetting
 from service.identification import evaluation, payload
 from service.identification.evaluation import WITH_PAYLOAD, evaluate
@@ -26,6 +27,7 @@ from service.identification.payload import (
     read_truth,
     score,
     settled,
+    unseen,
 )
 from service.identification.regression import summarise
 from service.model.dynamics import PAYLOAD, torque_terms
@@ -215,10 +217,55 @@ def test_picks_and_levels_are_what_lies_between_events():
     assert (one.event, empty.event, two.event) == (PayloadEvent.PICK, PayloadEvent.RELEASE, PayloadEvent.PICK)
     assert one.trusted == pytest.approx(110 / 205)
     assert (empty.begin, empty.end, empty.mass, empty.trusted) == pytest.approx((4.1, 6.99, 0.0, 0.0))
-    nothing = replace(seen(), event=np.zeros(1000, int))
+    nothing = replace(seen(), event=np.zeros(1000, int), trusted=np.zeros(1000, bool))
     assert (picks(nothing), levels(nothing)) == ([], [])
     rising = PayloadHistory(TIME, TIME, TIME, TIME > 0, seen().event, TIME)
     assert levels(rising)[0].mass == pytest.approx(np.median(TIME[205 + 102 : 410])), "the later half counts"
+
+
+@pytest.mark.parametrize(
+    ("mass", "std_dev", "event", "changed"),
+    [
+        (0.5, 0.02, False, True),
+        (0.13, 0.02, False, True),
+        (0.11, 0.02, False, False),
+        (0.5, 0.13, False, False),
+        (0.5, 0.11, False, True),
+        (0.5, 0.02, True, False),
+    ],
+)
+def test_a_mass_that_is_another_when_it_is_trusted_again_is_a_level_that_nobody_saw_begin(
+    mass, std_dev, event, changed
+):
+    """By more than any gripper is asked for, and by three standard deviations of before and after."""
+    row = np.arange(1000)
+    found = replace(
+        seen(),
+        mass=np.where(row < 450, 0.0, mass),
+        std_dev=np.full(1000, std_dev),
+        trusted=(row < 400) | ((row >= 500) & (row < 800)) | (row >= 900),
+        event=np.where(row == 450, PayloadEvent.PICK * event, PayloadEvent.NONE),
+    )
+    assert unseen(found) == [(399, 500)] * changed
+    assert [(one.begin, one.mass, one.event) for one in levels(found)] == (
+        [(5.0, mass, PayloadEvent.NONE)] * changed + [(4.5, mass, PayloadEvent.PICK)] * event
+    )
+    begun = replace(found, trusted=row >= 500, event=np.zeros(1000, int))
+    assert unseen(begun) == [(0, 500)] * (mass > max(SMALLEST_CHANGE, 3 * std_dev)), "nothing hung there before"
+
+
+def test_of_a_change_that_nobody_saw_it_is_not_told_what_hangs_there_until_the_mass_is_trusted(
+    robot, record, monkeypatch
+):
+    trace, row = record(3, seconds=2.0), np.arange(2000)
+    robot = robot.model_copy(update={"identified": Identified()})
+    trusted = (row < 500) | (row >= 1000)
+    found = Weighed(trace.time, np.where(row < 800, 0.0, 2.0), np.full(2000, 0.1), trusted, np.zeros(2000, int))
+    monkeypatch.setattr(payload, "weighed", lambda *_: found)
+    hangs = payload.carried(robot, trace)
+    assert not hangs[:499].any()
+    assert np.isnan(hangs[499:1000]).all()
+    assert (hangs[1000:1700] == 2.0).all()
 
 
 def test_a_pick_is_scored_by_its_delays_and_its_last_mass():
