@@ -162,6 +162,19 @@ class Fit:
         """Least-squares step of the free parameters from normal equations in them, within reach."""
         return within(gram, moment, self.reach[0][self.free], self.reach[1][self.free])
 
+    def stepped(self) -> tuple[np.ndarray, Fit]:
+        """Least-squares step (P,) of the free parameters on all rows, within reach, and what it leaves as far as slopes
+        say, at the same hypothesis."""
+        moving = self.moving
+        gram = np.asarray(sum(t.T @ t for t in moving))
+        moment = np.asarray(sum(t.T @ r for t, r in zip(moving, self.residuals, strict=True)))
+        step = self.step(gram, moment)
+        residuals = [r - t @ step for r, t in zip(self.residuals, moving, strict=True)]
+        low, high = (reach.copy() for reach in self.reach)
+        low[self.free] -= step
+        high[self.free] -= step
+        return step, replace(self, residuals=residuals, reach=(low, high))
+
     def holding(self, columns: np.ndarray, values: np.ndarray) -> Fit:
         """With the free linear parameters of `columns` held at `values` (C,), and the others as they are."""
         parameters = Parameters(self.hypothesis)

@@ -119,12 +119,10 @@ class Quiet:
         values = parameters.values[parameters.free]
         effects = parameters.among_free(slice(parameters.timing + 1, None))
         held = every.holding(effects, values[effects])
-        gram = np.asarray(sum(tangent.T @ tangent for tangent in held.moving))
-        moment = np.asarray(sum(t.T @ r for t, r in zip(held.moving, held.residuals, strict=True)))
-        values[held.free] += (step := held.step(gram, moment))
-        left = [r - t @ step for t, r in zip(held.moving, held.residuals, strict=True)]
-        fitted = replace(held, hypothesis=parameters.at(values), residuals=left)
-        return replace(scored, fitted=fitted, residuals=held_out(held, self.regressors.split))
+        step, fitted = held.stepped()
+        values[fitted.free] += step
+        residuals = held_out(fitted, self.regressors.split)
+        return replace(scored, fitted=replace(fitted, hypothesis=parameters.at(values)), residuals=residuals)
 
     def selection_on_all(self, selection: Selection) -> Selection:
         """The same of a whole search."""

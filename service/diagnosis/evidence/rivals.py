@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,7 +104,7 @@ def standings(
     for model, instead in _rivals(regressors, selection, best, refits, allows):
         seen.setdefault(frozenset((term.effect, term.joints) for term in model.hypothesis.terms), (model, instead))
     rivals = list(seen.values())
-    alike = [(one, instead) for model, instead in rivals if (one := in_common(model, regressors.split)) is not None]
+    alike = [(one, instead) for model, instead in rivals for one in _alike(model, instead, regressors.split)]
     apart = _weighed(regressors, best, [model for model, _ in rivals], refits, given)
     every = _weighed(regressors, best, [model for model, _ in (*rivals, *alike)], refits, given) if alike else apart
     result = {}
@@ -131,6 +131,12 @@ def standings(
             min(better, key=lambda model: model.loss, default=None),
         )
     return result
+
+
+def _alike(model: Scored, instead: Collection[str], split: Split) -> list[Scored]:
+    """`model` with one figure on all joints for one of the effects that it has `instead`, each that may have one."""
+    mine = [number for number, term in enumerate(model.hypothesis.terms) if term.effect.name in instead]
+    return [one for number in mine if (one := in_common(model, number, split)) is not None]
 
 
 def _told_better(model: Scored, best: Scored) -> bool:

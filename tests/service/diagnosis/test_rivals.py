@@ -147,11 +147,26 @@ def test_what_has_the_effect_too_is_no_rival_of_it():
 def test_what_all_joints_may_have_alike_leaves_a_name_even(monkeypatch, left, alone, probability, confusable):
     """left, alone: squares that the other leaves more with one figure for all joints, and with one each."""
     taken, other, shared = model(ROWS, "taken"), model(ROWS + alone, "other", away=1e-3), model(ROWS + left, "other")
-    monkeypatch.setattr(evidence, "in_common", lambda one, split: shared if one is other else None)
+    monkeypatch.setattr(evidence, "in_common", lambda one, number, split: shared if one is other else None)
     made = standings(Selection(NONE, taken, [([taken, other], taken)], {}), NONE)["taken"]
     assert made.probability == pytest.approx(probability, abs=1e-6)
     assert made.confusable == confusable
     assert (made.ahead > 0) == (alone > 0), "by those that have a figure a joint"
+
+
+def test_one_figure_for_all_joints_is_asked_of_what_is_in_its_place_wherever_that_stands(monkeypatch):
+    """What both models have would have one figure in both."""
+    asked = []
+
+    def in_common(one, number, split):
+        asked.append((one.names, one.names[number]))
+
+    monkeypatch.setattr(evidence, "in_common", in_common)
+    monkeypatch.setattr(evidence, "_in_its_place", lambda *_: [])
+    both = model(ROWS, "shared", "taken")
+    one, two = model(ROWS, "shared", "other"), model(ROWS, "other", "more", "shared")
+    standings(Selection(NONE, both, [([both, one, two], both)], {}), model(900.0, "shared"), model(900.0, "taken"))
+    assert asked == [(one.names, "other"), (two.names, "other"), (two.names, "more")]
 
 
 def test_a_name_that_led_while_others_were_in_the_gap_is_asked_again_beside_them(monkeypatch):

@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 from service.identification.fit import within
 from tests.service.injected import INJECTED, reports
-from tests.service.subject import EFFECTS, Hypothesis, Parameters, evaluate, fit, predict, solve
+from tests.service.subject import EFFECTS, Fit, Hypothesis, Parameters, evaluate, fit, predict, solve
 from tests.service.world import BASE, COULOMB, VISCOUS, course, problem
 
 
@@ -95,6 +95,23 @@ def test_many_steps_at_once_are_those_of_each():
         np.testing.assert_allclose(found[i, j, some], best.x, atol=1e-6)
     assert 0.1 < np.mean((found == low) | (found == high)) < 0.9
     assert (found[..., 3] == 0.0).all()
+
+
+@pytest.mark.parametrize("reach", [10.0, 0.3])
+def test_one_step_is_least_squares_of_what_moves_within_reach_and_the_next_is_none(reach):
+    """Two recordings; the last parameter is rough and stays. reach: of each parameter, either way."""
+    random = np.random.default_rng(3)
+    columns = [random.standard_normal((40, 4)) @ (np.eye(4) + 0.4 * random.standard_normal((4, 4))) for _ in range(2)]
+    target = [c @ [1.0, -0.2, 0.1, 0.5] + 0.1 * random.standard_normal(40) for c in columns]
+    free, far = np.array([True, True, True, False]), np.full(4, reach)
+    begun = Fit(Hypothesis(BASE), target, columns, np.ones(4, bool), free, (-far, far))
+    step, left = begun.stepped()
+    moving, wanted = np.concatenate(columns)[:, :3], np.concatenate(target)
+    best = lsq_linear(moving, wanted, (-reach, reach), method="bvls", tol=1e-15).x
+    np.testing.assert_allclose(step, best, atol=1e-7)
+    np.testing.assert_allclose(np.concatenate(left.residuals), wanted - moving @ best, atol=1e-6)
+    np.testing.assert_allclose(left.reach, [[*(-reach - best), -reach], [*(reach - best), reach]], atol=1e-7)
+    np.testing.assert_allclose(left.stepped()[0], 0.0, atol=1e-7)
 
 
 def test_a_fit_from_afar_ends_at_the_truth():
