@@ -29,9 +29,8 @@ from service.model.effects.base import Effect
 DRAWS = 1000
 SURE = 0.9  # probability from which a name is not asked about again
 CONFUSED = 0.05  # probability from which what stands in for a name is told beside it
-EVEN = 0.5  # least that a probability falls to by what all joints may have alike
 NEAR = 0.5  # of an effect's gain: what promises less in its place is not fitted
-LIKELY = 0.5  # probability that a name needs
+LIKELY = 0.5  # probability that a name needs, and keeps where all that does as well is what all joints may have alike
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ def standings(
         )
         result[effect] = Standing(
             refit,
-            max(sure, min(alone, EVEN)),
+            max(sure, min(alone, LIKELY)),
             list(dict.fromkeys(confusable)),
             min(ahead, default=np.inf),
             min(better, key=lambda model: model.loss, default=None),

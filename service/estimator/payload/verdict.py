@@ -129,14 +129,15 @@ def conclude(settings, state):
     foreign = not as_identified and state.bias > SMALLEST_CHANGE * SMALLEST_CHANGE
     least = _least_step(settings, state, own, variance, as_identified, foreign)
     refined = own < state.load_variance and (held - state.load) ** 2 < variance + state.load_variance
-    if state.rest.step != 0.0 and not (foreign and soft):
-        event = (PayloadEvent.PICK if state.rest.step > 0.0 else PayloadEvent.RELEASE).value
-        _note_event(state, event, state.load)
+    if state.rest.step != 0.0:
+        if not (foreign and soft):
+            event = (PayloadEvent.PICK if state.rest.step > 0.0 else PayloadEvent.RELEASE).value
+            _note_event(state, event, state.load)
         _believe(state, held, own)
-    elif state.rest.step != 0.0 or trusted or refined or (held - state.load) ** 2 > least:
+    elif trusted or refined or (held - state.load) ** 2 > least:
         late = foreign and not known_empty and state.filled * settings.bin_size * settings.period > FRESH_TIME
         late |= state.gripper == UNKNOWN and state.crept > FRESH_TIME
-        if state.rest.step != 0.0 or late:
+        if late:
             _believe(state, held, own)
             state.crept = 0.0 if trusted and state.unheard == 0 else state.crept
         else:
