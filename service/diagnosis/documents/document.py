@@ -19,6 +19,7 @@ from service.diagnosis.evidence.rivals import ModelComparison, comparisons, unde
 from service.diagnosis.evidence.unseen import unseen
 from service.diagnosis.evidence.where import where
 from service.diagnosis.findings import Findings
+from service.diagnosis.fit.selection import added
 from service.estimator.effects import carried
 from service.identification.folds import block_loss
 from service.model.description import base_errors, described, digits, entry, in_units_of
@@ -214,11 +215,12 @@ def _ranking(findings: Findings, comparisons: list[ModelComparison]) -> list[Ran
     named = {effect.name: standing.probability for effect, standing in findings.selection.standings.items()}
     for number, comparison in enumerate(comparisons):
         for scored, probability in comparison.candidates:
-            if number and scored.names[-1] not in named:
+            *_, term = added(scored, comparison.before)
+            if number and term.effect.name not in named:
                 continue
             entry = Ranked(
-                name=scored.names[-1],
-                joints=[joint + 1 for joint in scored.hypothesis.terms[-1].joints],
+                name=term.effect.name,
+                joints=[joint + 1 for joint in term.joints],
                 probability=round(probability, 4),
                 after_nm=digits(level * (scored.loss / count) ** 0.5),
                 shrink=round(1.0 - (scored.loss / comparison.before.loss) ** 0.5, 4),

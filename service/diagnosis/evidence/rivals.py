@@ -25,6 +25,7 @@ from service.diagnosis.fit.selection import (
 from service.diagnosis.fit.sound import fault_of
 from service.identification.folds import Split
 from service.model.effects.base import Effect
+from service.model.hypothesis import Term
 
 DRAWS = 1000
 SURE = 0.9  # probability from which a name is not asked about again
@@ -43,7 +44,7 @@ class ModelComparison:
 
     def probability(self, name: str) -> float:
         """Of an effect, 0 if it did not come into question."""
-        return sum(p for scored, p in self.candidates if name in added(scored, self.before))
+        return sum(p for scored, p in self.candidates if name in _names(added(scored, self.before)))
 
 
 def comparisons(selection: Selection, split: Split, rows: int) -> list[ModelComparison]:
@@ -82,7 +83,7 @@ def undecided(selection: Selection, rounds: list[ModelComparison]) -> ModelCompa
     doubtful = {effect.name for effect, one in selection.standings.items() if one.probability < SURE or one.confusable}
     for comparison, (_, taken) in zip(rounds, selection.path, strict=True):
         if taken is not None:
-            for name in added(taken, comparison.before):
+            for name in _names(added(taken, comparison.before)):
                 if comparison.probability(name) < SURE or name in doubtful:
                     return comparison
     return rounds[0] if rounds else None
@@ -116,7 +117,7 @@ def standings(
         better = [
             model
             for model, chance in others
-            if model.names[:-1] == refit.names and (_told_better(model, best) or (explained and chance >= LIKELY))
+            if _one_more(model, refit) and (_told_better(model, best) or (explained and chance >= LIKELY))
         ]
         sure, alone = (
             1.0 - sum(chance for model, chance in these if effect.name not in model.names[given:])
@@ -136,6 +137,15 @@ def _alike(model: Scored, instead: Collection[str], split: Split) -> list[Scored
     """`model` with one figure on all joints for one of the effects that it has `instead`, each that may have one."""
     mine = [number for number, term in enumerate(model.hypothesis.terms) if term.effect.name in instead]
     return [one for number in mine if (one := in_common(model, number, split)) is not None]
+
+
+def _names(terms: Sequence[Term]) -> tuple[str, ...]:
+    return tuple(term.effect.name for term in terms)
+
+
+def _one_more(model: Scored, fewer: Scored) -> bool:
+    """Whether a model has the effects of `fewer` and one more, in whatever order they were found."""
+    return len(added(model, fewer)) == 1 == len(model.names) - len(fewer.names)
 
 
 def _told_better(model: Scored, best: Scored) -> bool:
@@ -169,12 +179,12 @@ def _rivals(
         for model in tried:
             names = set(model.names)
             if names - found and not fallen & names:
-                yield model, tuple(name for name in added(model, before) if name not in found)
+                yield model, tuple(name for name in model.names if name not in found)
     for effect, fewer in refits.items():
         if set(fewer.names) not in begun:
             gain = fewer.loss - best.loss
             for model in _in_its_place(regressors, fewer, effect, NEAR * gain, allows):
-                yield model, added(model, fewer)
+                yield model, _names(added(model, fewer))
 
 
 def _in_its_place(

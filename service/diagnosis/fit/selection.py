@@ -130,9 +130,16 @@ class Selection:
             before = before if taken is None else self.after(taken)
 
 
-def added(scored: Scored, before: Scored) -> tuple[str, ...]:
-    """Effects that a round adds: one, or two at once."""
-    return scored.names[len(before.names) :]
+def added(scored: Scored, before: Scored) -> list[Term]:
+    """Effects that a model has beyond `before`: a round adds one, or two at once. They need not stand last, as what
+    another effect took the place of was found in another order."""
+    known, result = [term.effect for term in before.hypothesis.terms], []
+    for term in scored.hypothesis.terms:
+        if term.effect in known:
+            known.remove(term.effect)
+        else:
+            result.append(term)
+    return result
 
 
 def search(

@@ -71,21 +71,21 @@ def test_each_quantity_of_an_effect_has_a_name_of_its_own():
     assert [key for key in two.parameters if key.startswith("order")] == ["order_1", "order_2"]
 
 
-def rival(term: Term, loss: float):
-    return stub(names=(term.effect.name,), hypothesis=Hypothesis(BASE, (term,)), loss=loss)
+def rival(loss: float, *terms: Term):
+    return stub(hypothesis=Hypothesis(BASE, terms), loss=loss)
 
 
 def rounds() -> list[ModelComparison]:
-    """A spring is taken before a ripple; an offset is as unlikely twice."""
+    """A spring is taken before a ripple, which stands before it in the model; an offset is as unlikely twice."""
     first = [
-        (rival(SPRING, 0.49 * 900), 0.7),
-        (rival(OFFSET, 0.64 * 900 + 0.05), 0.20004),
-        (rival(ripple(1, 2.0), 1000.0), 0.1),
+        (rival(0.49 * 900, SPRING), 0.7),
+        (rival(0.64 * 900 + 0.05, OFFSET), 0.20004),
+        (rival(1000.0, ripple(1, 2.0)), 0.1),
     ]
-    second = [(rival(OFFSET, 400.0), 0.3), (rival(ripple(1, 2.0), 0.25 * 441), 0.6)]
+    second = [(rival(400.0, SPRING, OFFSET), 0.3), (rival(0.25 * 441, ripple(1, 2.0), SPRING), 0.6)]
     return [
-        ModelComparison(stub(loss=900.0), first, 0.0),
-        ModelComparison(stub(loss=441.0), second, 0.1),
+        ModelComparison(rival(900.0), first, 0.0),
+        ModelComparison(rival(441.0, SPRING), second, 0.1),
     ]
 
 

@@ -211,6 +211,59 @@ def test_where_noise_is_left_the_likelier_is_better_and_elsewhere_what_blocks_te
     assert made["later"].better is None
 
 
+def exchanged(left: float) -> tuple[Selection, Scored, Scored]:
+    """Two were found, and then another in place of the first of them; what was taken before leaves `left` squares more.
+    The search, and what was found without either of the two that stand."""
+    first, old, better = model(900.0, "old"), model(ROWS + left, "old", "later"), model(ROWS, "later", "new")
+    fewer = model(900.0, "later")
+    path: list[tuple[list[Scored], Scored | None]] = [([first], first), ([better, old], better)]
+    return Selection(NONE, better, path, {id(first): fewer}), model(950.0, "new"), fewer
+
+
+def test_what_was_taken_before_another_took_its_place_is_told_beside_that(monkeypatch):
+    """It stands before what was found after it."""
+    monkeypatch.setattr(evidence, "_in_its_place", lambda *_: [])
+    found, *refits = exchanged(2.0)
+    made = standings(found, *refits)
+    assert (made["new"].probability, made["new"].confusable) == (pytest.approx(1 / (1 + np.exp(-1.0))), ["old"])
+    assert (made["later"].probability, made["later"].confusable) == (pytest.approx(1.0), [])
+    _, last = evidence.comparisons(found, SPLIT, ROWS)
+    likely = 1 / (1 + np.exp(-1.0))
+    assert [last.probability(name) for name in ("new", "old", "later")] == pytest.approx([likely, 1 - likely, 0.0])
+
+
+def test_an_effect_may_be_added_again():
+    """On another joint, or of another order."""
+    before, later = model(ROWS, "ripple", "drag"), model(ROWS, "drag", "ripple", "ripple")
+    (found,) = selection.added(later, before)
+    assert found is later.hypothesis.terms[-1]
+
+
+def test_all_is_told_that_a_model_has_instead(monkeypatch):
+    """Also what was found before the round that it is of, and is superfluous now."""
+    monkeypatch.setattr(evidence, "_in_its_place", lambda *_: [])
+    first, other, right = model(900.0, "gone"), model(ROWS + 2.0, "gone", "other"), model(ROWS, "right")
+    path: list[tuple[list[Scored], Scored | None]] = [([first], first), ([model(ROWS, "gone", "right"), other], first)]
+    found = Selection(NONE, right, path, {})
+    assert standings(found, NONE)["right"].confusable == ["gone", "other"]
+
+
+@pytest.mark.parametrize(
+    ("names", "takes"),
+    [(("a", "b", "new"), True), (("new", "b", "a"), True), (("b", "a"), False), (("new", "b"), False),
+     (("new", "other", "a", "b"), False), (("new", "other", "a"), False)],
+)  # fmt: skip
+def test_what_is_better_has_one_effect_in_place_of_another_in_whatever_order(monkeypatch, names, takes):
+    both = model(ROWS, "a", "b", "old", away=1.0)
+    other = model(0.5 * ROWS, *names)
+    fewer = model(900.0, "a", "b")
+    monkeypatch.setattr(evidence, "_in_its_place", lambda regressors, fewer, *_: [])
+    path: list[tuple[list[Scored], Scored | None]] = [([both, other], both)]
+    refits = model(950.0, "b", "old"), model(950.0, "a", "old"), fewer
+    made = standings(Selection(NONE, both, path, {}), *refits)
+    assert (made["old"].better is other) is takes
+
+
 def test_what_fell_and_what_was_found_are_in_nobodys_place():
     kept, fell = model(ROWS, "kept"), model(ROWS, "kept", "fell")
     path: list[tuple[list[Scored], Scored | None]] = [
