@@ -10,16 +10,19 @@ import numpy as np
 import pytest
 
 from drivers.trace import read_trace
-from schemas.diagnosis import Follows
+from schemas.axes import Axes, Axis
+from schemas.diagnosis import Caution, Follows
 from schemas.errors import DataError, RobotError
 from schemas.robot import load_robot
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import document
-from service.diagnosis.evidence.cautions import base_doubts, faults_of, limits_of, noise_of
+from service.diagnosis.evidence.cautions import base_doubts, degrees_doubted, faults_of, limits_of, noise_of
 from service.identification.fit import Problem
 from service.identification.noise import Floor
 from service.model.effects import CATALOGUE, by_name, catalogue
-from tests.service.world import stub
+from service.model.mechanism import mechanism_of
+from tests.service.subject import Delta, Hypothesis, Term
+from tests.service.world import BASE, ROBOT, stub
 
 EFFECTS = by_name(CATALOGUE)
 
@@ -182,6 +185,50 @@ def test_a_base_that_lacks_something_is_doubted(joint, what, other, share, told)
     left = one.model_copy(update={"share": 0.31})
     assert bool(doubts([], [left])) == (joint < 3 and what != "position_error"), "of what effects leave, 0.3 is much"
     assert doubts([], [one.model_copy(update={"share": 0.29})]) == []
+
+
+def springs_of_axes(first: float, second: float, third: float = 0.0, name: str = "joint_spring") -> list[Caution]:
+    """Doubts about a spring of 4 N m/rad on the first of three axes and of 20 on the second and third, of which only
+    the third cannot carry a weight. They travel by 2, 0.5 and 1 rad at most. first, second, third: N m of weight
+    found."""
+    mechanism = mechanism_of(Axes(name="axes", kind="axes", axis=[Axis(), Axis(), Axis(gravity=False)]))
+    weights = {"1": first, "2": second, "3": third}
+    figures = [
+        {"sin": -0.6, "cos": 0.8}[part] * weights[joint] if kind == "gravity" else 50.0
+        for kind, part, joint in (f"{name}_".split("_")[:3] for name in mechanism.coefficients)
+    ]
+    angles = np.array([[0.0, 0.1, 0.2], [2.0, 0.6, 0.2]]), np.array([[1.0, 0.3, 0.7], [1.5, 0.0, -0.3]])
+    runs = [stub(mechanism=mechanism, segment=stub(theta=theta)) for theta in angles]
+    term = Term(EFFECTS[name], (0, 1, 2), np.array([[4.0, 99.0], [20.0, 99.0], [20.0, 99.0]]), ())
+    best = stub(hypothesis=stub(base=stub(rigid=np.array(figures)), terms=(term,)))
+    return degrees_doubted(stub(recordings=runs), best)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "told"),
+    [
+        (0.79, 0.99, [1, 2]),
+        (0.81, 0.99, [2]),
+        (0.79, 1.01, [1]),
+        (0.81, 1.01, []),
+        (0.0, 0.0, [1, 2]),
+        (-9.0, 0.0, [2]),
+    ],
+)
+def test_a_spring_of_an_axis_may_be_a_weight_by_degrees_where_a_tenth_of_it_is_no_weight(first, second, told):
+    """Of its pull over its travel; only on an axis that may carry a weight."""
+    said = springs_of_axes(first, second)
+    assert [(one.code, one.joints, one.effect, one.advice) for one in said] == [
+        ("degrees", [joint], "joint_spring", "say_degrees") for joint in told
+    ]
+
+
+def test_what_does_not_pull_back_and_what_is_no_axis_are_not_asked_for_degrees():
+    assert springs_of_axes(0.0, 0.0, name="torque_scale") == []
+    spring = Term(EFFECTS["joint_spring"], (0,), np.array([[4.0, 0.0]]), ())
+    delta = stub(recordings=[stub(mechanism=Delta.of(ROBOT), segment=stub(theta=np.zeros((2, 3))))])
+    best = stub(hypothesis=Hypothesis(BASE, (spring,)))
+    assert degrees_doubted(delta, best) == []
 
 
 def test_a_term_that_is_a_weight_is_the_bases_however_little_it_takes():

@@ -15,6 +15,7 @@ from tests.service.injected import reports
 from tests.service.subject import (
     EFFECTS,
     Hypothesis,
+    Nonlinear,
     Parameters,
     Problem,
     Regressors,
@@ -137,6 +138,29 @@ def test_a_shape_that_may_be_any_is_no_finding(monkeypatch, relative, stands):
     kept, fallen = judge(made, found)
     assert kept.best.names == (("nonlinear_viscous_friction",) if stands else ())
     assert [(one.code, one.quantity) for one in fallen] == ([] if stands else [("any_shape", "p")])
+
+
+def test_where_no_quantity_is_told_from_nothing_its_shape_is_not_asked_about(monkeypatch):
+    made = logs((1, 2, 3), "nonlinear_viscous_friction")
+    errors = judged.statistics.standard_errors
+    monkeypatch.setattr(judged.statistics, "standard_errors", lambda *fit: np.full(len(errors(*fit)), 1e3))
+    kept, fallen = judge(made, chosen(made, GREASE))
+    assert kept.best.names == ()
+    assert [(one.code, one.quantity) for one in fallen] == [("left_open", None)]
+
+
+@pytest.mark.parametrize(
+    ("errors", "quantity"),
+    [((1.1, 1.1), None), ((1.2, 0.5), "p"), ((0.5, 1.2), "q"), ((1.2, 1.2), "p")],
+)
+@pytest.mark.parametrize("held", [{}, {"fixed": True}, {"minor": True}])
+def test_a_shape_is_any_where_a_draw_from_its_range_says_as_much(errors, quantity, held):
+    """Of two quantities from 3 to 7: 4 over the root of 12. held: what is not searched, or hardly matters, is never
+    said to be open."""
+    shape = Nonlinear("", "of p", grid=(4.0,), low=3.0, high=7.0, **held), Nonlinear("", "of q", (4.0,), 3.0, 7.0)
+    effect = stub(nonlinear=dict(zip("pq", shape, strict=True)))
+    found = judged._any_shape(effect, np.array(errors))
+    assert found == ("q" if held and errors[1] > 1.15 else None if held else quantity)
 
 
 @pytest.mark.parametrize(

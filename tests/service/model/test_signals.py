@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -254,6 +255,81 @@ def test_a_torque_that_moves_with_every_sample_or_by_single_steps_is_not_held() 
     assert signals.held(still[:, None], PERIOD) is None
 
 
+def test_a_torque_of_which_one_change_in_ten_is_late_is_read_off_between_them() -> None:
+    """3 Hz made anew every 4 ms: where a change is 2 ms late, what stands there is off by up to 7 %."""
+    true, number = np.sin(2 * np.pi * 3 * np.arange(4000) * PERIOD), np.arange(1000)
+    updates = [4 * number, 4 * number + 2 * (number % 10 == 9)]
+    torque = np.stack([np.repeat(true[at], np.diff(np.r_[at, 4000])) for at in updates], axis=1)
+    (found,) = signals.fresh([replace(seen_of(4000), torque=torque)])
+    assert found.period == pytest.approx(4 * PERIOD)
+    np.testing.assert_allclose(found.torque[2:-2, 1], true[found.rows][2:-2], atol=2e-3)
+
+
+def test_between_late_changes_a_torque_bends_and_beyond_them_it_stands() -> None:
+    """20 Hz made anew every 6 ms, where a straight line between would be off by 7 % of it; the first second is rest."""
+    time = np.arange(4000) * PERIOD
+    true = np.where(time < 1.0, 0.0, np.sin(2 * np.pi * 20 * (time - 1.0)))
+    torque = np.stack([true[np.arange(4000) // 6 * 6], true[(np.arange(4000) - 3) // 6 * 6 + 3]], axis=1)
+    (found,) = signals.fresh([replace(seen_of(4000), torque=torque)])
+    assert found.period == pytest.approx(6 * PERIOD)
+    assert (found.rows % 6 == 3).all(), "when that of joint 2 comes"
+    error = found.torque[:, 0] - true[found.rows]
+    moves = (found.time > 1.05) & (found.time < 3.95)
+    assert np.abs(error[moves]).max() < 0.02
+    assert np.abs(found.torque).max() < 1.1
+
+
+def test_what_is_fresh_is_thinned_as_all_is() -> None:
+    part = seen(1.25e-4, 2.0, 0.0)
+    noisy = replace(part, torque=np.random.default_rng(2).standard_normal((len(part.time), 1)))
+    (found,) = signals.fresh([noisy])
+    assert found.period == pytest.approx(1e-3)
+    assert found.held == 0.0
+
+
+def stairs(gaps: Sequence[int], sizes: Sequence[float] = (1.0, 2.0, 2.0)) -> np.ndarray:
+    """(N, 1) N m that stands for so many samples each and then goes up and down by `sizes` in turn."""
+    change = np.resize(sizes, len(gaps)) * np.resize([1.0, -1.0], len(gaps))
+    return np.repeat(np.r_[0.0, np.cumsum(change)], [4, *gaps])[:, None]
+
+
+@pytest.mark.parametrize(
+    ("gaps", "sizes", "samples"),
+    [
+        ([4] * 20, (1.0, 2.0, 2.0), 4),
+        ([4] * 19, (1.0, 2.0, 2.0), None),  # too few to tell
+        ([4] * 20, (1.0, 1.6, 1.6), 4),
+        ([4] * 20, (1.0, 1.4, 1.4), 1),  # by single steps
+        ([4] * 20, (1.0, 1.0, 9.0), 1),  # mostly
+        (([4] * 98 + [1] * 2) * 3, (1.0, 2.0, 2.0), 4),
+        (([4] * 97 + [1] * 3) * 3, (1.0, 2.0, 2.0), 1),  # some follow each other at once
+        (([4] * 4 + [2]) * 8, (1.0, 2.0, 2.0), 4),  # unevenly
+        (([4] * 9 + [150]) * 4, (1.0, 2.0, 2.0), 4),  # at rest for a while
+        ([20] * 20, (1.0, 2.0, 2.0), 20),
+        ([21] * 20, (1.0, 2.0, 2.0), 1),
+    ],
+)
+def test_a_torque_is_held_by_the_rhythm_and_the_size_of_its_changes(gaps, sizes, samples) -> None:
+    assert signals.held(stairs(gaps, sizes), PERIOD) == samples
+
+
+def test_the_joint_whose_torque_stands_shortest_tells() -> None:
+    slow, quick = stairs([8] * 40), stairs([4] * 80)
+    for both in ([slow, quick], [quick, slow]):
+        assert signals.held(np.concatenate(both, axis=1), PERIOD) == 4
+
+
+def test_a_joint_whose_torque_hardly_changes_is_read_as_it_stands() -> None:
+    """No curve goes through a handful of changes at other times; the clock is that of most changes."""
+    part, _ = held_log(4)
+    rare = np.repeat([0.0, 1.0, 3.0, 2.0], [2, 999, 1000, 1999])
+    part = replace(part, torque=np.stack([rare, part.torque[:, 1]], axis=1))
+    (found,) = signals.fresh([part])
+    assert found.period == pytest.approx(4 * PERIOD)
+    assert found.rows[0] == 1
+    np.testing.assert_array_equal(found.torque[:, 0], rare[found.rows])
+
+
 def test_segments_of_a_machine_are_held_alike_or_none_is() -> None:
     """Those in which nothing changes go along; where some have it otherwise, the clock of most is for all."""
     one, _ = held_log(4)
@@ -261,6 +337,7 @@ def test_segments_of_a_machine_are_held_alike_or_none_is() -> None:
     still = replace(one, torque=np.zeros(true.shape))
     assert [part.period for part in signals.fresh([one, still])] == pytest.approx([4 * PERIOD] * 2)
     assert [part.period for part in signals.fresh([one, other, other])] == pytest.approx([6 * PERIOD] * 3)
+    assert [part.period for part in signals.fresh([one, one, other])] == pytest.approx([4 * PERIOD] * 3)
     plain = replace(one, torque=true)
     assert signals.fresh([one, plain, still]) == [one, plain, still]
     assert signals.fresh([still]) == [still]
