@@ -41,6 +41,7 @@ def command(
     from schemas.axes import load_description
     from schemas.errors import TraceError
     from service.identification.evaluation import evaluate
+    from service.identification.held import told
     from service.model.description import in_units_of
 
     description = load_description(robot, effects)
@@ -59,6 +60,8 @@ def command(
     for result in results:
         if result.unmeasured:
             print(f"{result.trace.path}: {result.unmeasured} of {len(result.trace)} rows left out", file=sys.stderr)
+    for line in told({str(result.trace.path): result.held for result in results}):
+        print(f"warning: {line}", file=sys.stderr)
     if json:
         print(_json(results, unit))
     else:
@@ -123,6 +126,7 @@ def _json(results: list[Evaluation], unit: str) -> str:
                 "trace": str(result.trace.path),
                 "rows": len(result.trace),
                 "unmeasured_rows": result.unmeasured,
+                "torque_held_s": round(result.held, 6),
                 "models": figures(result.errors),
                 "outside_events": figures(result.calm),
                 "events": [asdict(event) | {"joint": event.joint + 1} for event in result.events],

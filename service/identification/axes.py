@@ -12,6 +12,8 @@ from schemas.errors import DataError
 from schemas.trace import Trace
 from service.identification import checks
 from service.identification.folds import BLOCK, Split, block_loss, held_out
+from service.identification.held import held_s
+from service.identification.held import told as told_of_held
 from service.identification.identify import fit_to, written
 from service.identification.loops import loops_of, position_errors, told
 from service.identification.pooled import Identification, Plain, refuse_dead_torque
@@ -33,9 +35,10 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
         DataError: too little motion, or logs of several rates, naming them.
     """
     mechanism = mechanism_of(axes)
+    logs = segments_of(traces)
     recordings = [
         Recording(thin(part), mechanism, number, trace.name)
-        for number, (trace, parts) in enumerate(zip(traces, segments_of(traces), strict=True))
+        for number, (trace, parts) in enumerate(zip(traces, logs, strict=True))
         for part in parts
     ]
     refuse_dead_torque(recordings)
@@ -47,7 +50,8 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
             f"{names}: too little motion, {np.max(seconds):.1f} s of an axis, at least {least:.0f} s needed"
         )
     fit = fit_to(axes, recordings, [trace.path.name for trace in traces])
-    return written(axes, fit, fit.fitted.hypothesis.base, [*_commanded(fit, traces), *_warnings(fit, traces)])
+    held = told_of_held({trace.path.name: held_s(parts) for trace, parts in zip(traces, logs, strict=True)})
+    return written(axes, fit, fit.fitted.hypothesis.base, [*_commanded(fit, traces), *held, *_warnings(fit, traces)])
 
 
 def _commanded(fit: Plain, traces: Sequence[Trace]) -> list[str]:

@@ -13,10 +13,12 @@ from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.identification.events import Event, JointRun, events, outside
+from service.identification.held import held_s
 from service.identification.payload import weighed
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
+from service.model.signals import segments
 
 WITH_PAYLOAD = "full, m_p estimated"
 
@@ -47,7 +49,8 @@ class Evaluation:
     """One trace. torque: model name -> (N, n) N m, every row. errors: model name -> moments. unmeasured: rows left out
     for a fault; their motion is bridged and their torque predicted all the same. Where something was picked, `errors`
     has one more entry, WITH_PAYLOAD: the fullest model with the payload mass as the estimator knew it at each sample.
-    events: of the last of `errors`. calm: as `errors`, outside them.
+    events: of the last of `errors`. calm: as `errors`, outside them. held: s for which each torque stood in the trace,
+    0 where it did not.
     """
 
     trace: Trace
@@ -56,6 +59,7 @@ class Evaluation:
     unmeasured: int
     events: list[Event]
     calm: dict[str, Moments]
+    held: float
 
     @property
     def calm_share(self) -> float:
@@ -89,6 +93,7 @@ def evaluate(robot: Description, trace: Trace) -> Evaluation:
         int((~along.measured).sum()),
         found,
         {name: _moments(np.where(free, error, np.nan)) for name, error in errors.items()},
+        held_s(segments(trace)),
     )
 
 

@@ -12,6 +12,7 @@ from schemas.axes import Description
 from schemas.errors import DataError
 from schemas.robot import JointParameter, Robot
 from service.identification import checks, paper, pooled
+from service.identification.held import told as told_of_held
 from service.identification.loops import loops_of, told
 from service.identification.pooled import Described, Identification, Plain
 from service.identification.regression import PARAMETERS, NormalEquations
@@ -38,7 +39,8 @@ def identify(robot: Robot, logs: Sequence[NormalEquations], method: Method = "po
     errors = [error for log in logs for error in log.position_errors]
     loops = loops_of(fit.problem, errors if len(errors) == len(recordings) else [], fit.fitted.residuals)
     base = fit.fitted.hypothesis.base
-    warnings = [*told(loops), *checks.check_fit(logs, fit, pack(robot).moving_mass)]
+    held = told_of_held({log.name: log.held for log in logs})
+    warnings = [*told(loops), *held, *checks.check_fit(logs, fit, pack(robot).moving_mass)]
     if method == "paper":
         fit, base = paper.refit(logs, fit), replace(base, transition=0.0, timing=0.0)
         warnings = [*warnings, *paper.edges(logs)]

@@ -13,6 +13,7 @@ import numpy as np
 from schemas.errors import PoseError, TraceError
 from schemas.trace import Trace
 from service.identification.commanded import is_commanded
+from service.identification.held import held_s
 from service.identification.loops import position_errors
 from service.model.kinematics import jacobian
 from service.model.mechanism import Delta
@@ -42,7 +43,7 @@ class NormalEquations:
 
     gram: (B, 3, COLUMNS, COLUMNS) products of the low-passed columns. recordings: the parts that no fault interrupts.
     commanded: whether the reported torque is the commanded one and white noise. position_errors: (N, 3) rad a
-    recording, none without commands.
+    recording, none without commands. held: s for which each torque stood in the log, 0 where it did not.
     """
 
     name: str
@@ -50,6 +51,7 @@ class NormalEquations:
     recordings: list[Recording]
     commanded: bool = False
     position_errors: Sequence[np.ndarray] = ()
+    held: float = 0.0
 
     @property
     def seconds(self) -> np.ndarray:
@@ -64,13 +66,14 @@ def summarise(model: DeltaModel, trace: Trace) -> NormalEquations:
         TraceError: nothing usable, or positions that are no pose of the robot, naming the file.
     """
     mechanism = Delta(model, np.ones(3))
-    recordings = [Recording(thin(part), mechanism, 0, trace.path.name) for part in segments(trace)]
+    parts = segments(trace)
+    recordings = [Recording(thin(part), mechanism, 0, trace.path.name) for part in parts]
     try:
         gram = np.concatenate([_blocks(model, recording) for recording in recordings])
     except PoseError as error:
         raise TraceError(f"{trace.path}: {error}") from error
     errors = position_errors(recordings, [trace])
-    return NormalEquations(trace.path.name, gram, recordings, is_commanded(trace), errors)
+    return NormalEquations(trace.path.name, gram, recordings, is_commanded(trace), errors, held_s(parts))
 
 
 def regressors(recording: Recording) -> np.ndarray:

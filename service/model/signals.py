@@ -439,6 +439,12 @@ def held(torque: np.ndarray, period: float) -> int | None:
     return min(held_for, default=None)
 
 
+def stands(parts: Sequence[Segment]) -> int:
+    """Samples for which each torque of the segments of one machine is held, 1 where it is not on one of them."""
+    found = [samples for part in parts if (samples := held(part.torque, part.period)) is not None]
+    return round(np.median(found)) if min(found, default=1) > 1 else 1
+
+
 def _anew(segment: Segment, samples: int) -> Segment:
     """The samples at which a torque held for so many `samples` comes anew; those of a joint whose torque comes at other
     times are read off a curve through its own."""
@@ -484,9 +490,9 @@ def thin(segment: Segment) -> Segment:
 def fresh(parts: Sequence[Segment]) -> list[Segment]:
     """`thin` of the segments of one machine; of a torque that the drive holds, the samples at which it comes anew: the
     others say nothing new, and say it late."""
-    found = [samples for part in parts if (samples := held(part.torque, part.period)) is not None]
-    if min(found, default=1) > 1:
-        parts = [_anew(part, round(np.median(found))) for part in parts]
+    samples = stands(parts)
+    if samples > 1:
+        parts = [_anew(part, samples) for part in parts]
     return [thin(part) for part in parts]
 
 
