@@ -11,7 +11,7 @@ from schemas.axes import Description
 from schemas.diagnosis import Caution, Follows, Verdict
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
-from service.diagnosis.evidence import statistics
+from service.diagnosis.evidence import by_angle, statistics
 from service.diagnosis.evidence.aside import Quiet
 from service.diagnosis.evidence.cautions import base_doubts, degrees_doubted, doubts_of, faults_of, limits_of, noise_of
 from service.diagnosis.evidence.earned import earned, together
@@ -164,7 +164,9 @@ def _judged(
     """Names have to earn it. doubts: reasons to believe none. unknown: the noise is not known. untold: effects that
     other rows do not tell from what may be in their place."""
     problem, split, fallen = regressors.problem, regressors.split, faults_of(selection)
-    if doubts:
+    if doubts and (stands := by_angle.named_beside(regressors, selection, doubts, tests, allows, limit)):
+        selection, doubts = stands
+    elif doubts:
         selection = replace(selection, best=selection.none, path=_untaken(selection))
     else:
         selection, fell = earned(regressors, selection, tests, allows, limit, untold)

@@ -41,6 +41,9 @@ CAUTIONS = {
     "runs_differ": "Each run fits alone, but not all together: cannot be told apart on this data.",
     "much_is_left": "What is left is {share:.0%} of the torque itself, more than effects of the catalogue "
     "would leave: cannot be told apart on this data.",
+    "much_beside": "What is left is {share:.0%} of the torque itself: beside what is named something is wrong or not "
+    "in the catalogue. What is named shrinks the gap of each log left out, and was told from any load, inertia and "
+    "friction that go by the angle alone.",
     "other_joints": "The base model is wrong first: {share:.0%} of the gap in joint {first} follows the motion of "
     "joint {last}, which it knows nothing of. No effect is named on a wrong base.",
     "sine_of_angle": "The base model is wrong first: {share:.0%} of the gap in joint {first} goes by its angle, "

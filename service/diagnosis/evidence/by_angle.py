@@ -1,0 +1,115 @@
+"""Friction that is told though a description of axes leaves much of the torque: that may be wrong in much, but what it
+may be wrong in goes by the angle.
+
+A weight, a spring, a stop, a counterbalance, another gear ratio, a tight spot: load, inertia and friction by the angle
+of an axis. With all of these left open what stands in for them takes next to nothing more, and friction that grows with
+the load as much as before, as far as the load is what it takes to accelerate. It has to do so on each log left out, and
+ahead of everything in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+
+from schemas.diagnosis import Caution
+from service.diagnosis.evidence.cautions import doubts_of
+from service.diagnosis.evidence.earned import earned
+from service.diagnosis.evidence.placement import beside
+from service.diagnosis.evidence.rivals import SURE
+from service.diagnosis.fit.candidates import Regressors
+from service.diagnosis.fit.selection import LEAST_Z, Scored, Selection, Standing, z_score
+from service.identification.fit import Problem
+from service.identification.folds import Split, block_loss, held_out
+from service.model.effects.base import Effect
+from service.model.hypothesis import Hypothesis
+
+LOAD, INERTIA = 6, 2  # degree by the angle of load and friction, which a weight over a turn needs, and of inertia
+# Of what an effect takes, that it still takes beside all that goes by the angle: friction by the load keeps 0.6 on a
+# real servo and 0.65 or more on simulated ones, friction by the angle that stands for it 0.09 at most.
+STANDS = 0.5
+LEAST_LOGS = 3
+
+
+def named_beside(
+    regressors: Regressors, selection: Selection, doubts: Sequence[Caution], kept_out: Sequence[Problem],
+    allows: Callable[[Effect, int], bool], limit: float,
+) -> tuple[Selection, list[Caution]] | None:  # fmt: skip
+    """The names that stand and what is said of the rest, where the description is of axes, no more speaks against it
+    than how much it leaves, and all that was found is told however wrong it is; else None."""
+    problem, given = regressors.problem, len(selection.none.hypothesis.terms)
+    if problem.recordings[0].mechanism.kind != "axes" or not _much_alone(doubts):
+        return None
+    kept, _ = earned(regressors, selection, kept_out, allows, limit)
+    left = doubts_of(problem, kept, limit)
+    found = {term.effect for term in kept.best.hypothesis.terms[given:]}
+    if not found or not _much_alone(left):
+        return None
+    if not all(told_beside(problem, kept.best, effect, kept.standings[effect]) for effect in found):
+        return None
+    return kept, [one.model_copy(update={"code": "much_beside"}) for one in left]
+
+
+def _much_alone(doubts: Sequence[Caution]) -> bool:
+    return [one.code for one in doubts] == ["much_is_left"]
+
+
+def told_beside(problem: Problem, best: Scored, effect: Effect, standing: Standing) -> bool:
+    """Whether an effect of `best` is friction that is told from all that goes by the angle, and from the catalogue."""
+    ahead = standing.probability >= SURE and not standing.confusable and standing.ahead > LEAST_Z
+    return (
+        ahead
+        and effect.dissipates
+        and all(searched.fixed for searched in effect.nonlinear.values())  # a shape that is fitted suits what is none
+        and on_each_log(problem, standing.without, best)
+        and stays(problem, standing.without, best, effect) >= STANDS
+    )
+
+
+def on_each_log(problem: Problem, fewer: Scored, best: Scored) -> bool:
+    """Whether what is left of each of three logs or more, predicted by the others, shrinks."""
+    runs, split = np.array(problem.logs), Split.of(problem)
+    before, after = (np.array([float(r @ r) for r in held_out(one.fitted, split)]) for one in (fewer, best))
+    logs = np.unique(runs)
+    return len(logs) >= LEAST_LOGS and all(after[runs == log].sum() < before[runs == log].sum() for log in logs)
+
+
+def stays(problem: Problem, fewer: Scored, best: Scored, effect: Effect) -> float:
+    """Of what an effect takes on stretches left out, the share that it takes beside all that goes by the angle of its
+    joints; none where that may be chance."""
+    split = Split.of(problem, mixed=True)
+    joints = sorted({joint for term in best.hypothesis.terms if term.effect is effect for joint in term.joints})
+    if not joints:
+        return 0.0
+    columns = by_angle(problem, best.hypothesis, joints)
+    plain = [block_loss(held_out(one.fitted, split), split) for one in (fewer, best)]
+    opened = [block_loss(beside(one.fitted, columns, split), split) for one in (fewer, best)]
+    taken, still = (float((without - all_).sum()) for without, all_ in (plain, opened))
+    return still / taken if taken > 0 and z_score(*opened) > LEAST_Z else 0.0
+
+
+def by_angle(problem: Problem, hypothesis: Hypothesis, joints: Sequence[int]) -> list[np.ndarray]:
+    """(R, K) a recording, in units of the noise, all columns of one size: on each of `joints` a load by the angle of
+    each axis; friction, and inertia against each axis' acceleration and squared speed, by its own."""
+    segments = [recording.segment for recording in problem.recordings]
+    low = np.min([segment.theta.min(axis=0) for segment in segments], axis=0)
+    high = np.max([segment.theta.max(axis=0) for segment in segments], axis=0)
+    result = []
+    for number, scene in enumerate(problem.scenes(hypothesis)):
+        segment = scene.segment
+        shapes = chebvander(2.0 * (segment.theta - low) / np.maximum(high - low, 1e-12) - 1.0, LOAD)  # (N, n, k)
+        loads = shapes[:, :, 1:].reshape(len(shapes), -1)
+        rates = np.concatenate([segment.theta_ddot, segment.theta_dot**2], axis=1)
+        parts = []
+        for joint in joints:
+            own = shapes[:, joint]
+            inertias = (rates[:, :, None] * own[:, None, : INERTIA + 1]).reshape(len(shapes), -1)
+            mine = np.concatenate([loads, inertias, own * scene.direction[:, [joint]]], axis=1)
+            each = np.zeros((len(mine), len(problem.sigma), mine.shape[1]))
+            each[:, joint] = mine
+            parts.append(problem.select(number, problem.band(each)))
+        result.append(np.concatenate(parts, axis=1))
+    size = np.sqrt(np.sum([np.square(part).sum(axis=0) for part in result], axis=0))
+    return [part / np.where(size > 0, size, 1.0) for part in result]
