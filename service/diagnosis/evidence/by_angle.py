@@ -10,6 +10,7 @@ ahead of everything in its place.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -20,7 +21,7 @@ from service.diagnosis.evidence.earned import earned
 from service.diagnosis.evidence.placement import beside
 from service.diagnosis.evidence.rivals import SURE
 from service.diagnosis.fit.candidates import Regressors
-from service.diagnosis.fit.selection import LEAST_Z, Scored, Selection, Standing, z_score
+from service.diagnosis.fit.selection import LEAST_Z, Scored, Selection, Standing, worth, z_score
 from service.identification.fit import Problem
 from service.identification.folds import Split, block_loss, held_out
 from service.model.effects.base import Effect
@@ -42,7 +43,7 @@ def named_beside(
     problem, given = regressors.problem, len(selection.none.hypothesis.terms)
     if problem.recordings[0].mechanism.kind != "axes" or not _much_alone(doubts):
         return None
-    kept, _ = earned(regressors, selection, kept_out, allows, limit)
+    kept, _ = earned(regressors, _nearest(problem, selection), kept_out, allows, limit)
     left = doubts_of(problem, kept, limit)
     found = {term.effect for term in kept.best.hypothesis.terms[given:]}
     if not found or not _much_alone(left):
@@ -50,6 +51,17 @@ def named_beside(
     if not all(told_beside(problem, kept.best, effect, kept.standings[effect]) for effect in found):
         return None
     return kept, [one.model_copy(update={"code": "much_beside"}) for one in left]
+
+
+def _nearest(problem: Problem, selection: Selection) -> Selection:
+    """A search that found nothing as if it had taken what came nearest, where that is worth it however little of what
+    is left it takes: what else is left here says nothing of it."""
+    if selection.names or selection.fault is not None or not selection.path:
+        return selection
+    (tried, _), none = selection.path[0], selection.none
+    if not tried or not worth(tried[0].blocks, none.blocks, none.blocks, problem.count, problem.most):
+        return selection
+    return replace(selection, best=tried[0], path=[(tried, tried[0])])
 
 
 def _much_alone(doubts: Sequence[Caution]) -> bool:

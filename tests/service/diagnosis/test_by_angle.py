@@ -89,6 +89,14 @@ def test_friction_by_the_load_is_named_beside_what_leaves_much():
     assert f"What is left is {much.share:.0%} of the torque itself" in " ".join(sentences(found))
 
 
+def test_it_may_take_less_than_a_quarter_of_what_is_left():
+    """Which a search asks for, as much else is left."""
+    found = told(lost=0.17)
+    assert [effect.name for effect in found.effects] == ["load_dependent_friction"]
+    assert found.effects[0].gap_share < 0.25
+    assert found.effects[0].parameters["mu"].value == pytest.approx(0.17, rel=0.1)
+
+
 def test_friction_by_the_angle_is_not_taken_for_it():
     """From the bottom up the weight grows with the angle: friction by either shrinks the gap of each log as well."""
     found = told(tight=4.0)
@@ -171,11 +179,11 @@ def test_what_is_left_open_is_all_that_goes_by_the_angle(odd, least, most):
     assert after[0] == pytest.approx(before[0], rel=0.1), "nothing is left open on the other joint"
 
 
-def asked(made: Problem, none: Scored, best: Scored, *codes: str):
-    """What stands of a search that took one effect in one step, where this speaks against it."""
+def asked(made: Problem, none: Scored, best: Scored, *codes: str, taken: bool = True):
+    """What stands of a search that took one effect in one step, or only came near it, where this speaks against it."""
     regressors = Regressors(made, Split.of(made), [LOAD], none.hypothesis)
     doubts = [Caution.model_validate({"code": code, "advice": "check_base"}) for code in codes]
-    found = Selection(none, best, [([best], best)], {})
+    found = Selection(none, best, [([best], best)], {}) if taken else Selection(none, none, [([best], None)], {})
     return by_angle.named_beside(regressors, found, doubts, [], lambda effect, joint: True, 1.25)
 
 
@@ -188,6 +196,16 @@ def test_anything_else_that_speaks_against_a_name_stands():
     assert said.code == "much_beside"
     assert asked(made, none, best, "runs_differ") is None
     assert asked(made, none, best, "much_is_left", "sine_of_angle") is None
+
+
+@pytest.mark.parametrize("worth", [True, False])
+def test_what_only_came_near_has_to_be_worth_it(monkeypatch, worth):
+    made, none, best = fitted([servo(seed, LOST, wanders=WANDERS) for seed in SEEDS])
+    monkeypatch.setattr(by_angle, "worth", lambda *_: worth)
+    stood = asked(made, none, best, "much_is_left", taken=False)
+    assert (stood is not None) == worth
+    if stood is not None:
+        assert stood[0].names == ("load_dependent_friction",)
 
 
 def test_a_delta_is_not_asked(monkeypatch):
