@@ -40,12 +40,12 @@ def named_beside(
 ) -> tuple[Selection, list[Caution]] | None:  # fmt: skip
     """The names that stand and what is said of the rest, where the description is of axes, no more speaks against it
     than how much it leaves, and all that was found is told however wrong it is; else None."""
-    problem, given = regressors.problem, len(selection.none.hypothesis.terms)
-    if problem.recordings[0].mechanism.kind != "axes" or not _much_alone(doubts):
+    problem = regressors.problem
+    if not _much_alone(doubts) or problem.recordings[0].mechanism.kind != "axes":
         return None
     kept, _ = earned(regressors, _nearest(problem, selection), kept_out, allows, limit)
     left = doubts_of(problem, kept, limit)
-    found = {term.effect for term in kept.best.hypothesis.terms[given:]}
+    found = {term.effect for term in kept.best.hypothesis.terms[len(kept.none.hypothesis.terms) :]}
     if not found or not _much_alone(left):
         return None
     if not all(told_beside(problem, kept.best, effect, kept.standings[effect]) for effect in found):
