@@ -274,14 +274,16 @@ def test_where_a_terms_parameters_stand():
 def test_of_later_rounds_only_what_was_named_is_ranked():
     """A rival that lost in a later round was held against a model that has the first name already."""
 
+    effects = {name: named(name) for name in "abcd"}
+
     def one(loss: float, *names: str):
-        return stub(names=names, loss=loss, hypothesis=stub(terms=[stub(joints=(1,))]))
+        return stub(loss=loss, hypothesis=stub(terms=[stub(effect=effects[name], joints=(1,)) for name in names]))
 
     rounds = [
-        stub(candidates=[(one(50.0, "a"), 0.9), (one(80.0, "c"), 0.1)], before=stub(loss=100.0)),
-        stub(candidates=[(one(20.0, "a", "b"), 0.8), (one(30.0, "a", "d"), 0.2)], before=stub(loss=50.0)),
+        stub(candidates=[(one(50.0, "a"), 0.9), (one(80.0, "c"), 0.1)], before=one(100.0)),
+        stub(candidates=[(one(20.0, "a", "b"), 0.8), (one(30.0, "a", "d"), 0.2)], before=one(50.0, "a")),
     ]
-    likely = {named("a"): stub(probability=0.95), named("b"): stub(probability=0.8)}
+    likely = {effects["a"]: stub(probability=0.95), effects["b"]: stub(probability=0.8)}
     found = stub(problem=stub(count=100, sigma=np.ones(3)), selection=stub(standings=likely))
     ranked = document._ranking(found, rounds)
     assert [(one.name, one.joints, one.probability) for one in ranked] == [
