@@ -30,7 +30,7 @@ CautionCode = Literal[
     "much_is_left", "other_joints", "sine_of_angle", "gravity", "closed_loop", "torque_held", "noise_coloured",
     "noise_unknown",
     "at_limit", "drives", "by_weight", "left_open", "no_shrink", "no_shrink_on", "varies", "one_cause", "set_aside",
-    "by_place", "rivalled", "not_its_own", "comes_again", "misplaced", "degrees", "any_shape", "much_beside",
+    "by_place", "rivalled", "not_its_own", "no_line", "comes_again", "misplaced", "degrees", "any_shape", "much_beside",
 ]  # fmt: skip
 Advice = Literal[
     "record_runs", "record_all_joints", "record_reversals", "record_more", "check_description", "check_runs",

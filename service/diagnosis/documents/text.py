@@ -76,6 +76,8 @@ CAUTIONS = {
     "rivalled": "{Effect}{where} fits, but others may be in its place: cannot be told apart on this data, not named.",
     "not_its_own": "{Effect}{where} fits, but what is left gives {share:.0%} as much to the same torque at other times "
     "or in other places and runs: what stands behind it is something else, not named.",
+    "no_line": "{Effect}{where} fits, but what is left gives {share:.0%} as much to ripples next to it: what stands "
+    "behind it happens in one place and does not come again with the turns of the motor, not named.",
     "misplaced": "The URDF is wrong first: with {joints} elsewhere, or otherwise turned, in the link before, "
     "{share:.0%} of what is left goes.",
     "set_aside": "{share:.0%} of the motion{where} has something at work that is not in the catalogue; what is named "

@@ -18,7 +18,7 @@ from service.diagnosis.evidence.rivals import LIKELY
 from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, TOLD_APART, Scored, Selection, without
-from service.diagnosis.fit.signature import BY_PLACE, GOES_BY_PLACE, OWN, Signature
+from service.diagnosis.fit.signature import ALONE, BY_PLACE, GOES_BY_PLACE, OWN, Signature
 from service.diagnosis.fit.sound import fault_of
 from service.identification.events import events_of
 from service.identification.fit import Problem, evaluate, solve
@@ -108,13 +108,20 @@ def _its_own(regressors: Regressors, selection: Selection, beside: bool) -> tupl
             best = without(problem, split, selection, best, *gone)
     while beside and (effects := _effects(best, given)):
         signature = Signature(problem, best.hypothesis)
-        shares = {effect: signature.elsewhere(effect) for effect in effects}
-        worst = max(effects, key=shares.__getitem__)
-        if OWN * shares[worst] < 1.0:
+        asked = {effect: _stands_in(signature, effect) for effect in effects}
+        worst = max(effects, key=lambda effect: asked[effect][0])
+        over, code, share = asked[worst]
+        if over < 1.0:
             break
-        fallen.append(_fell("not_its_own", worst, best, share=shares[worst]))
+        fallen.append(_fell(code, worst, best, share=share))
         best = without(problem, split, selection, best, worst)
     return best, fallen
+
+
+def _stands_in(signature: Signature, effect: Effect) -> tuple[float, str, float]:
+    """What is left gives to torque like that of `effect`, over what it may; what that is called, and how much it is."""
+    elsewhere, beside = signature.elsewhere(effect), signature.next_to(effect)
+    return max((OWN * elsewhere, "not_its_own", elsewhere), (beside / ALONE, "no_line", beside))
 
 
 def _borne_out(

@@ -106,7 +106,8 @@ class Effect(ABC):
     sits on single joints. own_joint: adds torque to no other joint than its own. measured: alters the reported torque
     of each joint by itself instead of adding to it. rough: its torque is no smooth function of its nonlinear
     parameters, so they are kept when a part of the data is left out. own_nonlinear: each joint may have own ones.
-    repeats: may be at work more than once on a joint. kinds: mechanisms it makes sense for. settles: the motion that
+    repeats: may be at work more than once on a joint. of_motor_turns: comes again with the turns of a motor, so often a
+    turn as its first nonlinear parameter says. kinds: mechanisms it makes sense for. settles: the motion that
     tells it from what it resembles. directional: a joint that moves one way only does not show it. dissipates:
     friction, which together with the base model's takes energy out of the motion in either direction. above_coulomb: it
     falls to the base model's friction, without which it is none. same: effects that no motion tells it from.
@@ -125,6 +126,7 @@ class Effect(ABC):
     rough: ClassVar[bool] = False
     own_nonlinear: ClassVar[bool] = False
     repeats: ClassVar[bool] = False
+    of_motor_turns: ClassVar[bool] = False
     kinds: ClassVar[frozenset[str]] = frozenset({"delta", "axes", "chain"})
     settles: ClassVar[str]
     directional: ClassVar[bool] = False

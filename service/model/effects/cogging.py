@@ -41,6 +41,7 @@ class Cogging(Effect):
         "calibration, or let the drive compensate these orders."
     )
     repeats = True
+    of_motor_turns = True
     online = staticmethod(_online)
     settles = "a slow constant-speed sweep of this joint over several motor turns"
 

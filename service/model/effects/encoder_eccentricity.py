@@ -28,6 +28,7 @@ class EncoderEccentricity(Effect):
     )
     beyond = 0.03  # rad: a magnet half a millimetre off a ring of 17 mm
     own_joint = False
+    of_motor_turns = True
     settles = "a constant-speed sweep of this joint at medium speed"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:

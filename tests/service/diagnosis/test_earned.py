@@ -315,7 +315,10 @@ def test_beside_a_stranger_a_name_has_to_be_told_from_what_may_be_in_its_place(m
 class Told:
     """A signature that says what it is told to."""
 
-    def __init__(self, place: float, elsewhere: dict[str, list[float]], by_place: dict[str, float]):
+    def __init__(
+        self, place: float, elsewhere: dict[str, list[float]], by_place: dict[str, float], next_to: float = 0.0
+    ):
+        self.next_to = lambda effect: next_to if effect.name == "cogging" else 0.0
         self.goes_by_place = lambda: place
         self.left_open = lambda effect, fields: by_place[effect.name]
         self.elsewhere = lambda effect: elsewhere[effect.name].pop(0)
@@ -346,6 +349,22 @@ def test_beside_a_stranger_what_a_name_takes_is_its_own(monkeypatch, place, else
     kept, fell = judge(made, found, limit=limit * (found.best.loss / made.count) ** 0.5)
     assert kept.names == names
     assert [one.code for one in fell] == fallen
+
+
+@pytest.mark.parametrize(
+    ("next_to", "elsewhere", "code"), [(0.69, 0.1, None), (0.71, 0.1, "no_line"), (0.9, 0.4, "not_its_own")]
+)
+def test_beside_a_stranger_a_ripple_is_a_line(monkeypatch, next_to, elsewhere, code):
+    """By what is further beyond what it may be."""
+    made = logs((1, 2, 3), "joint_spring", "cogging")
+    found = chosen(made, SPRING, RIPPLE)
+    told = Told(0.0, {"joint_spring": [0.1, 0.1], "cogging": [elsewhere]}, {}, next_to)
+    monkeypatch.setattr(judged, "Signature", lambda problem, hypothesis: told)
+    kept, fell = judge(made, found, limit=0.1 * (found.best.loss / made.count) ** 0.5)
+    assert kept.names == (("joint_spring",) if code else ("joint_spring", "cogging"))
+    assert [(one.code, one.share) for one in fell] == (
+        [(code, {"no_line": next_to}.get(code, elsewhere))] if code else []
+    )
 
 
 def test_what_is_nearly_all_left_open_is_not_named(monkeypatch):

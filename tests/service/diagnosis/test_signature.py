@@ -15,7 +15,7 @@ from service.diagnosis.fit.signature import Signature
 from tests.service.diagnosis.test_aside import SIGMA, pulled, stranger
 from tests.service.injected import reports
 from tests.service.subject import EFFECTS, Hypothesis, Parameters, Problem, Split, Term, evaluate, fit
-from tests.service.world import BASE, PERIOD, course, problem
+from tests.service.world import BASE, PERIOD, ROBOT, course, problem
 
 SECONDS, SEEDS = 3.0, (1, 2, 3)
 SPRING = Term(EFFECTS["joint_spring"], (0,), np.zeros((1, 2)), ())
@@ -89,6 +89,23 @@ def test_a_bump_at_one_place_is_no_ripple_of_every_turn():
 
     assert share(logs(add=bump), 1.0) > 1.0
     assert share(logs("cogging"), 2.0) < 1.0
+
+
+def test_a_bell_of_energy_at_one_place_has_ripples_next_to_the_one_that_stands_in_for_it():
+    """A cable carrier that climbs over an edge: one period of a wave, as long as that of half a motor's turn. A ripple
+    beside it, on the same joint, is a line all the same."""
+    ripple = Term(EFFECTS["cogging"], (1,), np.zeros((1, 2)), (2.0,))
+
+    def edge(run, seed):
+        angle = (run.motion[0][:, 1] - np.median(run.motion[0][:, 1])) * 2.0 * ROBOT.drive.gear_ratio
+        return on(1, 3.0 * angle * np.exp(-0.5 * angle**2))
+
+    alone, beside = seen(logs(add=edge), ripple), seen(logs("cogging", edge), ripple)
+    assert alone.next_to(ripple.effect) > own.ALONE
+    assert beside.next_to(ripple.effect) < own.ALONE
+    assert alone.next_to(SPRING.effect) == 0.0
+    wobble = Term(EFFECTS["encoder_eccentricity"], (1,), np.zeros((1, 2)), (2.0,))
+    assert seen(logs(add=edge), wobble).next_to(wobble.effect) > 0.0
 
 
 @pytest.mark.parametrize("term", [SPRING, RIPPLE])
