@@ -53,6 +53,9 @@ TORQUE_SHARE = 0.035
 # torque constant: the mass of what was picked is off by it or by nothing, and this share of it covers either way within
 # two standard deviations, and what a mass still settles by.
 TOOL_SHARE = 0.75
+# It may turn round with the motion, as what a shaft rubs with does: where both loads are more than twice what always
+# hangs there, a step between them of less than this share of it is no event.
+OFF_SHARE = 2.5
 # Trusted when one standard deviation is below share * mass + floor.
 TRUST_SHARE, TRUST_FLOOR = 0.1, 0.03  # -, kg
 # A shortfall counts where a mass is this sure, and shows for this long, by more than this: a release is not seen at
@@ -250,6 +253,8 @@ def _event(settings, state, mass, own, variance, trusted):
     small = abs(step) < REFINING_SHARE * state.load and since < REFINING_TIME
     sign = 1.0 if state.last_event == PayloadEvent.PICK.value else -1.0
     small |= since < GRIPPER_TIME and sign * (mass - state.load_before) > SMALLEST_CHANGE
+    off = state.ground if state.grounded != 0 and state.gripper == UNKNOWN else 0.0
+    small |= abs(step) < OFF_SHARE * off and min(mass, state.load) > 2.0 * off
     event = PayloadEvent.NONE.value
     least = max(SMALLEST_CHANGE, EVENT_SIGMAS * math.sqrt(variance + state.load_variance))
     if step > least:

@@ -413,3 +413,21 @@ def test_who_sets_out_slowly_from_a_rest_tells_no_event_of_what_came_to_hang_the
     unsure = believing(0.5, 0.02, load=0.0, crept=0.26, unheard=1)
     assert told(unsure, 3) == NONE
     assert unsure["crept"] == 0.26, "what a rest may hide is not known yet"
+
+
+@pytest.mark.parametrize(
+    ("mass", "fields", "event"),
+    [
+        (1.52, {}, NONE),  # of 3 kg
+        (1.48, {}, RELEASE),  # less than two and a half times what always hangs there
+        (4.48, {}, NONE),
+        (4.52, {}, PICK),
+        (1.52, {"grounded": 0}, RELEASE),  # nothing was ever let go
+        (1.52, {"gripper": Gripper.CLOSED, "gripper_before": Gripper.CLOSED}, RELEASE),
+        (1.19, {"load": 2.6}, RELEASE),  # down to what always hangs there
+        (1.21, {"load": 2.6}, NONE),
+    ],
+)
+def test_what_hangs_there_after_every_release_may_turn_round_and_is_no_event(mass, fields, event):
+    given = {"load": 3.0, "ground": 0.6, "grounded": 1, "sure_for": 1.0} | fields
+    assert told(believing(mass, 0.02, **given)) == event
