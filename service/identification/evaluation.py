@@ -18,7 +18,6 @@ from service.identification.payload import weighed
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
-from service.model.signals import segments
 
 WITH_PAYLOAD = "full, m_p estimated"
 
@@ -93,7 +92,7 @@ def evaluate(robot: Description, trace: Trace) -> Evaluation:
         int((~along.measured).sum()),
         found,
         {name: _moments(np.where(free, error, np.nan)) for name, error in errors.items()},
-        held_s(segments(trace)),
+        held_s(along.parts),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +28,7 @@ class Motion:
     """Smoothed motion of every row of a trace, N rows. theta, theta_dot, theta_ddot: (N, 3) rad, rad/s, rad/s^2.
 
     moving: (N, 3), False at rest, near the ends of a segment, and on rows that belong to none. measured: (N,), False on
-    those rows; their motion is interpolated between their neighbours'.
+    those rows; their motion is interpolated between their neighbours'. parts: what of the trace no fault interrupts.
     """
 
     theta: np.ndarray
@@ -35,6 +36,7 @@ class Motion:
     theta_ddot: np.ndarray
     moving: np.ndarray
     measured: np.ndarray
+    parts: Sequence[Segment]
 
 
 def motion(trace: Trace) -> Motion:
@@ -46,7 +48,8 @@ def motion(trace: Trace) -> Motion:
     shape = trace.position.shape
     signals = np.zeros((3, *shape))
     moving, measured = np.zeros(shape, bool), np.zeros(len(trace), bool)
-    for part in segments(trace):
+    parts = segments(trace)
+    for part in parts:
         rows = _rows(part, trace)
         for order, values in enumerate((part.theta, part.theta_dot, part.theta_ddot)):
             signals[order, rows] = between(trace.time[rows], part.time, values)
@@ -57,7 +60,7 @@ def motion(trace: Trace) -> Motion:
         row, known = np.arange(len(trace)), np.flatnonzero(measured)
         for signal, joint in np.ndindex(len(signals), shape[1]):
             signals[signal, ~measured, joint] = np.interp(row[~measured], known, signals[signal, known, joint])
-    return Motion(signals[0], signals[1], signals[2], moving, measured)
+    return Motion(signals[0], signals[1], signals[2], moving, measured, parts)
 
 
 def _rows(part: Segment, trace: Trace) -> np.ndarray:
@@ -102,9 +105,10 @@ def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, 
 
 
 def error_in_band(trace: Trace, along: Motion, torque: np.ndarray) -> np.ndarray:
-    """tau - `torque` (N, 3) through the common low-pass, N m; NaN where a joint rests or rows are faulty."""
+    """tau - `torque` (N, 3) through the common low-pass, N m; NaN where a joint rests or rows are faulty. along: the
+    smoothed motion of `trace`."""
     result = np.full(torque.shape, np.nan)
-    for part in segments(trace):
+    for part in along.parts:
         rows = _rows(part, trace)
         error = part.torque - between(part.time, trace.time[rows], torque[rows])
         result[rows] = between(trace.time[rows], part.time, lowpass(error, part.period))

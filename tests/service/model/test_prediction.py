@@ -84,7 +84,7 @@ def test_an_arm_is_predicted_by_its_urdf_too(tmp_path: Path) -> None:
     pytest.importorskip("pinocchio")
     _, signals = arm.motion(1)
     theta, theta_dot, theta_ddot = (values[:50] for values in signals)
-    along = Motion(theta, theta_dot, theta_ddot, np.ones((50, 3), bool), np.ones(50, bool))
+    along = Motion(theta, theta_dot, theta_ddot, np.ones((50, 3), bool), np.ones(50, bool), ())
     trace = Trace(Path("arm.csv"), np.arange(50) * arm.PERIOD, theta, np.zeros((50, 3)))
     found = predict_along(load_axes(arm.write(tmp_path)), trace, along)
     assert list(found) == ["URDF"]
