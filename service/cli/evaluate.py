@@ -41,7 +41,7 @@ def command(
     from schemas.axes import load_description
     from schemas.errors import TraceError
     from service.identification.evaluation import evaluate
-    from service.identification.held import told
+    from service.identification.held import told_of_held
     from service.model.description import in_units_of
 
     description = load_description(robot, effects)
@@ -60,7 +60,7 @@ def command(
     for result in results:
         if result.unmeasured:
             print(f"{result.trace.path}: {result.unmeasured} of {len(result.trace)} rows left out", file=sys.stderr)
-    for line in told({str(result.trace.path): result.held for result in results}):
+    for line in told_of_held({str(result.trace.path): result.held for result in results}):
         print(f"warning: {line}", file=sys.stderr)
     if json:
         print(_json(results, unit))

@@ -12,8 +12,7 @@ from schemas.errors import DataError
 from schemas.trace import Trace
 from service.identification import checks
 from service.identification.folds import BLOCK, Split, block_loss, held_out
-from service.identification.held import held_s
-from service.identification.held import told as told_of_held
+from service.identification.held import held_s, told_of_held
 from service.identification.identify import fit_to, written
 from service.identification.loops import loops_of, position_errors, told
 from service.identification.pooled import Identification, Plain, refuse_dead_torque

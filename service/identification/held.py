@@ -14,7 +14,7 @@ def held_s(parts: Sequence[Segment]) -> float:
     return samples * parts[0].period if samples > 1 else 0.0
 
 
-def told(held: Mapping[str, float]) -> list[str]:
+def told_of_held(held: Mapping[str, float]) -> list[str]:
     """What to say of logs. held: `held_s` by name."""
     logs: dict[str, list[str]] = {}
     for name, seconds in held.items():

@@ -12,7 +12,7 @@ from schemas.axes import Description
 from schemas.errors import DataError
 from schemas.robot import JointParameter, Robot
 from service.identification import checks, paper, pooled
-from service.identification.held import told as told_of_held
+from service.identification.held import told_of_held
 from service.identification.loops import loops_of, told
 from service.identification.pooled import Described, Identification, Plain
 from service.identification.regression import PARAMETERS, NormalEquations

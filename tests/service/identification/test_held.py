@@ -18,7 +18,7 @@ from schemas.trace import Trace
 from service.cli.main import app
 from service.identification.axes import identify_axes
 from service.identification.evaluation import evaluate
-from service.identification.held import told
+from service.identification.held import told_of_held
 from service.identification.identify import identify
 from service.identification.regression import summarise
 from service.model.nominal import pack
@@ -53,14 +53,14 @@ def quick(trace: Trace, every: int) -> Trace:
     ],
 )
 def test_logs_are_told_together_by_how_long_a_torque_stands(logs: dict[str, float], said: list[str]) -> None:
-    found = told(logs)
+    found = told_of_held(logs)
     assert [line[: len(start)] for line, start in zip(found, said, strict=True)] == said
 
 
 def test_identify_says_which_logs_have_it(robot: Robot, record: Record) -> None:
     logs = [held(record(0), 8), record(1), quick(record(2), 16), held(record(3), 8)]
     found = identify(robot, [summarise(pack(robot), log) for log in logs])
-    assert [one for one in found.warnings if "comes anew" in one] == told(
+    assert [one for one in found.warnings if "comes anew" in one] == told_of_held(
         {"log_0.csv": 0.008, "log_2.csv": 0.004, "log_3.csv": 0.008}
     )
     plain = identify(robot, [summarise(pack(robot), record(seed)) for seed in range(2)])
@@ -70,7 +70,7 @@ def test_identify_says_which_logs_have_it(robot: Robot, record: Record) -> None:
 def test_axes_are_told_as_well(record: Record) -> None:
     axes = Axes(name="axes", kind="axes", axis=[Axis(), Axis(), Axis()])
     found = identify_axes(axes, [held(record(0), 8), record(1)])
-    assert [one for one in found.warnings if "comes anew" in one] == told({"log_0.csv": 0.008})
+    assert [one for one in found.warnings if "comes anew" in one] == told_of_held({"log_0.csv": 0.008})
 
 
 def test_evaluate_says_so_on_stderr_and_to_programs(robot: Robot, record: Record, tmp_path: Path) -> None:
@@ -82,5 +82,5 @@ def test_evaluate_says_so_on_stderr_and_to_programs(robot: Robot, record: Record
     assert result.exit_code == 0, result.output
     assert [one["torque_held_s"] for one in json.loads(result.stdout)["traces"]] == [0.004, 0.0]
     assert result.stderr.count("comes anew") == 1
-    assert f"warning: {told({paths[0]: 0.004})[0]}" in result.stderr
+    assert f"warning: {told_of_held({paths[0]: 0.004})[0]}" in result.stderr
     assert evaluate(robot, record(0)).held == 0.0
