@@ -31,15 +31,20 @@ DRAG = Amplitude("N m s^2/rad^2", "at 1 rad/s", low=0.0)
 OFFSETS = np.array([0.65, 0.60, 0.62])  # N m
 
 
-@dataclass(frozen=True)
-class OneOffset(Effect):
-    """The same constant torque on every joint: one column."""
+class OneFigure(Effect):
+    """One column for all joints."""
 
-    offset: Amplitude = OFFSET
-    name = "one_offset"
     per_joint = False
     own_joint = False
     settles = ""
+
+
+@dataclass(frozen=True)
+class OneOffset(OneFigure):
+    """The same constant torque on every joint."""
+
+    offset: Amplitude = OFFSET
+    name = "one_offset"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         return np.ones((len(scene.time), scene.joints, 1))
@@ -59,14 +64,11 @@ class OwnDrag(Effect):
 
 
 @dataclass(frozen=True)
-class OneDrag(Effect):
+class OneDrag(OneFigure):
     """The same with one figure for all joints."""
 
     drag: Amplitude = DRAG
     name = "one_drag"
-    per_joint = False
-    own_joint = False
-    settles = ""
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         speed = scene.segment.theta_dot
