@@ -24,7 +24,7 @@ from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import LEAST_Z, Scored, Selection, Standing, worth, z_score
 from service.identification.fit import Problem
 from service.identification.folds import Split, block_loss, held_out
-from service.model.effects.base import Effect
+from service.model.effects.base import Effect, on_joint
 from service.model.hypothesis import Hypothesis
 
 LOAD, INERTIA = 6, 2  # degree by the angle of load and friction, which a weight over a turn needs, and of inertia
@@ -119,9 +119,7 @@ def by_angle(problem: Problem, hypothesis: Hypothesis, joints: Sequence[int]) ->
             own = shapes[:, joint]
             inertias = (rates[:, :, None] * own[:, None, : INERTIA + 1]).reshape(len(shapes), -1)
             mine = np.concatenate([loads, inertias, own * scene.direction[:, [joint]]], axis=1)
-            each = np.zeros((len(mine), len(problem.sigma), mine.shape[1]))
-            each[:, joint] = mine
-            parts.append(problem.select(number, problem.band(each)))
+            parts.append(problem.select(number, problem.band(on_joint(mine, joint, scene.joints))))
         result.append(np.concatenate(parts, axis=1))
     size = np.sqrt(np.sum([np.square(part).sum(axis=0) for part in result], axis=0))
     return [part / np.where(size > 0, size, 1.0) for part in result]

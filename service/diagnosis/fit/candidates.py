@@ -117,7 +117,7 @@ class Regressors:
         parts: list[list[np.ndarray]] = [[] for _ in joints]
         for effect, keys in groupby(self.index, key=itemgetter(0)):
             places = [
-                (joint, _columns(scene, hypothesis, effect, joint, [point for *_, point in points]))
+                (joint, columns_of(scene, hypothesis, effect, joint, [point for *_, point in points]))
                 for joint, points in groupby(keys, key=itemgetter(1))
             ]
             band = problem.band(np.concatenate([values for _, values in places], axis=-1))
@@ -138,7 +138,7 @@ def _by_fold(pieces: Sequence[Piece], folds: int) -> list[list[Piece]]:
     return [[piece for piece in pieces if piece.fold == fold] for fold in range(folds)]
 
 
-def _columns(
+def columns_of(
     scene: Scene, hypothesis: Hypothesis, effect: Effect, joint: int, grid: Sequence[tuple[float, ...]]
 ) -> np.ndarray:
     """As reported: (N, K) on its own joint, (N, n, K) of an effect that reaches others."""

@@ -16,8 +16,9 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from service.diagnosis.fit.candidates import columns_of
 from service.identification.fit import TOLD, Problem, evaluate, solve
-from service.model.effects.base import Effect
+from service.model.effects.base import Effect, on_joint
 from service.model.hypothesis import Hypothesis
 from service.model.parameters import Parameters
 
@@ -43,6 +44,12 @@ def of_place(place: np.ndarray) -> np.ndarray:
     """(N, K) products up to `ORDER` of the platform's place (N, 3), in parts of its reach."""
     factors = np.concatenate([np.ones((len(place), 1)), place], axis=1)
     return np.stack([factors[:, one].prod(axis=1) for one in combinations_with_replacement(range(4), ORDER)], axis=1)
+
+
+def _taken(columns: np.ndarray, values: np.ndarray) -> float:
+    """Squares that columns (R, K) take of values (R,)."""
+    moment = columns.T @ values
+    return float(solve(columns.T @ columns, moment) @ moment)
 
 
 class Signature:
@@ -81,24 +88,19 @@ class Signature:
         travel = float(np.ptp(np.concatenate([recording.segment.theta[:, joint] for recording in recordings])))
         line = 2 * np.pi / (recordings[0].mechanism.gear_ratio[joint] * travel)
         orders = [order + lines * line for lines in NEXT if order + lines * line > 0]
-        given = [self._given(columns) for columns in self._rippled(effect, joint, orders)]
+        ripples = self._rippled(effect, joint, orders)
+        given = [_taken(self._beside(self.tangents, columns), self.residual) for columns in ripples]
         return max(given, default=0.0) / max(float(np.sum(self._own(effect)[1] ** 2)), 1e-300)
 
     def _rippled(self, effect: Effect, joint: int, orders: list[float]) -> list[np.ndarray]:
         """(R, k) for each order, what `effect` does on `joint` there."""
         parts = []
         for number, scene in enumerate(self.problem.scenes(self.hypothesis)):
-            columns = effect.columns(scene, joint, [(order,) for order in orders])
+            columns = columns_of(scene, self.hypothesis, effect, joint, [(order,) for order in orders])
             if effect.own_joint:
-                columns = columns[:, None] * (np.arange(len(self.problem.sigma)) == joint)[:, None]
+                columns = on_joint(columns, joint, scene.joints)
             parts.append(self.problem.select(number, self.problem.band(columns)))
         return np.split(np.concatenate(parts) / self.unit[:, None], len(orders), axis=1)
-
-    def _given(self, columns: np.ndarray) -> float:
-        """Squares that columns (R, k) take of what is left, beside all that is known."""
-        columns = self._beside(self.tangents, columns)
-        moment = columns.T @ self.residual
-        return float(solve(columns.T @ columns, moment) @ moment)
 
     def goes_by_place(self) -> float:
         """Share of what is left above the noise that goes by the platform's place, on each joint in its own way; 0 of
@@ -108,16 +110,13 @@ class Signature:
         if above < LEAST * noise:
             return 0.0
         field = self._beside(self.tangents, self._field())
-        moment = field.T @ self.residual
-        change = solve(field.T @ field, moment)
-        return (float(change @ moment) - field.shape[1]) / above
+        return (_taken(field, self.residual) - field.shape[1]) / above
 
     def by_place(self, effect: Effect) -> float:
         """Share of the effect's own torque that goes by the platform's place."""
         mine, own = self._own(effect)
         field = self._beside(self.tangents[:, ~mine], self._field())
-        moment = field.T @ own
-        return float(solve(field.T @ field, moment) @ moment) / max(float(own @ own), 1e-300)
+        return _taken(field, own) / max(float(own @ own), 1e-300)
 
     def left_open(self, effect: Effect, fields: Sequence[np.ndarray]) -> float:
         """Share of the effect's own torque that `fields`, as in `Problem`, could explain."""
