@@ -13,6 +13,7 @@ than reading the logs and fitting the base model.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -504,7 +505,17 @@ def delayed(values: np.ndarray, seconds: float, period: float) -> np.ndarray:
     samples = seconds / period
     if samples == 0.0:
         return values
-    whole = int(np.floor(samples))
+    flat = np.ascontiguousarray(values.reshape(len(values), -1), np.float64)
+    result = np.empty_like(flat)
+    _delayed(flat, samples, result)
+    return result.reshape(values.shape)
+
+
+@kernel(nogil=True)
+def _delayed(values, samples, result):
+    """Fill result (N, C)."""
+    count, width = values.shape
+    whole = math.floor(samples)
     u = samples - whole
     weights = (
         u * (u - 1) * (u + 1) / 6,
@@ -512,13 +523,11 @@ def delayed(values: np.ndarray, seconds: float, period: float) -> np.ndarray:
         (u - 1) * (u - 2) * (u + 1) / 2,
         -u * (u - 1) * (u - 2) / 6,
     )
-    reach = abs(whole) + 2
-    pad = ((reach, reach), *([(0, 0)] * (values.ndim - 1)))
-    held = np.pad(values, pad, mode="edge")
-    first, count = reach - whole, len(values)
-    return sum(
-        weight * held[first + tap : first + tap + count] for tap, weight in zip((-2, -1, 0, 1), weights, strict=True)
-    )  # pyright: ignore[reportReturnType]
+    for k in range(count):
+        a, b, c, d = [min(max(k - whole + tap, 0), count - 1) for tap in (-2, -1, 0, 1)]
+        for i in range(width):
+            first = weights[0] * values[a, i] + weights[1] * values[b, i]
+            result[k, i] = first + weights[2] * values[c, i] + weights[3] * values[d, i]
 
 
 def lagging(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:

@@ -111,9 +111,11 @@ class Regressors:
 
         return list(THREADS.map(one, _by_fold(self.pieces, self.split.folds)))
 
-    def _pieces(self, number: int, scene: Scene, hypothesis: Hypothesis) -> Iterator[Piece]:
-        """Of a recording; an effect is filtered in one go."""
+    def _pieces(self, number: int, scene: Scene, hypothesis: Hypothesis) -> list[Piece]:
+        """Of a recording; an effect is filtered in one go. A list: a generator would do its work in whose thread reads
+        it."""
         problem, joints = self.problem, range(scene.joints)
+        result: list[Piece] = []
         parts: list[list[np.ndarray]] = [[] for _ in joints]
         for effect, keys in groupby(self.index, key=itemgetter(0)):
             places = [
@@ -131,7 +133,8 @@ class Regressors:
             for one in np.unique(fold):
                 mine = fold == one
                 rows = slice(start, end) if mine.all() else start + np.flatnonzero(mine)
-                yield Piece(int(one), joint, number, rows, columns if mine.all() else columns[mine])
+                result.append(Piece(int(one), joint, number, rows, columns if mine.all() else columns[mine]))
+        return result
 
 
 def _by_fold(pieces: Sequence[Piece], folds: int) -> list[list[Piece]]:
