@@ -13,6 +13,7 @@ import numpy as np
 
 from schemas.diagnosis import Burst
 from service.identification.fit import Problem
+from service.model.signals import running_mean
 
 SLOW = 0.12  # s of the running mean that is taken out
 WIDTH = 0.06  # s over which the level is taken
@@ -63,13 +64,11 @@ def events(runs: Sequence[JointRun], floor: np.ndarray) -> list[Event]:
 
 def _level(run: JointRun) -> np.ndarray:
     """(R,) rms of the fast part of the error around each row."""
-    from scipy.ndimage import uniform_filter1d
-
     period = float(np.median(np.diff(run.time)))
     parts = np.split(run.error, np.flatnonzero(np.diff(run.time) > BREAK) + 1)
     slow, width = max(1, round(SLOW / period)), max(1, round(WIDTH / period))
-    fast = [part - uniform_filter1d(part, slow, mode="nearest") for part in parts]
-    squares = np.concatenate([uniform_filter1d(part**2, width, mode="nearest") for part in fast])
+    fast = [part - running_mean(part, slow) for part in parts]
+    squares = np.concatenate([running_mean(part**2, width) for part in fast])
     return np.sqrt(np.maximum(squares, 0.0))  # a running sum that rounds: below none behind a strong event
 
 

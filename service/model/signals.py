@@ -7,8 +7,8 @@ only applies them.
 Both sides of the model are filtered alike: the motion comes from a smoother of wide bandwidth, regressors are built
 from it (sign theta_dot among them), and the same zero-phase low-pass is then put on regressors and torque.
 
-What is needed of `scipy.signal` and filterpy are a few lines: importing them, `scipy.stats` with them, takes longer
-than reading the logs and fitting the base model.
+What is needed of `scipy.signal`, `scipy.ndimage` and filterpy are a few lines: importing them, `scipy.stats` with
+them, takes longer than reading the logs and fitting the base model.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -553,6 +553,15 @@ def _lagging(mean, keep, values, result):
         for c in range(width):
             result[k, c] = (1.0 - mean) * values[k, c] + state[c]
             state[c] = (mean - keep) * values[k, c] + keep * result[k, c]
+
+
+def running_mean(values: np.ndarray, width: int, ends: Literal["edge", "constant"] = "edge") -> np.ndarray:
+    """(N, ...) means over `width` rows round each, one more before it than after where that is even. ends: beyond them
+    is what they are, or nothing."""
+    before = width // 2
+    pad = ((before + 1, width - before - 1), *([(0, 0)] * (values.ndim - 1)))
+    total = np.cumsum(np.pad(values, pad, mode=ends), axis=0)
+    return (total[width:] - total[:-width]) / width
 
 
 def leading(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:

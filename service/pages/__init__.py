@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
 import tempfile
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -113,6 +115,8 @@ def _plot(figure: go.Figure) -> Markup:
 
 @cache
 def _look() -> dict[str, Any]:
-    """Plotly's white template with ours on top."""
-    templates["deltatwin"] = {"layout": LOOK}
-    return templates.merge_templates("plotly_white", "deltatwin").to_plotly_json()
+    """Plotly's white template with ours on top. From its file: Plotly would make objects of it, and check them, for
+    longer than a page takes."""
+    white = json.loads((files("plotly") / "package_data" / "templates" / "plotly_white.json").read_text("utf-8"))
+    layout = white["layout"]
+    return white | {"layout": layout | {key: layout.get(key, {}) | value for key, value in LOOK.items()}}

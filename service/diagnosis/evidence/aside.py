@@ -38,6 +38,7 @@ from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import Split, held_out
 from service.model.effects.base import Effect
 from service.model.parameters import Parameters
+from service.model.signals import running_mean
 
 WIDTH = 0.06  # s over which the level of what is left is taken
 EVEN = 1.5  # level from which rows weigh less while effects are looked for, all that are above it alike
@@ -186,14 +187,12 @@ def _unweighed(problem: Problem, residuals: Sequence[np.ndarray]) -> list[np.nda
 
 def _levels(problem: Problem, residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
     """(M, n) a recording: rms around each row, of the rows there are; 1 where there are none."""
-    from scipy.ndimage import uniform_filter1d
-
     result = []
     width = max(1, round(WIDTH / (problem.band.period * problem.band.step)))
     for rows, joints, residual in zip(problem.rows, problem.joints_of_rows, residuals, strict=True):
         square = np.zeros(rows.shape)
         for joint in range(rows.shape[1]):
             square[rows[:, joint], joint] = residual[joints == joint] ** 2
-        mean, filled = (uniform_filter1d(x, width, axis=0, mode="constant") for x in (square, rows.astype(float)))
+        mean, filled = (running_mean(x, width, "constant") for x in (square, rows.astype(float)))
         result.append(np.where(rows, np.sqrt(mean.clip(0.0) / np.maximum(filled, 1.0 / width)), 1.0))
     return result

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, lsim, sosfiltfilt
 
 from schemas.errors import DataError, TraceError
@@ -461,3 +463,12 @@ def test_logs_of_several_rates_are_named() -> None:
         signals.one_period([("a", one), ("b", other), ("c", seen(1.021e-3, 2.0, 0.0))])
     with pytest.raises(DataError, match=r"c: 0\.979 ms"):
         signals.one_period([("a", one), ("c", seen(0.979e-3, 2.0, 0.0))])
+
+
+@pytest.mark.parametrize("width", [1, 2, 7, 30, 101])
+@pytest.mark.parametrize(("ends", "reference"), [("edge", "nearest"), ("constant", "constant")])
+def test_a_running_mean_is_that_of_scipy(width: int, ends: Literal["edge", "constant"], reference: str) -> None:
+    values = np.random.default_rng(3).standard_normal((60, 2)) + 5.0
+    expected = uniform_filter1d(values, width, axis=0, mode=reference)
+    np.testing.assert_allclose(signals.running_mean(values, width, ends), expected, atol=1e-12)
+    np.testing.assert_allclose(signals.running_mean(values[:, 1], width, ends), expected[:, 1], atol=1e-12)

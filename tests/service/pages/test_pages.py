@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plotly.graph_objs.layout import Template
+from plotly.io import templates
 from typer.testing import CliRunner
 
 from schemas.errors import StorageError
@@ -65,11 +67,15 @@ def test_every_plot_has_the_look(tmp_path: Path) -> None:
     figures = tuple(Figure(f"f{k}", "Over time", "c", (panel,)) for k in range(2))
     write_page(Page("t", (), figures), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
-    looks = [json.JSONDecoder().raw_decode(text, at.end())[0] for at in re.finditer(r'"template":(?=\{"data")', text)]
+    looks = [
+        json.JSONDecoder().raw_decode(text, at.end())[0]
+        for at in re.finditer(r'"template":(?=\{"(?:data|layout)")', text)
+    ]
     assert len(looks) == text.count('class="plotly-graph-div"') == 2
     for look in looks:
         assert look["layout"]["paper_bgcolor"] == "white"
         assert all(look["layout"][part].items() >= ours.items() for part, ours in LOOK.items())
+        assert look == templates.merge_templates("plotly_white", Template(layout=LOOK)).to_plotly_json()
 
 
 def test_no_text_lies_over_text(page: Page, tmp_path: Path) -> None:
