@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -389,3 +390,18 @@ def test_the_reach_of_the_timing_is_a_quarter_of_a_sample():
     assert low[10] == pytest.approx(-0.25e-3)
     assert high[10] == pytest.approx(0.25e-3)
     assert (high[:9] == np.inf).all()
+
+
+def test_regressors_of_the_recordings_are_worked_out_in_the_pool(monkeypatch):
+    """A generator would do it in the thread that reads it, one recording after the other."""
+    logs, threads = logs_of("cogging"), set()
+    worked_out = candidates.columns_of
+
+    def columns_of(*arguments):
+        threads.add(threading.current_thread())
+        return worked_out(*arguments)
+
+    monkeypatch.setattr(candidates, "columns_of", columns_of)
+    Regressors(logs, Split.of(logs), [EFFECTS["air_drag"]], Hypothesis(BASE)).along(Hypothesis(BASE))
+    assert threads
+    assert threading.main_thread() not in threads
