@@ -43,8 +43,9 @@ class Caution(DocumentPart):
 
     effect: that it is about. quantity: of the effect, at its limit or open. share: of the torque's rms that is left, of
     what is left that follows something, the shrink that is too little, of the motion that was set aside, or of the
-    draws that prefer it. run: the log kept out that does not shrink. gain: of the loop, torque for position error.
-    pitch_m: way of the platform after which it comes again. held_s: time after which a torque comes anew.
+    draws that prefer it. run: the log kept out that does not shrink. gain: of the loop, torque for position error,
+    the lowest of all logs, and gain_most the highest. pitch_m: way of the platform after which it comes again.
+    held_s: time after which a torque comes anew.
     """
 
     code: CautionCode
@@ -55,6 +56,7 @@ class Caution(DocumentPart):
     share: float | None = None
     run: str | None = None
     gain: float | None = None
+    gain_most: float | None = None
     pitch_m: float | None = None
     held_s: float | None = None
 

@@ -12,6 +12,7 @@ from service.model.scene import Recording
 
 LOOP = 0.98  # of the torque's variance that position error and speeds explain: it is what the controller makes of them
 TOLD_BETTER = 4.0  # times what the base model leaves of the square: from there the torque is the robot's
+LEAST_ROWS = 50  # of a log, for four figures of it
 LOOP_ALONE = 0.25  # of what speed leaves of it that is left at most when the error is known
 
 
@@ -30,8 +31,11 @@ def position_errors(recordings: Sequence[Recording], traces: Sequence[Trace]) ->
     return [position_error(recording, trace) for recording, trace in zip(recordings, mine, strict=True)]
 
 
-def loops_of(problem: Problem, errors: Sequence[np.ndarray], plain: Sequence[np.ndarray]) -> dict[int, float]:
-    """Gain, N m/rad or N/m, of each joint (from 0) whose torque the controller makes of its position error at once.
+def loops_of(
+    problem: Problem, errors: Sequence[np.ndarray], plain: Sequence[np.ndarray]
+) -> dict[int, tuple[float, float]]:
+    """Lowest and highest gain, N m/rad or N/m, of each joint (from 0) whose torque the controller makes of its position
+    error at once, with the same gain all through a log.
 
     Such a torque shows the controller: a delay, viscous friction and inertia trade places in it. One that the base
     model tells better was measured, however directly the drives answer. errors: (N, n) a recording, of its position;
@@ -41,35 +45,48 @@ def loops_of(problem: Problem, errors: Sequence[np.ndarray], plain: Sequence[np.
         return {}
     loops, physics = {}, problem.rms(plain, [0] * len(plain))[0] ** 2
     for joint in range(len(problem.sigma)):
-        columns, torque = [], []
+        logs: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
         for number, recording in enumerate(problem.recordings):
             error = errors[number][:, joint]
             speed = recording.segment.theta_dot[:, joint]
             seen = np.stack([error, np.gradient(error, recording.segment.period), speed, np.ones_like(speed)], axis=1)
             rows = problem.rows[number][:, joint]
-            columns.append(problem.band(seen)[rows])
-            torque.append(problem.target[number][rows, joint])
-        basis, wanted = np.concatenate(columns), np.concatenate(torque)
-        if len(wanted) < 50 or not np.ptp(basis[:, 0]) > 0:
+            logs.setdefault(recording.trace, []).append((problem.band(seen)[rows], problem.target[number][rows, joint]))
+        gains, left, without, wanted = [], [], [], []
+        for parts in logs.values():
+            basis, torque = (np.concatenate(side) for side in zip(*parts, strict=True))
+            if len(torque) < LEAST_ROWS or not np.ptp(basis[:, 0]) > 0:
+                continue
+            weight, rest = _least_squares(basis, torque)
+            gains.append(float(f"{weight[0]:.4g}"))
+            left.append(rest)
+            without.append(_least_squares(basis[:, 2:], torque)[1])
+            wanted.append(torque)
+        if not gains:
             continue
-        weight, left = _least_squares(basis, wanted)
-        _, without = _least_squares(basis[:, 2:], wanted)
-        most = min((1.0 - LOOP) * float(np.var(wanted)), TOLD_BETTER * physics[joint])
-        if left < most and left < LOOP_ALONE * without and abs(weight[0]) > 0:
-            loops[joint] = float(f"{weight[0]:.4g}")
+        torque, square = np.concatenate(wanted), float(np.mean(np.concatenate(left) ** 2))
+        most = min((1.0 - LOOP) * float(np.var(torque)), TOLD_BETTER * physics[joint])
+        if square < most and square < LOOP_ALONE * float(np.mean(np.concatenate(without) ** 2)) and all(gains):
+            loops[joint] = (min(gains), max(gains))
     return loops
 
 
-def _least_squares(basis: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, float]:
-    """Weights, and the mean square that they leave."""
+def _least_squares(basis: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights, and what they leave (R,)."""
     weight = solve(basis.T @ basis, basis.T @ wanted)
-    return weight, float(np.mean((wanted - basis @ weight) ** 2))
+    return weight, wanted - basis @ weight
 
 
-def told(loops: dict[int, float]) -> list[str]:
+def gains_in_words(low: float, high: float) -> str:
+    """Gains of one log or of several."""
+    return f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} to {high:.3g}"
+
+
+def told(loops: dict[int, tuple[float, float]]) -> list[str]:
     """What to say of them."""
     return [
-        f"the torque of joint {joint + 1} is the controller's answer to its position error ({gain:.3g} N m per rad, or "
-        "N per m, without lag), not measured: the figures show the controller as well; log the drive's measured current"
-        for joint, gain in sorted(loops.items())
+        f"the torque of joint {joint + 1} is the controller's answer to its position error "
+        f"({gains_in_words(*gains)} N m per rad, or N per m, without lag), not measured: the figures show the "
+        "controller as well; log the drive's measured current"
+        for joint, gains in sorted(loops.items())
     ]

@@ -18,6 +18,7 @@ from schemas.diagnosis import (
     named_joints,
 )
 from service.diagnosis.evidence.rivals import SURE
+from service.identification.loops import gains_in_words
 
 VERDICTS = {
     "within_noise": "What is left between model and robot is within the noise of the torque signal.",
@@ -52,7 +53,7 @@ CAUTIONS = {
     "is in degrees and was taken for radians: cannot be told apart on this data. No effect is named on a wrong base.",
     "gravity": "The base model is wrong first: gravity of another direction or size explains {share:.0%} of the "
     "gap, as well as effects do. No effect is named on a wrong base.",
-    "closed_loop": "The torque of {joints} is the controller's answer to its position error ({gain:.3g} N m per "
+    "closed_loop": "The torque of {joints} is the controller's answer to its position error ({gains} N m per "
     "rad, or N per m, without lag): it was not measured. A delay or filter of the torque, the torque constant, and "
     "what lies between command and shaft (back-EMF looks like viscous friction) cannot be known from it.",
     "torque_held": "The torque comes anew every {held:.3g} ms only and stands still between: the samples between were "
@@ -298,8 +299,8 @@ def caution(found: Caution) -> str:
         joints=joints, Joints=joints.capitalize(), s="" if len(found.joints) > 1 else "s",
         effect=effect, Effect=effect.capitalize(), where=f" in {joints}" if joints else "",
         first=found.joints[0] if found.joints else "", last=found.joints[-1] if found.joints else "",
-        share=found.share, gain=found.gain, run=found.run, pitch=1000 * (found.pitch_m or 0.0),
-        held=1000 * (found.held_s or 0.0),
+        share=found.share, gains=gains_in_words(found.gain or 0.0, found.gain_most or 0.0), run=found.run,
+        pitch=1000 * (found.pitch_m or 0.0), held=1000 * (found.held_s or 0.0),
         quantity=(found.quantity or "").replace("_", " "),
     )  # fmt: skip
     return f"{said} {ADVICE[found.advice]}"

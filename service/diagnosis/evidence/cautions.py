@@ -50,7 +50,7 @@ class SearchScope:
         return joint not in self.still and not (joint in self.one_way and effect.directional)
 
 
-def limits_of(problem: Problem, loops: dict[int, float] | None = None) -> SearchScope:
+def limits_of(problem: Problem, loops: dict[int, tuple[float, float]] | None = None) -> SearchScope:
     """Joints at rest, joints without reversals, too little motion, a held torque. loops: gains of closed loops, by
     joint."""
     joints = len(problem.sigma)
@@ -76,8 +76,9 @@ def limits_of(problem: Problem, loops: dict[int, float] | None = None) -> Search
     held = max(recording.segment.held for recording in problem.recordings)
     if held:
         cautions.append(Caution(code="torque_held", held_s=round(held, 6), advice="log_quicker"))
-    for joint, gain in sorted((loops or {}).items()):
-        cautions.append(Caution(code="closed_loop", joints=[joint + 1], gain=gain, advice="measure_torque"))
+    for joint, (low, high) in sorted((loops or {}).items()):
+        which = [joint + 1]
+        cautions.append(Caution(code="closed_loop", joints=which, gain=low, gain_most=high, advice="measure_torque"))
     return SearchScope(still, one_way, frozenset(loops or ()), enough, cautions)
 
 

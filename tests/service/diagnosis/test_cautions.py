@@ -53,12 +53,13 @@ def test_without_reversals_friction_is_not_looked_for():
 
 
 def test_of_a_torque_that_was_not_measured_nothing_is_said_to_be_done_to_it():
-    scope = limits_of(motion(SWING, SWING, SWING), {0: 40.0})
+    scope = limits_of(motion(SWING, SWING, SWING), {0: (40.0, 50.0)})
     assert not scope.allows(EFFECTS["torque_delay"], 0)
     assert not scope.allows(EFFECTS["torque_scale"], 0)
     assert scope.allows(EFFECTS["torque_scale"], 1)
     assert scope.allows(EFFECTS["joint_spring"], 0)
-    assert ("closed_loop", [1], 40.0) in [(one.code, one.joints, one.gain) for one in scope.cautions]
+    (said,) = (one for one in scope.cautions if one.code == "closed_loop")
+    assert (said.joints, said.gain, said.gain_most) == ([1], 40.0, 50.0)
 
 
 def test_a_torque_that_is_held_is_said_to_be():

@@ -120,6 +120,9 @@ def test_a_weight_is_neither_spring_nor_cogging_nor_filter(shared: Path, tmp_pat
     assert lost["ci95"][0] < 0.136 + 0.284 < lost["ci95"][1]
     (left,) = (one["share"] for one in document["cannot_tell"] if one["code"] == "much_beside")
     assert left == pytest.approx(0.264, abs=0.02), "a joint that sticks takes any torque; above 0.2 rad/s 0.16 is left"
+    (loop,) = (one for one in document["cannot_tell"] if one["code"] == "closed_loop")
+    assert loop["gain"] == pytest.approx(2.546 * 100 * 7.4 * 8.43e-5, rel=0.03), "the drive's at its lowest setting"
+    assert loop["gain_most"] > 6 * loop["gain"], "8 times, but for the duty that ends at 885"
     base = {key: estimate["value"] for key, estimate in document["base"].items()}
     weight = np.hypot(base["gravity_sin_1"], base["gravity_cos_1"])
     assert base["inertia_1"] / weight == pytest.approx(0.00654 / 0.4805, rel=0.05)

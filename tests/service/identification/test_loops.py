@@ -13,7 +13,7 @@ from schemas.axes import Axes
 from schemas.trace import Trace
 from service.identification.axes import identify_axes
 from service.identification.identify import identify
-from service.identification.loops import loops_of
+from service.identification.loops import loops_of, told
 from service.identification.regression import summarise
 from service.model.nominal import pack
 from tests.service.subject import Hypothesis, evaluate
@@ -42,7 +42,7 @@ def test_a_torque_that_is_the_controllers_answer_is_told_by_its_gain(noise, gain
     assert list(found) == ([1] if closed else [])
     assert loops_of(logs, [error], [0.0 * values for values in left]) == {}, "told better by the robot's own model"
     if closed:
-        assert found[1] == pytest.approx(gain, rel=0.05)
+        assert found[1] == (pytest.approx(gain, rel=0.05),) * 2
     assert loops_of(logs, [], left) == {}
 
 
@@ -64,6 +64,21 @@ def test_beside_speed_the_error_has_to_tell_three_quarters_of_the_rest(share, ba
     assert (1 in loops_of(logs, [error], left)) is closed
 
 
+def test_a_gain_is_that_of_a_log():
+    """Joint 2's is its position error times 40 N m/rad in one log and 160 in the other."""
+    runs, gains = [course(seed, 2.0) for seed in (1, 2)], (40.0, 160.0)
+    errors = [np.asarray(lfilter([0.02], [1.0, -0.98], np.random.default_rng(s).standard_normal((2000, 3)), axis=0))
+              for s in (1, 2)]  # fmt: skip
+    torques = [run.torque.copy() for run in runs]
+    for torque, error, gain in zip(torques, errors, gains, strict=True):
+        torque[:, 1] = gain * error[:, 1]
+    logs = problem(runs, torques)
+    found = loops_of(logs, errors, evaluate(logs, Hypothesis(BASE)).residuals)
+    assert found == {1: pytest.approx(gains, rel=0.01)}
+    assert "(40 to 160 N m per rad" in told(found)[0]
+    assert "(40 N m per rad" in told({1: (40.0, 40.001)})[0]
+
+
 def commanded(seed: int, gain: float) -> Trace:
     """A course with a controller whose error is what a torque of `gain` N m/rad makes; 0: the torque is the robot's."""
     run, random = course(seed, 4.0), np.random.default_rng(seed)
@@ -78,8 +93,8 @@ def test_identify_says_that_a_torque_is_a_command():
     for gain, said in ((2000.0, [1, 2, 3]), (0.0, [])):
         traces = [commanded(seed, gain) for seed in (1, 2, 3)]
         found = identify(ROBOT, [summarise(pack(ROBOT), trace) for trace in traces])
-        told = [line for line in found.warnings if "controller's answer" in line]
-        assert [line.split(" is the")[0] for line in told] == [f"the torque of joint {joint}" for joint in said]
+        lines = [line for line in found.warnings if "controller's answer" in line]
+        assert [line.split(" is the")[0] for line in lines] == [f"the torque of joint {joint}" for joint in said]
         mixed = [traces[0], replace(traces[1], position_command=None), traces[2]]
         found = identify(ROBOT, [summarise(pack(ROBOT), trace) for trace in mixed])
         assert not any("controller's answer" in line for line in found.warnings), "not all logs have commands"
