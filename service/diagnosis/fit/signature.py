@@ -80,16 +80,20 @@ class Signature:
         """What is left gives to a ripple next to the strongest one of `effect`, over what the effect takes, both
         squared; 0 of an effect that is none. What happens in one place only is no line over the turns of a motor."""
         terms = [term for term in self.hypothesis.terms if term.effect is effect and effect.of_motor_turns]
-        if not terms:
+        ripples = [
+            (float(np.sum(np.square(amplitude))), joint, term.nonlinear[0])
+            for term in terms
+            for joint, amplitude in zip(term.joints, term.amplitude, strict=True)
+        ]
+        if not ripples:
             return 0.0
-        strongest = max(terms, key=lambda term: float(np.sum(np.square(term.amplitude))))
-        (joint,), order = strongest.joints, strongest.nonlinear[0]
+        _, joint, order = max(ripples)
         recordings = self.problem.recordings
         travel = float(np.ptp(np.concatenate([recording.segment.theta[:, joint] for recording in recordings])))
         line = 2 * np.pi / (recordings[0].mechanism.gear_ratio[joint] * travel)
         orders = [order + lines * line for lines in NEXT if order + lines * line > 0]
-        ripples = self._rippled(effect, joint, orders)
-        given = [_taken(self._beside(self.tangents, columns), self.residual) for columns in ripples]
+        beside = (self._beside(self.tangents, columns) for columns in self._rippled(effect, joint, orders))
+        given = [_taken(columns, self.residual) for columns in beside]
         return max(given, default=0.0) / max(float(np.sum(self._own(effect)[1] ** 2)), 1e-300)
 
     def _rippled(self, effect: Effect, joint: int, orders: list[float]) -> list[np.ndarray]:

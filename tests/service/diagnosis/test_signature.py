@@ -104,6 +104,8 @@ def test_a_bell_of_energy_at_one_place_has_ripples_next_to_the_one_that_stands_i
     assert alone.next_to(ripple.effect) > own.ALONE
     assert beside.next_to(ripple.effect) < own.ALONE
     assert alone.next_to(SPRING.effect) == 0.0
+    every = seen(logs("cogging", edge), Term(EFFECTS["cogging"], (0, 1, 2), np.zeros((3, 2)), (2.0,)))
+    assert every.next_to(ripple.effect) == pytest.approx(beside.next_to(ripple.effect), rel=0.02), "as drives of a kind"
     wobble = Term(EFFECTS["encoder_eccentricity"], (1,), np.zeros((1, 2)), (2.0,))
     assert seen(logs(add=edge), wobble).next_to(wobble.effect) > 0.0
 
