@@ -30,11 +30,12 @@ CautionCode = Literal[
     "much_is_left", "other_joints", "sine_of_angle", "gravity", "closed_loop", "torque_held", "noise_coloured",
     "noise_unknown",
     "at_limit", "drives", "by_weight", "left_open", "no_shrink", "no_shrink_on", "varies", "one_cause", "set_aside",
-    "by_place", "rivalled", "not_its_own", "no_line", "comes_again", "misplaced", "degrees", "any_shape", "much_beside",
+    "by_place", "by_scale", "rivalled", "not_its_own", "no_line", "comes_again", "misplaced", "degrees", "any_shape",
+    "much_beside",
 ]  # fmt: skip
 Advice = Literal[
     "record_runs", "record_all_joints", "record_reversals", "record_more", "check_description", "check_runs",
-    "check_base", "measure_torque", "measure_noise", "log_quicker", "look_there", "say_degrees",
+    "check_base", "measure_torque", "measure_noise", "log_quicker", "log_warm", "look_there", "say_degrees",
 ]  # fmt: skip
 
 

@@ -85,6 +85,9 @@ CAUTIONS = {
     "was told by the rest.",
     "by_place": "Something that is not in the catalogue pulls at the platform wherever it is; what is named was told "
     "beside any torque that goes by the platform's place, springs, offsets and weights cannot be told.",
+    "by_scale": "{share:.0%} of what is left goes by the torque itself, by another share of it in each log, which "
+    "changes as a log goes on: the torque constants do not keep (do the motors get warm?). Scales, and what looks like "
+    "them, cannot be told beside it.",
     "comes_again": "Something that is not in the catalogue pulls at the platform again every {pitch:.0f} mm of its way "
     "(a toothed belt, a rack?); what is named was told beside it.",
 }
@@ -103,6 +106,7 @@ ADVICE = {
     "record_more": "Record more of the motion that shows it, and what else changed between the runs.",
     "measure_torque": "Log the drive's measured current beside the command.",
     "look_there": "Look for it where and when most is left, see below.",
+    "log_warm": "Log the motors' temperature, or record once more when they have become warm.",
     "log_quicker": "Let the drive send its torque with every sample.",
     "say_degrees": 'Say the unit of the position in the mapping (unit = "deg"), or gravity = false in the '
     "description where the axis bears no weight.",

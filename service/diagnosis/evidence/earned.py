@@ -18,7 +18,7 @@ from service.diagnosis.evidence.rivals import LIKELY
 from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, TOLD_APART, Scored, Selection, without
-from service.diagnosis.fit.signature import ALONE, BY_PLACE, GOES_BY_PLACE, OWN, Signature
+from service.diagnosis.fit.signature import ALONE, GOES_BY_PLACE, GOES_BY_SCALE, OWN, OWN_ELSEWHERE, Signature
 from service.diagnosis.fit.sound import fault_of
 from service.identification.events import events_of
 from service.identification.fit import Problem, evaluate, solve
@@ -96,15 +96,22 @@ def _its_own(regressors: Regressors, selection: Selection, beside: bool) -> tupl
     best, fallen = selection.best, []
     if problem.fields:
         bare = Signature(replace(problem, fields=()), best.hypothesis)
-        gone = [effect for effect in _effects(best, given) if bare.left_open(effect, problem.fields) > BY_PLACE]
+        gone = [effect for effect in _effects(best, given) if bare.left_open(effect, problem.fields) > OWN_ELSEWHERE]
         if gone:
             fallen += [_fell("rivalled", effect, best) for effect in gone]
             best = without(problem, split, selection, best, *gone)
     signature = Signature(problem, best.hypothesis)
     if signature.goes_by_place() > GOES_BY_PLACE:
-        gone = [effect for effect in _effects(best, given) if signature.by_place(effect) > BY_PLACE]
+        gone = [effect for effect in _effects(best, given) if signature.by_place(effect) > OWN_ELSEWHERE]
         if gone:
             fallen.append(Caution(code="by_place", advice="look_there"))
+            best = without(problem, split, selection, best, *gone)
+            signature = Signature(problem, best.hypothesis)
+    share = signature.goes_by_scale()
+    if share > GOES_BY_SCALE:
+        gone = [effect for effect in _effects(best, given) if signature.by_scale(effect) > OWN_ELSEWHERE]
+        fallen.append(Caution(code="by_scale", share=min(share, 1.0), advice="log_warm"))
+        if gone:
             best = without(problem, split, selection, best, *gone)
     while beside and (effects := _effects(best, given)):
         signature = Signature(problem, best.hypothesis)

@@ -316,13 +316,15 @@ class Told:
     """A signature that says what it is told to."""
 
     def __init__(
-        self, place: float, elsewhere: dict[str, list[float]], by_place: dict[str, float], next_to: float = 0.0
-    ):
+        self, place: float, elsewhere: dict[str, list[float]], by_place: dict[str, float], next_to: float = 0.0,
+        scale: float = 0.0,
+    ):  # fmt: skip
         self.next_to = lambda effect: next_to if effect.name == "cogging" else 0.0
         self.goes_by_place = lambda: place
         self.left_open = lambda effect, fields: by_place[effect.name]
         self.elsewhere = lambda effect: elsewhere[effect.name].pop(0)
-        self.by_place = lambda effect: by_place[effect.name]
+        self.by_place = self.by_scale = lambda effect: by_place[effect.name]
+        self.goes_by_scale = lambda: scale
 
 
 @pytest.mark.parametrize(
@@ -349,6 +351,18 @@ def test_beside_a_stranger_what_a_name_takes_is_its_own(monkeypatch, place, else
     kept, fell = judge(made, found, limit=limit * (found.best.loss / made.count) ** 0.5)
     assert kept.names == names
     assert [one.code for one in fell] == fallen
+
+
+@pytest.mark.parametrize(("scale", "names"), [(0.39, ("joint_spring", "cogging")), (1.04, ("cogging",))])
+def test_beside_constants_that_do_not_keep_no_scale_is_named(monkeypatch, scale, names):
+    """Nor what looks like one; that they do not is said in any case."""
+    made = logs((1, 2, 3), "joint_spring", "cogging")
+    found = chosen(made, SPRING, RIPPLE)
+    told = Told(0.0, {"cogging": [0.1], "joint_spring": [0.1]}, {"joint_spring": 0.91, "cogging": 0.89}, scale=scale)
+    monkeypatch.setattr(judged, "Signature", lambda problem, hypothesis: told)
+    kept, fell = judge(made, found, limit=0.1 * (found.best.loss / made.count) ** 0.5)
+    assert kept.names == names
+    assert [(one.code, one.share, one.advice) for one in fell] == [("by_scale", 1.0, "log_warm")] * (scale > 0.4)
 
 
 @pytest.mark.parametrize(

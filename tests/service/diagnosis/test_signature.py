@@ -206,6 +206,29 @@ def test_what_is_left_open_holds_an_effect_that_goes_by_it_and_no_other():
     assert found.left_open(drag.effect, wave) < 0.2
 
 
+def test_a_torque_constant_that_does_not_keep_goes_by_scale_and_masses_with_it_but_no_spring():
+    """Joint 2's grows by 2 % a second, from another value in each run. Of all torque by the same share more, base
+    parameters take all but what weighs as it is known to: a mass."""
+
+    def warm(run, seed):
+        return on(1, run.torque[:, 1] * 0.02 * (np.arange(len(run.torque)) * PERIOD + seed))
+
+    scale, mass = (
+        Term(EFFECTS["torque_scale"], (1,), np.zeros((1, 1)), ()),
+        Term(EFFECTS["tool_mass"], (), np.zeros((1, 1)), ()),
+    )
+    made = logs("joint_spring", warm)
+    found = seen(made, SPRING, scale, mass)
+    assert found.goes_by_scale() > 0.8
+    assert found.by_scale(scale.effect) > 0.99
+    assert found.by_scale(mass.effect) > 0.95
+    assert found.by_scale(SPRING.effect) < 0.7 < own.OWN_ELSEWHERE
+    assert abs(found.goes_by_place()) < 0.5
+    assert (np.count_nonzero(found._scales(), axis=1) <= 2).all(), "a run's and a joint's own"
+    assert abs(seen(logs("joint_spring", waves(0)), SPRING).goes_by_scale()) < 0.1
+    assert seen(logs()).goes_by_scale() == 0.0
+
+
 def test_what_goes_by_nothing_does_not_go_by_place():
     found = seen(logs("joint_spring", waves(0)), SPRING)
     assert abs(found.goes_by_place()) < 0.3
@@ -215,7 +238,7 @@ def test_what_goes_by_nothing_does_not_go_by_place():
 def test_a_field_is_of_the_second_order_on_each_joint():
     made = logs()
     found = seen(made)
-    field = found._field()
+    field = found._places()
     position = np.concatenate([recording.arms.position for recording in made.recordings])
     random = np.random.default_rng(1).standard_normal((3, 10))
     parts = []
