@@ -91,6 +91,7 @@ CAUTIONS = {
     "comes_again": "Something that is not in the catalogue pulls at the platform again every {pitch:.0f} mm of its way "
     "(a toothed belt, a rack?); what is named was told beside it.",
 }
+BESIDE = {"set_aside", "by_place", "comes_again"}  # what is named was told beside something else
 # with these no effect is told from others
 NO_NAMES = {
     "too_little_motion", "joints_at_rest", "beyond_any_robot", "several_arms", "runs_differ", "much_is_left",
@@ -261,6 +262,13 @@ def unasked(document: Diagnosis) -> list[str]:
     return [caution(one) for one in document.cannot_tell if one.code in NO_NAMES]
 
 
+def _why_it_grows(document: Diagnosis) -> str:
+    """The gap on data left out."""
+    if document.effects and BESIDE & {one.code for one in document.cannot_tell}:
+        return "most of it is not in the catalogue; beside that, what is named shrinks it"
+    return "what was fitted to the other runs does not carry over"
+
+
 def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
     """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next.
 
@@ -280,7 +288,7 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
             f"On {left_out} used neither to fit nor to choose{apart}, the gap goes {_goes(shrunk, document.gap.unit)}"
         )
         grows = _rms(shrunk.after_nm) > _rms(shrunk.before_nm)
-        effects.append(line + (": what was fitted to the other runs does not carry over." if grows else "."))
+        effects.append(line + (f": {_why_it_grows(document)}." if grows else "."))
     if not document.effects and document.verdict == "unexplained":
         effects += _nearest(document)
     tests = [line for test in document.tests for line in _unseen(test, document.gap.unit)]

@@ -47,6 +47,8 @@ def test_a_named_effect_is_told_in_one_line() -> None:
     two = document(traces=["a", "b"], gap=document().gap.model_dump() | {"after_nm": [4.0, 1.0]})
     assert text.paragraphs(two)[2][1].startswith("On stretches used neither")
     assert text.paragraphs(two)[2][1].endswith("does not carry over.")
+    aside = two.model_copy(update={"cannot_tell": [Caution(code="by_place", advice="look_there")]})
+    assert text.paragraphs(aside)[2][1].endswith("not in the catalogue; beside that, what is named shrinks it.")
     work = {"slow_runs": ["b", "c"], "work_before_nm": [4.0, 0.0], "work_after_nm": [2.0, 0.0]}
     line = text.paragraphs(document(gap=document().gap.model_dump() | work))[2][1]
     assert "to choose, slow sweeps apart (b, c), the gap goes from 2.83 to 1.41 N m, a shrink of 43 % [40, 46]." in line
