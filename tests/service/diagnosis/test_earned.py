@@ -353,7 +353,7 @@ def test_beside_a_stranger_what_a_name_takes_is_its_own(monkeypatch, place, else
     assert [one.code for one in fell] == fallen
 
 
-@pytest.mark.parametrize(("scale", "names"), [(0.39, ("joint_spring", "cogging")), (1.04, ("cogging",))])
+@pytest.mark.parametrize(("scale", "names"), [(0.29, ("joint_spring", "cogging")), (1.04, ("cogging",))])
 def test_beside_constants_that_do_not_keep_no_scale_is_named(monkeypatch, scale, names):
     """Nor what looks like one; that they do not is said in any case."""
     made = logs((1, 2, 3), "joint_spring", "cogging")
@@ -362,7 +362,7 @@ def test_beside_constants_that_do_not_keep_no_scale_is_named(monkeypatch, scale,
     monkeypatch.setattr(judged, "Signature", lambda problem, hypothesis: told)
     kept, fell = judge(made, found, limit=0.1 * (found.best.loss / made.count) ** 0.5)
     assert kept.names == names
-    assert [(one.code, one.share, one.advice) for one in fell] == [("by_scale", 1.0, "log_warm")] * (scale > 0.4)
+    assert [(one.code, one.share, one.advice) for one in fell] == [("by_scale", 1.0, "log_warm")] * (scale > 0.3)
 
 
 @pytest.mark.parametrize(

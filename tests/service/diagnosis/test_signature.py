@@ -227,6 +227,7 @@ def test_a_torque_constant_that_does_not_keep_goes_by_scale_and_masses_with_it_b
     assert (np.count_nonzero(found._scales(), axis=1) <= 2).all(), "a run's and a joint's own"
     assert abs(seen(logs("joint_spring", waves(0)), SPRING).goes_by_scale()) < 0.1
     assert seen(logs()).goes_by_scale() == 0.0
+    assert abs(seen(logs("tool_mass")).goes_by_scale()) < 0.1, "a mass keeps"
 
 
 def test_what_goes_by_nothing_does_not_go_by_place():
