@@ -220,7 +220,7 @@ def _sound_first(
     if near:
         return [near[0], *(scored for scored in sound if scored is not near[0])], None
     found = worth(lead.blocks, without.blocks, none.blocks, problem.count, problem.most)
-    return sound or ordered, faults[0] if found else None
+    return simplest_first(sound, without) if sound else ordered, faults[0] if found else None
 
 
 def simplest_first(tried: list[Scored], without: Scored) -> list[Scored]:

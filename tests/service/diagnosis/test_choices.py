@@ -171,6 +171,19 @@ def test_what_cannot_be_is_out_and_its_fault_where_it_leads_alone(monkeypatch, l
     assert told is fault
 
 
+def test_of_what_can_be_the_simplest_leads_though_it_stood_behind_what_cannot(monkeypatch):
+    """A constant torque before a spring with one, behind a hose at the end of its stiffness: the spring's stiffness is
+    nothing once more is found."""
+    hose, spring, offset = made(100.0, 4), made(120.0, 2), made(120.5, 1, noise=1.0)
+    monkeypatch.setattr(
+        selection, "fault_of", lambda _, hypothesis, given: FAULT if hypothesis is hose.hypothesis else None
+    )
+    order = selection._sound_first(
+        stub(count=80, most=1.0), [hose, spring, offset], made(180.0, noise=0.01), made(180.0), 0
+    )
+    assert order == ([offset, spring], FAULT)
+
+
 def test_what_blocks_do_not_tell_apart_is_as_good(monkeypatch):
     lead, near = made(100.0, noise=0.0), made(110.0, noise=2.0)
     monkeypatch.setattr(
