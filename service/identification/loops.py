@@ -45,30 +45,38 @@ def loops_of(
         return {}
     loops, physics = {}, problem.rms(plain, [0] * len(plain))[0] ** 2
     for joint in range(len(problem.sigma)):
-        logs: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
-        for number, recording in enumerate(problem.recordings):
-            error = errors[number][:, joint]
-            speed = recording.segment.theta_dot[:, joint]
-            seen = np.stack([error, np.gradient(error, recording.segment.period), speed, np.ones_like(speed)], axis=1)
-            rows = problem.rows[number][:, joint]
-            logs.setdefault(recording.trace, []).append((problem.band(seen)[rows], problem.target[number][rows, joint]))
-        gains, left, without, wanted = [], [], [], []
-        for parts in logs.values():
-            basis, torque = (np.concatenate(side) for side in zip(*parts, strict=True))
-            if len(torque) < LEAST_ROWS or not np.ptp(basis[:, 0]) > 0:
-                continue
-            weight, rest = _least_squares(basis, torque)
-            gains.append(float(f"{weight[0]:.4g}"))
-            left.append(rest)
-            without.append(_least_squares(basis[:, 2:], torque)[1])
-            wanted.append(torque)
-        if not gains:
+        answers = [
+            _answer(basis, torque)
+            for basis, torque in _by_log(problem, errors, joint)
+            if len(torque) >= LEAST_ROWS and np.ptp(basis[:, 0]) > 0
+        ]
+        if not answers:
             continue
-        torque, square = np.concatenate(wanted), float(np.mean(np.concatenate(left) ** 2))
-        most = min((1.0 - LOOP) * float(np.var(torque)), TOLD_BETTER * physics[joint])
+        gains, torque, left, without = zip(*answers, strict=True)
+        square = float(np.mean(np.concatenate(left) ** 2))
+        most = min((1.0 - LOOP) * float(np.var(np.concatenate(torque))), TOLD_BETTER * physics[joint])
         if square < most and square < LOOP_ALONE * float(np.mean(np.concatenate(without) ** 2)) and all(gains):
             loops[joint] = (min(gains), max(gains))
     return loops
+
+
+def _by_log(problem: Problem, errors: Sequence[np.ndarray], joint: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """What a controller makes a torque of, (R, 4) position error, its rate, speed and one, and the torque (R,)."""
+    logs: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for number, recording in enumerate(problem.recordings):
+        error, speed = errors[number][:, joint], recording.segment.theta_dot[:, joint]
+        seen = np.stack([error, np.gradient(error, recording.segment.period), speed, np.ones_like(speed)], axis=1)
+        rows = problem.rows[number][:, joint]
+        logs.setdefault(recording.trace, []).append((problem.band(seen)[rows], problem.target[number][rows, joint]))
+    sides = (zip(*parts, strict=True) for parts in logs.values())
+    return [(np.concatenate(seen), np.concatenate(torque)) for seen, torque in sides]
+
+
+def _answer(basis: np.ndarray, torque: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Gain, the torque (R,), what is left of it, and what speed alone leaves."""
+    weight, left = _least_squares(basis, torque)
+    _, without = _least_squares(basis[:, 2:], torque)
+    return float(f"{weight[0]:.4g}"), torque, left, without
 
 
 def _least_squares(basis: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
