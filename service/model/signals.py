@@ -524,10 +524,11 @@ def _delayed(values, samples, result):
         -u * (u - 1) * (u - 2) / 6,
     )
     for k in range(count):
-        a, b, c, d = [min(max(k - whole + tap, 0), count - 1) for tap in (-2, -1, 0, 1)]
-        for i in range(width):
-            first = weights[0] * values[a, i] + weights[1] * values[b, i]
-            result[k, i] = first + weights[2] * values[c, i] + weights[3] * values[d, i]
+        result[k] = 0.0
+        for tap in range(4):
+            row = min(max(k - whole + tap - 2, 0), count - 1)
+            for i in range(width):
+                result[k, i] += weights[tap] * values[row, i]
 
 
 def lagging(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
@@ -555,15 +556,6 @@ def _lagging(mean, keep, values, result):
             state[c] = (mean - keep) * values[k, c] + keep * result[k, c]
 
 
-def running_mean(values: np.ndarray, width: int, ends: Literal["edge", "constant"] = "edge") -> np.ndarray:
-    """(N, ...) means over `width` rows round each, one more before it than after where that is even. ends: beyond them
-    is what they are, or nothing."""
-    before = width // 2
-    pad = ((before + 1, width - before - 1), *([(0, 0)] * (values.ndim - 1)))
-    total = np.cumsum(np.pad(values, pad, mode=ends), axis=0)
-    return (total[width:] - total[:-width]) / width
-
-
 def leading(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
     """(N, ...) such that a first-order low-pass makes `values` of it; fourth-order slopes."""
     held = np.pad(values, ((2, 2), *([(0, 0)] * (values.ndim - 1))), mode="edge")
@@ -574,6 +566,15 @@ def leading(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
 def time_constant(cutoff_hz: float) -> float:
     """s of a first-order low-pass."""
     return 0.5 / (np.pi * cutoff_hz)
+
+
+def running_mean(values: np.ndarray, width: int, ends: Literal["edge", "constant"] = "edge") -> np.ndarray:
+    """(N, ...) means over `width` rows round each, one more before it than after where that is even. ends: beyond them
+    is what they are, or nothing."""
+    before = width // 2
+    pad = ((before + 1, width - before - 1), *([(0, 0)] * (values.ndim - 1)))
+    total = np.cumsum(np.pad(values, pad, mode=ends), axis=0)
+    return (total[width:] - total[:-width]) / width
 
 
 @dataclass(frozen=True)
