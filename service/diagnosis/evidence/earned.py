@@ -90,8 +90,8 @@ def _in_its_place(selection: Selection, best: Scored, fewer: Scored, better: Sco
 
 def _its_own(regressors: Regressors, selection: Selection, beside: bool) -> tuple[Scored, list[Caution]]:
     """What was found without effects that are hardly told beside what is left open; without those that go by the
-    platform's place where what is left goes by it; and, beside a stranger, without those to whose torque it gives as
-    much elsewhere; and why each fell."""
+    platform's place, or by the scale of a torque, where what is left goes by it; and, beside a stranger, without those
+    to whose torque it gives as much elsewhere; and why each fell."""
     problem, split, given = regressors.problem, regressors.split, len(selection.none.hypothesis.terms)
     best, fallen = selection.best, []
     if problem.fields:

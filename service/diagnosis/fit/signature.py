@@ -83,10 +83,10 @@ class Signature:
     def next_to(self, effect: Effect) -> float:
         """What is left gives to a ripple next to the strongest one of `effect`, over what the effect takes, both
         squared; 0 of an effect that is none. What happens in one place only is no line over the turns of a motor."""
-        terms = [term for term in self.hypothesis.terms if term.effect is effect and effect.of_motor_turns]
         ripples = [
             (float(np.sum(np.square(amplitude))), joint, term.nonlinear[0])
-            for term in terms
+            for term in self.hypothesis.terms
+            if term.effect is effect and effect.of_motor_turns
             for joint, amplitude in zip(term.joints, term.amplitude, strict=True)
         ]
         if not ripples:
@@ -113,7 +113,7 @@ class Signature:
     def goes_by_place(self) -> float:
         """Share of what is left above the noise that goes by the platform's place, on each joint in its own way; 0 of
         next to nothing."""
-        return self._goes_by(self._places)
+        return self._goes_by(lambda: self._beside(self.tangents, self._places()))
 
     def by_place(self, effect: Effect) -> float:
         """Share of the effect's own torque that goes by the platform's place."""
@@ -123,21 +123,28 @@ class Signature:
         """Share of what is left above the noise that goes by the torque itself, in each log and joint by another share
         of it that changes evenly; 0 of next to nothing. Not what goes by the same share of a joint's torque in all
         logs: a mass does too."""
-        return self._goes_by(self._scales, self._steady)
+
+        def changing() -> np.ndarray:
+            scales = self._scales()
+            each = np.unique(self.joints)
+            steady = [np.where(self.joints == joint, scales[:, ::2].sum(axis=1), 0.0) for joint in each]
+            return self._beside(np.concatenate([self.tangents, np.stack(steady, axis=1)], axis=1), scales)
+
+        return self._goes_by(changing)
 
     def by_scale(self, effect: Effect) -> float:
         """Share of the effect's own torque that the scale of the rest makes, if it changes like that: all torque by the
         same share more would hold the effect itself."""
         return self._by(self._scales(effect), effect)
 
-    def _goes_by(self, field: Callable[[], np.ndarray], apart: Callable[[], np.ndarray] | None = None) -> float:
+    def _goes_by(self, beside: Callable[[], np.ndarray]) -> float:
+        """Share of what is left above the noise that columns (R, K) take, which are asked for where there is any."""
         noise = float(np.sum(self.unit**-2.0))
         above = float(self.residual @ self.residual) - noise
         if above < LEAST * noise:
             return 0.0
-        known = self.tangents if apart is None else np.concatenate([self.tangents, apart()], axis=1)
-        beside = self._beside(known, field())
-        return (_taken(beside, self.residual) - beside.shape[1]) / above
+        columns = beside()
+        return (_taken(columns, self.residual) - columns.shape[1]) / above
 
     def _by(self, field: np.ndarray, effect: Effect) -> float:
         mine, own = self._own(effect)
@@ -227,11 +234,6 @@ class Signature:
         columns, log = np.concatenate(parts) / self.unit[:, None], self._logs()
         each = [(log == one) & (self.joints == joint) for one in np.unique(log) for joint in np.unique(self.joints)]
         return np.concatenate([np.where(rows[:, None], columns, 0.0) for rows in each], axis=1)
-
-    def _steady(self) -> np.ndarray:
-        """(R, n) torque that is expected, of each joint by itself."""
-        each, scales = np.unique(self.joints), self._scales()[:, ::2]
-        return np.stack([np.where(self.joints == joint, scales.sum(axis=1), 0.0) for joint in each], axis=1)
 
     def _logs(self) -> np.ndarray:
         """(R,) which log a row is of."""
