@@ -199,17 +199,23 @@ def additions(
             exact.append(score(fit_added(problem, best.fitted, candidate.term()), regressors.split))
     if not exact:
         return [], None
-    ordered = simplest_first(exact, best)
-    if mechanism.kind == "delta":
-        ordered = one_cause_first(ordered, best, 0 if problem.weights else problem.count)
-    return _sound_first(problem, ordered, best, none, given)
+
+    def order(tried: list[Scored]) -> list[Scored]:
+        ordered = simplest_first(tried, best)
+        if mechanism.kind == "delta":
+            ordered = one_cause_first(ordered, best, 0 if problem.weights else problem.count)
+        return ordered
+
+    return _sound_first(problem, exact, best, none, given, order)
 
 
 def _sound_first(
-    problem: Problem, ordered: list[Scored], without: Scored, none: Scored, given: int
-) -> tuple[list[Scored], Fault | None]:
-    """What cannot be is out. Where it leads and nothing that can be is as good, that is its fault: what comes next
-    would stand in for something that is not in the catalogue."""
+    problem: Problem, tried: list[Scored], without: Scored, none: Scored, given: int,
+    order: Callable[[list[Scored]], list[Scored]],
+) -> tuple[list[Scored], Fault | None]:  # fmt: skip
+    """In the order in which they are believed, and what cannot be is out. Where it leads and nothing that can be is as
+    good, that is its fault: what comes next would stand in for something that is not in the catalogue."""
+    ordered = order(tried)
     faults = [fault_of(problem, scored.hypothesis, given) for scored in ordered]
     sound = [scored for scored, fault in zip(ordered, faults, strict=True) if fault is None]
     lead = ordered[0]
@@ -220,7 +226,7 @@ def _sound_first(
     if near:
         return [near[0], *(scored for scored in sound if scored is not near[0])], None
     found = worth(lead.blocks, without.blocks, none.blocks, problem.count, problem.most)
-    return simplest_first(sound, without) if sound else ordered, faults[0] if found else None
+    return order(sound) if sound else ordered, faults[0] if found else None
 
 
 def simplest_first(tried: list[Scored], without: Scored) -> list[Scored]:

@@ -165,7 +165,7 @@ def test_what_cannot_be_is_out_and_its_fault_where_it_leads_alone(monkeypatch, l
     wrong = {id(tried[k].hypothesis) for k in faulty}
     monkeypatch.setattr(selection, "fault_of", lambda _, hypothesis, given: FAULT if id(hypothesis) in wrong else None)
     found, told = selection._sound_first(
-        stub(count=80, most=1.0), list(tried), made(180.0, noise=0.01), made(180.0, noise=0.01), 0
+        stub(count=80, most=1.0), list(tried), made(180.0, noise=0.01), made(180.0, noise=0.01), 0, list
     )
     assert [tried.index(scored) for scored in found] == list(order)
     assert told is fault
@@ -178,9 +178,11 @@ def test_of_what_can_be_the_simplest_leads_though_it_stood_behind_what_cannot(mo
     monkeypatch.setattr(
         selection, "fault_of", lambda _, hypothesis, given: FAULT if hypothesis is hose.hypothesis else None
     )
+    without = made(180.0, noise=0.01)
     order = selection._sound_first(
-        stub(count=80, most=1.0), [hose, spring, offset], made(180.0, noise=0.01), made(180.0), 0
-    )
+        stub(count=80, most=1.0), [hose, spring, offset], without, made(180.0), 0,
+        lambda tried: selection.simplest_first(tried, without),
+    )  # fmt: skip
     assert order == ([offset, spring], FAULT)
 
 
@@ -189,7 +191,7 @@ def test_what_blocks_do_not_tell_apart_is_as_good(monkeypatch):
     monkeypatch.setattr(
         selection, "fault_of", lambda _, hypothesis, given: FAULT if hypothesis is lead.hypothesis else None
     )
-    assert selection._sound_first(stub(count=80, most=1.0), [lead, near], made(1800.0), made(1800.0), 0) == (
+    assert selection._sound_first(stub(count=80, most=1.0), [lead, near], made(1800.0), made(1800.0), 0, list) == (
         [near],
         None,
     )
@@ -292,8 +294,8 @@ def searched(
             losses = rounds[len(asked) - 1]
             return [(promise, stub(effect=effect, term=lambda loss=loss: loss)) for loss in losses]
 
-    def sound(problem, ordered, best, none, given):
-        return ordered, fault if len(asked) == (2 if begun is None else 1) else None
+    def sound(problem, tried, best, none, given, order):
+        return order(tried), fault if len(asked) == (2 if begun is None else 1) else None
 
     parts = {
         "Dictionary": Dictionary, "_sound_first": sound,
