@@ -29,9 +29,9 @@ CautionCode = Literal[
     "too_little_motion", "joints_at_rest", "one_way", "one_run", "beyond_any_robot", "several_arms", "runs_differ",
     "much_is_left", "other_joints", "sine_of_angle", "gravity", "closed_loop", "torque_held", "noise_coloured",
     "noise_unknown",
-    "at_limit", "drives", "by_weight", "left_open", "no_shrink", "no_shrink_on", "varies", "one_cause", "set_aside",
-    "by_place", "by_scale", "rivalled", "not_its_own", "no_line", "comes_again", "misplaced", "degrees", "any_shape",
-    "much_beside",
+    "at_limit", "drives", "by_weight", "does_not_fall", "left_open", "no_shrink", "no_shrink_on", "varies", "one_cause",
+    "set_aside", "by_place", "by_scale", "rivalled", "not_its_own", "no_line", "comes_again", "misplaced", "degrees",
+    "any_shape", "much_beside",
 ]  # fmt: skip
 Advice = Literal[
     "record_runs", "record_all_joints", "record_reversals", "record_more", "check_description", "check_runs",

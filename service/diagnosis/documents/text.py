@@ -66,6 +66,8 @@ CAUTIONS = {
     "drives": "What comes nearest is {effect}{where}, but as friction that would drive the joint: no finding.",
     "by_weight": "What comes nearest is {effect}{where}, over so little of a turn that friction which grows with the "
     "weight looks like it: cannot be told apart on this data.",
+    "does_not_fall": "What comes nearest is {effect}{where}, but with it friction would not fall as the speed grows: "
+    "it levels off, or goes by the speed in another way that is not in the catalogue.",
     "left_open": "{Effect}{where} fits, but no quantity of it is told from nothing: not named.",
     "any_shape": "{Effect}{where} fits, but with {quantity} anywhere in what it can be: what it is, is not told, not "
     "named.",

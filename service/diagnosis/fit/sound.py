@@ -11,6 +11,7 @@ from service.identification.fit import Problem
 from service.model.hypothesis import Hypothesis, Term
 
 ALIKE = 0.8  # of the variance of one curve that another has, from which they may be one
+FALLS = 0.5  # of a friction above Coulomb's, by which friction has to be less at higher speed
 AT_LIMIT = 1e-6  # of a nonlinear parameter's range: so near to its end it stands there
 
 
@@ -18,7 +19,7 @@ AT_LIMIT = 1e-6  # of a nonlinear parameter's range: so near to its end it stand
 class Fault:
     """Why an effect at work in a hypothesis cannot be. quantity: the one at its limit."""
 
-    code: Literal["at_limit", "drives", "beyond_any_robot", "by_weight"]
+    code: Literal["at_limit", "drives", "beyond_any_robot", "by_weight", "does_not_fall"]
     term: Term
     quantity: str = ""
 
@@ -34,8 +35,11 @@ def fault_of(problem: Problem, hypothesis: Hypothesis, given: int) -> Fault | No
             return Fault("by_weight", term)
         if any(_nothing_of(term, place) for place in range(len(term.amplitude))):
             return Fault("at_limit", term, next(iter(term.effect.amplitudes)))
-        if term.effect.above_coulomb and any(_frictionless(hypothesis, joint) for joint in term.joints):
+        above = [_above_coulomb(hypothesis, term, place) for place in range(len(term.joints))]
+        if any(base <= 0.0 for base, _ in above):
             return Fault("at_limit", term, "coulomb_friction")
+        if any(fall < FALLS for _, fall in above):
+            return Fault("does_not_fall", term)
         for (name, searched), value in zip(term.effect.nonlinear.items(), term.nonlinear, strict=True):
             near = AT_LIMIT * (searched.high - searched.low)
             at_end = min(value - searched.low, searched.high - value) <= near
@@ -63,9 +67,22 @@ def _by_weight(problem: Problem, hypothesis: Hypothesis, term: Term, joint: int)
     return bool(np.corrcoef(friction, weight)[0, 1] > ALIKE**0.5)
 
 
-def _frictionless(hypothesis: Hypothesis, joint: int) -> bool:
-    """Whether none is left of the base model's friction, as where a lag of the command looks like less than none."""
-    return not hypothesis.base.coulomb[joint] > 0 and not hypothesis.base.viscous[joint] > 0
+def _above_coulomb(hypothesis: Hypothesis, term: Term, place: int) -> tuple[float, float]:
+    """Of a friction above Coulomb's: what is left of the base model's on its joint, N m at 1 rad/s, which is none where
+    a lag of the command looks like less than none; and the share of it by which dry friction falls from where it is
+    most. One that rises all the way levels off over other speeds than the base model has it. (inf, inf) of others.
+    """
+    joint, base = term.joints[place], hypothesis.base
+    width = np.broadcast_to(base.transition, base.coulomb.shape)[joint]
+    speed = np.geomspace(1e-4, 1e2, 400)  # rad/s
+    share = term.effect.above_coulomb(speed, term.nonlinear)
+    if share is None:
+        return np.inf, np.inf
+    size = float(term.amplitude[place, 0])
+    turned = np.tanh(speed / width) if width > 0 else np.ones_like(speed)
+    dry = turned * (base.coulomb[joint] + size * share)
+    left = max(base.coulomb[joint], 0.0) + max(base.viscous[joint], 0.0)
+    return left, float(dry.max() - base.coulomb[joint]) / max(size, 1e-300)
 
 
 def _nothing_of(term: Term, place: int) -> bool:

@@ -107,14 +107,13 @@ class Effect(ABC):
     of each joint by itself instead of adding to it. rough: its torque is no smooth function of its nonlinear
     parameters, so they are kept when a part of the data is left out. own_nonlinear: each joint may have own ones.
     repeats: may be at work more than once on a joint. of_motor_turns: comes again with the turns of a motor, so often a
-    turn as its first nonlinear parameter says. kinds: mechanisms it makes sense for. settles: the motion that
-    tells it from what it resembles. directional: a joint that moves one way only does not show it. dissipates:
-    friction, which together with the base model's takes energy out of the motion in either direction. above_coulomb: it
-    falls to the base model's friction, without which it is none. same: effects that no motion tells it from.
-    takes_timing: it has the place of the timing within a sample. beyond: `size` that no robot which runs has, several
-    times the strongest of the blind test: an effect that large stands in for a wrong description; beyond_together: the
-    same on several joints at once. online: compiled (effect record, Instant, joint) -> N m from the present sample,
-    where there is such a form; of the effects that come along only.
+    turn as its first nonlinear parameter says. kinds: mechanisms it makes sense for. settles: the motion that tells it
+    from what it resembles. directional: a joint that moves one way only does not show it. dissipates: friction, which
+    together with the base model's takes energy out of the motion in either direction. same: effects that no motion
+    tells it from. takes_timing: it has the place of the timing within a sample. beyond: `size` that no robot which runs
+    has, several times the strongest of the blind test: an effect that large stands in for a wrong description;
+    beyond_together: the same on several joints at once. online: compiled (effect record, Instant, joint) -> N m from
+    the present sample, where there is such a form; of the effects that come along only.
     """
 
     name: ClassVar[str]
@@ -131,7 +130,6 @@ class Effect(ABC):
     settles: ClassVar[str]
     directional: ClassVar[bool] = False
     dissipates: ClassVar[bool] = False
-    above_coulomb: ClassVar[bool] = False
     same: ClassVar[frozenset[str]] = frozenset()
     takes_timing: ClassVar[bool] = False
     beyond: ClassVar[float] = math.inf
@@ -164,6 +162,11 @@ class Effect(ABC):
     def columns(self, scene: Scene, joint: int, points: Sequence[tuple[float, ...]]) -> np.ndarray:
         """`regressors` at P nonlinear parameters side by side, (N, P k) or (N, n, P k)."""
         return np.concatenate([self.regressors(scene, joint, point) for point in points], axis=-1)
+
+    def above_coulomb(self, theta_dot: np.ndarray, nonlinear: tuple[float, ...]) -> np.ndarray | None:
+        """Share (N,) that is left at speeds (N,) rad/s of friction which falls to the base model's as the speed grows;
+        None of any other effect."""
+        return None
 
     def goes_by_load(self, travel: float, nonlinear: tuple[float, ...]) -> bool:
         """Whether friction that grows with the weight of a joint which goes `travel` rad would look like it."""

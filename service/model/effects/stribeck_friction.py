@@ -30,7 +30,6 @@ class StribeckFriction(Effect):
     title = "More friction at low speed (sticking)"
     means = "Grease or preload of the gear: relubricate, check the seals; expect stick-slip in slow moves until then."
     dissipates = True
-    above_coulomb = True
     directional = True
     online = staticmethod(_online)
     own_nonlinear = True
@@ -38,5 +37,9 @@ class StribeckFriction(Effect):
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""
-        speed = scene.segment.theta_dot[:, joint]
-        return (scene.direction[:, joint] * np.exp(-((speed / nonlinear[0]) ** 2)))[:, None]
+        left = self.above_coulomb(scene.segment.theta_dot[:, joint], nonlinear)
+        return (scene.direction[:, joint] * left)[:, None]
+
+    def above_coulomb(self, theta_dot: np.ndarray, nonlinear: tuple[float, ...]) -> np.ndarray:
+        """(N,)."""
+        return np.exp(-((theta_dot / nonlinear[0]) ** 2))

@@ -88,6 +88,22 @@ def test_friction_that_grows_with_the_weight_is_told_from_a_tight_spot():
     assert found.verdict == "explained"
 
 
+def test_friction_that_levels_off_is_no_stribeck_friction():
+    """Rising as the arc tangent of speed, it was a Stribeck friction above a slow transition, at 100 %."""
+    runs = [two_axes(seed, 0.0, noise=0.02) for seed in (1, 2, 3)]
+    speeds = [np.gradient(run.position, PERIOD, axis=0) * [0.0, 1.0] for run in runs]
+
+    def more(rubs):
+        return [replace(run, torque=run.torque + rubs(v)) for run, v in zip(runs, speeds, strict=True)]
+
+    found = told(axes(), more(lambda v: 2.0 * np.arctan(v / 0.08)), ("stribeck_friction",))
+    assert found.effects == []
+    assert ("does_not_fall", [2]) in [(one.code, one.joints) for one in found.cannot_tell]
+    assert "would not fall as the speed grows" in " ".join(sentences(found))
+    falls = told(axes(), more(lambda v: direction(v) * np.exp(-((v / 0.2) ** 2))), ("stribeck_friction",))
+    assert [(effect.name, effect.joints) for effect in falls.effects] == [("stribeck_friction", [2])]
+
+
 def test_friction_over_a_part_of_a_turn_is_no_tight_spot_where_a_weight_may_cause_it():
     runs = [two_axes(seed, 0.0, weight=8.0, rubs=0.12) for seed in (1, 2, 3)]
     found = told(axes(), runs, ("position_dependent_friction",))

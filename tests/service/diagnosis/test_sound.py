@@ -75,6 +75,15 @@ def test_friction_that_falls_to_none_is_no_stribeck_friction(coulomb, viscous, n
     )
 
 
+@pytest.mark.parametrize(("transition", "code"), [(0.004, None), (0.03, None), (0.12, "does_not_fall")])
+def test_stribeck_friction_falls_by_at_least_half_of_itself(transition, code):
+    """3 tanh(v / w) + 1.5 tanh(v / w) exp(-(v / 0.1)^2) reaches 4.5, 3.9 and no more than 3 N m before it is 3."""
+    term = Term(EFFECTS["stribeck_friction"], (0,), np.array([[1.5]]), (0.1,))
+    hypothesis = Hypothesis(replace(BASE, transition=transition), (term,))
+    found = fault_of(logs(*[np.zeros_like(r.torque) for r in RUNS]), hypothesis, 0)
+    assert (found.code if found else None) == code
+
+
 @pytest.mark.parametrize("end", ["low", "high"])
 def test_a_shape_at_the_end_of_its_search_is_no_finding(end):
     made = logs(*[np.zeros_like(r.torque) for r in RUNS])
