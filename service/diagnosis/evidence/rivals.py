@@ -178,7 +178,7 @@ def _rivals(
         begun.append(set(before.names))
         for model in tried:
             names = set(model.names)
-            if names - found and not fallen & names:
+            if names - found and found - names and not fallen & names:
                 yield model, tuple(name for name in model.names if name not in found)
     for effect, fewer in refits.items():
         if set(fewer.names) not in begun:

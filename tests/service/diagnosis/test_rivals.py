@@ -134,6 +134,19 @@ def test_what_has_the_effect_too_is_no_rival_of_it():
     assert standings(found, NONE) == {"offset": Standing(NONE, 1.0, [], np.inf)}
 
 
+def test_what_was_tried_beside_a_name_and_not_taken_does_not_speak_for_it():
+    """A delay for a filter of the torque: with a filter beside it, hardly a delay any more, it left least, and was
+    sure."""
+    delay, true = model(ROWS, "delay"), model(ROWS, "filter")
+    path: list[tuple[list[Scored], Scored | None]] = [
+        ([delay, true], delay),
+        ([model(ROWS - 20.0, "delay", "filter")], None),
+    ]
+    (one,) = standings(Selection(NONE, delay, path, {}), NONE).values()
+    assert one.probability == pytest.approx(0.5)
+    assert one.confusable == ["filter"]
+
+
 @pytest.mark.parametrize(
     ("left", "alone", "probability", "confusable"),
     [
