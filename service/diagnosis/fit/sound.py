@@ -8,10 +8,12 @@ from typing import Literal
 import numpy as np
 
 from service.identification.fit import Problem
+from service.model.friction import direction
 from service.model.hypothesis import Hypothesis, Term
 
 ALIKE = 0.8  # of the variance of one curve that another has, from which they may be one
 FALLS = 0.5  # of a friction above Coulomb's, by which friction has to be less at higher speed
+SPEEDS = np.geomspace(1e-4, 1e2, 400)  # rad/s, at which that is looked at
 AT_LIMIT = 1e-6  # of a nonlinear parameter's range: so near to its end it stands there
 
 
@@ -35,11 +37,12 @@ def fault_of(problem: Problem, hypothesis: Hypothesis, given: int) -> Fault | No
             return Fault("by_weight", term)
         if any(_nothing_of(term, place) for place in range(len(term.amplitude))):
             return Fault("at_limit", term, next(iter(term.effect.amplitudes)))
-        above = [_above_coulomb(hypothesis, term, place) for place in range(len(term.joints))]
-        if any(base <= 0.0 for base, _ in above):
-            return Fault("at_limit", term, "coulomb_friction")
-        if any(fall < FALLS for _, fall in above):
-            return Fault("does_not_fall", term)
+        above = term.effect.above_coulomb(SPEEDS, term.nonlinear)
+        if above is not None:
+            if any(_frictionless(hypothesis, joint) for joint in term.joints):
+                return Fault("at_limit", term, "coulomb_friction")
+            if not all(_falls(hypothesis, term, place, above) for place in range(len(term.joints))):
+                return Fault("does_not_fall", term)
         for (name, searched), value in zip(term.effect.nonlinear.items(), term.nonlinear, strict=True):
             near = AT_LIMIT * (searched.high - searched.low)
             at_end = min(value - searched.low, searched.high - value) <= near
@@ -67,22 +70,19 @@ def _by_weight(problem: Problem, hypothesis: Hypothesis, term: Term, joint: int)
     return bool(np.corrcoef(friction, weight)[0, 1] > ALIKE**0.5)
 
 
-def _above_coulomb(hypothesis: Hypothesis, term: Term, place: int) -> tuple[float, float]:
-    """Of a friction above Coulomb's: what is left of the base model's on its joint, N m at 1 rad/s, which is none where
-    a lag of the command looks like less than none; and the share of it by which dry friction falls from where it is
-    most. One that rises all the way levels off over other speeds than the base model has it. (inf, inf) of others.
-    """
-    joint, base = term.joints[place], hypothesis.base
-    width = np.broadcast_to(base.transition, base.coulomb.shape)[joint]
-    speed = np.geomspace(1e-4, 1e2, 400)  # rad/s
-    share = term.effect.above_coulomb(speed, term.nonlinear)
-    if share is None:
-        return np.inf, np.inf
-    size = float(term.amplitude[place, 0])
-    turned = np.tanh(speed / width) if width > 0 else np.ones_like(speed)
-    dry = turned * (base.coulomb[joint] + size * share)
-    left = max(base.coulomb[joint], 0.0) + max(base.viscous[joint], 0.0)
-    return left, float(dry.max() - base.coulomb[joint]) / max(size, 1e-300)
+def _frictionless(hypothesis: Hypothesis, joint: int) -> bool:
+    """Whether none is left of the base model's friction, as where a lag of the command looks like less than none."""
+    return not hypothesis.base.coulomb[joint] > 0 and not hypothesis.base.viscous[joint] > 0
+
+
+def _falls(hypothesis: Hypothesis, term: Term, place: int, above: np.ndarray) -> bool:
+    """Whether dry friction falls from where it is most by enough of what is above Coulomb's. Where it rises all the
+    way it levels off over other speeds than the base model has it. above: share at `SPEEDS`."""
+    joint, base, size = term.joints[place], hypothesis.base, term.amplitude[place, 0]
+    transition = np.broadcast_to(base.transition, base.coulomb.shape)[joint]
+    turned = np.array([direction(speed, transition) for speed in SPEEDS])
+    dry = turned * (base.coulomb[joint] + size * above)
+    return bool(dry.max() - base.coulomb[joint] >= FALLS * size)
 
 
 def _nothing_of(term: Term, place: int) -> bool:
