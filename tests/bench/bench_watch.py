@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import resource
 import time
 from dataclasses import replace
@@ -163,12 +164,13 @@ def quiet(seed: int, minutes: float, gripper: bool) -> tuple[int, float]:
     noise = np.array(case.truth.torque_noise_nm)
     plant = Plant(case.robot, case.truth.model_copy(update={"torque_noise_nm": [0.0] * 3}), (), PERIOD, seed)
     watch, rng, alarms, spent, first = Watch(robot), np.random.default_rng(seed), 0, 0.0, 0
-    for piece in range(round(minutes * 60.0 / PIECE / TIMES)):
+    pieces = math.ceil(minutes * 60.0 / PIECE)  # as they are watched
+    for piece in range(math.ceil(pieces / TIMES)):
         motion = production(case, PIECE, seed + 1000 * piece)
         plant.set_payload(0.0)
         plant.reset(motion.position[0])
         clean = as_trace(motion, along(plant, motion, 0, round(PIECE / PERIOD)), gripper)
-        for _ in range(TIMES):
+        for _ in range(min(TIMES, pieces - piece * TIMES)):
             torque = clean.torque + noise * rng.standard_normal(clean.torque.shape)
             samples = replace(clean, torque=torque, time=clean.time + first * PERIOD).samples()
             samples["sequence"] += first
