@@ -71,12 +71,15 @@ class Signature:
         self.tangents = np.concatenate(every.tangents) / self.unit[:, None]
 
     def elsewhere(self, effect: Effect) -> float:
-        """Rms of what is left gives to the torque of `effect` elsewhere, over what the effect takes itself."""
+        """Rms of what is left gives to the torque of `effect` elsewhere, over what the effect takes itself; 1 where it
+        has no torque to hold that against."""
         mine, torque = self._of(effect)
         own = self._beside(self.tangents[:, ~mine], torque[:, None])
         others = self._beside(self.tangents, np.stack([*self._modulated(torque), *self._shifted(torque)], axis=1))
         square = np.sum(others**2, axis=0)
         told = square > TOLD * float(torque @ torque)
+        if not told.any():
+            return 1.0
         given = (self.residual @ others[:, told]) ** 2 / square[told]
         return float(np.sqrt(np.mean(given) / max(float(np.sum(own**2)), 1e-300)))
 

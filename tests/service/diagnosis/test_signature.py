@@ -57,6 +57,12 @@ def test_what_an_effect_takes_is_its_own_beside_a_stranger_on_another_joint():
     assert seen(logs("joint_spring", waves(2)), SPRING).elsewhere(SPRING.effect) < 0.05
 
 
+def test_what_does_nothing_is_not_its_own():
+    """A spring that was found to have no stiffness."""
+    made = logs("", waves(2))
+    assert Signature(made, Hypothesis(BASE, (SPRING,))).elsewhere(SPRING.effect) == 1.0
+
+
 def test_a_stand_in_takes_what_is_given_to_its_torque_at_other_times_as_well():
     def creeps(run, seed):
         return on(0, forgetful(run.motion[0][:, 0]))
