@@ -65,10 +65,10 @@ def earned(
     standings = rivals.standings(regressors, selection, best, refits, allows, explained)
     least = TOLD_APART if beside and not explained else -np.inf
     told = [effect for effect, one in standings.items() if one.probability < LIKELY or one.ahead < least]
-    for effect in told:
-        better = standings[effect].better
+    for effect, one in standings.items():
+        better = one.better if effect in told else one.simpler
         if better is not None and fault_of(problem, better.hypothesis, given) is None:
-            changed = _in_its_place(selection, best, standings[effect].without, better)
+            changed = _in_its_place(selection, best, one.without, better)
             return earned(regressors, changed, kept_out, allows, limit, untold)
     if told:
         fallen += [_fell("rivalled", effect, best, share=standings[effect].probability) for effect in told]

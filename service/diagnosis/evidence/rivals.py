@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -57,23 +58,27 @@ def comparisons(selection: Selection, split: Split, rows: int) -> list[ModelComp
     return result
 
 
-def shares(models: Sequence[Scored], gains: Sequence[float], split: Split, rows: int) -> list[float]:
+def shares(
+    models: Sequence[Scored], gains: Sequence[float], split: Split, rows: int, level: Sequence[int] = ()
+) -> list[float]:
     """Probability of each model: its Akaike weight, in the mean over bootstrap draws of the blocks of data left out.
 
     gains: squares, of as many models as there are: what the effects take in which it differs from the first. With more
     parameters than the first a model has to be ahead by a share of that, or counts as alike. Models after these lack an
-    effect, which has to be worth it. Where the best leaves more than noise, a difference counts by that.
+    effect, which has to be worth it. Where the best leaves more than noise, a difference counts by that. level: places
+    of models that count like the first, whatever they leave.
 
     Source: Burnham, Anderson: Model Selection and Multimodel Inference, 2002, sections 2.5 (lack of fit) and 2.9.
     """
     draw = np.random.default_rng(0).integers(0, split.blocks, (DRAWS, split.blocks))
     unit = max(1.0, min(float(model.blocks.sum()) for model in models) / rows)
-    sizes = np.array([model.fitted.tangents[0].shape[1] for model in models])
+    sizes = np.array([_size(model) for model in models])
     loss = np.stack([model.blocks[draw].sum(axis=1) for model in models])
     least = loss[0] - SIMPLER_SHARE * np.pad(gains, (0, len(models) - len(gains)))[:, None]
     alike = (sizes > sizes[0])[:, None] & (loss > least)
     loss = np.where(alike, np.maximum(loss, loss[0]), loss) / unit + 2.0 * sizes[:, None]
     loss[len(gains) :] -= LEAST_GAIN * rows
+    loss[list(level)] = loss[0]
     weight = np.exp(-0.5 * (loss - loss.min(axis=0)))
     return (weight / weight.sum(axis=0)).mean(axis=1).tolist()
 
@@ -102,33 +107,42 @@ def standings(
     given = len(selection.none.hypothesis.terms)
     seen = {}
     for model, instead in _rivals(regressors, selection, best, refits, allows):
-        seen.setdefault(frozenset((term.effect, term.joints) for term in model.hypothesis.terms), (model, instead))
+        where = frozenset(Counter(place for term in model.hypothesis.terms for place in _at(term)).items())
+        if where not in seen or model.loss < seen[where][0].loss:
+            seen[where] = model, instead
     rivals = list(seen.values())
     alike = [(one, instead) for model, instead in rivals for one in _alike(model, instead, regressors.split)]
-    apart = _weighed(regressors, best, [model for model, _ in rivals], refits, given)
-    every = _weighed(regressors, best, [model for model, _ in (*rivals, *alike)], refits, given) if alike else apart
+    others = [model for model, _ in rivals]
+    apart = every = _weighed(regressors, best, others, refits, given)
+    shared = [one for one, _ in alike]
+    level = _level(best, others, shared, refits, given, regressors.split)
+    if shared or level:
+        every = _weighed(regressors, best, [*others, *shared], refits, given, level)
     result = {}
     for effect, refit in refits.items():
         lacks = [place for place, (model, _) in enumerate(every) if effect.name not in model.names[given:]]
         told = [(), *(instead for _, instead in (*rivals, *alike)), *[()] * len(refits)]
         confusable = [name for place in lacks if every[place][1] >= CONFUSED for name in told[place]]
-        others = [one for one in apart[: 1 + len(rivals)] if effect.name not in one[0].names[given:]]
-        ahead = [z_score(model.blocks, best.blocks) for model, _ in others]
+        lacking = [one for one in apart[: 1 + len(rivals)] if effect.name not in one[0].names[given:]]
+        ahead = [z_score(model.blocks, best.blocks) for model, _ in lacking]
         better = [
             model
-            for model, chance in others
+            for model, chance in lacking
             if _one_more(model, refit) and (_told_better(model, best) or (explained and chance >= LIKELY))
         ]
-        sure, alone = (
+        alone = [every[place][0] for place in level if place in lacks and place <= len(rivals)]
+        simpler = [model for model in alone if _size(model) < _size(best)]
+        sure, even = (
             1.0 - sum(chance for model, chance in these if effect.name not in model.names[given:])
             for these in (every, apart)
         )
         result[effect] = Standing(
             refit,
-            max(sure, min(alone, LIKELY)),
+            max(sure, min(even, LIKELY)),
             list(dict.fromkeys(confusable)),
             min(ahead, default=np.inf),
             min(better, key=lambda model: model.loss, default=None),
+            min(simpler, key=lambda model: model.loss, default=None),
         )
     return result
 
@@ -139,8 +153,64 @@ def _alike(model: Scored, instead: Collection[str], split: Split) -> list[Scored
     return [one for number in mine if (one := in_common(model, number, split)) is not None]
 
 
+def _level(
+    best: Scored, rivals: Sequence[Scored], shared: Sequence[Scored], refits: Mapping[Effect, Scored], given: int,
+    split: Split,
+) -> list[int]:  # fmt: skip
+    """Places, in `best`, rivals, shared, of models with one figure for the whole robot, or the one that the last joint
+    lacked, in place of an effect of `best` that has, or may have, one for the whole robot: they have to lack a fiftieth
+    of what it takes to be told from it.
+
+    A mass at the platform is a scale of all torques, as far as friction, inertia and weight of the arms are found and
+    forearms and platform are taken as described; no description is as true as such a difference is small.
+    """
+    places = set()
+    for number, term in enumerate(best.hypothesis.terms):
+        fewer = refits.get(term.effect)
+        mine = best if _of_whole(term) else in_common(best, number, split)
+        if fewer is None or mine is None:
+            continue
+        most = best.loss + SIMPLER_SHARE * (fewer.loss - best.loss)
+        for place, model in enumerate((*rivals, *shared), 1) if mine.loss < most else ():
+            if term.effect.name in model.names[given:] or not _one_more(model, fewer):
+                continue
+            single = place > len(rivals) or _on_all(model, added(model, fewer)[0])
+            if single and model.loss < most and _size(model) <= _size(mine):
+                places.add(place)
+    return sorted(places)
+
+
+def _of_whole(term: Term) -> bool:
+    """Whether all that there is of it is one figure for the whole robot."""
+    return not term.joints and not term.nonlinear and term.amplitude.size == 1
+
+
+def _on_all(model: Scored, term: Term) -> bool:
+    """Whether a term of `model` is one figure for the whole robot, or the last of those that each joint has."""
+    mine = [one for one in model.hypothesis.terms if one.effect is term.effect]
+    joints = {joint for one in mine for joint in one.joints}
+    return _of_whole(term) or (
+        len(joints) == len(model.hypothesis.base.viscous)
+        and all(one.amplitude.shape[1] == 1 and not one.nonlinear for one in mine)
+    )
+
+
+def _size(model: Scored) -> int:
+    """How many parameters it has."""
+    return model.fitted.tangents[0].shape[1]
+
+
 def _names(terms: Sequence[Term]) -> tuple[str, ...]:
     return tuple(term.effect.name for term in terms)
+
+
+def _placed(model: Scored) -> set[tuple[Effect, int]]:
+    """Its effects, each where it sits."""
+    return set().union(*map(_at, model.hypothesis.terms))
+
+
+def _at(term: Term) -> set[tuple[Effect, int]]:
+    return {(term.effect, place) for place in term.places}
 
 
 def _one_more(model: Scored, fewer: Scored) -> bool:
@@ -153,9 +223,10 @@ def _told_better(model: Scored, best: Scored) -> bool:
 
 
 def _weighed(
-    regressors: Regressors, best: Scored, others: Sequence[Scored], refits: Mapping[Effect, Scored], given: int
-) -> list[tuple[Scored, float]]:
-    """`best`, others and refits, each with its probability among them."""
+    regressors: Regressors, best: Scored, others: Sequence[Scored], refits: Mapping[Effect, Scored], given: int,
+    level: Sequence[int] = (),
+) -> list[tuple[Scored, float]]:  # fmt: skip
+    """`best`, others and refits, each with its probability among them. level: places of those that count like it."""
     worth = {effect: float((refit.blocks - best.blocks).sum()) for effect, refit in refits.items()}
     full = [best, *others]
     gains = [
@@ -163,7 +234,8 @@ def _weighed(
         for model in full
     ]
     models = [*full, *refits.values()]
-    return list(zip(models, shares(models, gains, regressors.split, regressors.problem.count), strict=True))
+    chances = shares(models, gains, regressors.split, regressors.problem.count, level)
+    return list(zip(models, chances, strict=True))
 
 
 def _rivals(
@@ -171,17 +243,18 @@ def _rivals(
     allows: Callable[[Effect, int], bool],
 ) -> Iterator[tuple[Scored, tuple[str, ...]]]:  # fmt: skip
     """Models that lack an effect of `best` and none of what fell, with the effects that they have instead."""
-    found = set(best.names)
+    found, placed = set(best.names), _placed(best)
     fallen = set(selection.best.names) - found
     begun = []
     for before, tried, _ in selection.rounds():
-        begun.append(set(before.names))
+        begun.append(_placed(before))
         for model in tried:
             names = set(model.names)
-            if names - found and found - names and not fallen & names:
-                yield model, tuple(name for name in model.names if name not in found)
+            instead = [term for term in model.hypothesis.terms if not _at(term) <= placed]
+            if instead and found - names and not fallen & names:
+                yield model, _names(instead)
     for effect, fewer in refits.items():
-        if set(fewer.names) not in begun:
+        if _placed(fewer) not in begun:
             gain = fewer.loss - best.loss
             for model in _in_its_place(regressors, fewer, effect, NEAR * gain, allows):
                 yield model, _names(added(model, fewer))

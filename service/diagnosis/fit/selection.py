@@ -88,6 +88,7 @@ class Standing:
     """How a name stands against models that lack its effect. without: the best model refitted without it. probability:
     that it is at work. confusable: what may be in its place. ahead: standard errors over blocks that it is ahead of the
     next of what may be. better: the best model with another effect in its place, of those that are told to be better.
+    simpler: one with one figure for the whole robot in place of one on each joint that may be the same on all.
     """
 
     without: Scored
@@ -95,6 +96,7 @@ class Standing:
     confusable: list[str]
     ahead: float
     better: Scored | None = None
+    simpler: Scored | None = None
 
 
 @dataclass(frozen=True)

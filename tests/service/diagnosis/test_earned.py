@@ -262,6 +262,29 @@ def test_what_is_told_to_be_better_takes_the_place_of_what_was_taken_before_the_
         )  # fmt: skip
 
 
+@pytest.mark.parametrize("possible", [True, False])
+def test_what_is_simpler_and_as_good_takes_the_place_of_what_was_taken(monkeypatch, possible):
+    """And where it cannot be, what was taken stands."""
+    made = logs((1, 2, 3), "air_drag", "cogging")
+    taken, other = (chosen(made, RIPPLE, term).best for term in (OFFSET, DRAG))
+    found = Selection(chosen(made, RIPPLE).none, taken, [([taken], taken)], {})
+    asked = []
+
+    def standings(regressors, selection, best, refits, allows, explained):
+        asked.append(best.names)
+        simpler = {"torque_offset": other}
+        return {effect: Standing(refit, 0.5, [], np.inf, None, simpler.get(effect.name))
+                for effect, refit in refits.items()}  # fmt: skip
+
+    monkeypatch.setattr(judged.rivals, "standings", standings)
+    monkeypatch.setattr(judged, "fault_of", lambda *_: None if possible else "driven by its spring")
+    monkeypatch.setattr(judged, "_borne_out", lambda regressors, selection, best, *_: (
+        best, {term.effect: selection.none for term in best.hypothesis.terms}, []))  # fmt: skip
+    kept, fallen = judge(made, found)
+    assert asked == [taken.names, other.names] if possible else [taken.names]
+    assert (kept.names, fallen) == (other.names if possible else taken.names, [])
+
+
 def stood(
     made: Problem, found: Selection, monkeypatch, limit: float = 1e3, /, **chances: tuple[float, float]
 ) -> tuple[str, ...]:

@@ -33,10 +33,12 @@ SPLIT = split_of(4, ROWS // 4, BLOCKS // 4)
 
 def model(left: float, *names: str, size: int = 3, away: float = 0.0) -> Scored:
     """Leaves `left` squares, alike in all blocks but for `away` up and down."""
-    terms = tuple(stub(effect=named(name), joints=(0,)) for name in names)
+    alone = {"joints": (0,), "places": (0,), "amplitude": np.zeros((1, 1)), "nonlinear": ()}
+    terms = tuple(stub(effect=named(name), **alone) for name in names)
+    hypothesis = stub(terms=terms, base=stub(viscous=np.zeros(2)))
     return stub(  # pyright: ignore[reportReturnType]
-        names=names, hypothesis=stub(terms=terms), fitted=stub(tangents=[np.zeros((1, size))]), loss=left,
-        blocks=left / BLOCKS + np.tile([away, -away], BLOCKS // 2),
+        names=names, hypothesis=hypothesis, fitted=stub(hypothesis=hypothesis, tangents=[np.zeros((1, size))]),
+        loss=left, blocks=left / BLOCKS + np.tile([away, -away], BLOCKS // 2),
     )  # fmt: skip
 
 
@@ -167,6 +169,92 @@ def test_what_all_joints_may_have_alike_leaves_a_name_even(monkeypatch, left, al
     assert (made.ahead > 0) == (alone > 0), "by those that have a figure a joint"
 
 
+def whole(left: float, name: str, *, figures: int = 1, size: int = 3, nonlinear: tuple[float, ...] = ()) -> Scored:
+    """Of a mass at the platform, or what else the whole robot has one of, and not a joint."""
+    made = model(left, name, size=size)
+    made.hypothesis.terms[0].__dict__.update(joints=(), amplitude=np.zeros((1, figures)), nonlinear=nonlinear)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("taken", "left", "size", "told"),
+    [
+        (whole(ROWS, "mass"), 70.0, 3, False),
+        (whole(ROWS, "mass"), 74.0, 3, True),
+        (whole(ROWS, "mass"), 70.0, 4, True),
+        (whole(ROWS, "mass", figures=2), 70.0, 3, True),
+        (whole(ROWS, "mass", nonlinear=(1.0,)), 70.0, 3, True),
+        (model(ROWS, "mass"), 70.0, 3, True),
+    ],
+)
+def test_a_mass_is_told_from_a_scale_of_all_torques_by_a_fiftieth_of_what_it_takes(
+    monkeypatch, taken, left, size, told
+):
+    """left: squares that one scale for all leaves more, of 3600 that the mass takes."""
+    other, shared = model(ROWS + 400.0, "scale", away=1e-3), model(ROWS + left, "scale", size=size)
+    monkeypatch.setattr(evidence, "in_common", lambda one, number, split: shared if one is other else None)
+    made = standings(Selection(NONE, taken, [([taken, other], taken)], {}), NONE)["mass"]
+    assert (made.probability, made.confusable) == ((pytest.approx(1.0), []) if told else (0.5, ["scale"]))
+    assert made.simpler is None
+
+
+@pytest.mark.parametrize(
+    ("rival", "shared", "told"),
+    [
+        (whole(ROWS + 70.0, "mass"), 70.0, False),
+        (whole(ROWS + 74.0, "mass"), 70.0, True),
+        (whole(ROWS + 70.0, "mass"), 74.0, True),  # one scale for all does worse: the joints' scales differ
+        (whole(ROWS + 70.0, "mass", size=4), 70.0, True),
+        (model(ROWS + 70.0, "mass"), 70.0, True),  # of one joint
+        (None, 70.0, True),
+    ],
+)
+def test_a_scale_of_all_torques_is_told_from_a_mass_by_a_fiftieth_of_what_it_takes(monkeypatch, rival, shared, told):
+    """shared: squares that one scale for all leaves more than one for each."""
+    taken, alike = model(ROWS, "scale", size=5), model(ROWS + shared, "scale")
+    monkeypatch.setattr(evidence, "in_common", lambda one, number, split: alike if one is taken else None)
+    tried = [taken] if rival is None else [taken, rival]
+    made = standings(Selection(NONE, taken, [(tried, taken)], {}), NONE)["scale"]
+    assert (made.probability, made.confusable) == ((pytest.approx(1.0), []) if told else (0.5, ["mass"]))
+    assert made.simpler is (None if told else rival)
+
+
+@pytest.mark.parametrize(
+    ("joints", "figures", "nonlinear", "told"),
+    [((0,), 1, (), False), ((1,), 1, (), True), ((0,), 2, (), True), ((0,), 1, (1.0,), True)],
+)
+def test_a_mass_is_told_from_the_scale_that_the_last_joint_lacked_by_a_fiftieth_of_what_it_takes(
+    monkeypatch, joints, figures, nonlinear, told
+):
+    """joints: of two, that another scale beside the first one's is offered on."""
+    monkeypatch.setattr(evidence, "in_common", lambda *_: None)
+    monkeypatch.setattr(evidence, "_in_its_place", lambda *_: [])
+    both, other, fewer = model(ROWS, "scale", "mass"), model(ROWS + 70.0, "scale", "scale"), model(4000.0, "scale")
+    mass = both.hypothesis.terms[1]
+    for term, sits in ((both.hypothesis.terms[0], (1,)), (fewer.hypothesis.terms[0], (1,)), (mass, ()),
+                       (other.hypothesis.terms[0], (1,)), (other.hypothesis.terms[1], joints)):  # fmt: skip
+        term.__dict__.update(joints=sits, places=sits or (0,))
+    other.hypothesis.terms[1].__dict__.update(amplitude=np.zeros((1, figures)), nonlinear=nonlinear)
+    made = standings(Selection(NONE, both, [([both, other], both)], {}), model(4000.0, "mass"), fewer)["mass"]
+    assert (made.probability, made.confusable) == ((pytest.approx(1.0), []) if told else (0.5, ["scale"]))
+    assert made.simpler is None, "it has as many figures"
+
+
+@pytest.mark.parametrize("better", [0, 1])
+def test_a_model_that_was_found_in_two_ways_counts_once(monkeypatch, better):
+    """A figure on each of two joints, found at once or one after the other."""
+    monkeypatch.setattr(evidence, "in_common", lambda *_: None)
+    taken = model(ROWS, "taken")
+    ways = [model(ROWS + 2.0, "other"), model(ROWS + 2.0, "other", "other")]
+    ways[better].blocks[:] -= 2.0 / BLOCKS
+    ways[better].__dict__["loss"] = ROWS
+    for way, joints in zip(ways, (((0, 1),), ((1,), (0,))), strict=True):
+        for term, sits in zip(way.hypothesis.terms, joints, strict=True):
+            term.__dict__.update(joints=sits, places=sits)
+    made = standings(Selection(NONE, taken, [([taken, *ways], taken)], {}), NONE)["taken"]
+    assert (made.probability, made.confusable) == (pytest.approx(0.5), ["other"])
+
+
 def test_one_figure_for_all_joints_is_asked_of_what_is_in_its_place_wherever_that_stands(monkeypatch):
     """What both models have would have one figure in both."""
     asked = []
@@ -179,7 +267,8 @@ def test_one_figure_for_all_joints_is_asked_of_what_is_in_its_place_wherever_tha
     both = model(ROWS, "shared", "taken")
     one, two = model(ROWS, "shared", "other"), model(ROWS, "other", "more", "shared")
     standings(Selection(NONE, both, [([both, one, two], both)], {}), model(900.0, "shared"), model(900.0, "taken"))
-    assert asked == [(one.names, "other"), (two.names, "other"), (two.names, "more")]
+    beside = [(one.names, "other"), (two.names, "other"), (two.names, "more")]
+    assert asked == [*beside, (both.names, "shared"), (both.names, "taken")], "what was found may have one too"
 
 
 def test_a_name_that_led_while_others_were_in_the_gap_is_asked_again_beside_them(monkeypatch):
@@ -205,6 +294,29 @@ def test_a_name_that_led_while_others_were_in_the_gap_is_asked_again_beside_them
     assert made["later"].probability == pytest.approx(1.0)
     assert made["later"].confusable == []
     assert made["later"].ahead > 10.0
+
+
+@pytest.mark.parametrize(("joints", "again"), [((0,), []), ((0, 1), ["in question"])])
+def test_a_name_is_asked_again_beside_what_has_gained_a_joint_since(monkeypatch, joints, again):
+    """Mass at the platform beside friction on two joints, and the third's later: a scale of all torques was behind it
+    before, as it could not make up for that friction, and is as good beside all."""
+
+    def wider(scored: Scored) -> Scored:
+        for term in scored.hypothesis.terms:
+            if term.effect.name == "friction":
+                term.__dict__.update(joints=joints, places=joints)
+        return scored
+
+    asked = []
+    monkeypatch.setattr(evidence, "in_common", lambda *_: None)
+    monkeypatch.setattr(
+        evidence, "_in_its_place", lambda regressors, fewer, effect, *_: asked.append(effect.name) or ()
+    )
+    began, taken = model(2000.0, "friction"), model(900.0, "friction", "in question")
+    best = wider(model(ROWS, "friction", "in question"))
+    found = Selection(NONE, best, [([began], began), ([taken], taken)], {})
+    standings(found, model(2500.0, "in question"), wider(model(1500.0, "friction")))
+    assert asked == ["friction", *again]
 
 
 @pytest.mark.parametrize(
