@@ -27,6 +27,8 @@ MOST_OF_REST = 0.6  # of what was still above the noise when it was added, and
 LEAST_BESIDE = 0.12  # more than what a strong effect's own model leaves, which passes for noise
 LEAST_SHARE_OF_REST = 0.25  # of the same, or of what is `FAR_ABOVE`, if that is less
 LEAST_Z = 3.0  # standard errors over blocks
+MOST_CHANCE = 12.0  # squares, in units of the noise, that a joint's part of an effect has to be worth, and
+LEAST_SHARE_OF_JOINT = 0.02  # of what the effect takes on all of its joints
 SIMPLER_SHARE = 0.02  # of a gain that a hypothesis with fewer parameters may lack
 TOLD_APART = 2.0  # standard errors over blocks between two hypotheses
 ROUGH_PROMISE = 0.7  # of the cost: a rough effect that does not get below it is not refined
@@ -342,7 +344,12 @@ def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int
         if not worth(best.blocks, trial.blocks, none.blocks, rows, problem.most):
             best = trial
     for term in best.hypothesis.terms[given:]:
-        for joint in term.joints if len(term.joints) > 1 else ():
+        if len(term.joints) < 2:
+            continue
+        others = tuple(t for t in best.hypothesis.terms if t.effect is not term.effect)
+        bare = score(fit(problem, replace(best.hypothesis, terms=others)), split) if others else none
+        chance = max(MOST_CHANCE, LEAST_SHARE_OF_JOINT * (bare.loss - best.loss))
+        for joint in term.joints:
             current = next((t for t in best.hypothesis.terms if t.effect is term.effect), None)
             if current is None or len(current.joints) < 2:
                 continue
@@ -350,6 +357,6 @@ def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int
             smaller = replace(current, joints=tuple(current.joints[i] for i in keep), amplitude=current.amplitude[keep])
             swapped = tuple(smaller if t is current else t for t in best.hypothesis.terms)
             trial = score(fit(problem, replace(best.hypothesis, terms=swapped), iterations=2), split)
-            if trial.loss - best.loss < max(12.0, 0.02 * max(none.loss - best.loss, 0.0)):
+            if trial.loss - best.loss < chance:
                 best = trial
     return best
