@@ -54,7 +54,7 @@ def earned(
     gone = [effect for effect in _effects(best, given) if effect.name in untold]
     if gone:
         fallen += [_fell("rivalled", effect, best) for effect in gone]
-        best = without(problem, regressors.split, selection, best, *gone)
+        best = without(problem, regressors.split, selection.none, best, *gone)
     best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside)
     fallen += fell
     if refits and problem.recordings[0].mechanism.kind == "chain":
@@ -72,7 +72,7 @@ def earned(
             return earned(regressors, changed, kept_out, allows, limit, untold)
     if told:
         fallen += [_fell("rivalled", effect, best, share=standings[effect].probability) for effect in told]
-        best = without(regressors.problem, regressors.split, selection, best, *told)
+        best = without(regressors.problem, regressors.split, selection.none, best, *told)
         best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside)
         fallen += fell
     kept = _cut(selection, best) if fallen else selection
@@ -99,20 +99,20 @@ def _its_own(regressors: Regressors, selection: Selection, beside: bool) -> tupl
         gone = [effect for effect in _effects(best, given) if bare.left_open(effect, problem.fields) > OWN_ELSEWHERE]
         if gone:
             fallen += [_fell("rivalled", effect, best) for effect in gone]
-            best = without(problem, split, selection, best, *gone)
+            best = without(problem, split, selection.none, best, *gone)
     signature = Signature(problem, best.hypothesis)
     if signature.goes_by_place() > GOES_BY_PLACE:
         gone = [effect for effect in _effects(best, given) if signature.by_place(effect) > OWN_ELSEWHERE]
         if gone:
             fallen.append(Caution(code="by_place", advice="look_there"))
-            best = without(problem, split, selection, best, *gone)
+            best = without(problem, split, selection.none, best, *gone)
             signature = Signature(problem, best.hypothesis)
     share = signature.goes_by_scale()
     if share > GOES_BY_SCALE:
         gone = [effect for effect in _effects(best, given) if signature.by_scale(effect) > OWN_ELSEWHERE]
         fallen.append(Caution(code="by_scale", share=min(share, 1.0), advice="log_warm"))
         if gone:
-            best = without(problem, split, selection, best, *gone)
+            best = without(problem, split, selection.none, best, *gone)
     while beside and (effects := _effects(best, given)):
         signature = Signature(problem, best.hypothesis)
         asked = {effect: _stands_in(signature, effect) for effect in effects}
@@ -121,7 +121,7 @@ def _its_own(regressors: Regressors, selection: Selection, beside: bool) -> tupl
         if over < 1.0:
             break
         fallen.append(_fell(code, worst, best, share=share))
-        best = without(problem, split, selection, best, worst)
+        best = without(problem, split, selection.none, best, worst)
     return best, fallen
 
 
@@ -141,7 +141,7 @@ def _borne_out(
     while True:
         refits = {}
         for effect in _effects(best, given):
-            refits[effect] = fewer = without(problem, split, selection, best, effect)
+            refits[effect] = fewer = without(problem, split, selection.none, best, effect)
             caution = (
                 _open(best, split, effect)
                 or (None if beside else _varies(problem, best, effect))
@@ -172,7 +172,7 @@ def _where_joints_are(
     if not gone:
         return best, refits, []
     fallen = [_fell("rivalled", effect, best) for effect in gone]
-    best = without(problem, split, selection, best, *gone)
+    best = without(problem, split, selection.none, best, *gone)
     joint, loss = min(((j, placement.beside(best, j)) for j in range(len(problem.sigma))), key=lambda item: item[1])
     share = min((best.loss - loss) / max(best.loss - problem.count, 1e-9), 1.0)
     if share > MISPLACED:

@@ -21,6 +21,7 @@ from service.diagnosis.fit.selection import (
     added,
     fit_added,
     score,
+    size,
     z_score,
 )
 from service.diagnosis.fit.sound import fault_of
@@ -72,7 +73,7 @@ def shares(
     """
     draw = np.random.default_rng(0).integers(0, split.blocks, (DRAWS, split.blocks))
     unit = max(1.0, min(float(model.blocks.sum()) for model in models) / rows)
-    sizes = np.array([_size(model) for model in models])
+    sizes = np.array([size(model) for model in models])
     loss = np.stack([model.blocks[draw].sum(axis=1) for model in models])
     least = loss[0] - SIMPLER_SHARE * np.pad(gains, (0, len(models) - len(gains)))[:, None]
     alike = (sizes > sizes[0])[:, None] & (loss > least)
@@ -131,7 +132,7 @@ def standings(
             if _one_more(model, refit) and (_told_better(model, best) or (explained and chance >= LIKELY))
         ]
         alone = [every[place][0] for place in level if place in lacks and place <= len(rivals)]
-        simpler = [model for model in alone if _size(model) < _size(best)]
+        simpler = [model for model in alone if size(model) < size(best)]
         sure, even = (
             1.0 - sum(chance for model, chance in these if effect.name not in model.names[given:])
             for these in (every, apart)
@@ -175,7 +176,7 @@ def _level(
             if term.effect.name in model.names[given:] or not _one_more(model, fewer):
                 continue
             single = place > len(rivals) or _on_all(model, added(model, fewer)[0])
-            if single and model.loss < most and _size(model) <= _size(mine):
+            if single and model.loss < most and size(model) <= size(mine):
                 places.add(place)
     return sorted(places)
 
@@ -193,11 +194,6 @@ def _on_all(model: Scored, term: Term) -> bool:
         len(joints) == len(model.hypothesis.base.viscous)
         and all(one.amplitude.shape[1] == 1 and not one.nonlinear for one in mine)
     )
-
-
-def _size(model: Scored) -> int:
-    """How many parameters it has."""
-    return model.fitted.tangents[0].shape[1]
 
 
 def _names(terms: Sequence[Term]) -> tuple[str, ...]:

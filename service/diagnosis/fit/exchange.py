@@ -20,6 +20,7 @@ from service.diagnosis.fit.selection import (
     fit_added,
     pruned,
     score,
+    size,
     without,
     worth,
 )
@@ -57,7 +58,7 @@ def exchanged(
         ]
         if not tried:
             continue
-        tried.sort(key=lambda scored: scored.loss + 2 * scored.fitted.tangents[0].shape[1])
+        tried.sort(key=lambda scored: scored.loss + 2 * size(scored))
         kept = pruned(problem, regressors.split, tried[0], selection.none, problem.count, given)
         if len(set(kept.names[given:])) > MOST_EFFECTS or _left(problem, kept) > limit:
             continue
@@ -73,7 +74,7 @@ def _fewer(regressors: Regressors, selection: Selection, *counts: int) -> Iterat
     effects = list(dict.fromkeys(term.effect for term in best.hypothesis.terms[given:]))
     for count in counts:
         for gone in itertools.combinations(effects, count):
-            yield without(regressors.problem, regressors.split, selection, best, *gone) if gone else best
+            yield without(regressors.problem, regressors.split, selection.none, best, *gone) if gone else best
 
 
 def _tried(

@@ -233,15 +233,16 @@ def _sound_first(
     return order(sound) if sound else ordered, faults[0] if found else None
 
 
+def size(scored: Scored) -> int:
+    """How many parameters it has."""
+    return scored.fitted.tangents[0].shape[1]
+
+
 def simplest_first(tried: list[Scored], without: Scored) -> list[Scored]:
     """Best first; but of those that the data do not tell from the best, the one with the fewest parameters leads.
 
     A scale on every joint is a mass on the platform with two parameters more, a spring a constant torque with one.
     """
-
-    def size(scored: Scored) -> int:
-        return scored.fitted.tangents[0].shape[1]
-
     ordered = sorted(tried, key=lambda scored: scored.loss + 2 * size(scored))
     best = ordered[0]
     most = SIMPLER_SHARE * (without.loss - best.loss)
@@ -316,11 +317,11 @@ def _its_own(problem: Problem, candidate: Scored, without: Scored) -> bool:
     return all(OWN * signature.elsewhere(effect) < 1.0 for effect in new)
 
 
-def without(problem: Problem, split: Split, selection: Selection, best: Scored, *effects: Effect) -> Scored:
-    """The hypothesis refitted without some effects."""
+def without(problem: Problem, split: Split, none: Scored, best: Scored, *effects: Effect) -> Scored:
+    """`best` refitted without some effects. none: without all that were found."""
     terms = tuple(term for term in best.hypothesis.terms if term.effect not in effects)
-    if len(terms) == len(selection.none.hypothesis.terms):
-        return selection.none
+    if len(terms) == len(none.hypothesis.terms):
+        return none
     return score(fit(problem, replace(best.hypothesis, terms=terms)), split)
 
 
@@ -339,16 +340,14 @@ def spread(problem: Problem, split: Split, best: Scored) -> Scored:
 def pruned(problem: Problem, split: Split, best: Scored, none: Scored, rows: int, given: int) -> Scored:
     """Drop whole effects, then single joints of effects, that the others make superfluous."""
     for effect in dict.fromkeys(term.effect for term in best.hypothesis.terms[given:-1]):
-        fewer = tuple(t for t in best.hypothesis.terms if t.effect is not effect)
-        trial = score(fit(problem, replace(best.hypothesis, terms=fewer)), split)
+        trial = without(problem, split, none, best, effect)
         if not worth(best.blocks, trial.blocks, none.blocks, rows, problem.most):
             best = trial
     for term in best.hypothesis.terms[given:]:
         if len(term.joints) < 2:
             continue
-        others = tuple(t for t in best.hypothesis.terms if t.effect is not term.effect)
-        bare = score(fit(problem, replace(best.hypothesis, terms=others)), split) if others else none
-        chance = max(MOST_CHANCE, LEAST_SHARE_OF_JOINT * (bare.loss - best.loss))
+        gain = without(problem, split, none, best, term.effect).loss - best.loss
+        chance = max(MOST_CHANCE, LEAST_SHARE_OF_JOINT * gain)
         for joint in term.joints:
             current = next((t for t in best.hypothesis.terms if t.effect is term.effect), None)
             if current is None or len(current.joints) < 2:

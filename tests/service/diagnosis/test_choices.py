@@ -240,7 +240,8 @@ def test_a_joint_goes_that_is_worth_no_more_than_chance_or_a_fiftieth(monkeypatc
     monkeypatch.setattr(selection, "score", scored)
     monkeypatch.setattr(selection, "worth", lambda *_: True)
     best, none = stub(hypothesis=Hypothesis(BASE, terms), loss=100.0, blocks=np.full(8, 12.5)), 100.0 + gain + beside
-    left = selection.pruned(stub(most=1.0), stub(), best, stub(loss=none, blocks=np.full(8, none / 8)), 80, 0)
+    plain = stub(hypothesis=Hypothesis(BASE), loss=none, blocks=np.full(8, none / 8))
+    left = selection.pruned(stub(most=1.0), stub(), best, plain, 80, 0)
     *_, term = left.hypothesis.terms
     assert term.joints == joints
     assert term.amplitude.tolist() == [[1.0], [2.0], [3.0]][: len(joints)]

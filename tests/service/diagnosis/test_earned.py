@@ -281,7 +281,7 @@ def test_what_is_simpler_and_as_good_takes_the_place_of_what_was_taken(monkeypat
     monkeypatch.setattr(judged, "_borne_out", lambda regressors, selection, best, *_: (
         best, {term.effect: selection.none for term in best.hypothesis.terms}, []))  # fmt: skip
     kept, fallen = judge(made, found)
-    assert asked == [taken.names, other.names] if possible else [taken.names]
+    assert asked == ([taken.names, other.names] if possible else [taken.names])
     assert (kept.names, fallen) == (other.names if possible else taken.names, [])
 
 
