@@ -19,10 +19,11 @@ class DocumentPart(BaseModel):
 
 
 class Online(DocumentPart):
-    """Whether the online model carries an effect: from the present sample, or in its settings; or why it does not."""
+    """Whether the online model carries an effect: from the present sample, as a state from sample to sample, in its
+    settings, or between the torque and its report; or that it does not."""
 
     carried: bool
-    reason: Literal["present_sample", "settings", "of_the_measurement", "no_online_form"]
+    reason: Literal["present_sample", "state", "settings", "report", "no_online_form"]
 
 
 CautionCode = Literal[

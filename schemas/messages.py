@@ -50,6 +50,7 @@ class SampleFlag(enum.IntFlag):
     FADING = 2048  # of a feed-forward: no usable motion, the last torque is on its way to zero
     FRICTION_HELD = 4096  # of a feed-forward: what was learnt of friction, which is in it, is held at its bound
     LOADED = 8192  # something is carried whose mass is not known: not the robot's own torque
+    STATE_NEW = 16384  # of a result: what effects remember (gears, bristles) starts over, and is unsure for a while
 
 
 class Gripper(enum.IntEnum):
@@ -124,6 +125,7 @@ class HealthFlag(enum.IntFlag):
     FRICTION_DRIFT = 256  # friction is further from the identified one than the robot description allows
     COMMAND_REFUTED = 512  # the drives do not do what torque_command says, as identified: masses are weighed without it
     SCALE_DRIFT = 1024  # a torque constant is further from the identified one than the robot description allows
+    EFFECT_LEFT_OUT = 2048  # the description names an effect that the online model does without
     STOPPED = 128  # the last word of this role; `reason` says why
 
 

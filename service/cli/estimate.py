@@ -30,20 +30,15 @@ def command(
     from replay.realtime import go_realtime
     from schemas.messages import Role
     from schemas.robot import load_robot
-    from service.estimator.effects import carried
     from service.estimator.estimator import Estimator
     from service.estimator.keep import Keeper
     from service.estimator.node import run
-    from service.model.description import terms_of
 
     description = load_robot(robot, effects)
     if description.identified is None:
         typer.echo(
             f"{robot}: no [identified] parameters: friction is zero and rho 1; run `deltatwin identify`", err=True
         )
-    left_out = [term.effect.name for term in terms_of(description) if not carried(term.effect)]
-    if left_out:
-        typer.echo(f"{robot}: the online model does not carry {', '.join(left_out)}", err=True)
     keeper = None if keep is None else Keeper(keep, description)
     check_free(description.name, Role.ESTIMATOR, zenoh_config, insecure)
     typer.echo("estimate: starting; a first run compiles, about half a minute", err=True)

@@ -1,13 +1,15 @@
-"""The named effects of a robot description inside the online step: those whose torque follows from the present sample,
-and those that change the model itself.
+"""The named effects of a robot description inside the online step.
 
-What needs the past of the motor (backlash, elasticity, presliding) or belongs to the measurement alone (delay, filter
-of the reported torque) is not carried: `carried` says which are.
+An effect declares in its own file what it is here: a torque from the present sample, with a memory of its own where it
+needs the past (`online`, `memory`); a true angle in place of the measured one (`encoder`); a gear between motor and link
+(`Transmission`); a part of the way from the torque that acts to the one that is reported (`read_out`); or a change of
+the model itself (`correct`). `carried` says whether there is any of these.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -16,15 +18,24 @@ from schemas.kernels import kernel
 from schemas.robot import Robot
 from service.model.description import terms_of
 from service.model.effects import CATALOGUE
-from service.model.effects.base import Effect
+from service.model.effects.base import Effect, Readout
+from service.model.effects.transmission import Transmission
 from service.model.hypothesis import Term, correction_of
 from service.model.nominal import pack
 
 MAX_EFFECTS = 12
 _AMPLITUDES, _NONLINEAR = 4, 2
 
-_ONLINE = {effect.name: effect.online for effect in CATALOGUE if effect.online is not None}
-_NUMBER = {name: number for number, name in enumerate(_ONLINE)}
+# A form's number in the record of an effect: torques without a memory, torques with one, encoders.
+_INSTANT = {effect.name: effect.online for effect in CATALOGUE if effect.online is not None and not effect.memory}
+_REMEMBERING = {effect.name: effect.online for effect in CATALOGUE if effect.online is not None and effect.memory}
+_ENCODERS = {effect.name: effect.encoder for effect in CATALOGUE if effect.encoder is not None}
+_FORMS = _INSTANT | _REMEMBERING | _ENCODERS
+_NUMBER = {name: number for number, name in enumerate(_FORMS)}
+_BY_LOAD = {effect.name for effect in CATALOGUE if effect.by_load}
+
+# What effects carry from sample to sample: of each effect and joint.
+MEMORY = (MAX_EFFECTS, 3, max(effect.memory for effect in CATALOGUE))
 
 EFFECT = np.dtype(
     [
@@ -37,13 +48,48 @@ EFFECT = np.dtype(
 )
 
 
+Form = Literal["present_sample", "state", "settings", "report", "no_online_form"]
+
+
+def form_of(effect: Effect) -> Form:
+    """How the online model has the effect: from the present sample, as a state from sample to sample, in its settings,
+    or between the torque that acts and its report."""
+    kind = type(effect)
+    if isinstance(effect, Transmission) or effect.name in _REMEMBERING:
+        return "state"
+    if effect.name in _FORMS:
+        return "present_sample"
+    if kind.correct is not Effect.correct:
+        return "settings"
+    return "report" if kind.read_out is not Effect.read_out else "no_online_form"
+
+
 def carried(effect: Effect) -> bool:
     """Whether the online model has the effect."""
-    return effect.name in _ONLINE or _in_settings(effect)
+    return form_of(effect) != "no_online_form"
 
 
-def _in_settings(effect: Effect) -> bool:
-    return type(effect).correct is not Effect.correct
+def remembers(terms: Sequence[Term]) -> bool:
+    """Whether one of the effects carries a state from sample to sample."""
+    return any(term.effect.memory or isinstance(term.effect, Transmission) for term in terms)
+
+
+def has_encoders(terms: Sequence[Term]) -> bool:
+    """Whether one of the effects makes true angles of the measured ones."""
+    return any(term.effect.name in _ENCODERS for term in terms)
+
+
+def goes_by_load(terms: Sequence[Term]) -> bool:
+    """Whether one of the effects depends on the load of the gears."""
+    return any(term.effect.name in _BY_LOAD for term in terms)
+
+
+def readout_of(terms: Sequence[Term]) -> Readout:
+    """What lies between the torque that acts and the one that is reported."""
+    readout = Readout()
+    for term in terms:
+        term.effect.read_out(readout, term.nonlinear)
+    return readout
 
 
 def pack_effects(terms: Sequence[Term]) -> np.ndarray:
@@ -54,7 +100,7 @@ def pack_effects(terms: Sequence[Term]) -> np.ndarray:
     """
     records = np.zeros(MAX_EFFECTS, EFFECT)
     records["number"] = -1
-    kept = [term for term in terms if term.effect.name in _ONLINE]
+    kept = [term for term in terms if term.effect.name in _FORMS]
     if len(kept) > MAX_EFFECTS:
         raise RobotError(f"effect: {len(kept)} tables, the online model has room for {MAX_EFFECTS}")
     for record, term in zip(records, kept, strict=False):
@@ -76,31 +122,77 @@ def corrected(robot: Robot) -> tuple[Robot, np.ndarray, np.ndarray]:
     return correction.geometry(robot), (drawn + correction.length) / drawn, correction.scale
 
 
-def _dispatcher():
+def _dispatcher(forms, arguments: str, otherwise: str):
     """One compiled function that runs the form an effect's number stands for.
 
     Written out as a chain of comparisons, which the compiler turns into a jump and inlines; a table of function
     pointers could be neither inlined nor kept in Numba's cache.
     """
-    lines = ["def online(effect, now, i):"]
-    for number in range(len(_ONLINE)):
-        lines += [f"    if effect.number == {number}:", f"        return form_{number}(effect, now, i)"]
-    forms = {f"form_{number}": form for number, form in enumerate(_ONLINE.values())}
+    lines = [f"def online({arguments}):"]
+    for name in forms:
+        lines += [f"    if effect.number == {_NUMBER[name]}:", f"        return {name}({arguments})"]
     scope = {"__name__": __name__, **forms}
-    exec(compile("\n".join([*lines, "    return 0.0"]), __file__, "exec"), scope)
+    exec(compile("\n".join([*lines, f"    return {otherwise}"]), __file__, "exec"), scope)
     return kernel(scope["online"])
 
 
-_online = _dispatcher()
+_instant = _dispatcher(_INSTANT, "effect, now, i", "0.0")
+_remembering = _dispatcher(_REMEMBERING, "effect, now, i, memory", "0.0")
+_encoder = _dispatcher(_ENCODERS, "effect, gear_ratio, i, motion", "None")
 
 
 @kernel
 def effects_kernel(effects, now, torque):
-    """Add the effects' torque at the Instant `now` to `torque` (3,), N m, which holds the base model's."""
+    """Add the effects' torque at the Instant `now` to `torque` (3,), N m, which holds the base model's; but of those
+    that remember."""
     for n in range(MAX_EFFECTS):
         effect = effects[n]
         if effect.number < 0:
             break
         for i in range(3):
             if effect.joint[i] != 0:
-                torque[i] += _online(effect, now, i)
+                torque[i] += _instant(effect, now, i)
+
+
+@kernel
+def remembering_kernel(effects, now, memory, torque):
+    """The same of those that do. memory: as MEMORY."""
+    for n in range(MAX_EFFECTS):
+        effect = effects[n]
+        if effect.number < 0:
+            break
+        for i in range(3):
+            if effect.joint[i] != 0:
+                torque[i] += _remembering(effect, now, i, memory[n, i])
+
+
+@kernel
+def encoder_kernel(effects, gear_ratio, motion):
+    """True angles, speeds and accelerations of the measured ones, in place: motion (3, 3), a row an order."""
+    for n in range(MAX_EFFECTS):
+        effect = effects[n]
+        if effect.number < 0:
+            break
+        for i in range(3):
+            if effect.joint[i] != 0:
+                _encoder(effect, gear_ratio, i, motion)
+
+
+@kernel
+def _true_batch(effects, gear_ratio, measured, angles):
+    motion = np.zeros((3, 3))
+    for n in range(len(measured)):
+        for i in range(3):
+            motion[0, i] = measured[n, i]
+            motion[1, i] = motion[2, i] = 0.0
+        encoder_kernel(effects, gear_ratio, motion)
+        for i in range(3):
+            angles[n, i] = motion[0, i]
+
+
+def true_angles(effects: np.ndarray, gear_ratio: float, measured: np.ndarray) -> np.ndarray:
+    """True angles of measured ones, (..., 3) rad. effects: as `pack_effects`."""
+    rows = np.ascontiguousarray(measured, float).reshape(-1, 3)
+    angles = np.empty_like(rows)
+    _true_batch(effects, gear_ratio, rows, angles)
+    return angles.reshape(np.shape(measured))

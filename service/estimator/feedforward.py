@@ -9,12 +9,15 @@ import numpy as np
 from schemas.kernels import kernel
 from schemas.messages import FeedforwardSource, SampleFlag
 from service.estimator import departure
-from service.estimator.effects import effects_kernel
+from service.estimator.branch import ANSWERED, MEASURED, wake_kernel
+from service.estimator.effects import effects_kernel, encoder_kernel, remembering_kernel
 from service.estimator.kalman import ACCELERATION, POSITION, VELOCITY
-from service.estimator.stream import COMMAND_ACCELERATION, SETTLE_TIME, coast_cycles
+from service.estimator.stream import COMMAND_ACCELERATION, SETTLE_TIME, STATE_NEW, coast_cycles
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, terms_kernel
 from service.model.effects.base import Instant
+from service.model.forward import mass_kernel
 from service.model.friction import ball_joint_kernel, direction, friction_kernel
+from service.model.gears import advance_kernel, doubt_kernel, through_kernel
 from service.model.kinematics import REACHED
 
 REFERENCE_AHEAD = 8  # cycles, planned motion further ahead is not for the next cycles
@@ -22,6 +25,7 @@ REFERENCE_DISTANCE = 0.3  # rad, beyond what a joint moves until then: a plan fo
 
 _LIMITED, _FADING = SampleFlag.LIMITED.value, SampleFlag.FADING.value
 _FRICTION_HELD = SampleFlag.FRICTION_HELD.value
+LOAD_STEP = 1e-3  # N m of load, over which the slope of friction by it is taken
 _COMMAND_RANGE, _COMMAND_JUMP = SampleFlag.COMMAND_OUT_OF_RANGE.value, SampleFlag.COMMAND_JUMP.value
 _ESTIMATE, _COMMAND = FeedforwardSource.ESTIMATE.value, FeedforwardSource.COMMAND.value
 _REFERENCE, _NONE = FeedforwardSource.REFERENCE.value, FeedforwardSource.NONE.value
@@ -31,9 +35,15 @@ _REFERENCE, _NONE = FeedforwardSource.REFERENCE.value, FeedforwardSource.NONE.va
 def feedforward_kernel(settings, state, sample, passed, out):
     """Fill torque, source and target of `out` for `sample`, `passed` cycles after the last answer. Returns flags."""
     source, flags = _choose(settings, state, sample, out)
-    ready = source != _NONE and _for_motion(settings, state, sample)
     seconds = passed * settings.period
-    if ready:
+    branch = state.branch[ANSWERED]
+    if source == _NONE:
+        branch.idle += passed
+    else:
+        since = wake_kernel(branch, passed, coast_cycles(settings))
+        if since == 0 and settings.remembers != 0:
+            flags |= STATE_NEW
+    if source != _NONE and _for_motion(settings, state, sample, since):
         flags |= _within_bounds(settings, state, seconds, out)
         if state.payload.departure.held != 0:
             flags |= _FRICTION_HELD
@@ -131,34 +141,67 @@ def plan_kernel(steps):
 
 
 @kernel
-def _for_motion(settings, state, sample):
-    """state.wanted (3,) N m: the torque for state.trajectory with payload and friction of now; False where there is no
-    pose for it."""
-    motion = state.trajectory
-    status = terms_kernel(
-        settings.model, motion[POSITION], motion[VELOCITY], motion[ACCELERATION], state.pose, state.terms
-    )
-    if status != REACHED:
+def _for_motion(settings, state, sample, since):
+    """state.wanted (3,) N m: the torque for state.trajectory, `since` cycles after the last, with payload and friction of
+    now; False where there is no pose for it."""
+    mass, branch, seconds = state.payload.usable, state.branch[ANSWERED], since * settings.period
+    if place_kernel(settings, state, ANSWERED, seconds, mass) != REACHED:
         return False
-    torque_kernel(settings, state, sample.stamp_sec + sample.stamp_nanosec * 1e-9)
-    mass = state.payload.usable
+    torque_kernel(settings, state, branch, sample.stamp_sec + sample.stamp_nanosec * 1e-9, mass)
     finite = True
     for i in range(3):
         scale = 1.0 + state.payload.departure.sure[departure.place(i, departure.SCALE)]
         moved = state.full[i] + mass * load_kernel(settings, state, i)
-        state.wanted[i] = scale * moved + _learnt_friction(settings, state, i)
+        asked = state.wanted[i] = scale * moved + _learnt_friction(settings, state, i)
+        if settings.readout.follows > 0.0 and since > 0:  # what acts is behind what is asked for by this
+            state.wanted[i] += settings.readout.follows / seconds * (asked - branch.wanted[i])
+        branch.wanted[i] = asked
         finite &= math.isfinite(state.wanted[i])
     return finite
 
 
 @kernel
-def torque_kernel(settings, state, seconds):
-    """state.full (3,): reported torque, N m, of the fullest model without payload, for state.trajectory."""
-    terms, motion = state.terms, state.trajectory
+def place_kernel(settings, state, number, elapsed, mass):
+    """Rigid terms for state.trajectory, which becomes that of the true angles, with the gears of the branch `number`
+    `elapsed` s on; 0: they start over. Filled: state.pose, terms, load, push. mass: kg carried. Returns a status."""
+    branch = state.branch[number]
+    terms, motion, place = state.terms, state.trajectory, state.trajectory
+    if settings.encoded != 0:
+        encoder_kernel(settings.effect, settings.gear_ratio, motion)
+    if settings.geared != 0:
+        place = branch.link
+        twist = branch.twist
+        for i in range(3):
+            place[POSITION, i] = motion[POSITION, i] + twist.angle[0, i] + mass * twist.angle[1, i]
+            place[VELOCITY, i] = motion[VELOCITY, i] + twist.speed[0, i] + mass * twist.speed[1, i]
+            place[ACCELERATION, i] = motion[ACCELERATION, i]
+    status = terms_kernel(settings.model, place[POSITION], place[VELOCITY], place[ACCELERATION], state.pose, terms)
+    if status != REACHED:
+        return status
     for i in range(3):
         state.load[i] = grey_kernel(settings, terms, i) + settings.forearm * terms[FOREARM, i]
+        state.push[i] = terms[PAYLOAD, i]
+    if settings.geared != 0:
+        twist = branch.twist
+        mass_kernel(settings.model, settings.rho[0], settings.forearm, mass, state.pose, state.mass)
+        advance_kernel(
+            settings.gears, twist, state.mass, state.load, state.push, motion[ACCELERATION], mass, elapsed
+        )
+        through_kernel(settings.gears, twist, 0, number == MEASURED, state.load)
+        through_kernel(settings.gears, twist, 1, number == MEASURED, state.push)
+    return status
+
+
+@kernel
+def torque_kernel(settings, state, branch, seconds, mass):
+    """After `place_kernel`: state.full (3,), reported torque, N m, of the fullest model without payload, and state.share
+    (3,), of what the payload takes, what friction by the load adds to it. mass: kg, that this friction is told at."""
+    motion = state.trajectory
+    for i in range(3):
         state.direction[i] = direction(motion[VELOCITY, i], settings.transition)
         state.full[i] = state.load[i] + dry_and_viscous(settings, state, i)
+        state.load[i] += mass * state.push[i]
+        state.share[i] = branch.doubt[i] = 0.0
     ball_joint_kernel(settings.model, motion[VELOCITY], state.pose, state.balls)
     now = Instant(
         model=settings.model,
@@ -170,10 +213,32 @@ def torque_kernel(settings, state, seconds):
         load=state.load,
         seconds=max(0.0, seconds),
         pose=state.pose,
+        doubt=branch.doubt,
     )
     effects_kernel(settings.effect, now, state.full)
+    if settings.by_load != 0:
+        _slope_by_load(settings, state, now, mass)
+    if settings.remembers != 0:
+        remembering_kernel(settings.effect, now, branch.memory, state.full)
+        if settings.geared != 0:
+            doubt_kernel(branch.twist, branch.doubt)
     for i in range(3):
         state.full[i] *= settings.scale[i]
+
+
+@kernel
+def _slope_by_load(settings, state, now, mass):
+    """Fill state.share, and take from state.full what it makes of `mass`."""
+    for i in range(3):
+        now.load[i] += LOAD_STEP
+    effects_kernel(settings.effect, now, state.share)
+    for i in range(3):
+        now.load[i] -= LOAD_STEP
+        state.share[i] = -state.share[i]
+    effects_kernel(settings.effect, now, state.share)
+    for i in range(3):
+        state.share[i] /= -LOAD_STEP
+        state.full[i] -= mass * state.share[i] * state.push[i]
 
 
 @kernel
@@ -199,8 +264,8 @@ def grey_kernel(settings, terms, i):
 
 @kernel
 def load_kernel(settings, state, i):
-    """Reported torque on joint i per kg of payload, N m/kg, for the pose last given to the terms kernel."""
-    return settings.scale[i] * state.terms[PAYLOAD, i]
+    """Reported torque on joint i per kg of payload, N m/kg, after `torque_kernel`."""
+    return settings.scale[i] * (1.0 + state.share[i]) * state.push[i]
 
 
 @kernel
@@ -209,7 +274,7 @@ def weight_kernel(settings, state, i):
     pose, gravity, weight = state.pose, settings.model.gravity, 0.0
     for axis in range(3):
         weight -= pose.column[i, axis] * pose.lever[i] * gravity[axis]
-    return settings.scale[i] * weight
+    return settings.scale[i] * (1.0 + state.share[i]) * weight
 
 
 @kernel

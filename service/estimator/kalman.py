@@ -33,7 +33,8 @@ FIRST_SPEED, FIRST_ACCELERATION = 5.0, 300.0  # rad/s, rad/s^2
 # A fixed lag behind the newest sample at which a smoothed acceleration is worth more than a fresh one: the payload
 # branch can wait for it, the feed-forward torque cannot.
 SMOOTHING_LAG = 0.006  # s
-MAX_LAG = 64  # samples; 8 kHz x 6 ms = 48
+MAX_LAG = 128  # samples that are remembered; a torque that is reported late is waited for: 8 kHz x 15 ms = 120
+LONGEST_SMOOTHING = 64  # samples; 8 kHz x 6 ms = 48
 # Nobody needs to know an acceleration better; below it its variance is a difference of near equals.
 SMALLEST_VARIANCE = 0.1**2  # (rad/s^2)^2
 
@@ -88,8 +89,9 @@ class MotionFilter(NamedTuple):
     acceleration_variance: float
 
 
-def design(period: float, resolution: float) -> MotionFilter:
-    """The filter for samples every `period` s of an encoder with `resolution` rad at the joint.
+def design(period: float, resolution: float, least_lag: int = 1) -> MotionFilter:
+    """The filter for samples every `period` s of an encoder with `resolution` rad at the joint. least_lag: samples that
+    the look back waits for at least.
 
     The resolution is taken as the standard deviation of a position sample: quantisation is 0.29 of it, the rest is the
     encoder's own noise.
@@ -105,7 +107,7 @@ def design(period: float, resolution: float) -> MotionFilter:
         noise=0.5 * (noise + noise.T),
         first=np.diag(np.array([resolution, FIRST_SPEED, FIRST_ACCELERATION, EXPECTED_JERK]) ** 2),
         resolution=resolution,
-        lag=max(1, min(MAX_LAG, round(SMOOTHING_LAG / period))),
+        lag=max(least_lag, min(LONGEST_SMOOTHING, round(SMOOTHING_LAG / period))),
         acceleration_variance=math.nan,
     )
     return motion._replace(acceleration_variance=_steady_variance(motion))

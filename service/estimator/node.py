@@ -16,6 +16,7 @@ from schemas.messages import REFERENCE, SAMPLE, SEQUENCE_BYTES, HealthFlag, Samp
 from schemas.robot import Robot
 from service.estimator.estimator import PERIOD_SAMPLES, Estimator, Rate, rate_of
 from service.estimator.keep import Keeper
+from service.estimator.left_out import left_out
 
 REPORT_PERIOD = 1e-3  # s, shortest between two payload or error messages; nobody steers by them, and they cost as much
 STALE_CYCLES = 20  # without a sample the input is stale ...
@@ -104,6 +105,13 @@ class EstimatorNode:
 
     def _start(self, rate: Rate) -> None:
         self._estimator = Estimator(self._robot, *rate)
+        without = left_out(self._robot, rate.period)
+        for name, why in without.items():
+            print(f"estimate: the online model does without {name}: {why}", file=sys.stderr)
+        self._flags = self._flags & ~HealthFlag.EFFECT_LEFT_OUT
+        if without:
+            self._flags |= HealthFlag.EFFECT_LEFT_OUT
+        self._set_flags()
         if self._keeper is not None:
             print(f"estimate: {self._keeper.begin(self._estimator)}", file=sys.stderr)
         self._every = max(1, round(REPORT_PERIOD / rate.period))

@@ -9,11 +9,15 @@ import numpy as np
 
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
 from schemas.robot import Robot
-from service.estimator import commanded, departure, effects, kalman, turning
+from service.estimator import commanded, departure, effects, kalman, readout, turning
 from service.estimator.bounds import bounds_of
+from service.estimator.branch import BRANCH
+from service.estimator.left_out import left_out, torque_left_out
 from service.estimator.payload import state as payload
 from service.model.description import terms_of
 from service.model.dynamics import REST_SPEED, TERMS
+from service.model.gears import GEARS, gears_of, inertia_amid
+from service.model.hypothesis import inside_of
 from service.model.kinematics import POSE
 from service.model.nominal import MODEL, lengthened, pack, record_of
 
@@ -38,6 +42,12 @@ SETTINGS = np.dtype(
         ("coulomb", "f8", 3),  # N m
         ("transition", "f8"),  # rad/s over which friction turns, 0: within the rest speed
         ("effect", effects.EFFECT, effects.MAX_EFFECTS),
+        ("remembers", "i8"),  # whether an effect carries a state
+        ("encoded", "i8"),  # whether an effect corrects the angles
+        ("by_load", "i8"),  # whether an effect depends on the load of the gears
+        ("geared", "i8"),  # whether a gear yields or is loose
+        ("gears", GEARS),
+        ("readout", readout.SETTINGS),
         ("scale", "f8", 3),  # reported over true torque
         ("gear_ratio", "f8"),
         ("variance", "f8", 3),  # (N m)^2 of a torque sample, worth CORRELATION_TIME
@@ -51,6 +61,7 @@ SETTINGS = np.dtype(
 _PAST = np.dtype(
     [
         ("torque", "f8", 3),
+        ("acting", "f8", 3),  # behind a drive that follows what is reported
         ("torque_command", "f8", 3),
         ("commanded", "i8"),  # whether there was one
         ("stamp_sec", "i4"),
@@ -87,6 +98,8 @@ STATE = np.dtype(
         ("turn_read", "f8"),  # rad, the newest as it was read
         ("drive_torque", commanded.STATE),
         ("payload", payload.STATE),
+        ("branch", BRANCH, 2),  # MEASURED, ANSWERED
+        ("readout", readout.STATE),
         ("torque", "f8", 3),  # N m, last feed-forward
         ("direction_before", "f8", 3),  # direction of motion that it was for
         ("source", "i8"),
@@ -105,6 +118,12 @@ STATE = np.dtype(
         ("direction", "f8", 3),
         ("balls", "f8", 3),  # torque per N m of dry friction in the forearms' ball joints
         ("load", "f8", 3),
+        ("push", "f8", 3),  # N m/kg, of the payload
+        ("share", "f8", 3),
+        ("mass", "f8", (3, 3)),  # kg m^2
+        ("models", "f8", (readout.MODELS, 3)),  # N m
+        ("acting", "f8", 3),  # N m
+        ("reported", "f8", 3),  # N m
         ("full", "f8", 3),
         ("wanted", "f8", 3),
     ],
@@ -129,11 +148,15 @@ STEP = np.dtype(
 def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     """Everything the kernel needs to know of `robot` at one sample every `period` s, as one SETTINGS record."""
     record = np.zeros(1, SETTINGS)
-    terms = terms_of(robot)
+    terms, described = terms_of(robot), robot
     robot, ratio, scale = effects.corrected(robot)
     identified = robot.identified
     record["model"] = record_of(pack(robot))
-    motion = kalman.design(period, robot.drive.position_resolution_rad)
+    without = left_out(robot, period)
+    reading = readout.settings(
+        effects.readout_of([term for term in terms if term.effect.name not in without]), period
+    )
+    motion = kalman.design(period, robot.drive.position_resolution_rad, readout.newest(reading))
     for name in motion._fields:
         record["motion"][name] = getattr(motion, name)
     record["period"] = period
@@ -157,10 +180,18 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
             is_commanded = identified.torque_commanded
         if identified.model_error_nm is not None:
             left_over = np.array(identified.model_error_nm.value)
+    if without:
+        left_over = np.hypot(left_over, torque_left_out(described, period))
     record["effect"] = effects.pack_effects(terms)
+    record["remembers"], record["by_load"] = effects.remembers(terms), effects.goes_by_load(terms)
+    record["encoded"], record["readout"] = effects.has_encoders(terms), reading
+    figures = inside_of(terms).two_masses
+    record["geared"] = bool(figures)
+    record["gears"] = gears_of(figures, inertia_amid(pack(robot), record["rho"][0, 0], float(record["forearm"][0])))
     record["scale"] = scale
     record["gear_ratio"] = robot.drive.gear_ratio
-    record["variance"] = payload.sample_variance(noise, left_over)
+    share = readout.noise_share(reading, max(1, round(payload.BLOCK_TIME / period)))
+    record["variance"] = payload.sample_variance(np.sqrt(share) * noise, left_over)
     record["drive_torque"] = commanded.settings(noise, is_commanded, period)
     prior = departure.drift(record["viscous"][0], record["coulomb"][0])
     record["payload"] = payload.settings(period, prior, robot.limits.max_payload_kg, left_over, record["variance"][0])

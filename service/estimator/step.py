@@ -16,6 +16,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from schemas.messages import PayloadEvent
+from service.estimator.branch import ANSWERED, MEASURED, forget_kernel, wake_kernel
 from service.estimator.commanded import compare_kernel, is_used
 from service.estimator.departure import BALLS, SCALE, place
 from service.estimator.feedforward import (
@@ -24,6 +25,7 @@ from service.estimator.feedforward import (
     grey_kernel,
     hold_kernel,
     load_kernel,
+    place_kernel,
     torque_kernel,
     weight_kernel,
 )  # fmt: skip
@@ -43,6 +45,7 @@ from service.estimator.kalman import (
 )
 from service.estimator.payload.state import LOADS, PRIOR_STD
 from service.estimator.payload.step import payload_kernel, unseen_kernel, weigh_anew_kernel
+from service.estimator.readout import follow_kernel, lag_kernel, weigh_reports_kernel
 from service.estimator.stream import (
     BACKWARDS,
     COMMAND_JUMP,
@@ -54,7 +57,9 @@ from service.estimator.stream import (
     RANGE,
     REPEATED,
     SETTLE_TIME,
+    STATE_NEW,
     UNUSABLE,
+    coast_cycles,
     cycles_since,
     faults,
     is_new_command,
@@ -63,7 +68,7 @@ from service.estimator.stream import (
     restart_cycles,
 )  # fmt: skip
 from service.estimator.turning import swing_kernel, turn_kernel
-from service.model.dynamics import GRAVITY, INERTIA, PLATFORM, REST_SPEED, terms_kernel
+from service.model.dynamics import GRAVITY, INERTIA, PLATFORM, REST_SPEED
 from service.model.kinematics import REACHED
 
 # Presliding and Stribeck effects live below this speed: the payload looks at a joint there where nothing is faster.
@@ -144,14 +149,17 @@ def _remember(settings, state, sample, flags, gap):
             past.commanded = 0
     for i in range(3):
         past.torque_command[i] = sample.torque_command[i] if past.commanded != 0 else 0.0
-        past.torque[i] = sample.torque[i] if flags & UNUSABLE == 0 else 0.0
+        past.torque[i] = past.acting[i] = sample.torque[i] if flags & UNUSABLE == 0 else 0.0
+    if settings.readout.follows > 0.0 and flags & UNUSABLE == 0:
+        follow_kernel(settings.readout, state.readout, past.acting, gap * settings.period)
 
 
 @kernel
 def lagged_kernel(settings, state, payload_out, error_out):
     """Model errors and payload at the sample `lag` ago, with motion smoothed by what came since."""
-    lag, terms, motion, weighed = settings.motion.lag, state.terms, state.trajectory, state.payload
-    past = state.past[(state.head - lag + MAX_LAG + 1) % (MAX_LAG + 1)]
+    lag, motion, weighed, branch = settings.motion.lag, state.trajectory, state.payload, state.branch[MEASURED]
+    index = (state.head - lag + MAX_LAG + 1) % (MAX_LAG + 1)
+    past, cycles = state.past[index], state.slots[index].gap
     event = PayloadEvent.NONE.value
     flags = past.flags
     newest = state.past[state.head]
@@ -159,60 +167,28 @@ def lagged_kernel(settings, state, payload_out, error_out):
         settings.drive_torque, state.drive_torque, newest.torque, newest.torque_command, settings.period
     ):
         weigh_anew_kernel(weighed)  # it was by what was no torque
-    drive = past.torque
-    if past.commanded != 0 and is_used(settings.drive_torque, state.drive_torque):
-        drive = past.torque_command
+    carried = min(max(weighed.mass, 0.0), settings.max_payload)
+    since = np.int64(0)
     if flags & UNUSABLE == 0:
         smooth_kernel(settings.motion.transition, state.slots, state.head, lag, state.adjoint, motion)
-        theta, theta_dot, theta_ddot = motion[POSITION], motion[VELOCITY], motion[ACCELERATION]
-        if terms_kernel(settings.model, theta, theta_dot, theta_ddot, state.pose, terms) != REACHED:
+        since = wake_kernel(branch, cycles, coast_cycles(settings))
+        if since == 0 and settings.remembers != 0:
+            flags |= STATE_NEW
+        if place_kernel(settings, state, MEASURED, since * settings.period, carried) != REACHED:
             flags |= RANGE
+    else:
+        branch.idle += cycles
     if flags & UNUSABLE != 0:
         for i in range(3):
             error_out.kh[i] = error_out.id[i] = error_out.id_friction[i] = error_out.full[i] = math.nan
     else:
-        loose = state.unexpected > 0
-        if state.unsettled > 0 and not loose:
-            variance = acceleration_variance_kernel(settings.motion, state.slots, state.head, lag, state.adjoint)
-            loose = variance > LOOSE_ACCELERATION * settings.motion.acceleration_variance
+        told = _read_out(settings, state, index, past)
         swing_kernel(settings, state, weighed.column)
-        torque_kernel(settings, state, past.stamp_sec + past.stamp_nanosec * 1e-9)
-        weighed.resting = 0 if loose else 1
-        for i in range(3):
-            speed = abs(motion[VELOCITY, i])
-            kh = terms[INERTIA, i] + terms[GRAVITY, i] + terms[PLATFORM, i]
-            grey = grey_kernel(settings, terms, i)
-            friction = dry_and_viscous(settings, state, i)
-            error_out.kh[i] = past.torque[i] - kh
-            error_out.id[i] = past.torque[i] - grey
-            error_out.id_friction[i] = past.torque[i] - grey - friction
-            # the load's share of a changed scale is the mass's by what is known of it, else the scale's
-            scale, load = weighed.departure.delta[place(i, SCALE)], load_kernel(settings, state, i)
-            carried = weighed.mass * load
-            weighed.residual[i] = drive[i] - state.full[i] + scale * carried
-            weighed.column[i, 0] = load
-            for p in range(LOADS):
-                weighed.column[i, p] *= 1.0 + scale
-            weighed.shape[i, 0] = settings.scale[i] * state.direction[i]
-            weighed.shape[i, 1] = settings.scale[i] * motion[VELOCITY, i]
-            weighed.shape[i, 2] = 1.0
-            weighed.shape[i, SCALE] = state.full[i] + carried
-            weighed.shape[i, BALLS] = settings.scale[i] * state.balls[i]
-            doubt = MODEL_SHARE * (
-                abs(terms[INERTIA, i]) + abs(terms[GRAVITY, i]) + abs(terms[PLATFORM, i]) + abs(friction)
-            )
-            # a resting joint's friction can be anything within Coulomb's bounds, the same for as long as it rests
-            weight = 0.0 if loose else 1.0 / (settings.variance[i] + doubt * doubt)
-            weighed.weight[i] = weight if speed > REVERSAL_SPEED else 0.0
-            weighed.creeps[i] = 1 if REVERSAL_SPEED < speed <= CREEPING_SPEED else 0
-            if speed > REST_SPEED:
-                weighed.resting = 0
-            weighed.slow.now.phi[i] = (1.0 + scale) * weight_kernel(settings, state, i)
-            weighed.slow.now.weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
+        torque_kernel(settings, state, branch, past.stamp_sec + past.stamp_nanosec * 1e-9, carried)
+        _tell(settings, state, _is_loose(settings, state) or not told)
         weighed.gripper = past.gripper
         event = payload_kernel(settings.payload, weighed)
-        for i in range(3):
-            error_out.full[i] = past.torque[i] - state.full[i] - weighed.usable * load_kernel(settings, state, i)
+        _errors(settings, state, since, error_out)
     error_out.flags = flags
     payload_out.mass = weighed.mass
     payload_out.std_dev = weighed.std_dev
@@ -222,6 +198,106 @@ def lagged_kernel(settings, state, payload_out, error_out):
     payload_out.stamp_sec = error_out.stamp_sec = past.stamp_sec
     payload_out.stamp_nanosec = error_out.stamp_nanosec = past.stamp_nanosec
     payload_out.sequence = error_out.sequence = past.sequence
+
+
+@kernel
+def _read_out(settings, state, index, past):
+    """state.reported (3,) and state.acting (3,), N m: report and torque that acts at the slot `index`. Returns whether
+    the reports that tell it are there."""
+    drive = past.torque
+    if past.commanded != 0 and is_used(settings.drive_torque, state.drive_torque):
+        drive = past.torque_command
+    told = True
+    for i in range(3):
+        state.reported[i], state.acting[i] = past.torque[i], drive[i]
+    if settings.readout.active != 0:
+        first = settings.readout.first
+        weigh_reports_kernel(settings.readout.shift, first, state.past, index, UNUSABLE, state.reported)
+        told = weigh_reports_kernel(settings.readout.acting, first, state.past, index, UNUSABLE, state.acting)
+    return told
+
+
+@kernel
+def _is_loose(settings, state):
+    """Whether the acceleration of now is guessed."""
+    loose = state.unexpected > 0
+    if state.unsettled > 0 and not loose:
+        lag = settings.motion.lag
+        variance = acceleration_variance_kernel(settings.motion, state.slots, state.head, lag, state.adjoint)
+        loose = variance > LOOSE_ACCELERATION * settings.motion.acceleration_variance
+    return loose
+
+
+@kernel
+def _tell(settings, state, loose):
+    """What the sample says of the payload, into state.payload. loose: it says nothing."""
+    terms, motion, weighed = state.terms, state.trajectory, state.payload
+    weighed.resting = 0 if loose else 1
+    for i in range(3):
+        speed = abs(motion[VELOCITY, i])
+        friction = dry_and_viscous(settings, state, i)
+        # the load's share of a changed scale is the mass's by what is known of it, else the scale's
+        scale, load = weighed.departure.delta[place(i, SCALE)], load_kernel(settings, state, i)
+        carried = weighed.mass * load
+        weighed.residual[i] = state.acting[i] - state.full[i] + scale * carried
+        weighed.column[i, 0] = load
+        for p in range(LOADS):
+            weighed.column[i, p] *= 1.0 + scale
+        weighed.shape[i, 0] = settings.scale[i] * state.direction[i]
+        weighed.shape[i, 1] = settings.scale[i] * motion[VELOCITY, i]
+        weighed.shape[i, 2] = 1.0
+        weighed.shape[i, SCALE] = state.full[i] + carried
+        weighed.shape[i, BALLS] = settings.scale[i] * state.balls[i]
+        doubt = MODEL_SHARE * (
+            abs(terms[INERTIA, i]) + abs(terms[GRAVITY, i]) + abs(terms[PLATFORM, i]) + abs(friction)
+        )
+        # a resting joint's friction can be anything within Coulomb's bounds, the same for as long as it rests
+        unsure = doubt * doubt + state.branch[MEASURED].doubt[i]
+        weight = 0.0 if loose else 1.0 / (settings.variance[i] + unsure)
+        weighed.weight[i] = weight if speed > REVERSAL_SPEED else 0.0
+        weighed.creeps[i] = 1 if REVERSAL_SPEED < speed <= CREEPING_SPEED else 0
+        if speed > REST_SPEED:
+            weighed.resting = 0
+        weighed.slow.now.phi[i] = (1.0 + scale) * weight_kernel(settings, state, i)
+        weighed.slow.now.weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
+
+
+@kernel
+def _errors(settings, state, since, error_out):
+    """Reported torque less what each model would have reported, `since` cycles after the last."""
+    usable = state.payload.usable
+    for i in range(3):
+        grey, friction = grey_kernel(settings, state.terms, i), dry_and_viscous(settings, state, i)
+        rigid = state.terms[INERTIA, i] + state.terms[GRAVITY, i] + state.terms[PLATFORM, i]
+        carried = usable * load_kernel(settings, state, i)
+        error_out.kh[i] = state.reported[i] - rigid
+        error_out.id[i] = state.reported[i] - grey
+        error_out.id_friction[i] = state.reported[i] - grey - friction
+        error_out.full[i] = state.reported[i] - state.full[i] - carried
+        models = state.models
+        models[0, i], models[1, i], models[2, i] = rigid, grey, grey + friction
+        models[3, i] = state.full[i] + carried
+    if settings.readout.lag > 0.0:
+        _behind(settings, state, since, error_out)
+
+
+@kernel
+def _behind(settings, state, since, error_out):
+    """Give the errors what the report's low-pass leaves out of each model's torque."""
+    models = state.models
+    for i in range(3):
+        error_out.kh[i] += models[0, i]
+        error_out.id[i] += models[1, i]
+        error_out.id_friction[i] += models[2, i]
+        error_out.full[i] += models[3, i]
+    if since == 0:
+        state.readout.settled = 0
+    lag_kernel(settings.readout, state.readout, models, max(since, np.int64(1)) * settings.period)
+    for i in range(3):
+        error_out.kh[i] -= models[0, i]
+        error_out.id[i] -= models[1, i]
+        error_out.id_friction[i] -= models[2, i]
+        error_out.full[i] -= models[3, i]
 
 
 @kernel
@@ -252,6 +328,9 @@ def step_kernel(settings, state, sample, feedforward):
                 state.drive_torque.proved = 0.0
             gap = 1
             restart(settings, state, sample)
+            forget_kernel(state.branch[MEASURED])
+            forget_kernel(state.branch[ANSWERED])
+            state.readout.started = 0
         else:
             _follow(settings, state, sample, flags, gap)
         _follow_command(settings, state, sample, flags, gap)

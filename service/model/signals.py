@@ -512,9 +512,9 @@ def delayed(values: np.ndarray, seconds: float, period: float) -> np.ndarray:
 
 
 @kernel(nogil=True)
-def _delayed(values, samples, result):
-    """Fill result (N, C)."""
-    count, width = values.shape
+def shift_weights(samples):
+    """Cubic Lagrange interpolation `samples` back: four weights, and the place of the first, the oldest, in samples
+    from where it is asked for."""
     whole = math.floor(samples)
     u = samples - whole
     weights = (
@@ -523,10 +523,18 @@ def _delayed(values, samples, result):
         (u - 1) * (u - 2) * (u + 1) / 2,
         -u * (u - 1) * (u - 2) / 6,
     )
+    return weights, -whole - 2
+
+
+@kernel(nogil=True)
+def _delayed(values, samples, result):
+    """Fill result (N, C)."""
+    count, width = values.shape
+    weights, first = shift_weights(samples)
     for k in range(count):
         result[k] = 0.0
         for tap in range(4):
-            row = min(max(k - whole + tap - 2, 0), count - 1)
+            row = min(max(k + first + tap, 0), count - 1)
             for i in range(width):
                 result[k, i] += weights[tap] * values[row, i]
 
@@ -536,13 +544,18 @@ def lagging(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
 
     Exact where values go straight from sample to sample: one that holds them would be half a sample early or late.
     """
-    steps = period / time_constant(cutoff_hz)
-    keep = np.exp(-steps)
-    mean = (1.0 - keep) / steps
+    keep, mean = ramp(period / time_constant(cutoff_hz))
     flat = np.ascontiguousarray(values.reshape(len(values), -1), np.float64)
     result = np.empty_like(flat)
     _lagging(mean, keep, flat, result)
     return result.reshape(values.shape)
+
+
+@kernel(nogil=True)
+def ramp(steps):
+    """What a first-order low-pass keeps of its value, and the mean of that, over `steps` time constants."""
+    keep = math.exp(-steps)
+    return keep, (1.0 - keep) / steps
 
 
 @kernel(nogil=True)

@@ -25,7 +25,7 @@ from drivers.plant.truth import PlantTruth
 from drivers.view.scene import shape
 from schemas.errors import RobotError
 from schemas.robot import Robot
-from service.estimator.effects import carried, corrected
+from service.estimator.effects import corrected
 from service.model.description import base_of, terms_of
 from service.model.effects.base import Effect, Inside
 from service.model.forward import forward_dynamics
@@ -304,6 +304,21 @@ def _form(effect: Effect) -> str:
     return f"{text}\n"
 
 
+def _is_free(form: str) -> bool:
+    """Whether a form asks no more of a pose than where the platform is and how fast."""
+    return set(re.findall(r"pose\.(\w+)", form)) <= {"position", "velocity"}
+
+
+def _wobble(terms: tuple[Term, ...]) -> list[tuple[int, float, float, float]]:
+    """Joint, cosine, sine, rad, and order of each encoder that runs out of centre."""
+    return [
+        (place, float(cosine), float(sine), term.nonlinear[0])
+        for term in terms
+        if term.effect.name == "encoder_eccentricity"
+        for place, (cosine, sine) in zip(term.places, term.amplitude, strict=True)
+    ]
+
+
 def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], inside: Inside, smooth: float) -> None:
     """Fill callback, by_callback, measured and left_out of `result`. smooth: rad/s over which friction turns."""
     forms: dict[str, str] = {}
@@ -313,8 +328,8 @@ def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], inside: Ins
         effect, name = term.effect, term.effect.name
         if name in _IN_THE_MODEL:
             continue
-        if effect.online is not None and carried(effect):
-            forms[name] = _form(effect)
+        if effect.online is not None and not effect.memory and _is_free(form := _form(effect)):
+            forms[name] = form
             amplitude = np.zeros((3, len(effect.amplitudes)))
             amplitude[list(term.places)] = term.amplitude
             figures = {place: float(value) for place, value in np.ndenumerate(amplitude)}
@@ -344,7 +359,7 @@ def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], inside: Ins
             forms="\n".join(forms.values()),
             **{where: ", ".join(entries) for where, entries in at.items()},
         )
-        result.callback = head + (_MEASUREMENT.format(torque=torque, wobble=inside.wobble) if result.measured else "")
+        result.callback = head + (_MEASUREMENT.format(torque=torque, wobble=_wobble(terms)) if result.measured else "")
 
 
 def to_urdf(robot: Robot) -> str:

@@ -19,8 +19,8 @@ from schemas.kernels import kernel
 from service.estimator.effects import EFFECT, MAX_EFFECTS, effects_kernel
 from service.model.dynamics import TERMS
 from service.model.effects.base import Instant
+from service.model.effects.presliding_friction import slide_kernel
 from service.model.forward import bias_kernel, mass_kernel, solve_kernel
-from service.model.friction import SOFT
 from service.model.kinematics import POSE, REACHED
 from service.model.nominal import MODEL
 
@@ -49,7 +49,6 @@ FORWARD = np.dtype(
         ("at_platform", EFFECT, MAX_EFFECTS),  # those that reach all joints
         ("rotor", "f8", 3),  # kg m^2 that effects add to a joint
         ("tool", "f8"),  # kg that effects add to the platform
-        ("ball_joints", "f8", 4),  # as in `Inside`
         ("bristle", "f8", 3),
         ("distance", "f8", 3),
         ("motor", "f8", 3),  # kg m^2 of a motor that is a mass of its own, 0: one with its link
@@ -79,7 +78,6 @@ SCRATCH = np.dtype(
         ("right_motor", "f8", 3),
         ("contact", "f8", (2, 3)),  # stiffness and damping of flanks that are closed
         ("steep", "f8", 3),  # N m s/rad, secant of the friction
-        ("turning", "f8", (3, 3)),  # of a forearm
         ("state", "f8", (5, 3)),  # link, link speed, motor, motor speed, bristles
         ("middle", "f8", (5, 3)),
         ("first", "f8", (2, 3)),  # stage: acceleration of links and motors
@@ -160,43 +158,9 @@ def _effects(f, s, effects, theta, theta_dot, seconds, torque):
         load=s.load,
         seconds=seconds,
         pose=s.pose,
+        doubt=s.more,
     )
     effects_kernel(effects, now, torque)
-
-
-@_compiled
-def _ball_joints(f, s, link_dot, torque):
-    """Add the ball joints' friction, as `passive_joint_friction` has it: by virtual power of the forearms' turning."""
-    forearm, column, elbow, lever, velocity = s.pose.forearm, s.pose.column, s.pose.elbow, s.pose.lever, s.pose.velocity
-    turn, per, swing = s.turning[0], s.turning[1], s.turning[2]
-    for arm in range(3):
-        axle_x, axle_y = -f.model.azimuth_sin[arm], f.model.azimuth_cos[arm]
-        x, y, z = forearm[arm, 0], forearm[arm, 1], forearm[arm, 2]
-        over = 1.0 / f.model.passive_length[arm] ** 2
-        for axis in range(3):
-            swing[axis] = velocity[axis] - elbow[arm, axis] * link_dot[arm]
-        turn[0] = (y * swing[2] - z * swing[1]) * over
-        turn[1] = (z * swing[0] - x * swing[2]) * over
-        turn[2] = (x * swing[1] - y * swing[0]) * over
-        for end in range(2):  # elbow, platform
-            if end == 0:
-                turn[0] -= axle_x * link_dot[arm]
-                turn[1] -= axle_y * link_dot[arm]
-            speed = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
-            level = f.ball_joints[end] * math.tanh(speed / SOFT) / max(speed, 1e-12) + f.ball_joints[2 + end]
-            for joint in range(3):
-                for axis in range(3):
-                    swing[axis] = column[joint, axis] * lever[joint] - (elbow[arm, axis] if joint == arm else 0.0)
-                per[0] = (y * swing[2] - z * swing[1]) * over
-                per[1] = (z * swing[0] - x * swing[2]) * over
-                per[2] = (x * swing[1] - y * swing[0]) * over
-                if end == 0 and joint == arm:
-                    per[0] -= axle_x
-                    per[1] -= axle_y
-                torque[joint] += level * (turn[0] * per[0] + turn[1] * per[1] + turn[2] * per[2])
-            if end == 0:
-                turn[0] += axle_x * link_dot[arm]
-                turn[1] += axle_y * link_dot[arm]
 
 
 @_compiled
@@ -223,12 +187,6 @@ def _evaluate(f, s, state, torque, seconds, step, implicit):
         s.right_link[i] = -s.bias[i] - s.shared[i]
     if f.tool != 0.0:
         _hang(s, f.tool)
-    if f.ball_joints[0] + f.ball_joints[1] + f.ball_joints[2] + f.ball_joints[3] > 0.0:
-        for i in range(3):
-            s.more[i] = 0.0
-        _ball_joints(f, s, link_dot, s.more)
-        for i in range(3):
-            s.right_link[i] -= s.more[i]
     for i in range(3):
         s.contact[0, i] = s.contact[1, i] = 0.0
         if f.motor[i] > 0.0:
@@ -321,13 +279,6 @@ def _solve(f, s, mass, inertia, steep, contact, weight, right, result):
 
 
 @_compiled
-def _slid(f, i, bristle, travel):
-    """Bristles of joint i after the motor turned by `travel` rad: dz / dtheta = (1 - z sign v) / distance, exactly."""
-    sign = 1.0 if travel > 0.0 else -1.0
-    return sign + (bristle - sign) * math.exp(-abs(travel) / f.distance[i])
-
-
-@_compiled
 def step_kernel(f, s, seconds, h):
     """s.state `h` s on under torque that goes from s.before to s.after. Returns a status."""
     weight = GAMMA * h
@@ -350,7 +301,7 @@ def step_kernel(f, s, seconds, h):
             middle[place, i] = state[place, i] + h * (state[speed, i] + weight * first[mine, i])
             middle[speed, i] = state[speed, i] + h * first[mine, i]
         if f.bristle[i] != 0.0:
-            middle[4, i] = _slid(f, i, state[4, i], middle[2, i] - state[2, i])
+            middle[4, i] = slide_kernel(state[4, i], middle[2, i] - state[2, i], f.distance[i])
         s.guess[i] = first[0, i]
     status = _evaluate(f, s, middle, s.after, seconds + h, h, False)
     if status != REACHED:
@@ -378,7 +329,7 @@ def step_kernel(f, s, seconds, h):
             state[place, i] += 0.5 * h * (middle[place, i] + weight * second[mine, i])
             state[speed, i] += h * (1.5 * first[mine, i] + 0.5 * second[mine, i])
         if f.bristle[i] != 0.0:
-            state[4, i] = _slid(f, i, state[4, i], state[2, i] - turned)
+            state[4, i] = slide_kernel(state[4, i], state[2, i] - turned, f.distance[i])
     return status
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from schemas.robot import Robot
-from service.estimator.effects import carried, corrected, pack_effects
+from service.estimator.effects import carried, corrected, has_encoders, pack_effects, true_angles
 from service.model.description import base_of, terms_of
 from service.model.effects.base import Effect
 from service.model.effects.presliding_friction import deflection
@@ -37,7 +37,7 @@ class SeenStretch:
 
     model: its geometry. forward: (1,) FORWARD record. start: (N, 5, 3) state at each sample - link, link speed, motor,
     motor speed, bristles. motion: (N, 3) rad, smoothed, what the encoders give. torque: (N, 3) N m at the joints, what
-    the measurement does to it undone. wobble: as in `Inside`.
+    the measurement does to it undone. encoders: effects that make true angles of measured ones; None: there is none.
     """
 
     model: DeltaModel
@@ -45,15 +45,15 @@ class SeenStretch:
     start: np.ndarray
     motion: np.ndarray
     torque: np.ndarray
-    wobble: list[tuple[int, float, float, float]]
+    encoders: np.ndarray | None
     gear_ratio: float
 
     def measured(self, angle: np.ndarray) -> np.ndarray:
         """What the encoders give at true angles (..., 3) of the motors, rad."""
         result = angle
-        if self.wobble:
+        if self.encoders is not None:
             for _ in range(4):  # the error is some thousandths of the angle: a few rounds are exact
-                result = angle - _error(self.wobble, self.gear_ratio, result)
+                result = angle - (true_angles(self.encoders, self.gear_ratio, result) - result)
         return result
 
 
@@ -66,9 +66,10 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> SeenStretch
     terms, base = terms_of(robot), base_of(robot)
     changed, ratio, _ = corrected(robot)
     inside = inside_of(terms)
-    encoders = segment.theta
-    if inside.wobble:
-        angles = position + _error(inside.wobble, robot.drive.gear_ratio, position)
+    measured, encoders = segment.theta, None
+    if has_encoders(terms):
+        encoders = pack_effects([term for term in terms if term.effect.encoder is not None])
+        angles = true_angles(encoders, robot.drive.gear_ratio, position)
         theta, theta_dot, theta_ddot = smooth(angles, segment.period)
         segment = replace(segment, theta=theta, theta_dot=theta_dot, theta_ddot=theta_ddot)
     torque = true_torque(terms, base.timing, segment.torque, segment.period)
@@ -90,15 +91,16 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> SeenStretch
     forward["viscous"], forward["coulomb"] = base.viscous, base.coulomb
     forward["transition"] = max(float(np.max(base.transition)), SHARPEST)
     forward["gear_ratio"] = robot.drive.gear_ratio
-    at_joints = [term for term in terms if term.effect.own_joint]
-    at_platform = [term for term in terms if not term.effect.own_joint]
+    # bristles are a state of the run itself
+    acting = [term for term in terms if not term.effect.memory]
+    at_joints = [term for term in acting if term.effect.own_joint]
+    at_platform = [term for term in acting if not term.effect.own_joint]
     forward["at_joints"], forward["at_platform"] = pack_effects(at_joints), pack_effects(at_platform)
     forward["rotor"], forward["tool"] = inside.rotor, inside.tool
     forward["rotor"] += inside.arm * model.active_length**2 / 3
-    forward["ball_joints"] = inside.ball_joints
     forward["bristle"], forward["distance"] = inside.bristle, inside.distance
     forward["motor"], forward["stiffness"], forward["damping"], forward["half"] = motor, stiffness, damping, half
-    return SeenStretch(model, forward, start, encoders, torque, inside.wobble, robot.drive.gear_ratio)
+    return SeenStretch(model, forward, start, measured, torque, encoders, robot.drive.gear_ratio)
 
 
 def true_torque(terms: tuple[Term, ...], timing: float, torque: np.ndarray, period: float) -> np.ndarray:
@@ -109,12 +111,3 @@ def true_torque(terms: tuple[Term, ...], timing: float, torque: np.ndarray, peri
             for place, amplitude in zip(term.places, term.amplitude, strict=True):
                 torque = term.effect.restore(torque, period, place, amplitude, term.nonlinear)
     return torque
-
-
-def _error(wobble: list[tuple[int, float, float, float]], gear_ratio: float, measured: np.ndarray) -> np.ndarray:
-    """True less measured angle (..., 3) rad."""
-    result = np.zeros_like(measured)
-    for joint, cosine, sine, order in wobble:
-        angle = order * gear_ratio * measured[..., joint]
-        result[..., joint] += cosine * np.cos(angle) + sine * np.sin(angle)
-    return result

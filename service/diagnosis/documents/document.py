@@ -20,7 +20,7 @@ from service.diagnosis.evidence.unseen import unseen
 from service.diagnosis.evidence.where import where
 from service.diagnosis.findings import Findings
 from service.diagnosis.fit.selection import added
-from service.estimator.effects import carried
+from service.estimator.effects import form_of
 from service.identification.folds import block_loss
 from service.model.description import base_errors, described, digits, entry, in_units_of
 from service.model.effects.base import Effect
@@ -201,9 +201,8 @@ def _effects(findings: Findings) -> list[NamedEffect]:
 
 
 def _online(effect: Effect) -> Online:
-    if carried(effect):
-        return Online(carried=True, reason="present_sample" if effect.online else "settings")
-    return Online(carried=False, reason="of_the_measurement" if effect.measured else "no_online_form")
+    reason = form_of(effect)
+    return Online(carried=reason != "no_online_form", reason=reason)
 
 
 def _ranking(findings: Findings, comparisons: list[ModelComparison]) -> list[Ranked]:

@@ -130,7 +130,8 @@ BASE = {
 ONLINE = {
     "present_sample": "carried by the online model, from the present sample",
     "settings": "carried by the online model, in its settings",
-    "of_the_measurement": "offline only: of the reported torque, not of the robot",
+    "state": "carried by the online model, as a state from sample to sample",
+    "report": "carried by the online model, between the torque that acts and the one that is reported",
     "no_online_form": "offline only: the online model does without it",
 }
 PLANNED = (

@@ -11,8 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from schemas.kernels import kernel
 from service.model.effects.base import Amplitude, Effect
 from service.model.scene import Scene
+
+
+@kernel
+def _encoder(effect, gear_ratio, i, motion):
+    for order in range(3):
+        motion[order, i] *= 1.0 + effect.amplitude[i, 0]
 
 
 @dataclass(frozen=True)
@@ -25,6 +32,7 @@ class AngleScale(Effect):
     kinds = frozenset({"delta"})
     beyond = 0.3
     beyond_together = 0.05
+    encoder = staticmethod(_encoder)
     settles = "slow sweeps over the whole angle of this joint, and fast moves"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:

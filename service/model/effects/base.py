@@ -24,8 +24,9 @@ from service.model.scene import Scene
 class Instant(NamedTuple):
     """What an online form reads of the present sample; arrays are (3,).
 
-    model: record of DeltaModel. direction: of motion, in [-1, 1]. load: N m, rigid torque through the gears. seconds:
-    of the bus clock. pose: record of `kinematics.POSE`, as the terms kernel left it for this motion.
+    model: record of DeltaModel. direction: of motion, in [-1, 1]. load: N m, rigid torque through the gears, that of
+    the payload included. seconds: of the bus clock. pose: record of `kinematics.POSE`, as the terms kernel left it for
+    this motion. doubt: (N m)^2, to which a form adds the variance of its torque where it does not know its own state.
     """
 
     model: Any
@@ -37,6 +38,7 @@ class Instant(NamedTuple):
     load: np.ndarray
     seconds: float
     pose: Any
+    doubt: np.ndarray
 
 
 @kernel
@@ -51,20 +53,30 @@ class Inside:
     """What effects put inside the robot that only a simulation forward in time has to carry. (3,) one entry a joint.
 
     bristle, distance: N m of the Coulomb friction that builds up, over rad. two_masses: joint -> half the lost motion
-    rad, natural frequency Hz of the link, damping ratio, share of the inertia on the motor side. ball_joints: (4,) dry
-    friction N m at elbow and platform, viscous N m s/rad at both. wobble: joint, cosine rad, sine rad and order of the
-    true angle over the measured one, periodic in the motor angle. rotor: kg m^2 at the joint, arm: kg of an active
-    link, tool: kg at the platform, each the inertia of an effect whose online form depends on the acceleration.
+    rad, natural frequency Hz of the link, damping ratio, share of the inertia on the motor side. rotor: kg m^2 at the
+    joint, arm: kg of an active link, tool: kg at the platform, each the inertia of an effect whose online form depends
+    on the acceleration.
     """
 
     bristle: np.ndarray = field(default_factory=lambda: np.zeros(3))
     distance: np.ndarray = field(default_factory=lambda: np.ones(3))
     two_masses: dict[int, tuple[float, float, float, float]] = field(default_factory=dict)
-    ball_joints: np.ndarray = field(default_factory=lambda: np.zeros(4))
-    wobble: list[tuple[int, float, float, float]] = field(default_factory=list)
     rotor: np.ndarray = field(default_factory=lambda: np.zeros(3))
     arm: np.ndarray = field(default_factory=lambda: np.zeros(3))
     tool: float = 0.0
+
+
+@dataclass
+class Readout:
+    """What lies between the torque that acts and the one that is reported, alike for all joints, in s.
+
+    late: by which it is reported later than the position. lag: time constant of a first-order low-pass of what is
+    reported. follows: the same of the drive, which acts behind what is reported.
+    """
+
+    late: float = 0.0
+    lag: float = 0.0
+    follows: float = 0.0
 
 
 PERIODS = 1.5  # over a joint's travel, below which nothing shows that a torque is periodic
@@ -112,8 +124,13 @@ class Effect(ABC):
     together with the base model's takes energy out of the motion in either direction. same: effects that no motion
     tells it from. takes_timing: it has the place of the timing within a sample. beyond: `size` that no robot which runs
     has, several times the strongest of the blind test: an effect that large stands in for a wrong description;
-    beyond_together: the same on several joints at once. online: compiled (effect record, Instant, joint) -> N m from
-    the present sample, where there is such a form; of the effects that come along only.
+    beyond_together: the same on several joints at once.
+
+    Its forms inside the online step, compiled; of the effects that come along only. online: (effect record, Instant,
+    joint) -> N m. memory: how many numbers it carries on a joint from sample to sample, all zero at the start; then
+    online is (effect record, Instant, joint, memory) -> N m, called once a sample, and again with the same motion
+    without a change. by_load: it depends on the load of the gear, and so on the payload. encoder: (effect record, gear
+    ratio, joint, motion (3, 3)), which makes the joint's true angle, speed and acceleration of the measured ones.
     """
 
     name: ClassVar[str]
@@ -135,6 +152,9 @@ class Effect(ABC):
     beyond: ClassVar[float] = math.inf
     beyond_together: ClassVar[float] = math.inf
     online: ClassVar[Callable[..., float] | None] = None
+    memory: ClassVar[int] = 0
+    by_load: ClassVar[bool] = False
+    encoder: ClassVar[Callable[..., None] | None] = None
 
     @property
     def in_words(self) -> str:
@@ -189,6 +209,9 @@ class Effect(ABC):
     def correct(self, correction: Correction, joint: int, amplitude: np.ndarray) -> None:  # noqa: B027 - most do not
         """Put the effect, with amplitudes (k,) on `joint`, into what is corrected of the online model; only where it
         adds no torque instead."""
+
+    def read_out(self, readout: Readout, nonlinear: tuple[float, ...]) -> None:  # noqa: B027 - most do not
+        """Put the effect into what lies between torque and report; only where `measured`."""
 
     def put_inside(  # noqa: B027 - most do not
         self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Nonlinear
+from service.model.effects.base import Nonlinear, Readout
 from service.model.effects.torque_filter import TorqueFilter
 from service.model.scene import Scene
-from service.model.signals import lagging
+from service.model.signals import lagging, time_constant
 
 CUTOFFS = (3.0, 5.0, 8.0, 15.0, 25.0, 40.0, 70.0, 120.0)  # a robot is hardly held through less
 
@@ -28,6 +28,10 @@ class DriveLag(TorqueFilter):
         "The log holds what the drive was asked for, not what it did: log the measured current. If that lags too, "
         "the current loop is tuned too softly, or a filter of the command is set too low."
     )
+
+    def read_out(self, readout: Readout, nonlinear: tuple[float, ...]) -> None:
+        """A low-pass of what acts."""
+        readout.follows += time_constant(nonlinear[0])
 
     def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]):
         """What all joints have to be asked for."""

@@ -7,12 +7,26 @@ Limitations: first order in the error; at speed its second derivative dominates,
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Effect, Inside, Nonlinear
+from schemas.kernels import kernel
+from service.model.effects.base import Amplitude, Effect, Nonlinear
 from service.model.scene import Scene
+
+
+@kernel
+def _encoder(effect, gear_ratio, i, motion):
+    ratio = effect.nonlinear[0] * gear_ratio
+    cosine, sine = math.cos(ratio * motion[0, i]), math.sin(ratio * motion[0, i])
+    wave = effect.amplitude[i, 0] * cosine + effect.amplitude[i, 1] * sine
+    slope = ratio * (effect.amplitude[i, 1] * cosine - effect.amplitude[i, 0] * sine)
+    speed = motion[1, i]
+    motion[0, i] += wave
+    motion[1, i] += slope * speed
+    motion[2, i] += slope * motion[2, i] - ratio * ratio * wave * speed * speed
 
 
 @dataclass(frozen=True)
@@ -29,6 +43,7 @@ class EncoderEccentricity(Effect):
     beyond = 0.03  # rad: a magnet half a millimetre off a ring of 17 mm
     own_joint = False
     of_motor_turns = True
+    encoder = staticmethod(_encoder)
     settles = "a constant-speed sweep of this joint at medium speed"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
@@ -41,7 +56,3 @@ class EncoderEccentricity(Effect):
         wave = np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
         slope = np.concatenate([-np.sin(angle), np.cos(angle)], axis=1)
         return scene.perturbed(joint, wave, slope * speed, -wave * speed**2 + slope * acceleration)
-
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
-        """An error of the measured angle."""
-        inside.wobble.append((joint, float(amplitude[0]), float(amplitude[1]), nonlinear[0]))

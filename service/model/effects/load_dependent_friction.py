@@ -39,6 +39,7 @@ class LoadDependentFriction(Effect):
     dissipates = True
     directional = True
     online = staticmethod(_online)
+    by_load = True
     settles = "fast and slow runs of one path, or the same path with a payload"
 
     def grid(self, scene: Scene) -> list[tuple[float, ...]]:

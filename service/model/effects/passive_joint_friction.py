@@ -9,13 +9,46 @@ Limitations: friction about the rod's own axis and unequal joints are left out.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Amplitude, Inside, WholeDelta
+from schemas.kernels import kernel
+from service.model.effects.base import Amplitude, WholeDelta
 from service.model.friction import SOFT
 from service.model.scene import Scene
+
+
+@kernel
+def _level(dry, viscous, x, y, z):
+    """Friction torque over the speed of a ball joint that turns at x, y, z rad/s."""
+    speed = math.sqrt(x * x + y * y + z * z)
+    return dry * math.tanh(speed / SOFT) / max(speed, 1e-12) + viscous
+
+
+@kernel
+def _online(effect, now, i):
+    model, pose, torque = now.model, now.pose, 0.0
+    forearm, elbow, velocity, amplitude = pose.forearm, pose.elbow, pose.velocity, effect.amplitude[0]
+    column, lever = pose.column, pose.lever[i]
+    slope_x, slope_y, slope_z = column[i, 0] * lever, column[i, 1] * lever, column[i, 2] * lever
+    for arm in range(3):
+        axle_x, axle_y, rate = -model.azimuth_sin[arm], model.azimuth_cos[arm], now.theta_dot[arm]
+        over = 1.0 / model.passive_length[arm] ** 2
+        x, y, z = forearm[arm, 0] * over, forearm[arm, 1] * over, forearm[arm, 2] * over
+        own = 1.0 if arm == i else 0.0
+        u, v = velocity[0] - elbow[arm, 0] * rate, velocity[1] - elbow[arm, 1] * rate
+        w = velocity[2] - elbow[arm, 2] * rate
+        turn_x, turn_y, turn_z = y * w - z * v, z * u - x * w, x * v - y * u
+        u, v, w = slope_x - own * elbow[arm, 0], slope_y - own * elbow[arm, 1], slope_z - own * elbow[arm, 2]
+        per_x, per_y, per_z = y * w - z * v, z * u - x * w, x * v - y * u
+        level = _level(amplitude[1], amplitude[3], turn_x, turn_y, turn_z)
+        torque += level * (turn_x * per_x + turn_y * per_y + turn_z * per_z)
+        bend_x, bend_y = turn_x - axle_x * rate, turn_y - axle_y * rate
+        level = _level(amplitude[0], amplitude[2], bend_x, bend_y, turn_z)
+        torque += level * (bend_x * (per_x - own * axle_x) + bend_y * (per_y - own * axle_y) + turn_z * per_z)
+    return torque
 
 
 @dataclass(frozen=True)
@@ -27,6 +60,7 @@ class PassiveJointFriction(WholeDelta):
     name = "passive_joint_friction"
     title = "Friction in the forearms' ball joints"
     means = "Clean or replace the ball joints' shells and check the tension of their springs."
+    online = staticmethod(_online)
     settles = "long moves of the platform at several speeds, where a forearm swings while its own joint rests"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
@@ -52,7 +86,3 @@ class PassiveJointFriction(WholeDelta):
         for rate, per_joint in ((bend, bend_per_joint), (turn, turn_per_joint)):
             columns.append((rate, per_joint))
         return np.stack([np.einsum("nax,naxj->nj", rate, per) for rate, per in columns], axis=-1)
-
-    def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
-        """In the ball joints."""
-        inside.ball_joints[:] += amplitude

@@ -9,6 +9,7 @@ builds up over more than 0.2 rad is no contact: a cable that creeps looks like t
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,14 +19,35 @@ from service.model.effects.base import Amplitude, Effect, Inside, Nonlinear, geo
 from service.model.scene import Scene
 
 
+@kernel
+def slide_kernel(z, travel, distance):
+    """Relative bristle deflection in [-1, 1] after `travel` rad: dz / dtheta = (1 - z sign v) / distance, exactly."""
+    sign = 1.0 if travel > 0.0 else -1.0
+    return sign + (z - sign) * math.exp(-abs(travel) / distance)
+
+
+_STARTED, _ANGLE, _DEFLECTION, _UNKNOWN = range(4)  # of the memory; the last: share that the start still has in it
+
+
+@kernel
+def _online(effect, now, i, memory):
+    angle, distance, level = now.theta[i], effect.nonlinear[0], effect.amplitude[i, 0]
+    if memory[_STARTED] == 0.0:  # where the bristles stand at the start nobody has seen
+        memory[_STARTED], memory[_ANGLE], memory[_UNKNOWN] = 1.0, angle, 1.0
+    travel = angle - memory[_ANGLE]
+    memory[_ANGLE] = angle
+    memory[_DEFLECTION] = slide_kernel(memory[_DEFLECTION], travel, distance)
+    memory[_UNKNOWN] *= math.exp(-abs(travel) / distance)
+    now.doubt[i] += (level * memory[_UNKNOWN]) ** 2
+    return level * (memory[_DEFLECTION] - now.direction[i])
+
+
 @kernel(nogil=True)
 def _dahl(theta, distance, state):
-    """Relative bristle deflection z in [-1, 1]: dz / dtheta = (1 - z sign v) / distance, exact along each step."""
+    """Fill state (N,) along theta (N,) rad."""
     z = 0.0  # where the bristles stand at the start is not in the log
     for k in range(len(theta)):
-        step = theta[k] - theta[k - 1] if k > 0 else 0.0
-        sign = 1.0 if step > 0.0 else -1.0
-        z = sign + (z - sign) * np.exp(-abs(step) / distance)
+        z = slide_kernel(z, theta[k] - theta[k - 1] if k > 0 else 0.0, distance)
         state[k] = z
 
 
@@ -47,6 +69,8 @@ class PreslidingFriction(Effect):
         "where small reversals matter."
     )
     directional = True
+    online = staticmethod(_online)
+    memory = 4
     own_nonlinear = True
     settles = "small reversals (0.001 to 0.05 rad) about several angles"
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Effect, Nonlinear
+from service.model.effects.base import Effect, Nonlinear, Readout
 from service.model.scene import Scene
 from service.model.signals import delayed
 
@@ -37,6 +37,10 @@ class TorqueDelay(Effect):
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
         return (delayed(scene.total, nonlinear[0], scene.period) - scene.total)[..., None]
+
+    def read_out(self, readout: Readout, nonlinear: tuple[float, ...]) -> None:
+        """A shift."""
+        readout.late += nonlinear[0]
 
     def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]):
         """Shifts all joints."""

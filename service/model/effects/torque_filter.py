@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.model.effects.base import Effect, Nonlinear
+from service.model.effects.base import Effect, Nonlinear, Readout
 from service.model.scene import Scene
-from service.model.signals import lagging, leading
+from service.model.signals import lagging, leading, time_constant
 
 CUTOFFS = (1.0, 1.8, 3.0, 5.0, 8.0, 15.0, 25.0, 40.0, 70.0, 120.0)  # the lowest: a drive's filter of what it reports
 
@@ -35,6 +35,10 @@ class TorqueFilter(Effect):
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, n, 1)."""
         return (self.report(scene, joint, scene.total, np.zeros(0), nonlinear) - scene.total)[..., None]
+
+    def read_out(self, readout: Readout, nonlinear: tuple[float, ...]) -> None:
+        """A low-pass of what is reported."""
+        readout.lag += time_constant(nonlinear[0])
 
     def report(self, scene: Scene, joint: int, torque: np.ndarray, amplitude: np.ndarray, nonlinear: tuple[float, ...]):
         """Filters all joints."""

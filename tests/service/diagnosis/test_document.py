@@ -120,8 +120,10 @@ def test_rivals_are_those_of_the_open_round_that_shrink_the_gap():
     [
         ("cogging", True, "present_sample"),
         ("torque_scale", True, "settings"),
-        ("torque_delay", False, "of_the_measurement"),
-        ("backlash", False, "no_online_form"),
+        ("torque_delay", True, "report"),
+        ("backlash", True, "state"),
+        ("presliding_friction", True, "state"),
+        ("angle_scale", True, "present_sample"),
     ],
 )
 def test_it_is_said_whether_the_estimator_has_the_effect(name, carried, reason):

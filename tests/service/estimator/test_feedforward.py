@@ -159,7 +159,7 @@ def test_learnt_friction_is_reported_as_the_drives_report_torque(step):
         rubbed = sure[i, 0] * now["direction"][i] + sure[i, 1] * now["trajectory"][1, i] + 0.3 * now["balls"][i]
         expected = settings["scale"][i] * rubbed
         assert feedforward._learnt_friction(settings, now, i) == pytest.approx(expected + sure[i, 2])
-    now["terms"][4] = [2.0, 3.0, 4.0]
+    now["push"] = [2.0, 3.0, 4.0]
     assert [feedforward.load_kernel(settings, now, i) for i in range(3)] == pytest.approx([2.0, 3.3, 3.6])
 
 
@@ -169,7 +169,7 @@ def test_what_is_wanted_is_the_models_torque_a_payload_and_learnt_friction(step,
     sure = np.arange(13.0)
     sure[[3, 7, 11]] = scale = [0.05, -0.03, 0.0]
     now["payload"]["usable"], now["payload"]["departure"]["sure"] = 1.5, sure
-    assert feedforward._for_motion(settings, now, step["sample"][0])
+    assert feedforward._for_motion(settings, now, step["sample"][0], 1)
     inertia, gravity, platform, forearm, load = torque_terms(pack(robot), *now["trajectory"])
     rigid = found.rho_1.value * inertia + found.rho_2.value * gravity + platform
     rigid += found.forearm_inertia_kg.value * forearm
@@ -180,6 +180,6 @@ def test_what_is_wanted_is_the_models_torque_a_payload_and_learnt_friction(step,
     moved = (1 + np.array(scale)) * (now["full"] + 1.5 * settings["scale"] * load)
     np.testing.assert_allclose(now["wanted"], moved + learnt, rtol=1e-9)
     now["payload"]["usable"] = np.inf
-    assert not feedforward._for_motion(settings, now, step["sample"][0]), "no torque that is none"
+    assert not feedforward._for_motion(settings, now, step["sample"][0], 1), "no torque that is none"
     now["trajectory"][0] = 3.0
-    assert not feedforward._for_motion(settings, now, step["sample"][0]), "no pose"
+    assert not feedforward._for_motion(settings, now, step["sample"][0], 1), "no pose"

@@ -17,21 +17,22 @@ from tests.service.subject import EFFECTS, added
 from tests.service.world import PERIOD, ROBOT, course, scene, stub
 
 ONLINE = [name for name, effect in EFFECTS.items() if effect.online is not None]
+INSTANT = [name for name in ONLINE if not EFFECTS[name].memory]
 EVERY = 23  # samples
 LEANING = ROBOT.model_copy(update={"gravity_mps2": (2.0, -3.5, -9.0)})  # no component stands for another
 
 
-def test_what_needs_the_past_or_the_measurement_alone_has_no_online_form():
+def test_what_is_no_torque_of_a_joint_has_no_online_form():
     assert set(EFFECTS) - set(ONLINE) == {
-        "presliding_friction", "passive_joint_friction", "joint_elasticity", "backlash", "encoder_eccentricity",
-        "angle_scale", "torque_delay", "torque_filter", "drive_lag",
+        "joint_elasticity", "backlash", "encoder_eccentricity", "angle_scale", "torque_delay", "torque_filter",
+        "drive_lag",
         # in the settings of the online model
         "torque_scale", "link_length_error", "forearm_length_error", "base_radius_error", "azimuth_error",
         "joint_offset", "base_tilt",
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ONLINE)
+@pytest.mark.parametrize("name", INSTANT)
 def test_the_online_torque_is_the_offline_one(name):
     here = scene(course(1, 1.0), robot=LEANING)
     injected, effect = INJECTED[name], EFFECTS[name]
@@ -53,9 +54,10 @@ def test_the_online_torque_is_the_offline_one(name):
         pose = np.zeros((), POSE).view(np.recarray)
         pose["position"], pose["velocity"], pose["acceleration"] = arms.position[k], arms.velocity[k], acceleration[k]
         pose["column"], pose["elbow"], pose["lever"] = columns, arms.slope[k], lever[k]
+        pose["forearm"] = arms.forearm[k]
         now = Instant(
             model, float(here.mechanism.gear_ratio[0]), motion.theta[k], motion.theta_dot[k],
-            motion.theta_ddot[k], here.direction[k], here.load[k], float(motion.time[k]), pose[()],
+            motion.theta_ddot[k], here.direction[k], here.load[k], float(motion.time[k]), pose[()], np.zeros(3),
         )  # fmt: skip
         found = np.array([form(record, now, i) for i in range(3)])
         if effect.per_joint:

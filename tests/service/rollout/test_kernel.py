@@ -40,6 +40,7 @@ INJECTED: dict[str, tuple[list[int], dict[str, float]]] = {
     "base_radius_error": ([3], {"error": 0.012}),
     "azimuth_error": ([2], {"error": 0.03}),
     "joint_offset": ([1], {"error": 0.03}),
+    "angle_scale": ([2], {"epsilon": 0.02}),
     "joint_elasticity": ([2], {"natural_hz": 9.0, "damping_ratio": 0.1, "motor_share": 0.3}),
     "backlash": ([1], {"half": 0.004, "contact_hz": 120.0, "contact_damping": 2.0, "motor_share": 0.3}),
     "torque_scale": ([1], {"epsilon": 0.1}),

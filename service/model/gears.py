@@ -1,0 +1,249 @@
+"""Gears that yield or are loose, one sample at a time: links behind motors whose motion is known.
+
+With the link's twist e = link - motor angle of each joint whose gear is no rigid one, M the mass matrix of the links
+(the motors' inertia taken off) with the payload on the platform, and `load` the torque that the rigid robot would take
+at the links' angles and speeds and the motors' acceleration:
+
+    M e_ddot + D e_dot + K (e - flank) = -(load - I_m theta_ddot)        K, D = 0 while the flanks are apart
+
+The joints swing together, for M couples them through forearms and platform. The torque of each motor is then
+
+    load + M e_ddot          which on a joint with a gear is I_m theta_ddot - D e_dot - K (e - flank)
+
+Both are linear in the load: a second twist, per kilogram of payload, runs along under the same M, so that a payload is
+seen through the gears as it is felt there. Newmark's method with constant mean acceleration (Newmark 1959): no step makes it
+unstable, however stiff a gear is; so many substeps that a flank's impact is met in time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from schemas.kernels import kernel
+from service.model.dynamics import TERMS
+from service.model.forward import bias_kernel, mass_kernel
+from service.model.kinematics import POSE
+from service.model.nominal import DeltaModel, record_of
+
+SUBSTEPS_PER_SECOND = 8_000.0
+# Of a joint's inertia, what is left to the link where nearly all of it turns with the motor.
+LEAST_LINK = 0.02
+
+GEARS = np.dtype(
+    [
+        ("geared", "i8", 3),
+        ("half", "f8", 3),  # rad, lost motion to each side
+        ("stiffness", "f8", 3),  # N m/rad of closed flanks
+        ("damping", "f8", 3),  # N m s/rad of closed flanks
+        ("motor", "f8", 3),  # kg m^2 that turn with the motor
+    ],
+    align=True,
+)
+
+# Rows: of the robot without payload, per kg of payload.
+TWIST = np.dtype(
+    [
+        ("started", "i8"),
+        ("angle", "f8", (2, 3)),
+        ("speed", "f8", (2, 3)),
+        ("change", "f8", (2, 3)),
+        ("felt", "f8", (2, 3)),  # of it at the motors: behind a loose gear a mean over the sample, for impacts are shorter
+        ("shaken", "f8", 3),  # (N m)^2, of impacts of late
+        ("force", "f8", (2, 3)),  # N m, on the links at the end of the last step
+        ("unknown", "f8", 3),  # share of the swing at the start, which nobody has seen, that is left
+        ("flank", "i8", 3),  # that is closed: -1, 1; 0: none, or a gear without lost motion
+        # scratch
+        ("mass", "f8", (3, 3)),
+        ("matrix", "f8", (3, 3)),
+        ("inverse", "f8", (3, 3)),
+        ("now", "f8", (2, 3)),
+        ("right", "f8", 3),
+    ],
+    align=True,
+)
+
+
+# A measured acceleration smears a strike of the flanks over about this long.
+STRIKE_TIME = 0.006  # s
+# Where a joint's inertia is told that the figures of its gear go by: all arms this far down, amid the workspace.
+MIDDLE = 0.4  # rad
+
+
+def inertia_amid(model: DeltaModel, rho_1: np.ndarray, forearm: float) -> np.ndarray:
+    """(3,) kg m^2 of each joint with the others held, all arms at `MIDDLE`. rho_1: (3,). forearm: kg."""
+    pose, terms, mass, zero = np.zeros(1, POSE)[0], np.zeros((len(TERMS), 3)), np.zeros((3, 3)), np.zeros(3)
+    packed = record_of(model)
+    bias_kernel(packed, np.ones(3), forearm, 0.0, np.full(3, MIDDLE) - model.joint_offset, zero, pose, terms, zero.copy())
+    mass_kernel(packed, rho_1, forearm, 0.0, pose, mass)
+    return np.diag(mass).copy()
+
+
+def gears_of(figures: Mapping[int, tuple[float, float, float, float]], inertia: np.ndarray) -> np.ndarray:
+    """One GEARS record. figures: joint -> half the lost motion, rad; natural frequency, Hz, of the link against a held
+    motor; its damping ratio; share of the joint's inertia on the motor side. inertia: (3,) kg m^2."""
+    record = np.zeros((), GEARS)
+    for joint, (half, natural_hz, damping_ratio, share) in figures.items():
+        link = max(1.0 - share, LEAST_LINK) * inertia[joint]
+        stiffness = link * (2 * np.pi * natural_hz) ** 2
+        record["geared"][joint], record["half"][joint] = 1, half
+        record["stiffness"][joint], record["damping"][joint] = stiffness, 2 * damping_ratio * np.sqrt(stiffness * link)
+        record["motor"][joint] = share * inertia[joint]
+    return record
+
+
+@kernel
+def invert_kernel(m, result):
+    """result (3, 3): inverse of m, symmetric and positive, by cofactors."""
+    a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
+    x, y, z = d * f - e * e, c * e - b * f, b * e - c * d
+    over = 1.0 / (a * x + b * y + c * z)
+    result[0, 0], result[1, 1], result[2, 2] = over * x, over * (a * f - c * c), over * (a * d - b * b)
+    result[0, 1] = result[1, 0] = over * y
+    result[0, 2] = result[2, 0] = over * z
+    result[1, 2] = result[2, 1] = over * (b * c - a * e)
+
+
+@kernel
+def _links(gears, twist, mass):
+    """twist.mass: mass matrix of the links."""
+    for i in range(3):
+        for j in range(3):
+            twist.mass[i, j] = mass[i, j]
+        if gears.geared[i] != 0:
+            twist.mass[i, i] = max(mass[i, i] - gears.motor[i], LEAST_LINK * mass[i, i])
+
+
+@kernel
+def _begin(gears, twist, carried):
+    """At rest under the load of now, on the flank that it presses."""
+    for i in range(3):
+        twist.flank[i] = 0
+        twist.shaken[i] = 0.0
+        twist.unknown[i] = 1.0 if gears.geared[i] != 0 else 0.0
+        for row in range(2):
+            force = twist.now[row, i]
+            twist.angle[row, i] = force / gears.stiffness[i] if gears.geared[i] != 0 else 0.0
+            twist.speed[row, i] = twist.change[row, i] = twist.felt[row, i] = 0.0
+            twist.force[row, i] = force
+        if gears.half[i] > 0.0:
+            twist.flank[i] = 1 if twist.now[0, i] + carried * twist.now[1, i] > 0.0 else -1
+            twist.angle[0, i] += twist.flank[i] * gears.half[i]
+    twist.started = 1
+
+
+@kernel
+def _touch(gears, twist, i, carried):
+    """twist.flank of joint i: the one that pushes. Returns whether that has changed."""
+    half, before = gears.half[i], twist.flank[i]
+    angle = twist.angle[0, i] + carried * twist.angle[1, i]
+    speed = twist.speed[0, i] + carried * twist.speed[1, i]
+    flank = 0
+    if angle > half and gears.stiffness[i] * (angle - half) + gears.damping[i] * speed > 0.0:
+        flank = 1
+    elif angle < -half and gears.stiffness[i] * (angle + half) + gears.damping[i] * speed < 0.0:
+        flank = -1
+    twist.flank[i] = flank
+    return flank != before
+
+
+@kernel
+def _is_closed(gears, twist, i):
+    return gears.geared[i] != 0 and (gears.half[i] == 0.0 or twist.flank[i] != 0)
+
+
+@kernel
+def _prepare(gears, twist, h):
+    """twist.inverse for a step of h s with the flanks of now."""
+    for i in range(3):
+        for j in range(3):
+            coupled = gears.geared[i] != 0 and gears.geared[j] != 0
+            twist.matrix[i, j] = twist.mass[i, j] if coupled else (1.0 if i == j else 0.0)
+        if _is_closed(gears, twist, i):
+            twist.matrix[i, i] += 0.5 * h * gears.damping[i] + 0.25 * h * h * gears.stiffness[i]
+    invert_kernel(twist.matrix, twist.inverse)
+
+
+@kernel
+def _step(gears, twist, row, share, h):
+    """Move the twist `row` on by h s to where `share` of the sample's interval is over."""
+    angle, speed, change, right = twist.angle[row], twist.speed[row], twist.change[row], twist.right
+    for i in range(3):
+        right[i] = 0.0
+        if gears.geared[i] != 0:
+            right[i] = twist.force[row, i] + share * (twist.now[row, i] - twist.force[row, i])
+        if _is_closed(gears, twist, i):
+            rest = twist.flank[i] * gears.half[i] if row == 0 else 0.0
+            ahead = angle[i] + h * (speed[i] + 0.25 * h * change[i]) - rest
+            right[i] -= gears.stiffness[i] * ahead + gears.damping[i] * (speed[i] + 0.5 * h * change[i])
+    for i in range(3):
+        found = twist.inverse[i, 0] * right[0] + twist.inverse[i, 1] * right[1] + twist.inverse[i, 2] * right[2]
+        angle[i] += h * (speed[i] + 0.25 * h * (change[i] + found))
+        speed[i] += 0.5 * h * (change[i] + found)
+        change[i] = found
+
+
+@kernel
+def advance_kernel(gears, twist, mass, load, payload, theta_ddot, carried, elapsed):
+    """The twist `elapsed` s on. mass: (3, 3) kg m^2 with motors and payload. load, payload: (3,) N m, N m/kg, of the
+    rigid robot at the links' place. theta_ddot: (3,) rad/s^2 of the motors. carried: kg."""
+    _links(gears, twist, mass)
+    for i in range(3):
+        geared = gears.geared[i] != 0
+        twist.now[0, i] = gears.motor[i] * theta_ddot[i] - load[i] if geared else 0.0
+        twist.now[1, i] = -payload[i] if geared else 0.0
+    if twist.started == 0:
+        _begin(gears, twist, carried)
+        return
+    for row in range(2):
+        for i in range(3):
+            twist.felt[row, i] = -twist.speed[row, i]
+    count = max(1, math.ceil(elapsed * SUBSTEPS_PER_SECOND - 1e-6))
+    h = elapsed / count
+    _prepare(gears, twist, h)
+    for n in range(count):
+        changed = False
+        for i in range(3):
+            if gears.half[i] > 0.0:
+                changed |= _touch(gears, twist, i, carried)
+        if changed:
+            _prepare(gears, twist, h)
+        for row in range(2):
+            _step(gears, twist, row, (n + 1) / count, h)
+    for i in range(3):
+        twist.unknown[i] *= math.exp(-0.5 * elapsed * gears.damping[i] / twist.mass[i, i])
+        for row in range(2):
+            twist.force[row, i] = twist.now[row, i]
+            mean = (twist.felt[row, i] + twist.speed[row, i]) / elapsed
+            twist.felt[row, i] = mean if gears.half[i] > 0.0 else twist.change[row, i]
+    _shake(gears, twist, carried, elapsed)
+
+
+@kernel
+def _shake(gears, twist, carried, elapsed):
+    """twist.shaken: what links that fly or strike do to each motor; the moment of a strike is not known to the sample."""
+    for i in range(3):
+        torque = 0.0
+        for j in range(3):
+            if gears.half[j] > 0.0:
+                torque += twist.mass[i, j] * (twist.felt[0, j] + carried * twist.felt[1, j])
+        twist.shaken[i] = max(torque * torque, twist.shaken[i] * math.exp(-2.0 * elapsed / STRIKE_TIME))
+
+
+@kernel
+def doubt_kernel(twist, doubt):
+    """Add to doubt (3,), (N m)^2: a swing as large as its load took, as far as it has not died out, and strikes."""
+    for i in range(3):
+        doubt[i] += (twist.unknown[i] * twist.force[0, i]) ** 2 + twist.shaken[i]
+
+
+@kernel
+def through_kernel(gears, twist, row, strikes, torque):
+    """Add to torque (3,), the rigid robot's, what the twist `row` changes of it at the motors. strikes: also that of
+    flanks that strike; no drive is asked for their blow."""
+    for j in range(3):
+        if strikes or gears.half[j] == 0.0 or twist.flank[j] == 0:
+            for i in range(3):
+                torque[i] += twist.mass[i, j] * twist.felt[row, j]
