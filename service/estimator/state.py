@@ -14,9 +14,9 @@ from service.estimator.bounds import bounds_of
 from service.estimator.branch import BRANCH
 from service.estimator.left_out import left_out, torque_left_out
 from service.estimator.payload import state as payload
-from service.model.description import terms_of
+from service.model.description import base_of, terms_of
 from service.model.dynamics import REST_SPEED, TERMS
-from service.model.gears import GEARS, gears_of, inertia_amid
+from service.model.elastic import GEARS, gears_of
 from service.model.hypothesis import inside_of
 from service.model.kinematics import POSE
 from service.model.nominal import MODEL, lengthened, pack, record_of
@@ -187,7 +187,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["encoded"], record["readout"] = effects.has_encoders(terms), reading
     figures = inside_of(terms).two_masses
     record["geared"] = bool(figures)
-    record["gears"] = gears_of(figures, inertia_amid(pack(robot), record["rho"][0, 0], float(record["forearm"][0])))
+    record["gears"] = gears_of(pack(robot), base_of(described).rigid, figures)
     record["scale"] = scale
     record["gear_ratio"] = robot.drive.gear_ratio
     share = readout.noise_share(reading, max(1, round(payload.BLOCK_TIME / period)))

@@ -18,30 +18,13 @@ unstable, however stiff a gear is; so many substeps that a flank's impact is met
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 
 from schemas.kernels import kernel
-from service.model.dynamics import TERMS
-from service.model.forward import bias_kernel, mass_kernel
-from service.model.kinematics import POSE
-from service.model.nominal import DeltaModel, record_of
+from service.model.elastic import LOST, split_kernel
 
 SUBSTEPS_PER_SECOND = 8_000.0
-# Of a joint's inertia, what is left to the link where nearly all of it turns with the motor.
-LEAST_LINK = 0.02
-
-GEARS = np.dtype(
-    [
-        ("geared", "i8", 3),
-        ("half", "f8", 3),  # rad, lost motion to each side
-        ("stiffness", "f8", 3),  # N m/rad of closed flanks
-        ("damping", "f8", 3),  # N m s/rad of closed flanks
-        ("motor", "f8", 3),  # kg m^2 that turn with the motor
-    ],
-    align=True,
-)
 
 # Rows: of the robot without payload, per kg of payload.
 TWIST = np.dtype(
@@ -61,6 +44,8 @@ TWIST = np.dtype(
         ("inverse", "f8", (3, 3)),
         ("now", "f8", (2, 3)),
         ("right", "f8", 3),
+        ("side", "f8", 3),
+        ("motor", "f8", 3),  # kg m^2 that turn with the motors there
     ],
     align=True,
 )
@@ -68,32 +53,6 @@ TWIST = np.dtype(
 
 # A measured acceleration smears a strike of the flanks over about this long.
 STRIKE_TIME = 0.006  # s
-# Where a joint's inertia is told that the figures of its gear go by: all arms this far down, amid the workspace.
-MIDDLE = 0.4  # rad
-
-
-def inertia_amid(model: DeltaModel, rho_1: np.ndarray, forearm: float) -> np.ndarray:
-    """(3,) kg m^2 of each joint with the others held, all arms at `MIDDLE`. rho_1: (3,). forearm: kg."""
-    pose, terms, mass, zero = np.zeros(1, POSE)[0], np.zeros((len(TERMS), 3)), np.zeros((3, 3)), np.zeros(3)
-    packed = record_of(model)
-    bias_kernel(packed, np.ones(3), forearm, 0.0, np.full(3, MIDDLE) - model.joint_offset, zero, pose, terms, zero.copy())
-    mass_kernel(packed, rho_1, forearm, 0.0, pose, mass)
-    return np.diag(mass).copy()
-
-
-def gears_of(figures: Mapping[int, tuple[float, float, float, float]], inertia: np.ndarray) -> np.ndarray:
-    """One GEARS record. figures: joint -> half the lost motion, rad; natural frequency, Hz, of the link against a held
-    motor; its damping ratio; share of the joint's inertia on the motor side. inertia: (3,) kg m^2."""
-    record = np.zeros((), GEARS)
-    for joint, (half, natural_hz, damping_ratio, share) in figures.items():
-        link = max(1.0 - share, LEAST_LINK) * inertia[joint]
-        stiffness = link * (2 * np.pi * natural_hz) ** 2
-        record["geared"][joint], record["half"][joint] = 1, half
-        record["stiffness"][joint], record["damping"][joint] = stiffness, 2 * damping_ratio * np.sqrt(stiffness * link)
-        record["motor"][joint] = share * inertia[joint]
-    return record
-
-
 @kernel
 def invert_kernel(m, result):
     """result (3, 3): inverse of m, symmetric and positive, by cofactors."""
@@ -107,25 +66,15 @@ def invert_kernel(m, result):
 
 
 @kernel
-def _links(gears, twist, mass):
-    """twist.mass: mass matrix of the links."""
-    for i in range(3):
-        for j in range(3):
-            twist.mass[i, j] = mass[i, j]
-        if gears.geared[i] != 0:
-            twist.mass[i, i] = max(mass[i, i] - gears.motor[i], LEAST_LINK * mass[i, i])
-
-
-@kernel
 def _begin(gears, twist, carried):
     """At rest under the load of now, on the flank that it presses."""
     for i in range(3):
         twist.flank[i] = 0
         twist.shaken[i] = 0.0
-        twist.unknown[i] = 1.0 if gears.geared[i] != 0 else 0.0
+        twist.unknown[i] = 1.0 if gears.stiffness[i] > 0.0 else 0.0
         for row in range(2):
             force = twist.now[row, i]
-            twist.angle[row, i] = force / gears.stiffness[i] if gears.geared[i] != 0 else 0.0
+            twist.angle[row, i] = force / gears.stiffness[i] if gears.stiffness[i] > 0.0 else 0.0
             twist.speed[row, i] = twist.change[row, i] = twist.felt[row, i] = 0.0
             twist.force[row, i] = force
         if gears.half[i] > 0.0:
@@ -151,7 +100,7 @@ def _touch(gears, twist, i, carried):
 
 @kernel
 def _is_closed(gears, twist, i):
-    return gears.geared[i] != 0 and (gears.half[i] == 0.0 or twist.flank[i] != 0)
+    return gears.stiffness[i] > 0.0 and (gears.half[i] == 0.0 or twist.flank[i] != 0)
 
 
 @kernel
@@ -159,7 +108,7 @@ def _prepare(gears, twist, h):
     """twist.inverse for a step of h s with the flanks of now."""
     for i in range(3):
         for j in range(3):
-            coupled = gears.geared[i] != 0 and gears.geared[j] != 0
+            coupled = gears.stiffness[i] > 0.0 and gears.stiffness[j] > 0.0
             twist.matrix[i, j] = twist.mass[i, j] if coupled else (1.0 if i == j else 0.0)
         if _is_closed(gears, twist, i):
             twist.matrix[i, i] += 0.5 * h * gears.damping[i] + 0.25 * h * h * gears.stiffness[i]
@@ -172,7 +121,7 @@ def _step(gears, twist, row, share, h):
     angle, speed, change, right = twist.angle[row], twist.speed[row], twist.change[row], twist.right
     for i in range(3):
         right[i] = 0.0
-        if gears.geared[i] != 0:
+        if gears.stiffness[i] > 0.0:
             right[i] = twist.force[row, i] + share * (twist.now[row, i] - twist.force[row, i])
         if _is_closed(gears, twist, i):
             rest = twist.flank[i] * gears.half[i] if row == 0 else 0.0
@@ -189,12 +138,15 @@ def _step(gears, twist, row, share, h):
 def advance_kernel(gears, twist, mass, load, payload, theta_ddot, carried, elapsed):
     """The twist `elapsed` s on. mass: (3, 3) kg m^2 with motors and payload. load, payload: (3,) N m, N m/kg, of the
     rigid robot at the links' place. theta_ddot: (3,) rad/s^2 of the motors. carried: kg."""
-    _links(gears, twist, mass)
     for i in range(3):
-        geared = gears.geared[i] != 0
-        twist.now[0, i] = gears.motor[i] * theta_ddot[i] - load[i] if geared else 0.0
+        for j in range(3):
+            twist.mass[i, j] = mass[i, j]
+    split_kernel(gears, twist)
+    for i in range(3):
+        geared = gears.stiffness[i] > 0.0
+        twist.now[0, i] = twist.motor[i] * theta_ddot[i] - load[i] if geared else 0.0
         twist.now[1, i] = -payload[i] if geared else 0.0
-    if twist.started == 0:
+    if twist.started == 0 or elapsed <= 0.0:
         _begin(gears, twist, carried)
         return
     for row in range(2):
@@ -218,6 +170,8 @@ def advance_kernel(gears, twist, mass, load, payload, theta_ddot, carried, elaps
             twist.force[row, i] = twist.now[row, i]
             mean = (twist.felt[row, i] + twist.speed[row, i]) / elapsed
             twist.felt[row, i] = mean if gears.half[i] > 0.0 else twist.change[row, i]
+        if not abs(twist.angle[0, i] + carried * twist.angle[1, i]) < LOST:  # it has come apart: begin anew
+            twist.started = 0
     _shake(gears, twist, carried, elapsed)
 
 

@@ -8,28 +8,64 @@ from dataclasses import replace
 import numpy as np
 
 from service.model.effects.base import on_joint
+from service.model.effects.joint_elasticity import JointElasticity
+from service.model.elastic import coupled
 from service.model.friction import mean_direction
-from service.model.hypothesis import Hypothesis, Term
+from service.model.hypothesis import Hypothesis, Term, inside_of
 from service.model.scene import Scene
 from service.model.signals import Band, delayed
 
 
 def unreported(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
     """Torque (N, n) N m at the joints."""
-    return scene.total + sum(added(scene, term) for term in hypothesis.terms if not term.effect.measured)
+    gears = [term for term in hypothesis.terms if swings(scene, term)]
+    alone = [term for term in hypothesis.terms if not term.effect.measured and not swings(scene, term)]
+    return scene.total + sum(added(scene, term) for term in alone) + together(scene, gears)
+
+
+def swings(scene: Scene, term: Term) -> bool:
+    """Whether an effect makes links swing that feel each other: those of a Delta all hang on the platform. Play does too,
+    but what is left of its impacts is less where each joint is simulated by itself, in finer steps."""
+    return isinstance(term.effect, JointElasticity) and scene.mechanism.kind == "delta"
+
+
+def together(scene: Scene, gears: Sequence[Term]) -> np.ndarray:
+    """Torque (N, n) N m that effects add which make links swing."""
+    return coupled(scene, inside_of(gears).two_masses) if gears else np.zeros((len(scene.time), scene.joints))
 
 
 def added(scene: Scene, term: Term) -> np.ndarray:
     """Torque (N, n) N m that an effect adds at the joints."""
-    return _added(scene, term, [term.nonlinear])[..., 0]
+    return together(scene, [term]) if swings(scene, term) else _added(scene, term, [term.nonlinear])[..., 0]
 
 
 def _added(scene: Scene, term: Term, points: Sequence[tuple[float, ...]]) -> np.ndarray:
-    """The same (N, n, P) at P nonlinear parameters."""
+    """The same (N, n, P) at P nonlinear parameters, by itself."""
     torque = np.zeros((len(scene.time), scene.joints, len(points)))
     for place, amplitude in zip(term.places, term.amplitude, strict=True):
         torque += term.effect.torques(scene, place, amplitude, points)
     return torque
+
+
+def _own(
+    scene: Scene, terms: Sequence[Term], moved: Sequence[Sequence[tuple[tuple[float, ...], float]]]
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Torque (N, n) of the terms, and the change (N, n, P) of each at its points `moved`; of measured ones nothing."""
+    gears = [term for term in terms if swings(scene, term)]
+    torque, changes = together(scene, gears), []
+    swinging = torque
+    for term, points in zip(terms, moved, strict=True):
+        if term.effect.measured:
+            changes.append(np.zeros(0))
+        elif swings(scene, term):
+            others = [[replace(g, nonlinear=point) if g is term else g for g in gears] for point, _ in points]
+            columns = [together(scene, other) - swinging for other in others]
+            changes.append(np.stack(columns, axis=-1) if columns else np.zeros((*swinging.shape, 0)))
+        else:
+            torques = _added(scene, term, [term.nonlinear, *(point for point, _ in points)])
+            torque = torque + torques[..., 0]
+            changes.append(torques[..., 1:] - torques[..., :1])
+    return torque, changes
 
 
 def reported(scene: Scene, hypothesis: Hypothesis, torque: np.ndarray) -> np.ndarray:
@@ -51,11 +87,8 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
     """Prediction (M, n) and its derivative (M, n, F) by every free parameter of `Parameters`, in the band."""
     n = scene.joints
     moved = [_moved(term) for term in hypothesis.terms]
-    own = [
-        np.zeros(1) if term.effect.measured else _added(scene, term, [term.nonlinear, *(point for point, _ in points)])
-        for term, points in zip(hypothesis.terms, moved, strict=True)
-    ]
-    torque = scene.total + sum(torques[..., 0] for torques in own)
+    own, changes = _own(scene, hypothesis.terms, moved)
+    torque = scene.total + own
     base, rows = hypothesis.base, scene.mechanism.rows
     columns = scene.recording.rigid.columns
     at_joint: list[np.ndarray] = [columns if base.wanted is None else columns[..., base.wanted]]
@@ -67,7 +100,7 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
         at_joint.append(-np.gradient(torque, scene.period, axis=0)[..., None])
     raw: dict[int, np.ndarray] = {}
     count = sum(part.shape[-1] for part in at_joint)
-    for term, torques, points in zip(hypothesis.terms, own, moved, strict=True):
+    for term, change, points in zip(hypothesis.terms, changes, moved, strict=True):
         if term.effect.amplitudes:
             for place, amplitude in zip(term.places, term.amplitude, strict=True):
                 if term.effect.measured:
@@ -78,15 +111,15 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
                     columns = term.effect.slopes(scene, place, amplitude, term.nonlinear)
                 at_joint.append(columns)
                 count += columns.shape[-1]
-        for number, (point, size) in enumerate(points, start=1):
+        for number, (point, size) in enumerate(points):
             if term.effect.measured:
                 other = replace(term, nonlinear=point)
                 terms = tuple(other if t is term else t for t in hypothesis.terms)
-                change = reported(scene, replace(hypothesis, terms=terms), torque)
-                raw[count] = (change - reported(scene, hypothesis, torque)) / size
+                altered = reported(scene, replace(hypothesis, terms=terms), torque)
+                raw[count] = (altered - reported(scene, hypothesis, torque)) / size
                 at_joint.append(np.zeros((len(torque), n, 1)))
             else:
-                at_joint.append(((torques[..., number] - torques[..., 0]) / size)[..., None])
+                at_joint.append((change[..., number] / size)[..., None])
             count += 1
     columns = reported(scene, hypothesis, np.concatenate([torque[..., None], *at_joint], axis=-1))
     columns[..., 0] = delayed(columns[..., 0], hypothesis.base.timing, scene.period)  # slopes can do without

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from schemas.kernels import kernel
+from service.model.elastic import inertias, train
 from service.model.scene import Scene
 
 SUBSTEPS_PER_SECOND = 8_000.0
@@ -98,16 +99,16 @@ class Relative(NamedTuple):
 
 def relative_motion(scene: Scene, joint: int, figures: Sequence[tuple[float, float, float, float]]) -> Relative:
     """Link behind the recorded motor of `joint`, for L `figures` as of `two_masses`."""
-    half, natural_hz, damping_ratio, motor_share = np.array(figures, float).T.copy()
     spring, drag, whole = scene.slopes(joint)[:, joint].T.copy()
-    motor = motor_share * float(np.mean(whole))
-    mean = np.array([float(np.mean(np.maximum(whole - one, 0.02 * whole))) for one in motor])
-    mean = np.maximum(mean, 0.0)  # a base model that found no inertia has no link that could swing
-    stiffness = mean * (2 * np.pi * natural_hz) ** 2
-    gears = Gears(half, stiffness, 2 * damping_ratio * np.sqrt(stiffness * mean), motor)
+    if scene.mechanism.kind == "delta":
+        all_of_them, most = inertias(scene.delta.model, scene.base.rigid)
+        inertia = all_of_them[joint]
+    else:  # a base model that found no inertia has no link that could swing
+        inertia, most = max(float(np.mean(whole)), 0.0), 1.0
+    gears = Gears(*train(inertia, most, *np.array(figures, float).T))
     acceleration = np.ascontiguousarray(scene.segment.theta_ddot[:, joint])
     demand = scene.load[:, joint] - whole * acceleration
-    angle, speed, change = np.empty((3, len(demand), len(half)))
+    angle, speed, change = np.empty((3, len(demand), len(gears.half)))
     substeps = max(1, round(SUBSTEPS_PER_SECOND * scene.period))
     drag -= scene.base.viscous[joint]  # the gear's own friction stays with the motor
     link = Link(demand, whole, drag, spring)

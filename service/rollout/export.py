@@ -28,7 +28,7 @@ from schemas.robot import Robot
 from service.estimator.effects import corrected
 from service.model.description import base_of, terms_of
 from service.model.effects.base import Effect, Inside
-from service.model.forward import forward_dynamics
+from service.model.elastic import gears_of
 from service.model.hypothesis import Term, inside_of
 from service.model.nominal import lengthened, pack
 from service.model.signals import time_constant
@@ -73,7 +73,8 @@ def to_mjcf(robot: Robot) -> Export:
             f"robot {robot.name}: no bodies have these figures: platform {platform:.3g} kg, active links "
             f"{', '.join(f'{value:.3g}' for value in inertia)} kg m^2 about their joints"
         )
-    motor, stiffness, damping, half = _trains(inside, model, base.rigid)
+    gears = gears_of(model, base.rigid, inside.two_masses)[0]
+    motor, stiffness, damping, half = (gears[name] for name in ("motor", "stiffness", "damping", "half"))
     drawn = np.maximum(robot.mass.active_link + more, 1e-3)
     link = np.where(motor > 0, inertia - motor, np.minimum(inertia, drawn * length**2 / 3))
     if (link <= 0).any():
@@ -145,21 +146,6 @@ def _amounts(terms: tuple[Term, ...]):
         return result
 
     return amount
-
-
-def _trains(inside: Inside, model, rigid: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Inertia of motors of their own, stiffness, damping and half the lost motion, (3,) each; zero where stiff."""
-    motor, stiffness, damping, half = np.zeros((4, 3))
-    if inside.two_masses:
-        # on a log it is the mean along it; here over the middle of the workspace
-        poses = np.array([[a, b, c] for a in (0.0, 0.4, 0.8) for b in (0.0, 0.4, 0.8) for c in (0.0, 0.4, 0.8)])
-        _, mass = forward_dynamics(model, rigid, poses, 0 * poses, 0 * poses)
-        for joint, (gap, natural_hz, ratio, share) in inside.two_masses.items():
-            whole = float(np.mean(mass[:, joint, joint]))
-            motor[joint], link = share * whole, (1 - share) * whole
-            stiffness[joint] = link * (2 * np.pi * natural_hz) ** 2
-            damping[joint], half[joint] = 2 * ratio * np.sqrt(stiffness[joint] * link), gap
-    return motor, stiffness, damping, half
 
 
 def _add_train(spec: mujoco.MjSpec, i: int, stiffness: float, damping: float, half: float) -> None:

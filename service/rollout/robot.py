@@ -11,12 +11,11 @@ from service.estimator.effects import carried, corrected, has_encoders, pack_eff
 from service.model.description import base_of, terms_of
 from service.model.effects.base import Effect
 from service.model.effects.presliding_friction import deflection
+from service.model.elastic import elastic_motion, gears_of
 from service.model.hypothesis import Term, inside_of
 from service.model.mechanism import Delta
 from service.model.nominal import DeltaModel, lengthened, pack, record_of
-from service.model.scene import Recording, Scene
 from service.model.signals import Segment, delayed, smooth
-from service.model.two_masses import relative_motion
 from service.rollout.kernel import FORWARD, SHARPEST
 
 
@@ -74,14 +73,14 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> SeenStretch
         segment = replace(segment, theta=theta, theta_dot=theta_dot, theta_ddot=theta_ddot)
     torque = true_torque(terms, base.timing, segment.torque, segment.period)
     mechanism = Delta.of(changed)
-    scene = Scene(Recording(segment, mechanism, 0, robot.name), base)
     start = np.stack([segment.theta, segment.theta_dot, segment.theta, segment.theta_dot, np.zeros_like(torque)], 1)
-    motor, stiffness, damping, half = np.zeros((4, 3))
-    for joint, figures in inside.two_masses.items():
-        link = relative_motion(scene, joint, [figures])
-        half[joint], stiffness[joint], damping[joint], motor[joint] = (figure[0] for figure in link.gears)
-        start[:, 0, joint] += link.angle[:, 0]
-        start[:, 1, joint] += link.speed[:, 0]
+    gears = gears_of(mechanism.model, base.rigid, inside.two_masses)
+    if inside.two_masses:
+        link = elastic_motion(
+            mechanism.model, base.rigid, gears, (segment.theta, segment.theta_dot, segment.theta_ddot), segment.period
+        )
+        start[:, 0] += link.twist
+        start[:, 1] += link.rate
     for joint in np.flatnonzero(inside.bristle):
         start[:, 4, joint] = deflection(segment.theta[:, joint], inside.distance[joint])
     forward, model = np.zeros(1, FORWARD), pack(changed)
@@ -99,7 +98,8 @@ def stretch(robot: Robot, segment: Segment, position: np.ndarray) -> SeenStretch
     forward["rotor"], forward["tool"] = inside.rotor, inside.tool
     forward["rotor"] += inside.arm * model.active_length**2 / 3
     forward["bristle"], forward["distance"] = inside.bristle, inside.distance
-    forward["motor"], forward["stiffness"], forward["damping"], forward["half"] = motor, stiffness, damping, half
+    for name in ("motor", "stiffness", "damping", "half"):
+        forward[name] = gears[name]
     return SeenStretch(model, forward, start, measured, torque, encoders, robot.drive.gear_ratio)
 
 

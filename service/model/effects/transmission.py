@@ -38,5 +38,8 @@ class Transmission(Effect):
         return self.columns(scene, joint, points)
 
     def put_inside(self, inside: Inside, joint: int, amplitude: np.ndarray, nonlinear: tuple[float, ...]) -> None:
-        """The link and what is between."""
-        inside.two_masses[joint] = self.figures(nonlinear)
+        """The link and what is between; of play and a spring in one joint the softer has the other's gap."""
+        own = self.figures(nonlinear)
+        other = inside.two_masses.get(joint, own)
+        _, natural_hz, damping_ratio, motor_share = min(own, other, key=lambda figures: figures[1])
+        inside.two_masses[joint] = max(own[0], other[0]), natural_hz, damping_ratio, motor_share

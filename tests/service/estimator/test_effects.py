@@ -53,7 +53,10 @@ OF_THE_REPORT = ("torque_delay", "torque_filter", "drive_lag")
 # A strike's torque to the sample, and a step's through a drive's lag turned round, hang on the motion as each side
 # smooths it; what they come to does not.
 ROUGH = {"backlash": 20.0, "drive_lag": 20.0}  # Hz, below which they are compared
-CLOSE = 0.05  # of the effect's own size
+# Of the effect's own size; of an elastic gear it goes by the fourth derivative of the command, which the filter of the
+# command only begins to know.
+CLOSE = {"joint_elasticity": 0.1}
+OTHERS_CLOSE = 0.05
 
 
 def effect(name: str, joints: list[int]) -> EffectEntry:
@@ -83,7 +86,7 @@ def is_close(found, offline, known, name):
     size = np.sqrt(np.mean(np.where(known, offline, 0) ** 2))
     assert size > 0.05, "the effect shows"
     error = np.where(known, found - offline, 0)
-    assert np.sqrt(np.mean(error**2)) < CLOSE * size
+    assert np.sqrt(np.mean(error**2)) < CLOSE.get(name, OTHERS_CLOSE) * size
 
 
 @pytest.mark.parametrize("name", [name for name in FOUND if name not in (*OF_THE_REPORT, "backlash")])

@@ -14,6 +14,7 @@ from drivers.motion import MotionLimits, Planner
 from drivers.plant.effects import transmission
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import simulate
+from service.model.elastic import inertias
 from service.model.two_masses import relative_motion, two_masses
 from tests.service.axis import INERTIA, loose_axis, spring_axis
 from tests.service.subject import (
@@ -81,7 +82,7 @@ def test_on_the_robot_it_is_what_the_plant_does(name, effect, joint, left_over):
     base = Base(BASE.rigid, np.full(3, viscous), np.zeros(3), 0.002)
     here = Scene(Recording(thin(part), Delta.of(ROBOT), 0, "plant"), base)
     band = Band.of(PERIOD)
-    whole = float(np.mean(here.slopes(joint)[:, joint, 2]))
+    whole = inertias(here.delta.model, base.rigid)[0][joint]
     share = TRUTH.rotor_inertia_kgm2[joint] / whole
     link = (1 - share) * whole
     if name == "joint_elasticity":
