@@ -12,7 +12,7 @@ from service.estimator import departure
 from service.estimator.branch import ANSWERED, MEASURED, wake_kernel
 from service.estimator.effects import effects_kernel, encoder_kernel, remembering_kernel
 from service.estimator.kalman import ACCELERATION, POSITION, VELOCITY
-from service.estimator.stream import COMMAND_ACCELERATION, SETTLE_TIME, STATE_NEW, coast_cycles
+from service.estimator.stream import COMMAND_ACCELERATION, STATE_NEW, coast_cycles, settled_cycles
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, terms_kernel
 from service.model.effects.base import Instant
 from service.model.forward import mass_kernel
@@ -36,7 +36,7 @@ def feedforward_kernel(settings, state, sample, passed, out):
     """Fill torque, source and target of `out` for `sample`, `passed` cycles after the last answer. Returns flags."""
     source, flags = _choose(settings, state, sample, out)
     seconds = passed * settings.period
-    branch = state.branch[ANSWERED]
+    branch, since = state.branch[ANSWERED], np.int64(0)
     if source == _NONE:
         branch.idle += passed
     else:
@@ -44,6 +44,8 @@ def feedforward_kernel(settings, state, sample, passed, out):
         if since == 0 and settings.remembers != 0:
             flags |= STATE_NEW
     if source != _NONE and _for_motion(settings, state, sample, since):
+        if (source == _COMMAND and state.command_stray > 0) or (source == _ESTIMATE and state.stray > 0):
+            _stay(state)
         flags |= _within_bounds(settings, state, seconds, out)
         if state.payload.departure.held != 0:
             flags |= _FRICTION_HELD
@@ -54,6 +56,14 @@ def feedforward_kernel(settings, state, sample, passed, out):
         state.torque[i] = out.torque[i]
     out.source = state.source = source
     return flags
+
+
+@kernel
+def _stay(state):
+    """Want what is there: of a motion that jumped, what it was before is as little known as where it leads."""
+    for i in range(3):
+        state.wanted[i] = state.torque[i]
+        state.direction[i] = state.direction_before[i]
 
 
 @kernel
@@ -69,6 +79,7 @@ def hold_kernel(settings, state, sample, out):
     else:
         for i in range(3):
             out.torque[i] = state.torque[i]
+            state.climb[i] = 0.0
     for i in range(3):
         state.torque[i] = out.torque[i]
     out.source = state.source
@@ -78,7 +89,7 @@ def hold_kernel(settings, state, sample, out):
 @kernel
 def _choose(settings, state, sample, out):
     """Put the motion to answer for into state.trajectory. Returns (source, flags)."""
-    coast, settled = coast_cycles(settings), SETTLE_TIME / settings.period
+    coast, settled = coast_cycles(settings), settled_cycles(settings)
     motion = state.trajectory
     out.target_sequence = sample.sequence
     ahead = np.int64(state.reference_sequence - sample.sequence)
@@ -279,17 +290,21 @@ def weight_kernel(settings, state, i):
 
 @kernel
 def _within_bounds(settings, state, seconds, out):
-    """out.torque: what is wanted, at most the peak, and from answer to answer at most the slope, but for a reversal of
-    Coulomb friction, which is a step by nature."""
+    """out.torque: what is wanted, at most the peak, and from answer to answer at most the slope, which grows by so much
+    a cycle and may end at once, but for a reversal of Coulomb friction, which is a step by nature."""
     flags = 0
+    growth = settings.growth * seconds / settings.period
     for i in range(3):
         dry = settings.coulomb[i] + state.payload.departure.sure[departure.place(i, 0)]
-        reversal = settings.scale[i] * dry * abs(state.direction[i] - state.direction_before[i])
-        step = max(settings.slope * seconds, reversal)
-        low, high = max(-settings.peak, state.torque[i] - step), min(settings.peak, state.torque[i] + step)
+        turned = settings.scale[i] * dry * (state.direction[i] - state.direction_before[i])
+        step = max(settings.slope * seconds, abs(turned))
+        least, most = min(0.0, state.climb[i] - growth) * seconds, max(0.0, state.climb[i] + growth) * seconds
+        low = max(-settings.peak, state.torque[i] + max(-step, least - abs(turned)))
+        high = min(settings.peak, state.torque[i] + min(step, most + abs(turned)))
         torque = min(max(state.wanted[i], low), high)
         if torque != state.wanted[i]:
             flags = _LIMITED
+        state.climb[i] = min(max(torque - state.torque[i] - turned, least), most) / seconds
         out.torque[i] = torque
         state.direction_before[i] = state.direction[i]
     state.faded = 0.0
@@ -308,6 +323,7 @@ def _fade(settings, state, seconds, out):
     flags = 0
     for i in range(3):
         out.torque[i] = left * state.fade_from[i]
+        state.climb[i] = (out.torque[i] - state.torque[i]) / seconds
         if out.torque[i] != 0.0:
             flags = _FADING
         state.direction_before[i] = 0.0

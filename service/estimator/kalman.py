@@ -44,6 +44,7 @@ FILTER = np.dtype(
         ("noise", "f8", (ORDER, ORDER)),  # what the jerk adds to the covariance in one cycle
         ("first", "f8", (ORDER, ORDER)),  # covariance at the start of a stream
         ("resolution", "f8"),  # rad, standard deviation of a position
+        ("behind", "f8"),  # s^2, see `_behind`
         ("lag", "i8"),  # samples
         ("acceleration_variance", "f8"),  # (rad/s^2)^2, of the smoothed one where no sample is missing
     ],
@@ -85,6 +86,7 @@ class MotionFilter(NamedTuple):
     noise: np.ndarray
     first: np.ndarray
     resolution: float
+    behind: float
     lag: int
     acceleration_variance: float
 
@@ -107,17 +109,29 @@ def design(period: float, resolution: float, least_lag: int = 1) -> MotionFilter
         noise=0.5 * (noise + noise.T),
         first=np.diag(np.array([resolution, FIRST_SPEED, FIRST_ACCELERATION, EXPECTED_JERK]) ** 2),
         resolution=resolution,
+        behind=math.nan,
         lag=max(least_lag, min(LONGEST_SMOOTHING, round(SMOOTHING_LAG / period))),
         acceleration_variance=math.nan,
     )
-    return motion._replace(acceleration_variance=_steady_variance(motion))
+    prior = solve_discrete_are(motion.transition.T, np.eye(ORDER, 1), motion.noise, np.array([[resolution**2]]))
+    return motion._replace(behind=_behind(motion, prior), acceleration_variance=_steady_variance(motion, prior))
 
 
-def _steady_variance(motion: MotionFilter) -> float:
+def _behind(motion: MotionFilter, prior: np.ndarray) -> float:
+    """Largest error of a predicted position, rad per rad/s^2 by which the acceleration changes at once, until the
+    filter has found the new one. prior: covariance of a prediction once the filter has settled."""
+    gain, error, largest = prior[:, 0] / (prior[0, 0] + motion.resolution**2), np.eye(ORDER)[ACCELERATION], 0.0
+    for _ in range(2 * MAX_LAG):
+        error = motion.transition @ error
+        largest = max(largest, abs(float(error[0])))
+        error = error - gain * error[0]
+    return largest
+
+
+def _steady_variance(motion: MotionFilter, prior: np.ndarray) -> float:
     """Variance of the smoothed acceleration once the filter has settled: of its covariance P, what the samples until
-    the lag is over leave (see `acceleration_variance_kernel`)."""
+    the lag is over leave (see `acceleration_variance_kernel`). prior: covariance of a prediction then."""
     transition = motion.transition
-    prior = solve_discrete_are(transition.T, np.eye(ORDER, 1), motion.noise, np.array([[motion.resolution**2]]))
     spread = prior[0, 0] + motion.resolution**2
     gain = prior[:, :1] / spread
     carried = (prior - gain @ gain.T * spread)[:, 2:3]
@@ -169,6 +183,18 @@ def predict_kernel(motion, track, cycles):
                     total += carried[row, k] * transition[column, k]
                 covariance[row, column] = total
                 covariance[column, row] = total
+
+
+@kernel
+def predicted_variance_kernel(motion, track, seconds):
+    """Variance, rad^2, of a position measured `seconds` on: p' P p with p = (1, t, t^2 / 2, t^3 / 6), which leaves out
+    that the jerk fades and is renewed, both within its own variance, and the resolution."""
+    passed = (1.0, seconds, seconds * seconds / 2.0, seconds * seconds * seconds / 6.0)
+    variance = motion.resolution * motion.resolution
+    for row in range(ORDER):
+        for column in range(ORDER):
+            variance += passed[row] * track.covariance[row, column] * passed[column]
+    return variance
 
 
 @kernel

@@ -10,7 +10,7 @@ import numpy as np
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
 from schemas.robot import Robot
 from service.estimator import commanded, departure, effects, kalman, readout, turning
-from service.estimator.bounds import bounds_of
+from service.estimator.bounds import acceleration_of, bounds_of, growth_of
 from service.estimator.branch import BRANCH
 from service.estimator.left_out import left_out, torque_left_out
 from service.estimator.payload import state as payload
@@ -32,8 +32,10 @@ SETTINGS = np.dtype(
         ("stride", "i8"),  # sequence numbers from sample to sample, more than one of a decimated stream
         ("range", "f8", 2),  # rad
         ("speed", "f8"),  # rad/s, no joint is faster
+        ("acceleration", "f8"),  # rad/s^2, no joint has more
         ("peak", "f8"),  # N m
         ("slope", "f8"),  # N m/s
+        ("growth", "f8"),  # N m/s in one cycle, of the slope
         ("fade", "f8"),  # s
         ("max_payload", "f8"),  # kg
         ("rho", "f8", (2, 3)),
@@ -101,6 +103,7 @@ STATE = np.dtype(
         ("branch", BRANCH, 2),  # MEASURED, ANSWERED
         ("readout", readout.STATE),
         ("torque", "f8", 3),  # N m, last feed-forward
+        ("climb", "f8", 3),  # N m/s that it was on, reversals of Coulomb friction apart
         ("direction_before", "f8", 3),  # direction of motion that it was for
         ("source", "i8"),
         ("held", "i8"),  # answers in a row that only repeated it
@@ -165,6 +168,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     bounds = bounds_of(robot)
     record["speed"], record["max_payload"] = robot.limits.joint_speed_radps, robot.limits.max_payload_kg
     record["peak"], record["slope"], record["fade"] = bounds.peak_nm, bounds.slope_nmps, robot.limits.torque_fade_s
+    record["growth"], record["acceleration"] = growth_of(robot, period), acceleration_of(robot)
     record["rho"] = 1.0
     noise, left_over, is_commanded = np.full(3, DEFAULT_TORQUE_NOISE), np.zeros(3), False
     if identified is not None:

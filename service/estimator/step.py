@@ -94,9 +94,19 @@ def _follow(settings, state, sample, flags, gap):
     if track.idle + gap <= restart_cycles(settings):  # beyond that the state is of no use, and must not grow
         predict_kernel(settings.motion, track, gap)
     if flags & UNUSABLE == 0:
-        update_kernel(settings.motion, track, sample.position)
+        _update(settings, track, sample.position, gap)
     else:
         coast_kernel(track, gap)
+
+
+@kernel
+def _update(settings, track, position, gap):
+    """Take `position`, `gap` cycles on. Behind a hole it may be one that the joints were put to: if it is not expected,
+    their speed is not known until the filter has settled again."""
+    behind_hole = track.idle + gap > 1
+    update_kernel(settings.motion, track, position)
+    if behind_hole and largest_innovation(settings.motion, track) > UNEXPECTED:
+        track.used = 1
 
 
 @kernel
@@ -119,7 +129,7 @@ def _follow_command(settings, state, sample, flags, gap):
                 track.state[i, order] = state.measured.state[i, order]  # close, and right within a few samples
     else:
         predict_kernel(settings.motion, track, gap)
-        update_kernel(settings.motion, track, command)
+        _update(settings, track, command, gap)
 
 
 @kernel

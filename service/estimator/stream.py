@@ -12,7 +12,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from schemas.messages import SampleFlag
-from service.estimator.kalman import restart_kernel
+from service.estimator.kalman import ORDER, predicted_variance_kernel, restart_kernel
 
 COAST_TIME = 0.02  # s without a usable sample for which the motion may be extrapolated
 RESTART_TIME = 0.05  # s without one after which the filters start anew
@@ -22,7 +22,9 @@ FAR = 1_000_000_000  # cycles, any more are as many
 SETTLE_TIME = 0.02  # s after a start until velocity and acceleration are worth using
 # No command asks this of a joint: a platform at 10 g needs 300 to 500 rad/s^2.
 COMMAND_ACCELERATION = 5000.0  # rad/s^2
-COMMAND_COUNTS = 8.0  # position resolutions that a command may be off for its rounding
+# Standard deviations that a position may be off what is expected: at rest, its resolution for the command's rounding.
+EXPECTED = 8.0
+LATCHED = 0.25  # cycles that a position may be read early or late where the drives keep no common clock
 # A torque sensor that reads beyond this many peak torques is broken.
 TORQUE_SENSE = 10.0
 
@@ -53,6 +55,13 @@ def restart(settings, state, sample):
 def coast_cycles(settings):
     """Cycles that the filters coast over; at least one sample is let pass at any rate."""
     return max(np.int64(1), np.int64(COAST_TIME / settings.period))
+
+
+@kernel
+def settled_cycles(settings):
+    """Positions since the start of a filter beyond which its motion is worth using: none is known from fewer than it
+    has states, however slow they come."""
+    return max(np.float64(ORDER), SETTLE_TIME / settings.period)
 
 
 @kernel
@@ -119,7 +128,9 @@ def faults(settings, state, sample, gap):
     else:
         if gap > 1:
             flags |= GAP
-        if flags & (NAN | RANGE) == 0 and _is_torn(settings, state.measured, sample.position, gap):
+        if flags & (NAN | RANGE) == 0 and _is_torn(
+            settings, state.measured, sample.position, gap, state.stray, LATCHED
+        ):
             flags |= JUMP
         if flags & (NO_COMMAND | COMMAND_RANGE) == 0 and _is_no_motion(settings, state, sample.position_command, gap):
             flags |= COMMAND_JUMP
@@ -127,30 +138,49 @@ def faults(settings, state, sample, gap):
 
 
 @kernel
-def _is_torn(settings, track, position, gap):
-    """Whether no joint could have come to `position` in `gap` cycles from where the track was last seen."""
-    reach = settings.speed * settings.period * (track.idle + gap)
+def _is_torn(settings, track, position, gap, strays, latched):
+    """Whether no joint could have come to `position` in `gap` cycles: by its speed from where the track last saw it, or
+    by its acceleration from where the track expects it.
+
+    strays: how many came since that continue each other. latched: cycles that the position may be early or late.
+    """
+    farthest = settings.speed * settings.period * (track.idle + gap)
+    reach = _reach(settings, track, gap, strays)
     torn = False
     for i in range(3):
-        torn |= abs(position[i] - track.seen[i]) > reach
+        torn |= abs(position[i] - track.seen[i]) > farthest
+        late = latched * settings.period * abs(track.state[i, 1])
+        torn |= abs(position[i] - _ahead(track, i, gap * settings.period)) > reach + late
     return torn
+
+
+@kernel
+def _reach(settings, track, gap, strays):
+    """rad that a joint can be off what the track expects `gap` cycles on: by an acceleration turned from one end to the
+    other since it was last seen, and by what the track does not know.
+
+    Both grow with the time until any jump would pass as motion. So they do not where strays came meanwhile: a sample is
+    then one that takes the motion up as if there had been none, or one more of them.
+    """
+    cycles, motion, period = track.idle + gap, settings.motion, settings.period
+    if cycles > restart_cycles(settings):
+        return math.inf
+    deviation = motion.resolution
+    if strays > 0:
+        cycles = gap
+    else:
+        deviation = math.sqrt(predicted_variance_kernel(motion, track, gap * period))
+    turned = 2.0 * settings.acceleration * (motion.behind + 0.5 * (cycles * cycles - 1) * period * period)
+    return turned + EXPECTED * deviation
 
 
 @kernel
 def _is_no_motion(settings, state, command, gap):
     """Whether no joint could follow from the commands so far to `command`, by its speed or its acceleration."""
-    track, cycles = state.commanded, state.commanded.idle + gap
-    if track.used == 0 or cycles > restart_cycles(settings):
+    track = state.commanded
+    if track.used == 0 or track.idle + gap > restart_cycles(settings):
         return False
-    if _is_torn(settings, track, command, gap):
-        return True
-    seconds = cycles * settings.period
-    reach = 0.5 * COMMAND_ACCELERATION * seconds * seconds + COMMAND_COUNTS * settings.motion.resolution
-    far = False
-    if track.used > STRAY_RUN:
-        for i in range(3):
-            far |= abs(command[i] - _ahead(track, i, gap * settings.period)) > reach
-    return far
+    return _is_torn(settings, track, command, gap, state.command_stray, 0.0)
 
 
 @kernel

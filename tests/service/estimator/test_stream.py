@@ -112,8 +112,10 @@ def test_what_is_wrong_with_its_place(begun, gap, expected):
 
 @pytest.mark.parametrize("share", [0.99, 1.01, -1.01])
 def test_no_joint_is_faster_than_declared(begun, share):
-    """2 cycles bridged and 3 more: a position in reach of 5."""
+    """2 cycles bridged and 3 more: a position in reach of 5. Of its speed nothing is known."""
     settings, now, sample = begun
+    for track in ("measured", "commanded"):
+        now[track]["covariance"][1, 1] = 1e6
     reach = settings["speed"] * PERIOD * 5
     now["measured"]["idle"] = now["commanded"]["idle"] = 2
     sample["position"][0, 2] += share * reach
@@ -128,21 +130,24 @@ def test_no_joint_is_faster_than_declared(begun, share):
 
 
 @pytest.mark.parametrize("share", [0.99, 1.01, -1.01])
-@pytest.mark.parametrize(("gap", "idle"), [(1, 0), (2, 1)])
-def test_no_command_asks_for_more_than_a_joint_can_accelerate(begun, share, gap, idle):
+@pytest.mark.parametrize(("gap", "idle", "strays"), [(1, 0, 0), (2, 1, 0), (1, 2, 2)])
+def test_no_command_asks_for_more_than_a_joint_can_accelerate(begun, share, gap, idle, strays):
+    """Since it was last seen; behind strays since the newest of them."""
     settings, now, sample = begun
     track = now["commanded"]
     track["idle"], track["state"][:, 1], track["state"][:, 2] = idle, [1.0, -2.0, 0.5], [100.0, 0.0, -50.0]
     time = gap * PERIOD
-    reach = 0.5 * stream.COMMAND_ACCELERATION * ((gap + idle) * PERIOD) ** 2
-    reach += stream.COMMAND_COUNTS * settings["motion"]["resolution"]
+    cycles = gap if strays else gap + idle
+    late = settings["motion"]["behind"] + ((cycles * PERIOD) ** 2 - PERIOD**2) / 2
+    reach = 2 * settings["acceleration"] * late + stream.EXPECTED * settings["motion"]["resolution"]
+    now["command_stray"] = strays
     sample["position_command"] = SEEN + track["state"][:, 1] * time + track["state"][:, 2] * time**2 / 2
     sample["position_command"][0, 1] += share * reach
     hole = F.GAP_BEFORE if gap > 1 else F(0)
     assert stream.faults(settings, now, sample[0], gap) == hole | (abs(share) > 1) * F.COMMAND_JUMP
-    track["used"] = stream.STRAY_RUN  # nothing is known of its speed yet
+    track["covariance"][1, 1], now["command_stray"] = 1e6, 0  # nothing is known of its speed yet
     assert stream.faults(settings, now, sample[0], gap) == hole
-    track["used"], track["idle"] = 50, stream.restart_cycles(settings)  # longer ago than counts
+    track["covariance"][1, 1], track["idle"] = 0.0, stream.restart_cycles(settings)  # longer ago than counts
     assert stream.faults(settings, now, sample[0], gap) == hole
 
 
