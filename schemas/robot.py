@@ -271,6 +271,8 @@ class Identified(TomlTable):
     model_error_nm: JointParameter | None = None  # rms of what the model leaves above that noise, while moving
     torque_commanded: bool = False  # the reported torque is the commanded one and white noise
     friction_transition_radps: NotNegative = 0.0  # speed over which Coulomb friction changes sign; 0: a jump
+    # Standard error of the torque constants as a share, by a known load; absent where none was weighed.
+    torque_constant_error: NotNegative | None = None
     torque_timing_s: float = 0.0  # by which the torque is older than the position, within a sample
 
 

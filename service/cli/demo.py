@@ -118,7 +118,8 @@ class _Live:
             joints(f"error {label}, rms N m", np.sqrt(np.nanmean(self._newest["error"][field] ** 2, axis=0)), "8.2f")
         payload = newest["payload"]
         trust = "trusted" if payload["trusted"] else "not yet trusted"
-        shown.add_row("payload, kg", f"{payload['mass']:.3f} ± {payload['std_dev']:.3f}", trust, "")
+        errors = f"± {payload['random_std_dev']:.3f} random ± {payload['common_std_dev']:.3f} common"
+        shown.add_row("payload, kg", f"{payload['mass']:.3f}", errors, trust)
         shown.caption = f"bus time {float(stamp_ns(newest['sample'])) * 1e-9:.1f} s   {'   '.join(self._events)}"
         return shown
 
@@ -138,7 +139,9 @@ def _payloads(recorded: dict[str, Recorded]) -> list[dict[str, Any]]:
 
     records = recorded["payload"].records
     known = stamp_ns(records) * 1e-9 + SMOOTHING_LAG
-    found = Weighed(known, *(records[name] for name in ("mass", "std_dev", "trusted", "event")))
+    found = Weighed(
+        known, *(records[name] for name in ("mass", "std_dev", "random_std_dev", "common_std_dev", "trusted", "event"))
+    )
     rows = []
     for pick in read_truth(PAYLOADS):
         held = found.mass[found.held(pick)]

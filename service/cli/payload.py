@@ -14,7 +14,7 @@ from service.cli.reading import reading
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from service.identification.payload import MassLevel, PayloadHistory, Score
+    from service.identification.payload import CommonError, MassLevel, PayloadHistory, Score
 
 
 def command(
@@ -33,6 +33,9 @@ def command(
 ) -> None:
     """Find picks and releases and weigh what was picked, as the online estimator does it.
 
+    A mass has two errors, each one standard deviation: the random one differs from mass to mass, the common one is the
+    same share of all masses of this robot until a known load calibrates its torque constants (identify --carried).
+
     With --truth beside it: how soon, how close, and the same for the paper's recursion at a fixed forgetting factor, on
     the M_Id+F of this description. Identified the paper's way, other factors, rest left out: `deltatwin experiment`.
 
@@ -42,7 +45,7 @@ def command(
 
     from schemas.errors import DataError
     from schemas.robot import load_robot
-    from service.identification.payload import levels, payload_history, read_truth, score
+    from service.identification.payload import common_error, levels, payload_history, read_truth, score
 
     if truth and len(truth) != len(traces):
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one a trace, in their order")
@@ -63,9 +66,12 @@ def command(
             screen.print(_found(trace.path.name, levels(found)))
     if json:
         scored = [asdict(score) for score in scores]
-        typer.echo(as_json("payload", {"traces": weighed, "picks": scored}))
-    elif scores:
+        common = asdict(common_error(description))
+        typer.echo(as_json("payload", {"traces": weighed, "picks": scored, "common_error": common}))
+        return
+    if scores:
         screen.print(*_scored(scores))
+    screen.print(_said(common_error(description)), highlight=False, markup=False)
 
 
 def _write(found: PayloadHistory, path: Path) -> None:
@@ -73,18 +79,30 @@ def _write(found: PayloadHistory, path: Path) -> None:
 
     from schemas.files import make_folder, whole
 
-    columns = np.column_stack([found.time, found.mass, found.std_dev, found.trusted, found.event])
+    columns = np.column_stack(
+        [found.time, found.mass, found.std_dev, found.trusted, found.event, found.random_std_dev, found.common_std_dev]
+    )
     make_folder(path.parent)
     with whole(path) as partial:
-        header = "time_s,mass_kg,std_dev_kg,trusted,event"
-        np.savetxt(partial, columns, ("%.6f", "%.5f", "%.5f", "%d", "%d"), ",", header=header, comments="")
+        header = "time_s,mass_kg,std_dev_kg,trusted,event,random_std_dev_kg,common_std_dev_kg"
+        formats = ("%.6f", "%.5f", "%.5f", "%d", "%d", "%.5f", "%.5f")
+        np.savetxt(partial, columns, formats, ",", header=header, comments="")
+
+
+def _said(common: CommonError) -> str:
+    if common.calibrated:
+        return f"common error: {common.share:.1%} of every mass, one standard deviation, by a known load"
+    return (
+        f"common error: {common.share:.1%} of every mass, one standard deviation: no known load has calibrated the "
+        "torque constants of this robot. To remove it: deltatwin identify ... --carried 3.0:loaded.csv"
+    )
 
 
 def _found(name: str, seen: list[MassLevel]) -> Table:
-    head = ("seen at, s", "until, s", "what", "mass, kg", "std dev, kg", "trusted")
+    head = ("seen at, s", "until, s", "what", "mass, kg", "random, kg", "common, kg", "trusted")
     rows = [
         (f"{one.begin:.3f}", f"{one.end:.3f}", one.event.name.lower() if one.event else "changed unseen",
-         f"{one.mass:.3f}", f"{one.std_dev:.3f}", f"{one.trusted:.0%}")
+         f"{one.mass:.3f}", f"± {one.random_std_dev:.3f}", f"± {one.common_std_dev:.3f}", f"{one.trusted:.0%}")
         for one in seen
     ]  # fmt: skip
     return table(head, rows, f"{name}: payload", figures=slice(None))

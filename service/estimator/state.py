@@ -171,6 +171,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["growth"], record["acceleration"] = growth_of(robot, period), acceleration_of(robot)
     record["rho"] = 1.0
     noise, left_over, is_commanded = np.full(3, DEFAULT_TORQUE_NOISE), np.zeros(3), False
+    calibrated = None if identified is None else identified.torque_constant_error
     if identified is not None:
         record["rho"] = lengthened(identified.rho_1.value, identified.rho_2.value, ratio)
         turning = identified.friction_transition_radps
@@ -198,7 +199,8 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["variance"] = payload.sample_variance(np.sqrt(share) * noise, left_over)
     record["drive_torque"] = commanded.settings(noise, is_commanded, period)
     prior = departure.drift(record["viscous"][0], record["coulomb"][0])
-    record["payload"] = payload.settings(period, prior, robot.limits.max_payload_kg, left_over, record["variance"][0])
+    limit, variance = robot.limits.max_payload_kg, record["variance"][0]
+    record["payload"] = payload.settings(period, prior, limit, left_over, variance, calibrated)
     return record
 
 

@@ -202,6 +202,8 @@ def lagged_kernel(settings, state, payload_out, error_out):
     error_out.flags = flags
     payload_out.mass = weighed.mass
     payload_out.std_dev = weighed.std_dev
+    payload_out.random_std_dev = weighed.random_std_dev
+    payload_out.common_std_dev = weighed.common_std_dev
     payload_out.excitation = weighed.information[0, 0] - PRIOR_STD**-2
     payload_out.trusted = weighed.trusted
     payload_out.event = event

@@ -18,8 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from schemas.errors import DataError
-from schemas.robot import EffectEntry, Robot
+from schemas.robot import EffectEntry, Identified, Robot
 from schemas.trace import Trace
+from service.estimator.payload.state import UNCALIBRATED
 from service.identification import checks
 from service.identification.fit import solve
 from service.identification.noise import white_noise
@@ -69,10 +70,12 @@ class CalibratedFigure:
 @dataclass(frozen=True)
 class Calibration:
     """robot: with the platform's mass put right. scale: (3,) reported over true torque, 1 where nothing shows
-    otherwise. effect: the same for the description. figures, warnings: what was found, and what a user has to know."""
+    otherwise. std_error: of the scale that the joints have in common, as a share. effect: the scale for the
+    description. figures, warnings: what was found, and what a user has to know."""
 
     robot: Robot
     scale: np.ndarray
+    std_error: float
     effect: EffectEntry | None
     figures: tuple[CalibratedFigure, ...]
     warnings: tuple[str, ...]
@@ -84,7 +87,10 @@ class Calibration:
 
     def carried(self, robot: Robot) -> Robot:
         """`robot`, identified on torque that was put right, as the description of what the drives report."""
-        return robot if self.effect is None else robot.model_copy(update={"effect": [*robot.effect, self.effect]})
+        identified = robot.identified or Identified()
+        known = identified.model_copy(update={"torque_constant_error": digits(self.std_error)})
+        effect = [*robot.effect, *([] if self.effect is None else [self.effect])]
+        return robot.model_copy(update={"identified": known, "effect": effect})
 
 
 def calibrate(robot: Robot, empty: Sequence[Trace], carried: Sequence[tuple[float, Trace]]) -> Calibration:
@@ -127,6 +133,7 @@ def calibrate(robot: Robot, empty: Sequence[Trace], carried: Sequence[tuple[floa
     return Calibration(
         robot.model_copy(update={"mass": mass}),
         scale,
+        _common_error(values[_SCALE], errors[_SCALE], off[_SCALE]),
         _effect(robot, scale, errors, off),
         tuple(figures),
         tuple(_warnings(values, errors, off, described)),
@@ -235,6 +242,13 @@ def _check(
             f"{names}: joint {joint + 1} would report {scale[joint]:.2f} times the true torque, as no torque constant "
             "is off; is the load what it is said to be?"
         )
+
+
+def _common_error(scale: np.ndarray, errors: np.ndarray, off: np.ndarray) -> float:
+    """Standard error, as a share, of what the joints (3,) have in common: that of each scale and, where it was left as
+    declared, by how much it seems to be off; no more than without a known load."""
+    left = np.where(off, 0.0, scale - 1.0)
+    return float(np.sqrt(np.mean(np.minimum(errors**2 + left**2, UNCALIBRATED**2))))
 
 
 def _effect(robot: Robot, scale: np.ndarray, errors: np.ndarray, off: np.ndarray) -> EffectEntry | None:

@@ -17,7 +17,7 @@ from schemas.files import MIB, read_bytes
 from schemas.messages import Gripper, PayloadEvent, SampleFlag, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Trace
-from service.estimator.payload.state import SMALLEST_CHANGE
+from service.estimator.payload.state import SMALLEST_CHANGE, UNCALIBRATED
 from service.estimator.payload.verdict import EVENT_SIGMAS
 from service.estimator.recursion import FORGETTING, fixed_forgetting
 from service.model import kinematics
@@ -35,12 +35,15 @@ MAX_TRUTH_BYTES = 16 * MIB  # some hundred thousand picks
 
 @dataclass(frozen=True)
 class Weighed:
-    """Payload over a trace, as known after each of N samples. time: s, bus. mass, std_dev: kg. event: PayloadEvent.
-    trusted: bool."""
+    """Payload over a trace, as known after each of N samples. time: s, bus. mass, std_dev: kg. random_std_dev,
+    common_std_dev: kg, of the error that differs from one mass to the next, and of that which all masses of the robot
+    have in common. trusted: bool. event: PayloadEvent."""
 
     time: np.ndarray
     mass: np.ndarray
     std_dev: np.ndarray
+    random_std_dev: np.ndarray
+    common_std_dev: np.ndarray
     trusted: np.ndarray
     event: np.ndarray
 
@@ -67,15 +70,27 @@ class Pick:
 
 @dataclass(frozen=True)
 class MassLevel:
-    """What hangs on the platform for a time: begin, end s, mass and standard deviation kg, the share of that time in
-    which it was trusted, and the event that it begins with, NONE where nobody saw when it came to hang there."""
+    """What hangs on the platform for a time: begin, end s, mass kg, standard deviations kg as `Weighed` has them, the
+    share of that time in which the mass was trusted, and the event that it begins with, NONE where nobody saw when it
+    came to hang there."""
 
     begin: float
     end: float
     mass: float
     std_dev: float
+    random_std_dev: float
+    common_std_dev: float
     trusted: float
     event: PayloadEvent
+
+
+@dataclass(frozen=True)
+class CommonError:
+    """What all masses of a robot are off by alike, for its torque constants: one standard deviation as a share of the
+    mass, and whether a known load has calibrated them."""
+
+    share: float
+    calibrated: bool
 
 
 @dataclass(frozen=True)
@@ -89,6 +104,12 @@ class Score:
     mass: float
     settled_recursion: float
     mass_recursion: float
+
+
+def common_error(robot: Robot) -> CommonError:
+    """The common error of the masses of `robot`."""
+    known = None if robot.identified is None else robot.identified.torque_constant_error
+    return CommonError(UNCALIBRATED, False) if known is None else CommonError(known, True)
 
 
 def weighed(robot: Robot, trace: Trace) -> Weighed:
@@ -113,6 +134,8 @@ def weighed(robot: Robot, trace: Trace) -> Weighed:
         time=stamp_ns(samples) * 1e-9,
         mass=known(result["mass"]),
         std_dev=known(result["std_dev"]),
+        random_std_dev=known(result["random_std_dev"]),
+        common_std_dev=known(result["common_std_dev"]),
         trusted=known(result["trusted"]) != 0,
         event=known(result["event"]),
     )
@@ -212,6 +235,8 @@ def levels(found: Weighed) -> list[MassLevel]:
                 end=float(found.time[last]),
                 mass=float(np.median(found.mass[late])),
                 std_dev=float(np.median(found.std_dev[late])),
+                random_std_dev=float(np.median(found.random_std_dev[late])),
+                common_std_dev=float(np.median(found.common_std_dev[late])),
                 trusted=float(found.trusted[start:stop].mean()),
                 event=PayloadEvent(int(found.event[start])),
             )

@@ -178,9 +178,10 @@ def described(robot: Description, hypothesis: Hypothesis, errors: np.ndarray, no
     figures = {p.name: (float(v), float(e)) for p, v, e in zip(known, parameters.values, errors, strict=False)}
     identified = identified_of(robot, figures, hypothesis.base)
     if isinstance(robot, Robot):
-        commanded = robot.identified is not None and robot.identified.torque_commanded
+        before = robot.identified or Identified()
+        kept = {name: getattr(before, name) for name in ("torque_commanded", "torque_constant_error")}
         noise_nm = JointParameter(value=_digits(noise))
-        identified = identified.model_copy(update={"torque_noise_nm": noise_nm, "torque_commanded": commanded})
+        identified = identified.model_copy(update={"torque_noise_nm": noise_nm} | kept)
     return robot.model_copy(update={"identified": identified, "effect": entries})
 
 

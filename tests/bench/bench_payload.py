@@ -31,7 +31,7 @@ from schemas.errors import DataError
 from schemas.robot import Robot, load_robot
 from schemas.trace import Trace
 from service.identification.identify import identify
-from service.identification.payload import weighed
+from service.identification.payload import Pick, Weighed, weighed
 from service.identification.regression import summarise
 from service.model.nominal import pack
 
@@ -150,26 +150,32 @@ def logs(machine: Machine, scenario: Scenario, seed: int, seconds: float) -> tup
     return fitted, simulate(plant, motion, "pick"), motion
 
 
-def judge(robot: Robot, log: Trace, motion: Trajectory) -> dict[str, float]:
-    """The figures of one log."""
+def judge(robot: Robot, log: Trace, picks: Sequence[Pick]) -> dict[str, float]:
+    """The figures of one log.
+
+    z: rms of what is left of the error by its random standard deviation, where `off`, the share of the mass by which
+    all masses of the log are off alike, is taken off; z_all: rms of the error by its standard deviation; both of
+    samples that are trusted.
+    """
     found = weighed(robot, log)
     time = found.time - found.time[0]
     true, end = np.zeros(len(time)), time[-1]
-    for begin, release, mass in motion.payloads:
-        true[(time >= begin) & (time < release)] = mass
+    for pick in picks:
+        true[(time >= pick.begin) & (time < pick.end)] = pick.mass
     at = np.flatnonzero(np.abs(np.diff(true)) > LEAST_CHANGE) + 1
     changes = time[at]
     judged = changes[changes < end - FOUND]
     error = np.abs(found.mass - true)
-    moves = np.abs(motion.velocity).max(axis=1) > LEAST_SPEED
-    right, awake, covered, steady, squares = [], [], [], [], []
+    moves = np.abs(np.gradient(log.position, time, axis=0)).max(axis=1) > LEAST_SPEED
+    right, awake, covered, steady, squares, sure = [], [], [], [], [], np.zeros(len(time), bool)
     for begin, until in pairwise([*judged, *changes[len(judged) :], end][: len(judged) + 1]):
         span = (time >= begin + SETTLED) & (time < until)
         late = (time >= begin + STEADY) & (time < until)
         right.append(span.any() and (error[span] <= np.maximum(0.05 * true[span], 0.05)).all())
-        since = slice(round(begin / motion.period), round((begin + SETTLED) / motion.period))
-        awake.append(np.count_nonzero(moves[since]) * motion.period >= AWAKE)
+        since = slice(round(begin / log.period), round((begin + SETTLED) / log.period))
+        awake.append(np.count_nonzero(moves[since]) * log.period >= AWAKE)
         trusted = span & found.trusted
+        sure |= trusted
         covered.append(error[trusted] <= 2 * found.std_dev[trusted] + SLACK)
         steady.append(found.trusted[late])
         squares.append(error[late] ** 2)
@@ -188,6 +194,20 @@ def judge(robot: Robot, log: Trace, motion: Trajectory) -> dict[str, float]:
         "false": 60 * float(false.sum()) / end,
         "missed": int(missed.sum()),
         "wild": int(((found.mass < WILD[0]) | (found.mass > WILD[1])).sum()),
+        **_calibration(found, true, sure),
+    }
+
+
+def _calibration(found: Weighed, true: np.ndarray, sure: np.ndarray) -> dict[str, float]:
+    """z, z_all and off, as `judge` has them, over the rows that are `sure`."""
+    error, mass, spread = found.mass[sure] - true[sure], true[sure], found.random_std_dev[sure]
+    if not (mass > 0.0).any():
+        return {"z": float("nan"), "z_all": float("nan"), "off": float("nan")}
+    off = float(np.sum(error * mass / spread**2) / np.sum(mass**2 / spread**2))
+    return {
+        "z": float(np.sqrt(np.mean(((error - off * mass) / spread) ** 2))),
+        "z_all": float(np.sqrt(np.mean((error / found.std_dev[sure]) ** 2))),
+        "off": off,
     }
 
 
@@ -207,7 +227,7 @@ def one(robot: str, name: str, seed: int, seconds: float, commands: Sequence[boo
         except DataError as refused:
             rows.append(row | {"error": str(refused)})
         else:
-            rows.append(row | judge(identified, seen(log), motion))
+            rows.append(row | judge(identified, seen(log), [Pick(*one) for one in motion.payloads]))
     return rows
 
 

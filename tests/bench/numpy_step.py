@@ -128,7 +128,7 @@ class NumpyEstimator:
             payload[field] = error[field] = sample[field]
         error["kh"], error["id"] = torque - inertia - gravity - platform, torque - grey
         error["id_friction"], error["full"] = torque - grey - friction, torque - full - mass * load
-        for field in ("mass", "std_dev", "trusted"):
+        for field in ("mass", "std_dev", "random_std_dev", "common_std_dev", "trusted"):
             payload[field] = now[field]
         payload["excitation"], payload["event"] = now["information"][0, 0] - p.PRIOR_STD**-2, event
         return payload.tobytes(), error.tobytes()

@@ -55,7 +55,7 @@ def scatter_kernel(settings, state):
         if state.active > 1:
             _look_again(state)
             state.fresh = min(BLOCKS - 2, state.fresh + 1)
-        found = _inflate(state)
+        found = state.measured = _inflate(state)
         # friction is not to learn from what it cannot be: the block itself has a say
         doubtful = max(LEAST_LEARNING, found, _inflation(OUTLYING * own))
         _note_delta(state)

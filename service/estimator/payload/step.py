@@ -269,7 +269,8 @@ def _forget_bins(state):
 def unseen_kernel(state):
     """Nobody saw what the gripper did."""
     weigh_anew_kernel(state)
-    state.mass, state.std_dev, state.trusted, state.usable = 0.0, PRIOR_STD, 0, 0.0
+    state.mass, state.trusted, state.usable = 0.0, 0, 0.0
+    state.std_dev, state.random_std_dev, state.common_std_dev = PRIOR_STD, PRIOR_STD, 0.0
 
 
 @kernel

@@ -46,9 +46,9 @@ PLACE_SHARE = 1.0
 AVERAGE_SIGMAS = 3.0
 # Of a block it is all, which this much motion halves: what a gear rubs more or less keeps its sign for a stroke.
 BIAS_AVERAGING = 0.2  # s
-# Torque constants hold to some 5 %, and to 7 with what else of the model moves with them: two of these. Without a known
-# load nothing shows by how much a mass is off.
-TORQUE_SHARE = 0.035
+# To trust a mass, the noise has a least value, and what friction, scale and the model's error may do to it counts in
+# full. Masses scatter by the measured noise and this share of the variance of the rest.
+SCATTERED_SHARE = 0.5
 # What hangs there after every release is a tool, a load that nobody let go of, or the platform's own weight by a wrong
 # torque constant: the mass of what was picked is off by it or by nothing, and this share of it covers either way within
 # two standard deviations, and what a mass still settles by.
@@ -152,7 +152,13 @@ def conclude(settings, state):
     borne_out = trusted and (known_empty or state.untold == 0.0)
     if not known_empty:  # a change may hide in what passes for the model's error; none to take a load away for
         here = (PLACE_SHARE / BIAS_SHARE) ** 2 * state.bias if lacks_a_load(settings, state) else 0.0
-        std_dev = math.sqrt(std_dev * std_dev + state.hidden + max(0.0, max(gentle, here) - state.bias))
+        more = max(0.0, max(gentle, here) - state.bias)
+        std_dev = math.sqrt(std_dev * std_dev + state.hidden + more)
+        floor = worse * inverse[0, 0] * (1.0 - state.measured / state.inflation)
+        cautious = floor + (1.0 - SCATTERED_SHARE) * (doubt + state.bias + more)
+        state.random_std_dev = math.sqrt(max(0.0, std_dev * std_dev - cautious))
+    else:
+        state.random_std_dev = std_dev
     fits = state.scatter <= LASTING * state.judged or state.inflation < STILL_LASTING
     sure = borne_out and (known_empty or (fits and is_sure(std_dev, mass)))
     tool = 0.0  # of a gripper that is heard the shortfall says what hangs there when it is open
@@ -161,7 +167,8 @@ def conclude(settings, state):
     load = tool if tool > TOOL_SHARE * SMALLEST_CHANGE else 0.0  # less is no tool, and no reason to say nothing
     state.trusted = 1 if sure and (known_empty or is_sure(math.hypot(std_dev, load), mass)) else 0
     # a wrong torque constant makes a load of the platform's own weight, and the others heavier by as much: one error
-    state.std_dev = math.hypot(std_dev, tool + TORQUE_SHARE * held)
+    state.common_std_dev = tool + settings.common_share * held
+    state.std_dev = math.hypot(std_dev, state.common_std_dev)
     if sure:
         state.sure_for += settings.period
     _reckon(settings, state, borne_out, sure)

@@ -39,7 +39,7 @@ def told(state, times=1):
 @pytest.mark.parametrize("worse", [1.0, 2.0], ids=["as ever", "no longer fits"])
 @pytest.mark.parametrize("excess", [0.9, 0.0])
 def test_the_error_of_a_mass_is_all_that_is_not_known_of_it(active, worse, excess):
-    random, state = np.random.default_rng(1), believing(2.0, 0.02, hidden=0.03**2, inflation=1.25)
+    random, state = np.random.default_rng(1), believing(2.0, 0.02, hidden=0.03**2, inflation=1.25, measured=0.5)
     columns = 3.0 * random.standard_normal((60, active))
     information, drag = columns.T @ columns, columns.T @ random.standard_normal((60, COUNT))
     root = 0.05 * random.standard_normal((COUNT, COUNT))
@@ -56,6 +56,9 @@ def test_the_error_of_a_mass_is_all_that_is_not_known_of_it(active, worse, exces
     assert state["bias"] == pytest.approx(bias)
     square = worse * inverse[0, 0] + doubt @ doubt + bias + 0.03**2 + (TORQUE_SHARE * 2.0) ** 2
     assert state["std_dev"] ** 2 == pytest.approx(square)
+    scattered = worse * inverse[0, 0] * 0.5 / 1.25 + verdict.SCATTERED_SHARE * (doubt @ doubt + bias) + 0.03**2
+    assert state["random_std_dev"] ** 2 == pytest.approx(scattered), "by the noise that is measured"
+    assert state["common_std_dev"] == pytest.approx(TORQUE_SHARE * 2.0)
     state["leverage"] = 0.0
     told(state)
     assert state["std_dev"] ** 2 == pytest.approx(square - bias)
@@ -351,6 +354,22 @@ def test_where_the_model_lacks_ten_times_what_it_did_a_step_at_rest_is_believed_
     assert told(state) == event
     assert state["load"] == pytest.approx(1.0 + step)
     assert state["last_event"] == (event or PICK)
+
+
+def test_a_known_load_takes_the_common_error_of_all_masses_away():
+    calibrated = settings(PERIOD, DRIFT, 6.0, 0.3 * np.ones(3), np.ones(3), 0.004)[()]
+    for mass in (1.0, 3.0):
+        state = believing(mass, 0.02)
+        verdict.conclude(calibrated, state)
+        assert state["common_std_dev"] == pytest.approx(0.004 * mass)
+        assert state["std_dev"] == pytest.approx(np.hypot(0.02, 0.004 * mass))
+
+
+def test_an_open_gripper_carries_nothing_without_an_error():
+    state = believing(0.01, 0.02, gripper=Gripper.OPEN)
+    told(state)
+    assert state["trusted"]
+    assert (state["std_dev"], state["random_std_dev"], state["common_std_dev"]) == (0.0, 0.0, 0.0)
 
 
 def test_before_the_first_release_a_tool_that_nobody_has_seen_is_in_the_error_of_every_mass():

@@ -12,11 +12,14 @@ from typer.testing import CliRunner
 
 from drivers.trace import write_trace
 from schemas.errors import DataError
-from schemas.robot import EffectEntry, Robot, load_robot, save_robot
+from schemas.robot import EffectEntry, Identified, Robot, load_robot, save_robot
 from schemas.trace import Trace
 from service.cli.main import app
+from service.estimator import state
+from service.estimator.payload.state import UNCALIBRATED
 from service.identification.calibration import Calibration, calibrate
 from service.identification.identify import identify
+from service.identification.payload import CommonError, common_error
 from service.identification.regression import summarise
 from service.model.description import torque_along
 from service.model.nominal import pack
@@ -91,6 +94,33 @@ def test_the_description_carries_what_was_found(robot: Robot, found: tuple[Calib
     assert any(warning.startswith("torque_scale: found on an earlier identification") for warning in again.warnings)
 
 
+def test_masses_have_in_common_what_the_known_load_leaves_open(
+    robot: Robot, found: tuple[Calibration, list[Trace], Trace]
+) -> None:
+    """One description is not calibrated, one has its torque constants put right, one has some left as declared."""
+    calibration, empty, _ = found
+    plain = identify(robot, [summarise(pack(robot), log) for log in empty]).robot
+    assert common_error(plain) == CommonError(UNCALIBRATED, False)
+    known = common_error(calibration.carried(plain))
+    errors = [figure.std_error for figure in calibration.figures[:3]]
+    assert known.calibrated
+    assert np.min(errors) < known.share < 2 * np.max(errors)
+    assert settings_of(calibration.carried(plain)) == pytest.approx(known.share)
+    assert settings_of(plain) == UNCALIBRATED
+
+    nearly = calibrate(robot, *as_known(logs(robot, 0.0, (1.008, 1.008, 1.008))))
+    assert common_error(nearly.carried(plain)).share == pytest.approx(0.008, abs=0.002), "left alone, so masses have it"
+
+
+def as_known(made: tuple[list[Trace], Trace]) -> tuple[list[Trace], list[tuple[float, Trace]]]:
+    return made[0], [(3.0, made[1])]
+
+
+def settings_of(robot: Robot) -> float:
+    """What the estimator of `robot` takes all masses to be off by, as a share."""
+    return float(state.settings(robot, 1e-3, 1)["payload"]["common_share"][0])
+
+
 def test_the_command_takes_a_loaded_log_and_saves_what_it_tells(
     robot: Robot, found: tuple[Calibration, list[Trace], Trace], tmp_path: Path
 ) -> None:
@@ -161,7 +191,8 @@ def test_what_drives_report_is_put_right_and_back(robot, record):
     trace, scale = record(1, seconds=0.1), np.array([1.1, 1.0, 0.9])
     effect = EffectEntry.model_validate({"name": "torque_scale", "joints": [1], "parameters": {}})
     for entry in (None, effect):
-        found = Calibration(robot, scale, entry, (), ())
+        found = Calibration(robot, scale, 0.004, entry, (), ())
+        assert found.carried(robot).identified == Identified(torque_constant_error=0.004)
         assert found.carried(robot).effect == ([] if entry is None else [effect])
         assert found.true(trace).torque_command is None
         right = found.true(replace(trace, torque_command=2.0 * trace.torque))

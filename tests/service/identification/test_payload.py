@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from drivers.trace import read_trace
+from drivers.trace import read_trace, write_trace
 from schemas.errors import TraceError
 from schemas.messages import Gripper, PayloadEvent, SampleFlag
-from schemas.robot import Identified, load_robot
+from schemas.robot import Identified, load_robot, save_robot
+from service.cli.main import app
 from service.estimator.payload.state import SMALLEST_CHANGE
 from service.estimator.recursion import fixed_forgetting
 from service.identification import evaluation, payload
@@ -34,6 +36,7 @@ from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, motion
 from service.model.signals import moving
+from tests.service.identification.test_calibration import logs as loaded_logs
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +139,9 @@ def test_what_is_carried_has_been_trusted_once_and_was_no_lighter_since(robot, r
     trusted[100:200] = trusted[450:] = True
 
     def carried():
-        monkeypatch.setattr(evaluation, "weighed", lambda *_: Weighed(trace.time, mass, 0 * mass, trusted, event))
+        monkeypatch.setattr(
+            evaluation, "weighed", lambda *_: Weighed(trace.time, mass, 0 * mass, 0 * mass, 0 * mass, trusted, event)
+        )
         return evaluation._carried(robot, trace, motion(trace))
 
     event[20] = PayloadEvent.RELEASE
@@ -182,7 +187,8 @@ def test_what_hangs_is_one_mass_from_event_to_event_and_unknown_before_the_next(
     trace = replace(trace, flags=np.where(np.arange(2000) < 5, np.uint32(SampleFlag.LOADED), np.uint32(0)))
     robot = robot.model_copy(update={"identified": Identified()})
     event = np.zeros(2000, int)
-    found = Weighed(trace.time, np.full(2000, 2.0), np.full(2000, std_dev), np.full(2000, trusted), event)
+    spread = np.full(2000, std_dev)
+    found = Weighed(trace.time, np.full(2000, 2.0), spread, spread, spread, np.full(2000, trusted), event)
     monkeypatch.setattr(payload, "weighed", lambda *_: found)
     expected = np.where(np.arange(2000) < 5, np.nan, 0.0)
     np.testing.assert_array_equal(payload.carried(robot, trace), expected)
@@ -205,7 +211,9 @@ def seen() -> PayloadHistory:
     event[[205, 410, 700]] = PayloadEvent.PICK, PayloadEvent.RELEASE, PayloadEvent.PICK
     trusted[300:410] = True
     recursion = np.where((TIME >= 2.0) & (TIME < 4.0), 2.0 + 0.05 * (TIME - 3.0), 0.0)
-    return PayloadHistory(TIME, mass, np.full(1000, 0.02), trusted, event, recursion)
+    return PayloadHistory(
+        TIME, mass, np.full(1000, 0.02), np.full(1000, 0.01), np.full(1000, 0.01), trusted, event, recursion
+    )
 
 
 def test_picks_and_levels_are_what_lies_between_events():
@@ -219,7 +227,7 @@ def test_picks_and_levels_are_what_lies_between_events():
     assert (empty.begin, empty.end, empty.mass, empty.trusted) == pytest.approx((4.1, 6.99, 0.0, 0.0))
     nothing = replace(seen(), event=np.zeros(1000, int), trusted=np.zeros(1000, bool))
     assert (picks(nothing), levels(nothing)) == ([], [])
-    rising = PayloadHistory(TIME, TIME, TIME, TIME > 0, seen().event, TIME)
+    rising = PayloadHistory(TIME, TIME, TIME, TIME, TIME, TIME > 0, seen().event, TIME)
     assert levels(rising)[0].mass == pytest.approx(np.median(TIME[205 + 102 : 410])), "the later half counts"
 
 
@@ -260,7 +268,8 @@ def test_of_a_change_that_nobody_saw_it_is_not_told_what_hangs_there_until_the_m
     trace, row = record(3, seconds=2.0), np.arange(2000)
     robot = robot.model_copy(update={"identified": Identified()})
     trusted = (row < 500) | (row >= 1000)
-    found = Weighed(trace.time, np.where(row < 800, 0.0, 2.0), np.full(2000, 0.1), trusted, np.zeros(2000, int))
+    spread = np.full(2000, 0.1)
+    found = Weighed(trace.time, np.where(row < 800, 0.0, 2.0), spread, spread, spread, trusted, np.zeros(2000, int))
     monkeypatch.setattr(payload, "weighed", lambda *_: found)
     hangs = payload.carried(robot, trace)
     assert not hangs[:499].any()
@@ -330,3 +339,29 @@ def test_moments_are_those_of_the_rows_that_are_known():
         (found.rms, np.sqrt(np.mean(known**2))),
     ):
         np.testing.assert_allclose(got, [expected, np.nan])
+
+
+def test_the_command_tells_two_errors_of_every_mass_and_how_to_remove_the_common_one(tmp_path):
+    plain = load_robot("d3-1200")
+    empty, loaded = loaded_logs(plain)
+    known = identified(plain, empty)
+    write_trace(loaded, tmp_path / "loaded.csv")
+    command = ["payload", str(tmp_path / "loaded.csv"), "--robot", str(tmp_path / "known.toml")]
+    assert known.identified is not None
+    calibrated = known.identified.model_copy(update={"torque_constant_error": 0.004})
+    for update, share, said in (({}, 0.035, "--carried"), ({"identified": calibrated}, 0.004, "by a known load")):
+        save_robot(known.model_copy(update=update), tmp_path / "known.toml")
+        done = CliRunner().invoke(app, [*command, "--predictions", str(tmp_path / "told")])
+        assert done.exit_code == 0, done.output
+        assert done.stdout.count("common error") == 1, "once a robot, whatever was picked"
+        assert f"common error: {share:.1%} of every mass" in done.stdout
+        assert said in done.stdout
+        told = np.genfromtxt(tmp_path / "told" / "loaded.csv", delimiter=",", names=True)
+        assert told.dtype.names is not None
+        assert told.dtype.names[:5] == ("time_s", "mass_kg", "std_dev_kg", "trusted", "event")
+        sure = told[told["trusted"] == 1][-1]
+        assert sure["mass_kg"] == pytest.approx(3.0, abs=0.1)
+        assert 0.0 < sure["random_std_dev_kg"] < 0.05
+        assert share * 2.9 < sure["common_std_dev_kg"] < share * 3.1 + 0.1
+        document = json.loads(CliRunner().invoke(app, [*command, "--json"]).stdout)
+        assert document["common_error"] == {"share": share, "calibrated": share < 0.035}

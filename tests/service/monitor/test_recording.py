@@ -17,9 +17,10 @@ from rosbags.rosbag2 import Reader
 from drivers.trace import read_trace, write_trace
 from drivers.trace.mcap_file import read_samples
 from schemas.errors import StorageError
-from schemas.messages import SAMPLE, TOPICS, Message, dtype_of, set_stamp
+from schemas.messages import PAYLOAD, SAMPLE, TOPICS, Message, dtype_of, set_stamp
 from schemas.robot import load_robot
 from schemas.ros2 import type_hash
+from service.monitor.readback import read_recording
 from service.monitor.recording import RecordingWriter
 from service.monitor.recover import Recovered, recover
 
@@ -67,6 +68,44 @@ def samples(path: Path) -> np.ndarray:
         reader = make_reader(stream)
         data = [m.data for _, _, m in reader.iter_messages(["/deltatwin/bench/sample"], log_time_order=False)]
     return np.frombuffer(b"".join(data), SAMPLE.dtype)
+
+
+EARLIER = PAYLOAD.text[: PAYLOAD.text.index("float64 random_std_dev")]  # as it was until 2026-11
+
+
+def recording_by(path: Path, text: str) -> np.ndarray:
+    """A recording of three payloads whose schema is `text`, and what was written."""
+    layout = dtype_of(text)
+    written = np.zeros(3, layout)
+    for name in set(layout.names or ()) & set(PAYLOAD.dtype.names or ()):
+        written[name] = filled(PAYLOAD, 3)[name]
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema(
+            PAYLOAD.schema_name, "ros2msg", Message("Payload", text, layout).schema_text.encode()
+        )
+        channel = writer.register_channel("/deltatwin/bench/payload", "cdr", schema)
+        for number, record in enumerate(written):
+            writer.add_message(channel, WALL_NS + number, record.tobytes(), WALL_NS + number)
+        writer.finish()
+    return written
+
+
+def test_a_recording_of_an_earlier_version_reads_what_it_does_not_have_as_nan(tmp_path: Path) -> None:
+    written = recording_by(tmp_path / "old.mcap", EARLIER)
+    read = read_recording(tmp_path / "old.mcap")["payload"].records
+    assert read.dtype == PAYLOAD.dtype
+    for name in ("mass", "std_dev", "trusted", "event", "sequence"):
+        np.testing.assert_array_equal(read[name], written[name])
+    assert np.isnan(read["random_std_dev"]).all()
+    assert np.isnan(read["common_std_dev"]).all()
+
+
+def test_a_recording_without_what_every_version_has_is_refused(tmp_path: Path) -> None:
+    recording_by(tmp_path / "odd.mcap", EARLIER.replace("float64 mass ", "float64 weight "))
+    with pytest.raises(StorageError, match="Payload without mass"):
+        read_recording(tmp_path / "odd.mcap")
 
 
 def test_every_field_of_every_message_decodes_as_ros2(run: Path) -> None:
