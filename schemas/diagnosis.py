@@ -266,6 +266,45 @@ class Unseen(DocumentPart):
     simulated: Simulated | None = None
 
 
+class OnlineFigures(DocumentPart):
+    """What the estimator makes of the loads with one description.
+
+    right: changes of the load after which the mass is within the larger of 5 % and 50 g from 150 ms on to the next.
+    trusted: share of the time from 150 ms after each change. false_events: that no change explains. feedforward_nm: rms
+    of measured torque less feed-forward where nothing is carried, joints moving, below 40 Hz; feedforward_over_noise:
+    the same over the noise floor, where nothing is wrong 1.
+    """
+
+    right: int
+    trusted: float
+    false_events: int
+    feedforward_nm: float
+    feedforward_over_noise: float
+
+
+OnlineReason = Literal["not_carried", "no_rest"]
+
+
+class OnlineTrial(DocumentPart):
+    """What the correction is worth to the estimator, by process replay of logs with known loads.
+
+    reason: why there are no figures, if there are none: the online model does not carry the effects `left_out`, or no
+    log has two rests in which a load could come and go. traces: the logs; simulated: loads were added to the torque of
+    a log as recorded, while all joints rested; held_out: a log that was not fitted. seconds: of all logs. changes: of
+    the load, that are judged. identified: without the correction, or the baseline where one is given.
+    """
+
+    reason: OnlineReason | None = None
+    left_out: list[str] = []
+    traces: list[str] = []
+    simulated: bool = True
+    held_out: bool = False
+    seconds: float = 0.0
+    changes: int = 0
+    identified: OnlineFigures | None = None
+    corrected: OnlineFigures | None = None
+
+
 class Provenance(DocumentPart):
     """When, by which version of deltatwin, from what: SHA-256 of each input file by its name."""
 
@@ -280,7 +319,8 @@ class Diagnosis(DocumentPart):
     plain: parameters of the base model fitted without effects. base: refitted together with the effects. tests: the
     correction on logs given for that alone. given: effects that the description carried already. follows: what is left
     follows, strongest first. moved: base parameters from the baseline's, where one is given. rivals: what a motion that
-    settles it has to tell apart, best first.
+    settles it has to tell apart, best first. online: what the correction is worth to the estimator; of a Delta whose
+    logs were at hand.
     """
 
     schema_: Literal["deltatwin.diagnosis/2"] = Field("deltatwin.diagnosis/2", alias="schema")
@@ -302,6 +342,7 @@ class Diagnosis(DocumentPart):
     follows: list[Follows] = []
     moved: dict[str, Moved] = {}
     rivals: list[Rival] = []
+    online: OnlineTrial | None = None
 
 
 def named_joints(joints: Sequence[int]) -> str:

@@ -29,8 +29,7 @@ class Later:
     @property
     def in_words(self) -> str:
         """Name, time and figures."""
-        figures = [f"{key} {_shown(value)}" for key, value in self.effect.figures.items()]
-        return f"{self.name} from {self.at:g} s: {', '.join(figures)}"
+        return f"{self.name} from {self.at:g} s: {self.effect.in_words}"
 
 
 def later(text: str, truth: PlantTruth, seed: int) -> Later:
@@ -82,7 +81,3 @@ def _sized(effect: PlantEffect, value: float) -> PlantEffect:
         return dataclasses.replace(effect, **{name: value})
     largest = max(drawn, key=abs)
     return dataclasses.replace(effect, **{name: [value * one / largest for one in drawn]})
-
-
-def _shown(value: float | list[float]) -> str:
-    return f"{value:.4g}" if not isinstance(value, list) else "/".join(f"{one:.4g}" for one in value)

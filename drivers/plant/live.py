@@ -24,13 +24,14 @@ from drivers.plant.plant import Plant
 from drivers.plant.simulate import Course
 from schemas.messages import NANOSECONDS, REFERENCE, SAMPLE, HealthFlag, StopReason, set_stamp
 from schemas.trace import Trace
+from service.model import kinematics
 
 STALE_CYCLES = 3
 LEAD_NS = 20_000_000  # from the call to the first deadline
-REMEMBERED = 300_000  # cycles kept of a run that goes on: the newest five minutes at 1 kHz, 41 MB
+REMEMBERED = 300_000  # cycles kept of a run that goes on: the newest five minutes at 1 kHz, 48 MB
 _CYCLE = np.dtype(
-    [(name, "3f8") for name in ("position", "torque", "torque_command", "position_command", "feedforward")]
-    + [("payload", "f8"), ("late", "i8")]
+    [(name, "3f8") for name in ("position", "torque", "torque_command", "position_command", "feedforward", "platform")]
+    + [("payload", "f8"), ("late", "i8"), ("held", "?")]
 )
 
 _NO_TORQUE = (np.nan, np.nan, np.nan)
@@ -47,6 +48,11 @@ class FeedforwardIntake:
         self._inbox, self._limit = inbox, limit
         self._waiting: dict[int, np.ndarray] = {}
         self._last: tuple[int, np.ndarray] | None = None
+
+    @property
+    def newest(self) -> int | None:
+        """Cycle that the torque was for which came last into force."""
+        return None if self._last is None else self._last[0]
 
     @property
     def refused(self) -> int:
@@ -80,13 +86,17 @@ class FeedforwardIntake:
 class LiveRun:
     """What happened in the newest N cycles: the trace, and the feed-forward torque and payload in force.
 
-    feedforward (N, 3) N m, NaN where the drives were on feedback alone; payload (N,) kg. cycles: of the whole run.
-    late: how many of them began after the next was due; lateness (N,) ns. interrupted: ended by Ctrl-C.
+    feedforward (N, 3) N m, NaN where the drives were on feedback alone, held (N,) bool: it was for an earlier cycle;
+    payload (N,) kg. astray (N, 3) m: where the platform truly is, relative to where motors on their command would put
+    it through gears without compliance or play. cycles: of the whole run. late: how many of them began after the next
+    was due; lateness (N,) ns. interrupted: ended by Ctrl-C.
     """
 
     trace: Trace
     feedforward: np.ndarray
+    held: np.ndarray
     payload: np.ndarray
+    astray: np.ndarray
     cycles: int
     late: int
     lateness: np.ndarray
@@ -143,6 +153,7 @@ def run_live(
                     plant.take_over(fed_before, fed)
                     health.flags = standing if fed is not None else standing | HealthFlag.STALE_FEEDFORWARD
                 measured = course.latch(plant, k, fed)
+                platform = plant.platform.copy()  # physics moves it on
                 stamp = epoch + cycle * period_ns
                 set_stamp(reference, stamp + period_ns)
                 reference["sequence"] = cycle + 1
@@ -155,8 +166,10 @@ def run_live(
                 sample["position_command"] = motion.position[k]
                 sample_out.put(sample.tobytes())
                 plant.run()
+                held = fed is not None and intake.newest != cycle
                 rows[cycle % len(rows)] = (
-                    *measured, motion.position[k], _NO_TORQUE if fed is None else fed, plant.payload, late
+                    *measured, motion.position[k], _NO_TORQUE if fed is None else fed, platform, plant.payload, late,
+                    held,
                 )  # fmt: skip
                 done = cycle + 1
                 health.time_one(late)
@@ -182,5 +195,8 @@ def run_live(
         torque_command=rows["torque_command"],
         flags=np.zeros(len(rows), np.uint32),
     )
-    interrupted = ended is StopReason.INTERRUPTED
-    return LiveRun(trace, rows["feedforward"], rows["payload"], done, late_count, rows["late"], interrupted)
+    wanted = kinematics.forward(plant.mechanism.geometry, rows["position_command"] + plant.offset)
+    return LiveRun(
+        trace, rows["feedforward"], rows["held"], rows["payload"], rows["platform"] - wanted, done, late_count,
+        rows["late"], ended is StopReason.INTERRUPTED,
+    )  # fmt: skip

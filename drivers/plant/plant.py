@@ -308,18 +308,20 @@ class Plant:
         self._observe_motors()
 
 
-def make_plant(robot: Robot, truth: str | Path | None, period: float, seed: int) -> tuple[Plant, str]:
+def make_plant(
+    robot: Robot, truth: str | Path | None, period: float, seed: int, more: tuple[PlantEffect, ...] = ()
+) -> tuple[Plant, str]:
     """The plant of a truth file, and what it is in words. truth: None for the one that comes along for `robot`, else
-    ideal, as for "ideal".
+    ideal, as for "ideal". more: effects at work besides.
 
     Raises:
         RobotError: naming file, key and value of the first thing that is wrong.
     """
     path = shipped_truth(robot) if truth is None else None if truth == "ideal" else Path(truth)
     if path is None:
-        return Plant(robot, period=period, seed=seed), "ideal: exactly as described"
+        return Plant(robot, effects=more, period=period, seed=seed), "ideal: exactly as described"
     real = load_truth(path, robot)
-    return Plant(robot, real, make_effects(real.effect, str(path)), period, seed), f"truth of {path.name}"
+    return Plant(robot, real, make_effects(real.effect, str(path)) + more, period, seed), f"truth of {path.name}"
 
 
 def _stride(address: np.ndarray) -> slice:

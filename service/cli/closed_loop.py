@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -12,10 +12,27 @@ from service.cli.output import as_json, console, table
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
-    from service.experiment.closed_loop import Tracking
-    from service.experiment.pictures import Page
+    from collections.abc import Callable
+
+    from rich.progress import Progress
+
+    from drivers.motion import Planner, Trajectory
+    from schemas.messages import HealthFlag
+    from schemas.robot import Robot
+    from schemas.trace import Trace
+    from service.experiment.closed_loop import Subject, Tracking
+    from service.experiment.pictures import Verdict
 
 LOGS, LOG_S = 4, 6.0  # to identify on: how many, and the length of each, s
+
+
+class Known(NamedTuple):
+    """What is known of the robot: as identified, and as corrected where an effect is asked for. named: what the
+    correction holds, in words."""
+
+    identified: Robot
+    corrected: Robot | None
+    named: str
 
 
 def command(
@@ -25,147 +42,223 @@ def command(
         Path | None,
         typer.Option(metavar="FILE|NAME", help="What `identify` wrote. Default: identify on simulated logs first."),
     ] = None,
+    effect: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME[:SEVERITY]",
+            help="Give the robot this effect of the catalogue, drawn from --seed at a severity (1: a fault of a small "
+            "Delta), and compare the rigid tau_FF with that of the corrected description.",
+        ),
+    ] = None,
+    corrected: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="What `diagnose` wrote. Default, with --effect: diagnose simulated logs."),
+    ] = None,
     truth: Annotated[
         str | None,
         typer.Option(metavar="FILE", help="What the robot really is (TOML), or `ideal`. Default: as `simulate`."),
     ] = None,
-    payload: Annotated[list[float] | None, typer.Option(min=0.0, help="Masses to carry (kg).")] = None,
+    payload: Annotated[
+        list[float] | None, typer.Option(min=0.0, help="Masses to carry (kg). Default: 1 and 3.8.")
+    ] = None,
     duration: Annotated[float, typer.Option(min=3.0, help="Length of each run (s).")] = 10.0,
     rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz).")] = 1000.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of motion and noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of motion, noise and effect.")] = 0,
     effects: OwnEffects = None,
     json: AsJson = False,
 ) -> None:
     """Run a live simulated robot and the estimator over Zenoh and measure the tracking error: with feedback alone, with
     the feed-forward torque of every model, with the payload in it, and with the estimator lost half way.
 
+    With --effect or --corrected: with feedback alone, the rigid and the corrected feed-forward, on a robot that has the
+    effect. Ends with 3 where too many cycles were late for the figures to count.
+
     Example: deltatwin closed-loop --robot d3-1200 --payload 1 --payload 3.8 --out closed-loop
+
+    Example: deltatwin closed-loop --effect stribeck_friction --out loop
     """
     import numpy as np
 
     from drivers.motion import Planner
+    from drivers.plant.effects import draw_effect
     from drivers.plant.plant import make_plant
     from replay.realtime import go_realtime
-    from schemas.errors import RobotError
     from schemas.files import make_folder, write_text
     from schemas.robot import load_robot
-    from service.experiment.closed_loop import follow, tracking, variants
-    from service.experiment.logs import identification_motions, record
+    from service.cli.main import MISSED
+    from service.experiment.closed_loop import CORRECTED, FEEDBACK, RIGID, Subject, ratio, variants
+    from service.experiment.loop_page import HEAD, NOTE, SHORT, page, row, verdict_of_correction, verdict_of_models
     from service.experiment.pictures import write_page, write_pictures
+
+    description = load_robot(robot)
+    plant, which = make_plant(description, truth, 1.0 / rate, seed)
+    given = () if effect is None else (draw_effect(effect, plant.described, seed),)
+    which += "".join(f"; {name}: {one.in_words}" for name, one in given)
+    subject = Subject(description, truth, tuple(one for _, one in given), plant.period)
+    make_folder(out)
+    planner = Planner(description, subject.period)
+    masses = tuple(payload) if payload else (1.0, 3.8)
+    with bars() as progress:
+        known = _learn(subject, planner, seed, identified, corrected, effects, out, progress)
+        motion = planner.pick_and_place(np.random.default_rng([seed, 1]), duration, masses)
+        lost = None
+        if known.corrected is not None:
+            feeds = {FEEDBACK: None, RIGID: known.identified, CORRECTED: known.corrected}
+        else:
+            feeds = variants(known.identified)
+            lost = f"{list(feeds)[-1]}, estimator lost half way"
+            feeds[lost] = known.identified
+        standing = go_realtime("closed-loop")
+        runs = [_run(subject, seed, motion, name, feed, lost, standing, progress) for name, feed in feeds.items()]
+    judged = [run for run in runs if run.name != lost]
+    if known.corrected is not None:
+        verdict = verdict_of_correction(runs, known.named, _left_out(known.corrected), str(out))
+        shown, compared = runs, ratio(runs[1], runs[2])
+    else:
+        verdict, compared = verdict_of_models(judged), ratio(runs[0], judged[-1])
+        shown = [runs[0], *runs[3:]]  # feedback alone, M_Id+F, full, payload-aware, estimator lost
+    report = page(description.name, which, masses, runs, shown, verdict)
+    write_page(report, out / "closed_loop.html")
+    write_pictures(report.drawings, out, "closed_loop")
+    counts = not any(run.spoilt for run in judged)
+    text = as_json(
+        "closed-loop",
+        {
+            "robot": which,
+            "counts": counts,
+            "platform_ratio": {"value": compared.value, "ci95": [compared.low, compared.high]},
+            "runs": [_figures(run) for run in runs],
+        },
+    )
+    write_text(out / "closed_loop.json", text)
+    if json:
+        typer.echo(text)
+    else:
+        short = [[row(run, runs[0])[column] for column in SHORT] for run in runs]
+        console().print(table([HEAD[column] for column in SHORT], short, caption=NOTE))
+        _say(verdict)
+        typer.echo(f"wrote {out / 'closed_loop.html'}, .pdf, .json and PNG pictures")
+    if not counts:
+        raise typer.Exit(MISSED)
+
+
+def _learn(
+    subject: Subject, planner: Planner, seed: int, identified: Path | None, corrected: Path | None,
+    effects: Path | None, out: Path, progress: Progress,
+) -> Known:  # fmt: skip
+    """Read or find out what is known of the robot; what was found is written into `out`."""
+    import numpy as np
+
+    from schemas.errors import DataError
+    from schemas.robot import save_robot
+    from service.experiment.logs import identification_motions, record
     from service.identification.identify import identify
     from service.identification.regression import summarise
     from service.model.nominal import pack
 
-    description = load_robot(robot)
-    period = 1.0 / rate
-    make_folder(out)
-    planner = Planner(description, period)
-    runs: list[Tracking] = []
-    with bars() as progress:
-        if identified is None:
-            task = progress.add_task("logs to identify on", total=LOGS * LOG_S)
-            plant, _ = make_plant(description, truth, period, seed + 1)
-            motions = identification_motions(planner, np.random.default_rng([seed, 2]), LOGS, LOG_S)
-            logs = record(plant, motions, "fit", lambda seconds: progress.update(task, completed=seconds))
-            known = identify(description, [summarise(pack(description), log) for log in logs]).robot
-        else:
-            known = load_robot(identified, effects)
-            if known.name != description.name:
-                raise RobotError(f"{identified}: describes {known.name}, not {description.name}")
-        masses = tuple(payload) if payload else (1.0, 3.8)
-        motion = planner.pick_and_place(np.random.default_rng([seed, 1]), duration, masses)
-        standing = go_realtime("closed-loop")
-        feeds = variants(known)
-        lost = f"{list(feeds)[-1]}, estimator lost half way"
-        for name, feed in [*feeds.items(), (lost, known)]:
-            task = progress.add_task(name, total=len(motion))
-            run = follow(
-                description,
-                lambda: make_plant(description, truth, period, seed)[0],
-                motion,
-                feed,
-                standing=standing,
-                progress=lambda cycle, task=task: None if cycle % 100 else progress.update(task, completed=cycle),
-                lose_estimator_at=len(motion) // 2 if name == lost else None,
-            )
-            runs.append(tracking(description, name, run))
-    rows = [_row(run, runs[0]) for run in runs]
-    which = make_plant(description, truth, period, seed)[1]
-    page = _page(description.name, which, masses, runs, rows)
-    write_page(page, out / "closed_loop.html")
-    write_pictures(page.drawings, out, "closed_loop")
-    figures = [
-        {
-            "name": run.name,
-            "joint_rms_rad": run.joint_rms.tolist(),
-            "rms_rad": run.rms,
-            "platform_rms_m": run.platform_rms,
-            "worst_rad": run.worst,
-            "helped": run.helped,
-            "late": run.late,
-        }
-        for run in runs
+    robot, wants_correction = subject.robot, bool(subject.effects) or corrected is not None
+    logs: list[Trace] = []
+    if identified is None or (wants_correction and corrected is None):
+        task = progress.add_task("logs to identify on", total=LOGS * LOG_S)
+        motions = identification_motions(planner, np.random.default_rng([seed, 2]), LOGS, LOG_S)
+        logs = record(subject.plant(seed + 1), motions, "fit", lambda done: progress.update(task, completed=done))
+    if identified is None:
+        try:
+            known = identify(robot, [summarise(pack(robot), log) for log in logs]).robot
+        except DataError as error:
+            if not subject.effects:
+                raise
+            raise DataError(f"with this effect: {error}; try a smaller severity") from error
+        save_robot(known, out / "identified.toml")
+    else:
+        known = _load(identified, robot, effects)
+    if corrected is not None:
+        better = _load(corrected, robot, effects)
+        return Known(known, better, _in_words(better))
+    if not wants_correction:
+        return Known(known, None, "")
+    task = progress.add_task("diagnosis", total=None)
+    better = _diagnosed(robot, logs, effects, lambda text: progress.update(task, description=f"diagnosis: {text}"))
+    progress.update(task, total=1, completed=1)
+    save_robot(better, out / "corrected.toml")
+    return Known(known, better, _in_words(better))
+
+
+def _load(path: Path, robot: Robot, effects: Path | None) -> Robot:
+    from schemas.errors import RobotError
+    from schemas.robot import load_robot
+
+    known = load_robot(path, effects)
+    if known.name != robot.name:
+        raise RobotError(f"{path}: describes {known.name}, not {robot.name}")
+    return known
+
+
+def _diagnosed(robot: Robot, logs: list[Trace], effects: Path | None, progress: Callable[[str], None]) -> Robot:
+    """The corrected description that `diagnose` makes of `logs`."""
+    from schemas.robot import Robot
+    from service.diagnosis.diagnose import diagnose
+    from service.diagnosis.documents.document import corrected
+    from service.model.effects import catalogue
+
+    found = corrected(diagnose(robot, logs, catalogue(effects), progress))
+    assert isinstance(found, Robot)
+    return found
+
+
+def _run(
+    subject: Subject, seed: int, motion: Trajectory, name: str, feed: Robot | None, lost: str | None,
+    standing: HealthFlag, progress: Progress,
+) -> Tracking:  # fmt: skip
+    from service.experiment.closed_loop import follow, tracking
+
+    task = progress.add_task(name, total=len(motion))
+    run = follow(
+        subject.robot,
+        lambda: subject.plant(seed),
+        motion,
+        feed,
+        standing=standing,
+        progress=lambda cycle: None if cycle % 100 else progress.update(task, completed=cycle),
+        lose_estimator_at=len(motion) // 2 if name == lost else None,
+    )
+    return tracking(subject.robot, name, run)
+
+
+def _in_words(robot: Robot) -> str:
+    """The effects of a description with their joints."""
+    from schemas.diagnosis import named_joints
+
+    told = [
+        one.name.replace("_", " ") + (f" in {named_joints(one.joints)}" if one.joints else "") for one in robot.effect
     ]
-    text = as_json("closed-loop", {"runs": figures})
-    write_text(out / "closed_loop.json", text)
-    if json:
-        typer.echo(text)
-        return
-    short = [[row[column] for column in SHORT] for row in rows]
-    console().print(table([HEAD[column] for column in SHORT], short, caption=NOTE))
-    typer.echo(f"wrote {out / 'closed_loop.html'}, .pdf, .json and PNG pictures")
+    return ", ".join(told) or "no effect was named, so it is the rigid model again"
 
 
-NOTE = (
-    "rms tracking error, and the worst of any joint; times smaller than with feedback alone; cycles helped by "
-    "feed-forward; cycles that began late"
-)
-SHORT = (0, 4, 5, 6, 7, 8, 9)  # columns of HEAD that a terminal has room for
-HEAD = (
-    "fed with", "joint 1, mrad", "joint 2, mrad", "joint 3, mrad", "all, mrad", "platform, mm", "worst, mrad",
-    "times smaller", "helped", "late",
-)  # fmt: skip
+def _left_out(robot: Robot) -> list[str]:
+    """Effects of a description that the online model does not carry."""
+    from service.estimator.effects import carried
+    from service.model.description import terms_of
+
+    return [term.effect.name.replace("_", " ") for term in terms_of(robot) if not carried(term.effect)]
 
 
-def _row(run: Tracking, reference: Tracking) -> tuple[str, ...]:
-    joints = (f"{value * 1e3:.3f}" for value in run.joint_rms)
-    return (
-        run.name,
-        *joints,
-        f"{run.rms * 1e3:.3f}",
-        f"{run.platform_rms * 1e3:.3f}",
-        f"{run.worst * 1e3:.2f}",
-        f"{reference.rms / run.rms:.1f}",
-        f"{run.helped:.1%}",
-        str(run.late),
-    )
+def _figures(run: Tracking) -> dict[str, object]:
+    return {
+        "name": run.name,
+        "joint_rms_rad": run.joint_rms.tolist(),
+        "rms_rad": run.rms,
+        "platform_rms_m": run.platform_rms,
+        "platform_true_rms_m": run.true_rms,
+        "worst_rad": run.worst,
+        "helped": run.helped,
+        "held": run.held,
+        "late": run.late,
+        "cycles": len(run.time),
+        "counts": not run.spoilt,
+    }
 
 
-def _page(robot: str, which: str, masses: tuple[float, ...], runs: list[Tracking], rows: list[tuple[str, ...]]) -> Page:
-    import numpy as np
-
-    from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, by_joint
-
-    shown = [runs[0], *runs[3:]]  # feedback alone, M_Id+F, full, payload-aware, estimator lost
-    lines = [Line(run.name, run.time, run.error * 1e3, colour, "thin") for colour, run in enumerate(shown)]
-    panels = by_joint(lines, "error / mrad", "joint {}")
-    joints = np.array(["joint 1", "joint 2", "joint 3"])
-    bars = Panel(
-        "",
-        "rms error / mrad",
-        tuple(Line(run.name, joints, run.joint_rms * 1e3, colour, "bars") for colour, run in enumerate(runs[:-1])),
-    )
-    loads = ", ".join(f"{mass:g} kg" for mass in masses)
-    return Page(
-        f"Closed loop: {robot}",
-        (
-            f"Everything here is simulated: the robot is a rigid-body plant (MuJoCo; {which}) in real time, the "
-            f"estimator a process of its own; they talk over Zenoh. The motion, pick-and-place with {loads}, and the "
-            "noise are the same in every run; what the drives are fed differs.",
-        ),
-        (
-            PageTable("Tracking error", HEAD, tuple(rows), NOTE),
-            Figure("closed_loop_error", "Tracking error over time", "Measured minus commanded joint angle.", panels),
-            Figure("closed_loop_rms", "Tracking error by model", "rms after the first half second.", (bars,)),
-        ),
-    )
+def _say(verdict: Verdict) -> None:
+    for line in (verdict.answer, *verdict.lines):
+        typer.echo(line)

@@ -29,6 +29,14 @@ def command(
         list[Path] | None,
         typer.Option(metavar="TRACE", help="Log to try the correction on, used for nothing else; may be repeated"),
     ] = None,
+    loaded: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="TRACE", help="Log with known loads, to try the estimator on; default: simulated loads"),
+    ] = None,
+    loads: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="What was carried there: CSV with from_s,until_s,mass_kg; one a log"),
+    ] = None,
     pdf: Annotated[
         bool, typer.Option("--pdf", help="Print the report too (report.pdf), by Chromium or Chrome")
     ] = False,
@@ -36,37 +44,51 @@ def command(
     """Say where torque and model part, which effect explains it, and how far it shrinks on runs not used for the fit.
 
     --robot may also describe decoupled axes (kind = "axes"). Effects that --robot or --baseline carry are not found
-    again. --test tells events, stretches far above the rest, from what the correction leaves elsewhere.
+    again. --test tells events, stretches far above the rest, from what the correction leaves elsewhere. Of a Delta it
+    says too what the correction is worth to the estimator: mass, false events and feed-forward before and after.
 
     Example: deltatwin diagnose fit_*.csv --robot robot.toml --out diagnosis --test other_day.csv
 
     Example: deltatwin diagnose fit_*.csv --robot corrected.toml --out again --effects rubber_stop.py
     """
     from schemas.axes import load_description, save_description
+    from schemas.errors import DataError
     from schemas.files import make_folder, write_text
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.documents.document import corrected, document, made_from
+    from service.diagnosis.documents.online import online_trial
+    from service.diagnosis.documents.online_text import noted
     from service.diagnosis.documents.report import write_report
     from service.diagnosis.documents.text import paragraphs
+    from service.identification.payload import read_truth
     from service.model.effects import catalogue
     from service.pages import browser, print_page
 
     if pdf:
         browser()  # that there is one, before anything that takes long
+    if len(loaded or []) != len(loads or []):
+        raise DataError(f"--loads: {len(loads or [])} files for {len(loaded or [])} logs (--loaded); give one a log")
     make_folder(out)
     known = catalogue(effects)
     description = load_description(robot, effects)
     reference = load_description(baseline, effects) if baseline else None
     recorded = list(reading(traces, description, columns, "reading"))
     tests = list(reading(test or [], description, columns, "reading"))
+    carriers = list(reading(loaded or [], description, columns, "reading"))
+    picks = [read_truth(path) for path in loads or []]
     with console(stderr=True).status("starting") as status:
         findings = diagnose(description, recorded, known, status.update, reference, tests)
+        status.update("trying the estimator with it")
+        tried = online_trial(findings, recorded, tests, list(zip(carriers, picks, strict=True)))
         status.update("writing the report")
         named = filter(None, (baseline, effects, columns and Path(columns)))
-        sources = [*traces, robot, *named, *(test or [])]
-        result = document(findings, tests, made_from(sources))
+        sources = [*traces, robot, *named, *(test or []), *(loaded or []), *(loads or [])]
+        result = document(findings, tests, made_from(sources), tried)
         write_text(out / "diagnosis.json", result.model_dump_json(indent=1, by_alias=True))
-        save_description(corrected(findings), out / "corrected.toml", template=robot)
+        target = out / "corrected.toml"
+        save_description(corrected(findings), target, template=robot)
+        if tried is not None:
+            write_text(target, noted(target.read_text(encoding="utf-8"), tried))
         write_report(findings, result, out / "report.html")
         if pdf:
             status.update("printing it")

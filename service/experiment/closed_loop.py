@@ -1,6 +1,7 @@
 """The loop closed: a live simulated robot and an estimator, each a process of its own, on Zenoh.
 
-One run a variant, the same motion and the same noise in each; what differs is what the drives are fed.
+One run a variant, the same motion and the same noise in each; what differs is what the drives are fed: the stages of
+one model on a robot as described, or the model without and with the correction on a robot that has an effect.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ import numpy as np
 
 from drivers.bus import Bus, open_bus
 from drivers.motion import Trajectory
+from drivers.plant.effects import PlantEffect
 from drivers.plant.live import LiveRun, run_live
-from drivers.plant.plant import Plant
+from drivers.plant.plant import Plant, make_plant
 from replay.clock import Pacer
-from schemas.messages import HealthFlag, Role
+from schemas.messages import NANOSECONDS, HealthFlag, Role
 from schemas.robot import Identified, JointParameter, Parameter, Robot, save_robot
 from service.model import kinematics
 from service.model.nominal import pack
@@ -26,30 +28,95 @@ from service.supervisor import Process, Supervisor
 
 SETTLING = 0.5  # s at the start of a run that do not count: the integrators hand the weight over to the feed-forward
 FEEDBACK = "feedback alone"
+RIGID, CORRECTED = "rigid tau_FF", "corrected tau_FF"
 BLIND = JointParameter(value=[1e6, 1e6, 1e6])  # N m of noise, in which no payload can be seen
+# Share of cycles that began late or without feed-forward from which a run measures the computer: whatever the drives
+# were fed then was not the feed-forward of this variant, and its absence disturbs a hundred times what is left with it.
+SPOILT = 0.01
+BLOCK = 0.5  # s of motion that are drawn together for an interval: longer than any move
+DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The simulated robot at hand: its description, the truth file (as `make_plant` takes it), effects at work besides,
+    and the period of the controller, s."""
+
+    robot: Robot
+    truth: str | None
+    effects: tuple[PlantEffect, ...]
+    period: float
+
+    def plant(self, seed: int) -> Plant:
+        """One of it, at rest, with noise of its own."""
+        return make_plant(self.robot, self.truth, self.period, seed, self.effects)[0]
 
 
 @dataclass(frozen=True)
 class Tracking:
     """How well one variant followed its command.
 
-    joint_rms (3,) rad; platform_rms m; worst rad, any joint; helped: share of cycles with feed-forward; late: cycles
-    after their deadline. error (N, 3) rad, measured minus commanded, from the end of settling, at `time` (N,) s.
+    joint_rms (3,) rad; worst rad, any joint; helped: share of cycles with feed-forward, held: with one that was for an
+    earlier cycle; late: how many cycles began after the next was due. error (N, 3) rad, measured minus commanded, from
+    the end of settling, at `time` (N,) s. missed (N,) m: how far the platform is from its place, by the encoders;
+    astray (N,) m: the same in truth, with what gears bend and play.
     """
 
     name: str
     time: np.ndarray
     error: np.ndarray
     joint_rms: np.ndarray
-    platform_rms: float
+    missed: np.ndarray
+    astray: np.ndarray
     worst: float
     helped: float
+    held: float
     late: int
 
     @property
     def rms(self) -> float:
         """All joints, rad."""
         return float(np.sqrt(np.mean(self.joint_rms**2)))
+
+    @property
+    def platform_rms(self) -> float:
+        """By the encoders, m."""
+        return _rms(self.missed)
+
+    @property
+    def true_rms(self) -> float:
+        """Of the platform in truth, m."""
+        return _rms(self.astray)
+
+    @property
+    def spoilt(self) -> bool:
+        """Whether the run says more of the computer than of the robot. With feedback alone nothing has to come in time:
+        the simulated robot then does the same however late its cycles are."""
+        return self.name != FEEDBACK and max(self.late / len(self.time), 1.0 - self.helped) > SPOILT
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """An rms over another, with the 95 % interval of other such motions."""
+
+    value: float
+    low: float
+    high: float
+
+
+def ratio(before: Tracking, after: Tracking) -> Ratio:
+    """Platform error, by the encoders, of one run over that of another with the same motion; from resampled blocks."""
+    count = max(1, round(BLOCK / float(before.time[1] - before.time[0])))
+    starts = np.arange(0, len(before.time), count)
+    squares = np.array([np.add.reduceat(run.missed**2, starts) for run in (before, after)])
+    draws = np.random.default_rng(0).integers(0, len(starts), (DRAWS, len(starts)))
+    was, now = squares[:, draws].sum(axis=2)
+    low, high = np.quantile(np.sqrt(now / was), [0.025, 0.975])
+    return Ratio(after.platform_rms / before.platform_rms, float(low), float(high))
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def variants(robot: Robot) -> dict[str, Robot | None]:
@@ -123,10 +190,12 @@ def tracking(robot: Robot, name: str, run: LiveRun) -> Tracking:
         time=trace.time[counted],
         error=error,
         joint_rms=np.sqrt(np.mean(error**2, axis=0)),
-        platform_rms=float(np.sqrt(np.mean((missed**2).sum(axis=1)))),
+        missed=np.linalg.norm(missed, axis=1),
+        astray=np.linalg.norm(run.astray[counted], axis=1),
         worst=float(np.abs(error).max()),
         helped=float(np.isfinite(run.feedforward[counted]).all(axis=1).mean()),
-        late=run.late,
+        held=float(run.held[counted].mean()),
+        late=int((run.lateness[counted] > trace.period * NANOSECONDS).sum()),
     )
 
 

@@ -132,12 +132,21 @@ class PageTable:
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """What a reader wants to know first: the answer, and below it lines with the figure and the next step."""
+
+    answer: str
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Page:
-    """What goes into a report, in order."""
+    """What goes into a report, in order; the verdict, where there is one, comes before all else."""
 
     title: str
     lead: tuple[str, ...]  # paragraphs
     parts: tuple[PageTable | Figure | Diagram | Section, ...] = field(default=())
+    verdict: Verdict | None = None
 
     @property
     def drawings(self) -> list[Figure | Diagram]:

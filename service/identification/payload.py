@@ -122,7 +122,11 @@ def weighed(robot: Robot, trace: Trace) -> Weighed:
     if robot.identified is None:
         raise DataError(f"{robot.name} was never identified, so nothing can be weighed: deltatwin identify ... first")
     samples = trace.samples()
-    result = process(robot, samples).payload
+    return as_known(samples, process(robot, samples).payload)
+
+
+def as_known(samples: np.ndarray, result: np.ndarray) -> Weighed:
+    """What was known after each of (N,) SAMPLE records, from the PAYLOAD records that the estimator answered."""
     lag = len(samples) - len(result)
 
     def known(values: np.ndarray) -> np.ndarray:

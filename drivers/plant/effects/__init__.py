@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import Any, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
+import numpy as np
 from pydantic import ConfigDict, ValidationError, create_model
 
 from drivers.plant.effects import friction, mechanics, out_of_catalogue, sensing, transmission
 from drivers.plant.effects.base import PlantEffect
-from schemas.errors import RobotError
+from schemas.errors import DataError, RobotError
 from schemas.toml import explain
+
+if TYPE_CHECKING:
+    from drivers.plant.truth import PlantTruth
 
 CATALOGUE: dict[str, type[PlantEffect]] = {
     "stribeck_friction": friction.StribeckFriction,
@@ -84,3 +89,23 @@ def make_effects(entries: Sequence[Mapping[str, object]], where: str) -> tuple[P
             raise RobotError(f"{where}: effect {name}: {explain(error)}") from error
         made.append(kind(**checked.model_dump()))
     return tuple(made)
+
+
+def draw_effect(text: str, truth: PlantTruth, seed: int) -> tuple[str, PlantEffect]:
+    """Name and instance of the effect that `NAME` or `NAME:SEVERITY` stands for, drawn for a robot of this `truth`.
+
+    Severity 1, the default, is a fault that maintenance would want to know of.
+
+    Raises:
+        DataError: no such effect in the catalogue, or a severity that is no number above zero.
+    """
+    name, colon, size = text.partition(":")
+    if name not in CATALOGUE:
+        raise DataError(f"--effect {text!r}: unknown effect {name!r}; known: {', '.join(CATALOGUE)}")
+    try:
+        severity = float(size) if colon else 1.0
+    except ValueError:
+        severity = math.nan
+    if not (math.isfinite(severity) and severity > 0):
+        raise DataError(f"--effect {text!r}: severity {size!r} is not a number above zero; as joint_elasticity:0.5")
+    return name, CATALOGUE[name].draw(np.random.default_rng([seed, 2]), truth, severity)

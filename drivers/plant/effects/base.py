@@ -67,6 +67,11 @@ class PlantEffect:
         return {field.name: getattr(self, field.name) for field in fields(self) if field.init}
 
     @property
+    def in_words(self) -> str:
+        """Its figures by name, `0/1000/0` where they are one a joint."""
+        return ", ".join(f"{name} {_shown(value)}" for name, value in self.figures.items())
+
+    @property
     def joints(self) -> list[int]:
         """Joints it sits on, from 0."""
         return JOINTS.tolist()
@@ -136,3 +141,7 @@ def below(
         float(radius * math.sin(heading)),
         float(-rng.uniform(*down) * length),
     ]
+
+
+def _shown(value: float | list[float]) -> str:
+    return f"{value:.4g}" if not isinstance(value, list) else "/".join(f"{one:.4g}" for one in value)

@@ -11,7 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from schemas.axes import Description
-from schemas.diagnosis import Diagnosis, Estimate, Gap, Moved, NamedEffect, Online, Provenance, Ranked, Rival
+from schemas.diagnosis import (
+    Diagnosis,
+    Estimate,
+    Gap,
+    Moved,
+    NamedEffect,
+    Online,
+    OnlineTrial,
+    Provenance,
+    Ranked,
+    Rival,
+)
 from schemas.robot import JointParameter, Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
@@ -33,9 +44,23 @@ def corrected(findings: Findings) -> Description:
     """The description with base model and effects refitted together, and a robot's with what that leaves of runs left
     out."""
     known = described(findings.robot, findings.best.hypothesis, findings.errors, findings.noise)
+    return with_model_error(findings, known, findings.after)
+
+
+def identified(findings: Findings) -> Description:
+    """The description without the correction: the baseline, or what `identify` makes of the logs."""
+    if findings.baseline is not None:
+        return findings.baseline
+    errors = statistics.standard_errors(findings.plain.fitted, findings.split)
+    known = described(findings.robot, findings.plain.hypothesis, errors, findings.noise)
+    return with_model_error(findings, known, findings.before)
+
+
+def with_model_error(findings: Findings, known: Description, residuals: Sequence[np.ndarray]) -> Description:
+    """A robot's description with what `residuals` on data left out are above the noise."""
     if not isinstance(known, Robot) or known.identified is None:
         return known
-    left = statistics.rms_per_joint(findings.problem, findings.after)
+    left = statistics.rms_per_joint(findings.problem, residuals)
     error = np.sqrt(np.maximum(left**2 - findings.problem.sigma**2, 0.0))
     told = known.identified.model_copy(update={"model_error_nm": JointParameter(value=[digits(e) for e in error])})
     return known.model_copy(update={"identified": told})
@@ -52,8 +77,11 @@ def made_from(paths: Iterable[Path]) -> Provenance:
     return Provenance(at=datetime.now(UTC).isoformat(timespec="seconds"), version=version("deltatwin"), inputs=inputs)
 
 
-def document(findings: Findings, tests: Sequence[Trace] = (), made: Provenance | None = None) -> Diagnosis:
-    """`diagnosis.json`. tests: logs to try the correction on, kept out of everything else."""
+def document(
+    findings: Findings, tests: Sequence[Trace] = (), made: Provenance | None = None, online: OnlineTrial | None = None
+) -> Diagnosis:
+    """`diagnosis.json`. tests: logs to try the correction on, kept out of everything else. online: how it did for the
+    estimator, where that was tried."""
     problem, split = findings.problem, findings.split
     compared = comparisons(findings.selection, split, problem.count)
     before = statistics.rms_per_joint(problem, findings.before)
@@ -107,6 +135,7 @@ def document(findings: Findings, tests: Sequence[Trace] = (), made: Provenance |
         follows=findings.follows,
         moved=_moved(findings),
         rivals=_rivals(findings, compared),
+        online=online,
     )
 
 

@@ -17,6 +17,7 @@ from schemas.diagnosis import (
     Unseen,
     named_joints,
 )
+from service.diagnosis.documents.online_text import sentences_of
 from service.diagnosis.evidence.rivals import SURE
 from service.identification.loops import gains_in_words
 
@@ -158,11 +159,13 @@ class Cause:
 
 @dataclass(frozen=True)
 class Answer:
-    """The diagnosis in one look. check: what to check first where no cause is named, or the data cannot say."""
+    """The diagnosis in one look. online: what the correction is worth to the estimator, where that was tried. check:
+    what to check first where no cause is named, or the data cannot say."""
 
     causes: list[Cause]
     gap: str
     verdict: list[str]
+    online: list[str]
     check: list[str]
 
 
@@ -191,7 +194,7 @@ def answer(document: Diagnosis) -> Answer:
     gap = f"{level(before)} → {level(after)}" if causes else level(before)
     verdict = _verdict(document)
     check = [line for line in dict.fromkeys(check) if not any(line in said for said in verdict)]
-    return Answer(causes, gap, verdict, check[:MOST_NEAR])
+    return Answer(causes, gap, verdict, _online(document), check[:MOST_NEAR])
 
 
 def _settling(document: Diagnosis) -> list[str]:
@@ -275,7 +278,7 @@ def _why_it_grows(document: Diagnosis) -> str:
 def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
     """Half a page: verdict, each joint's gap and where it sits, each effect, what remains, what to record next.
 
-    figures: of the effects, which a page has in its first box.
+    figures: of the effects and of the estimator with them, which a page has in its first box.
     """
     verdict = _verdict(document)
     effects = [_effect(effect, figures) for effect in document.effects]
@@ -298,7 +301,8 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
     remaining = _remaining(document) if document.verdict in ("unexplained", "partly_explained") else []
     advice = [caution(one) for one in document.cannot_tell if caution(one) not in verdict] + _settling(document)
     given = [f"{name.replace('_', ' ')} is in the description already." for name in document.given]
-    groups = [verdict, _joints(document), effects, _moved(document), tests, remaining, advice + given]
+    online = _online(document) if figures else []
+    groups = [verdict, _joints(document), effects, _moved(document), tests, online, remaining, advice + given]
     return [group for group in groups if group]
 
 
@@ -319,6 +323,10 @@ def caution(found: Caution) -> str:
         quantity=(found.quantity or "").replace("_", " "),
     )  # fmt: skip
     return f"{said} {ADVICE[found.advice]}"
+
+
+def _online(document: Diagnosis) -> list[str]:
+    return sentences_of(document.online) if document.online else []
 
 
 def _joints(document: Diagnosis) -> list[str]:

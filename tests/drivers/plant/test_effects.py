@@ -14,6 +14,7 @@ from drivers.plant.effects import (
     EFFECTS,
     OUT_OF_CATALOGUE,
     PlantEffect,
+    draw_effect,
     friction,
     make_effects,
     mechanics,
@@ -25,6 +26,7 @@ from drivers.plant.mechanism import holding_torque
 from drivers.plant.plant import Plant, Target
 from drivers.plant.simulate import simulate
 from drivers.plant.truth import PlantTruth
+from schemas.errors import DataError
 from schemas.robot import Robot
 from schemas.trace import Trace
 
@@ -322,3 +324,32 @@ def test_outside_events_come_and_go(robot: Robot, truth: PlantTruth, run: Trajec
     slack = watched(plant, run, lambda p: np.linalg.norm(p.platform - hose.point_m)) < 0.4
     assert slack.any() == (force[slack] == 0).all()
     assert (np.abs(force[~slack]).max(axis=1) > 0).all()
+
+
+def test_an_effect_is_drawn_by_name_at_a_severity(truth: PlantTruth) -> None:
+    for name in CATALOGUE:
+        found, effect = draw_effect(name, truth, seed=5)
+        assert (found, type(effect)) == (name, CATALOGUE[name])
+        assert effect.figures == draw_effect(f"{name}:1", truth, seed=5)[1].figures
+        assert effect.in_words.startswith(f"{next(iter(effect.figures))} ")
+    plain, strong = (draw_effect(text, truth, seed=5)[1] for text in ("torque_delay", "torque_delay:2"))
+    assert strong.figures["delay_s"] == pytest.approx(2 * plain.figures["delay_s"])
+    stiff, soft = (draw_effect(text, truth, seed=5)[1] for text in ("joint_elasticity:0.5", "joint_elasticity"))
+    assert max(stiff.figures["stiffness_nmprad"]) == pytest.approx(2 * max(soft.figures["stiffness_nmprad"]))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("jelly", "--effect 'jelly': unknown effect 'jelly'; known: stribeck_friction, "),
+        ("magnet", "unknown effect 'magnet'"),  # no diagnosis can name it
+        ("backlash:", "severity '' is not a number above zero"),
+        ("backlash:strong", "severity 'strong' is not a number above zero; as joint_elasticity:0.5"),
+        ("backlash:0", "severity '0' is not a number above zero"),
+        ("backlash:nan", "severity 'nan' is not a number above zero"),
+    ],
+)
+def test_what_is_no_effect_is_said(truth: PlantTruth, text: str, said: str) -> None:
+    with pytest.raises(DataError) as error:
+        draw_effect(text, truth, seed=5)
+    assert said in str(error.value)

@@ -2,23 +2,53 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from drivers.inbox import Inbox
 from drivers.motion import Planner, Trajectory
+from drivers.plant.effects.transmission import JointElasticity
 from drivers.plant.live import STALE_CYCLES, FeedforwardIntake, LiveRun
 from drivers.plant.plant import Plant
 from drivers.plant.truth import PlantTruth
 from schemas.messages import FEEDFORWARD
-from schemas.robot import Geometry, Identified, JointParameter, Mass, Parameter, Robot
-from service.experiment.closed_loop import FEEDBACK, follow, tracking, variants
+from schemas.robot import (
+    EffectEntry,
+    EffectParameter,
+    Geometry,
+    Identified,
+    JointParameter,
+    Mass,
+    Parameter,
+    Robot,
+    save_robot,
+)
+from service.cli.main import app
+from service.experiment.closed_loop import (
+    CORRECTED,
+    FEEDBACK,
+    RIGID,
+    Tracking,
+    follow,
+    ratio,
+    tracking,
+    variants,
+)
+from service.experiment.loop_page import page, verdict_of_correction
+from service.experiment.pictures import write_page
+from service.model import kinematics
+from service.model.nominal import pack
+from tests.service.pages.browser import looked_at
 
 COULOMB, VISCOUS = [3.0, 2.5, 3.5], [1.0, 0.8, 1.2]
 
@@ -132,6 +162,113 @@ def test_lost_estimator_leaves_the_robot_safe_on_feedback(
     assert step[last : last + 2].max() < 15.0  # integrators take the torque over: no jump by what was fed, 30 N m
 
 
+def followed(name: str, error: float, late: int = 0, helped: float = 1.0, seed: int = 0) -> Tracking:
+    """Ten seconds of a run that is `error` m off, rms, more here and less there."""
+    time = np.arange(0.5, 10.5, 1e-3)
+    missed = error * np.abs(np.random.default_rng(seed).standard_normal(len(time)))
+    return Tracking(name, time, np.zeros((len(time), 3)), np.full(3, error), missed, missed, error, helped, 0.0, late)
+
+
+class TestVerdict:
+    """What a comparison says, and when it says that it says nothing."""
+
+    def test_a_ratio_has_the_true_one_in_its_interval(self) -> None:
+        found = ratio(followed(RIGID, 2e-3, seed=1), followed(CORRECTED, 5e-4, seed=2))
+        assert found.value == pytest.approx(0.25, rel=0.03)
+        assert found.low < 0.25 < found.high
+        assert found.high - found.low < 0.03
+        same = ratio(followed(RIGID, 2e-3, seed=1), followed(CORRECTED, 2e-3, seed=2))
+        assert same.low < 1.0 < same.high
+
+    def test_late_cycles_spoil_what_is_fed_and_nothing_else(self) -> None:
+        assert not followed(RIGID, 1e-3, late=99).spoilt  # of 10 000
+        assert followed(RIGID, 1e-3, late=101).spoilt
+        assert followed(CORRECTED, 1e-3, helped=0.98).spoilt
+        assert followed(CORRECTED, 1e-3, helped=0.0).spoilt  # the estimator said nothing at all
+        assert not followed(FEEDBACK, 1e-3, late=5000, helped=0.0).spoilt  # nothing has to come in time
+
+    @pytest.mark.parametrize(
+        ("error", "late", "answer", "step"),
+        [
+            (5e-4, 0, "With the correction the platform follows 2 times as well as with the rigid model.",
+             "Next: `deltatwin estimate --robot out/corrected.toml` feeds this forward."),
+            (2e-3, 0, "With the correction the platform follows worse than with the rigid model: 2 times the error.",
+             "Next: keep `deltatwin estimate --robot out/identified.toml`: the correction does harm here."),
+            (1e-3, 0, "With the correction the platform follows as well as with the rigid model: no difference that "
+             "this run can show.", "Next: a longer --duration narrows the interval."),
+            (5e-4, 700, "These figures do not count: the computer was too slow.",
+             "Next: Stop what else runs on this computer, or take a lower --rate, and run it again."),
+        ],
+    )  # fmt: skip
+    def test_it_says_what_the_correction_is_worth_and_what_to_do(
+        self, error: float, late: int, answer: str, step: str
+    ) -> None:
+        runs = [followed(FEEDBACK, 5e-3), followed(RIGID, 1e-3), followed(CORRECTED, error, late)]
+        said = verdict_of_correction(runs, "backlash in joint 2", ["backlash"], "out")
+        assert said.answer == answer
+        assert said.lines[-1] == step
+        if late:
+            assert said.lines[0] == "corrected tau_FF: 700 of 10000 cycles began late, 0.0% had no feed-forward."
+        else:
+            assert said.lines[0].startswith(f"Platform error, corrected over rigid: {error / 1e-3:.2g} [")
+            assert said.lines[1] == "The correction: backlash in joint 2."
+            assert said.lines[2].startswith("The online model does not carry backlash")
+
+    def test_the_page_begins_with_it(self, tmp_path: Path) -> None:
+        runs = [followed(FEEDBACK, 5e-3), followed(RIGID, 1e-3), followed(CORRECTED, 5e-4)]
+        said = verdict_of_correction(runs, "backlash in joint 2", [], "out")
+        write_page(page("d3", "ideal", (1.0,), runs, runs, said), tmp_path / "page.html")
+        body = (tmp_path / "page.html").read_text(encoding="utf-8").partition("<body>")[2]
+        first = body.partition('<section class="verdict">')
+        assert re.sub(r"<.*?>", "", first[0]).strip() == "Closed loop: d3"
+        assert first[2].strip().startswith(f"<h3>{said.answer}</h3>")
+        assert "corrected tau_FF" in body
+        seen = looked_at(tmp_path / "page.html")
+        assert seen["errors"] == []
+        assert seen["over"] == []
+
+
+def test_with_a_soft_gear_the_platform_hangs_where_the_encoders_do_not_see_it(
+    robot: Robot, make_plant: Callable[[], Plant]
+) -> None:
+    """At rest the link hangs below the motor by torque over stiffness."""
+    stiffness = 1500.0
+    smooth = make_plant().described.model_copy(update={"coulomb_friction_nm": [0.0] * 3})  # which would hold the motor
+    soft = Plant(robot, smooth, (JointElasticity([stiffness, 0.0, 0.0], 0.1),), seed=3)
+    still = Planner(robot, 1e-3).slow(np.random.default_rng(1), 1.0)
+    run = follow(robot, lambda: soft, still, None, pace=lambda _: 0)
+    assert run.trace.position_command is not None
+    theta, torque = run.trace.position_command[-1], run.trace.torque[-300:].mean(axis=0)
+    model = pack(robot)
+    wound = kinematics.forward(model, theta - np.array([torque[0] / stiffness, 0, 0])) - kinematics.forward(
+        model, theta
+    )
+    assert np.linalg.norm(wound) > 1e-3
+    np.testing.assert_allclose(run.astray[-300:].mean(axis=0), wound, atol=0.15 * float(np.linalg.norm(wound)))
+    found = tracking(robot, FEEDBACK, run)
+    assert found.missed[-1] < 0.2 * found.astray[-1]
+
+
+def test_the_command_compares_rigid_and_corrected_on_a_robot_that_has_the_effect(tmp_path: Path, robot: Robot) -> None:
+    save_robot(robot, tmp_path / "robot.toml")
+    entry = EffectEntry(name="torque_offset", joints=[1], parameters={"offset": EffectParameter(value=0.5, unit="N m")})
+    save_robot(robot.model_copy(update={"effect": [entry]}), tmp_path / "corrected.toml")
+    done = CliRunner().invoke(
+        app,
+        ["closed-loop", "--robot", str(tmp_path / "robot.toml"), "--identified", str(tmp_path / "robot.toml"),
+         "--corrected", str(tmp_path / "corrected.toml"), "--effect", "torque_offset", "--duration", "3",
+         "--payload", "1", "--out", str(tmp_path / "loop"), "--json"],
+    )  # fmt: skip
+    found = json.loads((tmp_path / "loop" / "closed_loop.json").read_text(encoding="utf-8"))
+    assert [run["name"] for run in found["runs"]] == [FEEDBACK, RIGID, CORRECTED]
+    assert found["robot"].startswith("ideal: exactly as described; torque_offset: offset_nm ")
+    assert found["counts"] == all(run["counts"] for run in found["runs"])
+    assert done.exit_code == (0 if found["counts"] else 3), done.output  # a busy machine may be too slow
+    assert 0 < found["platform_ratio"]["ci95"][0] < found["platform_ratio"]["ci95"][1]
+    text = (tmp_path / "loop" / "closed_loop.html").read_text(encoding="utf-8")
+    assert "torque_offset" in text
+
+
 class TestIntake:
     """Which feed-forward torque is in force."""
 
@@ -156,9 +293,11 @@ class TestIntake:
     def test_holds_three_cycles_then_lets_go(self) -> None:
         intake, give = self.intake()
         assert intake.at(0) is None
+        assert intake.newest is None
         give(1, 7.0)
         found = [intake.at(cycle) for cycle in range(1, 7)]
         assert [None if torque is None else float(torque[0]) for torque in found] == [7.0, 7.0, 7.0, 7.0, None, None]
+        assert intake.newest == 1  # from cycle 2 on it was one for an earlier cycle
 
     def test_waits_for_its_cycle_limits_and_refuses(self) -> None:
         intake, give = self.intake()

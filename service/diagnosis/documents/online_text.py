@@ -1,0 +1,73 @@
+"""What a correction is worth to the estimator, in sentences, and the advice that goes into `corrected.toml`."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Literal
+
+from schemas.diagnosis import OnlineFigures, OnlineTrial
+
+Standing = Literal["better", "same", "worse"]
+
+ONE_CHANGE = 1  # of the load: a difference of so much is chance
+ALIKE = 1.05  # ratio of two errors of feed-forward up to which they are the same
+KEEP = (
+    "Keep the identified description for `estimate`; the corrected one is for `evaluate`, `rollout`, `export` and "
+    "`plan-motion`."
+)
+BEGINS = {
+    "better": "With the corrected description the estimator does better: it",
+    "same": "With the corrected description the estimator does as well as with the identified one: it",
+    "worse": "With the corrected description the estimator does worse than with the identified one: it",
+}
+NOTE = "# Online: "  # every line of the advice begins with it, so that the next diagnosis finds and replaces it
+WIDTH = 120  # characters
+
+
+def standing(identified: OnlineFigures, corrected: OnlineFigures, changes: int) -> Standing:
+    """How the corrected description does beside the identified one. What weighs more decides: the mass, then events
+    that are none, then how long the mass is trusted, then the feed-forward."""
+    trusted = (corrected.trusted - identified.trusted) * changes
+    before, after = identified.feedforward_nm, corrected.feedforward_nm
+    if abs(corrected.right - identified.right) > ONE_CHANGE:
+        better = corrected.right > identified.right
+    elif corrected.false_events != identified.false_events:
+        better = corrected.false_events < identified.false_events
+    elif abs(trusted) > ONE_CHANGE:
+        better = trusted > 0
+    elif max(before, after) > ALIKE * min(before, after):
+        better = after < before
+    else:
+        return "same"
+    return "better" if better else "worse"
+
+
+def sentences_of(trial: OnlineTrial) -> list[str]:
+    """What the trial says, with the advice that follows."""
+    if trial.reason == "not_carried":
+        names = ", ".join(name.replace("_", " ") for name in trial.left_out)
+        return [f"What the correction is worth online is not said: the online model does not carry {names}.", KEEP]
+    known, better = trial.identified, trial.corrected
+    if known is None or better is None:
+        return ["What the correction is worth online is not said: no log has two rests in which a load could change."]
+    found = standing(known, better, trial.changes)
+    said = (
+        f"{BEGINS[found]} has the mass right 150 ms after {better.right} of {trial.changes} changes of the load "
+        f"(identified: {known.right}), trusts it {100 * better.trusted:.0f} % of the time "
+        f"({100 * known.trusted:.0f} %), "
+        f"reports {better.false_events} false events ({known.false_events}), and its feed-forward is off by "
+        f"{better.feedforward_over_noise:.2g} times the noise ({known.feedforward_over_noise:.2g})."
+    )
+    where = ", ".join(trial.traces)
+    source = f"loads simulated along {where}" if trial.simulated else f"the loads of {where}"
+    seen = "kept out of the fit" if trial.held_out else "which the fit has seen"
+    return [said, f"Tried on {source}, {seen}.", *([KEEP] if found == "worse" else [])]
+
+
+def noted(text: str, trial: OnlineTrial) -> str:
+    """The text of `corrected.toml` with the advice on top, in place of that of an earlier diagnosis."""
+    lines = text.splitlines(keepends=True)
+    while lines and lines[0].startswith(NOTE):
+        del lines[0]
+    advice = textwrap.wrap(" ".join(sentences_of(trial)), WIDTH - len(NOTE), break_on_hyphens=False)
+    return "".join(f"{NOTE}{line}\n" for line in advice) + "".join(lines)
