@@ -38,7 +38,7 @@ class Table:
     kind: what it is, in words. columns: (N,) float64 by name, in the file's order; NaN where a cell is empty.
     units: what the file says of a column's unit. time_of: the column that stamps a column, where the file says so.
     epoch_ns: what the stamps count from, ns since 1970; 0 where they are as in the file. layout: keys of
-    `schemas.columns.Columns` that reading the file again takes.
+    `schemas.columns.Columns` that reading the file again takes. paths: of the controller's variable that a column was.
     """
 
     path: Path
@@ -48,6 +48,7 @@ class Table:
     time_of: Mapping[str, str] = field(default_factory=dict)
     epoch_ns: int = 0
     layout: Mapping[str, object] = field(default_factory=dict)
+    paths: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.columns:
@@ -86,7 +87,7 @@ def joined(tables: Sequence[Table], clocks: Sequence[str | None] = ()) -> Table:
     """
     first, *others = tables
     columns = dict(first.columns)
-    units, time_of = dict(first.units), dict(first.time_of)
+    units, time_of, paths = dict(first.units), dict(first.time_of), dict(first.paths)
     for number, other in enumerate(others, 1):
         stem = other.path.name.split(".")[0]
         clock = clocks[number] if clocks else None
@@ -98,12 +99,14 @@ def joined(tables: Sequence[Table], clocks: Sequence[str | None] = ()) -> Table:
             columns[f"{stem}:{name}"] = values + later_s if unit == "datetime" else values
             if unit:
                 units[f"{stem}:{name}"] = unit
+            if name in other.paths:
+                paths[f"{stem}:{name}"] = other.paths[name]
             if time and time != name:
                 time_of[f"{stem}:{name}"] = f"{stem}:{time}"
     layout = dict(first.layout)
     if others:
         layout["beside"] = [other.path.name for other in others]
-    return Table(first.path, first.kind, padded(columns), units, time_of, first.epoch_ns, layout)
+    return Table(first.path, first.kind, padded(columns), units, time_of, first.epoch_ns, layout, paths)
 
 
 def padded(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
