@@ -321,7 +321,8 @@ def _one_rate(periods: Sequence[float]) -> bool:
 
 
 def segments(trace: Trace, polled: bool = False) -> list[Segment]:
-    """The parts of `trace` that no gap and no unusable row interrupts and that outlast the filters' ends.
+    """The parts of `trace` that no gap, no step back of its clock and no unusable row interrupts and that outlast the
+    filters' ends.
 
     Samples that were polled, at instants of their own, are brought to an even clock by straight lines between them, of
     a preferred rate (10, 12.5, 16, 20, ... Hz), so that several such logs have one. polled: they were, whether
@@ -335,10 +336,11 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
         raise TraceError(f"{trace.path}: {len(good)} usable rows of {len(trace)}")
     time, position, torque = trace.time[good], trace.position[good], trace.torque[good]
     steps = np.diff(time)
-    period = float(np.median(steps))
+    period = float(np.median(np.abs(steps)))
     shortest = round(4 * EDGE / period)
     polled = polled or _polled(time, position)
-    ends = np.flatnonzero(steps > (LONGEST_HOLE if polled else LONGEST_STEP) * period) + 1
+    gap = steps > (LONGEST_HOLE if polled else LONGEST_STEP) * period
+    ends = np.flatnonzero(gap | _set_back(trace, good, steps, period)) + 1
     every = np.split(np.arange(len(good)), ends)
     parts = [part for part in every if len(part) >= shortest]
     if polled and parts:
@@ -361,6 +363,13 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
             f"{trace.path}: longest part without a fault lasts {longest:.3g} s, at least {4 * EDGE:g} s are needed"
         )
     return result
+
+
+def _set_back(trace: Trace, good: np.ndarray, steps: np.ndarray, period: float) -> np.ndarray:
+    """Whether the clock was set back between one row of `good` and the next, (len(good) - 1,) bool: what lies behind is
+    another run, wherever its stamps fall. Behind a single stamp that is wrong the clock goes on as it did before."""
+    back = np.cumsum(trace.flags & np.uint32(SampleFlag.TIME_BACKWARDS) != 0) if len(trace.flags) else 0 * trace.time
+    return (steps < 0) | ((np.diff(back[good]) > 0) & (steps < 0.5 * period * np.diff(good)))
 
 
 def _polled(time: np.ndarray, position: np.ndarray) -> bool:
