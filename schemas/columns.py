@@ -180,6 +180,7 @@ class Columns(TomlTable):
     header_line: Annotated[int, Field(ge=0, le=MAX_LINE)] = 1  # 0: there is none, columns are called 1, 2, ...
     data_line: Annotated[int, Field(ge=1, le=MAX_LINE)] | None = None  # of numbers; absent: the one behind the header
     beside: Annotated[list[str], _LISTED] = []  # files in the same folder whose rows go on to the right
+    topic: str | None = None  # of the joint states in a bag that has several
     where: Annotated[RowFilter | None, BeforeValidator(_table)] = None
     joints: Annotated[int, Field(ge=1, le=MAX_JOINTS)] = 3  # how many `{joint}` stands for
     time: Annotated[TimeColumn, BeforeValidator(_table)] = TimeColumn()

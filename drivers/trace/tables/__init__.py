@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,9 @@ READERS = {
     ".ndjson": "records",
     ".db3": "rosbag",
     ".mcap": "rosbag",
+    ".bag": "rosbag",
+    ".zstd": "rosbag",
+    "metadata.yaml": "rosbag",
     ".dat": "diadem",
     ".trace": "codesys",
     ".xml": "codesys",
@@ -60,21 +64,25 @@ class Table:
         return len(next(iter(self.columns.values())))
 
 
-def read_table(path: Path, layout: Mapping[str, object] | None = None) -> Table:
+def read_table(path: Path, layout: Mapping[str, Any] | None = None) -> Table:
     """The columns of a file, or of a folder that is a rosbag2.
 
-    layout: how a text is laid out (`Table.layout`); without it, that is found out.
+    layout: how a text is laid out, and the topic of a bag (`Table.layout`); without it, that is found out.
 
     Raises:
         TraceError: it cannot be read, is damaged, or no table is in it.
     """
-    ending = ".db3" if path.is_dir() else path.suffix.lower()
+    ending = ".db3" if path.is_dir() else path.name if path.name in READERS else path.suffix.lower()
+    if READERS.get(ending) == "rosbag":
+        from drivers.trace.tables.rosbag import read as read_bag
+
+        return read_bag(path, (layout or {}).get("topic"))
     if ending in READERS:
         read: Callable[[Path], Table] = import_module(f"drivers.trace.tables.{READERS[ending]}").read
         return read(path)
     from drivers.trace.tables.text import read
 
-    return read(path, layout)
+    return read(path, {key: value for key, value in (layout or {}).items() if key != "topic"} or None)
 
 
 def joined(tables: Sequence[Table], clocks: Sequence[str | None] = ()) -> Table:

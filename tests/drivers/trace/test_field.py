@@ -5,6 +5,7 @@ The inputs are those of `../shared/field`, each beside a README that says what i
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from typer.testing import CliRunner
 
 from drivers.trace import read_trace
 from schemas.columns import load_columns
-from schemas.errors import DataError
+from schemas.errors import DeltatwinError
 from service.cli.main import app
 
 
@@ -37,7 +38,7 @@ def imported(log: Path, robot: Path, folder: Path, *options: str) -> tuple[np.nd
 def refused(log: Path, robot: Path, folder: Path) -> str:
     """What `import` says of a log that it does not take."""
     arguments = ["import", str(log), "--robot", str(robot), "--yes", "--out", str(folder / "log.csv")]
-    with pytest.raises(DataError) as said:
+    with pytest.raises(DeltatwinError) as said:
         CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert "\n" not in str(said.value)
     return str(said.value)
@@ -56,3 +57,40 @@ def test_a_velocity_is_no_torque(field: Path, tmp_path: Path) -> None:
     folder = field / "effort_missing"
     assert "no torque was recorded" in refused(folder / "bag.mcap", folder / "robot.toml", tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["back", "swapped", "forward"])
+def test_a_clock_set_back_splits_the_run(field: Path, name: str, tmp_path: Path) -> None:
+    folder = field / "time_back_not_split"
+    arguments = ["identify", str(folder / f"{name}.csv"), "--robot", str(folder / "robot.toml")]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "found.toml")], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    found = tomllib.loads((tmp_path / "found.toml").read_text())["identified"]
+    assert found["inertia"]["value"] == pytest.approx([0.8, 0.3], abs=0.01)
+    assert found["gravity_sin"]["value"] == pytest.approx([0.0, 5.0], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("bag_split_order/bag", 500),
+        ("bag_split_order/bag/metadata.yaml", 500),
+        ("bag_compressed/file_bag", 500),
+        ("bag_compressed/msg_bag", 500),
+        ("bag_compressed/plain_bag/metadata.yaml", 500),
+        ("ros1/ros1.bag", 100),
+        ("ros1/ros1.mcap", 100),
+    ],
+)
+def test_bags_are_read_whole_and_in_their_order(field: Path, name: str, rows: int, tmp_path: Path) -> None:
+    robot = field / name.split("/")[0] / "robot.toml"
+    time, position, torque, _ = imported(field / name, robot, tmp_path)
+    assert len(time) == rows
+    np.testing.assert_allclose(np.diff(time), 0.004, atol=1e-6)
+    assert np.abs(np.diff(position, axis=0)).max() < 0.1  # rad in a cycle: no leap between parts
+    assert np.ptp(torque, axis=0).min() > 1.0
+
+
+def test_a_database_without_end_is_refused(field: Path, tmp_path: Path) -> None:
+    said = refused(field / "db3_hostile" / "infview.db3", field / "ros1" / "robot.toml", tmp_path)
+    assert "messages is a view" in said
