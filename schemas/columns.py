@@ -30,6 +30,17 @@ MAX_COLUMNS = 4096  # of a table
 _LISTED = Field(max_length=MAX_JOINTS)
 
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
+RATES_HZ = 20.0, 2e5  # of logs that hold dynamics: below, a fast joint has moved on by a radian; above none is known
+
+
+def implausible_rate(period: float) -> str | None:
+    """What to say of a log whose rows are `period` s apart by its stamps; None where that is a log's rate."""
+    if RATES_HZ[0] <= 1 / period <= RATES_HZ[1]:
+        return None
+    units = {unit: per_second / period for unit, per_second in TIME_UNITS.items() if unit != "s"}
+    fits = [f"{unit} ({rate:.6g} Hz)" for unit, rate in units.items() if RATES_HZ[0] <= rate <= RATES_HZ[1]]
+    meant = f"; are its stamps in {' or '.join(fits)}? deltatwin import, or time.unit in its columns" if fits else ""
+    return f"{1 / period:.6g} samples a second by its stamps, read as s{meant}"
 
 
 class TimeColumn(TomlTable):

@@ -21,6 +21,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from schemas.columns import implausible_rate
 from schemas.errors import DataError, TraceError
 from schemas.kernels import kernel
 from schemas.messages import SampleFlag
@@ -45,6 +46,7 @@ LONGEST_HOLE = 6.0  # periods, bridged where samples were polled
 HOLES = 1e-3  # of the steps
 SMOOTHER = 0.7  # of the position's noise that is left by the stamps, where they are right
 FEWEST = 100  # samples that tell
+LEAST_TORQUE = 1e-12  # N m, or N: the smallest motor's noise is a million times that
 NOISY = 0.03  # of the acceleration, rms: bends an inertia by its square
 LEAST_HZ = 3.0  # of the analysis band
 RATE = 1000.0  # Hz, regressors are built at no less than this: plenty for what the motion smoother passes
@@ -337,6 +339,7 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
     time, position, torque = trace.time[good], trace.position[good], trace.torque[good]
     steps = np.diff(time)
     period = float(np.median(np.abs(steps)))
+    _check_scale(trace, period, len(good), torque)
     shortest = round(4 * EDGE / period)
     polled = polled or _polled(time, position)
     gap = steps > (LONGEST_HOLE if polled else LONGEST_STEP) * period
@@ -363,6 +366,24 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
             f"{trace.path}: longest part without a fault lasts {longest:.3g} s, at least {4 * EDGE:g} s are needed"
         )
     return result
+
+
+def _check_scale(trace: Trace, period: float, usable_rows: int, torque: np.ndarray) -> None:
+    """
+    Raises:
+        TraceError: rows so far apart, or torques so small, that no unit in use was meant; or hardly two usable rows
+            one behind the other, as in noise.
+    """
+    steps = np.diff(trace.time)
+    if period > LONGEST_STEP * np.median(steps[steps > 0]):
+        raise TraceError(
+            f"{trace.path}: {usable_rows} of {len(trace)} rows are usable, hardly two of them one behind the other: no "
+            "motion of a machine (deltatwin inspect says what is wrong with the others)"
+        )
+    if note := implausible_rate(period):
+        raise TraceError(f"{trace.path}: {note}")
+    if 0 < np.abs(torque).max() < LEAST_TORQUE:
+        raise TraceError(f"{trace.path}: no torque exceeds {np.abs(torque).max():.3g}: is its unit N m?")
 
 
 def _set_back(trace: Trace, good: np.ndarray, steps: np.ndarray, period: float) -> np.ndarray:

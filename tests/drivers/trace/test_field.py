@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.trace import read_trace
+from schemas.axes import load_description
 from schemas.columns import load_columns
 from schemas.errors import DeltatwinError
 from service.cli.main import app
@@ -94,3 +95,57 @@ def test_bags_are_read_whole_and_in_their_order(field: Path, name: str, rows: in
 def test_a_database_without_end_is_refused(field: Path, tmp_path: Path) -> None:
     said = refused(field / "db3_hostile" / "infview.db3", field / "ros1" / "robot.toml", tmp_path)
     assert "messages is a view" in said
+
+
+@pytest.mark.parametrize("name", ["bridge.pcapng", "mirror.pcap"])
+def test_a_frame_captured_twice_is_one(field: Path, name: str) -> None:
+    folder = field / "ethercat_bridge_duplicates"
+    trace = read_trace(folder / name, load_description(folder / "robot.toml"))
+    assert len(trace) == 1500
+    np.testing.assert_allclose(np.diff(trace.time), 1e-3, atol=1e-6)
+    said = " ".join(finding.message for finding in trace.findings)
+    assert "frames captured twice" in said
+    assert "lost" not in said
+
+
+@pytest.mark.parametrize("command", ["identify", "evaluate", "diagnose"])
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("time_unit/ms.csv", r"1 samples a second by its stamps, read as s; are its stamps in ms \(1000 Hz\)"),
+        ("noise_only/rand.csv", "rows are usable, hardly two of them one behind the other: no motion of a machine"),
+    ],
+)
+def test_what_no_machine_wrote_is_one_line(field: Path, name: str, says: str, command: str, tmp_path: Path) -> None:
+    out = [] if command == "evaluate" else ["--out", str(tmp_path / "out.toml")]
+    with pytest.raises(DeltatwinError, match=says) as said:
+        CliRunner().invoke(
+            app, [command, str(field / name), "--robot", "d3-1200", *out], catch_exceptions=False, standalone_mode=False
+        )
+    assert "\n" not in str(said.value)
+
+
+@pytest.mark.parametrize("scale", [1e300, 1e308, 1e-300, 1e-20])
+@pytest.mark.parametrize("column", [1, 4])
+def test_magnitudes_of_no_machine_are_one_line(tmp_path: Path, scale: float, column: int) -> None:
+    values = np.random.default_rng(1).standard_normal(6)
+    time = np.arange(3000) / 1000
+    block = np.column_stack([time, *(0.3 * np.sin(2 * np.pi * time + k) + 0.01 * values[k] for k in range(6))])
+    block[:, column : column + 3] *= scale
+    names = [f"{what}_{j}_{unit}" for what, unit in (("position", "rad"), ("torque", "nm")) for j in (1, 2, 3)]
+    np.savetxt(tmp_path / "log.csv", block, delimiter=",", header=",".join(["time_s", *names]), comments="")
+    arguments = [str(tmp_path / "log.csv"), "--robot", "d3-1200"]
+    with pytest.raises(DeltatwinError) as said:
+        CliRunner().invoke(
+            app,
+            ["identify", *arguments, "--out", str(tmp_path / "o.toml")],
+            catch_exceptions=False,
+            standalone_mode=False,
+        )
+    assert "\n" not in str(said.value)
+
+
+def test_inspect_says_that_a_rate_is_none(field: Path) -> None:
+    done = CliRunner().invoke(app, ["inspect", str(field / "time_unit" / "ms.csv")], catch_exceptions=False)
+    assert "are its stamps in ms (1000 Hz)" in " ".join(done.output.split())
+    assert "nothing wrong found" not in done.output
