@@ -29,7 +29,8 @@ MAX_JOINTS = 64
 MAX_COLUMNS = 4096  # of a table
 _LISTED = Field(max_length=MAX_JOINTS)
 
-TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "filetime": 1e7}  # per second
+FILETIME_S = 11_644_473_600  # from 1601, where Windows counts from, to 1970
 RATES_HZ = 20.0, 2e5  # of logs that hold dynamics: below, a fast joint has moved on by a radian; above none is known
 
 
@@ -37,7 +38,7 @@ def implausible_rate(period: float) -> str | None:
     """What to say of a log whose rows are `period` s apart by its stamps; None where that is a log's rate."""
     if RATES_HZ[0] <= 1 / period <= RATES_HZ[1]:
         return None
-    units = {unit: per_second / period for unit, per_second in TIME_UNITS.items() if unit != "s"}
+    units = {unit: per_second / period for unit, per_second in TIME_UNITS.items() if unit in ("ms", "us", "ns")}
     fits = [f"{unit} ({rate:.6g} Hz)" for unit, rate in units.items() if RATES_HZ[0] <= rate <= RATES_HZ[1]]
     meant = f"; are its stamps in {' or '.join(fits)}? deltatwin import, or time.unit in its columns" if fits else ""
     return f"{1 / period:.6g} samples a second by its stamps, read as s{meant}"
@@ -47,7 +48,8 @@ class TimeColumn(TomlTable):
     """The stamps. Where the name occurs several times, each channel has the nearest one to its left (TwinCAT Scope)."""
 
     name: str = "time_s"
-    unit: Literal["s", "ms", "us", "ns", "datetime"] = "s"  # datetime: text such as 2026-11-22 09:30:00.125
+    # datetime: text such as 2026-11-22 09:30:00.125; filetime: 100 ns since 1601, as Windows and TwinCAT count
+    unit: Literal["s", "ms", "us", "ns", "datetime", "filetime"] = "s"
     rate_hz: Positive | None = None  # of a table without stamps: its rows are 1/rate_hz s apart
     backwards: bool = False  # of such a table: its last row was the first
 

@@ -63,6 +63,7 @@ OTHER_UNITS = {
 }  # of what is neither a position nor a torque
 OTHER = "other"  # role of a column whose name or unit says that it is neither
 _RATE = re.compile(r"/ ?(s|sec|min|h)\b|[/ ]s(\^?2|²)|s-[12]|s⁻[¹²]|1/min|u/min")
+FILETIMES = 1.19e17, 1.37e17  # 100 ns since 1601: years 1978 to 2035
 LEAST_HZ = 20.0  # of logs that hold dynamics; a unit of time that gives a lower rate is not believed
 _TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+|[%‰°]")
 
@@ -215,6 +216,9 @@ def clocks_of(tables: Sequence[Table], time: str | None) -> list[str | None]:
 
 def time_unit(table: Table, name: str) -> tuple[str, bool]:
     """Unit of a column of stamps, and whether the file or the name says so; else by the rate that it gives."""
+    known = table.columns[name][np.isfinite(table.columns[name])]
+    if len(known) and FILETIMES[0] < known.min() <= known.max() < FILETIMES[1]:  # no other clock counts there
+        return "filetime", True
     said = table.units.get(name, "").lower().replace("µ", "u")
     if said in TIME_UNITS or said == "datetime":
         return said, True
@@ -222,7 +226,9 @@ def time_unit(table: Table, name: str) -> tuple[str, bool]:
         if unit in tokens(name.replace("µ", "u")):
             return unit, True
     step = _step(table.columns[name])
-    return next((unit for unit, per_second in TIME_UNITS.items() if per_second / step >= LEAST_HZ), "s"), False
+    return next(
+        (unit for unit, per_second in TIME_UNITS.items() if unit != "filetime" and per_second / step >= LEAST_HZ), "s"
+    ), False
 
 
 def rate_hz(table: Table, clock: str) -> float:

@@ -5,6 +5,7 @@ The inputs are those of `../shared/field`, each beside a README that says what i
 
 from __future__ import annotations
 
+import time
 import tomllib
 from pathlib import Path
 
@@ -85,9 +86,9 @@ def test_a_clock_set_back_splits_the_run(field: Path, name: str, tmp_path: Path)
 )
 def test_bags_are_read_whole_and_in_their_order(field: Path, name: str, rows: int, tmp_path: Path) -> None:
     robot = field / name.split("/")[0] / "robot.toml"
-    time, position, torque, _ = imported(field / name, robot, tmp_path)
-    assert len(time) == rows
-    np.testing.assert_allclose(np.diff(time), 0.004, atol=1e-6)
+    stamps, position, torque, _ = imported(field / name, robot, tmp_path)
+    assert len(stamps) == rows
+    np.testing.assert_allclose(np.diff(stamps), 0.004, atol=1e-6)
     assert np.abs(np.diff(position, axis=0)).max() < 0.1  # rad in a cycle: no leap between parts
     assert np.ptp(torque, axis=0).min() > 1.0
 
@@ -129,8 +130,8 @@ def test_what_no_machine_wrote_is_one_line(field: Path, name: str, says: str, co
 @pytest.mark.parametrize("column", [1, 4])
 def test_magnitudes_of_no_machine_are_one_line(tmp_path: Path, scale: float, column: int) -> None:
     values = np.random.default_rng(1).standard_normal(6)
-    time = np.arange(3000) / 1000
-    block = np.column_stack([time, *(0.3 * np.sin(2 * np.pi * time + k) + 0.01 * values[k] for k in range(6))])
+    stamps = np.arange(3000) / 1000
+    block = np.column_stack([stamps, *(0.3 * np.sin(2 * np.pi * stamps + k) + 0.01 * values[k] for k in range(6))])
     block[:, column : column + 3] *= scale
     names = [f"{what}_{j}_{unit}" for what, unit in (("position", "rad"), ("torque", "nm")) for j in (1, 2, 3)]
     np.savetxt(tmp_path / "log.csv", block, delimiter=",", header=",".join(["time_s", *names]), comments="")
@@ -149,3 +150,38 @@ def test_inspect_says_that_a_rate_is_none(field: Path) -> None:
     done = CliRunner().invoke(app, ["inspect", str(field / "time_unit" / "ms.csv")], catch_exceptions=False)
     assert "are its stamps in ms (1000 Hz)" in " ".join(done.output.split())
     assert "nothing wrong found" not in done.output
+
+
+@pytest.mark.parametrize(
+    "name", ["filetime_column/log.csv", "twincat_eof/scope.csv", "twincat_full_timestamp/scope.csv"]
+)
+def test_tables_with_stamps_of_windows_and_an_end_tag(field: Path, name: str, tmp_path: Path) -> None:
+    folder = field / name.split("/")[0]
+    stamps, position, _, _ = imported(field / name, folder / "robot.toml", tmp_path, "--torque-unit", "N m")
+    lines = (field / name).read_text("latin-1").splitlines()
+    numbers = [line for line in lines if line[:1].isdigit()]
+    assert len(stamps) == len(numbers)
+    np.testing.assert_allclose(np.diff(stamps), 0.004, atol=1e-6)
+    last = numbers[-1].replace(",", ".").split("\t") if "scope" in name else numbers[-1].split(",")
+    expected = (last[1], last[3]) if "scope" in name else last[1:3]
+    assert position[-1] == pytest.approx([float(value) for value in expected], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("json_hostile/sq.json", "records: no table"),
+        ("json_hostile/listlist.json", "more than 12 deep in each other"),
+    ],
+)
+def test_json_that_would_take_all_memory_is_one_line(field: Path, name: str, says: str, tmp_path: Path) -> None:
+    begin = time.monotonic()
+    assert says in refused(field / name, field / "ros1" / "robot.toml", tmp_path)
+    assert time.monotonic() - begin < 5.0
+
+
+def test_a_description_of_open_quotes_is_one_line_at_once(field: Path) -> None:
+    begin = time.monotonic()
+    with pytest.raises(DeltatwinError, match="not TOML"):
+        load_description(field / "toml_hostile" / "q.toml")
+    assert time.monotonic() - begin < 1.0
