@@ -5,6 +5,7 @@ The inputs are those of `../shared/field`, each beside a README that says what i
 
 from __future__ import annotations
 
+import re
 import time
 import tomllib
 from pathlib import Path
@@ -185,3 +186,14 @@ def test_a_description_of_open_quotes_is_one_line_at_once(field: Path) -> None:
     with pytest.raises(DeltatwinError, match="not TOML"):
         load_description(field / "toml_hostile" / "q.toml")
     assert time.monotonic() - begin < 1.0
+
+
+def test_a_small_motor_has_significant_digits(field: Path, tmp_path: Path) -> None:
+    folder = field / "small_figures"
+    arguments = ["identify", str(folder / "log.csv"), "--robot", str(folder / "robot.toml")]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "found.toml")], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    (inertia,) = [line for line in done.output.splitlines() if "inertia_1" in line]
+    numbers = re.findall(r"\d+\.\d+", inertia)
+    assert float(numbers[0]) == pytest.approx(1.94e-4, rel=0.02)
+    assert float(numbers[1]) > 0
