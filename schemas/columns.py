@@ -29,14 +29,27 @@ MAX_JOINTS = 64
 MAX_COLUMNS = 4096  # of a table
 _LISTED = Field(max_length=MAX_JOINTS)
 
-TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # per second
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "filetime": 1e7}  # per second
+FILETIME_S = 11_644_473_600  # from 1601, where Windows counts from, to 1970
+RATES_HZ = 20.0, 2e5  # of logs that hold dynamics: below, a fast joint has moved on by a radian; above none is known
+
+
+def implausible_rate(period: float) -> str | None:
+    """What to say of a log whose rows are `period` s apart by its stamps; None where that is a log's rate."""
+    if RATES_HZ[0] <= 1 / period <= RATES_HZ[1]:
+        return None
+    units = {unit: per_second / period for unit, per_second in TIME_UNITS.items() if unit in ("ms", "us", "ns")}
+    fits = [f"{unit} ({rate:.6g} Hz)" for unit, rate in units.items() if RATES_HZ[0] <= rate <= RATES_HZ[1]]
+    meant = f"; are its stamps in {' or '.join(fits)}? deltatwin import, or time.unit in its columns" if fits else ""
+    return f"{1 / period:.6g} samples a second by its stamps, read as s{meant}"
 
 
 class TimeColumn(TomlTable):
     """The stamps. Where the name occurs several times, each channel has the nearest one to its left (TwinCAT Scope)."""
 
     name: str = "time_s"
-    unit: Literal["s", "ms", "us", "ns", "datetime"] = "s"  # datetime: text such as 2026-11-22 09:30:00.125
+    # datetime: text such as 2026-11-22 09:30:00.125; filetime: 100 ns since 1601, as Windows and TwinCAT count
+    unit: Literal["s", "ms", "us", "ns", "datetime", "filetime"] = "s"
     rate_hz: Positive | None = None  # of a table without stamps: its rows are 1/rate_hz s apart
     backwards: bool = False  # of such a table: its last row was the first
 
@@ -180,6 +193,7 @@ class Columns(TomlTable):
     header_line: Annotated[int, Field(ge=0, le=MAX_LINE)] = 1  # 0: there is none, columns are called 1, 2, ...
     data_line: Annotated[int, Field(ge=1, le=MAX_LINE)] | None = None  # of numbers; absent: the one behind the header
     beside: Annotated[list[str], _LISTED] = []  # files in the same folder whose rows go on to the right
+    topic: str | None = None  # of the joint states in a bag that has several
     where: Annotated[RowFilter | None, BeforeValidator(_table)] = None
     joints: Annotated[int, Field(ge=1, le=MAX_JOINTS)] = 3  # how many `{joint}` stands for
     time: Annotated[TimeColumn, BeforeValidator(_table)] = TimeColumn()

@@ -19,8 +19,8 @@ Three = Annotated[list[float], Field(min_length=3, max_length=3)]
 MAX_BYTES = 256 << 10  # the longest description in use, all effects in it, has 20 kB
 MAX_DEPTH = 12  # tables and lists in each other; descriptions have four
 _QUOTED = re.compile(
-    r'"""(?:\\.|[^\\])*?"""|"(?:\\.|[^"\\\n])*+"|' r"'''.*?'''|'[^'\n]*+'|#[^\n]*+", re.DOTALL
-)  # strings and comments
+    r'"""(?:\\.|[^\\])*?(?:"""|\Z)|"(?:\\.|[^"\\\n])*+"?|' r"'''.*?(?:'''|\Z)|'[^'\n]*+'?|#[^\n]*+", re.DOTALL
+)  # strings and comments; one that is open goes to the end, once and not again from each quote in it
 _LONG_KEY = re.compile(rf"(?<![\w+:-])(?:[\w+:-]++[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
 

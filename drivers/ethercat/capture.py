@@ -1,10 +1,12 @@
-"""Captures as blocks of Ethernet frames: pcap and pcapng, Ethernet and netANALYZER link types, in bounded memory.
+"""Captures as blocks of Ethernet frames: pcap and pcapng, link types of Ethernet, Linux (cooked) and netANALYZER, in
+bounded memory.
 
 dpkt reads the headers (byte order, link type, clock resolution, interfaces). It does not read the packets: it gives the
 time as a float, 240 ns coarse in this century, and knows the first interface only. A kernel walks the packets instead
 and keeps integer nanoseconds.
 
-Sources: IETF draft-ietf-opsawg-pcap, draft-ietf-opsawg-pcapng, tcpdump.org LINKTYPE_NETANALYZER (240, 241).
+Sources: IETF draft-ietf-opsawg-pcap, draft-ietf-opsawg-pcapng, tcpdump.org LINKTYPE_NETANALYZER (240, 241),
+LINKTYPE_LINUX_SLL (113) and LINKTYPE_LINUX_SLL2 (276).
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from schemas.kernels import kernel
 ETHERNET = 1
 NETANALYZER = 240
 NETANALYZER_TRANSPARENT = 241
+LINUX_COOKED, LINUX_COOKED_2 = 113, 276  # of `-i any`: no destination address, protocol and source elsewhere
 
 CHUNK_BYTES = 8 << 20  # read at once
 MAX_BLOCK_BYTES = 16 << 20  # a longer pcapng block is damage, as it is to Wireshark
@@ -38,6 +41,7 @@ class FrameFlag(enum.IntFlag):
     DAMAGED = 2  # the analyzer marked it: FCS, alignment, RX_ER, SFD or length error
     PSEUDO = 4  # no frame at all: a GPIO event of the analyzer
     FOREIGN = 8  # a link type that carries no Ethernet
+    REPEATED = 16  # captured before: see `drivers.ethercat.doubles`
 
 
 @dataclass(frozen=True)
@@ -90,11 +94,28 @@ def _u32(data, at, big):
 
 
 @kernel
+def _cut_cooked(data, start, captured, flags, link_type, port):
+    """Lay source address and protocol where an Ethernet frame has them; the block is ours."""
+    header = 16 if link_type == LINUX_COOKED else 20
+    if captured < header:
+        return start, np.int64(0), port, flags | FrameFlag.DAMAGED.value
+    offset = start + header - 14
+    if link_type == LINUX_COOKED:
+        for byte in range(5, -1, -1):
+            data[offset + 6 + byte] = data[start + 6 + byte]
+    else:
+        data[offset + 12], data[offset + 13] = data[start], data[start + 1]
+    return offset, captured - header + 14, port, flags
+
+
+@kernel
 def cut_link_layer(data, start, captured, snapped, link_type, port):
     """(offset, length, port, flags) of the Ethernet frame in a packet of `captured` bytes at `start`."""
     flags = FrameFlag.SNAPPED.value if snapped else 0
     if link_type == ETHERNET:
         return start, captured, port, flags
+    if link_type in (LINUX_COOKED, LINUX_COOKED_2):
+        return _cut_cooked(data, start, captured, flags, link_type, port)
     if link_type != NETANALYZER and link_type != NETANALYZER_TRANSPARENT:
         return start, np.int64(0), port, flags | FrameFlag.FOREIGN.value
     if captured < 4:

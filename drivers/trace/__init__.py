@@ -32,7 +32,7 @@ from schemas.trace import Trace
 
 MAPPINGS = Path(__file__).parent / "mappings"
 CAPTURE_ENDINGS = (".pcap", ".pcapng", ".cap")
-LAYOUT = {"separator", "decimal", "encoding", "header_line", "data_line"}  # keys of Columns that lay out a text
+LAYOUT = {"separator", "decimal", "encoding", "header_line", "data_line", "topic"}  # keys of Columns that say where
 TABLE_ENDINGS = tuple(READERS)
 CSV_ENDINGS = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv")
 
@@ -84,7 +84,7 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
     if path.name.endswith((*TABLE_ENDINGS, *CSV_ENDINGS)) or path.is_dir():
         if mapping is None:
             if path.is_dir():
-                from drivers.trace.tables.rosbag import parts_of
+                from drivers.trace.tables.bag_files import parts_of
 
                 parts_of(path)
             raise TraceError(f"{path}: what its columns mean has to be said first: deltatwin import {path.name}")

@@ -11,13 +11,16 @@ import numpy as np
 
 from drivers.ethercat.capture import Capture, FrameFlag, Frames
 from drivers.ethercat.declaration import Declaration
+from drivers.ethercat.doubles import without_doubles
 from drivers.ethercat.frames import Command, Kind, decode
 from drivers.ethercat.process_data.assembly import Assembler
+from drivers.ethercat.process_data.clock import BUNCHED, Bunches
 from drivers.ethercat.process_data.layout import NOT_MAPPED, make_layout
 from drivers.trace.mcap_file import to_trace, write_samples
 from drivers.trace.quality import RowNames, check
 from schemas.errors import TraceError
 from schemas.files import whole
+from schemas.messages import stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Finding, Trace
 
@@ -35,6 +38,7 @@ class CaptureReader:
         self._declaration = Declaration(robot)
         self._kinds = np.zeros(len(Kind), np.int64)
         self._flagged = Counter[FrameFlag]()
+        self._bunches = Bunches()
         self._seen: set[tuple[int, int, int]] = set()  # logical commands: command, address, length
 
     def blocks(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -44,11 +48,12 @@ class CaptureReader:
             TraceError: the file is no capture, or gives no sample; it says why.
         """
         made = 0
-        for frames in self.capture.blocks():
+        for frames in without_doubles(self.capture.blocks()):
             samples, raw = self.assembler.samples(frames)
             self._flagged.update({flag: np.count_nonzero(frames.flags & flag) for flag in FrameFlag})
             if made == 0:
                 self._look(frames)  # once samples come there is nothing to explain
+            self._bunches.add(stamp_ns(samples))
             made += len(samples)
             self._declaration.add(samples, raw)
             if len(samples):
@@ -60,18 +65,25 @@ class CaptureReader:
         """What is to be known about the bus and the declaration, once `blocks` has ended."""
         count, said = self.assembler.count, []
         clock = "the distributed clock" if self.assembler.distributed_clock else "the capture's clock, returned frames"
-        said.append(f"stamps are those of {clock}; cycle time {self.assembler.period_ns / 1e6:.6g} ms")
+        bunched = self._bunches.period_ns
+        said.append(f"stamps are those of {clock}; cycle time {(bunched or self.assembler.period_ns) / 1e6:.6g} ms")
+        if bunched:
+            said.append(BUNCHED)
         said += self.capture.findings
         for number, text in (
             (count("counter_faults"), "cycles with a working counter too low"),
             (count("unanswered"), "of them unanswered, their values are NaN"),
             (count("drive_faults"), "cycles with a drive in fault"),
             (count("not_enabled") - count("drive_faults"), "cycles with a drive not in operation"),
-            (count("lost"), "cycles lost"),
+            (0 if bunched else count("lost"), "cycles lost"),
             (count("pauses"), "pauses in which the master sent nothing"),
             (count("incomplete"), "cycles of which a part is missing, left out"),
             (self._flagged[FrameFlag.DAMAGED], "frames left out that the analyzer marked as damaged"),
             (self._flagged[FrameFlag.SNAPPED], "frames snapped by the capture"),
+            (
+                self._flagged[FrameFlag.REPEATED],
+                "frames captured twice (a bridge, a mirror port, every interface at once), left out",
+            ),
             (self._flagged[FrameFlag.PSEUDO], "GPIO events of the analyzer, no frames"),
         ):
             if number:
@@ -95,7 +107,7 @@ class CaptureReader:
             return f"no frames{damage}"
         if self._flagged[FrameFlag.FOREIGN] == capture.frames:
             types = ", ".join(map(str, sorted(capture.link_types)))
-            return f"link type {types} carries no Ethernet (1, 240 and 241 are read)"
+            return f"link type {types} carries no Ethernet (1, 113, 276, 240 and 241 are read)"
         ethercat = int(kinds[1:].sum())
         if ethercat == 0:
             return f"no EtherCAT among {capture.frames} frames{damage}"

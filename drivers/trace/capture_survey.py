@@ -11,8 +11,9 @@ import numpy as np
 
 from drivers.ethercat.capture import Capture, FrameFlag, Frames
 from drivers.ethercat.cia402 import DriveState, drive_state
+from drivers.ethercat.doubles import without_doubles
 from drivers.ethercat.frames import AL_STATUS, FMMU, AlState, Command, DatagramFlag, Kind, decode
-from drivers.ethercat.process_data.clock import GAP_PERIODS, lost_cycles
+from drivers.ethercat.process_data.clock import BUNCHED, GAP_PERIODS, Bunches, lost_cycles
 from drivers.ethercat.process_data.layout import STATUS, mapped_inputs, mapped_objects
 from drivers.trace.capture import CaptureReader
 from schemas.errors import TraceError
@@ -58,6 +59,7 @@ class Survey:
     def add(self, frames: Frames) -> None:
         """Count one block."""
         datagrams, kinds = decode(frames)
+        datagrams = datagrams[frames.flags[datagrams["frame"]] & FrameFlag.REPEATED == 0]
         self._kinds += np.bincount(kinds, minlength=len(Kind))
         self._flagged.update({flag: np.count_nonzero(frames.flags & flag) for flag in FrameFlag})
         self._datagrams += len(datagrams)
@@ -152,6 +154,8 @@ class Survey:
 
     def figures(self, capture: Capture) -> dict[str, Any]:
         """Everything found; `capture` has been read to its end."""
+        cyclic = [_cyclic_figures(key, entry) for key, entry in sorted(self._cyclic.items())]
+        bunched = any(entry["cycle_s"] is not None and entry["jitter_std_s"] is None for entry in cyclic)
         return {
             "frames": capture.frames,
             "ethercat_frames": int(self._kinds[1:].sum()),
@@ -162,10 +166,10 @@ class Survey:
             "duration_s": (self._latest - self._earliest) * 1e-9,
             "slaves": self._slaves,
             "stations": sorted(self._stations),
-            "cyclic": [_cyclic_figures(key, entry) for key, entry in sorted(self._cyclic.items())],
+            "cyclic": cyclic,
             "state_changes": self._changes,
             "mapping": [self._fmmus[key] for key in sorted(self._fmmus)],
-            "findings": [*capture.findings, *self._time_findings()],
+            "findings": [*capture.findings, *self._time_findings(), *([BUNCHED] if bunched else [])],
         }
 
     def _time_findings(self) -> list[str]:
@@ -205,6 +209,10 @@ def _cyclic_figures(key: tuple[int, int, int], entry: _Cyclic) -> dict[str, Any]
 def _cycle_figures(times: np.ndarray) -> dict[str, Any]:
     if len(times) < 3:
         return _NO_CYCLE
+    bunches = Bunches()
+    bunches.add(times)
+    if bunches.period_ns is not None:
+        return _NO_CYCLE | {"cycle_s": bunches.period_ns * 1e-9}
     steps = np.diff(times)
     steps = steps[steps >= 0]
     period = float(np.median(steps)) if len(steps) else 0.0
@@ -229,7 +237,7 @@ def survey_capture(path: Path, robot: Robot | None = None) -> dict[str, Any]:
         RobotError: the robot description does not say how to read its bus.
     """
     capture, survey = Capture(path), Survey()
-    for frames in capture.blocks():
+    for frames in without_doubles(capture.blocks()):
         survey.add(frames)
     if capture.frames == 0:
         raise TraceError("; ".join((f"{path}: no frames", *capture.findings)))

@@ -15,7 +15,7 @@ from drivers.data_frames import pl
 from drivers.trace.assembly import Plan, assemble, plan
 from drivers.trace.quality import EXACT_SECONDS
 from schemas.axes import Description
-from schemas.columns import CHANNELS, MAX_COLUMNS, TIME_UNITS, Columns
+from schemas.columns import CHANNELS, FILETIME_S, MAX_COLUMNS, TIME_UNITS, Columns
 from schemas.errors import TraceError
 from schemas.files import MAX_LOG_BYTES, MIB, most_unpacked, read_bytes
 from schemas.messages import NANOSECONDS, Gripper
@@ -25,6 +25,7 @@ from schemas.trace import Finding, Trace
 MAX_LINE_BYTES = 1 << 20  # of a header; one of a thousand signals with their paths has 100 kB
 LATEST_S = 2.0**31 - 1  # year 2038: no stamp of a message is later
 MISSING = ["", " ", "nan", "NaN", "NAN", "null", "NULL", "NA", "n/a"]  # cells that say there is no value
+END_TAG = b"EOF"  # the last line of a TwinCAT Scope export, where that is asked for
 _OWN = re.compile(r"^position_\d+_(rad|m)$")
 OWN_UNITS = {True: ("rad", "nm"), False: ("m", "n")}  # endings of our own column names: angular, linear
 _STAMP = pl.Decimal(38, 9)
@@ -167,6 +168,9 @@ def _split(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], bytes]:
             body = body.decode(columns.encoding).encode()
     except UnicodeError as error:
         raise TraceError(f"{path}: not {columns.encoding} text: {error}{_LATIN}") from error
+    *rows, end = body.rstrip().rsplit(b"\n", 1)
+    if rows and end.strip().strip(b'"') == END_TAG:
+        body = rows[0] + b"\n"
     names = _fields(header, columns.separator)
     if not columns.header_line:
         names = [str(1 + i) for i in range(_first_line(body).count(columns.separator.encode()) + 1)]
@@ -233,7 +237,8 @@ def _from_epoch(
     if columns.time.unit == "datetime":
         return _from_dates(table, _read(body, indices, len(names), pl.String, columns), wanted)
     per_second = TIME_UNITS[columns.time.unit]
-    possible = pl.col(list(map(str, indices))).abs() <= LATEST_S * per_second
+    before = FILETIME_S if columns.time.unit == "filetime" else 0  # s, of 1970
+    possible = (pl.col(list(map(str, indices))) - before * per_second).abs() <= LATEST_S * per_second
     table = table.with_columns(pl.when(possible).then(pl.col(list(map(str, indices)))))
     largest = max(abs(stamp) if isinstance(stamp := table[str(i)].max(), float) else 0.0 for i in indices)
     if largest <= EXACT_SECONDS * per_second:
@@ -242,11 +247,12 @@ def _from_epoch(
     exact = text.select(
         pl.all().str.strip_chars().str.replace(columns.decimal, ".", literal=True).cast(_STAMP, strict=False)
     )
-    exact = exact.with_columns(pl.when(pl.all().abs() <= LATEST_S * per_second).then(pl.all()))
+    latest = (LATEST_S + before) * per_second
+    exact = exact.with_columns(pl.when(pl.all().abs() <= latest).then(pl.all()))
     base = exact[str(wanted.channels[0].time_index)].drop_nulls()
     if len(base) == 0 or any(exact[str(i)].null_count() != table[str(i)].null_count() for i in indices):
         return table, 0  # not plain decimals (an exponent, say): the float64 stands
-    epoch = int(base[0] * NANOSECONDS) // int(per_second)
+    epoch = int(base[0] * NANOSECONDS) // int(per_second) - before * NANOSECONDS
     since = exact.select((pl.all() - base[0]).cast(pl.Float64))
     return table.with_columns(since), epoch
 

@@ -92,7 +92,8 @@ def _sample_topic(
     found = {m["robot"]: c for c in channels.values() if (m := _SAMPLE_TOPIC.match(c.topic))}
     if not found:
         topics = ", ".join(sorted(c.topic for c in channels.values())) or "none"
-        raise TraceError(f"{path}: no /deltatwin/<robot>/sample topic (topics: {topics})")
+        hint = "; a foreign bag: deltatwin import" if schemas else ""
+        raise TraceError(f"{path}: no /deltatwin/<robot>/sample topic (topics: {topics}){hint}")
     names = [name for name in found if robot and robot_key(name) == robot_key(robot.name)]
     if len(found) > 1 and not names:
         raise TraceError(f"{path}: samples of several robots ({', '.join(sorted(found))}): say which with --robot")

@@ -9,6 +9,7 @@ import numpy as np
 
 from schemas.axes import Description
 from schemas.chain import Chain
+from schemas.columns import implausible_rate
 from schemas.errors import TraceError
 from schemas.machine import Machine
 from schemas.messages import SampleFlag
@@ -25,6 +26,7 @@ NOISE_SIGMAS = 15.0  # a jump stands this far out of the velocity's own noise
 ANY_JOINT = np.pi  # rad; no joint of a Delta turns further, whatever its robot's range
 UNUSABLE_SHARE = 0.1  # of all samples beyond ANY_JOINT: the unit is wrong, not the sample
 BEYOND_LIMITS = 1.2  # times the span of a URDF's limits, which are often drawn narrower than the stops
+LARGEST = 1e12  # rad, m, N m or N: no reading of any machine
 SHOWN = 5  # rows named in a message
 
 
@@ -76,6 +78,8 @@ def _stamps(trace: Trace, rows: RowNames) -> Iterator[Finding]:
     if counted is not None:
         gap = np.union1d(gap, np.flatnonzero(counted > 1) + 1)
         repeated = np.union1d(repeated, np.flatnonzero(counted == 0) + 1)
+    if note := implausible_rate(period):
+        yield Finding.note(note)
     if len(back):
         i = back[0]
         yield Finding(
@@ -113,7 +117,7 @@ def _values(trace: Trace, rows: RowNames, robot: Description | None) -> Iterator
         if values is None:
             continue
         for joint in range(values.shape[1]):
-            bad = np.flatnonzero(~np.isfinite(values[:, joint]))
+            bad = np.flatnonzero(~(np.abs(values[:, joint]) <= LARGEST))
             if len(bad):
                 what = f"{name} of joint {joint + 1}: {len(bad)} values missing or not finite"
                 yield Finding(flag, f"{what}: {rows.name(bad)} ({values[bad[0], joint]})", bad)
@@ -135,7 +139,7 @@ def _jumps(trace: Trace, rows: RowNames, burst: float) -> Iterator[Finding]:
     step = np.diff(trace.time)
     period = float(np.median(step[step > 0]))
     step = np.maximum(step, period)[:, None]  # repeated or falling stamps: one cycle has passed at least
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         speed = np.diff(trace.position, axis=0) / step
     unknown = ~np.isfinite(speed)
     speed = np.where(unknown, 0.0, speed)

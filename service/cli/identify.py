@@ -113,7 +113,7 @@ def _load(text: str) -> tuple[float, Path]:
 
 
 def _calibrated(figures: Sequence[CalibratedFigure]) -> Table:
-    rows = [(one.name, f"{one.value:.4f}", f"{one.std_error:.4f}", one.unit, CHANGED[one.changed]) for one in figures]
+    rows = [(one.name, *_figures(one.value, one.std_error), one.unit, CHANGED[one.changed]) for one in figures]
     return table(("", "value", "std. error", "unit", ""), rows, "by the known load", figures=slice(1, 3))
 
 
@@ -121,7 +121,7 @@ def _parameters(estimates: Sequence[ParameterEstimate], robot: Description) -> T
     from service.model.description import in_units_of
 
     rows = [
-        (one.name, f"{one.value:.4f}", f"{one.std_error:.4f}", in_units_of(robot, one.unit), one.verdict, one.reason)
+        (one.name, *_figures(one.value, one.std_error), in_units_of(robot, one.unit), one.verdict, one.reason)
         for one in estimates
     ]
     return table(
@@ -148,3 +148,12 @@ def _each(values: np.ndarray, moves: np.ndarray | None = None) -> str:
 
     told = ["-" if np.isnan(value) else f"{value:.3g}" for value in values]
     return " / ".join(told if moves is None else np.where(moves, told, "never moves"))
+
+
+def _figures(value: float, std_error: float) -> tuple[str, str]:
+    """A value and its error with as many decimals as the error's second digit takes, four at least."""
+    import math
+
+    smallest = std_error if math.isfinite(std_error) and std_error > 0 else abs(value) / 100
+    decimals = 4 if not math.isfinite(smallest) or smallest == 0 else max(4, 1 - math.floor(math.log10(smallest)))
+    return f"{value:.{decimals}f}", f"{std_error:.{decimals}f}"

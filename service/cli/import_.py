@@ -22,7 +22,7 @@ def command(
         typer.Argument(
             metavar="FILE",
             help="TwinCAT Scope, CODESYS, KUKA (.dat), tables with or without a header, JSON, .mat, .npy, .npz, "
-            "rosbag2; several files are taken side by side.",
+            "bags of ROS (rosbag2, its folder, .bag); several files are taken side by side.",
         ),
     ],
     robot: Annotated[Path | None, robot_file(": signs and gear side are tried.")] = None,
@@ -53,6 +53,7 @@ def command(
     where: Annotated[
         str | None, typer.Option(metavar="NAME[=VALUE]", help="Rows that count: VALUE (1) in this column.")
     ] = None,
+    topic: Annotated[str | None, typer.Option(help="Topic of the joint states, where a bag has several.")] = None,
     json: AsJson = False,
 ) -> None:
     """List the channels of foreign logs, propose how to read them, and write the mapping and the log.
@@ -92,7 +93,7 @@ def command(
         if path.parent.resolve() != files[0].parent.resolve():
             raise TraceError(f"{path}: not in the folder of {files[0]}; files side by side stand beside each other")
     with console(stderr=True).status(f"reading {files[0].name}"):
-        tables = [read_table(path) for path in files]
+        tables = [read_table(path, {"topic": topic} if topic else None) for path in files]
         table = joined(tables, clocks_of(tables, time))
         proposal = propose(table, description, stated)
     if not json:

@@ -124,6 +124,7 @@ def _show_capture(figures: dict[str, Any]) -> None:
         ("cut_frames", "EtherCAT frames that are not whole"),
         ("snapped_frames", "frames snapped by the capture"),
         ("damaged_frames", "frames marked as damaged by the analyzer"),
+        ("repeated_frames", "frames captured twice (a bridge, a mirror port, every interface at once), left out"),
         ("pseudo_frames", "GPIO events of the analyzer"),
         ("foreign_frames", "packets that carry no Ethernet"),
     ):
@@ -150,7 +151,9 @@ def _show_capture(figures: dict[str, Any]) -> None:
 def _say_cyclic(entry: dict[str, Any]) -> None:
     name = f"{entry['command']} {entry['logical_address']:#x}, {entry['bytes']} bytes"
     say(f"[bold]{name}[/bold]: {entry['sent']} sent, {entry['returned']} returned")
-    if entry["cycle_s"] is not None:
+    if entry["cycle_s"] is not None and entry["jitter_std_s"] is None:
+        say(f"  cycle {entry['cycle_s'] * 1e6:.2f} µs by the number of frames")
+    elif entry["cycle_s"] is not None:
         jitter = [f"{entry[key] * 1e6:.2f}" for key in ("jitter_std_s", "jitter_p99_s", "jitter_max_s")]
         say(
             f"  cycle {entry['cycle_s'] * 1e6:.2f} µs, jitter {jitter[0]} µs std, {jitter[1]} p99, {jitter[2]} max; "

@@ -41,13 +41,39 @@ TORQUE_UNITS = {
     "nm": "N m", "n m": "N m", "n*m": "N m", "n": "N", "%": "percent", "percent": "percent", "‰": "permille",
     "permille": "permille", "promille": "permille", "a": "A", "amp": "A", "v": "V",
 }  # fmt: skip
+OTHER_UNITS = {
+    "rpm",
+    "w",
+    "kw",
+    "hz",
+    "bar",
+    "k",
+    "c",
+    "°c",
+    "kg",
+    "s",
+    "ms",
+    "us",
+    "ns",
+    "rad/s",
+    "deg/s",
+    "°/s",
+    "m/s",
+    "mm/s",
+}  # of what is neither a position nor a torque
+OTHER = "other"  # role of a column whose name or unit says that it is neither
+_RATE = re.compile(r"/ ?(s|sec|min|h)\b|[/ ]s(\^?2|²)|s-[12]|s⁻[¹²]|1/min|u/min")
+FILETIMES = 1.19e17, 1.37e17  # 100 ns since 1601: years 1978 to 2035
 LEAST_HZ = 20.0  # of logs that hold dynamics; a unit of time that gives a lower rate is not believed
 _TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+|[%‰°]")
 
 
 @dataclass(frozen=True)
 class Channels:
-    """Which column is what. Each of the lists has an entry a joint; empty where there is none."""
+    """Which column is what. Each of the lists has an entry a joint; empty where there is none.
+
+    order: how the joints were told apart. doubts: what of that is to be checked.
+    """
 
     time: str | None = None
     position: Sequence[str] = ()
@@ -55,6 +81,8 @@ class Channels:
     position_command: Sequence[str] = ()
     torque_command: Sequence[str] = ()
     reasons: Sequence[str] = field(default=())
+    order: Sequence[str] = field(default=())
+    doubts: Sequence[str] = field(default=())
 
 
 def tokens(name: str) -> list[str]:
@@ -62,11 +90,15 @@ def tokens(name: str) -> list[str]:
     return [token.lower() for token in _TOKEN.findall(name)]
 
 
-def guess(table: Table, joints: int | None) -> Channels:
-    """Channels by their names, and by how smooth they are where names say nothing. joints: of the robot, if known."""
+def guess(table: Table, joints: int | None, called: Sequence[str] = ()) -> Channels:
+    """Channels by their names, and by how smooth they are where names say nothing. joints: of the robot, if known.
+    called: names of its joints, where its description has them."""
     time = _time(table)
     clocks = {time, *table.time_of.values()} - {None}
     roles = {name: _role(name, table) for name in table.columns if name not in clocks}
+    if named := _named_channels(table, roles, called):
+        order = [f"joints by the names of the description: {_numbered(named['position'])}"]
+        return Channels(time, **named, reasons=["columns are told by their names"], order=order)
     names = [name for name in roles if _moves(table.columns[name])]
     found: dict[str, list[str]] = {}
     for told in (names, list(roles)):  # a joint that rests all through is one where without it they do not go together
@@ -79,14 +111,78 @@ def guess(table: Table, joints: int | None) -> Channels:
     wanted = joints or len(found["torque"] or found["torque_command"])
     found = {role: _measured(columns, wanted) for role, columns in found.items()}
     if not (found["position"] and (found["torque"] or found["torque_command"])):
-        by_shape = _by_smoothness(table, names, joints)
+        by_shape = _by_smoothness(table, names, joints, roles)
         if by_shape:
             found |= dict(zip(("position", "torque"), by_shape, strict=True))
             reasons = ["names say nothing: the smoother columns are taken for positions, the rougher for torques"]
     ordered = {role: _by_joint(columns) for role, columns in found.items()}
+    ordered |= {role: _as_ordered(columns, ordered["position"]) for role, columns in ordered.items()}
     count = joints or len(ordered["position"])
     ordered = {role: columns if len(columns) == count else [] for role, columns in ordered.items()}
-    return Channels(time, **ordered, reasons=reasons)
+    order, doubts = _told_order(ordered["position"], called)
+    return Channels(time, **ordered, reasons=reasons, order=order, doubts=doubts)
+
+
+def _named_channels(
+    table: Table, roles: Mapping[str, str | None], called: Sequence[str]
+) -> dict[str, list[str]] | None:
+    """Columns by role that bear the names of the description's joints, in its order; None where not all do."""
+    if not called:
+        return None
+    found = {}
+    for role in CHANNELS:
+        of_role = [name for name in roles if roles[name] == role]
+        found[role] = _by_name(of_role, called, {name: [name, table.paths.get(name, "")] for name in of_role})
+    return found if found["position"] and (found["torque"] or found["torque_command"]) else None
+
+
+def _by_name(columns: Sequence[str], called: Sequence[str], spelled: Mapping[str, Sequence[str]]) -> list[str]:
+    """For each joint the one column that bears its name; empty where there is none, or several. spelled: the names of
+    a column, its own and others that the file has for it."""
+    of_joint: dict[str, list[str]] = {joint: [] for joint in called}
+    for column in columns:
+        hits = [j for j in called if any(_contains(tokens(name), tokens(j)) for name in spelled[column])]
+        longest = max((len(tokens(joint)) for joint in hits), default=0)  # "elbow_2" is not "elbow"
+        if len(best := [joint for joint in hits if len(tokens(joint)) == longest]) == 1:
+            of_joint[best[0]].append(column)
+    chosen = [_measured(of_joint[joint], 1) for joint in called]
+    return [one[0] for one in chosen] if all(len(one) == 1 for one in chosen) else []
+
+
+def _contains(words: Sequence[str], part: Sequence[str]) -> bool:
+    """Whether `part` stands in `words`, one word behind the other."""
+    starts = range(len(words) - len(part) + 1)
+    return len(part) > 0 and any(list(words[k : k + len(part)]) == list(part) for k in starts)
+
+
+def _as_ordered(columns: list[str], positions: Sequence[str]) -> list[str]:
+    """`columns` in the order of the joints of `positions`, where both name the same joints; else as they are."""
+    own, wanted = {_joint_words(name): name for name in columns}, [_joint_words(name) for name in positions]
+    if len(own) == len(columns) == len(wanted) and set(own) == set(wanted):
+        return [own[joint] for joint in wanted]
+    return columns
+
+
+def _joint_words(name: str) -> tuple[str, ...]:
+    """What of a column's name is neither its quantity nor its unit."""
+    known = MEASURED.union(*WORDS.values(), POSITION_UNITS, TORQUE_UNITS, OTHER_UNITS, ("wert",))
+    return tuple(word for word in tokens(name) if word not in known)
+
+
+def _told_order(positions: Sequence[str], called: Sequence[str]) -> tuple[list[str], list[str]]:
+    """How several joints are told apart: what is certain, and what is to be checked."""
+    if len(positions) < 2:
+        return [], []
+    if _numbers_of(positions) is not None:
+        return [f"joints by the numbers in the names: {_numbered(positions)}"], []
+    line = f"joints by their place in the file: {_numbered(positions)}"
+    if called:
+        return [], [f"{line}; the description calls them {', '.join(called)}, the columns do not"]
+    return [f"{line}; the description has no names for them"], []
+
+
+def _numbered(columns: Sequence[str]) -> str:
+    return ", ".join(f"{k} is {name!r}" for k, name in enumerate(columns, 1))
 
 
 def _measured(columns: list[str], count: int) -> list[str]:
@@ -120,6 +216,9 @@ def clocks_of(tables: Sequence[Table], time: str | None) -> list[str | None]:
 
 def time_unit(table: Table, name: str) -> tuple[str, bool]:
     """Unit of a column of stamps, and whether the file or the name says so; else by the rate that it gives."""
+    known = table.columns[name][np.isfinite(table.columns[name])]
+    if len(known) and FILETIMES[0] < known.min() <= known.max() < FILETIMES[1]:  # no other clock counts there
+        return "filetime", True
     said = table.units.get(name, "").lower().replace("µ", "u")
     if said in TIME_UNITS or said == "datetime":
         return said, True
@@ -127,7 +226,9 @@ def time_unit(table: Table, name: str) -> tuple[str, bool]:
         if unit in tokens(name.replace("µ", "u")):
             return unit, True
     step = _step(table.columns[name])
-    return next((unit for unit, per_second in TIME_UNITS.items() if per_second / step >= LEAST_HZ), "s"), False
+    return next(
+        (unit for unit, per_second in TIME_UNITS.items() if unit != "filetime" and per_second / step >= LEAST_HZ), "s"
+    ), False
 
 
 def rate_hz(table: Table, clock: str) -> float:
@@ -150,7 +251,7 @@ def _time(table: Table) -> str | None:
     if named := _named_times(table):
         return named[0]
     first = next(iter(table.columns))
-    alone = _role(first, table) is None and not table.layout.get("beside")
+    alone = _role(first, table) in (None, OTHER) and not table.layout.get("beside")
     return first if alone and _rises(table.columns[first]) else None
 
 
@@ -182,8 +283,8 @@ def _role(name: str, table: Table) -> str | None:
     words = _words(name)
     if table.layout.get("beside") and ":" not in name:
         words |= set(tokens(table.path.name.split(".")[0]))
-    if said_unit(table, name, {"rad/s": "x", "deg/s": "x", "rpm": "x"}) or words & WORDS["other"]:
-        return None
+    if words & WORDS["other"] or _of_another_kind(table, name):
+        return OTHER
     command = bool(words & WORDS["command"])
     torque = words & WORDS["torque"] or said_unit(table, name, TORQUE_UNITS)
     position = words & WORDS["position"] or said_unit(table, name, POSITION_UNITS)
@@ -196,8 +297,36 @@ def _role(name: str, table: Table) -> str | None:
     return None if kind is None else f"{kind}_command" if command else kind
 
 
-def _by_smoothness(table: Table, names: list[str], joints: int | None) -> tuple[list[str], list[str]] | None:
-    """The table split into positions and torques: a position turns smoothly, a torque does not."""
+def _of_another_kind(table: Table, name: str) -> bool:
+    """Whether the unit that the file or the name gives is that of neither a position nor a torque."""
+    bracket = re.search(r"[\[(]([^\])]+)[\])]", name)
+    said = table.units.get(name, bracket[1] if bracket else "").strip().lower()
+    return said in OTHER_UNITS or _RATE.search(said) is not None or said_unit(table, name, {"rpm": "rpm"}) is not None
+
+
+def no_torque(table: Table, columns: Sequence[str]) -> str | None:
+    """Why no torque was recorded; None where there is one, or may be. columns: taken for it."""
+    if columns:
+        if other := next((name for name in columns if _of_another_kind(table, name)), None):
+            return f"{other!r} is in {table.units.get(other, 'another unit')}"
+        constant = [name for name in columns if not _moves(table.columns[name])]
+        if len(constant) < len(columns):
+            return None
+        values = table.columns[columns[0]]
+        held = f"{values[np.isfinite(values)][0]:g}" if np.isfinite(values).any() else "empty"
+        return f"{', '.join(map(repr, columns))} {'is' if len(columns) == 1 else 'are'} {held} from first to last row"
+    clocks = {_time(table), *table.time_of.values()}
+    roles = {name: _role(name, table) for name in table.columns if name not in clocks}
+    may_be = [name for name, role in roles.items() if role is None or role.startswith("torque")]
+    return None if may_be else f"none of its columns is one by name and unit ({', '.join(list(roles)[:20])})"
+
+
+def _by_smoothness(
+    table: Table, names: list[str], joints: int | None, roles: Mapping[str, str | None]
+) -> tuple[list[str], list[str]] | None:
+    """The table split into positions and torques: a position turns smoothly, a torque does not. Never against what a
+    name or unit says."""
+    names = [name for name in names if roles[name] != OTHER]
     if len(names) % 2 or (joints and len(names) != 2 * joints):
         return None
     roughness = {}
@@ -209,14 +338,26 @@ def _by_smoothness(table: Table, names: list[str], joints: int | None) -> tuple[
     smooth = sorted(names, key=roughness.__getitem__)[:half]
     ordered = [name for name in names if name in smooth], [name for name in names if name not in smooth]
     blocks = {tuple(names[:half]), tuple(names[half:]), tuple(names[::2]), tuple(names[1::2])}
-    return ordered if tuple(ordered[0]) in blocks else None
+    against = [
+        name
+        for k, columns in enumerate(ordered)
+        for name in columns
+        if (roles[name] or "").startswith(("torque", "position")[k])
+    ]
+    return ordered if tuple(ordered[0]) in blocks and not against else None
 
 
 def _by_joint(names: Sequence[str]) -> list[str]:
     """Names in the order of the joint number in them, where each has another."""
+    numbers = _numbers_of(names)
+    return list(names) if numbers is None else [name for _, name in sorted(zip(numbers, names, strict=True))]
+
+
+def _numbers_of(names: Sequence[str]) -> list[int] | None:
+    """The joint numbers in names, one after the other; None where they have none."""
     numbers = [[int(token) for token in tokens(name) if token.isdecimal()] for name in names]
     for place in range(-1, -min((len(n) for n in numbers), default=0) - 1, -1):
         at = [n[place] for n in numbers]
         if len(set(at)) == len(at) and max(at) - min(at) == len(at) - 1:
-            return [name for _, name in sorted(zip(at, names, strict=True))]
-    return list(names)
+            return at
+    return None

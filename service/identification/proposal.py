@@ -15,6 +15,7 @@ from drivers.trace.assembly import signed
 from drivers.trace.quality import ANY_JOINT, MAX_SPEED
 from drivers.trace.tables import Table
 from schemas.axes import Description
+from schemas.chain import Chain
 from schemas.columns import CHANNELS
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError, TraceError
@@ -27,6 +28,7 @@ from service.identification.channels import (
     TORQUE_UNITS,
     Channels,
     guess,
+    no_torque,
     rate_hz,
     said_unit,
     time_unit,
@@ -85,7 +87,7 @@ def propose(table: Table, robot: Description | None, stated: Stated) -> Proposal
             that says so.
     """
     joints = None if robot is None else robot.count
-    channels = guess(table, joints)
+    channels = guess(table, joints, robot.joints if isinstance(robot, Chain) else ())
     channels = replace(
         channels,
         time=stated.time or (None if stated.rate_hz else channels.time),
@@ -97,6 +99,9 @@ def propose(table: Table, robot: Description | None, stated: Stated) -> Proposal
     _check(table, channels, stated, joints)
     if stated.position and stated.torque:
         reasons.clear()
+    if not stated.position:
+        reasons += channels.order
+        doubts += channels.doubts
     layout: dict[str, Any] = dict(table.layout)
     if stated.where is not None:
         table = _stretch(table, *stated.where)
@@ -193,6 +198,8 @@ def _check(table: Table, channels: Channels, stated: Stated, joints: int | None)
         for name in names:
             if name not in table.columns:
                 raise DataError(f"{table.path}: no column {name!r}; it has: {listed}")
+        if role == "torque" and (why := no_torque(table, names)):
+            raise DataError(f"{table.path}: no torque was recorded: {why}; if one is all the same: --torque NAME")
         if not names or (joints and len(names) != joints):
             which = "column is the" if joints == 1 else f"{joints} columns are the" if joints else "columns are the"
             many, what = ("", "NAME") if joints == 1 else ("s", "NAME,NAME,...")

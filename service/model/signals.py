@@ -21,6 +21,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from schemas.columns import implausible_rate
 from schemas.errors import DataError, TraceError
 from schemas.kernels import kernel
 from schemas.messages import SampleFlag
@@ -45,6 +46,7 @@ LONGEST_HOLE = 6.0  # periods, bridged where samples were polled
 HOLES = 1e-3  # of the steps
 SMOOTHER = 0.7  # of the position's noise that is left by the stamps, where they are right
 FEWEST = 100  # samples that tell
+LEAST_TORQUE = 1e-12  # N m, or N: the smallest motor's noise is a million times that
 NOISY = 0.03  # of the acceleration, rms: bends an inertia by its square
 LEAST_HZ = 3.0  # of the analysis band
 RATE = 1000.0  # Hz, regressors are built at no less than this: plenty for what the motion smoother passes
@@ -321,7 +323,8 @@ def _one_rate(periods: Sequence[float]) -> bool:
 
 
 def segments(trace: Trace, polled: bool = False) -> list[Segment]:
-    """The parts of `trace` that no gap and no unusable row interrupts and that outlast the filters' ends.
+    """The parts of `trace` that no gap, no step back of its clock and no unusable row interrupts and that outlast the
+    filters' ends.
 
     Samples that were polled, at instants of their own, are brought to an even clock by straight lines between them, of
     a preferred rate (10, 12.5, 16, 20, ... Hz), so that several such logs have one. polled: they were, whether
@@ -335,10 +338,12 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
         raise TraceError(f"{trace.path}: {len(good)} usable rows of {len(trace)}")
     time, position, torque = trace.time[good], trace.position[good], trace.torque[good]
     steps = np.diff(time)
-    period = float(np.median(steps))
+    period = float(np.median(np.abs(steps)))
+    _check_scale(trace, period, len(good), torque)
     shortest = round(4 * EDGE / period)
     polled = polled or _polled(time, position)
-    ends = np.flatnonzero(steps > (LONGEST_HOLE if polled else LONGEST_STEP) * period) + 1
+    gap = steps > (LONGEST_HOLE if polled else LONGEST_STEP) * period
+    ends = np.flatnonzero(gap | _set_back(trace, good, steps, period)) + 1
     every = np.split(np.arange(len(good)), ends)
     parts = [part for part in every if len(part) >= shortest]
     if polled and parts:
@@ -361,6 +366,31 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
             f"{trace.path}: longest part without a fault lasts {longest:.3g} s, at least {4 * EDGE:g} s are needed"
         )
     return result
+
+
+def _check_scale(trace: Trace, period: float, usable_rows: int, torque: np.ndarray) -> None:
+    """
+    Raises:
+        TraceError: rows so far apart, or torques so small, that no unit in use was meant; or hardly two usable rows
+            one behind the other, as in noise.
+    """
+    steps = np.diff(trace.time)
+    if period > LONGEST_STEP * np.median(steps[steps > 0]):
+        raise TraceError(
+            f"{trace.path}: {usable_rows} of {len(trace)} rows are usable, hardly two of them one behind the other: no "
+            "motion of a machine (deltatwin inspect says what is wrong with the others)"
+        )
+    if note := implausible_rate(period):
+        raise TraceError(f"{trace.path}: {note}")
+    if 0 < np.abs(torque).max() < LEAST_TORQUE:
+        raise TraceError(f"{trace.path}: no torque exceeds {np.abs(torque).max():.3g}: is its unit N m?")
+
+
+def _set_back(trace: Trace, good: np.ndarray, steps: np.ndarray, period: float) -> np.ndarray:
+    """Whether the clock was set back between one row of `good` and the next, (len(good) - 1,) bool: what lies behind is
+    another run, wherever its stamps fall. Behind a single stamp that is wrong the clock goes on as it did before."""
+    back = np.cumsum(trace.flags & np.uint32(SampleFlag.TIME_BACKWARDS) != 0) if len(trace.flags) else 0 * trace.time
+    return (steps < 0) | ((np.diff(back[good]) > 0) & (steps < 0.5 * period * np.diff(good)))
 
 
 def _polled(time: np.ndarray, position: np.ndarray) -> bool:

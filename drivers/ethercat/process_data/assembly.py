@@ -35,7 +35,7 @@ FRAME_BYTES = 2048  # more than an Ethernet frame with tags
 
 _COUNTER_LOW, _COUNTER_ZERO = 1, 2
 _FPWR = Command.FPWR.value
-_NOT_BELIEVED = (FrameFlag.DAMAGED | FrameFlag.PSEUDO | FrameFlag.FOREIGN).value
+_NOT_BELIEVED = (FrameFlag.DAMAGED | FrameFlag.PSEUDO | FrameFlag.FOREIGN | FrameFlag.REPEATED).value
 
 
 class Frame(NamedTuple):

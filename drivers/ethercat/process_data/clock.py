@@ -12,6 +12,11 @@ from schemas.messages import SampleFlag
 STOPPED_CYCLES, STOPPED_NS = 20, 20_000_000  # without a frame for the longer of the two: they have stopped
 GAP_PERIODS = 1.5  # a step of the stamps above this many cycles has lost cycles
 _PERIOD_AFTER = 16  # cycles before the cycle time is known
+BUNCHED_SHARE = 0.2  # of the steps below a tenth of the mean step: stamps of bunches; catching up gives single ones
+BUNCHED = (
+    "stamps come in bunches: the network card collects interrupts; the cycle time is that of their number, and which "
+    "cycles are missing cannot be told (switch that off: ethtool -C INTERFACE rx-usecs 0)"
+)
 _CATCH_UP = 64  # cycles after a gap in which late ones can turn out not to be lost
 
 
@@ -104,3 +109,25 @@ def lost_cycles(times: np.ndarray) -> int:
     state = new_state()
     _follow(times, state)
     return int(state["counts"]["lost"][0])
+
+
+class Bunches:
+    """Whether cycles are stamped in bunches, by a card that waits for several frames before it says that they came."""
+
+    def __init__(self) -> None:
+        self._steps = self._short = self._passed = 0
+
+    def add(self, times: np.ndarray) -> None:
+        """(N,) int64 ns of cycles one after the other."""
+        steps = np.diff(times)
+        steps = steps[steps >= 0]
+        if len(steps):
+            self._steps += len(steps)
+            self._passed += int(steps.sum())
+            self._short += int(np.count_nonzero(10 * steps < steps.mean()))
+
+    @property
+    def period_ns(self) -> float | None:
+        """Mean cycle time, ns; None where cycles are stamped one by one."""
+        bunched = self._steps > 2 and self._short > BUNCHED_SHARE * self._steps
+        return self._passed / self._steps if bunched and self._passed else None

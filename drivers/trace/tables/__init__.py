@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +26,9 @@ READERS = {
     ".ndjson": "records",
     ".db3": "rosbag",
     ".mcap": "rosbag",
+    ".bag": "rosbag",
+    ".zstd": "rosbag",
+    "metadata.yaml": "rosbag",
     ".dat": "diadem",
     ".trace": "codesys",
     ".xml": "codesys",
@@ -38,7 +42,7 @@ class Table:
     kind: what it is, in words. columns: (N,) float64 by name, in the file's order; NaN where a cell is empty.
     units: what the file says of a column's unit. time_of: the column that stamps a column, where the file says so.
     epoch_ns: what the stamps count from, ns since 1970; 0 where they are as in the file. layout: keys of
-    `schemas.columns.Columns` that reading the file again takes.
+    `schemas.columns.Columns` that reading the file again takes. paths: of the controller's variable that a column was.
     """
 
     path: Path
@@ -48,6 +52,7 @@ class Table:
     time_of: Mapping[str, str] = field(default_factory=dict)
     epoch_ns: int = 0
     layout: Mapping[str, object] = field(default_factory=dict)
+    paths: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.columns:
@@ -59,21 +64,25 @@ class Table:
         return len(next(iter(self.columns.values())))
 
 
-def read_table(path: Path, layout: Mapping[str, object] | None = None) -> Table:
+def read_table(path: Path, layout: Mapping[str, Any] | None = None) -> Table:
     """The columns of a file, or of a folder that is a rosbag2.
 
-    layout: how a text is laid out (`Table.layout`); without it, that is found out.
+    layout: how a text is laid out, and the topic of a bag (`Table.layout`); without it, that is found out.
 
     Raises:
         TraceError: it cannot be read, is damaged, or no table is in it.
     """
-    ending = ".db3" if path.is_dir() else path.suffix.lower()
+    ending = ".db3" if path.is_dir() else path.name if path.name in READERS else path.suffix.lower()
+    if READERS.get(ending) == "rosbag":
+        from drivers.trace.tables.rosbag import read as read_bag
+
+        return read_bag(path, (layout or {}).get("topic"))
     if ending in READERS:
         read: Callable[[Path], Table] = import_module(f"drivers.trace.tables.{READERS[ending]}").read
         return read(path)
     from drivers.trace.tables.text import read
 
-    return read(path, layout)
+    return read(path, {key: value for key, value in (layout or {}).items() if key != "topic"} or None)
 
 
 def joined(tables: Sequence[Table], clocks: Sequence[str | None] = ()) -> Table:
@@ -86,7 +95,7 @@ def joined(tables: Sequence[Table], clocks: Sequence[str | None] = ()) -> Table:
     """
     first, *others = tables
     columns = dict(first.columns)
-    units, time_of = dict(first.units), dict(first.time_of)
+    units, time_of, paths = dict(first.units), dict(first.time_of), dict(first.paths)
     for number, other in enumerate(others, 1):
         stem = other.path.name.split(".")[0]
         clock = clocks[number] if clocks else None
@@ -98,12 +107,14 @@ def joined(tables: Sequence[Table], clocks: Sequence[str | None] = ()) -> Table:
             columns[f"{stem}:{name}"] = values + later_s if unit == "datetime" else values
             if unit:
                 units[f"{stem}:{name}"] = unit
+            if name in other.paths:
+                paths[f"{stem}:{name}"] = other.paths[name]
             if time and time != name:
                 time_of[f"{stem}:{name}"] = f"{stem}:{time}"
     layout = dict(first.layout)
     if others:
         layout["beside"] = [other.path.name for other in others]
-    return Table(first.path, first.kind, padded(columns), units, time_of, first.epoch_ns, layout)
+    return Table(first.path, first.kind, padded(columns), units, time_of, first.epoch_ns, layout, paths)
 
 
 def padded(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

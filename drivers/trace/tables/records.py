@@ -12,10 +12,15 @@ from drivers.data_frames import pl
 from drivers.trace.tables import Table
 from drivers.trace.tables.numpy_file import same_length
 from drivers.trace.tables.text import numbers_of
+from schemas.columns import MAX_COLUMNS
 from schemas.errors import TraceError
 from schemas.files import MIB, read_bytes
 
 MAX_BYTES = 512 * MIB  # twenty times that in memory
+MAX_DEPTH = 12  # lists and objects in each other; records have three
+EMPTY = (
+    16  # cells of the table for one with a value in it, beyond a million: records that have next to no key in common
+)
 
 
 def read(path: Path) -> Table:
@@ -34,12 +39,32 @@ def read(path: Path) -> Table:
         raise TraceError(f"{path}: not a text file (byte {error.start} is not UTF-8)") from error
     except (ValueError, RecursionError) as error:
         raise TraceError(f"{path}: not JSON: {error}") from error
+    if _deeper_than(MAX_DEPTH, document):
+        raise TraceError(f"{path}: lists or objects more than {MAX_DEPTH} deep in each other")
     lists = _lists(document)
     if not lists:
         raise TraceError(f"{path}: no list of records, and no lists of numbers, in this JSON")
     records = max(lists, key=len)
-    columns, units, epoch_ns = _columns(records)
+    columns, units, epoch_ns = _columns(records, path)
     return Table(path, "JSON records", same_length(columns, path), units, epoch_ns=epoch_ns)
+
+
+def _deeper_than(most: int, document: Any) -> bool:
+    level = [document]
+    for _ in range(most + 1):
+        level = (
+            [
+                inner
+                for outer in level
+                for inner in (outer.values() if isinstance(outer, dict) else outer)
+                if isinstance(inner, (dict, list))
+            ]
+            if isinstance(level[0], (dict, list))
+            else []
+        )
+        if not level:
+            return False
+    return True
 
 
 def _lists(document: Any) -> list[list[dict[str, Any]]]:
@@ -60,12 +85,22 @@ def _numbers(values: list[Any]) -> bool:
     return len(values) > 1 and all(isinstance(value, (int, float, str, list)) for value in values)
 
 
-def _columns(records: list[dict[str, Any]]) -> tuple[dict[str, np.ndarray], dict[str, str], int]:
-    """Columns, units and the epoch of dates, as of `Table`."""
+def _columns(records: list[dict[str, Any]], path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], int]:
+    """Columns, units and the epoch of dates, as of `Table`.
+
+    Raises:
+        TraceError: more columns than are read, or hardly a cell of them with a value.
+    """
     cells: dict[str, list[Any]] = {}
+    filled = 0
     for k, record in enumerate(records):
         for name, value in _flat("", record):
-            cells.setdefault(name, [None] * len(records))[k] = value
+            filled += 1
+            if name not in cells:
+                if len(cells) == MAX_COLUMNS or len(cells) * len(records) > EMPTY * filled + 1_000_000:
+                    raise TraceError(f"{path}: {len(cells)} keys in {k + 1} of {len(records)} records: no table")
+                cells[name] = [None] * len(records)
+            cells[name][k] = value
     found: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}
     epoch_ns = 0

@@ -1,174 +1,102 @@
-"""rosbag2, SQLite or MCAP: the joints of `sensor_msgs/JointState`, called `<joint>.position` and `<joint>.effort`.
+"""Bags of ROS: the joints of `sensor_msgs/JointState`, called `<joint>.position` and `<joint>.effort`.
 
-Source: the ROS 2 message definition of sensor_msgs/msg/JointState; CDR as the OMG's XCDR1 has it.
+Several publishers on one topic have each its own joints and stamps; a publisher may change the order of its joints.
 """
 
 from __future__ import annotations
 
-import sqlite3
 import struct
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from mcap.records import Message
 
-from drivers.trace.mcap_messages import read_records, read_summary
-from drivers.trace.tables import Table
-from schemas.errors import StorageError, TraceError
-from schemas.files import opened
-from schemas.messages import NANOSECONDS, SAMPLE
-
-JOINT_STATE = "sensor_msgs/msg/JointState"
-UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}  # by the comment in the message definition
-MAX_JOINTS = 64
-MAX_NAME = 256  # characters
+from drivers.trace.tables import Table, padded
+from drivers.trace.tables.bag_files import Choose, messages_of, parts_of
+from drivers.trace.tables.joint_state import TYPES, UNITS, JointState, decode
+from schemas.errors import TraceError
+from schemas.messages import NANOSECONDS
 
 
-def parts_of(folder: Path) -> list[Path]:
-    """The files of a rosbag2, in their order.
+def read(path: Path, topic: str | None = None) -> Table:
+    """topic: of the joint states, where the bag has several.
 
     Raises:
-        TraceError: there are none.
+        TraceError: no bag, none or several topics of joint states in it, or a message that is not whole.
     """
-    parts = sorted([*folder.glob("*.db3"), *folder.glob("*.mcap")])
-    if not parts:
-        raise TraceError(f"{folder}: a folder without .db3 or .mcap, no rosbag2: name the logs in it")
-    return parts
-
-
-def read(path: Path) -> Table:
-    """
-    Raises:
-        TraceError: not a rosbag2, none or several topics of joint states in it, or a message that is not whole.
-    """
-    parts = parts_of(path) if path.is_dir() else [path]
-    stamps: list[int] = []
-    rows: list[list[np.ndarray]] = []
-    names: list[str] = []
-    for part in parts:
-        for number, message in enumerate(_messages(part), 1):
-            try:
-                stamp, names_here, values = _joint_state(message)
-            except (struct.error, ValueError, UnicodeDecodeError) as error:
-                raise TraceError(f"{part}: joint state {number} is not whole: {error}") from error
-            names = names or names_here
-            if names_here != names:
-                raise TraceError(f"{part}: joint state {number} has joints {names_here}, the first has {names}")
-            stamps.append(stamp)
-            rows.append(values)
-    if not stamps:
+    parts = parts_of(path)
+    choose = _chooser(topic)
+    read_parts = [_states(part, choose) for part in parts]
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        read_parts.sort(key=lambda part: part[0][0] if part else 0)
+    states = [state for part in read_parts for state in part]
+    if not states:
         raise TraceError(f"{path}: no message on its topic of joint states")
-    kind = "rosbag2 of joint states"
-    columns = {"time": (np.array(stamps, np.int64) - stamps[0]) / NANOSECONDS}
-    units = {"time": "s"}
+    unstamped = len({state.stamp for _, state in states}) == 1 < len(states)
+    stamps = np.array([log if unstamped else state.stamp for log, state in states], np.int64)
+    groups: dict[frozenset[str], list[int]] = {}
+    for k, (_, state) in enumerate(states):
+        groups.setdefault(frozenset(state.names), []).append(k)
+    columns: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
+    time_of: dict[str, str] = {}
+    for number, rows in enumerate(groups.values(), 1):
+        clock = "time" if number == 1 else f"time {number}"
+        columns[clock], units[clock] = (stamps[rows] - stamps[0]) / NANOSECONDS, "s"
+        for name, values, unit in _joints([states[k][1] for k in rows]):
+            own = next(n for n in (name, *(f"{name} ({k})" for k in range(2, 99))) if n not in columns)
+            columns[own], units[own] = values, unit
+            if len(groups) > 1:
+                time_of[own] = clock
+    kind = "bag of joint states" + (", stamped by the recorder: the messages are not" if unstamped else "")
+    kind += f", {len(groups)} publishers" if len(groups) > 1 else ""
+    layout = {"topic": topic} if topic else {}
+    return Table(path, kind, padded(columns), units, time_of, int(stamps[0]), layout)
+
+
+def _states(part: Path, choose: Choose) -> list[tuple[int, JointState]]:
+    found = []
+    for number, message in enumerate(messages_of(part, choose), 1):
+        try:
+            state = decode(message.data, message.encoding)
+        except (struct.error, ValueError, UnicodeDecodeError) as error:
+            raise TraceError(f"{part}: joint state {number} is not whole: {error}") from error
+        if state.names:
+            found.append((message.log_ns, state))
+    return found
+
+
+def _joints(states: list[JointState]) -> list[tuple[str, np.ndarray, str]]:
+    """Columns of messages with the same joints, in the order of the first: name, values and unit. A field that a
+    message leaves empty is NaN there, and no column where all do."""
+    names = states[0].names
+    order = {tuple(state.names): [state.names.index(name) for name in names] for state in states}
+    found = []
     for k, (field, unit) in enumerate(UNITS.items()):
-        lengths = {len(row[k]) for row in rows}
-        if lengths != {len(names)}:
-            continue  # a field that is empty is not published
-        block = np.array([row[k] for row in rows])
-        for joint, name in enumerate(names):
-            columns[f"{name}.{field}"] = np.ascontiguousarray(block[:, joint])
-            units[f"{name}.{field}"] = unit
-    return Table(path, kind, columns, units, epoch_ns=stamps[0])
-
-
-def _messages(path: Path) -> Iterable[bytes]:
-    return _from_mcap(path) if path.suffix == ".mcap" else _from_sqlite(path)
-
-
-def _from_sqlite(path: Path) -> list[bytes]:
-    opened(path, TraceError).close()
-    address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
-    try:
-        with sqlite3.connect(address, uri=True) as bag:
-            topics = bag.execute("SELECT id, name, type FROM topics").fetchall()
-            topic = _one({name: kind for _, name, kind in topics}, path)
-            (number,) = (number for number, name, _ in topics if name == topic)
-            query = "SELECT data FROM messages WHERE topic_id = ? ORDER BY id"
-            return [bytes(data) for (data,) in bag.execute(query, (number,))]
-    except (sqlite3.Error, ValueError, TypeError) as error:
-        raise TraceError(f"{path}: not a rosbag2 database: {error}") from error
-
-
-def _from_mcap(path: Path) -> list[bytes]:
-    try:
-        with opened(path, TraceError) as stream:
-            summary = read_summary(stream, path)
-            if summary is None:
-                raise TraceError(f"{path}: the MCAP summary is missing (its writer was killed?)")
-            kinds = {
-                channel.topic: summary.schemas[channel.schema_id].name
-                for channel in summary.channels.values()
-                if channel.schema_id in summary.schemas
-            }
-            if SAMPLE.schema_name in kinds.values():  # its joint states are for viewers, a few of many samples
-                raise TraceError(f"{path}: a log of deltatwin already; every command reads it as it is")
-            topic = _one(kinds, path)
-            channels = {channel.id for channel in summary.channels.values() if channel.topic == topic}
-            stream.seek(0)
-            return [
-                record.data
-                for record in read_records(stream, path)
-                if isinstance(record, Message) and record.channel_id in channels
+        block = np.full((len(states), len(names)), np.nan)
+        for row, state in enumerate(states):
+            if len(state.values[k]) == len(names):
+                block[row] = state.values[k][order[tuple(state.names)]]
+        if any(len(state.values[k]) for state in states):
+            found += [
+                (f"{name}.{field}", np.ascontiguousarray(block[:, joint]), unit) for joint, name in enumerate(names)
             ]
-    except StorageError as error:
-        raise TraceError(str(error)) from error
+    return found
 
 
-def _one(kinds: dict[str, str], path: Path) -> str:
-    """The one topic of joint states."""
-    found = [topic for topic, kind in kinds.items() if kind in (JOINT_STATE, "sensor_msgs/JointState")]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise TraceError(f"{path}: {len(found)} topics of {JOINT_STATE}: {', '.join(sorted(found))}; keep one")
-    topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items())) or "none"
-    raise TraceError(f"{path}: no topic of {JOINT_STATE}; topics: {topics}")
+def _chooser(topic: str | None) -> Choose:
+    def choose(kinds: dict[str, str], path: Path) -> str:
+        found = [name for name, kind in kinds.items() if kind in TYPES]
+        listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items())) or "none"
+        if topic is not None:
+            if topic in found:
+                return topic
+            raise TraceError(f"{path}: no topic {topic!r} of {TYPES[0]}; topics: {listed}")
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise TraceError(
+                f"{path}: {len(found)} topics of {TYPES[0]}: {', '.join(sorted(found))}; say which: --topic"
+            )
+        raise TraceError(f"{path}: no topic of {TYPES[0]}; topics: {listed}")
 
-
-def _joint_state(message: bytes) -> tuple[int, list[str], list[np.ndarray]]:
-    """Stamp in ns, joint names, and position, velocity and effort of one message.
-
-    Raises:
-        ValueError, struct.error, UnicodeDecodeError: it is not such a message.
-    """
-    if len(message) < 12 or message[:2] not in (b"\x00\x00", b"\x00\x01"):
-        raise ValueError("no CDR header")
-    order = "<" if message[1] else ">"
-    body, at = message[4:], 0
-
-    def number() -> int:
-        nonlocal at
-        at = -(-at // 4) * 4
-        (value,) = struct.unpack_from(f"{order}I", body, at)
-        at += 4
-        return value
-
-    def text() -> str:
-        nonlocal at
-        length = number()
-        if not 1 <= length <= MAX_NAME or at + length > len(body):
-            raise ValueError(f"a name of {length} bytes")
-        found = body[at : at + length - 1].decode("utf-8")
-        at += length
-        return found
-
-    seconds, nanoseconds = number(), number()
-    text()  # frame
-    count = number()
-    if count > MAX_JOINTS:
-        raise ValueError(f"{count} joints, at most {MAX_JOINTS} are read")
-    names = [text() for _ in range(count)]
-    values = []
-    for _ in UNITS:
-        length = number()
-        if length > MAX_JOINTS:
-            raise ValueError(f"{length} values, at most {MAX_JOINTS} are read")
-        if length:
-            at = -(-at // 8) * 8
-        if at + 8 * length > len(body):
-            raise ValueError(f"it ends after {len(message)} bytes")
-        values.append(np.frombuffer(body, f"{order}f8", length, at).astype(np.float64))
-        at += 8 * length
-    return seconds * NANOSECONDS + nanoseconds, names, values
+    return choose

@@ -42,10 +42,12 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
     found = dict(layout) if layout else _layout(head, path) | ({"encoding": encoding} if encoding != "utf-8" else {})
     columns = Columns.model_validate({**found, "position": "-", "torque": "--"})
     units = _units(head, columns)
+    symbols = next((_fields(line, columns.separator) for line in head if line.startswith("SymbolName")), [])
     names, cells = read_cells(raw, columns, path)
     values: dict[str, np.ndarray] = {}
     kept_units: dict[str, str] = {}
     time_of: dict[str, str] = {}
+    paths: dict[str, str] = {}
     clock, epoch_ns = "", 0
     for index, name in enumerate(names):
         name = _unique(name, values)
@@ -53,6 +55,8 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
         if array is None:
             continue
         values[name] = array
+        if index < len(symbols):
+            paths[name] = symbols[index]
         if unit or units.get(index):
             kept_units[name] = unit or units[index]
         if _twincat(head) and name.startswith("Name"):
@@ -60,7 +64,7 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
         elif clock:
             time_of[name] = clock
     kind = "TwinCAT Scope export" if _twincat(head) else "table with a header" if columns.header_line else "table"
-    return Table(path, kind, values, kept_units, time_of, epoch_ns, found)
+    return Table(path, kind, values, kept_units, time_of, epoch_ns, found, paths)
 
 
 def _encoding(raw: bytes) -> str:

@@ -338,5 +338,5 @@ def test_samples_of_an_axis_that_is_no_delta(shared: Path) -> None:
 
 
 def test_a_folder_that_holds_no_recording_is_told_as_one(tmp_path: Path) -> None:
-    with pytest.raises(TraceError, match=r"a folder without \.db3 or \.mcap, no rosbag2: name the logs in it"):
+    with pytest.raises(TraceError, match=r"a folder without \.db3, \.mcap or \.bag, no rosbag: name the logs in it"):
         read_trace(tmp_path)

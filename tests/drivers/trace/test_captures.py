@@ -196,7 +196,7 @@ def lldp() -> bytes:
     [
         ([], 1, "no frames"),
         ([lldp()] * 5, 1, "no EtherCAT among 5 frames"),
-        ([lldp()] * 5, 113, "link type 113 carries no Ethernet"),
+        ([lldp()] * 5, 105, "link type 105 carries no Ethernet"),
         ([frame(datagram(7, 0x01300000, bytes(2), 3))] * 5, 1, "none of 5 EtherCAT frames has a logical command"),
         ([passes([Drive()] * 3)[0]] * 5, 1, "no returned frame among 5"),
         (

@@ -128,10 +128,10 @@ def npz(folder: Path, log: Trace) -> Path:
 def bag(folder: Path, log: Trace) -> Path:
     with sqlite3.connect(folder / "log.db3") as connection:
         connection.execute("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT)")
-        connection.execute("CREATE TABLE messages(id INTEGER, topic_id INTEGER, data BLOB)")
+        connection.execute("CREATE TABLE messages(id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB)")
         connection.execute("INSERT INTO topics VALUES (1, '/joint_states', 'sensor_msgs/msg/JointState')")
         rows = [(k, joint_state(row)) for k, row in enumerate(block(log))]
-        connection.executemany("INSERT INTO messages VALUES (?, 1, ?)", rows)
+        connection.executemany("INSERT INTO messages (id, topic_id, timestamp, data) VALUES (?, 1, 0, ?)", rows)
     return folder / "log.db3"
 
 

@@ -14,6 +14,7 @@ from service.identification.channels import (
     TORQUE_UNITS,
     clocks_of,
     guess,
+    no_torque,
     rate_hz,
     said_unit,
     time_unit,
@@ -216,3 +217,89 @@ def test_each_of_several_files_has_its_own_stamps() -> None:
     assert clocks_of([*tables[:1], tables[1]], "count") == ["count", None]
     with pytest.raises(DataError, match=r"stamps of several units \(a\.csv: ms, d\.csv: s\): write them in one"):
         clocks_of([tables[0], Table(Path("d.csv"), "text", {"t [s]": STAMPS})], None)
+
+
+CALLED = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+
+
+@pytest.mark.parametrize(
+    ("names", "position", "torque"),
+    [
+        (  # a JointState by the alphabet, with a gripper's joint that the description lacks
+            "time,elbow_joint.position,finger_joint.position,shoulder_lift_joint.position,shoulder_pan_joint.position,"
+            "elbow_joint.effort,finger_joint.effort,shoulder_lift_joint.effort,shoulder_pan_joint.effort",
+            "{}.position", "{}.effort",
+        ),
+        (  # with the prefix of a cell, positions and torques in different orders
+            "t,ur5/elbow_joint/pos,ur5/shoulder_pan_joint/pos,ur5/shoulder_lift_joint/pos,"
+            "ur5/shoulder_pan_joint/tau,ur5/shoulder_lift_joint/tau,ur5/elbow_joint/tau",
+            "ur5/{}/pos", "ur5/{}/tau",
+        ),
+        (
+            "t,elbow_joint set pos,elbow_joint act pos,shoulder_lift_joint act pos,shoulder_pan_joint act pos,"
+            "elbow_joint act trq,shoulder_lift_joint act trq,shoulder_pan_joint act trq",
+            "{} act pos", "{} act trq",
+        ),
+    ],
+)  # fmt: skip
+def test_joints_go_by_the_names_of_the_description(names: str, position: str, torque: str) -> None:
+    found = guess(table(names), 3, CALLED)
+    assert list(found.position) == [position.format(joint) for joint in CALLED]
+    assert list(found.torque) == [torque.format(joint) for joint in CALLED]
+    assert found.order[0].startswith("joints by the names of the description: 1 is ")
+    assert not found.doubts
+
+
+def test_a_name_that_begins_another_is_not_it() -> None:
+    found = guess(table("t,arm_2.pos,arm.pos,arm.trq,arm_2.trq"), 2, ("arm", "arm_2"))
+    assert (list(found.position), list(found.torque)) == (["arm.pos", "arm_2.pos"], ["arm.trq", "arm_2.trq"])
+
+
+def test_joints_may_go_by_the_paths_of_the_controllers_variables() -> None:
+    made = table("t,x pos,x pos (2),x trq,x trq (2)")
+    paths = [f"MAIN.{axis}.NcToPlc.{what}" for what in ("ActPos", "ActTorque") for axis in ("Elbow", "Shoulder")]
+    made = Table(made.path, made.kind, made.columns, paths=dict(zip(list(made.columns)[1:], paths, strict=True)))
+    found = guess(made, 2, ("shoulder", "elbow"))
+    assert (list(found.position), list(found.torque)) == (["x pos (2)", "x pos"], ["x trq (2)", "x trq"])
+
+
+def test_where_the_description_has_no_names_torques_go_with_positions_and_the_order_is_told() -> None:
+    found = guess(table("t,elbow pos,lift pos,lift trq,elbow trq"), 2)
+    assert (list(found.position), list(found.torque)) == (["elbow pos", "lift pos"], ["elbow trq", "lift trq"])
+    assert found.order == [
+        "joints by their place in the file: 1 is 'elbow pos', 2 is 'lift pos'; the description has no names for them"
+    ]
+    found = guess(table("t,a pos,b pos,a trq,b trq"), 2, ("elbow", "lift"))
+    assert "the description calls them elbow, lift, the columns do not" in found.doubts[0]
+    found = guess(table("t,pos 2,pos 1,trq 2,trq 1"), 2, ("elbow", "lift"))
+    assert "joints by the numbers in the names: 1 is 'pos 1'" in found.order[0]
+
+
+@pytest.mark.parametrize(
+    ("names", "units"),
+    [
+        ("time,a.position,b.position,a.velocity,b.velocity", {}),
+        ("time,a.position,b.position,a.x,b.x", {"a.x": "rad/s", "b.x": "rad/s"}),
+        ("time,a.position,b.position,a.x [1/min],b.x [1/min]", {}),
+        ("time,a.position,b.position,a.x [m/s²],b.x [m/s^2]", {}),
+        ("time,a.position,b.position,a.x,b.x", {"a.x": "°C", "b.x": "W"}),
+        ("time,a.position,b.position", {}),
+    ],
+)
+def test_what_says_that_it_is_something_else_is_no_torque(names: str, units: dict[str, str]) -> None:
+    """The second half is the rougher one, as torques are."""
+    columns = {name: smooth(k) if "position" in name else rough(k) for k, name in enumerate(names.split(","))}
+    made = Table(Path("log.csv"), "text", columns | {"time": STAMPS}, units)
+    found = guess(made, None)
+    assert list(found.torque) == []
+    assert "none of its columns is one" in str(no_torque(made, found.torque))
+
+
+def test_a_torque_that_never_changes_was_not_recorded() -> None:
+    made = table("t,a.pos,b.pos,a.effort,b.effort")
+    still = dict.fromkeys(("a.effort", "b.effort"), np.zeros(ROWS))
+    made = Table(made.path, made.kind, {**made.columns, **still})
+    assert no_torque(made, guess(made, 2).torque) == "'a.effort', 'b.effort' are 0 from first to last row"
+    assert no_torque(Table(made.path, made.kind, {**made.columns, "b.effort": rough(1)}), list(still)) is None
+    empty = Table(made.path, made.kind, {**made.columns, **dict.fromkeys(still, np.full(ROWS, np.nan))})
+    assert "are empty" in str(no_torque(empty, list(still)))

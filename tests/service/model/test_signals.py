@@ -362,6 +362,29 @@ def test_faults_and_gaps_split_a_trace() -> None:
     assert not parts[1].moving[:100].any()
 
 
+@pytest.mark.parametrize("back", [0.0012, 0.1, 2.5])
+def test_a_clock_that_is_set_back_splits_a_trace(back: float) -> None:
+    """Wherever the stamps behind it fall: among those before, where they end, or before the first."""
+    log = trace()
+    log.time[1500:] -= back
+    log.flags[1500] |= SampleFlag.TIME_BACKWARDS
+    parts = signals.segments(log)
+    assert [(part.rows[0], part.rows[-1]) for part in parts] == [(0, 1499), (1501, 2999)]
+    for part in parts:
+        expected = signals.smooth(log.position[part.rows], PERIOD)
+        np.testing.assert_allclose(part.theta_ddot, expected[2])
+
+
+def test_one_stamp_that_is_wrong_does_not_split_a_trace_in_two() -> None:
+    log = trace()
+    log.time[1500] -= 0.3
+    log.flags[1500] |= SampleFlag.TIME_BACKWARDS
+    assert [len(part.rows) for part in signals.segments(log)] == [1500, 1499], "as where any row is left out"
+    log.time[1500] = log.time[1499] - 0.1 * PERIOD
+    log.time[1501:] -= PERIOD  # two stamps changed places: nothing is missing
+    assert [len(part.rows) for part in signals.segments(log)] == [2999]
+
+
 def test_repeated_rows_are_left_out_without_a_cut() -> None:
     log = trace()
     keep = np.insert(np.arange(3000), 1500, 1499)

@@ -1,0 +1,199 @@
+"""Logs as the field has them: each is read as it was, or refused in one line that says why and what to do.
+
+The inputs are those of `../shared/field`, each beside a README that says what is right.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.trace import read_trace
+from schemas.axes import load_description
+from schemas.columns import load_columns
+from schemas.errors import DeltatwinError
+from service.cli.main import app
+
+
+@pytest.fixture
+def field(shared: Path) -> Path:
+    folder = shared / "field"
+    if not folder.is_dir():
+        pytest.skip("needs ../shared/field")
+    return folder
+
+
+def imported(log: Path, robot: Path, folder: Path, *options: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
+    """Stamps, positions and torques of the log that `import` makes of `log`, and what it says."""
+    arguments = ["import", str(log), "--robot", str(robot), "--yes", "--out", str(folder / "log.csv"), *options]
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    trace = read_trace(folder / "log.csv")
+    return trace.time, trace.position, trace.torque, " ".join(done.output.split())
+
+
+def refused(log: Path, robot: Path, folder: Path) -> str:
+    """What `import` says of a log that it does not take."""
+    arguments = ["import", str(log), "--robot", str(robot), "--yes", "--out", str(folder / "log.csv")]
+    with pytest.raises(DeltatwinError) as said:
+        CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert "\n" not in str(said.value)
+    return str(said.value)
+
+
+def test_joints_go_by_name(field: Path, tmp_path: Path) -> None:
+    folder = field / "bag_joint_order"
+    _, position, _, said = imported(folder / "ur.mcap", folder / "arm.toml", tmp_path)
+    names = [entry.name for entry in load_columns(tmp_path / "log.columns.toml").channel("torque")]
+    assert names == ["shoulder_pan_joint.effort", "shoulder_lift_joint.effort", "elbow_joint.effort"]
+    assert np.ptp(position[:, 0]) == pytest.approx(1.324 + 1.3177, abs=1e-3)  # of the pan joint, by the README's table
+    assert "joints by the names of the description: 1 is 'shoulder_pan_joint.position'" in said
+
+
+def test_a_velocity_is_no_torque(field: Path, tmp_path: Path) -> None:
+    folder = field / "effort_missing"
+    assert "no torque was recorded" in refused(folder / "bag.mcap", folder / "robot.toml", tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["back", "swapped", "forward"])
+def test_a_clock_set_back_splits_the_run(field: Path, name: str, tmp_path: Path) -> None:
+    folder = field / "time_back_not_split"
+    arguments = ["identify", str(folder / f"{name}.csv"), "--robot", str(folder / "robot.toml")]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "found.toml")], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    found = tomllib.loads((tmp_path / "found.toml").read_text())["identified"]
+    assert found["inertia"]["value"] == pytest.approx([0.8, 0.3], abs=0.01)
+    assert found["gravity_sin"]["value"] == pytest.approx([0.0, 5.0], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("bag_split_order/bag", 500),
+        ("bag_split_order/bag/metadata.yaml", 500),
+        ("bag_compressed/file_bag", 500),
+        ("bag_compressed/msg_bag", 500),
+        ("bag_compressed/plain_bag/metadata.yaml", 500),
+        ("ros1/ros1.bag", 100),
+        ("ros1/ros1.mcap", 100),
+    ],
+)
+def test_bags_are_read_whole_and_in_their_order(field: Path, name: str, rows: int, tmp_path: Path) -> None:
+    robot = field / name.split("/")[0] / "robot.toml"
+    stamps, position, torque, _ = imported(field / name, robot, tmp_path)
+    assert len(stamps) == rows
+    np.testing.assert_allclose(np.diff(stamps), 0.004, atol=1e-6)
+    assert np.abs(np.diff(position, axis=0)).max() < 0.1  # rad in a cycle: no leap between parts
+    assert np.ptp(torque, axis=0).min() > 1.0
+
+
+def test_a_database_without_end_is_refused(field: Path, tmp_path: Path) -> None:
+    said = refused(field / "db3_hostile" / "infview.db3", field / "ros1" / "robot.toml", tmp_path)
+    assert "messages is a view" in said
+
+
+@pytest.mark.parametrize("name", ["bridge.pcapng", "mirror.pcap"])
+def test_a_frame_captured_twice_is_one(field: Path, name: str) -> None:
+    folder = field / "ethercat_bridge_duplicates"
+    trace = read_trace(folder / name, load_description(folder / "robot.toml"))
+    assert len(trace) == 1500
+    np.testing.assert_allclose(np.diff(trace.time), 1e-3, atol=1e-6)
+    said = " ".join(finding.message for finding in trace.findings)
+    assert "frames captured twice" in said
+    assert "lost" not in said
+
+
+@pytest.mark.parametrize("command", ["identify", "evaluate", "diagnose"])
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("time_unit/ms.csv", r"1 samples a second by its stamps, read as s; are its stamps in ms \(1000 Hz\)"),
+        ("noise_only/rand.csv", "rows are usable, hardly two of them one behind the other: no motion of a machine"),
+    ],
+)
+def test_what_no_machine_wrote_is_one_line(field: Path, name: str, says: str, command: str, tmp_path: Path) -> None:
+    out = [] if command == "evaluate" else ["--out", str(tmp_path / "out.toml")]
+    with pytest.raises(DeltatwinError, match=says) as said:
+        CliRunner().invoke(
+            app, [command, str(field / name), "--robot", "d3-1200", *out], catch_exceptions=False, standalone_mode=False
+        )
+    assert "\n" not in str(said.value)
+
+
+@pytest.mark.parametrize("scale", [1e300, 1e308, 1e-300, 1e-20])
+@pytest.mark.parametrize("column", [1, 4])
+def test_magnitudes_of_no_machine_are_one_line(tmp_path: Path, scale: float, column: int) -> None:
+    values = np.random.default_rng(1).standard_normal(6)
+    stamps = np.arange(3000) / 1000
+    block = np.column_stack([stamps, *(0.3 * np.sin(2 * np.pi * stamps + k) + 0.01 * values[k] for k in range(6))])
+    block[:, column : column + 3] *= scale
+    names = [f"{what}_{j}_{unit}" for what, unit in (("position", "rad"), ("torque", "nm")) for j in (1, 2, 3)]
+    np.savetxt(tmp_path / "log.csv", block, delimiter=",", header=",".join(["time_s", *names]), comments="")
+    arguments = [str(tmp_path / "log.csv"), "--robot", "d3-1200"]
+    with pytest.raises(DeltatwinError) as said:
+        CliRunner().invoke(
+            app,
+            ["identify", *arguments, "--out", str(tmp_path / "o.toml")],
+            catch_exceptions=False,
+            standalone_mode=False,
+        )
+    assert "\n" not in str(said.value)
+
+
+def test_inspect_says_that_a_rate_is_none(field: Path) -> None:
+    done = CliRunner().invoke(app, ["inspect", str(field / "time_unit" / "ms.csv")], catch_exceptions=False)
+    assert "are its stamps in ms (1000 Hz)" in " ".join(done.output.split())
+    assert "nothing wrong found" not in done.output
+
+
+@pytest.mark.parametrize(
+    "name", ["filetime_column/log.csv", "twincat_eof/scope.csv", "twincat_full_timestamp/scope.csv"]
+)
+def test_tables_with_stamps_of_windows_and_an_end_tag(field: Path, name: str, tmp_path: Path) -> None:
+    folder = field / name.split("/")[0]
+    stamps, position, _, _ = imported(field / name, folder / "robot.toml", tmp_path, "--torque-unit", "N m")
+    lines = (field / name).read_text("latin-1").splitlines()
+    numbers = [line for line in lines if line[:1].isdigit()]
+    assert len(stamps) == len(numbers)
+    np.testing.assert_allclose(np.diff(stamps), 0.004, atol=1e-6)
+    last = numbers[-1].replace(",", ".").split("\t") if "scope" in name else numbers[-1].split(",")
+    expected = (last[1], last[3]) if "scope" in name else last[1:3]
+    assert position[-1] == pytest.approx([float(value) for value in expected], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("json_hostile/sq.json", "records: no table"),
+        ("json_hostile/listlist.json", "more than 12 deep in each other"),
+    ],
+)
+def test_json_that_would_take_all_memory_is_one_line(field: Path, name: str, says: str, tmp_path: Path) -> None:
+    begin = time.monotonic()
+    assert says in refused(field / name, field / "ros1" / "robot.toml", tmp_path)
+    assert time.monotonic() - begin < 5.0
+
+
+def test_a_description_of_open_quotes_is_one_line_at_once(field: Path) -> None:
+    begin = time.monotonic()
+    with pytest.raises(DeltatwinError, match="not TOML"):
+        load_description(field / "toml_hostile" / "q.toml")
+    assert time.monotonic() - begin < 1.0
+
+
+def test_a_small_motor_has_significant_digits(field: Path, tmp_path: Path) -> None:
+    folder = field / "small_figures"
+    arguments = ["identify", str(folder / "log.csv"), "--robot", str(folder / "robot.toml")]
+    done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "found.toml")], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    (inertia,) = [line for line in done.output.splitlines() if "inertia_1" in line]
+    numbers = re.findall(r"\d+\.\d+", inertia)
+    assert float(numbers[0]) == pytest.approx(1.94e-4, rel=0.02)
+    assert float(numbers[1]) > 0
