@@ -32,7 +32,7 @@ from schemas.robot import load_robot, save_robot
 from service.stopping import ENDING
 
 COMMAND = str(Path(sys.executable).with_name("deltatwin"))
-START_S = 400.0  # to be ready, on a host that compiles beside other work
+START_S = 900.0  # to be ready, on a host that compiles beside other work
 END_S = 60.0  # a command that still runs then has not heard the signal
 COLD_S = 25.0  # of a cold start, in which it is stopped
 ROLES = {
@@ -163,6 +163,8 @@ def main() -> None:
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--roles", nargs="+", choices=ROLES, default=list(ROLES))
     given = arguments.parse_args()
+    for number in ENDING:  # in the background of a shell or under `nohup` all that is started here would ignore them
+        signal.signal(number, signal.default_int_handler)
     cold = [role for role in COLD if role in given.roles]
     work = [(given.roles[n % len(given.roles)], False) for n in range(given.starts)]
     work += [(cold[n % len(cold)], True) for n in range(given.cold if cold else 0)]
