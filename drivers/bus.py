@@ -22,13 +22,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import zenoh
 
-from drivers.inbox import Inbox, arrival
+from drivers.inbox import WAKE_S, Inbox, arrival
 from drivers.peer import THREADS, peer_settings
 from drivers.ros import NOTE, ROUTER, RosNode
 from drivers.security.check import check, find_files
@@ -37,6 +38,7 @@ from schemas.keys import liveliness_key, robot_key, topic_key
 from schemas.messages import TOPICS, Role
 
 LINK_S = 0.5  # by then every role that runs has linked up with one that has just come
+NOTICES = 4096  # of roles that come and go; more than anybody leaves unread
 SOURCES = frozenset({Role.PLAYER, Role.ROBOT, Role.TAP})  # roles that publish `sample`
 
 _SOCKET_PATH_BYTES = 107  # sun_path of Linux, without its closing zero
@@ -127,7 +129,6 @@ class Bus:
         self.robot = robot
         self.role = role
         self.stamped = stamped  # whether `sending` is Zenoh's stamp: all are on one host, and have one clock
-        self.duplicate_source = False  # whether more than one role publishes samples
         self._session = session
         self._ros = None if ros_domain is None else RosNode(session, ros_domain, robot, role)
         self._lock = lock
@@ -136,24 +137,36 @@ class Bus:
         self._roles = {liveliness_key(robot, other): other for other in Role}
         liveliness = session.liveliness()
         self._token = liveliness.declare_token(liveliness_key(robot, role))
+        # Not a callback: a thread of Zenoh's that asks for an interpreter which ends is torn out of Zenoh's frames,
+        # and takes the process with it.
         self._watch = liveliness.declare_subscriber(
-            f"deltatwin/{robot_key(robot)}/@/*", zenoh.handlers.Callback(self._notice, indirect=False), history=True
+            f"deltatwin/{robot_key(robot)}/@/*", zenoh.handlers.RingChannel(NOTICES), history=True
         )
+        self._look_ns = 0  # when to look there again
 
-    def _notice(self, sample: zenoh.Sample) -> None:
-        role = self._roles.get(str(sample.key_expr))
-        if role is None or role == self.role:
-            return
-        if sample.kind == zenoh.SampleKind.PUT:
-            self._alive.add(role)
-        else:
-            self._alive.discard(role)
-        self.duplicate_source = len(self._alive & SOURCES) > 1
+    def _look(self) -> None:
+        self._look_ns = time.monotonic_ns() + int(WAKE_S * 1e9)
+        while (notice := self._watch.try_recv()) is not None:
+            role = self._roles.get(str(notice.key_expr))
+            if role is None or role == self.role:
+                continue
+            if notice.kind == zenoh.SampleKind.PUT:
+                self._alive.add(role)
+            else:
+                self._alive.discard(role)
 
     @property
     def alive(self) -> frozenset[Role]:
         """Roles of this robot that are running, this one among them."""
+        self._look()
         return frozenset(self._alive.copy())
+
+    @property
+    def duplicate_source(self) -> bool:
+        """Whether more than one role publishes samples; as of `WAKE_S` ago at most, for it is asked in every cycle."""
+        if time.monotonic_ns() >= self._look_ns:
+            self._look()
+        return len(self._alive & SOURCES) > 1
 
     def publisher(self, topic: str) -> Publisher:
         """A publisher of one of `schemas.messages.TOPICS`."""
@@ -191,7 +204,7 @@ class Bus:
         return self._ros.key(topic) if self._ros else topic_key(self.robot, topic)
 
     def close(self) -> None:
-        """Close the session and give the role free."""
+        """End the threads, close the session and give the role free."""
         for inbox in self._inboxes:
             inbox.close()
         self._session.close()
@@ -216,8 +229,9 @@ def open_bus(
     ros_domain: speak as a node of ROS 2 does (rmw_zenoh), in this domain, and reach the router on this host.
 
     Raises:
-        BusError: another process holds the role, the session cannot be opened, or `zenoh_config` leaves the host
-            without saying who may speak (and not `insecure`), or is for our keys and not for those of ROS 2.
+        BusError: another process holds the role, the session cannot be opened, the clock is before 1970, or
+            `zenoh_config` leaves the host without saying who may speak (and not `insecure`), or is for our keys and not
+            for those of ROS 2.
         RobotError: the robot name cannot be part of a key.
     """
     token = liveliness_key(robot, role)
@@ -232,6 +246,9 @@ def open_bus(
         if json.loads(config.get_json("access_control/enabled")):
             raise BusError(f"{zenoh_config}: its access control is for the keys of deltatwin, not for those of ROS 2")
         print(f"robot {robot!r}, {role.name.lower()}: {NOTE}", file=sys.stderr)
+    if time.time() < 0.0:  # Zenoh's clock ends the process where it is
+        now = datetime.fromtimestamp(time.time(), UTC)
+        raise BusError(f"the clock of this host says {now:%Y-%m-%d %H:%M:%S} UTC; set it: stamps begin in 1970")
     lock = _hold(folder / f"{robot}.{role.name.lower()}.pid", robot, role)
     os.environ.setdefault("ZENOH_RUNTIME", THREADS)  # read when the first session opens
     try:

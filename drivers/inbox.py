@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 
 import numpy as np
 import zenoh
@@ -64,7 +63,7 @@ class Inbox:
         self._nudged = self._seen = 0  # empty messages of ours: put in (by the waker), taken out
         self._wake_ns = _NEVER
         self._waker: threading.Thread | None = None
-        self._closed = False
+        self._closed = threading.Event()
 
     def wait(self, longest: float) -> bool:
         """Sleep until there is something to take, at most `longest` s (and `WAKE_S`); whether there is.
@@ -105,8 +104,11 @@ class Inbox:
         return None
 
     def close(self) -> None:
-        """End the waker."""
-        self._closed = True
+        """End the waker; after that nobody may wait. (An interpreter that ends would tear it out of Zenoh's frames, and
+        that aborts the process.)"""
+        self._closed.set()
+        if self._waker is not None:
+            self._waker.join()
 
     def _drain(self) -> None:
         for _ in range(_AT_ONCE):
@@ -140,10 +142,8 @@ class Inbox:
 
     def _wake(self) -> None:
         """End a wait that lasts too long: `recv` knows no timeout."""
-        while not self._closed:
-            time.sleep(WAKE_S)
+        while not self._closed.wait(WAKE_S):
             if time.monotonic_ns() >= self._wake_ns:
                 self._wake_ns = _NEVER
                 self._nudged += 1
-                with suppress(zenoh.ZError):  # the session is closing
-                    self._nudge()
+                self._nudge()

@@ -34,6 +34,7 @@ FRAMELESS = 0.1  # s before and after a cycle without a frame that are left out 
 PAYLOAD_SHARE = 0.05
 OUTPUTS = ("0x6040", "0x607A", "0x6071", "0x6060", "0x60B2", "0x60FE")  # 15 bytes
 INPUTS = ("0x6041", "0x6064", "0x606C", "0x6077", "0x6061")  # 13 bytes
+TOOLS = {"ip": "iproute2", "dumpcap": "wireshark-common"}  # what it runs that is no part of this program: its package
 
 _CLONE_NEWNET = 0x40000000
 
@@ -266,14 +267,17 @@ def _make_folder(out: Path) -> None:
 
 
 def _enter_namespace() -> None:
-    """Move this process, and all it starts, into a network namespace with a veth pair; it goes when they end."""
-    for tool, package in (("ip", "iproute2"), ("dumpcap", "wireshark-common")):
-        if shutil.which(tool) is None:
-            raise BusError(f"{tool} not found; install {package}")
+    """Move this process, and all it starts, into a network namespace with a veth pair; it goes when they end.
+
+    The right to do so is asked for before the tools: whoever lacks it would install them for nothing.
+    """
     if ctypes.CDLL(None, use_errno=True).unshare(_CLONE_NEWNET) != 0:
         raise BusError(
             f"network namespace: {os.strerror(ctypes.get_errno())}; needs the capability CAP_SYS_ADMIN (run as root)"
         )
+    if missing := [tool for tool in TOOLS if shutil.which(tool) is None]:
+        packages = " ".join(TOOLS[tool] for tool in missing)
+        raise BusError(f"ethercat-demo needs {' and '.join(missing)}, not found on PATH; install {packages}")
     with contextlib.suppress(OSError):  # nothing else is to be on the wire
         Path("/proc/sys/net/ipv6/conf/default/disable_ipv6").write_text("1")
     for arguments in (

@@ -1,11 +1,32 @@
-"""What ends a command: Ctrl-C, SIGTERM, a terminal that is closed."""
+"""What ends a command: Ctrl-C, SIGTERM, a terminal that is closed.
+
+It is heard from the first line on. While nothing is begun yet it ends the process at once (`end_at_once`). Then it is
+raised as KeyboardInterrupt (`terminate_as_interrupt`), or asked for by loops that must not be torn out of a step
+(`stop_requested`). When all is done it ends the process at once again, with the exit code that is due anyway.
+"""
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
+import time
 from collections.abc import Callable
+from typing import Any
 
 ENDING = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None))]
+INTERRUPTED = 130  # exit code of Ctrl-C
+SAME_WISH_S = 1.0  # Ctrl-C comes twice: from the terminal, and from who started this process and is stopped as well
+RAISE_AGAIN_S = (
+    0.01  # after an interrupt that was raised where nothing can be: the code that did so has returned by then
+)
+
+
+class _Interrupt:
+    """What came of the signals so far."""
+
+    raised_s = -SAME_WISH_S  # CLOCK_MONOTONIC
+    swallowed = False
 
 
 def _handle(handler: Callable[..., object]) -> None:
@@ -15,9 +36,49 @@ def _handle(handler: Callable[..., object]) -> None:
             signal.signal(number, handler)
 
 
+def end_at_once(code: int = INTERRUPTED) -> None:
+    """Let it end the process where it stands: nothing is begun yet, or all files are whole."""
+    _handle(lambda *_: os._exit(code))
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
 def terminate_as_interrupt() -> None:
-    """Let SIGTERM, and a terminal that is closed, end a command the way Ctrl-C does: files whole, counts reported."""
-    _handle(signal.default_int_handler)
+    """Let SIGTERM, and a terminal that is closed, end a command the way Ctrl-C does: files whole, counts reported.
+
+    The second of two within `SAME_WISH_S` does not tear up what the first one makes whole. An interrupt that was raised
+    where no exception gets out, as in what a compiler calls back or an object's end, is raised again.
+    """
+    sys.unraisablehook = _not_raised
+    _handle(_interrupt)
+
+
+def _interrupt(*_: object) -> None:
+    now = time.monotonic()
+    if now - _Interrupt.raised_s >= SAME_WISH_S:
+        _Interrupt.raised_s = now
+        raise KeyboardInterrupt
+
+
+def _not_raised(unraisable: Any) -> None:
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
+        return
+    _Interrupt.swallowed = True
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, signal.default_int_handler)
+        signal.setitimer(signal.ITIMER_REAL, RAISE_AGAIN_S)
+
+
+def broke(error: BaseException) -> bool:
+    """Whether `error` is what an interrupt left behind where it was swallowed or taken for another one: a compiler
+    without its result, a module that could not be imported."""
+    if _Interrupt.swallowed:
+        return True
+    cause: BaseException | None = error
+    while isinstance(cause, ImportError):
+        cause = cause.__cause__ or cause.__context__
+    return isinstance(cause, KeyboardInterrupt)
 
 
 def stop_requested() -> Callable[[], bool]:

@@ -22,6 +22,25 @@ ON_THE_CLOCK = (
     "tests/service/cli/test_replay.py", "tests/service/experiment/test_closed_loop.py",
 )  # fmt: skip
 
+# What takes most of the time, by processor time: `.ci/run` runs it, `uv run pytest` does without. Of all that moves a
+# robot (estimator, bounds, identification, diagnosis, commands) other tests are in the quick set.
+SLOW = (
+    "tests/drivers/ethercat/test_faults.py", "tests/drivers/plant/test_cases.py", "tests/drivers/plant/test_effects.py",
+    "tests/schemas/test_kernel_cache.py", "tests/service/cli/test_disk.py",
+    "tests/service/cli/test_first_day.py::test_offline_commands_run_without_posix",
+    "tests/service/diagnosis/test_aside.py", "tests/service/diagnosis/test_axes.py",
+    "tests/service/diagnosis/test_bad_input.py", "tests/service/diagnosis/test_blindtest.py",
+    "tests/service/diagnosis/test_earned.py", "tests/service/diagnosis/test_exchange.py",
+    "tests/service/diagnosis/test_first_screen.py", "tests/service/diagnosis/test_found_again.py",
+    "tests/service/diagnosis/test_placement.py", "tests/service/diagnosis/test_real_machines.py",
+    "tests/service/diagnosis/test_reference.py", "tests/service/diagnosis/test_wave.py",
+    "tests/service/estimator/test_loss.py", "tests/service/estimator/test_plants.py", "tests/service/experiment",
+    "tests/service/fleet/test_fleet.py", "tests/service/identification/test_chain.py",
+    "tests/service/test_ethercat_demo.py::test_every_claim_holds",
+    "tests/service/test_ethercat_demo.py::test_a_cycle_that_differs", "tests/service/test_hostile.py",
+    "tests/test_wheel.py",
+)  # fmt: skip
+
 
 class _Held:
     """When the hypervisor held this machine up, as `tests/stolen.py` tells it, and when the present test began."""
@@ -36,19 +55,28 @@ class _Held:
         return any(float(line) >= cls.began for line in cls.told)
 
 
-def pytest_configure() -> None:
-    """Under `nohup`, or in the background of a shell, all that is started here would ignore these."""
+def pytest_configure(config: pytest.Config) -> None:
+    """Under `nohup`, or in the background of a shell, all that is started here would ignore these signals. And where
+    Python may leave nothing beside its sources (containers), each of hundreds of processes would compile 1250 modules:
+    they leave it in a folder that goes with this run."""
+    if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+        compiled = tempfile.TemporaryDirectory(prefix="deltatwin-tests-", ignore_cleanup_errors=True)
+        config.add_cleanup(compiled.cleanup)
+        os.environ["PYTHONPYCACHEPREFIX"] = compiled.name
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(tryfirst=True)  # before `-m` chooses
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What watches the clock and failed while this machine was not let run has shown nothing: it is run again, twice at
-    most, and listed as such."""
+    most, and listed as such. What `SLOW` names is marked so."""
     again = pytest.mark.flaky(reruns=2, condition=_Held.during_test)
     for item in items:
         if item.nodeid.startswith(ON_THE_CLOCK):
             item.add_marker(again)
+        if item.nodeid.startswith(SLOW):
+            item.add_marker(pytest.mark.slow)
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:

@@ -102,7 +102,7 @@ class FirstMotion:
             if (np.ptp(self._samples["position"], axis=0) < TRAVEL).any():
                 self._count = 0
             else:
-                self._judging = threading.Thread(target=self._judge, daemon=True)
+                self._judging = threading.Thread(target=self._judge)
                 self._judging.start()
         if ended and self._judging is not None:
             self._judging.join()

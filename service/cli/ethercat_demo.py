@@ -18,7 +18,9 @@ def command(
     product: Annotated[float, typer.Option(min=0.1, help="What the gripper lifts in the second run (kg).")] = 1.5,
     json: AsJson = False,
 ) -> None:
-    """Simulated drives and robot, master, passive tap, capture, estimator and monitor on one wire; needs root.
+    """Simulated drives and robot, master, passive tap, capture, estimator and monitor on one wire.
+
+    Needs root, `ip` (package iproute2) and `dumpcap` (package wireshark-common), which captures the wire.
 
     First run: empty gripper, no feed-forward; the robot is identified from what the tap heard. Second run: the same
     motion with products, tau_FF from the estimator over Zenoh. Then every claim is checked against the simulated

@@ -19,7 +19,7 @@ import typer
 from typer.core import TyperGroup
 
 from schemas.errors import DeltatwinError, printable
-from service.stopping import terminate_as_interrupt
+from service.stopping import INTERRUPTED, broke, end_at_once, terminate_as_interrupt
 
 GROUPS = {
     "Begin": ("demo", "import", "inspect", "convert"),
@@ -29,7 +29,6 @@ GROUPS = {
     "Simulated robots": ("simulate", "export", "closed-loop", "experiment", "blindtest"),
 }
 OTHERS = "More"
-INTERRUPTED = 130  # exit code of Ctrl-C
 MISSED = 3  # exit code: everything ran, a stated bound does not hold
 EXTRAS = {"mujoco": "simulate", "foxglove": "view"}  # module: what it is installed by
 LINUX_ONLY = ("fcntl", "pysoem")  # what live commands import; the others run anywhere
@@ -135,17 +134,34 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is imported
     gc.set_threshold(YOUNG)
     try:
+        code = _outcome()
+        end_at_once(code)
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+        end_at_once(code)
+    if code == INTERRUPTED:
+        # Files are whole by now; a thread that still computes, or compiles for seconds, has nobody to do it for.
+        atexit._run_exitfuncs()
+        os._exit(code)
+    if code:
+        sys.exit(code)
+
+
+def _outcome() -> int:
+    """The exit code.
+
+    Raises:
+        KeyboardInterrupt: it was interrupted.
+    """
+    try:
         _run()
     except SystemExit as end:
-        if end.code != INTERRUPTED:
-            raise
-    except KeyboardInterrupt:
-        pass
-    else:
-        return
-    # Files are whole by now; a thread that still computes, or compiles for seconds, has nobody to do it for.
-    atexit._run_exitfuncs()
-    os._exit(INTERRUPTED)
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    except Exception as error:
+        if broke(error):
+            raise KeyboardInterrupt from None
+        raise
+    return 0
 
 
 def _run() -> None:
@@ -174,7 +190,3 @@ def _run() -> None:
 def _end(said: str) -> NoReturn:
     print(f"deltatwin: {said}", file=sys.stderr)
     sys.exit(1)
-
-
-if __name__ == "__main__":
-    main()

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from service.cli.output import console
+from service.stopping import ENDING
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -39,7 +40,13 @@ def counting(title: str, total: int) -> Iterator[Callable[[int], None]]:
     done = context.Value("q", 0, lock=False)
     running = context.Value("b", 1, lock=False)
     drawing = context.Process(target=_draw, args=(title, total, done, running, os.getpid()), daemon=True)
-    drawing.start()
+    # A terminal's Ctrl-C goes to that process too: it has nothing to say about it, while it loads as little as later.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING) if hasattr(signal, "pthread_sigmask") else None
+    try:
+        drawing.start()
+    finally:
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
     def show(count: int) -> None:
         done.value = count
@@ -52,8 +59,6 @@ def counting(title: str, total: int) -> Iterator[Callable[[int], None]]:
 
 
 def _draw(title: str, total: int, done, running, parent: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -36,7 +40,6 @@ def command(
     deltatwin segment seg0 --robot d3.toml
     """
     import sys
-    import threading
 
     from drivers.ethercat.cia402 import scales
     from drivers.ethercat.pdo import joint_pdos
@@ -54,29 +57,50 @@ def command(
     plant, _ = make_plant(description, truth or "ideal", 1 / rate, seed)
     segment = EthercatSegment(joint_pdos(description), scales(description), plant)
     segment.switches.product = product
-    threading.Thread(target=_listen, args=(segment.switches,), daemon=True).start()
-    go_realtime("segment")
-    print(f"segment: 3 drives of {description.name} on {interface}", file=sys.stderr, flush=True)
-    try:
-        serve(interface, segment, lambda: False)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        if out and segment.cycles:
-            write_trace(to_trace(segment.trace, out), out, description.name)
+    with _listening(segment.switches):
+        go_realtime("segment")
+        print(f"segment: 3 drives of {description.name} on {interface}", file=sys.stderr, flush=True)
+        try:
+            serve(interface, segment, lambda: False)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            if out and segment.cycles:
+                write_trace(to_trace(segment.trace, out), out, description.name)
     frameless = int((segment.trace["flags"] != 0).sum())
     typer.echo(f"{segment.cycles} cycles in operation, {frameless} of them without a frame")
 
 
-def _listen(switches: Switches) -> None:
+@contextmanager
+def _listening(switches: Switches) -> Iterator[None]:
+    """Listen to standard input in a thread that ends with the block."""
+    over, end = os.pipe()
+    listener = threading.Thread(target=_listen, args=(switches, over))
+    listener.start()
+    try:
+        yield
+    finally:
+        os.close(end)
+        listener.join()
+        os.close(over)
+
+
+def _listen(switches: Switches, over: int) -> None:
+    """over: descriptor that is ready when there is nobody left to listen for."""
+    import select
     import sys
 
-    for line in sys.stdin:
-        try:
-            throw(switches, line)
-            print(f"segment: switched: {line.strip()}", file=sys.stderr, flush=True)
-        except ValueError as error:
-            print(f"segment: {error}", file=sys.stderr, flush=True)
+    if sys.stdin is None:
+        return
+    rest, heard = b"", sys.stdin.fileno()
+    while over not in select.select([heard, over], [], [])[0] and (came := os.read(heard, 1 << 12)):
+        *lines, rest = (rest + came).split(b"\n")
+        for line in (each.decode(errors="replace") for each in lines):
+            try:
+                throw(switches, line)
+                print(f"segment: switched: {line.strip()}", file=sys.stderr, flush=True)
+            except ValueError as error:
+                print(f"segment: {error}", file=sys.stderr, flush=True)
 
 
 def throw(switches: Switches, line: str) -> None:

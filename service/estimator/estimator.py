@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -25,6 +27,7 @@ SHORTEST_PERIOD = 2e-5  # s, below it there is no drive's cycle
 LONGEST_PERIOD = 0.1  # s, above it there is no motion to follow
 # This share of the steps in sequence must be a multiple of a stride; of random losses far less are.
 STRIDE_SHARE = 0.8
+_PR_SET_PDEATHSIG = 1
 
 
 class Result(NamedTuple):
@@ -137,7 +140,10 @@ class Estimator:
 
 
 def compile_payload() -> None:
-    """Compile what `look_back` spends most on, and leave it in the cache."""
+    """Compile what `look_back` spends most on, and leave it in the cache. Ends with the process that asked, in
+    whatever way that does."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     step = np.zeros(1, state.STEP)[0]
     payload_kernel.compile(tuple(numba.typeof(step[part]["payload"]) for part in ("settings", "state")))
 

@@ -56,7 +56,7 @@ PAGES = ("blindpage.py", "report.py")  # pictures and prose, looked at in tests/
 LEAST_TIME, TIMES = 200.0, 4.0  # s of CPU, kernels compiled anew included, and times what the tests take as they are
 WAIT = 600.0  # s by the clock that a test of a mutant may take at least, beside TIMES what it takes as it is
 QUICK = 1.0  # s, fixtures included: a test that is put before all others, whatever file it is in
-PYTEST = ("-x", "-q", "-p", "no:cacheprovider", "--tb=line")
+PYTEST = ("-x", "-q", "-p", "no:cacheprovider", "--tb=line", "-n", "0", "-m", "")
 PASSED, FAILED, LATE, UNUSED, BROKEN = "SURVIVED", "killed", "late", "UNUSED", "broken"
 _UNUSED, _BROKEN = 77, 78  # exit codes of a fork
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -18,8 +19,10 @@ from tests.drivers.ethercat import rig
 DEMO = (sys.executable, "-c", "from service.cli.main import main; main()", "ethercat-demo", "--out")
 
 
-def run(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=560)
+def run(*command: str, path: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """path: the only folder with programs."""
+    environment = None if path is None else os.environ | {"PATH": str(path)}
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=560, env=environment)
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +83,20 @@ def test_a_folder_in_use_is_left_alone(tmp_path: Path) -> None:
 
 def test_without_the_right_to_make_a_namespace_it_says_so(tmp_path: Path) -> None:
     rig.require_namespaces()
-    done = run("setpriv", "--bounding-set=-sys_admin", "--inh-caps=-sys_admin", *DEMO, str(tmp_path / "demo"))
+    setpriv = (str(shutil.which("setpriv")), "--bounding-set=-sys_admin", "--inh-caps=-sys_admin")
+    done = run(*setpriv, *DEMO, str(tmp_path / "demo"), path=tmp_path)  # nor are its tools there
     assert done.returncode == 1
     assert done.stderr == (
         "deltatwin: network namespace: Operation not permitted; needs the capability CAP_SYS_ADMIN (run as root)\n"
     )
+
+
+def test_the_tools_it_lacks_are_named_all_at_once_and_in_its_help(tmp_path: Path) -> None:
+    rig.require_namespaces()
+    done = run(*DEMO, str(tmp_path / "demo"), path=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr == (
+        "deltatwin: ethercat-demo needs ip and dumpcap, not found on PATH; install iproute2 wireshark-common\n"
+    )
+    assert not (tmp_path / "demo").exists()
+    assert "`dumpcap` (package wireshark-common)" in run(*DEMO[:-1], "--help").stdout

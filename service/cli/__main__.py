@@ -1,0 +1,17 @@
+"""Where the `deltatwin` program begins: what ends it is heard before anything large is imported."""
+
+from __future__ import annotations
+
+from service.stopping import end_at_once
+
+
+def main() -> None:
+    """Run a subcommand, see `service.cli.main`."""
+    end_at_once()
+    from service.cli.main import main
+
+    main()
+
+
+if __name__ == "__main__":
+    main()

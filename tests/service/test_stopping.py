@@ -1,0 +1,175 @@
+"""Signals at moments at which they are easily lost, or end a process in a way that nobody asked for."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+import pytest
+
+import drivers.bus
+from drivers.bus import open_bus
+from schemas.errors import BusError
+from schemas.messages import Role
+from service.cli.segment import _listening
+
+DELTATWIN = str(Path(sys.executable).with_name("deltatwin"))
+AS_MAIN = """
+import os, signal, sys, time
+from service.cli import main
+def app():
+    {}
+main.app = app
+main.main()
+"""
+
+
+def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_while_the_program_is_loaded_it_ends_without_a_word(how: signal.Signals) -> None:
+    done = run(f"""
+import os, sys
+class Sends:
+    def find_spec(self, name, path=None, target=None):
+        if name == "typer":
+            os.kill(os.getpid(), {how:d})
+sys.meta_path.insert(0, Sends())
+sys.argv = ["deltatwin", "--version"]
+from service.cli.__main__ import main
+main()
+""")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_an_interrupt_that_is_swallowed_by_what_a_library_calls_back_is_raised_again() -> None:
+    swallowing = """
+    import ctypes
+    back = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGTERM) or time.sleep(5))
+    back()
+    print("swallowed", flush=True)
+    time.sleep(50)"""
+    done = run(AS_MAIN.format(swallowing))
+    assert (done.returncode, done.stdout, done.stderr) == (130, "swallowed\n", "")
+
+
+def test_what_a_library_makes_of_an_interrupt_is_no_traceback() -> None:
+    compiler = """
+    import ctypes
+    ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGINT) or time.sleep(5))()
+    raise RuntimeError("no compiled object yet")"""
+    loading = """
+    try:
+        raise KeyboardInterrupt
+    except KeyboardInterrupt as interrupt:
+        raise ImportError("initialization failed") from interrupt"""
+    for left_behind in (compiler, loading):
+        done = run(AS_MAIN.format(left_behind))
+        assert (done.returncode, done.stderr) == (130, "")
+    done = run(AS_MAIN.format("raise RuntimeError('of its own')"))
+    assert done.returncode == 1
+    assert done.stderr.endswith("RuntimeError: of its own\n")
+
+
+def test_what_makes_files_whole_is_not_torn_by_the_same_ctrl_c_from_another_side() -> None:
+    twice = """
+    try:
+        os.kill(os.getpid(), signal.SIGINT) or time.sleep(5)
+    finally:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.2)
+        print("whole", flush=True)"""
+    done = run(AS_MAIN.format(twice))
+    assert (done.returncode, done.stdout, done.stderr) == (130, "whole\n", "")
+
+
+def test_at_the_end_a_signal_changes_nothing() -> None:
+    late = AS_MAIN.format("pass") + "\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(5)\n"
+    done = run(late)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_bus_that_is_closed_has_left_no_thread(bus_folder: Path) -> None:
+    before = set(threading.enumerate())
+    with open_bus("bench", Role.MONITOR) as bus, open_bus("bench", Role.PLAYER):
+        inboxes = [bus.subscribe(topic) for topic in ("sample", "health")]
+        assert not any(inbox.wait(0.05) for inbox in inboxes)
+        assert len(set(threading.enumerate()) - before) == 2
+    assert set(threading.enumerate()) <= before
+
+
+def test_a_clock_before_1970_is_an_error(bus_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drivers.bus.time, "time", lambda: -86_400.0)
+    with pytest.raises(BusError, match=r"says 1969-12-31 00:00:00 UTC; set it"):
+        open_bus("bench", Role.MONITOR)
+
+
+def test_the_listener_of_a_segment_ends_with_it(
+    monkeypatch: pytest.MonkeyPatch, until: Callable[[Callable[[], bool]], None]
+) -> None:
+    from drivers.segment.wire import Switches
+
+    heard, told = os.pipe()
+    switches, before = Switches(), set(threading.enumerate())
+    with os.fdopen(heard) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        with _listening(switches):
+            os.write(told, b"product 2.5\nsil")
+            until(lambda: switches.product == 2.5)
+            os.write(told, b"ence 3\n")
+            until(lambda: bool(switches.silent))
+    assert set(threading.enumerate()) <= before
+    os.close(told)
+
+
+@pytest.mark.slow
+def test_who_compiles_for_a_process_that_was_killed_does_not_go_on(tmp_path: Path) -> None:
+    code = """
+from replay.demo import ROBOT
+from schemas.robot import load_robot
+from service.estimator.estimator import Estimator
+Estimator(load_robot(ROBOT), 1e-3).warm_up()
+"""
+    asking = subprocess.Popen([sys.executable, "-c", code], env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)})
+    try:
+        give_up = time.monotonic() + 120
+        while not any(
+            "compile_payload" in " ".join(child.cmdline()) for child in psutil.Process(asking.pid).children()
+        ):
+            assert asking.poll() is None
+            assert time.monotonic() < give_up
+            time.sleep(0.05)
+        (beside,) = psutil.Process(asking.pid).children()
+        while not any("llvmlite" in library.path for library in beside.memory_maps()):  # it compiles, or is about to
+            time.sleep(0.05)
+        time.sleep(3.0)
+    finally:
+        asking.kill()
+        asking.wait()
+    assert psutil.wait_procs([beside], 10)[0]
+
+
+def test_a_role_ends_well_whenever_it_is_told_to(bus_folder: Path, bench_robot: Path, tmp_path: Path) -> None:
+    """`tests/bench/bench_stop.py` does this hundreds of times, with all roles."""
+    moments = random.Random(1)
+    for number in range(6):
+        how = signal.Signals(moments.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP]))
+        process = subprocess.Popen(
+            [DELTATWIN, "monitor", "--robot", bench_robot, "--out", tmp_path / f"{number}.mcap"],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        time.sleep(moments.uniform(0.2, 2.0))
+        process.send_signal(how)
+        _, said = process.communicate(timeout=60)
+        assert process.returncode in (0, 130, -how), said  # the last: before Python has read a line of ours
+        assert not any(word in said for word in ("Traceback", "ignored", "FATAL", "panicked")), said
