@@ -1,9 +1,9 @@
 """The named effects of a robot description inside the online step.
 
-An effect declares in its own file what it is here: a torque from the present sample, with a memory of its own where it
-needs the past (`online`, `memory`); a true angle in place of the measured one (`encoder`); a gear between motor and link
-(`Transmission`); a part of the way from the torque that acts to the one that is reported (`read_out`); or a change of
-the model itself (`correct`). `carried` says whether there is any of these.
+An effect declares in its own file what it is here: a torque from the present sample, with a memory of its own where
+it needs the past (`online`, `memory`); a true angle in place of the measured one (`encoder`); a gear between motor and
+link (`Transmission`); a part of the way from the torque that acts to the one that is reported (`read_out`); or a change
+of the model itself (`correct`). `form_of` says which.
 """
 
 from __future__ import annotations

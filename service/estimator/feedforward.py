@@ -153,8 +153,8 @@ def plan_kernel(steps):
 
 @kernel
 def _for_motion(settings, state, sample, since):
-    """state.wanted (3,) N m: the torque for state.trajectory, `since` cycles after the last, with payload and friction of
-    now; False where there is no pose for it."""
+    """state.wanted (3,) N m: the torque for state.trajectory, `since` cycles after the last, with payload and friction
+    of now; False where there is no pose for it."""
     mass, branch, seconds = state.payload.usable, state.branch[ANSWERED], since * settings.period
     if place_kernel(settings, state, ANSWERED, seconds, mass) != REACHED:
         return False
@@ -195,9 +195,7 @@ def place_kernel(settings, state, number, elapsed, mass):
     if settings.geared != 0:
         twist = branch.twist
         mass_kernel(settings.model, settings.rho[0], settings.forearm, mass, state.pose, state.mass)
-        advance_kernel(
-            settings.gears, twist, state.mass, state.load, state.push, motion[ACCELERATION], mass, elapsed
-        )
+        advance_kernel(settings.gears, twist, state.mass, state.load, state.push, motion[ACCELERATION], mass, elapsed)
         through_kernel(settings.gears, twist, 0, number == MEASURED, state.load)
         through_kernel(settings.gears, twist, 1, number == MEASURED, state.push)
     return status
@@ -205,8 +203,8 @@ def place_kernel(settings, state, number, elapsed, mass):
 
 @kernel
 def torque_kernel(settings, state, branch, seconds, mass):
-    """After `place_kernel`: state.full (3,), reported torque, N m, of the fullest model without payload, and state.share
-    (3,), of what the payload takes, what friction by the load adds to it. mass: kg, that this friction is told at."""
+    """After `place_kernel`: state.full (3,), reported torque, N m, of the fullest model without payload, and
+    state.share (3,), of the payload's torque, what friction by the load adds. mass: kg, that this friction is for."""
     motion = state.trajectory
     for i in range(3):
         state.direction[i] = direction(motion[VELOCITY, i], settings.transition)

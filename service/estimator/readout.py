@@ -8,8 +8,6 @@ low-pass. Shift and inverse low-pass together are a few weights on the reports r
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from schemas.kernels import kernel

@@ -156,9 +156,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     identified = robot.identified
     record["model"] = record_of(pack(robot))
     without = left_out(robot, period)
-    reading = readout.settings(
-        effects.readout_of([term for term in terms if term.effect.name not in without]), period
-    )
+    reading = readout.settings(effects.readout_of([term for term in terms if term.effect.name not in without]), period)
     motion = kalman.design(period, robot.drive.position_resolution_rad, readout.newest(reading))
     for name in motion._fields:
         record["motion"][name] = getattr(motion, name)

@@ -30,9 +30,7 @@ from service.estimator.feedforward import (
     weight_kernel,
 )  # fmt: skip
 from service.estimator.kalman import (
-    ACCELERATION,
     MAX_LAG,
-    POSITION,
     VELOCITY,
     acceleration_variance_kernel,
     coast_kernel,

@@ -11,8 +11,8 @@ The joints swing together, for M couples them through forearms and platform. The
     load + M e_ddot          which on a joint with a gear is I_m theta_ddot - D e_dot - K (e - flank)
 
 Both are linear in the load: a second twist, per kilogram of payload, runs along under the same M, so that a payload is
-seen through the gears as it is felt there. Newmark's method with constant mean acceleration (Newmark 1959): no step makes it
-unstable, however stiff a gear is; so many substeps that a flank's impact is met in time.
+seen through the gears as it is felt there. Newmark's method with constant mean acceleration (Newmark 1959): no step
+makes it unstable, however stiff a gear is; so many substeps that a flank's impact is met in time.
 """
 
 from __future__ import annotations
@@ -33,7 +33,11 @@ TWIST = np.dtype(
         ("angle", "f8", (2, 3)),
         ("speed", "f8", (2, 3)),
         ("change", "f8", (2, 3)),
-        ("felt", "f8", (2, 3)),  # of it at the motors: behind a loose gear a mean over the sample, for impacts are shorter
+        (
+            "felt",
+            "f8",
+            (2, 3),
+        ),  # of it at the motors: behind a loose gear a mean over the sample, for impacts are shorter
         ("shaken", "f8", 3),  # (N m)^2, of impacts of late
         ("force", "f8", (2, 3)),  # N m, on the links at the end of the last step
         ("unknown", "f8", 3),  # share of the swing at the start, which nobody has seen, that is left
@@ -53,6 +57,8 @@ TWIST = np.dtype(
 
 # A measured acceleration smears a strike of the flanks over about this long.
 STRIKE_TIME = 0.006  # s
+
+
 @kernel
 def invert_kernel(m, result):
     """result (3, 3): inverse of m, symmetric and positive, by cofactors."""
@@ -177,7 +183,7 @@ def advance_kernel(gears, twist, mass, load, payload, theta_ddot, carried, elaps
 
 @kernel
 def _shake(gears, twist, carried, elapsed):
-    """twist.shaken: what links that fly or strike do to each motor; the moment of a strike is not known to the sample."""
+    """twist.shaken: what links that fly or strike do to each motor; the sample does not know the moment of a strike."""
     for i in range(3):
         torque = 0.0
         for j in range(3):

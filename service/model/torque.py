@@ -24,8 +24,8 @@ def unreported(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
 
 
 def swings(scene: Scene, term: Term) -> bool:
-    """Whether an effect makes links swing that feel each other: those of a Delta all hang on the platform. Play does too,
-    but what is left of its impacts is less where each joint is simulated by itself, in finer steps."""
+    """Whether an effect makes links swing that feel each other: those of a Delta all hang on the platform. Play
+    does too, but less is left of its impacts where each joint is simulated by itself, in finer steps."""
     return isinstance(term.effect, JointElasticity) and scene.mechanism.kind == "delta"
 
 
