@@ -1,0 +1,84 @@
+"""What effects remember from sample to sample: holes, restarts, stiff gears, and what cannot be carried."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from schemas.messages import SampleFlag
+from schemas.robot import EffectEntry, EffectParameter
+from service.estimator import state
+from service.estimator.branch import MEASURED
+from service.estimator.estimator import Estimator
+from service.estimator.left_out import left_out, torque_left_out
+from tests.known import PERIOD
+
+
+def carrying(robot, name, **parameters):
+    entry = EffectEntry(
+        name=name, joints=[1, 2, 3], parameters={k: EffectParameter(value=v) for k, v in parameters.items()}
+    )
+    return robot.model_copy(update={"effect": [entry]})
+
+
+def sliding(robot):
+    return carrying(robot, "presliding_friction", f_1=3.0, f_2=3.0, f_3=3.0, distance=0.02)
+
+
+@pytest.mark.parametrize(("lost", "anew"), [(15, False), (30, True)])
+def test_a_state_survives_a_short_hole_and_says_that_it_starts_over_behind_a_longer_one(robot, make, lost, anew):
+    samples = make(1.0).samples
+    samples = np.delete(samples, slice(500, 500 + lost))
+    answers = Estimator(sliding(robot), PERIOD).run(samples)
+    behind = answers.feedforward["flags"][500:] & SampleFlag.STATE_NEW
+    looked_back = answers.error["flags"][answers.error["sequence"] >= 500] & SampleFlag.STATE_NEW
+    assert behind.any() == looked_back.any() == anew
+    assert np.count_nonzero(looked_back) == anew, "once"
+
+
+def test_without_effects_that_remember_nothing_is_said(robot, make):
+    samples = np.delete(make(1.0).samples, slice(500, 530))
+    answers = Estimator(robot, PERIOD).run(samples)
+    assert not (answers.feedforward["flags"] & SampleFlag.STATE_NEW).any()
+
+
+def test_behind_a_restart_the_torque_is_doubted_until_the_joint_has_moved(robot, make):
+    """Bristles, whose place nobody knows, are worth their whole friction at first."""
+    estimator, samples = Estimator(sliding(robot), PERIOD), make(0.4).samples
+    doubts = []
+    for sample in samples:
+        estimator.step(sample.tobytes())
+        if estimator.look_back() >= 0:
+            doubts.append(estimator.state["branch"][MEASURED]["doubt"].copy())
+    np.testing.assert_allclose(doubts[0], 9.0)
+    assert (doubts[-1] < 1e-3).all()
+
+
+@pytest.mark.parametrize(
+    ("natural_hz", "period"), list(itertools.product((2.0, 20.0, 250.0), (1 / 250, 1e-3, 1 / 8000)))
+)
+def test_no_stiffness_makes_a_gear_unstable_at_any_rate(robot, make, natural_hz, period):
+    """A swing that is left to itself dies out: the torque ends where the rigid robot's does."""
+    springy = carrying(robot, "joint_elasticity", natural_hz=natural_hz, damping_ratio=0.2, motor_share=0.3)
+    run = make(6.0, period=period, rest=(1.0, 5.9))
+    torque, rigid = (Estimator(one, period).run(run.samples).feedforward["torque"] for one in (springy, robot))
+    peak = float(state.settings(robot, period, 1)["peak"][0])
+    assert np.isfinite(torque).all()
+    assert np.abs(torque).max() <= peak
+    still = slice(round(5.5 / period), round(5.8 / period))
+    # the payload estimate of either, which hears the same reports, may differ by what it is sure of
+    np.testing.assert_allclose(torque[still], rigid[still], atol=0.3)
+
+
+def test_a_delay_that_reaches_too_far_is_left_out_by_name_and_counts_as_an_error(robot):
+    late = carrying(robot, "torque_delay", delay=0.02)
+    late = late.model_copy(update={"effect": [late.effect[0].model_copy(update={"joints": []})]})
+    assert left_out(late, PERIOD) == {}
+    period = 1 / 8000
+    assert list(left_out(late, period)) == ["torque_delay"]
+    assert (torque_left_out(late, period) > 1.0).all()
+    without, with_it = (state.settings(one, period, 1) for one in (robot, late))
+    assert (with_it["variance"] > 2 * without["variance"]).all()
+    assert with_it["readout"]["active"] == 0
