@@ -67,6 +67,7 @@ from service.estimator.stream import (
 )  # fmt: skip
 from service.estimator.turning import swing_kernel, turn_kernel
 from service.model.dynamics import GRAVITY, INERTIA, PLATFORM, REST_SPEED
+from service.model.gears import observe_kernel
 from service.model.kinematics import REACHED
 
 # Presliding and Stribeck effects live below this speed: the payload looks at a joint there where nothing is faster.
@@ -195,6 +196,10 @@ def lagged_kernel(settings, state, payload_out, error_out):
         torque_kernel(settings, state, branch, past.stamp_sec + past.stamp_nanosec * 1e-9, carried)
         _tell(settings, state, _is_loose(settings, state) or not told)
         weighed.gripper = past.gripper
+        if settings.geared != 0 and told:
+            for i in range(3):
+                state.models[0, i] = (state.acting[i] - state.full[i]) / settings.scale[i]
+            observe_kernel(settings.gears, branch.twist, state.models[0], state.push, since * settings.period)
         event = payload_kernel(settings.payload, weighed)
         _errors(settings, state, since, error_out)
     error_out.flags = flags

@@ -193,6 +193,23 @@ def _shake(gears, twist, carried, elapsed):
 
 
 @kernel
+def observe_kernel(gears, twist, residual, payload, elapsed):
+    """Draw the twists of springs after the torque that is measured: a swing that the model gets wrong, as behind a pick
+    whose mass is not known yet, would last for as long as the link does.
+
+    residual: (3,) N m, measured less what the robot takes without payload; payload: (3,) N m/kg of it. Both twists are
+    drawn alike, so that what a payload does to the residual stays known (Friedland 1969); a steady load is left whole
+    in it. The rate is that of the swing itself, which damps what is wrong by half.
+    """
+    for i in range(3):
+        if gears.stiffness[i] > 0.0 and gears.half[i] == 0.0:
+            rate = math.sqrt(gears.stiffness[i] / twist.mass[i, i])
+            share = (1.0 - math.exp(-elapsed * rate)) / gears.stiffness[i]
+            twist.angle[0, i] -= share * residual[i]
+            twist.angle[1, i] += share * payload[i]
+
+
+@kernel
 def doubt_kernel(twist, doubt):
     """Add to doubt (3,), (N m)^2: a swing as large as its load took, as far as it has not died out, and strikes."""
     for i in range(3):

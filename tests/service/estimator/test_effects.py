@@ -54,8 +54,8 @@ OF_THE_REPORT = ("torque_delay", "torque_filter", "drive_lag")
 # smooths it; what they come to does not.
 ROUGH = {"backlash": 20.0, "drive_lag": 20.0}  # Hz, below which they are compared
 # Of the effect's own size; of an elastic gear it goes by the fourth derivative of the command, which the filter of the
-# command only begins to know.
-CLOSE = {"joint_elasticity": 0.1}
+# command only begins to know, and of a loose one by the moment of a strike.
+CLOSE = {"joint_elasticity": 0.1, "backlash": 0.1}
 OTHERS_CLOSE = 0.05
 
 
@@ -132,12 +132,13 @@ def test_no_drive_is_asked_for_the_blow_of_a_loose_gear(robot, make):
 @pytest.mark.parametrize("name", OF_THE_REPORT)
 def test_what_a_report_does_is_no_part_of_the_torque_that_acts(robot, make, name):
     corrected, plain = with_and_without(robot, name)
-    samples = make(1.0).samples
-    online, without = (Estimator(one, PERIOD).run(samples).feedforward["torque"] for one in (corrected, plain))
+    run = make(1.0)
+    online, without = (Estimator(one, PERIOD).run(run.samples).feedforward["torque"] for one in (corrected, plain))
     if name == "drive_lag":  # the drive is asked for what it will only reach behind its lag
         lag = 1.0 / (2 * np.pi * FOUND[name]["cutoff"])
         led = without[1:] + lag * np.diff(without, axis=0) / PERIOD
-        np.testing.assert_allclose(online[100:], led[99:], atol=0.02)
+        slides = np.abs(run.theta_dot[100:]) > 0.3  # a reversal's step is led too, as far as the bounds let it
+        np.testing.assert_allclose(online[100:][slides], led[99:][slides], atol=0.02)
     else:
         np.testing.assert_array_equal(online, without)
 
