@@ -18,12 +18,12 @@ from schemas.errors import StorageError
 from schemas.messages import MODEL_ERROR, PAYLOAD, SAMPLE, set_stamp
 from schemas.robot import Servo
 from schemas.rollout import Reached, RegimeReached, RolloutDocument
-from service.cli.closed_loop import _page as loop_page
-from service.cli.closed_loop import _row as loop_row
 from service.cli.main import app
 from service.diagnosis.blindpage import BOUNDS
 from service.diagnosis.blindpage import write_page as write_blindtest
 from service.experiment.closed_loop import FEEDBACK, Tracking
+from service.experiment.loop_page import page as loop_page
+from service.experiment.loop_page import verdict_of_models
 from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, write_page
 from service.monitor.readback import Recorded
 from service.monitor.report import picture
@@ -89,12 +89,24 @@ def test_no_text_lies_over_text(page: Page, tmp_path: Path) -> None:
 
 def closed_loop(path: Path) -> None:
     time = np.arange(0, 3, 1e-3)
+    missed = 1e-3 * np.abs(np.sin(time))
     names = [FEEDBACK, *(f"{model}, m_p = 0" for model in ("M_KH", "M_Id", "M_Id+F", "full")), "full, payload-aware"]
     runs = [
-        Tracking(name, time, np.sin(time * [[1], [2], [3]]).T * 2e-3 / k, np.full(3, 1e-3 / k), 1e-3, 2e-3, 0.98, 1)
+        Tracking(
+            name,
+            time,
+            np.sin(time * [[1], [2], [3]]).T * 2e-3 / k,
+            np.full(3, 1e-3 / k),
+            missed / k,
+            missed / k,
+            2e-3,
+            0.98,
+            0.01,
+            1,
+        )
         for k, name in enumerate([*names, f"{names[-1]}, estimator lost half way"], 1)
     ]
-    write_page(loop_page("d3-1200", "ideal", (1.0, 3.8), runs, [loop_row(run, runs[0]) for run in runs]), path)
+    write_page(loop_page("d3-1200", "ideal", (1.0, 3.8), runs, runs[:3], verdict_of_models(runs[:-1])), path)
 
 
 def rollout(path: Path) -> None:
