@@ -3,9 +3,10 @@
     uv run python -m tests.bench.bench_stop --starts 300 [--cold 60] [--jobs 3] [--seed 1] [--roles estimate monitor]
 
 Each job plays the bundled log without end to whom it starts, so that both processors are taken. A moment falls anywhere
-between the first instruction and as long again as a start takes. Cold: with no kernel compiled. It has to end whole: by
-itself, with 0 or 130, and without a traceback. Before the interpreter reads our first line the signal does what it does
-to Python; that is counted apart. The bench ends with 3 where one did not end well, and prints what that one said.
+between the first instruction and as long again as a start takes, 20 s at most. Cold: with no kernel compiled. It has to
+end whole: by itself, with 0 or 130, and without a traceback. Before the interpreter reads our first line the signal is
+Python's; that is counted apart. The bench ends with 3 where one did not end well, and prints what that
+one said.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from service.stopping import ENDING
 COMMAND = str(Path(sys.executable).with_name("deltatwin"))
 START_S = 900.0  # to be ready, on a host that compiles beside other work
 END_S = 60.0  # a command that still runs then has not heard the signal
+MOST_S = 20.0  # from a start to its signal
 COLD_S = 25.0  # of a cold start, in which it is stopped
 ROLES = {
     "estimate": ("estimate", "--robot", "{robot}", "--keep", "{folder}/kept.json"),
@@ -169,6 +171,7 @@ def main() -> None:
     work = [(given.roles[n % len(given.roles)], False) for n in range(given.starts)]
     work += [(cold[n % len(cold)], True) for n in range(given.cold if cold else 0)]
     found: dict[str, Ends] = {}
+    over: list[bool] = []  # by Ctrl-C: those that run are waited for, and all so far is told
     with ExitStack() as stack:
         jobs = []
         for number in range(given.jobs):
@@ -177,11 +180,13 @@ def main() -> None:
             stack.callback(jobs[-1].close)
         for role in given.roles:
             jobs[0].ready(role)  # leaves everything compiled
-        longest = {role: 2 * jobs[0].ready(role) for role in given.roles}
+        longest = {role: min(2 * jobs[0].ready(role), MOST_S) for role in given.roles}
         print("stopped within, s: " + ", ".join(f"{role} {s:.1f}" for role, s in longest.items()), flush=True)
 
         def run(number: int) -> None:
             for role, is_cold in work[number :: given.jobs]:
+                if over:
+                    return
                 ended, told, took = jobs[number].one(role, COLD_S if is_cold else longest[role], is_cold)
                 ends = found.setdefault(f"{role}{', cold' if is_cold else ''}", Ends())
                 ends.counts[ended] += 1
@@ -191,7 +196,10 @@ def main() -> None:
                     print(told, flush=True)
 
         with ThreadPoolExecutor(given.jobs) as pool:
-            list(pool.map(run, range(given.jobs)))
+            try:
+                list(pool.map(run, range(given.jobs)))
+            except KeyboardInterrupt:
+                over.append(True)
     for role, ends in found.items():
         counts = ", ".join(f"{how}: {count}" for how, count in sorted(ends.counts.items()))
         print(f"{role:<16} {sum(ends.counts.values()):>5} starts, longest end {max(ends.took):6.2f} s; {counts}")
