@@ -72,8 +72,8 @@ def _not_raised(unraisable: Any) -> None:
 
 def broke(error: BaseException) -> bool:
     """Whether `error` is what an interrupt left behind where it was swallowed or taken for another one: a compiler
-    without its result, a module that could not be imported."""
-    if _Interrupt.swallowed:
+    without its result, a module that could not be imported, a class that was not built."""
+    if _Interrupt.swallowed or _Interrupt.raised_s > -SAME_WISH_S:
         return True
     cause: BaseException | None = error
     while isinstance(cause, ImportError):

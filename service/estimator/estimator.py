@@ -123,7 +123,7 @@ class Estimator:
         """
         fresh = state.fresh(self._steps["settings"])
         beside = None if _is_compiled() else subprocess.Popen(
-            [sys.executable, "-c", f"from {__name__} import compile_payload; compile_payload()"],
+            [sys.executable, "-c", f"from {__name__} import compile_payload; compile_payload({os.getpid()})"],
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
@@ -139,11 +139,13 @@ class Estimator:
                 beside.wait()
 
 
-def compile_payload() -> None:
-    """Compile what `look_back` spends most on, and leave it in the cache. Ends with the process that asked, in
-    whatever way that does."""
+def compile_payload(asking: int) -> None:
+    """Compile what `look_back` spends most on, and leave it in the cache. Ends with the process `asking`, in whatever
+    way that does."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        if os.getppid() != asking:  # it ended while this one was starting
+            return
     step = np.zeros(1, state.STEP)[0]
     payload_kernel.compile(tuple(numba.typeof(step[part]["payload"]) for part in ("settings", "state")))
 

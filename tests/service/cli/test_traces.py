@@ -36,9 +36,11 @@ def deltatwin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
 
     def run(*arguments: str | Path) -> Done:
         monkeypatch.setattr(sys, "argv", ["deltatwin", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
+        code: object = 0
+        try:
             main()
-        code = end.value.code
+        except SystemExit as end:
+            code = end.code
         told = capsys.readouterr()
         return Done(code if isinstance(code, int) else 0, str(told.out), str(told.err))
 
