@@ -86,6 +86,8 @@ def _user_config(path: Path) -> zenoh.Config:
         path.read_bytes()
         config = zenoh.Config.from_file(str(path))
         find_files(config, path.parent)
+        # It gains nothing at a hundred bytes, and is on by default: whoever may lock no memory could open no session.
+        config.insert_json5("transport/shared_memory/enabled", "false")
         return config
     except OSError as error:
         raise BusError(f"{path}: {error.strerror}") from error

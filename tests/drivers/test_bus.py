@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import signal
 import subprocess
@@ -309,6 +310,23 @@ def test_user_configuration_replaces_the_sockets_and_finds_doubles(bus_folder: P
         (runtime_folder() / "bench.player.pid").unlink()  # as on another host: only the network can tell
         with pytest.raises(BusError, match="another player is running elsewhere"):
             open_bus("bench", Role.PLAYER, leaf)
+
+
+def test_a_user_configuration_needs_no_right_to_lock_memory(bus_folder: Path, tmp_path: Path) -> None:
+    """Shared memory, on by default, does: Zenoh would not open at all."""
+    settings = tmp_path / "alone.json5"
+    settings.write_text('{"mode": "peer", "scouting": {"multicast": {"enabled": false}}, "listen": {"endpoints": []}}')
+    code = f"""
+import resource
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))
+from pathlib import Path
+from drivers.bus import open_bus
+from schemas.messages import Role
+open_bus("bench", Role.PLAYER, Path({str(settings)!r})).close()
+"""
+    dropped = ("setpriv", "--bounding-set=-ipc_lock", "--inh-caps=-ipc_lock") if os.geteuid() == 0 else ()
+    done = subprocess.run((*dropped, sys.executable, "-c", code), capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,7 @@ def session(mode: str, listen: str, connect: list[str]) -> zenoh.Session:
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
         "routing": {"router": {"peers_failover_brokering": False}},
         "timestamping": {"enabled": True},
+        "transport": {"shared_memory": {"enabled": False}},  # takes the right to lock memory
     }
     return zenoh.open(zenoh.Config.from_json5(json.dumps(settings)))
 
