@@ -146,7 +146,8 @@ def test_an_event_is_false_where_no_change_explains_it() -> None:
     clock = np.arange(0.0, 4.0, 0.1)
     event = np.zeros(40, int)
     event[[12, 19, 25, 33]] = PayloadEvent.PICK, PayloadEvent.PICK, PayloadEvent.RELEASE, PayloadEvent.PICK
-    found = Weighed(clock, np.zeros(40), *np.ones((3, 40)), np.zeros(40, bool), event)
+    sure = np.ones(40)
+    found = Weighed(clock, np.zeros(40), sure, sure, sure, np.zeros(40, bool), event)
     trace = log(1, moves=4)
     case = online.Loaded(trace, motion(trace), Delta.of(ROBOT), (Pick(1.05, 2.35, 1.0),), False)
     assert online._false_events(found, clock, case) == 2  # 1.2 s and 2.5 s are the pick's and the release's
