@@ -31,7 +31,7 @@ _LISTED = Field(max_length=MAX_JOINTS)
 
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "filetime": 1e7}  # per second
 FILETIME_S = 11_644_473_600  # from 1601, where Windows counts from, to 1970
-RATES_HZ = 20.0, 2e5  # of logs that hold dynamics: below, a fast joint has moved on by a radian; above none is known
+RATES_HZ = 5.0, 2e5  # of logs that hold dynamics: below, a fast joint has moved on by a radian; above none is known
 
 
 def implausible_rate(period: float) -> str | None:

@@ -135,7 +135,7 @@ def main() -> None:
     gc.set_threshold(YOUNG)
     try:
         code = _outcome()
-        end_at_once(code)
+        end_at_once(code or 0)
     except KeyboardInterrupt:
         code = INTERRUPTED
         end_at_once(code)
@@ -143,12 +143,12 @@ def main() -> None:
         # Files are whole by now; a thread that still computes, or compiles for seconds, has nobody to do it for.
         atexit._run_exitfuncs()
         os._exit(code)
-    if code:
+    if code is not None:
         sys.exit(code)
 
 
-def _outcome() -> int:
-    """The exit code.
+def _outcome() -> int | None:
+    """The exit code; None where nothing set one.
 
     Raises:
         KeyboardInterrupt: it was interrupted.
@@ -161,7 +161,7 @@ def _outcome() -> int:
         if broke(error):
             raise KeyboardInterrupt from None
         raise
-    return 0
+    return None
 
 
 def _run() -> None:
