@@ -73,7 +73,7 @@ def _not_raised(unraisable: Any) -> None:
 def broke(error: BaseException) -> bool:
     """Whether `error` is what an interrupt left behind where it was swallowed or taken for another one: a compiler
     without its result, a module that could not be imported, a class that was not built."""
-    if _Interrupt.swallowed or _Interrupt.raised_s > -SAME_WISH_S:
+    if _Interrupt.swallowed or KeyboardInterrupt.__name__ in str(error):  # compiled code tells of it in words alone
         return True
     cause: BaseException | None = error
     while isinstance(cause, ImportError):

@@ -10,7 +10,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from service.estimator.effects import MEMORY
-from service.model.gears import TWIST
+from service.model.gears import TWIST, release_kernel
 
 BRANCH = np.dtype(
     [
@@ -30,8 +30,9 @@ MEASURED, ANSWERED = range(2)
 @kernel
 def forget_kernel(branch):
     """Start over with the next sample."""
-    branch.idle = branch.started = branch.twist.started = 0
+    branch.idle = branch.started = 0
     branch.memory[:] = 0.0
+    release_kernel(branch.twist)
 
 
 @kernel

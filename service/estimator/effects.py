@@ -32,7 +32,6 @@ _REMEMBERING = {effect.name: effect.online for effect in CATALOGUE if effect.onl
 _ENCODERS = {effect.name: effect.encoder for effect in CATALOGUE if effect.encoder is not None}
 _FORMS = _INSTANT | _REMEMBERING | _ENCODERS
 _NUMBER = {name: number for number, name in enumerate(_FORMS)}
-_BY_LOAD = {effect.name for effect in CATALOGUE if effect.by_load}
 
 # What effects carry from sample to sample: of each effect and joint.
 MEMORY = (MAX_EFFECTS, 3, max(effect.memory for effect in CATALOGUE))
@@ -71,17 +70,17 @@ def carried(effect: Effect) -> bool:
 
 def remembers(terms: Sequence[Term]) -> bool:
     """Whether one of the effects carries a state from sample to sample."""
-    return any(term.effect.memory or isinstance(term.effect, Transmission) for term in terms)
+    return any(form_of(term.effect) == "state" for term in terms)
 
 
 def has_encoders(terms: Sequence[Term]) -> bool:
     """Whether one of the effects makes true angles of the measured ones."""
-    return any(term.effect.name in _ENCODERS for term in terms)
+    return any(term.effect.encoder is not None for term in terms)
 
 
 def goes_by_load(terms: Sequence[Term]) -> bool:
     """Whether one of the effects depends on the load of the gears."""
-    return any(term.effect.name in _BY_LOAD for term in terms)
+    return any(term.effect.by_load for term in terms)
 
 
 def readout_of(terms: Sequence[Term]) -> Readout:

@@ -17,7 +17,7 @@ from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM,
 from service.model.effects.base import Instant
 from service.model.forward import mass_kernel
 from service.model.friction import ball_joint_kernel, direction, friction_kernel
-from service.model.gears import advance_kernel, doubt_kernel, through_kernel
+from service.model.gears import advance_kernel, doubt_kernel, release_kernel, through_kernel
 from service.model.kinematics import REACHED
 
 REFERENCE_AHEAD = 8  # cycles, planned motion further ahead is not for the next cycles
@@ -188,6 +188,7 @@ def place_kernel(settings, state, number, elapsed, mass):
             place[ACCELERATION, i] = motion[ACCELERATION, i]
     status = terms_kernel(settings.model, place[POSITION], place[VELOCITY], place[ACCELERATION], state.pose, terms)
     if status != REACHED:
+        release_kernel(branch.twist)  # it may be the twist that leads out of the workspace
         return status
     for i in range(3):
         state.load[i] = grey_kernel(settings, terms, i) + settings.forearm * terms[FOREARM, i]

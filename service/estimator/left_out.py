@@ -35,6 +35,8 @@ def left_out(robot: Robot, period: float) -> dict[str, str]:
 def _left_out(terms: Sequence[Term], robot: Robot, period: float) -> list[tuple[Term, str]]:
     found = [(term, NO_FORM) for term in terms if not carried(term.effect)]
     reading = readout.settings(readout_of(terms), period)
+    if not reading["active"]:
+        return found
     lag = kalman.design(period, robot.drive.position_resolution_rad, readout.newest(reading)).lag
     if not readout.fits(reading, lag):
         why = f"it reaches further than the {kalman.MAX_LAG} samples of {period * 1e6:g} us that are remembered"

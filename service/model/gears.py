@@ -37,7 +37,7 @@ TWIST = np.dtype(
             "felt",
             "f8",
             (2, 3),
-        ),  # of it at the motors: behind a loose gear a mean over the sample, for impacts are shorter
+        ),  # of it at the motors: behind a loose gear a mean, for impacts are shorter than a sample
         ("shaken", "f8", 3),  # (N m)^2, of impacts of late
         ("force", "f8", (2, 3)),  # N m, on the links at the end of the last step
         ("unknown", "f8", 3),  # share of the swing at the start, which nobody has seen, that is left
@@ -69,6 +69,16 @@ def invert_kernel(m, result):
     result[0, 1] = result[1, 0] = over * y
     result[0, 2] = result[2, 0] = over * z
     result[1, 2] = result[2, 1] = over * (b * c - a * e)
+
+
+@kernel
+def release_kernel(twist):
+    """Begin anew with the next sample; until then the links stand where their motors do, and the robot is rigid."""
+    twist.started = 0
+    for i in range(3):
+        twist.shaken[i] = 0.0
+        for row in range(2):
+            twist.angle[row, i] = twist.speed[row, i] = twist.felt[row, i] = 0.0
 
 
 @kernel
@@ -170,15 +180,18 @@ def advance_kernel(gears, twist, mass, load, payload, theta_ddot, carried, elaps
             _prepare(gears, twist, h)
         for row in range(2):
             _step(gears, twist, row, (n + 1) / count, h)
+    apart = False
     for i in range(3):
         twist.unknown[i] *= math.exp(-0.5 * elapsed * gears.damping[i] / twist.mass[i, i])
         for row in range(2):
             twist.force[row, i] = twist.now[row, i]
             mean = (twist.felt[row, i] + twist.speed[row, i]) / elapsed
             twist.felt[row, i] = mean if gears.half[i] > 0.0 else twist.change[row, i]
-        if not abs(twist.angle[0, i] + carried * twist.angle[1, i]) < LOST:  # it has come apart: begin anew
-            twist.started = 0
-    _shake(gears, twist, carried, elapsed)
+        apart |= not abs(twist.angle[0, i] + carried * twist.angle[1, i]) < LOST  # also when NaN
+    if apart:
+        release_kernel(twist)
+    else:
+        _shake(gears, twist, carried, elapsed)
 
 
 @kernel

@@ -9,9 +9,9 @@ import numpy as np
 
 from schemas.kernels import kernel
 from service.model.elastic import inertias, train
+from service.model.gears import SUBSTEPS_PER_SECOND
 from service.model.scene import Scene
 
-SUBSTEPS_PER_SECOND = 8_000.0
 LOST = 0.5  # rad of relative motion at which a two-mass simulation has come apart
 SLIGHT = 0.01  # rad of relative motion up to which its square is below a thousandth of the torque
 

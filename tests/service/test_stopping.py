@@ -73,10 +73,23 @@ def test_what_a_library_makes_of_an_interrupt_is_no_traceback() -> None:
         raise KeyboardInterrupt
     except KeyboardInterrupt as interrupt:
         raise ImportError("initialization failed") from interrupt"""
-    for left_behind in (compiler, loading):
+    building = """
+    raise ValueError("Error building `literal` serializer: KeyboardInterrupt: ")"""
+    for left_behind in (compiler, loading, building):
         done = run(AS_MAIN.format(left_behind))
         assert (done.returncode, done.stderr) == (130, "")
     done = run(AS_MAIN.format("raise RuntimeError('of its own')"))
+    assert done.returncode == 1
+    assert done.stderr.endswith("RuntimeError: of its own\n")
+
+
+def test_an_error_after_an_interrupt_that_was_answered_is_told() -> None:
+    cleaning = """
+    try:
+        os.kill(os.getpid(), signal.SIGINT) or time.sleep(5)
+    except KeyboardInterrupt:
+        raise RuntimeError("of its own") from None"""
+    done = run(AS_MAIN.format(cleaning))
     assert done.returncode == 1
     assert done.stderr.endswith("RuntimeError: of its own\n")
 

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from schemas.messages import SampleFlag
+from schemas.messages import FeedforwardSource, SampleFlag
 from schemas.robot import EffectEntry, EffectParameter
 from service.estimator import state
 from service.estimator.branch import MEASURED
@@ -70,6 +70,22 @@ def test_no_stiffness_makes_a_gear_unstable_at_any_rate(robot, make, natural_hz,
     still = slice(round(5.5 / period), round(5.8 / period))
     # the payload estimate of either, which hears the same reports, may differ by what it is sure of
     np.testing.assert_allclose(torque[still], rigid[still], atol=0.3)
+
+
+@pytest.mark.parametrize("lost", [np.nan, 1e300, 2.0])
+def test_a_twist_that_leads_nowhere_is_begun_anew(robot, make, lost):
+    """NaN, beyond all numbers, out of the workspace: the next samples are answered, and nothing of it stays."""
+    springy = carrying(robot, "joint_elasticity", natural_hz=20.0, damping_ratio=0.2, motor_share=0.3)
+    estimator, samples = Estimator(springy, PERIOD), make(0.6).samples
+    for number, sample in enumerate(samples):
+        if number == 300:
+            estimator.state["branch"]["twist"]["angle"][:] = lost
+        estimator.step(sample.tobytes())
+        estimator.look_back()
+    assert np.isfinite(estimator.feedforward["torque"]).all()
+    assert estimator.feedforward["source"][0] == FeedforwardSource.COMMAND
+    assert np.isfinite(estimator.error["full"]).all()
+    assert np.isfinite(estimator.payload["mass"]).all()
 
 
 def test_a_delay_that_reaches_too_far_is_left_out_by_name_and_counts_as_an_error(robot):
