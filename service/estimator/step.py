@@ -81,7 +81,7 @@ UNSEEN_TIME = 0.5  # s
 LOOSE_ACCELERATION = 1.5
 # Standard deviations of an innovation behind a hole beyond which the motion is not what the filter expects: drives that
 # stood without commands and start again.
-UNEXPECTED = 10.0
+UNEXPECTED = 4.0
 # The rigid-body terms are known to about this share of themselves after identification.
 MODEL_SHARE = 0.01
 

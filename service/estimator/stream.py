@@ -14,8 +14,9 @@ from schemas.kernels import kernel
 from schemas.messages import SampleFlag
 from service.estimator.kalman import ORDER, predicted_variance_kernel, restart_kernel
 
-COAST_TIME = 0.02  # s without a usable sample for which the motion may be extrapolated
-RESTART_TIME = 0.05  # s without one after which the filters start anew
+# s without a usable sample for which the motion may be extrapolated. Behind a longer hole a jump and a motion look
+# alike: the filters start anew, since a derivative across a jump is none.
+COAST_TIME = 0.02
 STRAY_RUN = 3  # samples in a row that agree with each other but not with the stream: the stream itself is new
 STRAY_STEP = 8  # cycles between two of them at most
 FAR = 1_000_000_000  # cycles, any more are as many
@@ -67,7 +68,7 @@ def settled_cycles(settings):
 @kernel
 def restart_cycles(settings):
     """Longest gap that the filters close."""
-    return max(np.int64(1), np.int64(RESTART_TIME / settings.period)) + 1
+    return coast_cycles(settings) + 1
 
 
 @kernel

@@ -122,19 +122,23 @@ def test_a_robot_that_stands_gets_its_weight_whatever_its_pose_jumps_by(smooth, 
     np.testing.assert_allclose(out["torque"][-1], weight(smooth, still if moved == "position" else after)[-1], atol=0.5)
 
 
-@pytest.mark.parametrize("lost", [1, 3, 8, 20, 30])
+@pytest.mark.parametrize("lost", [1, 3, 8, 20, 25, 30, 40, 45, 50, 60, 100])
 @pytest.mark.parametrize("rate", RATES)
 def test_behind_a_hole_too(smooth, rate, lost):
     """ms that were lost before the jump: the longer, the more a joint could have moved meanwhile."""
     period = 1 / rate
     count = round(2 * SECONDS * rate)
     middle, missing = count // 2, max(1, round(lost * 1e-3 * rate))
-    position = standing(count, [(middle, SEAM)])
-    samples = np.delete(stream_of(smooth, position, position, period), np.arange(middle - missing, middle))
-    out = answers(smooth, samples, period)
-    within_bounds(smooth, out, period)
-    between(smooth, out, position, 1.0)
-    assert out["flags"][middle - missing] & FLAGGED
+    for share in (1.0, 0.3, 0.1, -1.0):
+        position = standing(count, [(middle, share * SEAM)])
+        samples = np.delete(stream_of(smooth, position, position, period), np.arange(middle - missing, middle))
+        out = answers(smooth, samples, period)
+        within_bounds(smooth, out, period)
+        assert out["flags"][middle - missing] & FLAGGED
+        # a hole of a few samples of a slow stream may hide what a small jump would be: a move at 10 g
+        hides = period * (missing + 1) <= stream.COAST_TIME + period and rate < 300
+        margin = 0.3 * bounds_of(smooth).peak_nm if hides else 1.0
+        between(smooth, out, position, margin)
 
 
 def test_no_draw_of_jumps_gets_out_of_the_bounds(smooth, make):

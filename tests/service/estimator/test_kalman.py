@@ -22,7 +22,7 @@ from service.estimator.kalman import (
     smooth_kernel,
     update_kernel,
 )  # fmt: skip
-from service.estimator.stream import RESTART_TIME
+from service.estimator.stream import COAST_TIME
 
 RESOLUTION = 2.4e-7
 PERIODS = [4e-3, 2e-3, 1e-3, 2.5e-4, 1.25e-4]
@@ -164,7 +164,7 @@ def closed_loops(period, gaps, every=1):
 @pytest.mark.parametrize("period", PERIODS)
 def test_every_gap_up_to_the_restart_is_stable(period):
     """Spectral radius of the steady state of every gap, below one by more than rounding."""
-    for gap in range(1, int(RESTART_TIME / period) + 2):
+    for gap in range(1, int(COAST_TIME / period) + 2):
         count = 50 + 350 // gap
         ((closed, _),) = closed_loops(period, [gap] * count, count)
         assert np.abs(np.linalg.eigvals(closed)).max() < 0.999, gap
@@ -174,7 +174,7 @@ def test_every_gap_up_to_the_restart_is_stable(period):
 def test_any_sequence_of_gaps_forgets_its_errors(period):
     """Products of closed loops over random gaps: bounded all the way and gone in the end; covariance stays one."""
     random = np.random.default_rng(1)
-    longest = int(RESTART_TIME / period) + 1
+    longest = int(COAST_TIME / period) + 1
     unit = np.sqrt(np.diag(settings(period)["first"]))
     for share in (0.01, 0.2, 0.5, 0.9):
         gaps = np.minimum(random.geometric(1 - share, 1500), longest)

@@ -57,12 +57,15 @@ def test_the_torque_is_that_of_the_whole_stream(robot, make, period, pattern, co
     if pattern == "50 % lost":
         after = step == 1
     settled = samples["sequence"][order] * period > 0.1
-    rows = after & settled
+    # behind a hole beyond COAST_TIME, which half the samples lost at 250 Hz make, there is none, which is said
+    answered = found.feedforward["source"] != FeedforwardSource.NONE
+    assert answered[settled].mean() > (0.7 if pattern == "50 % lost" and period > 1e-3 else 0.999)
+    rows = after & settled & answered
     assert rows.sum() > 50
     wanted = whole["torque"][order[rows]]
     rms = np.sqrt(np.mean((found.feedforward["torque"][rows] - wanted) ** 2))
     assert rms < 0.05 * np.sqrt(np.mean(wanted**2))
-    worst = np.abs(found.feedforward["torque"] - whole["torque"][order])[settled].max()
+    worst = np.abs(found.feedforward["torque"] - whole["torque"][order])[settled & answered].max()
     assert worst < 0.5 * np.abs(wanted).max(), "and in the gaps it is no other torque"
 
 
@@ -126,7 +129,7 @@ def test_a_wild_sequence_number_costs_a_restart_at_most(robot, make):
 
 def test_torque_at_the_edge_of_a_hole_says_nothing_of_the_mass(robot, make):
     """The acceleration there is a guess; next to a single lost sample it is not."""
-    period, single, hole = 2e-3, 200, range(500, 515)
+    period, single, hole = 2e-3, 200, range(500, 510)
     samples = make(2.0, period=period, noise=0.25).samples
     samples = np.delete(samples, [single, *hole])
     estimator, weighed = Estimator(robot, period), {}
