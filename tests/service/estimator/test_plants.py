@@ -11,14 +11,18 @@ from drivers.motion import Payload, Planner, Trajectory
 from drivers.plant.effects import make_effects
 from drivers.plant.effects.friction import PassiveJointFriction, StribeckFriction
 from drivers.plant.effects.sensing import TorqueScale
+from drivers.plant.effects.transmission import JointElasticity
 from drivers.plant.plant import Plant
 from drivers.plant.truth import TRUTHS, load_truth
 from schemas.messages import stamp_ns
 from schemas.robot import Robot, load_robot
+from service.diagnosis.diagnose import diagnose
+from service.diagnosis.documents.document import corrected
 from service.estimator.estimator import Estimator
 from service.experiment.logs import excitations, record
 from service.identification.identify import identify
 from service.identification.regression import summarise
+from service.model.effects import CATALOGUE
 from service.model.nominal import pack
 
 PERIOD = 1e-3
@@ -131,3 +135,30 @@ def test_gears_that_stick_more_than_they_did_make_no_picks():
     late = time[payload["event"] != 0][:, None] - edges
     unexplained = ~((late >= 0.0) & (late < 0.4)).any(axis=1)
     assert unexplained.sum() <= 1, "before it is known"
+
+
+@pytest.mark.slow
+def test_behind_soft_gears_a_mass_is_known_as_soon_as_behind_stiff_ones():
+    """The links swing for half a second behind a pick, and friction hides a part of it while the joints set out."""
+    robot = load_robot("d3-1200")
+    truth = load_truth(TRUTHS / "d3-1200.toml", robot)
+    planner, random = Planner(robot, PERIOD), np.random.default_rng(9)
+    plant = Plant(robot, truth, (JointElasticity([9000.0] * 3, 0.05),), seed=9)
+    fits = list(record(plant, excitations(planner, random, 3, 5.0), "fit"))
+    named = [effect for effect in CATALOGUE if effect.name == "joint_elasticity"]
+    soft = corrected(diagnose(robot, fits, named))
+    assert [entry.name for entry in soft.effect] == ["joint_elasticity"]
+    motion = planner.pick_and_place(random, 8.0, (0.5, 1.0, 3.8), speed=0.9)
+    (picks,) = record(plant, iter([motion]), "soft")
+    samples = picks.samples()
+    samples["torque_command"] = np.nan
+    payload = Estimator(soft, PERIOD).run(samples).payload
+    time = stamp_ns(payload) * 1e-9 - picks.time[0]
+    judged, wrong = outside(payload, time, motion.payloads)
+    assert judged.mean() > 1.5 * RARE
+    assert wrong.sum() <= 0.05 * judged.sum()
+    right = []
+    for load in motion.payloads:
+        held = (time >= load.pick + SETTLED) & (time < load.release)
+        right.append((np.abs(payload["mass"][held] - load.mass) < max(0.05, 0.05 * load.mass)).mean() > 0.95)
+    assert np.mean(right) >= 0.8, right

@@ -98,3 +98,19 @@ def test_a_delay_that_reaches_too_far_is_left_out_by_name_and_counts_as_an_error
     without, with_it = (state.settings(one, period, 1) for one in (robot, late))
     assert (with_it["variance"] > 2 * without["variance"]).all()
     assert with_it["readout"]["active"] == 0
+
+
+def test_behind_a_pick_soft_gears_are_doubted_for_a_swing(robot, make):
+    """By what the load pulls on a joint that moves, from the sample on that shows it."""
+    soft = carrying(robot, "joint_elasticity", natural_hz=15.0, damping_ratio=0.03, motor_share=0.3)
+    estimator, doubts, masses = Estimator(soft, PERIOD), [], []
+    for sample in make(1.3, payload=lambda time: 2.0 * (time > 1.0), noise=0.1).samples:
+        estimator.step(sample.tobytes())
+        if estimator.look_back() >= 0:
+            doubts.append(np.sqrt(estimator.state["branch"][MEASURED]["doubt"][0]))
+            masses.append(float(estimator.payload["mass"][0]))
+    found = int(np.argmax(np.array(masses) > 0.3))
+    assert abs(found * PERIOD - 1.0) < 0.05
+    assert max(doubts[found - 50 : found - 1]) < 0.05
+    assert max(doubts[found : found + 3]) > 1.5
+    assert doubts[-1] < 0.05
