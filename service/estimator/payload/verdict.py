@@ -48,7 +48,7 @@ AVERAGE_SIGMAS = 3.0
 BIAS_AVERAGING = 0.2  # s
 # To trust a mass, the noise has a least value, and what friction, scale and the model's error may do to it counts in
 # full. Masses scatter by the measured noise and this share of the variance of the rest.
-SCATTERED_SHARE = 0.5
+SCATTERED_SHARE = 0.05
 # What hangs there after every release is a tool, a load that nobody let go of, or the platform's own weight by a wrong
 # torque constant: the mass of what was picked is off by it or by nothing, and this share of it covers either way within
 # two standard deviations, and what a mass still settles by.
