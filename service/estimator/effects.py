@@ -83,9 +83,9 @@ def goes_by_load(terms: Sequence[Term]) -> bool:
     return any(term.effect.by_load for term in terms)
 
 
-def readout_of(terms: Sequence[Term]) -> Readout:
-    """What lies between the torque that acts and the one that is reported."""
-    readout = Readout()
+def readout_of(robot: Robot, terms: Sequence[Term]) -> Readout:
+    """What lies between the torque that acts on `robot` and the one that is reported, of `terms` among its effects."""
+    readout = Readout(late=0.0 if robot.identified is None else robot.identified.torque_timing_s)
     for term in terms:
         term.effect.read_out(readout, term.nonlinear)
     return readout

@@ -34,7 +34,7 @@ def left_out(robot: Robot, period: float) -> dict[str, str]:
 
 def _left_out(terms: Sequence[Term], robot: Robot, period: float) -> list[tuple[Term, str]]:
     found = [(term, NO_FORM) for term in terms if not carried(term.effect)]
-    reading = readout.settings(readout_of(terms), period)
+    reading = readout.settings(readout_of(robot, terms), period)
     if not reading["active"]:
         return found
     lag = kalman.design(period, robot.drive.position_resolution_rad, readout.newest(reading)).lag

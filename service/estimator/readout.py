@@ -1,9 +1,10 @@
 """From the torque that a drive reports to the one that acts, and from the model's torque to what would be reported.
 
 A report is late (or early), behind a first-order low-pass, or what the drive was asked for and followed behind one of
-its own. The payload is told by the torque that acts: the report of the instant, the low-pass turned round, so that a
-pick is as sharp in it as it is at the gripper. Errors are told of the report: the model's torque goes through the same
-low-pass. Shift and inverse low-pass together are a few weights on the reports round the instant.
+its own. Model and report are compared as the drive reports: what the model says, and what a mass, friction and scale do
+to it, goes through the same low-pass, so the noise that is left is the sensor's own, white as it was. What a twist of a
+gear is drawn by is the torque that acts: shift and inverse low-pass together are a few weights on the reports round the
+instant.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from schemas.kernels import kernel
+from service.estimator.departure import PARTS
 from service.estimator.kalman import MAX_LAG
+from service.estimator.payload.state import LOADS
 from service.model.effects.base import Readout
 from service.model.signals import ramp, shift_weights
 
@@ -19,6 +22,7 @@ SLOPE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0  # per sample, of the two b
 REACH = 2  # samples to either side that it needs
 TAPS = len(SLOPE) + 3
 MODELS = 4  # whose errors are told
+TOLD = 1 + LOADS + PARTS  # what the payload is told by: the model without it, each load and each part of friction
 
 SETTINGS = np.dtype(
     [
@@ -36,9 +40,8 @@ STATE = np.dtype(
         ("asked", "f8", 3),  # N m, last report
         ("acting", "f8", 3),  # N m, what the drive made of it
         ("started", "i8"),
-        ("models", "f8", (MODELS, 3)),  # N m, last torque of each model
-        ("reported", "f8", (MODELS, 3)),  # N m, what is reported of it
-        ("settled", "i8"),
+        ("acted", "f8", (TOLD + MODELS, 3)),  # N m, last torque that acted, of what is told and of each model
+        ("reported", "f8", (TOLD + MODELS, 3)),  # N m, what is reported of it
     ],
     align=True,
 )
@@ -58,19 +61,13 @@ def settings(readout: Readout, period: float) -> np.ndarray:
 
 def newest(record: np.ndarray) -> int:
     """Samples after the instant whose reports are weighed, one at least: a look back may not be nearer."""
-    return max(1, int(record["first"]) + TAPS - 1) if record["active"] else 1
+    weighed = np.flatnonzero(record["acting"]) if record["active"] else [0]
+    return max(1, int(record["first"]) + int(weighed[-1]))
 
 
 def fits(record: np.ndarray, lag: int) -> bool:
     """Whether the reports that are weighed lie within what is remembered, at a look back of `lag` samples."""
     return bool(newest(record) <= lag <= MAX_LAG + min(0, int(record["first"])))
-
-
-def noise_share(record: np.ndarray, samples: int) -> float:
-    """Variance of the mean of `samples` torques that act over that of as many reports of white noise; one at least, for
-    what a low-pass takes off the noise comes again in the samples after."""
-    through = np.convolve(np.ones(samples), record["acting"])
-    return max(1.0, float(through @ through) / samples) if record["active"] else 1.0
 
 
 @kernel
@@ -86,22 +83,22 @@ def follow_kernel(settings, state, torque, elapsed):
 
 
 @kernel
-def lag_kernel(settings, state, models, elapsed):
-    """Make of the torques of the models (MODELS, 3) N m, in place, what is reported, `elapsed` s after the last."""
-    keep, mean = ramp(elapsed / settings.lag)
-    for n in range(MODELS):
+def lag_kernel(settings, state, torque, first, elapsed):
+    """Make of torques (N, 3) N m, in place, what is reported of them, `elapsed` s after the last, 0: they start over. They
+    are the rows of the state from `first` on."""
+    keep, mean = ramp(elapsed / settings.lag) if elapsed > 0.0 else (0.0, 0.0)
+    for n in range(len(torque)):
+        acted, reported = state.acted[first + n], state.reported[first + n]
         for i in range(3):
-            before = state.models[n, i] if state.settled != 0 else models[n, i]
-            told = state.reported[n, i] if state.settled != 0 else models[n, i]
-            state.models[n, i] = models[n, i]
-            models[n, i] = state.reported[n, i] = keep * told + (mean - keep) * before + (1.0 - mean) * models[n, i]
-    state.settled = 1
+            now = torque[n, i]
+            torque[n, i] = reported[i] = keep * reported[i] + (mean - keep) * acted[i] + (1.0 - mean) * now
+            acted[i] = now
 
 
 @kernel
-def weigh_reports_kernel(weights, first, past, instant, unusable, torque):
-    """Fill torque (3,), N m: reports round the slot `instant` of the ring `past`, weighted. Returns whether all of them
-    are there."""
+def weigh_reports_kernel(weights, first, past, instant, unusable, commanded, torque):
+    """Fill torque (3,), N m: reports round the slot `instant` of the ring `past`, weighted, or what was commanded there.
+    Returns whether all of them are there."""
     whole = True
     for i in range(3):
         torque[i] = 0.0
@@ -110,7 +107,7 @@ def weigh_reports_kernel(weights, first, past, instant, unusable, torque):
         if weight == 0.0:
             continue
         slot = past[(instant + first + tap + MAX_LAG + 1) % (MAX_LAG + 1)]
-        whole &= slot.flags & unusable == 0
+        whole &= slot.flags & unusable == 0 and (slot.commanded != 0 or not commanded)
         for i in range(3):
-            torque[i] += weight * slot.acting[i]
+            torque[i] += weight * (slot.torque_command[i] if commanded else slot.acting[i])
     return whole

@@ -125,6 +125,7 @@ STATE = np.dtype(
         ("share", "f8", 3),
         ("mass", "f8", (3, 3)),  # kg m^2
         ("models", "f8", (readout.MODELS, 3)),  # N m
+        ("told", "f8", (readout.TOLD, 3)),  # what the payload is told by, see `step`
         ("acting", "f8", 3),  # N m
         ("reported", "f8", 3),  # N m
         ("full", "f8", 3),
@@ -156,7 +157,8 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     identified = robot.identified
     record["model"] = record_of(pack(robot))
     without = left_out(robot, period)
-    reading = readout.settings(effects.readout_of([term for term in terms if term.effect.name not in without]), period)
+    kept = [term for term in terms if term.effect.name not in without]
+    reading = readout.settings(effects.readout_of(described, kept), period)
     motion = kalman.design(period, robot.drive.position_resolution_rad, readout.newest(reading))
     for name in motion._fields:
         record["motion"][name] = getattr(motion, name)
@@ -193,8 +195,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["gears"] = gears_of(pack(robot), base_of(described).rigid, figures)
     record["scale"] = scale
     record["gear_ratio"] = robot.drive.gear_ratio
-    share = readout.noise_share(reading, max(1, round(payload.BLOCK_TIME / period)))
-    record["variance"] = payload.sample_variance(np.sqrt(share) * noise, left_over)
+    record["variance"] = payload.sample_variance(noise, left_over)
     record["drive_torque"] = commanded.settings(noise, is_commanded, period)
     prior = departure.drift(record["viscous"][0], record["coulomb"][0])
     limit, variance = robot.limits.max_payload_kg, record["variance"][0]

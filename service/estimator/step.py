@@ -18,7 +18,7 @@ from schemas.kernels import kernel
 from schemas.messages import PayloadEvent
 from service.estimator.branch import ANSWERED, MEASURED, forget_kernel, wake_kernel
 from service.estimator.commanded import compare_kernel, is_used
-from service.estimator.departure import BALLS, SCALE, place
+from service.estimator.departure import BALLS, PARTS, SCALE, place
 from service.estimator.feedforward import (
     dry_and_viscous,
     feedforward_kernel,
@@ -43,7 +43,7 @@ from service.estimator.kalman import (
 )
 from service.estimator.payload.state import LOADS, PRIOR_STD
 from service.estimator.payload.step import payload_kernel, unseen_kernel, weigh_anew_kernel
-from service.estimator.readout import follow_kernel, lag_kernel, weigh_reports_kernel
+from service.estimator.readout import TOLD, follow_kernel, lag_kernel, weigh_reports_kernel
 from service.estimator.stream import (
     BACKWARDS,
     COMMAND_JUMP,
@@ -194,7 +194,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
         told = _read_out(settings, state, index, past)
         swing_kernel(settings, state, weighed.column)
         torque_kernel(settings, state, branch, past.stamp_sec + past.stamp_nanosec * 1e-9, carried)
-        _tell(settings, state, _is_loose(settings, state) or not told)
+        _tell(settings, state, _is_loose(settings, state) or not told, since)
         weighed.gripper = past.gripper
         if settings.geared != 0 and told:
             for i in range(3):
@@ -219,17 +219,15 @@ def lagged_kernel(settings, state, payload_out, error_out):
 def _read_out(settings, state, index, past):
     """state.reported (3,) and state.acting (3,), N m: report and torque that acts at the slot `index`. Returns whether
     the reports that tell it are there."""
-    drive = past.torque
-    if past.commanded != 0 and is_used(settings.drive_torque, state.drive_torque):
-        drive = past.torque_command
-    told = True
-    for i in range(3):
-        state.reported[i], state.acting[i] = past.torque[i], drive[i]
-    if settings.readout.active != 0:
-        first = settings.readout.first
-        weigh_reports_kernel(settings.readout.shift, first, state.past, index, UNUSABLE, state.reported)
-        told = weigh_reports_kernel(settings.readout.acting, first, state.past, index, UNUSABLE, state.acting)
-    return told
+    commanded = past.commanded != 0 and is_used(settings.drive_torque, state.drive_torque)
+    if settings.readout.active == 0:
+        drive = past.torque_command if commanded else past.torque
+        for i in range(3):
+            state.reported[i], state.acting[i] = past.torque[i], drive[i]
+        return True
+    reading, first = settings.readout, settings.readout.first
+    weigh_reports_kernel(reading.shift, first, state.past, index, UNUSABLE, False, state.reported)
+    return weigh_reports_kernel(reading.acting, first, state.past, index, UNUSABLE, commanded, state.acting)
 
 
 @kernel
@@ -244,8 +242,8 @@ def _is_loose(settings, state):
 
 
 @kernel
-def _tell(settings, state, loose):
-    """What the sample says of the payload, into state.payload. loose: it says nothing."""
+def _tell(settings, state, loose, since):
+    """What the sample says of the payload, `since` cycles after the last, into state.payload. loose: it says nothing."""
     terms, motion, weighed = state.terms, state.trajectory, state.payload
     weighed.resting = 0 if loose else 1
     for i in range(3):
@@ -254,7 +252,7 @@ def _tell(settings, state, loose):
         # the load's share of a changed scale is the mass's by what is known of it, else the scale's
         scale, load = weighed.departure.delta[place(i, SCALE)], load_kernel(settings, state, i)
         carried = weighed.mass * load
-        weighed.residual[i] = state.acting[i] - state.full[i] + scale * carried
+        state.told[0, i] = state.full[i] - scale * carried
         weighed.column[i, 0] = load
         for p in range(LOADS):
             weighed.column[i, p] *= 1.0 + scale
@@ -275,6 +273,31 @@ def _tell(settings, state, loose):
             weighed.resting = 0
         weighed.slow.now.phi[i] = (1.0 + scale) * weight_kernel(settings, state, i)
         weighed.slow.now.weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
+    if settings.readout.lag > 0.0:
+        _tell_as_reported(settings, state, since * settings.period)
+    for i in range(3):
+        measured = state.reported[i] if settings.readout.lag > 0.0 else state.acting[i]
+        weighed.residual[i] = measured - state.told[0, i]
+
+
+@kernel
+def _tell_as_reported(settings, state, elapsed):
+    """Put what the payload is told by behind the low-pass of the report, `elapsed` s after the last. A mass that has
+    changed since is still in what is reported now; what is left of it there is no part of the one of now."""
+    told, weighed = state.told, state.payload
+    for i in range(3):
+        told[0, i] += weighed.mass * weighed.column[i, 0]
+        for p in range(LOADS):
+            told[1 + p, i] = weighed.column[i, p]
+        for a in range(PARTS):
+            told[1 + LOADS + a, i] = weighed.shape[i, a]
+    lag_kernel(settings.readout, state.readout, told, 0, elapsed)
+    for i in range(3):
+        told[0, i] -= weighed.mass * told[1, i]
+        for p in range(LOADS):
+            weighed.column[i, p] = told[1 + p, i]
+        for a in range(PARTS):
+            weighed.shape[i, a] = told[1 + LOADS + a, i]
 
 
 @kernel
@@ -305,9 +328,7 @@ def _behind(settings, state, since, error_out):
         error_out.id[i] += models[1, i]
         error_out.id_friction[i] += models[2, i]
         error_out.full[i] += models[3, i]
-    if since == 0:
-        state.readout.settled = 0
-    lag_kernel(settings.readout, state.readout, models, max(since, np.int64(1)) * settings.period)
+    lag_kernel(settings.readout, state.readout, models, TOLD, since * settings.period)
     for i in range(3):
         error_out.kh[i] -= models[0, i]
         error_out.id[i] -= models[1, i]

@@ -46,7 +46,10 @@ ORDER = (
     "clean", "cold", "shaft_friction", "constant_since", "one_constant_since", "constant", "slow", "air_drag",
     "joint_spring", "hose_spring", "rotor_inertia", "load_dependent_friction", "shaft_since", "warm", "stacked",
     "tool_since", "tilted", "gentle", "stribeck_since", "ball_joints_since", "stribeck_friction",
-    "nonlinear_viscous_friction",
+    "nonlinear_viscous_friction", "joint_elasticity", "backlash", "presliding_friction", "torque_delay",
+    "torque_filter", "drive_lag", "passive_joint_friction", "asymmetric_friction", "position_dependent_friction",
+    "warmup_friction", "tool_mass", "arm_mass", "base_tilt", "link_length_error", "joint_offset", "torque_scale",
+    "torque_offset", "cogging",
 )  # fmt: skip
 
 
@@ -69,6 +72,13 @@ def scenario_of(name: str, machine: Machine, seed: int) -> Scenario:
         return SCENARIOS[name]
     fault = Fault(effects=(EFFECTS[name].draw(np.random.default_rng([seed, 72]), machine.truth, 1.0),))
     return Scenario(fault, fault)
+
+
+def late_by(fault: Fault) -> float:
+    """s by which the reported torque is behind the one that acts."""
+    delays = (getattr(effect, "delay_s", 0.0) for effect in fault.effects)
+    filters = (1 / (2 * np.pi * one.cutoff_hz) for one in fault.effects if isinstance(one, EFFECTS["torque_filter"]))
+    return sum(delays) + sum(filters)
 
 
 def draw(folder: Path, robot: str, seed: int, names: list[str]) -> Iterator[str]:
@@ -120,7 +130,7 @@ def draw(folder: Path, robot: str, seed: int, names: list[str]) -> Iterator[str]
         np.savez(
             place / "pick.npz", time=log.time, position=log.position, torque=log.torque,
             position_command=log.position_command, torque_command=log.torque_command,
-            picks=[(one.pick, one.release, one.mass) for one in motion.payloads],
+            picks=[(one.pick, one.release, one.mass) for one in motion.payloads], late=late_by(scenario.picking),
         )  # fmt: skip
         yield name
 
@@ -138,7 +148,8 @@ def kept(folder: Path, only: list[str], robots: list[str]) -> Iterator[Kept]:
         with np.load(file) as held:
             arrays = dict(held)
         picks = tuple(Pick(*row) for row in arrays.pop("picks"))
-        yield Kept(robot, name, _descriptions(file.parent), Trace(Path("pick"), **arrays), picks)
+        late = float(arrays.pop("late", 0.0))
+        yield Kept(robot, name, _descriptions(file.parent), Trace(Path("pick"), **arrays), picks, late)
 
 
 def _descriptions(place: Path) -> dict[str, Robot]:
