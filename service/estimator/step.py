@@ -31,6 +31,7 @@ from service.estimator.feedforward import (
 )  # fmt: skip
 from service.estimator.kalman import (
     MAX_LAG,
+    ACCELERATION,
     VELOCITY,
     acceleration_variance_kernel,
     coast_kernel,
@@ -42,7 +43,7 @@ from service.estimator.kalman import (
     update_kernel,
 )
 from service.estimator.payload.state import LOADS, PRIOR_STD
-from service.estimator.payload.step import payload_kernel, unseen_kernel, weigh_anew_kernel
+from service.estimator.payload.step import loosen_kernel, payload_kernel, unseen_kernel, weigh_anew_kernel
 from service.estimator.readout import TOLD, follow_kernel, lag_kernel, weigh_reports_kernel
 from service.estimator.stream import (
     BACKWARDS,
@@ -67,7 +68,7 @@ from service.estimator.stream import (
 )  # fmt: skip
 from service.estimator.turning import swing_kernel, turn_kernel
 from service.model.dynamics import GRAVITY, INERTIA, PLATFORM, REST_SPEED
-from service.model.gears import observe_kernel
+from service.model.gears import begin_swing_kernel, observe_kernel
 from service.model.kinematics import REACHED
 
 # Presliding and Stribeck effects live below this speed: the payload looks at a joint there where nothing is faster.
@@ -199,8 +200,12 @@ def lagged_kernel(settings, state, payload_out, error_out):
         if settings.geared != 0 and told:
             for i in range(3):
                 state.models[0, i] = (state.acting[i] - state.full[i]) / settings.scale[i]
-            observe_kernel(settings.gears, branch.twist, state.models[0], state.push, since * settings.period)
+                state.models[1, i] = settings.coulomb[i] if weighed.weight[i] <= 0.0 else 0.0
+            seconds, friction = since * settings.period, state.models[1]
+            observe_kernel(settings.gears, branch.twist, state.models[0], state.push, carried, friction, seconds)
         event = payload_kernel(settings.payload, weighed)
+        if settings.geared != 0 and weighed.changed > 0:
+            _swing_anew(settings, state, carried)
         _errors(settings, state, since, error_out)
     error_out.flags = flags
     payload_out.mass = weighed.mass
@@ -213,6 +218,16 @@ def lagged_kernel(settings, state, payload_out, error_out):
     payload_out.stamp_sec = error_out.stamp_sec = past.stamp_sec
     payload_out.stamp_nanosec = error_out.stamp_nanosec = past.stamp_nanosec
     payload_out.sequence = error_out.sequence = past.sequence
+
+
+@kernel
+def _swing_anew(settings, state, carried):
+    """The gears swing since a change of load that this sample shows. carried: kg, until then. What was told since, told
+    it as of a load that hangs there since ever, and is in doubt by what a swing leaves of its mean."""
+    weighed, branch = state.payload, state.branch[MEASURED]
+    step, seconds = weighed.mass - carried, weighed.changed * settings.period
+    swings = begin_swing_kernel(settings.gears, branch.twist, step) * seconds
+    loosen_kernel(weighed, 0.5 * step * step / max(1.0, swings * swings))
 
 
 @kernel
@@ -248,6 +263,7 @@ def _tell(settings, state, loose, since):
     weighed.resting = 0 if loose else 1
     for i in range(3):
         speed = abs(motion[VELOCITY, i])
+        turns = max(REVERSAL_SPEED, settings.period * abs(motion[ACCELERATION, i]))  # within a sample nobody knows when
         friction = dry_and_viscous(settings, state, i)
         # the load's share of a changed scale is the mass's by what is known of it, else the scale's
         scale, load = weighed.departure.delta[place(i, SCALE)], load_kernel(settings, state, i)
@@ -267,8 +283,8 @@ def _tell(settings, state, loose, since):
         # a resting joint's friction can be anything within Coulomb's bounds, the same for as long as it rests
         unsure = doubt * doubt + state.branch[MEASURED].doubt[i]
         weight = 0.0 if loose else 1.0 / (settings.variance[i] + unsure)
-        weighed.weight[i] = weight if speed > REVERSAL_SPEED else 0.0
-        weighed.creeps[i] = 1 if REVERSAL_SPEED < speed <= CREEPING_SPEED else 0
+        weighed.weight[i] = weight if speed > turns else 0.0
+        weighed.creeps[i] = 1 if turns < speed <= CREEPING_SPEED else 0
         if speed > REST_SPEED:
             weighed.resting = 0
         weighed.slow.now.phi[i] = (1.0 + scale) * weight_kernel(settings, state, i)

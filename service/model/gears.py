@@ -40,7 +40,7 @@ TWIST = np.dtype(
         ),  # of it at the motors: behind a loose gear a mean, for impacts are shorter than a sample
         ("shaken", "f8", 3),  # (N m)^2, of impacts of late
         ("force", "f8", (2, 3)),  # N m, on the links at the end of the last step
-        ("unknown", "f8", 3),  # share of the swing at the start, which nobody has seen, that is left
+        ("swing", "f8", 3),  # (N m)^2, of the torque of a swing that nobody knows, as far as it has not died out
         ("flank", "i8", 3),  # that is closed: -1, 1; 0: none, or a gear without lost motion
         # scratch
         ("mass", "f8", (3, 3)),
@@ -87,12 +87,12 @@ def _begin(gears, twist, carried):
     for i in range(3):
         twist.flank[i] = 0
         twist.shaken[i] = 0.0
-        twist.unknown[i] = 1.0 if gears.stiffness[i] > 0.0 else 0.0
         for row in range(2):
             force = twist.now[row, i]
             twist.angle[row, i] = force / gears.stiffness[i] if gears.stiffness[i] > 0.0 else 0.0
             twist.speed[row, i] = twist.change[row, i] = twist.felt[row, i] = 0.0
             twist.force[row, i] = force
+        twist.swing[i] = twist.force[0, i] ** 2
         if gears.half[i] > 0.0:
             twist.flank[i] = 1 if twist.now[0, i] + carried * twist.now[1, i] > 0.0 else -1
             twist.angle[0, i] += twist.flank[i] * gears.half[i]
@@ -182,7 +182,7 @@ def advance_kernel(gears, twist, mass, load, payload, theta_ddot, carried, elaps
             _step(gears, twist, row, (n + 1) / count, h)
     apart = False
     for i in range(3):
-        twist.unknown[i] *= math.exp(-0.5 * elapsed * gears.damping[i] / twist.mass[i, i])
+        twist.swing[i] *= math.exp(-elapsed * gears.damping[i] / twist.mass[i, i])
         for row in range(2):
             twist.force[row, i] = twist.now[row, i]
             mean = (twist.felt[row, i] + twist.speed[row, i]) / elapsed
@@ -206,27 +206,41 @@ def _shake(gears, twist, carried, elapsed):
 
 
 @kernel
-def observe_kernel(gears, twist, residual, payload, elapsed):
+def observe_kernel(gears, twist, residual, payload, carried, sticks, elapsed):
     """Draw the twists of springs after the torque that is measured: a swing that the model gets wrong, as behind a pick
     whose mass is not known yet, would last for as long as the link does.
 
-    residual: (3,) N m, measured less what the robot takes without payload; payload: (3,) N m/kg of it. Both twists are
-    drawn alike, so that what a payload does to the residual stays known (Friedland 1969); a steady load is left whole
-    in it. The rate is that of the swing itself, which damps what is wrong by half.
+    residual: (3,) N m, measured less what the robot takes without payload; payload: (3,) N m/kg of it; carried: kg. Both
+    twists are drawn alike, so that what a payload does to the residual stays known (Friedland 1969); a steady load is
+    left whole in it. The rate is that of the swing itself, which damps what is wrong by half. sticks: (3,) N m that
+    friction takes up of it as it likes: where that may be all, nothing is seen of the swing.
     """
     for i in range(3):
         if gears.stiffness[i] > 0.0 and gears.half[i] == 0.0:
-            rate = math.sqrt(gears.stiffness[i] / twist.mass[i, i])
-            share = (1.0 - math.exp(-elapsed * rate)) / gears.stiffness[i]
+            calm = math.exp(-elapsed * math.sqrt(gears.stiffness[i] / twist.mass[i, i]))
+            share = (1.0 - calm) / gears.stiffness[i]
             twist.angle[0, i] -= share * residual[i]
             twist.angle[1, i] += share * payload[i]
+            twist.swing[i] = max(calm * twist.swing[i], sticks[i] * sticks[i])
+
+
+@kernel
+def begin_swing_kernel(gears, twist, step):
+    """Another load, by `step` kg, hangs there since a while: the gears swing as if it had hung there ever since, by as
+    much as it pulls. Returns the pace of the slowest swing, rad/s, infinite without any."""
+    slowest = math.inf
+    for i in range(3):
+        twist.swing[i] += (step * twist.force[1, i]) ** 2
+        if gears.stiffness[i] > 0.0 and gears.half[i] == 0.0:
+            slowest = min(slowest, math.sqrt(gears.stiffness[i] / twist.mass[i, i]))
+    return slowest
 
 
 @kernel
 def doubt_kernel(twist, doubt):
-    """Add to doubt (3,), (N m)^2: a swing as large as its load took, as far as it has not died out, and strikes."""
+    """Add to doubt (3,), (N m)^2: swings that nobody knows, and strikes."""
     for i in range(3):
-        doubt[i] += (twist.unknown[i] * twist.force[0, i]) ** 2 + twist.shaken[i]
+        doubt[i] += twist.swing[i] + twist.shaken[i]
 
 
 @kernel

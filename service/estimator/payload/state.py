@@ -62,6 +62,7 @@ STATE = np.dtype(
         ("head", "i8"),  # bin that is being filled
         ("in_bin", "i8"),  # samples in it
         ("filled", "i8"),  # bins since the last change, at most WINDOW
+        ("changed", "i8"),  # samples since the load changed, where this sample shows that it has
         ("load", "f8"),  # kg, mass at the last event, then whenever it is trusted
         ("load_variance", "f8"),  # kg^2, of it then, without what friction does
         ("load_drag", "f8", departure.COUNT),  # which is this, a departure

@@ -26,6 +26,7 @@ OFFSET_MEMORY = 5.0  # memory times after which nothing is left of what a turn s
 def payload_kernel(settings, state):
     """Take the sample in state.column, residual, weight, shape. Filled: mass, std_dev, trusted. Returns an event."""
     column, residual, weight, shape, head = state.column, state.residual, state.weight, state.shape, state.head
+    state.changed = 0
     if state.gripper != state.gripper_before:
         _grip(state)
     for i in range(3):
@@ -104,7 +105,7 @@ def _close_bin(settings, state):
     _empty_bin(state, head)
     if onset > 0:
         begin_whole(state)
-        samples = onset * settings.bin_size
+        samples = state.changed = onset * settings.bin_size
         state.untold = max(0.0, LEAST_TIME - samples * settings.period)
         if state.active > 1:
             part_blocks(settings, state, samples)
@@ -157,7 +158,7 @@ def _note_rest(settings, state, told):
     state.still += settings.period
     if state.still > STILL_TIME:
         if state.still - settings.period <= STILL_TIME and state.active == 1 and lacks_a_load(settings, state):
-            _loosen(state, PRIOR_STD * PRIOR_STD)
+            loosen_kernel(state, PRIOR_STD * PRIOR_STD)
         state.untold = TELLING_TIME
 
 
@@ -188,13 +189,13 @@ def _weigh_at_rest(settings, state, fast):
         rest.step = 0.0
         return
     state.moment[0] += state.information[0, 0] * mass - corrected_moment(state, state.moment, state.drag, 0)
-    _loosen(state, rest.variance)
+    loosen_kernel(state, rest.variance)
     state.still = 0.0
     state.untold = LEAST_TIME
 
 
 @kernel
-def _loosen(state, variance):
+def loosen_kernel(state, variance):
     """The mass is another by nobody knows what of `variance`, kg^2."""
     known = state.information[0, 0]
     left = max(prior_of(0), known / (1.0 + known * variance))
