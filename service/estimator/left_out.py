@@ -50,7 +50,7 @@ def torque_left_out(robot: Robot, period: float) -> np.ndarray:
     if not terms:
         return np.zeros(3)
     changed, _, _ = corrected(robot)
-    scene = Scene(Recording(_swing(), Delta.of(changed), 0, robot.name), base_of(robot))
+    scene = Scene(Recording(swing(), Delta.of(changed), 0, robot.name), base_of(robot))
     square = np.zeros(3)
     for term in terms:
         if term.effect.measured:
@@ -64,7 +64,8 @@ def torque_left_out(robot: Robot, period: float) -> np.ndarray:
     return np.sqrt(square)
 
 
-def _swing() -> Segment:
+def swing() -> Segment:
+    """A motion amid the workspace, along which a torque is told."""
     period = 1e-3
     time = np.arange(round(SECONDS / period)) * period
     rate = 2 * np.pi * SWINGS_HZ

@@ -14,6 +14,7 @@ from service.estimator.bounds import acceleration_of, bounds_of, growth_of
 from service.estimator.branch import BRANCH
 from service.estimator.left_out import left_out, torque_left_out
 from service.estimator.payload import state as payload
+from service.estimator.unsure import mass_error
 from service.model.description import base_of, terms_of
 from service.model.dynamics import REST_SPEED, TERMS
 from service.model.elastic import GEARS, gears_of
@@ -199,7 +200,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["drive_torque"] = commanded.settings(noise, is_commanded, period)
     prior = departure.drift(record["viscous"][0], record["coulomb"][0])
     limit, variance = robot.limits.max_payload_kg, record["variance"][0]
-    record["payload"] = payload.settings(period, prior, limit, left_over, variance, calibrated)
+    record["payload"] = payload.settings(period, prior, limit, left_over, variance, calibrated, mass_error(described))
     return record
 
 

@@ -153,6 +153,7 @@ SETTINGS = np.dtype(
         ("period", "f8"),  # s
         ("max_payload", "f8"),  # kg
         ("common_share", "f8"),  # of a mass, standard deviation of what the torque constants put all masses off by
+        ("unsure", "f8"),  # kg^2, variance of a mass for what is not known of the effects
     ],
     align=True,
 )
@@ -175,10 +176,12 @@ def settings(
     model_error: np.ndarray,
     variance: np.ndarray,
     torque_constant_error: float | None = None,
+    unsure: float = 0.0,
 ) -> np.ndarray:
     """One SETTINGS record. period: s. prior: (COUNT,) of departure. max_payload: kg. model_error: (3,) N m rms that the
     model left where it was identified. variance: (3,) (N m)^2, as `sample_variance`. torque_constant_error: standard
-    error of the torque constants as a share, None where nobody calibrated them."""
+    error of the torque constants as a share, None where nobody calibrated them. unsure: kg, standard deviation of a
+    mass for what is not known of the effects."""
     record = np.zeros((), SETTINGS)
     for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME)):
         record[name] = max(1, round(time / period))
@@ -193,6 +196,7 @@ def settings(
     )
     record["prior"], record["period"], record["max_payload"] = prior, period, max_payload
     record["common_share"] = UNCALIBRATED if torque_constant_error is None else torque_constant_error
+    record["unsure"] = unsure**2
     return record
 
 

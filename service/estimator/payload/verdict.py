@@ -95,7 +95,7 @@ def conclude(settings, state):
             lacking = max(lacking, state.scatter / state.judged - LEAST_INFLATION)
             share = max(BIAS_SHARE * BIAS_SHARE, 1.0 / (1.0 + state.told * settings.period / BIAS_AVERAGING))
             gentle = share * lacking * state.told / (settings.block_size * gained)
-    std_dev = math.sqrt(worse * inverse[0, 0] + doubt + state.bias)
+    std_dev = math.sqrt(worse * inverse[0, 0] + doubt + state.bias + settings.unsure)
     known_empty = state.gripper == OPEN
     contradicted = known_empty and mass > EMPTY_SIGMAS * std_dev + SMALLEST_CHANGE
     # what hangs on nothing is an error too, whichever way
@@ -155,7 +155,7 @@ def conclude(settings, state):
         more = max(0.0, max(gentle, here) - state.bias)
         std_dev = math.sqrt(std_dev * std_dev + state.hidden + more)
         floor = worse * inverse[0, 0] * (1.0 - state.measured / state.inflation)
-        cautious = floor + (1.0 - SCATTERED_SHARE) * (doubt + state.bias + more)
+        cautious = floor + (1.0 - SCATTERED_SHARE) * (doubt + state.bias + more) + settings.unsure
         state.random_std_dev = math.sqrt(max(0.0, std_dev * std_dev - cautious))
     else:
         state.random_std_dev = std_dev
@@ -167,8 +167,9 @@ def conclude(settings, state):
     load = tool if tool > TOOL_SHARE * SMALLEST_CHANGE else 0.0  # less is no tool, and no reason to say nothing
     state.trusted = 1 if sure and (known_empty or is_sure(math.hypot(std_dev, load), mass)) else 0
     # a wrong torque constant makes a load of the platform's own weight, and the others heavier by as much: one error
-    state.common_std_dev = tool + settings.common_share * held
-    state.std_dev = math.hypot(std_dev, state.common_std_dev)
+    common = tool + settings.common_share * held
+    state.common_std_dev = math.sqrt(common * common + (0.0 if known_empty else settings.unsure))
+    state.std_dev = math.hypot(std_dev, common)
     if sure:
         state.sure_for += settings.period
     _reckon(settings, state, borne_out, sure)
