@@ -23,7 +23,7 @@ SEQUENCE_BYTES = slice(20, 28)  # of every message, behind CDR and message heade
 NO_FRAME = b"\x01\x00\x00\x00\x00\x00\x00\x00"  # the empty text in CDR, and what aligns the sequence behind it
 
 # What most sources do not have, and what a recording of an earlier version does not.
-OPTIONAL = {"fourth_position", "random_std_dev", "common_std_dev"}
+OPTIONAL = {"fourth_position", "random_std_dev", "common_std_dev", "position_offset"}
 
 _TIME, _HEADER = "builtin_interfaces/Time", "std_msgs/Header"
 NESTED = {_HEADER: f"{_TIME} stamp\nstring frame_id\n", _TIME: "int32 sec\nuint32 nanosec\n"}

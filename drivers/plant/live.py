@@ -2,7 +2,8 @@
 
 In cycle k the robot publishes `reference` k + 1, then `sample` k, and adds the feed-forward torque meant for cycle k.
 Where that did not come it holds the last one for `STALE_CYCLES`; after that the drives are on feedback alone, their
-integrators taking over the torque that was, so that nothing jumps.
+integrators taking over the torque that was, so that nothing jumps. By the position offset that comes with a torque the
+motors go before the planned positions; without one they come back to them.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from schemas.trace import Trace
 from service.model import kinematics
 
 STALE_CYCLES = 3
+FARTHEST = 0.1  # rad, that motors go before the planned positions at most: gears that yield so far are broken
+RETURN_SPEED = 0.2  # rad/s, at which they come back
 LEAD_NS = 20_000_000  # from the call to the first deadline
 REMEMBERED = 300_000  # cycles kept of a run that goes on: the newest five minutes at 1 kHz, 48 MB
 _CYCLE = np.dtype(
@@ -45,14 +48,20 @@ class FeedforwardIntake:
 
     def __init__(self, inbox: Inbox, limit: float):
         self.received = self._refused = 0
+        self._stale = True
         self._inbox, self._limit = inbox, limit
-        self._waiting: dict[int, np.ndarray] = {}
-        self._last: tuple[int, np.ndarray] | None = None
+        self._waiting: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._last: tuple[int, tuple[np.ndarray, np.ndarray]] | None = None
 
     @property
     def newest(self) -> int | None:
         """Cycle that the torque was for which came last into force."""
         return None if self._last is None else self._last[0]
+
+    @property
+    def offset(self) -> np.ndarray | None:
+        """(3,) rad, of the positions, which came with the torque that is in force; None as `at`."""
+        return None if self._last is None or self._stale else self._last[1][1]
 
     @property
     def refused(self) -> int:
@@ -64,10 +73,13 @@ class FeedforwardIntake:
         records, _ = self._inbox.take()
         for record in records:
             target, torque = int(record["target_sequence"]), np.array(record["torque"])
+            offset = np.clip(
+                np.nan_to_num(record["position_offset"]), -FARTHEST, FARTHEST
+            )  # NaN: none is said
             self.received += 1
             # the far future is another run's
             if np.isfinite(torque).all() and cycle - STALE_CYCLES <= target <= cycle + 1000:
-                self._waiting[target] = np.clip(torque, -self._limit, self._limit)
+                self._waiting[target] = np.clip(torque, -self._limit, self._limit), offset
             else:
                 self._refused += 1
         due = [target for target in self._waiting if target <= cycle]
@@ -77,9 +89,8 @@ class FeedforwardIntake:
                 self._last = (newest, self._waiting[newest])
             for target in due:
                 del self._waiting[target]
-        if self._last is None or cycle - self._last[0] > STALE_CYCLES:
-            return None
-        return self._last[1]
+        self._stale = self._last is None or cycle - self._last[0] > STALE_CYCLES
+        return None if self._last is None or self._stale else self._last[1][0]
 
 
 @dataclass(frozen=True)
@@ -139,6 +150,7 @@ def run_live(
     epoch = time.time_ns()
     start = time.monotonic_ns() + LEAD_NS
     fed: np.ndarray | None = None
+    ahead = np.zeros(3)
     with health:
         try:
             for cycle in range(loops * count) if loops else itertools.count():
@@ -152,7 +164,8 @@ def run_live(
                 if (fed is None) != (fed_before is None):
                     plant.take_over(fed_before, fed)
                     health.flags = standing if fed is not None else standing | HealthFlag.STALE_FEEDFORWARD
-                measured = course.latch(plant, k, fed)
+                ahead_before, ahead = ahead, _ahead(ahead, intake.offset, plant.period)
+                measured = course.latch(plant, k, fed, ahead, ahead - ahead_before)
                 platform = plant.platform.copy()  # physics moves it on
                 stamp = epoch + cycle * period_ns
                 set_stamp(reference, stamp + period_ns)
@@ -200,3 +213,10 @@ def run_live(
         trace, rows["feedforward"], rows["held"], rows["payload"], rows["platform"] - wanted, done, late_count,
         rows["late"], ended is StopReason.INTERRUPTED,
     )  # fmt: skip
+
+
+def _ahead(before: np.ndarray, offset: np.ndarray | None, period: float) -> np.ndarray:
+    """(3,) rad, of the motors before the planned positions in this cycle."""
+    if offset is None:
+        return before - np.clip(before, -RETURN_SPEED * period, RETURN_SPEED * period)
+    return offset

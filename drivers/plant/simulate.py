@@ -22,12 +22,21 @@ class Course:
         for payload in motion.payloads:
             self.mass[round(payload.pick / motion.period) : round(payload.release / motion.period)] = payload.mass
 
-    def latch(self, plant: Plant, cycle: int, feedforward: np.ndarray | None) -> Measured:
-        """As `Plant.latch`."""
+    def latch(
+        self,
+        plant: Plant,
+        cycle: int,
+        feedforward: np.ndarray | None,
+        ahead: np.ndarray | float = 0.0,
+        further: np.ndarray | float = 0.0,
+    ) -> Measured:
+        """As `Plant.latch`. ahead: (3,) rad, of the motors before the motion; further: (3,) rad, of that in a cycle."""
         if self.mass[cycle] != plant.payload:
             plant.set_payload(float(self.mass[cycle]))
         position, velocity = self.motion.position, self.motion.velocity
-        now, then = (Target(position[k], velocity[k]) for k in (cycle, cycle + 1))
+        pace = further / plant.period
+        now = Target(position[cycle] + ahead, velocity[cycle] + pace)
+        then = Target(position[cycle + 1] + ahead + further, velocity[cycle + 1] + pace)
         return plant.latch(now, then, feedforward)
 
 

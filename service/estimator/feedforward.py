@@ -17,7 +17,7 @@ from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM,
 from service.model.effects.base import Instant
 from service.model.forward import mass_kernel
 from service.model.friction import ball_joint_kernel, direction, friction_kernel
-from service.model.gears import advance_kernel, doubt_kernel, release_kernel, through_kernel
+from service.model.gears import advance_kernel, doubt_kernel, lead_kernel, release_kernel, through_kernel
 from service.model.kinematics import REACHED
 
 REFERENCE_AHEAD = 8  # cycles, planned motion further ahead is not for the next cycles
@@ -43,7 +43,8 @@ def feedforward_kernel(settings, state, sample, passed, out):
         since = wake_kernel(branch, passed, coast_cycles(settings))
         if since == 0 and settings.remembers != 0:
             flags |= STATE_NEW
-    if source != _NONE and _for_motion(settings, state, sample, since):
+    links = source == _REFERENCE and settings.leads != 0
+    if source != _NONE and _for_motion(settings, state, sample, since, links):
         if (source == _COMMAND and state.command_stray > 0) or (source == _ESTIMATE and state.stray > 0):
             _stay(state)
         flags |= _within_bounds(settings, state, seconds, out)
@@ -52,10 +53,28 @@ def feedforward_kernel(settings, state, sample, passed, out):
     else:
         source = _NONE
         flags |= _fade(settings, state, seconds, out)
+    _lead(settings, state, seconds, links and source != _NONE, out)
     for i in range(3):
         state.torque[i] = out.torque[i]
     out.source = state.source = source
     return flags
+
+
+@kernel
+def _lead(settings, state, seconds, wanted, out):
+    """out.position_offset: from answer to answer by no more than the torque's bounds twist the gears; without a wanted
+    path it goes back to none within the time in which a torque fades."""
+    for i in range(3):
+        out.position_offset[i] = 0.0
+        if settings.leads == 0 or settings.gears.stiffness[i] <= 0.0:
+            continue
+        most, pace = settings.peak / settings.gears.stiffness[i], settings.slope / settings.gears.stiffness[i]
+        if not wanted:
+            pace = most / settings.fade
+        goal = min(max(state.ahead[i], -most), most) if wanted else 0.0
+        step = pace * seconds
+        state.offset[i] = min(max(goal, state.offset[i] - step), state.offset[i] + step)
+        out.position_offset[i] = state.offset[i]
 
 
 @kernel
@@ -76,9 +95,11 @@ def hold_kernel(settings, state, sample, out):
     if state.held > coast_cycles(settings):
         state.source = _NONE
         flags = _fade(settings, state, settings.period, out)
+        _lead(settings, state, settings.period, False, out)
     else:
         for i in range(3):
             out.torque[i] = state.torque[i]
+            out.position_offset[i] = state.offset[i]
             state.climb[i] = 0.0
     for i in range(3):
         state.torque[i] = out.torque[i]
@@ -152,11 +173,16 @@ def plan_kernel(steps):
 
 
 @kernel
-def _for_motion(settings, state, sample, since):
+def _for_motion(settings, state, sample, since, links):
     """state.wanted (3,) N m: the torque for state.trajectory, `since` cycles after the last, with payload and friction
-    of now; False where there is no pose for it."""
+    of now; False where there is no pose for it. links: it is theirs, and state.ahead (3,) rad how far the motors are
+    before them."""
     mass, branch, seconds = state.payload.usable, state.branch[ANSWERED], since * settings.period
-    if place_kernel(settings, state, ANSWERED, seconds, mass) != REACHED:
+    if links:
+        placed = _place_links(settings, state, branch, mass)
+    else:
+        placed = place_kernel(settings, state, ANSWERED, seconds, mass) == REACHED
+    if not placed:
         return False
     torque_kernel(settings, state, branch, sample.stamp_sec + sample.stamp_nanosec * 1e-9, mass)
     finite = True
@@ -169,6 +195,33 @@ def _for_motion(settings, state, sample, since):
         branch.wanted[i] = asked
         finite &= math.isfinite(state.wanted[i])
     return finite
+
+
+@kernel
+def _place_links(settings, state, branch, mass):
+    """As `place_kernel`, where state.trajectory is that of the links. mass: kg carried. Returns whether there is a pose
+    for it."""
+    terms, motion = state.terms, state.trajectory
+    release_kernel(branch.twist)  # behind commands of motors gears begin anew
+    if settings.encoded != 0:
+        encoder_kernel(settings.effect, settings.gear_ratio, motion)
+    status = terms_kernel(settings.model, motion[POSITION], motion[VELOCITY], motion[ACCELERATION], state.pose, terms)
+    if status != REACHED:
+        return False
+    _weigh_terms(settings, state)
+    mass_kernel(settings.model, settings.rho[0], settings.forearm, mass, state.pose, state.mass)
+    lead_kernel(
+        settings.gears, branch.twist, state.mass, state.load, state.push, motion[ACCELERATION], mass, state.ahead
+    )
+    return True
+
+
+@kernel
+def _weigh_terms(settings, state):
+    """state.load, N m, of the rigid robot, and state.push, N m/kg, of a payload."""
+    for i in range(3):
+        state.load[i] = grey_kernel(settings, state.terms, i) + settings.forearm * state.terms[FOREARM, i]
+        state.push[i] = state.terms[PAYLOAD, i]
 
 
 @kernel
@@ -190,9 +243,7 @@ def place_kernel(settings, state, number, elapsed, mass):
     if status != REACHED:
         release_kernel(branch.twist)  # it may be the twist that leads out of the workspace
         return status
-    for i in range(3):
-        state.load[i] = grey_kernel(settings, terms, i) + settings.forearm * terms[FOREARM, i]
-        state.push[i] = terms[PAYLOAD, i]
+    _weigh_terms(settings, state)
     if settings.geared != 0:
         twist = branch.twist
         mass_kernel(settings.model, settings.rho[0], settings.forearm, mass, state.pose, state.mass)

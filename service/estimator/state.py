@@ -49,6 +49,7 @@ SETTINGS = np.dtype(
         ("encoded", "i8"),  # whether an effect corrects the angles
         ("by_load", "i8"),  # whether an effect depends on the load of the gears
         ("geared", "i8"),  # whether a gear yields or is loose
+        ("leads", "i8"),  # whether gears yield, and none is loose: planned motion is that of the links
         ("gears", GEARS),
         ("readout", readout.SETTINGS),
         ("scale", "f8", 3),  # reported over true torque
@@ -131,6 +132,8 @@ STATE = np.dtype(
         ("reported", "f8", 3),  # N m
         ("full", "f8", 3),
         ("wanted", "f8", 3),
+        ("ahead", "f8", 3),  # rad, wanted of the motors before the planned positions
+        ("offset", "f8", 3),  # rad, last said of that
     ],
     align=True,
 )
@@ -194,6 +197,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     figures = inside_of(terms).two_masses
     record["geared"] = bool(figures)
     record["gears"] = gears_of(pack(robot), base_of(described).rigid, figures)
+    record["leads"] = bool(figures) and not record["gears"]["half"].any()
     record["scale"] = scale
     record["gear_ratio"] = robot.drive.gear_ratio
     record["variance"] = payload.sample_variance(noise, left_over)

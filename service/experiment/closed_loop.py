@@ -105,14 +105,14 @@ class Ratio:
 
 
 def ratio(before: Tracking, after: Tracking) -> Ratio:
-    """Platform error, by the encoders, of one run over that of another with the same motion; from resampled blocks."""
+    """Platform error, in truth, of one run over that of another with the same motion; from resampled blocks."""
     count = max(1, round(BLOCK / float(before.time[1] - before.time[0])))
     starts = np.arange(0, len(before.time), count)
-    squares = np.array([np.add.reduceat(run.missed**2, starts) for run in (before, after)])
+    squares = np.array([np.add.reduceat(run.astray**2, starts) for run in (before, after)])
     draws = np.random.default_rng(0).integers(0, len(starts), (DRAWS, len(starts)))
     was, now = squares[:, draws].sum(axis=2)
     low, high = np.quantile(np.sqrt(now / was), [0.025, 0.975])
-    return Ratio(after.platform_rms / before.platform_rms, float(low), float(high))
+    return Ratio(after.true_rms / before.true_rms, float(low), float(high))
 
 
 def _rms(values: np.ndarray) -> float:

@@ -95,7 +95,7 @@ def page(
     platform = Panel(
         "time / s",
         "platform error / mm",
-        tuple(Line(run.name, run.time, run.missed * 1e3, colour, "thin") for colour, run in enumerate(shown)),
+        tuple(Line(run.name, run.time, run.astray * 1e3, colour, "thin") for colour, run in enumerate(shown)),
     )
     loads = ", ".join(f"{mass:g} kg" for mass in masses)
     return Page(
@@ -107,7 +107,7 @@ def page(
         ),
         (
             PageTable("Tracking error", HEAD, tuple(row(run, runs[0]) for run in runs), NOTE),
-            Figure("closed_loop_platform", "Platform error over time", "By the encoders.", (platform,)),
+            Figure("closed_loop_platform", "Platform error over time", "In truth: gears bend and play.", (platform,)),
             Figure(
                 "closed_loop_error", "Tracking error over time", "Measured minus commanded joint angle.",
                 by_joint(lines, "error / mrad", "joint {}"),

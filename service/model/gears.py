@@ -151,13 +151,19 @@ def _step(gears, twist, row, share, h):
 
 
 @kernel
-def advance_kernel(gears, twist, mass, load, payload, theta_ddot, carried, elapsed):
-    """The twist `elapsed` s on. mass: (3, 3) kg m^2 with motors and payload. load, payload: (3,) N m, N m/kg, of the
-    rigid robot at the links' place. theta_ddot: (3,) rad/s^2 of the motors. carried: kg."""
+def _weigh(gears, twist, mass):
+    """twist.mass and twist.motor of `mass` (3, 3) kg m^2, with motors and payload."""
     for i in range(3):
         for j in range(3):
             twist.mass[i, j] = mass[i, j]
     split_kernel(gears, twist)
+
+
+@kernel
+def advance_kernel(gears, twist, mass, load, payload, theta_ddot, carried, elapsed):
+    """The twist `elapsed` s on. mass: (3, 3) kg m^2 with motors and payload. load, payload: (3,) N m, N m/kg, of the
+    rigid robot at the links' place. theta_ddot: (3,) rad/s^2 of the motors. carried: kg."""
+    _weigh(gears, twist, mass)
     for i in range(3):
         geared = gears.stiffness[i] > 0.0
         twist.now[0, i] = twist.motor[i] * theta_ddot[i] - load[i] if geared else 0.0
@@ -222,6 +228,18 @@ def observe_kernel(gears, twist, residual, payload, sticks, elapsed):
             twist.angle[0, i] -= share * residual[i]
             twist.angle[1, i] += share * payload[i]
             twist.swing[i] = max(calm * twist.swing[i], sticks[i] * sticks[i])
+
+
+@kernel
+def lead_kernel(gears, twist, mass, load, payload, theta_ddot, carried, ahead):
+    """Fill ahead (3,) rad: how far the motors are before links that are to move on a wanted path, which twist the gears
+    by what they take (the inverse dynamics of a flexible joint, Spong 1987, without its damper). mass: (3, 3) kg m^2,
+    with motors and payload. load, payload: (3,) N m, N m/kg, of the rigid robot on that path; theta_ddot: (3,) rad/s^2
+    of it; carried: kg."""
+    _weigh(gears, twist, mass)
+    for i in range(3):
+        taken = load[i] + carried * payload[i] - twist.motor[i] * theta_ddot[i]
+        ahead[i] = taken / gears.stiffness[i] if gears.stiffness[i] > 0.0 else 0.0
 
 
 @kernel

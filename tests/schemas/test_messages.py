@@ -104,7 +104,7 @@ def test_layout(message: Message) -> None:
 
 def test_sizes_are_what_is_on_the_wire() -> None:
     sizes = {topic: message.dtype.itemsize for topic, message in TOPICS.items()}
-    vectors = {"sample": 4, "reference": 3, "feedforward": 1, "error": 4, "friction": 9}  # float64[3] in each
+    vectors = {"sample": 4, "reference": 3, "feedforward": 2, "error": 4, "friction": 9}  # float64[3] in each
     for topic, count in vectors.items():
         tail = {"sample": 8 + 4 + 4, "reference": 0, "friction": 8 + 8, "feedforward": 8 + 4 + 4, "error": 4}[topic]
         assert sizes[topic] == 4 + 8 + 8 + 8 + 24 * count + tail

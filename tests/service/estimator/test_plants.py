@@ -13,8 +13,9 @@ from drivers.plant.effects.friction import PassiveJointFriction, StribeckFrictio
 from drivers.plant.effects.sensing import TorqueScale
 from drivers.plant.effects.transmission import JointElasticity
 from drivers.plant.plant import Plant
+from drivers.plant.simulate import Course
 from drivers.plant.truth import TRUTHS, load_truth
-from schemas.messages import stamp_ns
+from schemas.messages import REFERENCE, SAMPLE, set_stamp, stamp_ns
 from schemas.robot import Robot, load_robot
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected
@@ -22,6 +23,7 @@ from service.estimator.estimator import Estimator
 from service.experiment.logs import excitations, record
 from service.identification.identify import identify
 from service.identification.regression import summarise
+from service.model import kinematics
 from service.model.effects import CATALOGUE
 from service.model.nominal import pack
 
@@ -137,18 +139,26 @@ def test_gears_that_stick_more_than_they_did_make_no_picks():
     assert unexplained.sum() <= 1, "before it is known"
 
 
+@functools.cache
+def soft_machine() -> tuple[Robot, Robot, Plant, Planner]:
+    """A robot with gears that yield: as identified, as corrected by a diagnosis, the plant, and its planner."""
+    robot = load_robot("d3-1200")
+    truth = load_truth(TRUTHS / "d3-1200.toml", robot)
+    planner = Planner(robot, PERIOD)
+    plant = Plant(robot, truth, (JointElasticity([9000.0] * 3, 0.05),), seed=9)
+    fits = list(record(plant, excitations(planner, np.random.default_rng(9), 3, 5.0), "fit"))
+    named = [effect for effect in CATALOGUE if effect.name == "joint_elasticity"]
+    found = diagnose(robot, fits, named)
+    soft = corrected(found)
+    assert [entry.name for entry in soft.effect] == ["joint_elasticity"]
+    return identify(robot, [summarise(pack(robot), log) for log in fits]).robot, soft, plant, planner
+
+
 @pytest.mark.slow
 def test_behind_soft_gears_a_mass_is_known_as_soon_as_behind_stiff_ones():
     """The links swing for half a second behind a pick, and friction hides a part of it while the joints set out."""
-    robot = load_robot("d3-1200")
-    truth = load_truth(TRUTHS / "d3-1200.toml", robot)
-    planner, random = Planner(robot, PERIOD), np.random.default_rng(9)
-    plant = Plant(robot, truth, (JointElasticity([9000.0] * 3, 0.05),), seed=9)
-    fits = list(record(plant, excitations(planner, random, 3, 5.0), "fit"))
-    named = [effect for effect in CATALOGUE if effect.name == "joint_elasticity"]
-    soft = corrected(diagnose(robot, fits, named))
-    assert [entry.name for entry in soft.effect] == ["joint_elasticity"]
-    motion = planner.pick_and_place(random, 8.0, (0.5, 1.0, 3.8), speed=0.9)
+    _, soft, plant, planner = soft_machine()
+    motion = planner.pick_and_place(np.random.default_rng(10), 8.0, (0.5, 1.0, 3.8), speed=0.9)
     (picks,) = record(plant, iter([motion]), "soft")
     samples = picks.samples()
     samples["torque_command"] = np.nan
@@ -162,3 +172,36 @@ def test_behind_soft_gears_a_mass_is_known_as_soon_as_behind_stiff_ones():
         held = (time >= load.pick + SETTLED) & (time < load.release)
         right.append((np.abs(payload["mass"][held] - load.mass) < max(0.05, 0.05 * load.mass)).mean() > 0.95)
     assert np.mean(right) >= 0.8, right
+
+
+@pytest.mark.slow
+def test_the_links_follow_a_plan_where_the_motors_go_before_it():
+    """MuJoCo's platform, with the torque and the position offset that come for each cycle of a plan."""
+    rigid, soft, plant, planner = soft_machine()
+    motion = planner.pick_and_place(np.random.default_rng(11), 4.0, (1.0,), speed=0.9)
+    errors = []
+    for robot in (rigid, soft):
+        estimator, course = Estimator(robot, PERIOD), Course(motion)
+        plant.set_payload(0.0)
+        plant.reset(motion.position[0])
+        sample, plan = SAMPLE.empty(1)[0], REFERENCE.empty(1)[0]
+        torque, ahead, missed = np.zeros(3), np.zeros(3), []
+        for k in range(len(motion)):
+            before, ahead = ahead, estimator.feedforward["position_offset"][0].copy() if k else ahead
+            measured = course.latch(plant, k, torque, ahead, ahead - before)
+            wanted = kinematics.forward(plant.mechanism.geometry, motion.position[k] + plant.offset)
+            missed.append(np.linalg.norm(plant.platform - wanted))
+            plan["sequence"], plan["position"], plan["velocity"] = k + 1, motion.position[k + 1], motion.velocity[k + 1]
+            plan["acceleration"] = motion.acceleration[k + 1]
+            estimator.plan(plan)
+            set_stamp(sample, k * 1_000_000)
+            sample["sequence"] = k
+            sample["position"], sample["torque"], _ = measured
+            sample["torque_command"], sample["position_command"] = np.nan, motion.position[k]
+            estimator.step(sample.tobytes())
+            torque = estimator.feedforward["torque"][0].copy()
+            estimator.look_back()
+            plant.run()
+        errors.append(np.sqrt(np.mean(np.square(missed[500:]))))
+    assert errors[0] > 2e-3, "gears that yield, m"
+    assert errors[1] < 0.3 * errors[0]

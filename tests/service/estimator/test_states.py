@@ -7,9 +7,10 @@ import itertools
 import numpy as np
 import pytest
 
-from schemas.messages import FeedforwardSource, SampleFlag
+from schemas.messages import REFERENCE, SAMPLE, FeedforwardSource, SampleFlag, set_stamp
 from schemas.robot import EffectEntry, EffectParameter
 from service.estimator import state
+from service.estimator.bounds import bounds_of
 from service.estimator.branch import MEASURED
 from service.estimator.estimator import Estimator
 from service.estimator.left_out import left_out, torque_left_out
@@ -114,3 +115,38 @@ def test_behind_a_pick_soft_gears_are_doubted_for_a_swing(robot, make):
     assert max(doubts[found - 50 : found - 1]) < 0.05
     assert max(doubts[found : found + 3]) > 1.5
     assert doubts[-1] < 0.05
+
+
+def planned(estimator, sequence, position, known):
+    """The answer to a sample at rest at `position` (3,), with a plan to stay there if it is `known`."""
+    sample = SAMPLE.empty(1)[0]
+    set_stamp(sample, sequence * round(PERIOD * 1e9))
+    sample["sequence"], sample["position"], sample["torque"] = sequence, position, 0.0
+    sample["position_command"] = sample["torque_command"] = np.nan
+    if known:
+        plan = REFERENCE.empty(1)[0]
+        plan["sequence"], plan["position"], plan["velocity"], plan["acceleration"] = sequence + 1, position, 0.0, 0.0
+        estimator.plan(plan)
+    estimator.step(sample.tobytes())
+    estimator.look_back()
+    return estimator.feedforward[0].copy()
+
+
+def test_motors_go_before_a_plan_by_what_holds_the_links_over_the_stiffness_and_come_back_without_one(robot):
+    soft = carrying(robot, "joint_elasticity", natural_hz=15.0, damping_ratio=0.03, motor_share=0.3)
+    estimator, here = Estimator(soft, PERIOD), np.array([0.4, 0.5, 0.3])
+    rigid = Estimator(robot, PERIOD)
+    answers = [planned(estimator, n, here, n < 60) for n in range(200)]
+    held = planned(rigid, 0, here, True)["torque"]
+    for n in range(1, 60):
+        held = planned(rigid, n, here, True)["torque"]
+    stiffness = estimator._steps["settings"][0]["gears"]["stiffness"]
+    np.testing.assert_allclose(answers[59]["torque"], held, atol=0.05 * np.abs(held).max())
+    np.testing.assert_allclose(
+        answers[59]["position_offset"], held / stiffness, atol=0.05 * np.abs(held / stiffness).max()
+    )
+    offsets = np.array([answer["position_offset"] for answer in answers])
+    bounds = bounds_of(robot)
+    assert (np.abs(np.diff(offsets, axis=0)) <= bounds.slope_nmps * PERIOD / stiffness * (1 + 1e-9)).all()
+    assert not offsets[-1].any(), "back"
+    assert not np.array([planned(rigid, n, here, True)["position_offset"] for n in range(60, 63)]).any()
