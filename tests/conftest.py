@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import lzma
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +17,7 @@ from typing import Any
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+DATA = REPOSITORY / "tests" / "data"
 # What watches the clock, on interfaces, sockets and roles: one after the other when tests run on several workers.
 ON_THE_CLOCK = (
     "tests/drivers/ethercat", "tests/drivers/test_", "tests/drivers/plant/test_live.py", "tests/replay",
@@ -88,11 +91,25 @@ def pytest_runtest_logstart(nodeid: str) -> None:
 
 
 @pytest.fixture(scope="session")
+def data() -> Iterator[Path]:
+    """The recorded data of `tests/data`, unpacked: as its README has them, without `.xz`."""
+    with tempfile.TemporaryDirectory(prefix="deltatwin-data-") as made:
+        for packed in (path for path in DATA.rglob("*") if path.is_file()):
+            target = Path(made, packed.relative_to(DATA))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if packed.suffix == ".xz":
+                target.with_suffix("").write_bytes(lzma.decompress(packed.read_bytes()))
+            else:
+                shutil.copy(packed, target)
+        yield Path(made)
+
+
+@pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder of reference data beside the checkout."""
+    """The folder beside the checkout with the scorer that judges this project from the outside."""
     folder = REPOSITORY.parent / "shared"
     if not folder.is_dir():
-        pytest.skip("needs ../shared (reference logs and captures), which is not beside this checkout")
+        pytest.skip("needs ../shared (the scorer), which is not beside this checkout")
     return folder
 
 
