@@ -92,22 +92,10 @@ def _write(result: Evaluation, path: Path, unit: str) -> None:
         pl.DataFrame(columns).write_csv(partial)
 
 
-def _pooled(results: list[Evaluation], which: str = "errors") -> dict[str, Moments]:
-    from service.identification.evaluation import pooled
-    from service.model.prediction import FULL
-
-    figures: list[dict[str, Moments]] = [getattr(result, which) for result in results]
-    names = dict.fromkeys(name for errors in figures for name in errors)
-    # a trace without a pick has no entry with a payload: there the fullest model stands for itself
-    return {
-        name: pooled(errors.get(name, errors.get(FULL, next(iter(errors.values())))) for errors in figures)
-        for name in names
-    }
-
-
 def _json(results: list[Evaluation], unit: str) -> str:
     from dataclasses import asdict
 
+    from service.identification.evaluation import pooled_by_model
     from service.model.signals import ANALYSIS_HZ
 
     def figures(errors: dict[str, Moments]) -> dict[str, dict[str, Any]]:
@@ -119,8 +107,8 @@ def _json(results: list[Evaluation], unit: str) -> str:
     document = {
         "analysis_hz": ANALYSIS_HZ,
         "unit": unit,
-        "models": figures(_pooled(results)),
-        "outside_events": figures(_pooled(results, "calm")),
+        "models": figures(pooled_by_model(results)),
+        "outside_events": figures(pooled_by_model(results, "calm")),
         "traces": [
             {
                 "trace": str(result.trace.path),
@@ -138,11 +126,12 @@ def _json(results: list[Evaluation], unit: str) -> str:
 
 
 def _table(results: list[Evaluation], unit: str) -> Table:
+    from service.identification.evaluation import pooled_by_model
     from service.model.signals import ANALYSIS_HZ
 
-    shown = _pooled(results)
+    shown = pooled_by_model(results)
     if any(result.events for result in results):
-        name, moments = list(_pooled(results, "calm").items())[-1]
+        name, moments = list(pooled_by_model(results, "calm").items())[-1]
         shown[f"{name}, outside events"] = moments
     rows = [
         (name, *(f"{m:.3f}, {s:.3f}" for m, s in zip(moments.mean, moments.std, strict=True)))

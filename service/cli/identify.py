@@ -46,41 +46,19 @@ def command(
 
     Example: deltatwin identify fit_*.csv --robot robot.toml --out identified.toml --carried 3.0:loaded.csv
     """
-    from dataclasses import asdict, replace
+    from dataclasses import asdict
 
     from schemas.axes import load_description, save_description
-    from schemas.errors import RobotError
     from schemas.files import make_folder
-    from schemas.machine import Machine
-    from service.identification.axes import identify_axes
-    from service.identification.calibration import calibrate
-    from service.identification.identify import identify
-    from service.identification.regression import summarise
+    from service.identification.of_logs import identify_logs
     from service.model.description import in_units_of
-    from service.model.nominal import pack
 
     make_folder(out.parent)
     description = load_description(robot)
     loads = [_load(text) for text in carried or ()]
-    logs = reading(traces, description, columns, "reading")
-    figures: Sequence[CalibratedFigure] = ()
-    if isinstance(description, Machine):
-        if loads:
-            raise RobotError(f"{robot}: --carried: a load hangs on the platform of a Delta robot")
-        if method == "paper":
-            raise RobotError(f"{robot}: --method paper: the paper's method is for a Delta robot")
-        result = identify_axes(description, list(logs))
-    else:
-        found = None
-        if loads:
-            logs = list(logs)
-            heavy = list(reading([path for _, path in loads], description, columns, "reading"))
-            found = calibrate(description, logs, [(mass, log) for (mass, _), log in zip(loads, heavy, strict=True)])
-            description, figures, logs = found.robot, found.figures, map(found.true, logs)
-        model = pack(description)
-        result = identify(description, [summarise(model, trace) for trace in logs], method)
-        if found is not None:
-            result = replace(result, robot=found.carried(result.robot), warnings=(*found.warnings, *result.warnings))
+    heavy = reading([path for _, path in loads], description, columns, "reading")
+    known = [(mass, log) for (mass, _), log in zip(loads, heavy, strict=True)]
+    result, figures = identify_logs(description, reading(traces, description, columns, "reading"), method, known)
     save_description(result.robot, out, template=robot)
     if json:
         parameters = [
