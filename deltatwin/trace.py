@@ -123,9 +123,7 @@ class Trace(recorded.Trace):
         mapping = columns if columns is None or isinstance(columns, Columns) else find_columns(columns)
         mapping = mapping or own_columns(names, robot)
         if mapping is None:
-            raise TraceError(
-                f"{name}: no column position_1_rad; say with `columns` what is what: {', '.join(names)}"
-            )
+            raise TraceError(f"{name}: no column position_1_rad; say with `columns` what is what: {', '.join(names)}")
         wanted = plan(names, mapping, Path(name))
         used = sorted({*wanted.times, *wanted.values})
         cells = {str(index): _numbers(names[index], frame[frame.columns[index]], name) for index in used}
