@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import as_json, console, table
+from service.cli.output import Table, as_json, conclude, console, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from service.identification.evaluation import Evaluation, Moments
 
 
@@ -40,6 +38,7 @@ def command(
     """
     from schemas.axes import load_description
     from schemas.errors import TraceError
+    from service.identification.conclusion import of_evaluation
     from service.identification.evaluation import evaluate
     from service.identification.held import told_of_held
     from service.model.description import in_units_of
@@ -63,12 +62,19 @@ def command(
     for line in told_of_held({str(result.trace.path): result.held for result in results}):
         print(f"warning: {line}", file=sys.stderr)
     if json:
-        print(_json(results, unit))
+        print(_json(results, unit, of_evaluation(description, results)[0]))
+        return
+    console().print(_table(results, unit))
+    for result in results:
+        if result.events:
+            print(_events(result, unit))
+    said, explained = of_evaluation(description, results)
+    if description.identified is None:
+        conclude(said, "identify", *traces, "--robot", robot, "--out", "identified.toml")
+    elif explained:
+        conclude(said, "estimate", "--robot", robot)
     else:
-        console().print(_table(results, unit))
-        for result in results:
-            if result.events:
-                print(_events(result, unit))
+        conclude(said, "diagnose", *traces, "--robot", robot, "--out", "diagnosis")
 
 
 def _csv_name(path: Path) -> str:
@@ -92,7 +98,7 @@ def _write(result: Evaluation, path: Path, unit: str) -> None:
         pl.DataFrame(columns).write_csv(partial)
 
 
-def _json(results: list[Evaluation], unit: str) -> str:
+def _json(results: list[Evaluation], unit: str, conclusion: str) -> str:
     from dataclasses import asdict
 
     from service.identification.evaluation import pooled_by_model
@@ -107,6 +113,7 @@ def _json(results: list[Evaluation], unit: str) -> str:
     document = {
         "analysis_hz": ANALYSIS_HZ,
         "unit": unit,
+        "conclusion": conclusion,
         "models": figures(pooled_by_model(results)),
         "outside_events": figures(pooled_by_model(results, "calm")),
         "traces": [

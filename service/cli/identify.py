@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, robot_file
-from service.cli.output import as_json, console, table
+from service.cli.output import Table, as_json, conclude, console, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import numpy as np
-    from rich.table import Table
 
     from schemas.axes import Description
     from service.identification.calibration import CalibratedFigure
@@ -50,6 +49,7 @@ def command(
 
     from schemas.axes import load_description, save_description
     from schemas.files import make_folder
+    from service.identification.conclusion import of_fit
     from service.identification.of_logs import identify_logs
     from service.model.description import in_units_of
 
@@ -64,7 +64,7 @@ def command(
         parameters = [
             asdict(estimate) | {"unit": in_units_of(description, estimate.unit)} for estimate in result.fit.estimates
         ]
-        document = {"parameters": parameters, "warnings": list(result.warnings)}
+        document = {"parameters": parameters, "warnings": list(result.warnings), "conclusion": of_fit(result.fit)[0]}
         if figures:
             document["calibration"] = [asdict(figure) for figure in figures]
         typer.echo(as_json("identification", document | {"out": str(out)}))
@@ -77,6 +77,9 @@ def command(
     for warning in result.warnings:
         typer.secho(f"warning: {warning}", fg="yellow")
     typer.echo(f"wrote {out}")
+    said, explained = of_fit(result.fit)
+    following = ("evaluate", "OTHER_LOG", "--robot", out) if explained else ("diagnose", *traces, "--robot", robot)
+    conclude(said, *following, *(() if explained else ("--out", "diagnosis")))
 
 
 def _load(text: str) -> tuple[float, Path]:

@@ -22,7 +22,7 @@ from schemas.errors import DeltatwinError, printable
 from service.stopping import INTERRUPTED, broke, end_at_once, terminate_as_interrupt
 
 GROUPS = {
-    "Begin": ("demo", "import", "inspect", "convert"),
+    "Begin": ("demo", "init", "import", "inspect", "convert", "doctor"),
     "From logs to answers": ("identify", "evaluate", "payload", "diagnose", "fleet", "plan-motion", "rollout"),
     "On the bus": ("replay", "estimate", "monitor", "watch", "view", "recover", "keys", "latency"),
     "On EtherCAT": ("tap", "master", "segment", "ethercat-demo"),

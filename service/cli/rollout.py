@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import console, table
+from service.cli.output import Table, console, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from schemas.robot import Robot
     from schemas.rollout import RolloutDocument
 

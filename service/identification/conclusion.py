@@ -42,7 +42,7 @@ def of_evaluation(robot: Description, results: Sequence[Evaluation]) -> tuple[st
     """The conclusion of an evaluation, and whether the fullest model explains the logs; the stretches that stand far
     above the rest are left out."""
     if robot.identified is None:
-        return f"{robot.name} was never identified: only the textbook model can be compared.", False
+        return f"{robot.name}: never identified: only the textbook model can be compared.", False
     name, moments = list(pooled_by_model(results, "calm").items())[-1]
     unit = in_units_of(robot, "N m")
     left = f"The model '{name}' leaves {_each(moments.rms)} {unit} rms"
@@ -50,7 +50,8 @@ def of_evaluation(robot: Description, results: Sequence[Evaluation]) -> tuple[st
     if noise is None:
         return f"{left}; the description does not say how much of it is noise.", True
     ratio = moments.rms / noise
-    said = _over_noise(ratio, f"The model '{name}'", "these logs")
+    events = any(result.events for result in results)
+    said = _over_noise(ratio, f"The model '{name}'", "these logs outside the events" if events else "these logs")
     error = robot.identified.model_error_nm if isinstance(robot, Robot) and robot.identified else None
     if error is not None:
         then = moments.rms / np.hypot(error.value, noise)
