@@ -128,8 +128,9 @@ def _extras() -> list[Check]:
 
 
 def _places(folder: Path) -> list[Check]:
-    kernels = Path(os.environ.get("NUMBA_CACHE_DIR", ""))
-    compiled = any(kernels.rglob("*.nbc")) if kernels.is_dir() else False
+    from schemas.kernels import kept_in  # imports Numba
+
+    compiled = any(kept_in().rglob("*.nbc"))
     runtime = Path(os.environ.get("XDG_RUNTIME_DIR") or f"/tmp/deltatwin-{getattr(os, 'getuid', int)()}")
     fits = len(os.fsencode(runtime)) + LONGEST_SOCKET <= SOCKET_PATH
     free = shutil.disk_usage(folder).free
