@@ -316,6 +316,13 @@ class Described(TomlTable):
     name: RobotName
     _source: Source = PrivateAttr(Source())
 
+    def __repr__(self) -> str:
+        """Short: a notebook shows it where an object ends a cell."""
+        known = "identified" if getattr(self, "identified", None) is not None else "not identified"
+        carried = ", ".join(dict.fromkeys(effect.name for effect in getattr(self, "effect", ())))
+        effects = f", with {carried}" if carried else ""
+        return f"<{type(self).__name__} {self.name!r}: {known}{effects}>"
+
     @property
     def folder(self) -> Path:
         """Files that the description names are relative to it."""

@@ -41,12 +41,7 @@ def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
         RobotError: it is no URDF; a joint that it does not have, that does not turn, that follows another or floats; a
             joint that moves and is neither logged nor held; a logged joint that nothing with a mass hangs on.
     """
-    try:
-        root = fromstring(read_bytes(path, MAX_BYTES, RobotError), forbid_dtd=True)
-    except (ParseError, DefusedXmlException, ValueError, RecursionError) as cause:
-        raise RobotError(f"{path}: not a URDF: {cause}") from cause
-    if root.tag != "robot":
-        raise RobotError(f"{path}: not a URDF: it starts with <{root.tag}>, not with <robot>")
+    root = _root(path)
     joints = {_text(path, joint, "name"): joint for joint in root.findall("joint")}
     links = {_text(path, link, "name"): link for link in root.findall("link")}
     for name, joint in joints.items():
@@ -85,6 +80,26 @@ def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
             for shape in link.findall(part):
                 link.remove(shape)
     return Urdf(path, tostring(root, encoding="unicode"), tuple(links), limits)
+
+
+def turning_joints(path: Path) -> list[str]:
+    """Names of the joints of a URDF that turn and have a torque of their own, in its order.
+
+    Raises:
+        RobotError: it is no URDF.
+    """
+    joints = _root(path).findall("joint")
+    return [_text(path, one, "name") for one in joints if one.get("type") in TURNS and one.find("mimic") is None]
+
+
+def _root(path: Path) -> Element:
+    try:
+        root = fromstring(read_bytes(path, MAX_BYTES, RobotError), forbid_dtd=True)
+    except (ParseError, DefusedXmlException, ValueError, RecursionError) as cause:
+        raise RobotError(f"{path}: not a URDF: {cause}") from cause
+    if root.tag != "robot":
+        raise RobotError(f"{path}: not a URDF: it starts with <{root.tag}>, not with <robot>")
+    return root
 
 
 def _massive(path: Path, joints: dict[str, Any], links: dict[str, Any], logged: Sequence[str]) -> None:

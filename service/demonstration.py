@@ -11,17 +11,17 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from drivers.ethercat.capture import Capture
+from drivers.plant.truth import TRUTHS
 from drivers.segment.wire import INPUT_DELAY_CYCLES
 from schemas.errors import BusError, StorageError, TraceError
 from schemas.files import make_folder, write_text
 from schemas.messages import PayloadEvent, SampleFlag, stamp_ns
-from schemas.robot import Robot, load_robot
+from schemas.robot import SHIPPED, Robot, load_robot
 from service.monitor.readback import read_recording
 from service.supervisor import Process, Supervisor
 
@@ -65,7 +65,7 @@ def demonstrate(out: Path, rate: float, duration: float, product: float, say: Ca
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="deltatwin-"))
         crew = stack.enter_context(Supervisor(out, folder))
         say("segment, tap and capture start")
-        truth = str(resources.files("drivers.plant") / "truths" / f"{MODEL}.toml")
+        truth = str(TRUTHS / f"{MODEL}.toml")
         segment = crew.start(
             "segment: 3 drives", "segment", SEGMENT_END, "--robot", str(robot), "--truth", truth, "--rate", str(rate),
             "--out", str(out / "own.mcap"),
@@ -102,7 +102,7 @@ def demonstrate(out: Path, rate: float, duration: float, product: float, say: Ca
 
 def description() -> str:
     """The shipped robot with three drives on a bus, which differ in sign and zero."""
-    text = (resources.files("schemas") / "robots" / f"{MODEL}.toml").read_text(encoding="utf-8")
+    text = (SHIPPED / f"{MODEL}.toml").read_text(encoding="utf-8")
     for joint, (sign, zero) in enumerate(((1, 12_000), (-1, -3_400_000), (1, 0))):
         text += f"""
 [[drive.joint]]

@@ -15,7 +15,7 @@ from schemas.errors import BusError
 READY_TIME = 600.0  # s for a process to say that it is ready: the first start of all compiles, on any host
 STOP_TIME = 20.0  # s to end after Ctrl-C, files whole
 STOP_TIME_STARTING = 0.3  # s for one that was not ready yet and has nothing to make whole; it may be compiling
-PROGRAM = (sys.executable, "-m", "service.cli")
+PROGRAM = (sys.executable, "-m", "deltatwin")
 
 Ready = str | Path | Callable[[], bool]  # what it says, the file it makes, or what becomes true when it is ready
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import lzma
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,27 +17,42 @@ from typing import Any
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+DATA = REPOSITORY / "tests" / "data"
 # What watches the clock, on interfaces, sockets and roles: one after the other when tests run on several workers.
 ON_THE_CLOCK = (
-    "tests/drivers/ethercat", "tests/drivers/test_", "tests/drivers/plant/test_live.py", "tests/replay",
-    "tests/service/test_", "tests/service/monitor", "tests/service/cli/test_demo.py",
-    "tests/service/cli/test_replay.py", "tests/service/experiment/test_closed_loop.py",
+    *(f"tests/drivers/ethercat/test_{name}.py" for name in ("faults", "master", "passed_over", "segment", "tap")),
+    *(f"tests/drivers/test_{name}.py" for name in ("bus", "health", "motion", "ros", "security")),
+    "tests/drivers/plant/test_live.py", "tests/replay", "tests/service/test_", "tests/service/monitor",
+    "tests/service/cli/test_demo.py", "tests/service/cli/test_replay.py",
+    "tests/service/experiment/test_closed_loop.py",
 )  # fmt: skip
 
-# What takes most of the time, by processor time: `.ci/run` runs it, `uv run pytest` does without. Of all that moves a
-# robot (estimator, bounds, identification, diagnosis, commands) other tests are in the quick set.
+# What takes most of the time, computing or waiting: `.ci/run` runs it, `uv run pytest` does without. Of all that moves
+# a robot (master, estimator, bounds, identification, diagnosis, commands) other tests are in the quick set.
+MASTER = "tests/drivers/ethercat/test_master.py::test_"
+FAILS = f"{MASTER}what_fails_while_running_ends_the_run_with_its_name"
+JUMPS = f"{MASTER}a_target_that_jumps_or_cannot_be_is_not_sent"
 SLOW = (
-    "tests/drivers/ethercat/test_faults.py", "tests/drivers/plant/test_cases.py", "tests/drivers/plant/test_effects.py",
-    "tests/schemas/test_kernel_cache.py", "tests/service/cli/test_disk.py",
+    "tests/deltatwin/test_notebook.py", "tests/drivers/ethercat/test_faults.py",
+    f"{MASTER}a_motion_from_a_file_is_what_the_robot_does", f"{MASTER}a_second_master_finds_the_drives",
+    f"{MASTER}drives_that_answer_late", f"{MASTER}missing_drives", f"{JUMPS}[2", f"{JUMPS}[3", f"{FAILS}[break 2",
+    f"{FAILS}[silence", f"{FAILS}[trip",
+    "tests/drivers/ethercat/test_passed_over.py", "tests/drivers/plant/test_cases.py",
+    "tests/drivers/plant/test_effects.py", "tests/drivers/test_motion.py::test_a_master_does_not_load_the_simulator",
+    "tests/drivers/test_bus.py::test_stopped_subscriber_costs_the_others_nothing_and_comes_back[5",
+    "tests/drivers/trace/test_limits.py", "tests/schemas/test_kernel_cache.py", "tests/service/cli/test_disk.py",
     "tests/service/cli/test_first_day.py::test_offline_commands_run_without_posix",
     "tests/service/diagnosis/test_aside.py", "tests/service/diagnosis/test_axes.py",
     "tests/service/diagnosis/test_bad_input.py", "tests/service/diagnosis/test_blindtest.py",
     "tests/service/diagnosis/test_earned.py", "tests/service/diagnosis/test_exchange.py",
     "tests/service/diagnosis/test_first_screen.py", "tests/service/diagnosis/test_found_again.py",
     "tests/service/diagnosis/test_placement.py", "tests/service/diagnosis/test_real_machines.py",
-    "tests/service/diagnosis/test_reference.py", "tests/service/diagnosis/test_wave.py",
+    "tests/service/diagnosis/test_reference.py", "tests/service/diagnosis/test_unseen.py",
+    "tests/service/diagnosis/test_wave.py",
     "tests/service/estimator/test_loss.py", "tests/service/estimator/test_plants.py", "tests/service/experiment",
     "tests/service/fleet/test_fleet.py", "tests/service/identification/test_chain.py",
+    "tests/service/identification/test_pooled.py::test_standard_errors_cover_the_truth",
+    "tests/service/pages/test_pages.py::test_a_page_is_printed_where_there_is_a_browser",
     "tests/service/test_ethercat_demo.py::test_every_claim_holds",
     "tests/service/test_ethercat_demo.py::test_a_cycle_that_differs", "tests/service/test_hostile.py",
     "tests/test_wheel.py",
@@ -88,11 +105,25 @@ def pytest_runtest_logstart(nodeid: str) -> None:
 
 
 @pytest.fixture(scope="session")
+def data() -> Iterator[Path]:
+    """The recorded data of `tests/data`, unpacked: as its README has them, without `.xz`."""
+    with tempfile.TemporaryDirectory(prefix="deltatwin-data-") as made:
+        for packed in (path for path in DATA.rglob("*") if path.is_file()):
+            target = Path(made, packed.relative_to(DATA))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if packed.suffix == ".xz":
+                target.with_suffix("").write_bytes(lzma.decompress(packed.read_bytes()))
+            else:
+                shutil.copy(packed, target)
+        yield Path(made)
+
+
+@pytest.fixture(scope="session")
 def shared() -> Path:
-    """The folder of reference data beside the checkout."""
+    """The folder beside the checkout with the scorer that judges this project from the outside."""
     folder = REPOSITORY.parent / "shared"
     if not folder.is_dir():
-        pytest.skip("needs ../shared (reference logs and captures), which is not beside this checkout")
+        pytest.skip("needs ../shared (the scorer), which is not beside this checkout")
     return folder
 
 

@@ -6,6 +6,7 @@ import gzip
 import io
 import re
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,12 @@ def write_csv(trace: Trace, path: Path) -> None:
     Raises:
         OSError: the file cannot be written.
     """
+    text = table_of(trace).write_csv().encode()
+    path.write_bytes(gzip.compress(text, compresslevel=6) if path.suffix == ".gz" else text)
+
+
+def table_of(trace: Trace) -> pl.DataFrame:
+    """`trace` with the columns of our own CSV."""
     data: dict[str, np.ndarray | pl.Series] = {"time_s": trace.time}
     if trace.epoch_ns:  # float64 seconds would lose the nanoseconds
         billion = pl.lit(NANOSECONDS).cast(_STAMP)
@@ -94,8 +101,7 @@ def write_csv(trace: Trace, path: Path) -> None:
             .select(pl.when("known").then(pl.col("closed").cast(pl.Int8)))
             .to_series()
         )
-    text = pl.DataFrame(data).write_csv().encode()
-    path.write_bytes(gzip.compress(text, compresslevel=6) if path.suffix == ".gz" else text)
+    return pl.DataFrame(data)
 
 
 def load(path: Path) -> bytes:
@@ -134,9 +140,14 @@ def _unzipped(packed: bytes, path: Path) -> bytes:
 
 def _mapping(raw: bytes, fallback: Columns | None, robot: Description | None) -> Columns:
     names = _fields(_first_line(raw)[:MAX_LINE_BYTES].decode("utf-8", "replace"), ",")
+    return own_columns(names, robot) or fallback or Columns()
+
+
+def own_columns(names: Sequence[str], robot: Description | None = None) -> Columns | None:
+    """The mapping of a table whose columns are called as ours; None where they are not."""
     own = [match[1] for name in names if (match := _OWN.match(name))]
     if not own:
-        return fallback or Columns()
+        return None
     if own[0] == "rad":
         fourth = "position_4_rad" in names and (isinstance(robot, Robot) or "torque_4_nm" not in names)
         return Columns(joints=3) if fourth and len(own) == 4 else Columns(joints=len(own), fourth_position=None)

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.options import AsJson
-from service.cli.output import as_json, console, quantiles, table
+from service.cli.output import Table, as_json, console, quantiles, table
 
 if TYPE_CHECKING:
     import numpy as np
-    from rich.table import Table
 
     from drivers.bus import Bus
     from service.monitor.readback import Recorded

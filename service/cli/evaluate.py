@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import as_json, console, table
+from service.cli.output import Table, as_json, conclude, console, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from service.identification.evaluation import Evaluation, Moments
 
 
@@ -40,6 +38,7 @@ def command(
     """
     from schemas.axes import load_description
     from schemas.errors import TraceError
+    from service.identification.conclusion import of_evaluation
     from service.identification.evaluation import evaluate
     from service.identification.held import told_of_held
     from service.model.description import in_units_of
@@ -63,12 +62,19 @@ def command(
     for line in told_of_held({str(result.trace.path): result.held for result in results}):
         print(f"warning: {line}", file=sys.stderr)
     if json:
-        print(_json(results, unit))
+        print(_json(results, unit, of_evaluation(description, results)[0]))
+        return
+    console().print(_table(results, unit))
+    for result in results:
+        if result.events:
+            print(_events(result, unit))
+    said, explained = of_evaluation(description, results)
+    if description.identified is None:
+        conclude(said, "identify", *traces, "--robot", robot, "--out", "identified.toml")
+    elif explained:
+        conclude(said, "estimate", "--robot", robot)
     else:
-        console().print(_table(results, unit))
-        for result in results:
-            if result.events:
-                print(_events(result, unit))
+        conclude(said, "diagnose", *traces, "--robot", robot, "--out", "diagnosis")
 
 
 def _csv_name(path: Path) -> str:
@@ -92,22 +98,10 @@ def _write(result: Evaluation, path: Path, unit: str) -> None:
         pl.DataFrame(columns).write_csv(partial)
 
 
-def _pooled(results: list[Evaluation], which: str = "errors") -> dict[str, Moments]:
-    from service.identification.evaluation import pooled
-    from service.model.prediction import FULL
-
-    figures: list[dict[str, Moments]] = [getattr(result, which) for result in results]
-    names = dict.fromkeys(name for errors in figures for name in errors)
-    # a trace without a pick has no entry with a payload: there the fullest model stands for itself
-    return {
-        name: pooled(errors.get(name, errors.get(FULL, next(iter(errors.values())))) for errors in figures)
-        for name in names
-    }
-
-
-def _json(results: list[Evaluation], unit: str) -> str:
+def _json(results: list[Evaluation], unit: str, conclusion: str) -> str:
     from dataclasses import asdict
 
+    from service.identification.evaluation import pooled_by_model
     from service.model.signals import ANALYSIS_HZ
 
     def figures(errors: dict[str, Moments]) -> dict[str, dict[str, Any]]:
@@ -119,8 +113,9 @@ def _json(results: list[Evaluation], unit: str) -> str:
     document = {
         "analysis_hz": ANALYSIS_HZ,
         "unit": unit,
-        "models": figures(_pooled(results)),
-        "outside_events": figures(_pooled(results, "calm")),
+        "conclusion": conclusion,
+        "models": figures(pooled_by_model(results)),
+        "outside_events": figures(pooled_by_model(results, "calm")),
         "traces": [
             {
                 "trace": str(result.trace.path),
@@ -138,11 +133,12 @@ def _json(results: list[Evaluation], unit: str) -> str:
 
 
 def _table(results: list[Evaluation], unit: str) -> Table:
+    from service.identification.evaluation import pooled_by_model
     from service.model.signals import ANALYSIS_HZ
 
-    shown = _pooled(results)
+    shown = pooled_by_model(results)
     if any(result.events for result in results):
-        name, moments = list(_pooled(results, "calm").items())[-1]
+        name, moments = list(pooled_by_model(results, "calm").items())[-1]
         shown[f"{name}, outside events"] = moments
     rows = [
         (name, *(f"{m:.3f}, {s:.3f}" for m, s in zip(moments.mean, moments.std, strict=True)))

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import AsJson, Backend, ColumnsFrom, Jobs, OnBackend, OwnEffects, Scheduler, robot_file
-from service.cli.output import console, table
+from service.cli.output import Table, console, table
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from schemas.fleet import Fleet
 
 MOST_TOLD = 2  # figures of a change on a terminal; the page has all

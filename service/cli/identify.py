@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, robot_file
-from service.cli.output import as_json, console, table
+from service.cli.output import Table, as_json, conclude, console, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import numpy as np
-    from rich.table import Table
 
     from schemas.axes import Description
     from service.identification.calibration import CalibratedFigure
@@ -46,47 +45,26 @@ def command(
 
     Example: deltatwin identify fit_*.csv --robot robot.toml --out identified.toml --carried 3.0:loaded.csv
     """
-    from dataclasses import asdict, replace
+    from dataclasses import asdict
 
     from schemas.axes import load_description, save_description
-    from schemas.errors import RobotError
     from schemas.files import make_folder
-    from schemas.machine import Machine
-    from service.identification.axes import identify_axes
-    from service.identification.calibration import calibrate
-    from service.identification.identify import identify
-    from service.identification.regression import summarise
+    from service.identification.conclusion import of_fit
+    from service.identification.of_logs import identify_logs
     from service.model.description import in_units_of
-    from service.model.nominal import pack
 
     make_folder(out.parent)
     description = load_description(robot)
     loads = [_load(text) for text in carried or ()]
-    logs = reading(traces, description, columns, "reading")
-    figures: Sequence[CalibratedFigure] = ()
-    if isinstance(description, Machine):
-        if loads:
-            raise RobotError(f"{robot}: --carried: a load hangs on the platform of a Delta robot")
-        if method == "paper":
-            raise RobotError(f"{robot}: --method paper: the paper's method is for a Delta robot")
-        result = identify_axes(description, list(logs))
-    else:
-        found = None
-        if loads:
-            logs = list(logs)
-            heavy = list(reading([path for _, path in loads], description, columns, "reading"))
-            found = calibrate(description, logs, [(mass, log) for (mass, _), log in zip(loads, heavy, strict=True)])
-            description, figures, logs = found.robot, found.figures, map(found.true, logs)
-        model = pack(description)
-        result = identify(description, [summarise(model, trace) for trace in logs], method)
-        if found is not None:
-            result = replace(result, robot=found.carried(result.robot), warnings=(*found.warnings, *result.warnings))
+    heavy = reading([path for _, path in loads], description, columns, "reading")
+    known = [(mass, log) for (mass, _), log in zip(loads, heavy, strict=True)]
+    result, figures = identify_logs(description, reading(traces, description, columns, "reading"), method, known)
     save_description(result.robot, out, template=robot)
     if json:
         parameters = [
             asdict(estimate) | {"unit": in_units_of(description, estimate.unit)} for estimate in result.fit.estimates
         ]
-        document = {"parameters": parameters, "warnings": list(result.warnings)}
+        document = {"parameters": parameters, "warnings": list(result.warnings), "conclusion": of_fit(result.fit)[0]}
         if figures:
             document["calibration"] = [asdict(figure) for figure in figures]
         typer.echo(as_json("identification", document | {"out": str(out)}))
@@ -99,6 +77,9 @@ def command(
     for warning in result.warnings:
         typer.secho(f"warning: {warning}", fg="yellow")
     typer.echo(f"wrote {out}")
+    said, explained = of_fit(result.fit)
+    following = ("evaluate", "OTHER_LOG", "--robot", out) if explained else ("diagnose", *traces, "--robot", robot)
+    conclude(said, *following, *(() if explained else ("--out", "diagnosis")))
 
 
 def _load(text: str) -> tuple[float, Path]:

@@ -207,7 +207,7 @@ def _show(table: Table, proposal: Proposal) -> None:
         rate = f"{row['rate_hz']:.6g} Hz"
         rows.append((escape(row["channel"]), escape(row["unit"]), low, high, rate, row["taken_for"]))
     head = ("channel", "unit said", "min", "max", "rate", "taken for")
-    console().print(printed(head, rows, figures=slice(2, 5), bare=True), highlight=False)
+    console().print(printed(head, rows, figures=slice(2, 5)), highlight=False)
     for reason in proposal.reasons:
         say(f"  {escape(reason)}")
     for doubt in proposal.doubts:

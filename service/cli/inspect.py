@@ -74,7 +74,7 @@ def _show(figures: dict[str, Any]) -> None:
     bases: dict[tuple, list[str]] = {}  # channels with the same stamps
     for name, channel in figures["channels"].items():
         bases.setdefault(tuple(channel[key] for key in STAMPS), []).append(name)
-    stamps = table(("stamps of", "rate", "jitter std", "p99", "max", "gaps", "repeats", "back"), bare=True)
+    stamps = table(("stamps of", "rate", "jitter std", "p99", "max", "gaps", "repeats", "back"))
     for base, names in bases.items():
         rate, *jitter, gaps, repeats, back = base
         stamps.add_row(
@@ -85,7 +85,7 @@ def _show(figures: dict[str, Any]) -> None:
         )
     console().print(stamps, highlight=False)
     head = ("channel", "unit", "min", "max", "smallest step", "longest hold", "missing")
-    values = table(head, figures=slice(2, None), bare=True)
+    values = table(head, figures=slice(2, None))
     for name, channel in figures["channels"].items():
         hold = channel["longest_hold_s"]
         values.add_row(

@@ -22,7 +22,7 @@ from schemas.errors import DeltatwinError, printable
 from service.stopping import INTERRUPTED, broke, end_at_once, terminate_as_interrupt
 
 GROUPS = {
-    "Begin": ("demo", "import", "inspect", "convert"),
+    "Begin": ("demo", "init", "import", "inspect", "convert", "doctor"),
     "From logs to answers": ("identify", "evaluate", "payload", "diagnose", "fleet", "plan-motion", "rollout"),
     "On the bus": ("replay", "estimate", "monitor", "watch", "view", "recover", "keys", "latency"),
     "On EtherCAT": ("tap", "master", "segment", "ethercat-demo"),
@@ -65,7 +65,7 @@ class _Commands(TyperGroup):
             return None
         module = cmd_name.replace("-", "_") + ("_" if cmd_name == "import" else "")
         one = typer.Typer(add_completion=False, rich_markup_mode=None)
-        function = importlib.import_module(f"service.cli.{module}").command
+        function = importlib.import_module(f"{__package__}.{module}").command
         one.command(cmd_name)(function)
         found: Any = typer.main.get_command(one)
         hints = get_type_hints(function, include_extras=True)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
-    from rich.console import Console
-    from rich.table import Table
+    from rich.console import Console, ConsoleOptions, RenderableType
 
 PIPED_WIDTH = 1000  # characters: wider than any of our tables, so that what is piped is never wrapped or cut
+GUTTER = 3  # characters between two columns
 QUANTILES = {"median": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
 
 
@@ -36,26 +38,83 @@ def say(text: str) -> None:
     console().print(text, highlight=False, soft_wrap=True)
 
 
+@dataclass
+class Table:
+    """A table in the one style that all have. Where the terminal is too narrow for its longest words, each row is told
+    line by line instead: nothing is cut, no word is broken.
+
+    figures: columns that hold figures, which stand at the right.
+    """
+
+    head: Sequence[str]
+    rows: list[Sequence[str]]
+    title: str
+    caption: str
+    figures: slice
+
+    def add_row(self, *row: str) -> None:
+        """One more row."""
+        self.rows.append(row)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
+        from rich.cells import cell_len
+        from rich.text import Text
+
+        cells = [[Text.from_markup(cell).plain for cell in row] for row in (self.head, *self.rows)]
+        columns = list(zip(*cells, strict=True))
+        width = [max(map(cell_len, column)) for column in columns]
+        least = [max(map(cell_len, " ".join(column).split()), default=0) for column in columns]
+        room = options.max_width - GUTTER * (len(columns) - 1)
+        while sum(width) > room and width != least:
+            width[max(range(len(width)), key=lambda place: width[place] - least[place])] -= 1
+        if self.title:
+            yield f"[bold]{self.title}[/bold]"
+        if sum(width) <= room:
+            yield self._drawn(width)
+        else:
+            yield from self._told()
+        if self.caption:
+            yield self.caption
+
+    def _drawn(self, widths: Sequence[int]) -> RenderableType:
+        from rich import box
+        from rich.table import Table as Drawn
+
+        made = Drawn(box=box.SIMPLE_HEAD, pad_edge=False, header_style="dim", show_edge=False)
+        right = range(len(self.head))[self.figures]
+        for place, (heading, width) in enumerate(zip(self.head, widths, strict=True)):
+            made.add_column(heading, justify="right" if place in right else "left", width=width)
+        for row in self.rows:
+            made.add_row(*map(str.strip, row))  # rich cuts a word behind a blank that begins a cell
+        return made
+
+    def _told(self) -> Iterator[RenderableType]:
+        from rich.padding import Padding
+
+        for row in self.rows:
+            name, *rest = zip(self.head, row, strict=True)
+            yield f"{name[0]}: {name[1]}" if name[0] else name[1]
+            for heading, cell in rest:
+                if cell:
+                    yield Padding(f"{heading}: {cell}" if heading else cell, (0, 0, 0, 2), expand=False)
+
+
 def table(
     head: Sequence[str],
     rows: Iterable[Sequence[str]] = (),
     title: str = "",
     caption: str = "",
     figures: slice = slice(1, None),
-    bare: bool = False,
 ) -> Table:
-    """A table of `rows`. figures: columns that hold figures, which stand at the right. bare: no lines, no wraps."""
-    from rich.table import Table
+    """A table of `rows`, cells with rich's markup in them. figures: columns that hold figures."""
+    return Table(head, list(rows), title, caption, figures)
 
-    made = Table(title=title or None, caption=caption or None)
-    if bare:
-        made = Table(box=None, pad_edge=False, header_style="dim")
-    right = range(len(head))[figures]
-    for place, heading in enumerate(head):
-        made.add_column(heading, justify="right" if place in right else "left", no_wrap=bare)
-    for row in rows:
-        made.add_row(*row)
-    return made
+
+def conclude(said: str, *following: object) -> None:
+    """How a command ends: what it comes to, and the words of the command that comes next."""
+    screen = console()
+    screen.print(said, highlight=False, markup=False)
+    screen.print(f"next: deltatwin {shlex.join(map(str, following))}", highlight=False, markup=False, soft_wrap=True)
 
 
 def quantiles(nanoseconds: np.ndarray) -> dict[str, float]:

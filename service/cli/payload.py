@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import as_json, console, table
+from service.cli.output import Table, as_json, conclude, console, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from service.identification.payload import CommonError, MassLevel, PayloadHistory, Score
 
 
@@ -45,6 +43,7 @@ def command(
 
     from schemas.errors import DataError
     from schemas.robot import load_robot
+    from service.identification.conclusion import of_payload
     from service.identification.payload import common_error, levels, payload_history, read_truth, score
 
     if truth and len(truth) != len(traces):
@@ -52,26 +51,32 @@ def command(
     description = load_robot(robot, effects)
     screen = console()
     scores: list[Score] = []
-    weighed: list[dict[str, Any]] = []
+    seen: dict[str, list[MassLevel]] = {}
     for number, trace in enumerate(reading(traces, description, columns, "weighing")):
         found = payload_history(description, trace)
         if predictions is not None:
             _write(found, predictions / f"{trace.path.name.split('.')[0]}.csv")
+        seen[str(trace.path)] = levels(found)
         if truth:
             scores += [score(found, pick) for pick in read_truth(truth[number])]
-        elif json:
-            seen = [asdict(level) | {"event": level.event.name.lower()} for level in levels(found)]
-            weighed.append({"trace": str(trace.path), "levels": seen})
-        else:
-            screen.print(_found(trace.path.name, levels(found)))
+    common = common_error(description)
+    conclusion = of_payload([level for found in seen.values() for level in found], common)
     if json:
+        weighed = [
+            {"trace": path, "levels": [asdict(level) | {"event": level.event.name.lower()} for level in found]}
+            for path, found in seen.items()
+            if not truth
+        ]
         scored = [asdict(score) for score in scores]
-        common = asdict(common_error(description))
-        typer.echo(as_json("payload", {"traces": weighed, "picks": scored, "common_error": common}))
+        document = {"traces": weighed, "picks": scored, "common_error": asdict(common), "conclusion": conclusion}
+        typer.echo(as_json("payload", document))
         return
     if scores:
         screen.print(*_scored(scores))
-    screen.print(_said(common_error(description)), highlight=False, markup=False)
+    elif not truth:
+        screen.print(*(_found(Path(path).name, found) for path, found in seen.items()))
+    screen.print(_said(common), highlight=False, markup=False)
+    conclude(conclusion, "estimate", "--robot", robot)
 
 
 def _write(found: PayloadHistory, path: Path) -> None:

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import console, table
+from service.cli.output import Table, console, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from schemas.robot import Robot
     from schemas.rollout import RolloutDocument
 
@@ -44,25 +42,14 @@ def command(
     """
     from schemas.files import make_folder, write_text
     from service.rollout.document import document, sentences, write_rollout
-    from service.rollout.gap import PLAIN, check_sign, cut_up, rollout
+    from service.rollout.gap import PLAIN, compare
 
     robots = _robots(robot, effects)
     if out is not None:
         make_folder(out)
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
-    last = list(robots)[-1]
     with console(stderr=True).status("simulating") as status:
-
-        def told(what: str) -> None:
-            status.update(f"simulating {what}")
-
-        # the sign of the torque is asked for with the torque going in, whatever goes in afterwards
-        driven = {last: robots[last]} if commands else robots
-        cuts = cut_up(robots, recorded, horizon)
-        found = rollout(driven, cuts, told)
-        check_sign(robots[last], cuts, found)
-        if commands:
-            found = rollout(robots, cuts, told, commands)
+        found = compare(robots, recorded, horizon, commands, lambda what: status.update(f"simulating {what}"))
     result = document(found, robots, [trace.name for trace in recorded])
     if out is not None:
         write_text(out / "rollout.json", result.model_dump_json(indent=1, by_alias=True))
@@ -82,20 +69,14 @@ def _robots(paths: list[Path], effects: Path | None) -> dict[str, Robot]:
     Raises:
         RobotError: a description of axes. DataError: of another robot than the first.
     """
-    from schemas.errors import DataError
     from schemas.robot import load_robot
-    from service.rollout.gap import PLAIN, plain
+    from service.rollout.gap import PLAIN, plain, refuse_another_robot
 
-    robots: dict[str, Robot] = {}
+    described = {str(path): load_robot(path, effects) for path in paths}
+    refuse_another_robot(described)
+    robots: dict[str, Robot] = {PLAIN: plain(next(iter(described.values())))}
     for path in paths:
-        description = load_robot(path, effects)
-        if not robots:
-            robots[PLAIN] = plain(description)
-        for key in ("geometry", "mass", "drive"):
-            if getattr(description, key) != getattr(robots[PLAIN], key):
-                raise DataError(f"{path}: its [{key}] is not that of {paths[0]}: compare descriptions of one robot")
-        name = path.stem if path.stem not in robots else str(path)
-        robots[name] = description
+        robots[path.stem if path.stem not in robots else str(path)] = described[str(path)]
     return robots
 
 

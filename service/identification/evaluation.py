@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -120,6 +121,17 @@ def pooled(moments: Iterable[Moments]) -> Moments:
     return Moments(
         *(np.sum([getattr(part, field) for part in parts], axis=0) for field in ("count", "total", "square"))
     )
+
+
+def pooled_by_model(results: Sequence[Evaluation], which: Literal["errors", "calm"] = "errors") -> dict[str, Moments]:
+    """The moments of each model over all `results`: of all their rows, or of those outside events."""
+    figures: list[dict[str, Moments]] = [getattr(result, which) for result in results]
+    names = dict.fromkeys(name for errors in figures for name in errors)
+    # a trace without a pick has no entry with a payload: there the fullest model stands for itself
+    return {
+        name: pooled(errors.get(name, errors.get(FULL, next(iter(errors.values())))) for errors in figures)
+        for name in names
+    }
 
 
 def _moments(error: np.ndarray) -> Moments:

@@ -95,7 +95,7 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 
 def write_rollout(result: RolloutDocument, path: Path) -> None:
     """Write the page of a rollout."""
-    plots = {"How the platform's error grows": _growth(result), "By joint and kind of motion": _by_regime(result)}
+    plots = {"How the platform's error grows": growth(result), "By joint and kind of motion": _by_regime(result)}
     write_page("rollout", path, document=result, sentences=sentences(result), in_figures=in_figures, plots=plots)
 
 
@@ -172,7 +172,8 @@ def sentences(result: RolloutDocument) -> list[str]:
     return lines
 
 
-def _growth(result: RolloutDocument) -> go.Figure:
+def growth(result: RolloutDocument) -> go.Figure:
+    """How the platform's error grows over the horizon."""
     figure = go.Figure()
     times = [1e3 * time for time in result.times_s[1:]]  # at first they are where the log is: zero has no logarithm
     for robot, colour in zip((*result.robots, result.floor), _colours(result), strict=True):

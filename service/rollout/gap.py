@@ -219,6 +219,39 @@ def rollout(
     return Rollout(cuts, tuple(deviations), floor, servo)
 
 
+def compare(
+    robots: dict[str, Robot],
+    traces: Sequence[Trace],
+    horizon: float = HORIZON,
+    commands: bool = False,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Rollout:
+    """Cut up `traces`, simulate the robots over them, and see that the last one does not run away for a wrong sign.
+
+    Raises:
+        As `cut_up`, `rollout` and `check_sign`.
+    """
+    last = list(robots)[-1]
+    # the sign of the torque is asked for with the torque going in, whatever goes in afterwards
+    driven = {last: robots[last]} if commands else robots
+    cuts = cut_up(robots, traces, horizon)
+    found = rollout(driven, cuts, progress)
+    check_sign(robots[last], cuts, found)
+    return rollout(robots, cuts, progress, commands) if commands else found
+
+
+def refuse_another_robot(robots: dict[str, Robot]) -> None:
+    """
+    Raises:
+        DataError: one of `robots` differs from the first in what no identification changes.
+    """
+    first, given = next(iter(robots.items()))
+    for name, robot in robots.items():
+        for key in ("geometry", "mass", "drive"):
+            if getattr(robot, key) != getattr(given, key):
+                raise DataError(f"{name}: its [{key}] is not that of {first}: compare descriptions of one robot")
+
+
 def cut_up(robots: dict[str, Robot], traces: Sequence[Trace], horizon: float = HORIZON) -> Cuts:
     """Windows of `horizon` s in which a joint moves and what is carried stays, by the last of `robots`.
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from tests.drivers.fuzz import ENDINGS, finding, mutated, warm_up
 
 MUTATIONS = 20_000
+QUICK = 4_000  # of them in the quick set
 AT_ONCE = 20  # mutations a draw: drawing costs as much as reading
 
 
@@ -23,8 +24,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("kind", ENDINGS)
-def test_mutated(kind: str, folder: Path) -> None:
-    @settings(max_examples=MUTATIONS // len(ENDINGS) // AT_ONCE, deadline=None, database=None, derandomize=True)
+def test_mutated(kind: str, folder: Path, pytestconfig: pytest.Config) -> None:
+    count = QUICK if pytestconfig.option.markexpr == "not slow" else MUTATIONS
+
+    @settings(max_examples=count // len(ENDINGS) // AT_ONCE, deadline=None, database=None, derandomize=True)
     @given(st.integers(0, 1 << 40))
     def read(first: int) -> None:
         for number in range(first, first + AT_ONCE):

@@ -240,7 +240,7 @@ def test_second_process_of_a_role_on_another_host_is_refused(
 def test_estimator_answers_over_tls(bus_folder: Path, keys: list[Path], bench_robot: Path, until: Callable) -> None:
     """The real command in a process of its own, on the other host."""
     estimate = subprocess.Popen(
-        [sys.executable, "-m", "service.cli", "estimate", "--robot", str(bench_robot),
+        [sys.executable, "-m", "deltatwin", "estimate", "--robot", str(bench_robot),
          "--zenoh-config", str(configuration(keys[1], Role.ESTIMATOR))],
         cwd=REPOSITORY, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
@@ -345,7 +345,7 @@ def test_insecure_is_taken_and_said(bus_folder: Path, tmp_path: Path, capfd: pyt
 def test_command_line_refuses_and_names_the_way_out(bus_folder: Path, tmp_path: Path, bench_robot: Path) -> None:
     path = write(tmp_path / "user.json5", listen={"endpoints": ["tcp/0.0.0.0:7447"]})
     told = subprocess.run(
-        [sys.executable, "-m", "service.cli", "monitor", "--robot", str(bench_robot), "--zenoh-config", str(path)],
+        [sys.executable, "-m", "deltatwin", "monitor", "--robot", str(bench_robot), "--zenoh-config", str(path)],
         cwd=REPOSITORY, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     assert told.returncode == 1

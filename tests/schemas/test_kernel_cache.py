@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from schemas import KERNEL_ROOMS
+from schemas.kernels import KERNEL_ROOMS
 
 PROJECT = Path(__file__).resolve().parents[2]
-HEADER = "from numba import njit\nimport schemas\n"
+HEADER = "from numba import njit\nimport schemas.kernels\n"
 ROOMS = ("drivers", "replay", "schemas", "service")
 
 
@@ -28,7 +28,8 @@ def run(folder: Path, **environment: str) -> tuple[str, str]:
 def room(tmp_path):
     """A package of one kernel that calls another."""
     (tmp_path / "schemas").mkdir()
-    shutil.copy(PROJECT / "schemas" / "__init__.py", tmp_path / "schemas")
+    for name in ("__init__.py", "kernels.py"):
+        shutil.copy(PROJECT / "schemas" / name, tmp_path / "schemas")
     room = tmp_path / "service" / "model"
     room.mkdir(parents=True)
     (tmp_path / "service" / "__init__.py").touch()
@@ -82,7 +83,7 @@ def test_a_temporary_folder_that_others_could_write_is_not_used(tmp_path, homele
 
 def test_with_no_folder_at_all_it_is_one_line(tmp_path, homeless):
     nowhere = "/dev/null"
-    code = f"import tempfile; tempfile._candidate_tempdir_list = lambda: [{nowhere!r}]; import schemas"
+    code = f"import tempfile; tempfile._candidate_tempdir_list = lambda: [{nowhere!r}]; import schemas.kernels"
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | homeless
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 1

@@ -52,8 +52,8 @@ def test_a_plain_robot(tmp_path: Path) -> None:
     assert robot.identified is None
 
 
-def test_every_shared_robot_loads(shared: Path) -> None:
-    paths = [*shared.glob("p*_logs/*/robot.toml")]
+def test_every_robot_of_the_recorded_cases_loads(data: Path) -> None:
+    paths = [*data.glob("p*_logs/*/robot.toml")]
     assert len(paths) == 12
     assert all(load_robot(path).geometry.active_link_length > 0 for path in paths)
 

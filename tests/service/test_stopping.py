@@ -46,7 +46,7 @@ class Sends:
             os.kill(os.getpid(), {how:d})
 sys.meta_path.insert(0, Sends())
 sys.argv = ["deltatwin", "--version"]
-from service.cli.__main__ import main
+from deltatwin.__main__ import main
 main()
 """)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

@@ -78,7 +78,7 @@ def read_table(path: Path, layout: Mapping[str, Any] | None = None) -> Table:
 
         return read_bag(path, (layout or {}).get("topic"))
     if ending in READERS:
-        read: Callable[[Path], Table] = import_module(f"drivers.trace.tables.{READERS[ending]}").read
+        read: Callable[[Path], Table] = import_module(f"{__name__}.{READERS[ending]}").read
         return read(path)
     from drivers.trace.tables.text import read
 

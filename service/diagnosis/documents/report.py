@@ -40,12 +40,12 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
         "Spectrum of what is left (grey: above what is analysed)": _spectrum(findings),
     }
     write_page(
-        "diagnosis", path, document=document, answer=answer(document), levels=_levels(document), paragraphs=rest,
+        "diagnosis", path, document=document, answer=answer(document), levels=levels(document), paragraphs=rest,
         plots=plots, said=ONLINE, in_words=in_words, base_in_words=base_in_words,
     )  # fmt: skip
 
 
-def _levels(document: Diagnosis) -> go.Figure:
+def levels(document: Diagnosis) -> go.Figure:
     """The gap of each joint before and after."""
     figure, gap = go.Figure(), document.gap
     for name, values in (("before", gap.before_nm), ("after", gap.after_nm)):

@@ -90,7 +90,7 @@ def _from_file(path: Path, changed: int) -> list[Effect]:
         raise RobotError(f"{path}: {type(error).__name__}: {error}") from error
     found = _effects(module)
     if not found:
-        raise RobotError(f"{path}: no class derived from service.model.effects.base.Effect")
+        raise RobotError(f"{path}: no class derived from deltatwin.effects.Effect")
     return found
 
 
@@ -99,6 +99,4 @@ def _effects(module: ModuleType) -> list[Effect]:
     return [kind() for kind in kinds if kind.__module__ == module.__name__]
 
 
-CATALOGUE = tuple(
-    effect for name in NAMES for effect in _effects(importlib.import_module(f"service.model.effects.{name}"))
-)
+CATALOGUE = tuple(effect for name in NAMES for effect in _effects(importlib.import_module(f"{__name__}.{name}")))

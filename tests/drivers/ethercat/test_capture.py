@@ -71,8 +71,8 @@ def judge(path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_field_of_every_datagram_equals_tsharks(shared: Path, name: str) -> None:
-    judge(shared / "captures" / name)
+def test_every_field_of_every_datagram_equals_tsharks(data: Path, name: str) -> None:
+    judge(data / "captures" / name)
 
 
 @pytest.mark.parametrize("order", ["<", ">"])

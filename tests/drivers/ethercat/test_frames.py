@@ -49,8 +49,8 @@ def mutants(folder: Path, count: int) -> Frames:
 
 
 @pytest.fixture(scope="module")
-def mutated(shared: Path) -> Frames:
-    return mutants(shared / "captures", MUTANTS)
+def mutated(data: Path) -> Frames:
+    return mutants(data / "captures", MUTANTS)
 
 
 def test_mutated_frames_are_decoded_within_their_own_bytes(mutated: Frames) -> None:
@@ -80,16 +80,16 @@ def test_mutated_frames_give_samples_or_none_but_no_crash(mutated: Frames) -> No
     np.testing.assert_array_equal(samples["sequence"], np.arange(len(samples)))
 
 
-def test_mutated_files_end_in_frames_or_one_error(shared: Path, tmp_path: Path) -> None:
+def test_mutated_files_end_in_frames_or_one_error(data: Path, tmp_path: Path) -> None:
     random = np.random.default_rng(6)
     refused = []
     for number in range(300):
         name = ("ethercat.pcapng", "twincat-scan-boxes.pcapng", "own_three_drives_4khz.pcap")[number % 3]
-        data = bytearray((shared / "captures" / name).read_bytes()[:20_000])
+        content = bytearray((data / "captures" / name).read_bytes()[:20_000])
         for _ in range(random.integers(1, 8)):
-            data[int(random.integers(len(data) if number % 2 else 400))] = int(random.integers(256))
+            content[int(random.integers(len(content) if number % 2 else 400))] = int(random.integers(256))
         path = tmp_path / name
-        path.write_bytes(data[: random.integers(len(data))] if number % 4 == 0 else data)
+        path.write_bytes(content[: random.integers(len(content))] if number % 4 == 0 else content)
         capture = Capture(path)
         try:
             for frames in capture.blocks():

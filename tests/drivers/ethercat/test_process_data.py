@@ -359,8 +359,8 @@ def test_interfaces_with_clocks_of_their_own_join_into_one_stream(tmp_path: Path
     np.testing.assert_array_equal(np.diff(stamp_ns(samples)), 1_000_000)
 
 
-def test_our_own_rig_against_tsharks_bytes(shared: Path) -> None:
-    path = shared / "captures" / "own_three_drives_4khz.pcap"
+def test_our_own_rig_against_tsharks_bytes(data: Path) -> None:
+    path = data / "captures" / "own_three_drives_4khz.pcap"
     description = load_robot(Path(__file__).parent / "robots" / "own_three_drives.toml")
     samples, assembler = assembled(path, description)
     rows = tshark(path, "eth.src", "ecat.data", "frame.time_epoch", select="ecat.cmd == 0xc")
@@ -382,8 +382,8 @@ def test_our_own_rig_against_tsharks_bytes(shared: Path) -> None:
     assert assembler.count("sent") == 5021
 
 
-def test_every_twincat_cycle_that_is_seen_twice_is_one_sample(shared: Path) -> None:
-    path = shared / "captures" / "ethercat.pcapng"
+def test_every_twincat_cycle_that_is_seen_twice_is_one_sample(data: Path) -> None:
+    path = data / "captures" / "ethercat.pcapng"
     joints = [
         {"inputs_address": 0x1000000 + 6 * k, "inputs": ["0x6064", "0x6077"], "outputs": [], "outputs_address": None}
         for k in range(3)

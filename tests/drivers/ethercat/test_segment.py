@@ -138,12 +138,12 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path)
 
 
-def test_every_frame_of_the_rigs_master_counts_as_it_did_on_the_rig(shared: Path, tmp_path: Path) -> None:
+def test_every_frame_of_the_rigs_master_counts_as_it_did_on_the_rig(data: Path, tmp_path: Path) -> None:
     inputs = ("0x6041", "0x6064", "0x606C", "0x6077", "0x6061")
     robot = rig.robot(tmp_path, outputs=("0x6040", "0x607A", "0x6071", "0x6060"), inputs=inputs)
     plant = Plant(robot, period=250e-6)
     segment = EthercatSegment(joint_pdos(robot), cia402.scales(robot), plant)
-    (frames,) = Capture(shared / "captures" / "own_three_drives_4khz.pcap").blocks()
+    (frames,) = Capture(data / "captures" / "own_three_drives_4khz.pcap").blocks()
     packets = [frames.data[at : at + size].tobytes() for at, size in zip(frames.offset, frames.length, strict=True)]
     compared = 0
     for sent, returned in zip(packets[:2000:2], packets[1:2000:2], strict=True):

@@ -156,8 +156,8 @@ def test_without_the_privilege_it_says_which(space: Namespace) -> None:
     assert "raw Ethernet needs the capability CAP_NET_RAW (run as root)" in done.stdout, done.stderr
 
 
-def test_a_capture_played_as_live_gives_what_converting_it_gives(shared: Path, bus_folder: Path) -> None:
-    path = shared / "captures" / "own_three_drives_4khz.pcap"
+def test_a_capture_played_as_live_gives_what_converting_it_gives(data: Path, bus_folder: Path) -> None:
+    path = data / "captures" / "own_three_drives_4khz.pcap"
     description = load_robot(Path(__file__).parent / "robots" / "own_three_drives.toml")
     published: list[bytes] = []
     said: list[str] = []

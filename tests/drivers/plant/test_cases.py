@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +85,7 @@ def test_effects_leave_robot_and_motion_as_they_are_and_the_same_seed_gives_the_
     assert random_case(14).robot != case.robot
 
 
-def test_motions_are_of_the_size_of_the_reference_logs(shared: Path, null: tuple[Path, dict[str, Any]]) -> None:
+def test_motions_are_of_the_size_of_the_reference_logs(data: Path, null: tuple[Path, dict[str, Any]]) -> None:
     def figures(folder: Path) -> dict[str, np.ndarray]:
         found = {}
         for name in NAMES:
@@ -94,10 +95,11 @@ def test_motions_are_of_the_size_of_the_reference_logs(shared: Path, null: tuple
             found[name] = np.array([speed.max(), trace.torque.std(), np.ptp(trace.position)])
         return found
 
-    references = [figures(shared / "plant_logs" / f"case_00{n}") for n in range(10)]
+    references = json.loads((data / "plant_logs" / "motions.json").read_text())["logs"]  # of all ten cases
+    np.testing.assert_allclose(figures(data / "plant_logs" / "case_004")[NAMES[0]], references[NAMES[0]][4], rtol=1e-6)
     ours = figures(null[0])
     for name in NAMES:
-        spread = np.array([reference[name] for reference in references])
+        spread = np.array(references[name])
         assert (ours[name] > 0.5 * spread.min(axis=0)).all(), name
         assert (ours[name] < 2.0 * spread.max(axis=0)).all(), name
 

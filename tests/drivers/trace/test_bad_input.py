@@ -329,10 +329,10 @@ def test_mcap_keeps_disorder_and_recorded_flags(own_csv: Path, tmp_path: Path) -
     assert "2 gaps, 4 cycles of 1 ms missing: before messages 101, 151 (longest 4 ms)" in messages(read)
 
 
-def test_samples_of_an_axis_that_is_no_delta(shared: Path) -> None:
+def test_samples_of_an_axis_that_is_no_delta(data: Path) -> None:
     from drivers.trace import find_columns
 
-    trace = read_trace(shared / "real/emps/emps.csv", columns=find_columns("emps"))
+    trace = read_trace(data / "real/emps/emps.csv", columns=find_columns("emps"))
     with pytest.raises(TraceError, match="1 joints, a sample message holds 3"):
         trace.samples()
 

@@ -65,8 +65,8 @@ RIG = robot(velocity_unit_counts_per_s=None, velocity_unit_rpm=60 / (1 << 20))
 
 
 @pytest.fixture(scope="module")
-def plant_log(shared: Path) -> Trace:
-    return read_trace(shared / "plant_logs" / "case_000" / "fit_b_multisine.csv")
+def plant_log(data: Path) -> Trace:
+    return read_trace(data / "plant_logs" / "case_000" / "fit_b_multisine.csv")
 
 
 @pytest.fixture(scope="module")
@@ -140,8 +140,8 @@ def test_convert_streams_what_reading_whole_gives(capture: Path, tmp_path: Path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.mcap", "rig.toml"]
 
 
-def test_inspect_counts_what_tshark_counts(shared: Path, tmp_path: Path) -> None:
-    path = shared / "captures" / "own_three_drives_4khz.pcap"
+def test_inspect_counts_what_tshark_counts(data: Path, tmp_path: Path) -> None:
+    path = data / "captures" / "own_three_drives_4khz.pcap"
     description = Path(__file__).parents[1] / "ethercat" / "robots" / "own_three_drives.toml"
     result = CliRunner().invoke(app, ["inspect", str(path), "--robot", str(description), "--json"])
     figures = json.loads(result.stdout)["traces"][0]
@@ -164,8 +164,8 @@ def test_inspect_counts_what_tshark_counts(shared: Path, tmp_path: Path) -> None
     assert figures["robot"]["samples"] == 5021
 
 
-def test_inspect_needs_no_robot(shared: Path) -> None:
-    captures = sorted(map(str, (shared / "captures").glob("*.pcap*")))
+def test_inspect_needs_no_robot(data: Path) -> None:
+    captures = sorted(map(str, (data / "captures").glob("*.pcap*")))
     result = CliRunner().invoke(app, ["inspect", *captures])
 
     assert result.exit_code == 0, result.output

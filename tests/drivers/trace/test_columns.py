@@ -16,9 +16,9 @@ from schemas.messages import SampleFlag
 from schemas.robot import load_robot
 
 
-def test_plant_and_payload_logs_read_clean_and_fast(shared: Path) -> None:
-    paths = [*shared.glob("plant_logs/*/*.csv"), *shared.glob("payload_logs/*/*.csv")]
-    assert len(paths) == 72
+def test_plant_and_payload_logs_read_clean_and_fast(data: Path) -> None:
+    paths = [*data.glob("plant_logs/*/*.csv"), *data.glob("payload_logs/*/*.csv")]
+    assert len(paths) == 24
     for path in paths:
         trace = read_trace(path, load_robot(path.parent / "robot.toml"))
         raw = np.loadtxt(path, delimiter=",", skiprows=1, max_rows=50)
@@ -33,13 +33,13 @@ def test_plant_and_payload_logs_read_clean_and_fast(shared: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["emps", "emps_pulses"])
-def test_emps_gives_the_published_dynamics(shared: Path, name: str) -> None:
+def test_emps_gives_the_published_dynamics(data: Path, name: str) -> None:
     """Least squares on the mapped columns meets the published fit, which it can only in metres and newtons.
 
     emps_pulses adds a known force to the motor's, so its fit is looser. Filter and decimation as in the benchmark:
     fourth-order Butterworth there and back, central differences, the same low-pass on both sides.
     """
-    trace = read_trace(shared / "real" / "emps" / f"{name}.csv", columns=find_columns("emps"))
+    trace = read_trace(data / "real" / "emps" / f"{name}.csv", columns=find_columns("emps"))
     assert trace.position.shape == (24841, 1)
     assert trace.position_command is not None
     position = sosfiltfilt(butter(4, 150, fs=1 / trace.period, output="sos"), trace.position[:, 0])
@@ -53,9 +53,9 @@ def test_emps_gives_the_published_dynamics(shared: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("export", ["default", "decimal_comma"])
-def test_twincat_scope_exports(shared: Path, export: str) -> None:
+def test_twincat_scope_exports(data: Path, export: str) -> None:
     """The exports hold counters: var_REAL64 = n at n ms, func_OS = t at t ms (0.2 ms), func_freesample = t (5 ms)."""
-    path = shared / "captures" / f"twincat_scope_{export}.csv"
+    path = data / "captures" / f"twincat_scope_{export}.csv"
     trace = read_trace(path, columns=find_columns("twincat_scope"))
     n = np.arange(1000.0)
     assert np.array_equal(trace.time, n / 1000)
@@ -73,11 +73,11 @@ def test_twincat_scope_exports(shared: Path, export: str) -> None:
     assert "2 of 1000 rows outside" in told
 
 
-def test_hold_keeps_the_last_sample(shared: Path, tmp_path: Path) -> None:
+def test_hold_keeps_the_last_sample(data: Path, tmp_path: Path) -> None:
     text = (Path(__file__).parents[3] / "drivers/trace/mappings/twincat_scope.toml").read_text()
     mapping = tmp_path / "hold.toml"
     mapping.write_text(text.replace('name = "func_freesample",', 'name = "func_freesample", between = "hold",'))
-    trace = read_trace(shared / "captures" / "twincat_scope_default.csv", columns=load_columns(mapping))
+    trace = read_trace(data / "captures" / "twincat_scope_default.csv", columns=load_columns(mapping))
     n = np.arange(2, 998)
     assert np.allclose(trace.torque[2:998, 2], (n - (n - 2) % 5) * 2 / 1000 * 10)
 

@@ -1,6 +1,6 @@
 """Logs as the field has them: each is read as it was, or refused in one line that says why and what to do.
 
-The inputs are those of `../shared/field`, each beside a README that says what is right.
+The inputs are those of `tests/data/field`, each beside a README that says what is right.
 """
 
 from __future__ import annotations
@@ -22,11 +22,8 @@ from service.cli.main import app
 
 
 @pytest.fixture
-def field(shared: Path) -> Path:
-    folder = shared / "field"
-    if not folder.is_dir():
-        pytest.skip("needs ../shared/field")
-    return folder
+def field(data: Path) -> Path:
+    return data / "field"
 
 
 def imported(log: Path, robot: Path, folder: Path, *options: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:

@@ -126,8 +126,8 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path: Path) -> None:
     assert (tmp_path / "a.mcap").read_bytes() == b"old"
 
 
-def test_a_linear_axis_stays_in_metres(shared: Path, tmp_path: Path) -> None:
-    trace = read_trace(shared / "real" / "emps" / "emps.csv", columns=find_columns("emps"))
+def test_a_linear_axis_stays_in_metres(data: Path, tmp_path: Path) -> None:
+    trace = read_trace(data / "real" / "emps" / "emps.csv", columns=find_columns("emps"))
     write_trace(trace, tmp_path / "axis.csv")
     again = read_trace(tmp_path / "axis.csv")
     assert not trace.angular

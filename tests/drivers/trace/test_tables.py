@@ -284,16 +284,16 @@ def test_without_a_mapping_import_is_named(tmp_path: Path) -> None:
         read_trace(tmp_path / "log.npy")
 
 
-def test_twincat_export_with_decimal_comma(shared: Path) -> None:
+def test_twincat_export_with_decimal_comma(data: Path) -> None:
     for name, decimal in (("default", ","), ("decimal_comma", ",")):  # both are German
-        table = read_table(shared / "captures" / f"twincat_scope_{name}.csv")
+        table = read_table(data / "captures" / f"twincat_scope_{name}.csv")
         assert table.kind == "TwinCAT Scope export"
         assert (table.layout["decimal"], table.layout["header_line"], table.layout["data_line"]) == (decimal, 7, 25)
         assert table.time_of["func_OS"].startswith("Name")
 
 
-def test_real_bag_of_joint_states(shared: Path) -> None:
-    table = read_table(shared / "real" / "ur10_unisa" / "ur10_exciting_trajectory.db3")
+def test_real_bag_of_joint_states(data: Path) -> None:
+    table = read_table(data / "real" / "ur10_unisa" / "ur10_exciting_trajectory.db3")
     assert len(table) == 3441
     np.testing.assert_allclose(np.diff(table.columns["time"]), 0.008, atol=1e-6)
     assert table.units["elbow_joint.effort"] == "N m"

@@ -16,9 +16,9 @@ run = CliRunner().invoke
 
 
 @pytest.fixture(scope="module")
-def case(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def case(data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A reference case and its identified description."""
-    folder = shared / "plant_logs" / "case_000"
+    folder = data / "plant_logs" / "case_000"
     out = tmp_path_factory.mktemp("identified") / "robot.toml"
     logs = [str(path) for path in sorted(folder.glob("fit_*.csv"))]
     result = run(app, ["identify", *logs, "--robot", str(folder / "robot.toml"), "--out", str(out)])

@@ -134,7 +134,7 @@ def test_results_as_json(tmp_path: Path, own: Path) -> None:
 def test_a_pipe_gets_whole_lines(own: Path) -> None:
     """The widest table there is: no line is wrapped, none is cut short with an ellipsis."""
     done = subprocess.run(
-        [sys.executable, "-m", "service.cli", "inspect", own],
+        [sys.executable, "-m", "deltatwin", "inspect", own],
         capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "20"},
     )  # fmt: skip
     row = next(line for line in done.stdout.splitlines() if line.startswith("position_1"))
@@ -174,12 +174,11 @@ def test_ethercat_demo_refuses_a_short_run_at_once() -> None:
     assert "--duration" in done.output
 
 
-def test_missed_bounds_are_named() -> None:
+def test_missed_bounds_are_named_but_for_the_machines_speed() -> None:
     held = {key: float(bound.split()[1]) for key, (_, bound) in BOUNDS.items()}
     assert missed(held) == []
     assert missed(held | {"right_first": 0.89, "seconds_median": 20.1, "pair_both": None}) == [
-        "right effect first (single, findable)",
-        "seconds a case, median",
+        "right effect first (single, findable)"
     ]
 
 
@@ -191,7 +190,7 @@ def test_a_monitor_of_the_wrong_robot_says_who_is_here(bus_folder: Path, bench_r
         command = [
             sys.executable,
             "-m",
-            "service.cli",
+            "deltatwin",
             "monitor",
             "--robot",
             bench_robot,

@@ -273,11 +273,11 @@ def test_axes_with_a_force_of_the_other_sign(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.torque[:, 0], force, atol=1e-6)
 
 
-def test_real_logs(shared: Path, tmp_path: Path) -> None:
+def test_real_logs(data: Path, tmp_path: Path) -> None:
     """Six axes at a stated rate in two files; a servo whose 16 bit load is unsigned."""
     robot = tmp_path / "tx40.toml"
     robot.write_text('name = "tx40"\nkind = "axes"\n' + "[[axis]]\ngear_ratio = 32\n" * 6)
-    real = shared / "real"
+    real = data / "real"
     options = ["--rate", "5000", "--yes", "--torque-unit", "N m", "--out", tmp_path / "tx40.csv"]
     imported(real / "tx40" / "pos_read_data.csv", real / "tx40" / "curr_data.csv", "--robot", robot, *options)
     assert read_trace(tmp_path / "tx40.csv").torque.shape == (45000, 6)

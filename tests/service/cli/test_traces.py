@@ -145,8 +145,8 @@ def test_inspect_shows_the_others_when_one_is_unusable(deltatwin: Run, log: Path
     assert "nothing wrong found" in done.stdout
 
 
-def test_inspect_gives_each_channel_its_own_rate(deltatwin: Run, shared: Path, tmp_path: Path) -> None:
-    path = shared / "captures" / "twincat_scope_default.csv"
+def test_inspect_gives_each_channel_its_own_rate(deltatwin: Run, data: Path, tmp_path: Path) -> None:
+    path = data / "captures" / "twincat_scope_default.csv"
     done = deltatwin("inspect", path, "--columns", "twincat_scope", "--json")
     (figures,) = json.loads(done.stdout)["traces"]
     rates = {name: channel["rate_hz"] for name, channel in figures["channels"].items()}

@@ -38,12 +38,12 @@ class Diagnosed(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def emps(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
+def emps(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
     """The command as a user gives it: diagnose one log, try the correction on the other."""
     folder = tmp_path_factory.mktemp("emps")
     robot = folder / "emps.toml"
     robot.write_text(DESCRIPTION)
-    log, pulses = (shared / "real" / "emps" / name for name in ("emps.csv", "emps_pulses.csv"))
+    log, pulses = (data / "real" / "emps" / name for name in ("emps.csv", "emps_pulses.csv"))
     out = folder / "out"
     arguments = ["diagnose", log, "--robot", robot, "--out", out, "--test", pulses]
     result = run(app, [str(argument) for argument in arguments], catch_exceptions=False)
@@ -149,8 +149,8 @@ def test_evaluate_inspect_and_convert_take_axes(emps: Diagnosed, tmp_path: Path)
     assert rms == sorted(rms, reverse=True)
 
 
-def test_what_does_not_fit_is_one_line(emps: Diagnosed, shared: Path, tmp_path: Path) -> None:
-    delta = shared / "plant_logs" / "case_000"
+def test_what_does_not_fit_is_one_line(emps: Diagnosed, data: Path, tmp_path: Path) -> None:
+    delta = data / "plant_logs" / "case_000"
     log = delta / "test_a_pick.csv"
     two = tmp_path / "two.toml"
     two.write_text(DESCRIPTION + "[[axis]]\n")

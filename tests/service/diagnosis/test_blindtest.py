@@ -407,7 +407,7 @@ def test_the_families_figures_count_right() -> None:
     assert figures["right_first"] is None  # of the other families
     assert set(wanted) <= set(BOUNDS)
     late = missed(figures)
-    assert len(late) == 12  # 10 of these, calibration and time
+    assert len(late) == 11  # 10 of these, and calibration
     assert "names given with 90 to 100 % that are true" in late
 
 

@@ -102,9 +102,9 @@ def test_what_is_said_of_the_noise_and_of_what_cannot_be():
 
 
 @pytest.fixture(scope="module")
-def logs(shared):
+def logs(data):
     def of(case, robot=None):
-        folder = shared / "plant_logs" / case
+        folder = data / "plant_logs" / case
         robot = robot or load_robot(folder / "robot.toml")
         return robot, [read_trace(path, robot) for path in sorted(folder.glob("fit_*.csv"))]
 

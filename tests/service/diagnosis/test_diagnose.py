@@ -21,8 +21,8 @@ from service.model.prediction import error_in_band, motion, predict_along
         ("case_004", "torque_delay", [], "delay", 0.003, 2e-4),
     ],
 )
-def test_names_what_was_put_in(shared, tmp_path, case, name, joints, parameter, truth, tolerance):
-    folder = shared / "plant_logs" / case
+def test_names_what_was_put_in(data, tmp_path, case, name, joints, parameter, truth, tolerance):
+    folder = data / "plant_logs" / case
     logs = [str(path) for path in sorted(folder.glob("fit_*.csv"))]
     kept = [argument for path in sorted(folder.glob("test_*.csv")) for argument in ("--test", str(path))]
     arguments = ["diagnose", *logs, "--robot", str(folder / "robot.toml"), "--out", str(tmp_path), *kept]

@@ -73,10 +73,10 @@ def amperes_of(document: dict[str, Any]) -> dict[int, float]:
     return found
 
 
-def test_cogging_of_many_orders_behind_a_filter(shared: Path, tmp_path: Path) -> None:
+def test_cogging_of_many_orders_behind_a_filter(data: Path, tmp_path: Path) -> None:
     """ODrive: slow turns. By the static map 0.86, 0.56, 0.35, 0.29, 0.26 A of orders 7, 28, 14, 36, 12, reported
     through a low-pass of 1.27 Hz (by its setting) to 1.47 Hz (own fit beside the logs)."""
-    folder = shared / "real" / "odrive_cogging"
+    folder = data / "real" / "odrive_cogging"
     names = ("slow2/nocomp_0", "slow2/nocomp_1", "slow2/nocomp_2", "slow2_slower/nocomp_0")
     document = diagnosed(tmp_path, COUNTED, [folder / f"{name}.npy" for name in names])
     assert sure(document) <= {"cogging", "torque_filter"}
@@ -88,10 +88,10 @@ def test_cogging_of_many_orders_behind_a_filter(shared: Path, tmp_path: Path) ->
     assert all(found[order] < 0.15 for order in found.keys() - {7, 28, 14, 36, 12})
 
 
-def test_cogging_by_static_maps(shared: Path, tmp_path: Path) -> None:
+def test_cogging_by_static_maps(data: Path, tmp_path: Path) -> None:
     """ODrive: the current that holds each 16th encoder count, forwards and in reverse, 0 where none was measured; read
     as a slow turn. Its own Fourier fit: 1.04, 0.56, 0.35, 0.29, 0.26 A; Coulomb friction 0.17 A."""
-    folder = shared / "real" / "odrive_cogging" / "coggingmap_0"
+    folder = data / "real" / "odrive_cogging" / "coggingmap_0"
     for name, backwards in (("c_16", "false"), ("e_16r", "true")):
         mapping, log = tmp_path / "map.toml", tmp_path / f"{name}.csv"
         mapping.write_text(STATIC.format(backwards=backwards))
@@ -107,11 +107,11 @@ def test_cogging_by_static_maps(shared: Path, tmp_path: Path) -> None:
     assert document["base"]["f_c_1"]["value"] / TORQUE_CONSTANT == pytest.approx(0.17, rel=0.05)
 
 
-def test_a_weight_is_neither_spring_nor_cogging_nor_filter(shared: Path, tmp_path: Path) -> None:
+def test_a_weight_is_neither_spring_nor_cogging_nor_filter(data: Path, tmp_path: Path) -> None:
     """Servo on a pendulum: m g l 0.4805 N m and 0.00654 kg m^2, of which the drive's constant is only known to a
     quarter; so their ratio is held against it. Friction takes 0.136 of the torque outside and 0.284 of the motor's: of
     a weight that is held 0.42."""
-    logs = sorted((shared / "real" / "bam_xl330" / "raw").glob("*.json"))
+    logs = sorted((data / "real" / "bam_xl330" / "raw").glob("*.json"))
     powered = [log for log in logs if log.stem[-8:] not in ("10h28m17", "10h29m21", "10h29m54")]
     document = diagnosed(tmp_path, PWM, powered)
     assert sure(document) == {"load_dependent_friction"}
@@ -151,11 +151,11 @@ def tx40_columns() -> tuple[str, str]:
     return columns, f"coupling = {coupling}\n"
 
 
-def test_a_coupled_wrist_has_its_own_friction_and_a_coupled_arm_no_names(shared: Path, tmp_path: Path) -> None:
+def test_a_coupled_wrist_has_its_own_friction_and_a_coupled_arm_no_names(data: Path, tmp_path: Path) -> None:
     """Staubli TX40 as axes that share motor 6: its friction 0.61 N m s/rad and rotor 0.0094 kg m^2, axis 4 1.11 N m
     s/rad and 2.48 N m. Axes 1 to 3 feel each other's weight and inertia: the base is called wrong, nothing named."""
     columns, coupling = tx40_columns()
-    logs = [shared / "real" / "tx40" / "pos_read_data.csv"]
+    logs = [data / "real" / "tx40" / "pos_read_data.csv"]
     document = diagnosed(tmp_path, columns, logs, coupling + "[[axis]]\n" * 6)
     assert not sure(document)
     codes = {caution["code"] for caution in document["cannot_tell"]}
@@ -166,11 +166,11 @@ def test_a_coupled_wrist_has_its_own_friction_and_a_coupled_arm_no_names(shared:
     assert base["f_v_4"] == pytest.approx(1.11, rel=0.05)
 
 
-def test_an_arm_by_its_urdf_has_the_friction_that_is_published(shared: Path, tmp_path: Path) -> None:
+def test_an_arm_by_its_urdf_has_the_friction_that_is_published(data: Path, tmp_path: Path) -> None:
     """Staubli TX40 as a chain, friction as published with it; that of axis 1 turns over slowly, which `sign` has not:
     its Coulomb friction comes out 19 % higher."""
     pytest.importorskip("pinocchio")
-    folder = shared / "real" / "tx40"
+    folder = data / "real" / "tx40"
     columns, coupling = tx40_columns()
     (tmp_path / "columns.toml").write_text(columns)
     names = [f"joint_{joint}" for joint in range(1, 7)]
@@ -199,11 +199,11 @@ def test_an_arm_by_its_urdf_has_the_friction_that_is_published(shared: Path, tmp
     )
 
 
-def test_a_smoothed_log_of_an_arm_leaves_what_is_known_and_gets_no_name(shared: Path, tmp_path: Path) -> None:
+def test_a_smoothed_log_of_an_arm_leaves_what_is_known_and_gets_no_name(data: Path, tmp_path: Path) -> None:
     """UR10 as a chain: everything was smoothed to below 5 Hz after the recording, which is no filter of the drive, and
     what sits at reversals is the smoothing. Published: 3 to 13 % left, axis 6 20 to 29 %; friction at 1 rad/s."""
     pytest.importorskip("pinocchio")
-    folder = shared / "real" / "ur10_unisa"
+    folder = data / "real" / "ur10_unisa"
     names = [f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
     position, torque = (", ".join(f'"{name}.{what}"' for name in names) for what in ("position", "effort"))
     (tmp_path / "columns.toml").write_text(f'joints = 6\ntime = "time"\nposition = [{position}]\ntorque = [{torque}]\n')

@@ -38,8 +38,8 @@ def run(robot: Robot, traces: list[Trace]) -> Identification:
 
 
 @pytest.fixture(scope="module")
-def plant(shared: Path) -> tuple[Robot, list[Trace]]:
-    folder = shared / "plant_logs" / "case_000"
+def plant(data: Path) -> tuple[Robot, list[Trace]]:
+    folder = data / "plant_logs" / "case_000"
     robot = load_robot(folder / "robot.toml")
     return robot, [read_trace(path, robot) for path in sorted(folder.glob("fit_*.csv"))]
 
@@ -117,15 +117,15 @@ def test_heavy_payload_on_one_log_is_an_error(robot: Robot, record: Record) -> N
         run(robot, logs)
 
 
-def test_payload_on_a_plant_log_is_named(shared: Path) -> None:
+def test_payload_on_a_plant_log_is_named(data: Path) -> None:
     """3.8 kg with their inertia are a quarter of the torque: no fit to keep, as with the 2 kg above."""
-    folder = shared / "payload_logs" / "case_001"
+    folder = data / "payload_logs" / "case_001"
     robot = load_robot(folder / "robot.toml")
     logs = [read_trace(path, robot) for path in [*sorted(folder.glob("fit_*.csv")), folder / "pick_a.csv"]]
     with pytest.raises(DataError, match=r"^pick_a\.csv: does not go with the other logs.*: a payload\?$") as said:
         run(robot, logs)
     asked = re.search(r"asks for \+(\d\.\d+) kg", str(said.value))
-    (case,) = (c for c in json.loads((shared / "payload_logs/key.json").read_text()) if c["case"] == "case_001")
+    (case,) = (c for c in json.loads((data / "payload_logs/key.json").read_text()) if c["case"] == "case_001")
     picks = case["picks"]["pick_a"]
     least = sum(mass * (until - begin) for begin, until, mass in picks) / (picks[-1][1] - picks[0][0])
     assert asked

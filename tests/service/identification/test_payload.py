@@ -40,11 +40,11 @@ from tests.service.identification.test_calibration import logs as loaded_logs
 
 
 @pytest.fixture(scope="module")
-def cases(shared):
+def cases(data):
     """(robot as identified, its pick traces with their truth) of both reference robots."""
     result = []
-    for case in json.loads((shared / "payload_logs/key.json").read_text()):
-        folder = shared / "payload_logs" / case["case"]
+    for case in json.loads((data / "payload_logs/key.json").read_text()):
+        folder = data / "payload_logs" / case["case"]
         plain = load_robot(folder / "robot.toml")
         fits = [read_trace(path, plain) for path in sorted(folder.glob("fit_*.csv"))]
         robot = identified(plain, fits)

@@ -26,8 +26,8 @@ def identified(robot: Robot, record: Record) -> Robot:
     return identify(robot, [summarise(pack(robot), record(seed)) for seed in range(3)]).robot
 
 
-def test_reference_plant_is_left_at_its_noise(shared: Path) -> None:
-    folder = shared / "plant_logs" / "case_000"
+def test_reference_plant_is_left_at_its_noise(data: Path) -> None:
+    folder = data / "plant_logs" / "case_000"
     robot = load_robot(folder / "robot.toml")
     fits = [read_trace(path, robot) for path in sorted(folder.glob("fit_*.csv"))]
     robot = identify(robot, [summarise(pack(robot), trace) for trace in fits]).robot

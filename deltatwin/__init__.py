@@ -1,0 +1,90 @@
+"""Robot dynamics beside the real machine, of Delta robots, servo axes and arms: identification, payload, gap.
+
+    import deltatwin as dt
+
+    robot = dt.load_robot("robot.toml")
+    logs = [dt.read_trace(path, robot) for path in ("fit_a.csv", "fit_b.csv", "fit_c.csv")]
+    known = dt.identify(robot, logs)               # known.robot carries what was identified
+    found = dt.diagnose(robot, logs)               # which unmodelled effect causes the gap; found.robot is corrected
+    dt.save_robot(found.robot, "corrected.toml")
+    dt.payload(found.robot, dt.read_trace("pick.csv", robot)).plot()
+
+What `__all__` names is the promise: it keeps its meaning from one minor version to the next, or warns for one first.
+All quantities are in SI units, at the joint side of the gears: s, rad, N m, kg; m and N for linear axes. Joints count
+from 0 in arrays and from 1 in texts and data frames. Every error is a `DeltatwinError` whose message is one line.
+
+Nothing large is imported before it is used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deltatwin.functions import (
+        Description,
+        diagnose,
+        evaluate,
+        identify,
+        load_demo,
+        load_robot,
+        payload,
+        read_trace,
+        rollout,
+        save_robot,
+    )
+    from deltatwin.results import (
+        DiagnosisResult,
+        EvaluationResult,
+        IdentificationResult,
+        PayloadResult,
+        RolloutResult,
+    )
+    from deltatwin.trace import Trace
+    from schemas.errors import DataError, DeltatwinError, PoseError, RobotError, StorageError, TraceError
+
+__all__ = [
+    "DataError",
+    "DeltatwinError",
+    "Description",
+    "DiagnosisResult",
+    "EvaluationResult",
+    "IdentificationResult",
+    "PayloadResult",
+    "PoseError",
+    "RobotError",
+    "RolloutResult",
+    "StorageError",
+    "Trace",
+    "TraceError",
+    "diagnose",
+    "evaluate",
+    "identify",
+    "load_demo",
+    "load_robot",
+    "payload",
+    "read_trace",
+    "rollout",
+    "save_robot",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("deltatwin")
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name.endswith("Error"):
+        from schemas import errors as module
+    else:
+        home = "trace" if name == "Trace" else "results" if name.endswith("Result") else "functions"
+        module = importlib.import_module(f"{__name__}.{home}")
+    found = globals()[name] = getattr(module, name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -1,0 +1,92 @@
+"""The plots of results and traces, by Plotly, in the colours of the pages."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from schemas.messages import PayloadEvent
+from service.model.description import in_units_of
+from service.pages import LOG_AXIS
+
+if TYPE_CHECKING:
+    from deltatwin.results import EvaluationResult, IdentificationResult, PayloadResult
+    from deltatwin.trace import Trace
+
+MEASURED, MODEL, NOISE = "#6e7781", "#1f6feb", "#d0d7de"
+BAND = "rgba(31, 111, 235, 0.2)"
+EVENTS = {PayloadEvent.PICK: "#2da44e", PayloadEvent.RELEASE: "#bf8700"}
+HEIGHT = 190  # of a joint's row
+
+
+def of_trace(trace: Trace) -> go.Figure:
+    """Position and torque of every joint over time."""
+    position, torque = ("rad", "N m") if trace.angular else ("m", "N")
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.05)
+    for row, (name, values, unit) in enumerate(
+        (("position", trace.position, position), ("torque", trace.torque, torque)), start=1
+    ):
+        for joint, channel in enumerate(values.T):
+            figure.add_scatter(x=trace.time, y=channel, name=f"{name} {joint + 1}", line={"width": 1}, row=row, col=1)
+        figure.update_yaxes(title_text=f"{name}, {unit}", row=row, col=1)
+    figure.update_xaxes(title_text="time, s", row=2, col=1)
+    return figure.update_layout(height=2 * HEIGHT + 80)
+
+
+def of_identification(result: IdentificationResult) -> go.Figure:
+    """Rms of each joint: torque, residual, the same of logs held out, noise."""
+    fit, unit = result.fit, in_units_of(result.robot, "N m")
+    shown = {"torque": (fit.torque, MEASURED), "residual": (fit.residual, MODEL), "held out": (fit.held_out, "#8250df")}
+    joints = [f"joint {joint + 1}" for joint in range(len(fit.noise_floor))]
+    figure = go.Figure()
+    for name, (values, colour) in shown.items():
+        known = np.isfinite(values)
+        if known.any():
+            rms = np.sqrt(np.nansum(values**2, axis=0) / np.maximum(known.sum(axis=0), 1))
+            figure.add_bar(x=joints, y=rms, name=name, marker_color=colour)
+    figure.add_bar(x=joints, y=fit.noise_floor, name="noise", marker_color=NOISE)
+    figure.update_yaxes(title_text=f"rms, {unit}", **LOG_AXIS)
+    return figure.update_layout(barmode="group", height=320)
+
+
+def of_evaluation(result: EvaluationResult, number: int) -> go.Figure:
+    """Measured torque and that of the fullest model over time, a row a joint."""
+    one, unit = result.evaluations[number], in_units_of(result.robot, "N m")
+    name, torque = list(one.torque.items())[-1]
+    joints = torque.shape[1]
+    figure = make_subplots(rows=joints, cols=1, shared_xaxes=True, vertical_spacing=0.04)
+    for joint in range(joints):
+        for label, values, colour in (("measured", one.trace.torque, MEASURED), (name, torque, MODEL)):
+            figure.add_scatter(
+                x=one.trace.time, y=values[:, joint], name=label, legendgroup=label, showlegend=joint == 0,
+                line={"width": 1, "color": colour}, row=joint + 1, col=1,
+            )  # fmt: skip
+        figure.update_yaxes(title_text=f"joint {joint + 1}, {unit}", row=joint + 1, col=1)
+    figure.update_xaxes(title_text=f"time in {one.trace.name}, s", row=joints, col=1)
+    return figure.update_layout(height=HEIGHT * joints + 60, legend={"orientation": "h", "y": 1.08})
+
+
+def of_payload(result: PayloadResult) -> go.Figure:
+    """The mass over time in its band, and its events."""
+    found = result.history
+    low, high = found.mass - 2 * found.std_dev, found.mass + 2 * found.std_dev
+    figure = go.Figure()
+    figure.add_scatter(x=found.time, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip")
+    figure.add_scatter(
+        x=found.time, y=low, line={"width": 0}, fill="tonexty", fillcolor=BAND, name="± 2 standard deviations",
+        hoverinfo="skip",
+    )  # fmt: skip
+    figure.add_scatter(x=found.time, y=found.mass, name="mass", line={"width": 1.5, "color": MODEL})
+    for event, colour in EVENTS.items():
+        rows = np.flatnonzero(found.event == event)
+        figure.add_scatter(
+            x=found.time[rows], y=found.mass[rows], mode="markers", name=event.name.lower(),
+            marker={"color": colour, "size": 9, "symbol": "triangle-up"},
+        )  # fmt: skip
+    top = float(np.nanmax(found.mass, initial=0.0))
+    figure.update_yaxes(title_text="mass, kg", range=[-0.1 * top - 0.1, 1.2 * top + 0.2])
+    figure.update_xaxes(title_text=f"time in {result.trace}, s")
+    return figure.update_layout(height=340)

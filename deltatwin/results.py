@@ -1,0 +1,352 @@
+"""What the functions of `deltatwin` give: each short in a notebook, as a data frame, as a plot."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from schemas.axes import Description
+from schemas.robot import Robot
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+    from drivers.data_frames import pl
+    from schemas.diagnosis import Diagnosis
+    from schemas.rollout import RolloutDocument
+    from service.diagnosis.findings import Findings
+    from service.identification.calibration import CalibratedFigure
+    from service.identification.evaluation import Evaluation
+    from service.identification.payload import CommonError, MassLevel, PayloadHistory
+    from service.identification.pooled import Plain
+
+MOST_ROWS = 12  # of a table in a notebook
+
+
+def html(title: str, sentences: Iterable[str], head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A heading, sentences and a table, as notebooks show them."""
+    told = "".join(f"<p style='margin:.3em 0'>{escape(sentence)}</p>" for sentence in sentences)
+    body = list(rows)
+    table = ""
+    if body:
+        cells = "".join(
+            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in body[:MOST_ROWS]
+        )
+        more = f"<p>... {len(body) - MOST_ROWS} more: .to_frame()</p>" if len(body) > MOST_ROWS else ""
+        table = f"<table><tr>{''.join(f'<th>{escape(name)}</th>' for name in head)}</tr>{cells}</table>{more}"
+    return f"<div><b>{escape(title)}</b>{told}{table}</div>"
+
+
+@dataclass(frozen=True, repr=False)
+class Result(ABC):
+    """What all results have in common."""
+
+    @property
+    @abstractmethod
+    def conclusion(self) -> str:
+        """What it comes to, in a sentence or a few."""
+
+    @abstractmethod
+    def to_frame(self) -> pl.DataFrame:
+        """The figures as a Polars data frame; `.to_pandas()` makes it one of pandas."""
+
+    @abstractmethod
+    def plot(self) -> go.Figure:
+        """A Plotly figure; a notebook shows it, `.write_html(path)` keeps it."""
+
+    @abstractmethod
+    def _title(self) -> str: ...
+
+    @abstractmethod
+    def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]: ...
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self._title()}>\n{self.conclusion}"
+
+    def _repr_html_(self) -> str:
+        return html(self._title(), [self.conclusion], *self._rows())
+
+
+def _frame(rows: list[dict[str, Any]]) -> pl.DataFrame:
+    from drivers.data_frames import pl
+
+    return pl.DataFrame(rows, infer_schema_length=None)
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+@dataclass(frozen=True, repr=False)
+class IdentificationResult(Result):
+    """What `identify` found.
+
+    Attributes:
+        robot: the description with its `[identified]` section; `deltatwin.save_robot` writes it.
+        warnings: what you have to know before you use it.
+        traces: names of the logs.
+    """
+
+    robot: Description
+    warnings: tuple[str, ...]
+    traces: tuple[str, ...]
+    fit: Plain = field(repr=False)
+    calibration: tuple[CalibratedFigure, ...] = ()
+
+    @property
+    def conclusion(self) -> str:
+        from service.identification.conclusion import of_fit
+
+        return " ".join([of_fit(self.fit)[0], *(f"Warning: {warning}." for warning in self.warnings)])
+
+    def to_frame(self) -> pl.DataFrame:
+        """A row a parameter: name, value, std_error, unit, verdict, reason."""
+        from service.model.description import in_units_of
+
+        keys = ("name", "value", "std_error", "unit", "verdict", "reason")
+        rows = [{key: getattr(one, key) for key in keys} for one in self.fit.estimates]
+        return _frame([row | {"unit": in_units_of(self.robot, row["unit"])} for row in rows])
+
+    def plot(self) -> go.Figure:
+        """Torque, what the model leaves of it and the noise, rms of each joint; logarithmic."""
+        from deltatwin.plots import of_identification
+
+        return of_identification(self)
+
+    def _title(self) -> str:
+        return f"{self.robot.name} identified on {_count(len(self.traces), 'log')}"
+
+    def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
+        head = ("parameter", "value", "std. error", "unit", "verdict")
+        frame = self.to_frame().iter_rows(named=True)
+        return head, [
+            (one["name"], f"{one['value']:.4g}", f"{one['std_error']:.2g}", one["unit"], one["verdict"])
+            for one in frame
+        ]
+
+
+@dataclass(frozen=True, repr=False)
+class EvaluationResult(Result):
+    """How far each model is off.
+
+    Attributes:
+        robot: whose models they are.
+        evaluations: one a log; `.torque[model]` is (N, n) N m of every row, `.events` what stands far above the rest.
+    """
+
+    robot: Description
+    evaluations: tuple[Evaluation, ...]
+
+    @property
+    def models(self) -> dict[str, np.ndarray]:
+        """Rms error (n,) N m of each model over all logs, joints moving, below 40 Hz."""
+        from service.identification.evaluation import pooled_by_model
+
+        return {name: moments.rms for name, moments in pooled_by_model(self.evaluations).items()}
+
+    @property
+    def conclusion(self) -> str:
+        from service.identification.conclusion import of_evaluation
+
+        return of_evaluation(self.robot, self.evaluations)[0]
+
+    def to_frame(self) -> pl.DataFrame:
+        """A row a log, model and joint: mean, std and rms of the error in N m (N for linear axes)."""
+        return _frame(
+            [
+                {"trace": one.trace.name, "model": model, "joint": joint + 1, "mean": float(moments.mean[joint]),
+                 "std": float(moments.std[joint]), "rms": float(moments.rms[joint])}
+                for one in self.evaluations
+                for model, moments in one.errors.items()
+                for joint in range(len(moments.count))
+            ]
+        )  # fmt: skip
+
+    def plot(self, trace: int = 0) -> go.Figure:
+        """Measured and predicted torque of each joint over time. trace: which log, from 0."""
+        from deltatwin.plots import of_evaluation
+
+        return of_evaluation(self, trace)
+
+    def _title(self) -> str:
+        return f"{self.robot.name} on {_count(len(self.evaluations), 'log')}"
+
+    def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
+        found = self.models
+        joints = len(next(iter(found.values())))
+        head = ("model", *(f"joint {joint + 1}, rms" for joint in range(joints)))
+        return head, [(name, *(f"{value:.3g}" for value in rms)) for name, rms in found.items()]
+
+
+@dataclass(frozen=True, repr=False)
+class PayloadResult(Result):
+    """What was picked.
+
+    Attributes:
+        robot: the identified robot.
+        trace: name of the log.
+        history: arrays (N,): `time` s, `mass` kg, `std_dev` kg, `trusted`, `event` (0 none, 1 pick, 2 release).
+        levels: each mass that came to hang, from event to event, with its standard deviations.
+        common_error: what all masses of this robot are off by alike.
+    """
+
+    robot: Robot
+    trace: str
+    history: PayloadHistory = field(repr=False)
+    levels: tuple[MassLevel, ...]
+    common_error: CommonError
+
+    @property
+    def time(self) -> np.ndarray:
+        """(N,) s, bus time."""
+        return self.history.time
+
+    @property
+    def mass(self) -> np.ndarray:
+        """(N,) kg, as known after each sample."""
+        return self.history.mass
+
+    @property
+    def conclusion(self) -> str:
+        from service.identification.conclusion import of_payload
+
+        return of_payload(self.levels, self.common_error)
+
+    def to_frame(self) -> pl.DataFrame:
+        """A row a sample: time_s, mass_kg, std_dev_kg, trusted, event. `.levels` has the picks."""
+        from drivers.data_frames import pl
+
+        found = self.history
+        columns = {"time_s": found.time, "mass_kg": found.mass, "std_dev_kg": found.std_dev}
+        return pl.DataFrame(columns | {"trusted": found.trusted, "event": found.event})
+
+    def plot(self) -> go.Figure:
+        """The mass over time with two standard deviations to either side, and where picks and releases were seen."""
+        from deltatwin.plots import of_payload
+
+        return of_payload(self)
+
+    def _title(self) -> str:
+        return f"payload of {self.robot.name} in {self.trace}"
+
+    def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
+        head = ("from, s", "until, s", "event", "mass, kg", "std. dev., kg", "trusted")
+        return head, [
+            (f"{one.begin:.3f}", f"{one.end:.3f}", one.event.name.lower(), f"{one.mass:.3f}", f"{one.std_dev:.3f}",
+             f"{one.trusted:.0%}")
+            for one in self.levels
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True, repr=False)
+class DiagnosisResult(Result):
+    """Where the gap lies, which effect causes it, how far it shrinks.
+
+    Attributes:
+        robot: the corrected description; `deltatwin.save_robot` writes it.
+        document: as `diagnosis.json` has it: `.verdict`, `.effects`, `.gap`, `.cannot_tell`, ...
+    """
+
+    robot: Description
+    document: Diagnosis
+    findings: Findings = field(repr=False)
+
+    @property
+    def conclusion(self) -> str:
+        from service.diagnosis.documents.text import paragraphs
+
+        return " ".join(paragraphs(self.document)[0])
+
+    @property
+    def text(self) -> str:
+        """All that the command says of it."""
+        from service.diagnosis.documents.text import paragraphs
+
+        return "\n\n".join("\n".join(group) for group in paragraphs(self.document))
+
+    def to_frame(self) -> pl.DataFrame:
+        """A row a parameter of each named effect: effect, joints, probability, parameter, value, low, high, unit."""
+        rows = [
+            {"effect": effect.name, "joints": effect.joints, "probability": effect.probability, "parameter": name,
+             "value": one.value, "low": one.ci95[0], "high": one.ci95[1], "unit": one.unit}
+            for effect in self.document.effects
+            for name, one in effect.parameters.items()
+        ]  # fmt: skip
+        return _frame(rows)
+
+    def plot(self) -> go.Figure:
+        """The gap of each joint before and after, on held-out data."""
+        from service.diagnosis.documents.report import levels
+
+        return levels(self.document)
+
+    def write_report(self, path: str | Path) -> None:
+        """Write the whole report, one HTML file that needs no network.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        from service.diagnosis.documents.report import write_report
+
+        write_report(self.findings, self.document, Path(path))
+
+    def _title(self) -> str:
+        return f"{self.document.robot}, {_count(len(self.document.traces), 'log')}: {self.document.verdict}"
+
+    def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
+        head = ("effect", "joints", "probability", "of the gap")
+        return head, [
+            (one.title or one.name, ", ".join(map(str, one.joints)), f"{one.probability:.0%}", f"{one.gap_share:.0%}")
+            for one in self.document.effects
+        ]
+
+
+@dataclass(frozen=True, repr=False)
+class RolloutResult(Result):
+    """The gap as motion.
+
+    Attributes:
+        document: as `rollout.json` has it.
+    """
+
+    document: RolloutDocument
+
+    @property
+    def conclusion(self) -> str:
+        from service.rollout.document import sentences
+
+        return " ".join(sentences(self.document))
+
+    def to_frame(self) -> pl.DataFrame:
+        """A row a robot, and one of noise alone: rms after the horizon, mrad of each joint and mm of the platform."""
+        return _frame(
+            [
+                {"robot": one.robot, "platform_mm": one.platform_mm, "ran_away": one.ran_away}
+                | {f"joint_{joint + 1}_mrad": value for joint, value in enumerate(one.joint_mrad)}
+                for one in (*self.document.robots, self.document.floor)
+            ]
+        )
+
+    def plot(self) -> go.Figure:
+        """How the platform's error grows over the horizon."""
+        from service.rollout.document import growth
+
+        return growth(self.document)
+
+    def _title(self) -> str:
+        return f"{_count(self.document.windows, 'window')} of {1e3 * self.document.horizon_s:.0f} ms"
+
+    def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
+        from service.rollout.document import in_figures
+
+        head = ("robot", "platform, mm", "joints, mrad")
+        return head, [
+            (one.robot, in_figures(one.platform_mm), ", ".join(map(in_figures, one.joint_mrad)))
+            for one in (*self.document.robots, self.document.floor)
+        ]

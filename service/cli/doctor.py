@@ -1,0 +1,58 @@
+"""`deltatwin doctor`: what this machine can do, what that is needed for, how to get the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.options import AsJson
+from service.cli.output import as_json, console, table
+
+SIGNS = {True: "[green]yes[/green]", False: "[yellow]no[/yellow]", None: "?"}
+
+
+def command(
+    bundle: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write all of it and all versions to a file to add to a bug report"),
+    ] = None,
+    json: AsJson = False,
+) -> None:
+    """Look at real time, rights, programs and optional packages; nothing is changed.
+
+    The bundle is a text (JSON) to read before it is sent: versions and kind of machine, no names of host or user, no
+    environment, no logs. Exit code 0 whatever is missing.
+
+    Example: deltatwin doctor --bundle machine.json
+    """
+    import json as json_library
+
+    from schemas.files import write_text
+    from service.doctor import bundle as whole
+    from service.doctor import examine
+
+    with console(stderr=True).status("looking"):
+        checks = examine()
+    document = whole(checks)
+    if bundle is not None:
+        write_text(bundle, json_library.dumps(document, indent=1) + "\n")
+    if json:
+        typer.echo(as_json("doctor", document))
+        return
+    screen = console()
+    versions = document["versions"]
+    screen.print(f"deltatwin {versions['deltatwin']}, Python {versions['python']}", highlight=False)
+    rows = [(SIGNS[check.has], check.name, check.found, check.needed) for check in checks]
+    screen.print(table(("", "what", "found", "needed for"), rows, figures=slice(0)))
+    missing = [check for check in checks if check.remedy]
+    for check in missing:
+        screen.print(f"{check.name}: {check.remedy}", highlight=False, markup=False)
+    live = all(check.has is not False for check in checks if check.name in ("real-time priority", "memory lock"))
+    screen.print(
+        "Offline commands run here."
+        + (" Live roles run in real time." if live else " Live roles run, but their timing is best effort."),
+        highlight=False,
+    )
+    typer.echo(f"wrote {bundle}" if bundle is not None else "next: deltatwin demo")

@@ -1,0 +1,109 @@
+"""What an identification, an evaluation or a payload estimation comes to, in a sentence or two.
+
+The measure of a gap is the noise of the torque in the analysis band: a model that explains a log leaves no more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from schemas.axes import Description
+from schemas.diagnosis import named_joints
+from schemas.messages import PayloadEvent
+from schemas.robot import Robot
+from service.identification.evaluation import Evaluation, pooled_by_model
+from service.identification.fit import WITHIN_COLOURED
+from service.identification.payload import CommonError, MassLevel
+from service.identification.pooled import Plain
+from service.model.description import in_units_of
+from service.model.signals import ANALYSIS_HZ
+
+AS_IDENTIFIED = (
+    2.0  # times what a model left of the logs that it was identified on, from which these logs are unlike them
+)
+
+
+def explains(ratio: np.ndarray) -> bool:
+    """Whether a model leaves no more than noise. ratio: (n,) rms residual over rms noise; NaN where a joint rests."""
+    return not bool(np.nanmax(ratio, initial=0.0) > WITHIN_COLOURED)
+
+
+def of_fit(fit: Plain) -> tuple[str, bool]:
+    """The conclusion of an identification, and whether the model explains its logs."""
+    held_out = bool(np.isfinite(fit.held_out).any())
+    ratio = _rms(fit.held_out if held_out else fit.residual) / fit.noise_floor
+    logs = "held-out logs" if held_out else "the log it was fitted to"
+    return _over_noise(ratio, "The identified model", logs), explains(ratio)
+
+
+def of_evaluation(robot: Description, results: Sequence[Evaluation]) -> tuple[str, bool]:
+    """The conclusion of an evaluation, and whether the fullest model explains the logs; the stretches that stand far
+    above the rest are left out."""
+    if robot.identified is None:
+        return f"{robot.name}: never identified: only the textbook model can be compared.", False
+    name, moments = list(pooled_by_model(results, "calm").items())[-1]
+    unit = in_units_of(robot, "N m")
+    left = f"The model '{name}' leaves {_each(moments.rms)} {unit} rms"
+    noise = _noise(robot, results)
+    if noise is None:
+        return f"{left}; the description does not say how much of it is noise.", True
+    ratio = moments.rms / noise
+    events = any(result.events for result in results)
+    said = _over_noise(ratio, f"The model '{name}'", "these logs outside the events" if events else "these logs")
+    error = robot.identified.model_error_nm if isinstance(robot, Robot) and robot.identified else None
+    if error is not None:
+        then = moments.rms / np.hypot(error.value, noise)
+        if np.nanmax(then, initial=0.0) > AS_IDENTIFIED:
+            said += (
+                f" That is {_each(then)} times what it left of the logs it was identified on: the robot has changed "
+                "since, carries something, or these logs are in other units."
+            )
+    return said, explains(ratio)
+
+
+def of_payload(seen: Sequence[MassLevel], common: CommonError) -> str:
+    """The conclusion of a payload estimation over all logs."""
+    picks = [one for one in seen if one.event == PayloadEvent.PICK]
+    if not picks:
+        return (
+            "No pick was seen: nothing came to hang on the platform that can be distinguished from the model's error."
+        )
+    masses = [one.mass for one in picks]
+    span = f"{min(masses):.3f} kg" if len(picks) == 1 else f"{min(masses):.3f} to {max(masses):.3f} kg"
+    random = np.median([one.random_std_dev for one in picks])
+    trusted = np.average([one.trusted for one in picks], weights=[one.end - one.begin + 1e-9 for one in picks])
+    count = "1 pick" if len(picks) == 1 else f"{len(picks)} picks"
+    return (
+        f"{count} of {span}, each known to ± {random:.3f} kg, and all alike to {common.share:.1%} (one standard "
+        f"deviation); trusted during {trusted:.0%} of their time."
+    )
+
+
+def _over_noise(ratio: np.ndarray, model: str, logs: str) -> str:
+    joints = named_joints([joint + 1 for joint in range(len(ratio))])
+    said = f"{model} leaves {_each(ratio)} times the noise of the torque on {logs} ({joints})"
+    if explains(ratio):
+        return f"{said}: it explains them."
+    return f"{said}: it does not explain them. A wrong geometry, mass or unit, a payload, or an unmodelled effect."
+
+
+def _noise(robot: Description, results: Sequence[Evaluation]) -> np.ndarray | None:
+    """(3,) N m, the part of a Delta's white torque noise that lies in the analysis band; None where it is not known."""
+    if not isinstance(robot, Robot) or robot.identified is None or robot.identified.torque_noise_nm is None:
+        return None
+    period = float(np.median([result.trace.period for result in results]))
+    return np.array(robot.identified.torque_noise_nm.value) * np.sqrt(min(1.0, 2 * ANALYSIS_HZ * period))
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    """(n,) of (T, n) over the logs; a joint that moves in none has none."""
+    known = np.isfinite(values)
+    count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return np.sqrt(np.nansum(values**2, axis=0) / count)
+
+
+def _each(values: np.ndarray) -> str:
+    told = ["-" if np.isnan(value) else f"{value:.2g}" for value in values]
+    return told[0] if len(told) == 1 else f"{', '.join(told[:-1])} and {told[-1]}"

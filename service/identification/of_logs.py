@@ -1,0 +1,48 @@
+"""Logs of any machine to its identified description: what the command `identify` and `deltatwin.identify` do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from schemas.axes import Description
+from schemas.errors import RobotError
+from schemas.machine import Machine
+from schemas.trace import Trace
+from service.identification.axes import identify_axes
+from service.identification.calibration import CalibratedFigure, calibrate
+from service.identification.identify import Method, identify
+from service.identification.pooled import Identification
+from service.identification.regression import summarise
+from service.model.nominal import pack
+
+
+def identify_logs(
+    description: Description,
+    logs: Iterable[Trace],
+    method: Method = "pooled",
+    carried: Sequence[tuple[float, Trace]] = (),
+) -> tuple[Identification, Sequence[CalibratedFigure]]:
+    """Fit `description` to `logs`; of a Delta each log is read once and not kept.
+
+    method: of a Delta. carried: mass in kg and log of each known load that hangs on a Delta throughout; the figures
+    say what it tells of torque constants and platform.
+
+    Raises:
+        RobotError: `carried` or the paper's method for what is no Delta.
+        DataError, TraceError: the data cannot give an answer, naming the log.
+    """
+    if isinstance(description, Machine):
+        if carried:
+            raise RobotError(f"{description.origin}: --carried: a load hangs on the platform of a Delta robot")
+        if method == "paper":
+            raise RobotError(f"{description.origin}: --method paper: the paper's method is for a Delta robot")
+        return identify_axes(description, list(logs)), ()
+    if not carried:
+        model = pack(description)
+        return identify(description, [summarise(model, trace) for trace in logs], method), ()
+    logs = list(logs)
+    found = calibrate(description, logs, carried)
+    model = pack(found.robot)
+    result = identify(found.robot, [summarise(model, found.true(trace)) for trace in logs], method)
+    warnings = (*found.warnings, *result.warnings)
+    return Identification(found.carried(result.robot), result.fit, warnings), found.figures
