@@ -13,7 +13,8 @@ from service.cli.output import table as printed
 
 if TYPE_CHECKING:
     from drivers.trace.tables import Table
-    from service.identification.proposal import Proposal, Stated
+    from service.identification.proposal import Proposal
+    from service.identification.readings import Stated
 
 
 def command(
@@ -44,7 +45,8 @@ def command(
     torque_unit: Annotated[
         str | None,
         typer.Option(
-            help="'N m', N, 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT' (N m, N m/A, N m/V)."
+            help="'N m', N, 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT' (N m, N m/A, N m/V); of "
+            "joints that differ 'A 0.2,0.2,0.1'."
         ),
     ] = None,
     torque_times: Annotated[
@@ -52,6 +54,9 @@ def command(
     ] = None,
     where: Annotated[
         str | None, typer.Option(metavar="NAME[=VALUE]", help="Rows that count: VALUE (1) in this column.")
+    ] = None,
+    sign: Annotated[
+        str | None, typer.Option(help="Sign of each torque, with commas, joint 1 first: 1,-1,1; or one for all.")
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Topic of the joint states, where a bag has several.")] = None,
     json: AsJson = False,
@@ -86,6 +91,7 @@ def command(
         counts_per_m=counts_per_m,
         torque_times=torque_times,
         where=None if where is None else _row_filter(where),
+        sign=None if sign is None else _signs(sign),
     )
     for path in files:
         if path.name.endswith(CAPTURE_ENDINGS):
@@ -139,15 +145,16 @@ def _stated(
     torque_unit: str | None,
 ) -> Stated:
     from service.identification.channels import POSITION_UNITS, TORQUE_UNITS
-    from service.identification.proposal import Stated
+    from service.identification.readings import Stated
 
     if position_unit is not None and position_unit not in POSITION_UNITS.values():
         raise typer.BadParameter(f"{position_unit!r}: rad, deg, turns, counts, m or mm", param_hint="--position-unit")
-    unit: tuple[str, float | None] | None = None
+    unit: tuple[str, float | list[float] | None] | None = None
     if torque_unit is not None:
         name, _, number = torque_unit.rpartition(" ")
         try:
-            unit = (name.strip(), float(number))
+            numbers = [float(part) for part in number.split(",")]
+            unit = (name.strip(), numbers if len(numbers) > 1 else numbers[0])
         except ValueError:
             unit = (torque_unit.strip(), None)
         if unit[0] not in TORQUE_UNITS.values():
@@ -168,6 +175,14 @@ def _row_filter(text: str) -> tuple[str, float]:
         return name.strip(), float(value or 1)
     except ValueError:
         raise typer.BadParameter(f"{text!r}: the value is no number", param_hint="--where") from None
+
+
+def _signs(text: str) -> list[int]:
+    signs = {"1": 1, "+1": 1, "+": 1, "-1": -1, "-": -1}
+    given = [part.strip() for part in text.split(",")]
+    if any(part not in signs for part in given):
+        raise typer.BadParameter(f"{text!r}: 1 or -1 a joint, with commas", param_hint="--sign")
+    return [signs[part] for part in given]
 
 
 def _channels(table: Table, proposal: Proposal) -> list[dict[str, Any]]:
