@@ -197,3 +197,40 @@ def test_a_small_motor_has_significant_digits(field: Path, tmp_path: Path) -> No
     numbers = re.findall(r"\d+\.\d+", inertia)
     assert float(numbers[0]) == pytest.approx(1.94e-4, rel=0.02)
     assert float(numbers[1]) > 0
+
+
+def found_of(log: Path, robot: Path, folder: Path) -> dict[str, float]:
+    """Value of each parameter that `identify` finds of a single axis."""
+    arguments = ["identify", str(log), "--robot", str(robot), "--out", str(folder / "found.toml")]
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    found = tomllib.loads((folder / "found.toml").read_text())["identified"]
+    return {name: entry["value"][0] for name, entry in found.items() if isinstance(entry, dict)}
+
+
+def test_a_linear_axis_of_little_stroke_moves(field: Path, tmp_path: Path) -> None:
+    folder = field / "linear_axis_small_stroke"
+    found = found_of(folder / "log.csv", folder / "robot.toml", tmp_path)
+    assert found["inertia"] == pytest.approx(12.0, rel=0.02)
+    assert found["viscous_friction"] == pytest.approx(150.0, rel=0.05)
+    assert found["coulomb_friction"] == pytest.approx(20.0, rel=0.02)
+
+
+@pytest.mark.parametrize("rate", [1000.0, 125.0])
+@pytest.mark.parametrize("stroke", [0.4, 0.01, 0.001])
+def test_an_axis_is_found_whatever_its_stroke(tmp_path: Path, stroke: float, rate: float) -> None:
+    """A tenth of the stroke with ten times the inertia and damping takes the same force."""
+    time, rng = np.arange(0, 16, 1 / rate), np.random.default_rng(1)
+    wave = np.outer(time, 2 * np.pi * np.array([0.31, 0.83, 1.9])) + [0.1, 1.0, 2.0]
+    size = stroke / 3 * np.array([1.0, 0.5, 0.25])
+    pulse = 2 * np.pi * np.array([0.31, 0.83, 1.9])
+    x, v, a = np.sin(wave) @ size, np.cos(wave) @ (size * pulse), -np.sin(wave) @ (size * pulse**2)
+    mass, viscous = 2.0 / stroke, 5.0 / stroke
+    force = mass * a + viscous * v + 6.0 * np.tanh(v / (0.003 * stroke)) + 0.1 * rng.standard_normal(len(time))
+    block = np.column_stack([time, x + 1e-6 * stroke * rng.standard_normal(len(time)), force])
+    np.savetxt(tmp_path / "log.csv", block, delimiter=",", header="time_s,position_1_m,torque_1_n", comments="")
+    (tmp_path / "robot.toml").write_text('name = "lin"\nkind = "axes"\n[[axis]]\nunit = "m"\n')
+    found = found_of(tmp_path / "log.csv", tmp_path / "robot.toml", tmp_path)
+    assert found["inertia"] == pytest.approx(mass, rel=0.02)
+    assert found["viscous_friction"] == pytest.approx(viscous, rel=0.05)
+    assert found["coulomb_friction"] == pytest.approx(6.0, rel=0.05)
