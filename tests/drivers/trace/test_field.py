@@ -234,3 +234,17 @@ def test_an_axis_is_found_whatever_its_stroke(tmp_path: Path, stroke: float, rat
     assert found["inertia"] == pytest.approx(mass, rel=0.02)
     assert found["viscous_friction"] == pytest.approx(viscous, rel=0.05)
     assert found["coulomb_friction"] == pytest.approx(6.0, rel=0.05)
+
+
+def test_what_only_a_combination_tells_is_given_as_that(field: Path, tmp_path: Path) -> None:
+    folder = field / "asymmetric_offset_split"
+    logs = [str(path) for path in sorted(folder.glob("dir_*.csv"))]
+    arguments = ["diagnose", *logs, "--robot", str(folder / "robot.toml"), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    corrected = tomllib.loads((tmp_path / "out" / "corrected.toml").read_text())
+    (effect,) = [one for one in corrected["effect"] if one["name"] == "asymmetric_friction"]
+    assert effect["parameters"]["delta_v"]["value"] == pytest.approx(0.040, abs=1e-3)
+    assert effect["parameters"]["delta_c"]["value"] == 0.0
+    assert corrected["identified"]["offset"]["value"] == pytest.approx([0.012], abs=1e-3)
+    assert "Coulomb levels" not in done.output
