@@ -47,11 +47,13 @@ MASSES = 0.2, 5.0  # times those of a URDF, between which an arm's weight is loo
 
 @dataclass(frozen=True)
 class Run:
-    """One log as some reading has it. position, torque: (N, n) rad or m and N m or N; rate: Hz."""
+    """One log as some reading has it. position, torque: (N, n) rad or m and N m or N; rate: Hz; time: (N,) s, NaN where
+    a row has no stamp, or None where rows are evenly apart."""
 
     position: np.ndarray
     torque: np.ndarray
     rate: float
+    time: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -78,20 +80,27 @@ def said(log_ratio: float) -> str:
 
 
 def trial(run: Run) -> Trace:
-    """The part of a log that moves most, evenly stamped."""
+    """The part of a log that moves most. A clock that stands still or goes back breaks it as a gap does."""
     position, torque, rate = run.position, run.torque, run.rate
+    clock = np.arange(len(position)) / rate if run.time is None else run.time
+    stamped = np.isfinite(clock)
+    position, torque, clock = position[stamped], torque[stamped], clock[stamped]
     length = min(len(position), int(LONGEST * rate))
     activity = np.concatenate([[0.0], np.cumsum(np.nansum(np.abs(np.diff(position, axis=0)), axis=1))])
     ends = activity[length - 1 :] - activity[: len(activity) - length + 1]
     start = int(np.argmax(ends))
     part = slice(start, start + length)
     bad = ~(np.isfinite(position[part]).all(axis=1) & np.isfinite(torque[part]).all(axis=1))
+    step = np.diff(clock[part], prepend=clock[start] - 1 / rate)
+    flags = np.where(bad, np.uint32(SampleFlag.NOT_A_NUMBER), np.uint32(0))
+    flags |= np.where(step == 0, np.uint32(SampleFlag.REPEATED), np.uint32(0))
+    flags |= np.where(step < 0, np.uint32(SampleFlag.TIME_BACKWARDS), np.uint32(0))
     return Trace(
         Path("log"),
-        np.arange(length) / rate,
+        clock[part] - clock[start],
         np.ascontiguousarray(position[part]),
         np.ascontiguousarray(torque[part]),
-        flags=np.where(bad, np.uint32(SampleFlag.NOT_A_NUMBER), np.uint32(0)),
+        flags=flags,
     )
 
 

@@ -13,7 +13,7 @@ from drivers.trace.assembly import signed
 from drivers.trace.tables import Table
 from schemas.axes import Description
 from schemas.chain import Chain
-from schemas.columns import CHANNELS
+from schemas.columns import CHANNELS, TIME_UNITS
 from schemas.errors import DataError
 from service.identification.channels import (
     POSITION_UNITS,
@@ -25,6 +25,7 @@ from service.identification.channels import (
     said_unit,
     time_unit,
 )
+from service.identification.evidence import Run
 from service.identification.readings import SCALES, Candidates, Reading, Stated, judge, named, scale_of
 
 LEAPS = 0.5  # of the way that readings go, that is left where their sign is put right
@@ -134,15 +135,8 @@ def _reading(
             found.doubts.append(f"positions taken as {named(positions[0])}: nothing says so")
     else:
         unit = stated.position_unit or said_unit(runs[0], channels.position[0], POSITION_UNITS)
-        arrays = [
-            (
-                np.column_stack([run.columns[name] for name in channels.position]),
-                np.column_stack([run.columns[name] for name in channels.torque]) * own,
-                stated.rate_hz or rate_hz(run, run.time_of.get(channels.position[0], channels.time or "")),
-            )
-            for run in runs
-        ]
-        found = judge(robot, arrays, positions, torque, (unit is not None, told))
+        logs = [_run(run, channels, own, stated.rate_hz) for run in runs]
+        found = judge(robot, logs, positions, torque, (unit is not None, told))
         if robot.linear and unit is None:
             found.doubts.append(f"positions taken as {positions[0]['unit']}, by their range")
     reasons += found.reasons
@@ -155,6 +149,18 @@ def _reading(
         signs = own
     doubts += found.doubts
     return replace(found, torque_signs=signs)
+
+
+def _run(table: Table, channels: Channels, signs: Sequence[int], rate: float | None) -> Run:
+    """Positions and torques of a table as they stand there, and their stamps."""
+    position, torque = (
+        np.column_stack([table.columns[name] for name in names]) for names in (channels.position, channels.torque)
+    )
+    clock = table.time_of.get(channels.position[0], channels.time)
+    if rate is not None or clock is None:
+        return Run(position, torque * signs, rate or 1.0)
+    time = table.columns[clock] / TIME_UNITS.get(time_unit(table, clock)[0], 1.0)
+    return Run(position, torque * signs, rate_hz(table, clock), time)
 
 
 def _of_joint(entry: Mapping[str, Any], joint: int) -> dict[str, Any]:

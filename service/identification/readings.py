@@ -8,7 +8,7 @@ sure the log stays as recorded and it is said that it could not be told.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -264,12 +264,12 @@ def choose(found: Sequence[Left]) -> _Choice:
 
 
 def judge(
-    robot: Description, runs: Sequence[tuple[np.ndarray, np.ndarray, float]], positions: Sequence[dict[str, Any]],
+    robot: Description, runs: Sequence[Run], positions: Sequence[dict[str, Any]],
     torque: dict[str, Any], told: tuple[bool, bool],
 ) -> Reading:  # fmt: skip
     """The reading that is taken, with what speaks for it.
 
-    runs: positions and torques (N, n) as they stand in the log, and Hz. told: whether the positions' unit and that of
+    runs: positions and torques as they stand in the log. told: whether the positions' unit and that of
     the torques were said by the file or the user.
     """
     if isinstance(robot, Robot):
@@ -309,7 +309,7 @@ def _percent(share: float) -> str:
 
 
 def _of_machine(
-    robot: Description, runs: Sequence[tuple[np.ndarray, np.ndarray, float]], position: dict[str, Any],
+    robot: Description, runs: Sequence[Run], position: dict[str, Any],
     torque: dict[str, Any],
 ) -> Reading:  # fmt: skip
     """Signs with which a machine's inertia and friction are not negative, each joint for itself."""
@@ -319,11 +319,12 @@ def _of_machine(
     gear = np.array(robot.gear_ratios)
     factor = factor_of(torque)
     turned = []
-    for x, y, rate in runs:
-        at_joint = x * scale_of(position, gear)
+    for run in runs:
+        at_joint = run.position * scale_of(position, gear)
         if position.get("side") == "motor" and robot.coupling is not None:
             at_joint = at_joint @ np.linalg.inv(robot.motors).T
-        turned.append(Run(at_joint, y * (1.0 if factor is None else factor), rate))
+        scaled = run.torque * (1.0 if factor is None else factor)
+        turned.append(replace(run, position=at_joint, torque=scaled))
     sums = machine_sums(robot, turned)
     if sums is None:
         reading.doubts.append("hardly anything moves: signs cannot be told from this log")
@@ -361,14 +362,15 @@ def _tell_signs(reading: Reading, odds: np.ndarray) -> None:
 
 
 def _of_delta(
-    robot: Robot, runs: Sequence[tuple[np.ndarray, np.ndarray, float]], position: dict[str, Any],
+    robot: Robot, runs: Sequence[Run], position: dict[str, Any],
     torque: dict[str, Any], told: bool,
 ) -> Reading:  # fmt: skip
     """Signs, side and scale with which a Delta's equations explain the torque. told: whether its unit is known."""
     gear = robot.drive.gear_ratio
     factor = factor_of(torque)
     known = factor is not None
-    turned = [Run(x * scale_of(position, gear), y * (1.0 if factor is None else factor), rate) for x, y, rate in runs]
+    scale, worth = scale_of(position, gear), 1.0 if factor is None else factor
+    turned = [replace(run, position=run.position * scale, torque=run.torque * worth) for run in runs]
     ranked = delta_fits(robot, turned, known, told)
     reading = Reading(position, torque, None, AS_GIVEN, AS_GIVEN)
     if not ranked:
@@ -430,15 +432,13 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
     return Reading(reading.position, torque, fit.left, fit.signs, signs, reasons, doubts)
 
 
-def _doubt_gear(
-    robot: Robot, runs: Sequence[tuple[np.ndarray, np.ndarray, float]], best: Reading, torque: dict[str, Any]
-) -> None:
+def _doubt_gear(robot: Robot, runs: Sequence[Run], best: Reading, torque: dict[str, Any]) -> None:
     """Say where another gear ratio, or another number of increments, is sure to be likelier than that described."""
     turns = best.position.get("side") == "motor" or "counts_per_rev" in best.position
     if best.left is None or not turns or best.share < FLOOR:
         return
     for times in OFTEN_WRONG:
-        other = [(x / times, y, rate) for x, y, rate in runs]
+        other = [replace(run, position=run.position / times) for run in runs]
         there = _of_delta(robot, other, best.position, torque, True)
         if there.left is not None and log_odds(there.left, best.left) >= SURE:
             best.doubts.append(

@@ -25,6 +25,7 @@ RUN = 8  # lines of one shape that make a table, fewer only where the file ends
 SEPARATORS = ("\t", ";", ",", " ", "|")
 UNIT_WORDS = frozenset({
     "s", "ms", "us", "µs", "ns", "rad", "deg", "°", "m", "mm", "nm", "n", "n m", "n*m", "a", "ma", "v", "%", "‰", "inc",
+    "rev", "turns", "counts", "rad/s", "deg/s", "°/s", "m/s", "mm/s", "rpm", "1/min", "hz", "°c", "k", "w", "bar", "kg",
 })  # fmt: skip
 
 

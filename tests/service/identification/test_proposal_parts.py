@@ -68,7 +68,7 @@ def read(
         return list(ranked)
 
     monkeypatch.setattr(readings, "delta_fits", fits)
-    return readings._of_delta(robot, [(ANGLES, TORQUES, 1e3)], {"unit": "deg"}, asked, told)
+    return readings._of_delta(robot, [Run(ANGLES, TORQUES, 1e3)], {"unit": "deg"}, asked, told)
 
 
 def test_positions_that_are_no_poses_are_told_and_nothing_is_changed(
