@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.trace.assembly import signed
+from drivers.trace.assembly import on_other_rows, signed
 from drivers.trace.tables import Table
 from schemas.axes import Description
 from schemas.chain import Chain
@@ -54,12 +54,15 @@ def propose(table: Table | Sequence[Table], robot: Description | None, stated: S
     first, reasons, doubts = runs[0], list[str](), list[str]()
     channels = _channels(first, robot, stated, reasons, doubts)
     layout: dict[str, Any] = dict(first.layout)
+    day = layout.pop("date", None)
     if stated.where is not None:
         runs = [_stretch(run, *stated.where) for run in runs]
         layout["where"] = {"name": stated.where[0], "equals": stated.where[1]}
     read = [_readings(run, channels, stated.torque_times, reasons if run is runs[0] else []) for run in runs]
     runs, readings = [run for run, _ in read], read[0][1]
     time, rate = _time(runs[0], channels, stated, reasons, doubts)
+    if day is not None and time.get("unit") == "datetime":
+        time["date"] = day
     if channels.time is not None:
         runs = [_on_one_clock(run, channels) for run in runs]
     found = _reading(runs, channels, robot, rate, stated, reasons, doubts)
@@ -293,16 +296,22 @@ def _time(
 
 def _on_one_clock(table: Table, channels: Channels) -> Table:
     """The table with positions and torques where they stand at the stamps of the first position."""
-    clocks = {name: table.time_of.get(name, channels.time) for name in (*channels.position, *channels.torque)}
-    base = clocks[channels.position[0]]
-    brought = {}
+    names = (*channels.position, *channels.torque)
+    clocks = {name: table.time_of.get(name, channels.time) for name in names}
+    first = channels.position[0]
+    base, here = clocks[first], np.isfinite(table.columns[first])
+    brought, apart = {}, False
     for name, clock in clocks.items():
-        if clock is not None and base is not None and clock != base:
+        known = np.isfinite(table.columns[name])
+        other = on_other_rows(known, here)
+        apart |= other
+        if clock is not None and base is not None and (clock != base or other):
             own = table.columns[clock]
-            known = np.isfinite(own)
+            known = np.isfinite(own) & (known | (not other))
             values = table.columns[name][known]
             brought[name] = np.interp(table.columns[base], own[known], values, left=np.nan, right=np.nan)
-    return replace(table, columns={**table.columns, **brought})
+    rows = here if apart else slice(None)
+    return replace(table, columns={name: values[rows] for name, values in {**table.columns, **brought}.items()})
 
 
 def _entry(table: Table, channels: Channels, name: str, entry: Mapping[str, Any], sign: int) -> dict[str, Any]:

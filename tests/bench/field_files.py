@@ -49,12 +49,13 @@ DIMENSIONS: dict[str, tuple[str, ...]] = {
     "time": ("s", "ms", "us", "ns", "filetime", "datetime", "date_and_time", "epoch", "rate"),
     "fault": (
         "none", "none", "none", "back", "gap", "doubled", "cut", "nan", "no_torque", "still_torque", "thousands",
-        "noise", "late_start",
+        "noise", "late_start", "two_topics",
     ),
     "sign": ("as_is", "as_is", "first", "second"),
     "others": ("none", "velocity", "status"),
-    "stated": ("none", "what_is_asked"),
+    "stated": ("none", "what_is_asked", "what_is_asked", "what_is_asked"),
 }  # fmt: skip
+TEXTS = ("csv", "semicolon", "comma_decimal", "tab", "gz")
 BINARY = ("npy", "npz", "mat", "db3", "mcap", "kuka", "codesys", "records", "lists", "lines")
 
 
@@ -113,7 +114,9 @@ def draw(seed: int) -> Case:
         found["fault"] = "none" if found["fault"] == "back" and found["time"] == "rate" else found["fault"]
     if found["names"] == "none":
         found |= {"says": "nothing", "others": "none", "order": "as_is"}
-    if found["time"] == "rate" and found["fault"] in ("back", "gap", "doubled", "late_start"):
+    if found["fault"] == "two_topics" and (found["form"] not in TEXTS or found["names"] == "none"):
+        found["fault"] = "none"
+    if found["time"] == "rate" and found["fault"] in ("back", "gap", "doubled", "late_start", "two_topics"):
         found["fault"] = "none"
     if found["fault"] == "thousands" and found["form"] not in ("semicolon", "comma_decimal", "tab"):
         found["fault"] = "none"
@@ -154,6 +157,14 @@ def stated_of(case: Case) -> dict[str, Any]:
     return said | ({"position_unit": case.position} if case.says == "nothing" else {})
 
 
+def tells_enough(case: Case) -> bool:
+    """Whether the file and the user together say all that a reading takes, and a machine wrote it."""
+    stated, says = case.stated != "none", case.says != "nothing" or case.form in ("db3", "mcap")
+    if case.fault in ("no_torque", "still_torque", "noise") or (case.names == "words" and case.order != "as_is"):
+        return False
+    return stated or (says and case.torque == "Nm" and case.position != "counts")
+
+
 def write(case: Case, folder: Path) -> Written:
     """The file of a case."""
     time, position, velocity, torque = truth()
@@ -183,8 +194,20 @@ def write(case: Case, folder: Path) -> Written:
         lacks[500:510] = True
         places[500:510], forces[500:510] = np.nan, np.nan
     columns = _columns(case, places, forces, velocity[rows])
+    if case.fault == "two_topics":  # torques come a millisecond later, on rows of their own
+        clock = np.stack([clock, clock + 1e-3], axis=1).ravel()
+        columns = [(name, unit, _on_own_rows(values, name)) for name, unit, values in columns]
     path = _FORMS[case.form](case, folder, clock, columns)
+    if case.fault == "two_topics":
+        clock = clock[::2]
     return Written(path, rows, clock, lacks, case.fault in ("no_torque", "still_torque"))
+
+
+def _on_own_rows(values: np.ndarray, name: str) -> np.ndarray:
+    """Every other row: of the second topic where it is a torque."""
+    second = any(word in name for word in ("tau", "effort", "Drehmoment", "torque"))
+    blank = np.full(len(values), np.nan)
+    return np.stack([blank, values] if second else [values, blank], axis=1).ravel()
 
 
 def _names(case: Case) -> list[tuple[str, str]]:
