@@ -43,6 +43,8 @@ FASTEST = 1000.0  # rad/s, of a motor's own axis: no servo motor turns faster
 BEYOND_LIMITS = 1.2  # times the span of a URDF's limits
 FEW = 8  # different whole numbers: more, and nothing but these, are increments
 OFTEN_WRONG = 0.25, 0.5, 2.0, 4.0  # times that a gear ratio or a number of increments is wrong
+UR_JOINT = "shoulder_pan_joint"
+UR_CURRENTS = ": that of Universal Robots publishes currents as effort; --torque-unit 'A CONSTANT,CONSTANT,...'"
 SCALES = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "m": 1.0, "mm": 1e-3}
 WHENCE = "by the masses of the description; the data sheet is better: --torque-unit"
 
@@ -197,7 +199,11 @@ class Candidates:
             unit, factor = self._stated.torque_unit
         else:
             unit, factor = said_unit(self._table, self._channels.torque[0], TORQUE_UNITS), None
-            if unit is not None:
+            if unit is not None and self._table.kind.startswith("bag"):
+                line = f"torques are {unit} by the definition of the message, which not every driver keeps to"
+                currents = any(UR_JOINT in name for name in self._channels.torque)
+                (doubts if currents else reasons).append(line + UR_CURRENTS * currents)
+            elif unit is not None:
                 reasons.append(f"torques are {unit}: it stands there")
         told = unit is not None
         if unit is None:

@@ -114,7 +114,7 @@ def regimes(findings: Findings, rows: RowStates, residuals: list[np.ndarray], jo
         masks += [(f"{name} below {low:.2g} {unit}", values < low), (f"{name} above {high:.2g} {unit}", values > high)]
     edges = np.linspace(theta.min(), theta.max() + 1e-9, ANGLE_BINS + 1)
     masks += [
-        (f"angle {low:.2f} to {high:.2f} {angle_unit}", (theta >= low) & (theta < high))
+        (f"angle {low:.3g} to {high:.3g} {angle_unit}", (theta >= low) & (theta < high))
         for low, high in pairwise(edges)
     ]
     clock = rows.clock[mine]

@@ -54,6 +54,14 @@ def test_joints_go_by_name(field: Path, tmp_path: Path) -> None:
     assert names == ["shoulder_pan_joint.effort", "shoulder_lift_joint.effort", "elbow_joint.effort"]
     assert np.ptp(position[:, 0]) == pytest.approx(1.324 + 1.3177, abs=1e-3)  # of the pan joint, by the README's table
     assert "joints by the names of the description: 1 is 'shoulder_pan_joint.position'" in said
+    assert "check: torques are N m by the definition of the message" in said  # a UR's driver publishes currents
+    assert "--torque-unit 'A CONSTANT" in said
+
+
+def test_only_a_driver_that_is_known_for_currents_is_doubted(field: Path, tmp_path: Path) -> None:
+    *_, said = imported(field / "bag_compressed" / "msg_bag", field / "bag_compressed" / "robot.toml", tmp_path)
+    assert "torques are N m by the definition of the message, which not every driver keeps to" in said
+    assert "check: torques" not in said
 
 
 def test_a_velocity_is_no_torque(field: Path, tmp_path: Path) -> None:
