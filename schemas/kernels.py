@@ -1,13 +1,76 @@
-"""How a kernel is compiled: `@kernel` before it, or `@kernel(nogil=True)`."""
+"""How a kernel is compiled: `@kernel` before it, or `@kernel(nogil=True)`; and how it is kept.
 
+A kept kernel that is not whole is made anew, and one that cannot be kept is made for this process alone: either is said
+once. Each carries a checksum, since what is loaded is machine code.
+"""
+
+import hashlib
+import os
+import pickle
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from numba import njit
+from numba.core.caching import IndexDataCacheFile
+
+_SUM = hashlib.sha256().digest_size
+_said: set[str] = set()
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Numba's `njit`, cached, and without what would let C call it, which takes a tenth of the time to compile."""
     flags: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True} | options
-    compiled = njit(**flags)
-    return compiled if function is None else compiled(function)
+    if function is None:
+        return lambda given: kernel(given, **options)
+    compiled = njit(**flags)(function)
+    kept = getattr(compiled, "_cache", None)
+    if isinstance(getattr(kept, "_cache_file", None), IndexDataCacheFile):
+        kept._cache_file.__class__ = _Kept
+    return compiled
+
+
+class _Kept(IndexDataCacheFile):
+    """Numba's files of one kernel, with a checksum behind each machine code."""
+
+    def load(self, key: Any) -> Any:
+        try:
+            return super().load(key)
+        except Exception as error:  # whatever a damaged file does to pickle
+            for path in (self._index_path, *self._codes()):
+                with suppress(OSError):
+                    os.unlink(path)
+            _say(f"{self._cache_path}: compiled kernels are damaged ({error or type(error).__name__}): made anew")
+            return None
+
+    def save(self, key: Any, data: Any) -> None:
+        try:
+            super().save(key, data)
+        except OSError as error:
+            _say(f"{self._cache_path}: compiled kernels cannot be kept ({error.strerror}): made for this run alone")
+
+    def _load_data(self, name: str) -> Any:
+        with open(self._data_path(name), "rb") as file:
+            content = file.read()
+        if hashlib.sha256(content[:-_SUM]).digest() != content[-_SUM:]:
+            raise ValueError("checksum of " + name)
+        return pickle.loads(content[:-_SUM])
+
+    def _save_data(self, name: str, data: Any) -> None:
+        content = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(content + hashlib.sha256(content).digest())
+
+    def _codes(self) -> list[str]:
+        stem = self._data_name_pattern.split("{")[0]
+        names = os.listdir(self._cache_path) if os.path.isdir(self._cache_path) else []
+        return [os.path.join(self._cache_path, name) for name in names if name.startswith(stem) and ".nbc" in name]
+
+
+def _say(line: str) -> None:
+    """Once a process, of each kind."""
+    kind = line.rpartition("): ")[2]
+    if kind not in _said:
+        _said.add(kind)
+        print(line, file=sys.stderr)

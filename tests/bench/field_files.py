@@ -114,6 +114,7 @@ def draw(seed: int) -> Case:
         found["fault"] = "none" if found["fault"] == "back" and found["time"] == "rate" else found["fault"]
     if found["names"] == "none":
         found |= {"says": "nothing", "others": "none", "order": "as_is"}
+        found["fault"] = "none" if found["fault"] == "no_torque" else found["fault"]
     if found["fault"] == "two_topics" and (found["form"] not in TEXTS or found["names"] == "none"):
         found["fault"] = "none"
     if found["time"] == "rate" and found["fault"] in ("back", "gap", "doubled", "late_start", "two_topics"):
@@ -121,9 +122,7 @@ def draw(seed: int) -> Case:
     if found["fault"] == "thousands" and found["form"] not in ("semicolon", "comma_decimal", "tab"):
         found["fault"] = "none"
     if found["fault"] == "no_torque":
-        found |= {"others": "velocity" if found["form"] not in ("db3", "mcap", "npy", "space") else "none"}
-        if found["form"] in ("npy", "space") or found["names"] == "none":
-            found["fault"] = "none"
+        found["others"] = "velocity" if found["form"] not in ("db3", "mcap") else "none"
     return Case(**found)
 
 
