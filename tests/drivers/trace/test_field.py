@@ -15,7 +15,8 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.trace import read_trace
-from schemas.axes import load_description
+from drivers.trace.tables import read_table
+from schemas.axes import Description, load_description
 from schemas.columns import load_columns
 from schemas.errors import DeltatwinError
 from service.cli.main import app
@@ -256,3 +257,39 @@ def test_what_only_a_combination_tells_is_given_as_that(field: Path, tmp_path: P
     assert effect["parameters"]["delta_c"]["value"] == 0.0
     assert corrected["identified"]["offset"]["value"] == pytest.approx([0.012], abs=1e-3)
     assert "Coulomb levels" not in done.output
+
+
+@pytest.mark.parametrize("options", [(), ("--position-unit", "rad")])
+def test_the_sign_of_an_axis_that_is_moved_by_hand_stays_as_recorded(
+    field: Path, options: tuple[str, ...], tmp_path: Path
+) -> None:
+    folder = field / "sign_of_backdriven_axis"
+    _, position, torque, said = imported(folder / "log.csv", folder / "robot.toml", tmp_path, *options)
+    assert np.corrcoef(np.sin(position[:, 0]), torque[:, 0])[0, 1] > 0.99  # 3.3 sin q, by the README
+    assert "the other sign" not in said
+    assert "check: sign of the torque of joint 1" in said
+
+
+def read_or_refused(path: Path, robot: Description | None) -> str:
+    """Reads a file of any kind; "" or what is said of it."""
+    try:
+        if path.suffix == ".toml":
+            load_description(path)
+        elif path.suffix in (".pcap", ".pcapng"):
+            assert len(read_trace(path, robot)) > 0
+        elif path.suffix != ".urdf":
+            assert len(read_table(path)) > 0
+    except DeltatwinError as error:
+        return str(error)
+    return ""
+
+
+def test_every_file_is_read_or_refused_in_a_line(field: Path) -> None:
+    """And every folder has its own test here, but seam_250hz: test_jumps.py of the estimator tries every rate."""
+    told = Path(__file__).read_text()
+    for folder in sorted(path for path in field.iterdir() if path.is_dir()):
+        assert folder.name in told
+        found = folder / "robot.toml"
+        robot = load_description(found) if found.exists() else None
+        for path in sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("README")):
+            assert "\n" not in read_or_refused(path, robot)
