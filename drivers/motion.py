@@ -346,7 +346,7 @@ def limits_of(
     peak = min(robot.limits.peak_torque_nm or math.inf, peak_torque(robot))
     return MotionLimits(
         speed or min(MotionLimits.speed, robot.limits.joint_speed_radps),
-        acceleration or MotionLimits.acceleration,
+        acceleration or robot.limits.joint_acceleration_radps2 or MotionLimits.acceleration,
         torque or 0.6 * peak,  # the rest is for friction, a payload and the feedback
     )
 

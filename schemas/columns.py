@@ -50,6 +50,7 @@ class TimeColumn(TomlTable):
     name: str = "time_s"
     # datetime: text such as 2026-11-22 09:30:00.125; filetime: 100 ns since 1601, as Windows and TwinCAT count
     unit: Literal["s", "ms", "us", "ns", "datetime", "filetime"] = "s"
+    date: str | None = None  # name of the column with the day, where `name` has the time of day alone
     rate_hz: Positive | None = None  # of a table without stamps: its rows are 1/rate_hz s apart
     backwards: bool = False  # of such a table: its last row was the first
 
@@ -59,6 +60,8 @@ class TimeColumn(TomlTable):
             raise ValueError(
                 "backwards is for a table without stamps, with rate_hz: stamps say themselves what was first"
             )
+        if self.date is not None and self.unit != "datetime":
+            raise ValueError(f"date {self.date!r} with unit {self.unit!r}: it goes with 'datetime' only")
         return self
 
 
@@ -189,6 +192,7 @@ class Columns(TomlTable):
 
     separator: Annotated[str, Field(pattern=r"^[\t !#$%&*,/:;<=>?@^_|~]$")] = ","
     decimal: Literal[".", ","] = "."
+    thousands: Literal[".", ",", " ", "'"] | None = None  # mark between groups of three digits
     encoding: Annotated[str, AfterValidator(_text_encoding)] = "utf-8"
     header_line: Annotated[int, Field(ge=0, le=MAX_LINE)] = 1  # 0: there is none, columns are called 1, 2, ...
     data_line: Annotated[int, Field(ge=1, le=MAX_LINE)] | None = None  # of numbers; absent: the one behind the header
@@ -208,6 +212,8 @@ class Columns(TomlTable):
     def _consistent(self) -> Columns:
         if self.decimal == self.separator:
             raise ValueError(f"decimal {self.decimal!r} is also the separator")
+        if self.thousands in (self.decimal, self.separator):
+            raise ValueError(f"thousands {self.thousands!r} is also the decimal mark or the separator")
         if self.data_line is not None and self.data_line <= self.header_line:
             raise ValueError(f"data_line {self.data_line} is not behind header_line {self.header_line}")
         places: dict[str, str] = {}

@@ -7,6 +7,7 @@ error names file and limit.
 from __future__ import annotations
 
 import os
+import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,7 +20,8 @@ MIB = 1 << 20
 MAX_LOG_BYTES = 8 << 30  # of samples, unpacked: an hour at 8 kHz is 5 GB as our CSV, 5.7 GB as messages
 MAX_EXPANSION = 100  # times its size that a packed log may unpack to: measured ones give 3 to 20, bombs 1000
 FREE_EXPANSION_BYTES = 64 * MIB  # that any may unpack to: a small log of a robot at rest packs well
-PART = ".part-"  # in front of the name of a file that is not complete
+PART = ".part-"  # in front of the name of a file that is not complete, and of a number
+MOST_NAME = 200  # letters of a file's own name in that: file systems end at 255 bytes
 
 
 def opened(path: Path, error: type[DeltatwinError]) -> IO[bytes]:
@@ -58,18 +60,22 @@ def most_unpacked(packed: int) -> int:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
+def whole(path: Path, mode: int = 0o666, links: bool = True) -> Iterator[Path]:
     """A file to write to that becomes `path` once it is complete and on disk; before, and on any error, `path` is as
-    it was. A link stays one.
+    it was. Its name beforehand cannot be told, and nothing that is there already is written to.
+
+    mode: of a new file, less what the process masks. links: a link at `path` stays one, and what it leads to is
+    written; otherwise the file takes its place.
 
     Raises:
         StorageError: it cannot be written.
     """
-    target = Path(os.path.realpath(path))
-    partial = target.with_name(f"{PART}{target.name}")
+    target = Path(os.path.realpath(path)) if links else Path(os.path.realpath(path.parent)) / path.name
+    partial = target.with_name(f"{PART}{secrets.token_hex(8)}-{target.name[-MOST_NAME:]}")
     try:
-        if target.exists() and not target.is_file():
+        if (target.exists() and not target.is_file()) or (target.is_symlink() and not links and target.is_dir()):
             raise StorageError(f"{path}: exists and is not a file")
+        os.close(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), mode))
         yield partial
         with partial.open("rb+") as written:  # Windows syncs only what may be written
             os.fsync(written.fileno())
@@ -79,6 +85,12 @@ def whole(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):  # a read-only disk refuses this even where there is nothing
             partial.unlink(missing_ok=True)
+
+
+def name_of(partial: Path) -> str:
+    """The name that a file which `whole` made will have."""
+    name = partial.name
+    return name.removeprefix(PART)[17:] if name.startswith(PART) else name
 
 
 def write_text(path: Path, text: str) -> None:

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from schemas.diagnosis import DocumentPart, Moved, NamedEffect, Provenance, Verdict
 
-ChangeKind = Literal["effect", "parameter", "unexplained"]
+ChangeKind = Literal["effect", "parameter", "unexplained", "risen"]
 
 
 class LogResult(DocumentPart):
@@ -51,7 +51,8 @@ class DayResult(DocumentPart):
 
 
 class Change(DocumentPart):
-    """Something that a robot has and its reference has not. joints from 1; empty where it sits on no single one.
+    """Something that a robot has and its reference has not, or that it has come further from it (`risen`). joints from
+    1; empty where it sits on no single one.
 
     since: the first day on which it was found; not_on: the last judged day before, None where there is none: it may be
     as old as the robot. last: the last day with it; gone: it was judged again after that. days: how many have it, of:

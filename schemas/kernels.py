@@ -1,82 +1,78 @@
-"""How a kernel is compiled, `@kernel` before it or `@kernel(nogil=True)`, and where it is kept.
+"""How a kernel is compiled: `@kernel` before it, or `@kernel(nogil=True)`; and how it is kept.
 
-Compiled kernels are cached under a digest of all sources that kernels are made of. Numba's own key is the one file a
-kernel is written in, so after a change to a function or constant that it takes from another file it would go on running
-the old one.
+A kept kernel that is not whole is made anew, and one that cannot be kept is made for this process alone: either is said
+once. Each carries a checksum, since what is loaded is machine code.
 """
 
-from __future__ import annotations
-
-import atexit
 import hashlib
 import os
-import shutil
-import stat
+import pickle
 import sys
-import tempfile
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
-_HERE = Path(__file__).parent
-# Kernels, and all that they import.
-KERNEL_ROOMS = ("drivers", "schemas", "service/estimator", "service/model", "service/rollout")
+import schemas.kernel_cache  # noqa: F401 - before Numba, which reads the place then
 
+from numba import njit  # isort: skip
+from numba.core.caching import IndexDataCacheFile  # isort: skip
 
-def _digest() -> str:
-    sources = hashlib.sha256()
-    for room in KERNEL_ROOMS:
-        for path in sorted((_HERE.parent / room).rglob("*.py")):
-            sources.update(path.read_bytes())
-    return sources.hexdigest()[:16]
-
-
-def _cache_folder() -> Path:
-    """Where compiled kernels are kept: beside the sources, in the home, in a temporary folder of this user's alone (who
-    can write there can have this process run anything), or else for this process only."""
-    name, home = f"kernels-{_digest()}", Path(os.path.expanduser("~"))
-    for place in (_HERE / "__pycache__", home / ".cache" / "deltatwin"):
-        folder = place / name
-        with suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-            if os.access(folder, os.W_OK | os.X_OK):
-                return folder
-    neither = f"compiled kernels can be kept neither in {_HERE} nor in {home}"
-    with suppress(OSError):
-        own = Path(tempfile.gettempdir()) / f"deltatwin-{os.getuid()}"
-        own.mkdir(mode=0o700, exist_ok=True)
-        found, folder = own.lstat(), own / name
-        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
-            if not folder.exists():
-                folder.mkdir()
-                print(f"{neither}: they are kept in {own}", file=sys.stderr)
-            return folder
-    try:
-        folder = Path(tempfile.mkdtemp(prefix="deltatwin-"))
-    except OSError as error:
-        raise SystemExit(f"{neither} nor in a temporary folder ({error}); set NUMBA_CACHE_DIR to a folder") from error
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    print(f"{neither}: they are compiled for this run alone", file=sys.stderr)
-    return folder
-
-
-if not os.environ.get("NUMBA_CACHE_DIR"):
-    _folder = str(_cache_folder())
-    os.environ["NUMBA_CACHE_DIR"] = _folder  # Numba reads it when it is imported
-    if "numba" in sys.modules:
-        sys.modules["numba"].config.CACHE_DIR = _folder
-
-from numba import njit  # noqa: E402
-
-
-def kept_in() -> Path:
-    """The folder of compiled kernels."""
-    return Path(os.environ["NUMBA_CACHE_DIR"])
+_SUM = hashlib.sha256().digest_size
+_said: set[str] = set()
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Numba's `njit`, cached, and without what would let C call it, which takes a tenth of the time to compile."""
     flags: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True} | options
-    compiled = njit(**flags)
-    return compiled if function is None else compiled(function)
+    if function is None:
+        return lambda given: kernel(given, **options)
+    compiled = njit(**flags)(function)
+    kept = getattr(compiled, "_cache", None)
+    if isinstance(getattr(kept, "_cache_file", None), IndexDataCacheFile):
+        kept._cache_file.__class__ = _Kept
+    return compiled
+
+
+class _Kept(IndexDataCacheFile):
+    """Numba's files of one kernel, with a checksum behind each machine code."""
+
+    def load(self, key: Any) -> Any:
+        try:
+            return super().load(key)
+        except Exception as error:  # whatever a damaged file does to pickle
+            for path in (self._index_path, *self._codes()):
+                with suppress(OSError):
+                    os.unlink(path)
+            _say(f"{self._cache_path}: compiled kernels are damaged ({error or type(error).__name__}): made anew")
+            return None
+
+    def save(self, key: Any, data: Any) -> None:
+        try:
+            super().save(key, data)
+        except OSError as error:
+            _say(f"{self._cache_path}: compiled kernels cannot be kept ({error.strerror}): made for this run alone")
+
+    def _load_data(self, name: str) -> Any:
+        with open(self._data_path(name), "rb") as file:
+            content = file.read()
+        if hashlib.sha256(content[:-_SUM]).digest() != content[-_SUM:]:
+            raise ValueError("checksum of " + name)
+        return pickle.loads(content[:-_SUM])
+
+    def _save_data(self, name: str, data: Any) -> None:
+        content = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(content + hashlib.sha256(content).digest())
+
+    def _codes(self) -> list[str]:
+        stem = self._data_name_pattern.split("{")[0]
+        names = os.listdir(self._cache_path) if os.path.isdir(self._cache_path) else []
+        return [os.path.join(self._cache_path, name) for name in names if name.startswith(stem) and ".nbc" in name]
+
+
+def _say(line: str) -> None:
+    """Once a process, of each kind."""
+    kind = line.rpartition("): ")[2]
+    if kind not in _said:
+        _said.add(kind)
+        print(line, file=sys.stderr)

@@ -197,6 +197,7 @@ class Limits(TomlTable):
     torque_slope_nmps: Positive | None = None  # default: from one peak to the other in 20 ms
     torque_fade_s: Positive = 0.05  # in which a feed-forward without fresh input goes to zero
     joint_speed_radps: Positive = 40.0  # a position or command that moved faster is a jump
+    joint_acceleration_radps2: Positive | None = None  # of planned motion; default: 250
     max_payload_kg: Positive = 6.0
     friction_drift: Positive = 0.3  # share of the identified friction beyond which health says that it has changed
     torque_scale_drift: Positive = 0.04  # the same of a joint's torque, by its own size; magnets lose 0.1 %/K

@@ -128,7 +128,7 @@ def _extras() -> list[Check]:
 
 
 def _places(folder: Path) -> list[Check]:
-    from schemas.kernels import kept_in  # imports Numba
+    from schemas.kernel_cache import kept_in
 
     compiled = any(kept_in().rglob("*.nbc"))
     runtime = Path(os.environ.get("XDG_RUNTIME_DIR") or f"/tmp/deltatwin-{getattr(os, 'getuid', int)()}")

@@ -73,9 +73,7 @@ class FeedforwardIntake:
         records, _ = self._inbox.take()
         for record in records:
             target, torque = int(record["target_sequence"]), np.array(record["torque"])
-            offset = np.clip(
-                np.nan_to_num(record["position_offset"]), -FARTHEST, FARTHEST
-            )  # NaN: none is said
+            offset = np.clip(np.nan_to_num(record["position_offset"]), -FARTHEST, FARTHEST)  # NaN: none is said
             self.received += 1
             # the far future is another run's
             if np.isfinite(torque).all() and cycle - STALE_CYCLES <= target <= cycle + 1000:

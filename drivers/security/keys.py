@@ -11,6 +11,7 @@ import ipaddress
 import json
 import os
 import re
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -193,7 +194,7 @@ def _authority(
 ) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey, bool]:
     """The CA in `out`; a new one where there is none."""
     paths = out / "ca.pem", out / "ca.key"
-    if any(path.exists() for path in paths):
+    if any(os.path.lexists(path) for path in paths):
         certificate = load_certificate(paths[0], StorageError)
         try:
             key = serialization.load_pem_private_key(read_bytes(paths[1], MAX_PEM_BYTES, StorageError), None)
@@ -216,8 +217,9 @@ def _authority(
         .add_extension(_usage(signs_certificates=True), critical=True)
         .sign(key, hashes.SHA256())
     )
-    _write(paths[1], _private(key))
-    _write(paths[0], _pem(certificate))
+    with whole(paths[1], 0o600, links=False) as secret:  # both or none, on a disk that is full too
+        secret.write_bytes(_private(key))
+        _write(paths[0], _pem(certificate))
     return certificate, key, True
 
 
@@ -283,13 +285,21 @@ def _private(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _folder(path: Path) -> None:
-    path.mkdir(mode=0o700, parents=True, exist_ok=True)
-    path.chmod(0o700)
+    """Make a folder that nobody else reads; one that is there stays as it is.
+
+    Raises:
+        StorageError: it is a link, or others may write in it.
+    """
+    try:
+        path.mkdir(mode=0o700, parents=True)
+    except FileExistsError:
+        if path.is_symlink() or not path.is_dir():
+            raise StorageError(f"{path}: not a folder: keys go nowhere else") from None
+        if os.name == "posix" and stat.S_IMODE(path.stat().st_mode) & (stat.S_IWGRP | stat.S_IWOTH):
+            raise StorageError(f"{path}: others may write in it: chmod go-w, or another folder") from None
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a whole file of mode 0600; at no moment may others read it."""
-    with whole(path) as partial:
-        partial.unlink(missing_ok=True)
-        with open(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-            file.write(content)
+    """Write a whole file of mode 0600; at no moment may others read it. A link is no way to another place."""
+    with whole(path, 0o600, links=False) as partial:
+        partial.write_bytes(content)

@@ -32,7 +32,15 @@ from schemas.trace import Trace
 
 MAPPINGS = Path(__file__).parent / "mappings"
 CAPTURE_ENDINGS = (".pcap", ".pcapng", ".cap")
-LAYOUT = {"separator", "decimal", "encoding", "header_line", "data_line", "topic"}  # keys of Columns that say where
+LAYOUT = {
+    "separator",
+    "decimal",
+    "thousands",
+    "encoding",
+    "header_line",
+    "data_line",
+    "topic",
+}  # keys of Columns that say where
 TABLE_ENDINGS = tuple(READERS)
 CSV_ENDINGS = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv")
 

@@ -19,6 +19,7 @@ from schemas.trace import Finding, Trace
 
 COUNTED = -1  # index of the stamps where the table has none and `time.rate_hz` says how far apart its rows are
 STAYS = 3  # rows that a reading is off by its width until it is taken for wrapped, not for a glitch
+ON_ONE_ROW = 0.1  # of the rows of two columns, on which both hold values: fewer, and they are of two topics
 FOURTH = 3  # number of the joint behind the three of a Delta
 MOST_NAMED = 20  # columns of a file listed in a message
 
@@ -146,6 +147,9 @@ def assemble(
             message = f"{np.count_nonzero(~counts)} of {len(rows)} rows {left_out} and were left out"
             notes.append(Finding.note(message))
         rows = rows[counts]
+    apart = _rows_of_their_own(table, channels)
+    if apart:
+        rows = rows[np.isfinite(table[str(channels[0].index)].to_numpy()[rows])]
     joints = 1 + max(channel.joint for channel in channels if channel.name in CHANNELS)
     time = stamps[base][rows]
     arrays: dict[str, np.ndarray] = {}
@@ -158,7 +162,11 @@ def assemble(
         if channel.times_index is not None:
             raw = raw * table[str(channel.times_index)].to_numpy()
         own = stamps[channel.time_index]
-        if channel.time_index == base or np.array_equal(own, stamps[base], equal_nan=True):
+        if channel.index in apart:
+            own = np.where(np.isfinite(raw), own, np.nan)
+        if channel.index not in apart and (
+            channel.time_index == base or np.array_equal(own, stamps[base], equal_nan=True)
+        ):
             values = raw[rows]
         else:
             values, note = _bring(time, own, raw, channel, channels[0], path)
@@ -193,6 +201,20 @@ def assemble(
         angular=not any(isinstance(c.column, PositionColumn) and c.column.linear for c in channels),
     )
     return check(trace, RowNames(word, lines.numbers[rows]), robot)
+
+
+def _rows_of_their_own(table: pl.DataFrame, channels: Sequence[Channel]) -> set[int]:
+    """Indices of the columns that hold values on other rows than the first one: of another topic, on one column of
+    stamps."""
+    known = {c.index: np.isfinite(table[str(c.index)].to_numpy()) for c in channels if c.name in CHANNELS}
+    first = known[channels[0].index]
+    return {index for index, mine in known.items() if on_other_rows(mine, first)}
+
+
+def on_other_rows(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two columns, (N,) bool where they hold values, hardly ever do so on the same row."""
+    least = min(np.count_nonzero(one), np.count_nonzero(other))
+    return least > 1 and np.count_nonzero(one & other) < ON_ONE_ROW * least
 
 
 def _stamped(stamps: np.ndarray, lines: RowNames) -> tuple[np.ndarray, list[Finding]]:

@@ -10,7 +10,7 @@ from typing import IO
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from schemas.files import PART
+from schemas.files import name_of
 from schemas.ros2 import BagTopic, RosType, bag_metadata
 
 RECORD = "rosbag2"  # the name of the MCAP metadata record in which rosbag2 keeps its own
@@ -58,7 +58,7 @@ class BagWriter:
         """Write the end of the file."""
         first, last = self._span or (0, 0)
         topics = [BagTopic(name, kind.name, kind.type_hash, self._counts[name]) for name, kind in self._types.items()]
-        self._writer.add_metadata(RECORD, bag_metadata(self._path.name.removeprefix(PART), topics, first, last))
+        self._writer.add_metadata(RECORD, bag_metadata(name_of(self._path), topics, first, last))
         self._writer.finish()
 
     def _count(self, topic: str, number: int, first: int, last: int) -> None:

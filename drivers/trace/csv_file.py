@@ -179,6 +179,8 @@ def _split(raw: bytes, columns: Columns, path: Path) -> tuple[list[str], bytes]:
             body = body.decode(columns.encoding).encode()
     except UnicodeError as error:
         raise TraceError(f"{path}: not {columns.encoding} text: {error}{_LATIN}") from error
+    if columns.thousands is not None:
+        body = re.sub(rb"(?<=\d)%b(?=\d{3}(?!\d))" % re.escape(columns.thousands.encode()), b"", body)
     *rows, end = body.rstrip().rsplit(b"\n", 1)
     if rows and end.strip().strip(b'"') == END_TAG:
         body = rows[0] + b"\n"
@@ -246,7 +248,12 @@ def _from_epoch(
     if not indices:
         return table, 0
     if columns.time.unit == "datetime":
-        return _from_dates(table, _read(body, indices, len(names), pl.String, columns), wanted)
+        dates = [names.index(columns.time.date)] if columns.time.date in names else []
+        text = _read(body, sorted({*indices, *dates}), len(names), pl.String, columns)
+        if dates:
+            day = pl.col(str(dates[0])).str.strip_chars() + " "
+            text = text.with_columns((day + pl.col(str(i)).str.strip_chars()).alias(str(i)) for i in indices)
+        return _from_dates(table, text, wanted)
     per_second = TIME_UNITS[columns.time.unit]
     before = FILETIME_S if columns.time.unit == "filetime" else 0  # s, of 1970
     possible = (pl.col(list(map(str, indices))) - before * per_second).abs() <= LATEST_S * per_second

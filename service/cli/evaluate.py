@@ -141,7 +141,7 @@ def _table(results: list[Evaluation], unit: str) -> Table:
         name, moments = list(pooled_by_model(results, "calm").items())[-1]
         shown[f"{name}, outside events"] = moments
     rows = [
-        (name, *(f"{m:.3f}, {s:.3f}" for m, s in zip(moments.mean, moments.std, strict=True)))
+        (name, *(f"{m:.3g}, {s:.3g}" for m, s in zip(moments.mean, moments.std, strict=True)))
         for name, moments in shown.items()
     ]
     head = ("model", *(f"joint {joint + 1}: mean, std" for joint in range(len(rows[0]) - 1)))

@@ -13,7 +13,8 @@ from service.cli.output import table as printed
 
 if TYPE_CHECKING:
     from drivers.trace.tables import Table
-    from service.identification.proposal import Proposal, Stated
+    from service.identification.proposal import Proposal
+    from service.identification.readings import Stated
 
 
 def command(
@@ -22,13 +23,17 @@ def command(
         typer.Argument(
             metavar="FILE",
             help="TwinCAT Scope, CODESYS, KUKA (.dat), tables with or without a header, JSON, .mat, .npy, .npz, "
-            "bags of ROS (rosbag2, its folder, .bag); several files are taken side by side.",
+            "bags of ROS (rosbag2, its folder, .bag). Several files with the same columns are runs of one machine, and "
+            "get one mapping; others are taken side by side.",
         ),
     ],
     robot: Annotated[Path | None, robot_file(": signs and gear side are tried.")] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Log to write. Default: the first file's name, .mcap (.csv if not three joints)."),
+        typer.Option(
+            help="Log to write. Default: the first file's name, .mcap (.csv if not three joints). "
+            "Of several runs: a folder."
+        ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Take the proposal without asking.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
@@ -44,7 +49,8 @@ def command(
     torque_unit: Annotated[
         str | None,
         typer.Option(
-            help="'N m', N, 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT' (N m, N m/A, N m/V)."
+            help="'N m', N, 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT' (N m, N m/A, N m/V); of "
+            "joints that differ 'A 0.2,0.2,0.1'."
         ),
     ] = None,
     torque_times: Annotated[
@@ -52,6 +58,9 @@ def command(
     ] = None,
     where: Annotated[
         str | None, typer.Option(metavar="NAME[=VALUE]", help="Rows that count: VALUE (1) in this column.")
+    ] = None,
+    sign: Annotated[
+        str | None, typer.Option(help="Sign of each torque, with commas, joint 1 first: 1,-1,1; or one for all.")
     ] = None,
     topic: Annotated[str | None, typer.Option(help="Topic of the joint states, where a bag has several.")] = None,
     json: AsJson = False,
@@ -70,14 +79,12 @@ def command(
     import sys
     from dataclasses import replace
 
-    from drivers.trace import CAPTURE_ENDINGS, read_trace, write_trace
-    from drivers.trace.tables import joined, read_table
+    from drivers.trace import read_trace, write_trace
     from schemas.axes import load_description
     from schemas.columns import Columns
-    from schemas.errors import StorageError, TraceError
-    from schemas.files import check_folder, write_text
+    from schemas.errors import TraceError
+    from schemas.files import write_text
     from schemas.toml import validate
-    from service.identification.channels import clocks_of
     from service.identification.proposal import propose
 
     description = load_description(robot) if robot else None
@@ -86,28 +93,14 @@ def command(
         counts_per_m=counts_per_m,
         torque_times=torque_times,
         where=None if where is None else _row_filter(where),
+        sign=None if sign is None else _signs(sign),
     )
-    for path in files:
-        if path.name.endswith(CAPTURE_ENDINGS):
-            raise TraceError(f"{path}: a capture needs no import: every command reads it with its --robot")
-        if path.parent.resolve() != files[0].parent.resolve():
-            raise TraceError(f"{path}: not in the folder of {files[0]}; files side by side stand beside each other")
     with console(stderr=True).status(f"reading {files[0].name}"):
-        tables = [read_table(path, {"topic": topic} if topic else None) for path in files]
-        table = joined(tables, clocks_of(tables, time))
-        proposal = propose(table, description, stated)
+        runs = _runs(files, stated, topic)
+        proposal = propose(runs, description, stated)
     if not json:
-        _show(table, proposal)
-    ending = ".mcap" if len(proposal.columns["position"]) == 3 else ".csv"
-    told_apart = "" if ending == ".mcap" != files[0].suffix else ".imported"
-    log = out or files[0].with_name(f"{files[0].name.split('.')[0]}{told_apart}{ending}")
-    mapping = log.with_name(log.name.split(".")[0] + ".columns.toml")
-    check_folder(log.parent)
-    for path in (log, mapping):
-        if path.resolve() in (file.resolve() for file in files):
-            raise StorageError(f"{path}: is what is read; --out names another file")
-        if path.exists() and not overwrite:
-            raise StorageError(f"{path}: exists already; --overwrite replaces it, --out names another")
+        _show(runs[0], proposal)
+    logs, mapping = _targets(files[: len(runs)], proposal, out, overwrite)
     if not yes:
         if not sys.stdin.isatty():
             raise typer.BadParameter("no terminal to ask on; --yes takes the proposal", param_hint="--yes")
@@ -115,18 +108,78 @@ def command(
             typer.echo("nothing written; say otherwise with --position, --torque, --time, --torque-unit ...", err=True)
             raise typer.Exit(1)
     columns = validate(Columns, dict(proposal.columns), mapping, TraceError)
-    with console(stderr=True).status(f"writing {log.name}"):
-        trace = read_trace(files[0], description, columns)
-        write_trace(trace, log, description.name if description else "robot")
-    write_text(mapping, _toml(table, proposal))  # last: on a disk that is full it would stand there without its log
-    for finding in trace.findings:
-        typer.echo(f"{files[0]}: {finding.message}", err=True)
+    samples = []
+    for path, log in zip(files, logs, strict=False):
+        with console(stderr=True).status(f"writing {log.name}"):
+            trace = read_trace(path, description, columns)
+            write_trace(trace, log, description.name if description else "robot")
+        samples.append((log, len(trace)))
+        for finding in trace.findings:
+            typer.echo(f"{path}: {finding.message}", err=True)
+    write_text(mapping, _toml(runs[0], proposal))  # last: on a disk that is full it would stand there without its log
     if json:
-        typer.echo(_json(table, proposal, log, mapping))
+        typer.echo(_json(runs[0], proposal, logs, mapping))
         return
-    typer.echo(f"{log}: {len(trace)} samples, {trace.position.shape[1]} joints; mapping in {mapping}")
+    for log, count in samples:
+        typer.echo(f"{log}: {count} samples, {len(proposal.columns['position'])} joints; mapping in {mapping}")
     options = f"--robot {robot}" if robot else "--robot ROBOT.toml"
-    typer.echo(f"next: deltatwin diagnose {log} {options} --out diagnosis")
+    typer.echo(f"next: deltatwin diagnose {' '.join(map(str, logs))} {options} --out diagnosis")
+
+
+def _runs(files: list[Path], stated: Stated, topic: str | None) -> list[Table]:
+    """The tables of the runs that `files` are, or the one of files side by side.
+
+    Raises:
+        TraceError: a file cannot be read, or does not go with the others.
+    """
+    from drivers.trace import CAPTURE_ENDINGS
+    from drivers.trace.tables import joined, read_table
+    from schemas.errors import TraceError
+    from service.identification.channels import are_runs, clocks_of
+
+    for path in files:
+        if path.name.endswith(CAPTURE_ENDINGS):
+            raise TraceError(f"{path}: a capture needs no import: every command reads it with its --robot")
+    tables = [read_table(path, {"topic": topic} if topic else None) for path in files]
+    if are_runs(tables, stated.position, stated.torque):
+        return tables
+    for path in files:
+        if path.parent.resolve() != files[0].parent.resolve():
+            raise TraceError(f"{path}: not in the folder of {files[0]}; files side by side stand beside each other")
+    return [joined(tables, clocks_of(tables, stated.time))]
+
+
+def _targets(files: list[Path], proposal: Proposal, out: Path | None, overwrite: bool) -> tuple[list[Path], Path]:
+    """The log of each run, and the mapping.
+
+    Raises:
+        StorageError: one is there already, is what is read, or two would be one. BadParameter: --out is no folder.
+    """
+    from drivers.trace import CSV_ENDINGS
+    from schemas.errors import StorageError
+    from schemas.files import check_folder, make_folder
+
+    ending = ".mcap" if len(proposal.columns["position"]) == 3 else ".csv"
+    several = len(files) > 1
+    if several and out is not None and (out.is_file() or out.name.endswith((".mcap", *CSV_ENDINGS))):
+        raise typer.BadParameter(f"{out}: {len(files)} runs are read: name a folder", param_hint="--out")
+    logs = []
+    for path in files:
+        told_apart = "" if ending == ".mcap" != path.suffix or (several and out) else ".imported"
+        name = f"{path.name.split('.')[0]}{told_apart}{ending}"
+        logs.append(out / name if several and out else out or path.with_name(name))
+    mapping = logs[0].with_name(logs[0].name.split(".")[0] + ".columns.toml")
+    if several and out is not None:
+        make_folder(out)
+    for path in (*logs, mapping):
+        check_folder(path.parent)
+        if path.resolve() in (file.resolve() for file in files):
+            raise StorageError(f"{path}: is what is read; --out names another file")
+        if path.exists() and not overwrite:
+            raise StorageError(f"{path}: exists already; --overwrite replaces it, --out names another")
+    if len({path.resolve() for path in logs}) < len(logs):
+        raise StorageError(f"{out}: two of the runs have one name: import them one by one")
+    return logs, mapping
 
 
 def _stated(
@@ -139,15 +192,16 @@ def _stated(
     torque_unit: str | None,
 ) -> Stated:
     from service.identification.channels import POSITION_UNITS, TORQUE_UNITS
-    from service.identification.proposal import Stated
+    from service.identification.readings import Stated
 
     if position_unit is not None and position_unit not in POSITION_UNITS.values():
         raise typer.BadParameter(f"{position_unit!r}: rad, deg, turns, counts, m or mm", param_hint="--position-unit")
-    unit: tuple[str, float | None] | None = None
+    unit: tuple[str, float | list[float] | None] | None = None
     if torque_unit is not None:
         name, _, number = torque_unit.rpartition(" ")
         try:
-            unit = (name.strip(), float(number))
+            numbers = [float(part) for part in number.split(",")]
+            unit = (name.strip(), numbers if len(numbers) > 1 else numbers[0])
         except ValueError:
             unit = (torque_unit.strip(), None)
         if unit[0] not in TORQUE_UNITS.values():
@@ -168,6 +222,14 @@ def _row_filter(text: str) -> tuple[str, float]:
         return name.strip(), float(value or 1)
     except ValueError:
         raise typer.BadParameter(f"{text!r}: the value is no number", param_hint="--where") from None
+
+
+def _signs(text: str) -> list[int]:
+    signs = {"1": 1, "+1": 1, "+": 1, "-1": -1, "-": -1}
+    given = [part.strip() for part in text.split(",")]
+    if any(part not in signs for part in given):
+        raise typer.BadParameter(f"{text!r}: 1 or -1 a joint, with commas", param_hint="--sign")
+    return [signs[part] for part in given]
 
 
 def _channels(table: Table, proposal: Proposal) -> list[dict[str, Any]]:
@@ -228,7 +290,7 @@ def _toml(table: Table, proposal: Proposal) -> str:
     return tomlkit.dumps(document)
 
 
-def _json(table: Table, proposal: Proposal, log: Path, mapping: Path) -> str:
+def _json(table: Table, proposal: Proposal, logs: list[Path], mapping: Path) -> str:
     document = {
         "file": str(table.path),
         "kind": table.kind,
@@ -236,7 +298,8 @@ def _json(table: Table, proposal: Proposal, log: Path, mapping: Path) -> str:
         "columns": proposal.columns,
         "reasons": list(proposal.reasons),
         "doubts": list(proposal.doubts),
-        "log": str(log),
+        "log": str(logs[0]),
+        "logs": [str(log) for log in logs],
         "mapping": str(mapping),
     }
     return as_json("import", document)

@@ -14,7 +14,7 @@ from service.cli.output import as_json
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
-    from drivers.motion import Planner, Trajectory
+    from drivers.motion import MotionLimits, Planner, Trajectory
     from schemas.diagnosis import Diagnosis
     from schemas.robot import Robot
     from service.planning.question import Apart, Figures, Pair
@@ -45,17 +45,21 @@ def command(
     max_torque: Annotated[
         float | None, typer.Option(min=0.1, help="Joint torque limit, without friction (N m)")
     ] = None,
+    assume_limits: Annotated[
+        bool, typer.Option("--assume-limits", help="Take limits that nobody has given from the robot's size.")
+    ] = False,
     effects: OwnEffects = None,
     json: AsJson = False,
 ) -> None:
     """Plan the run that settles what these logs left open, and say what it is expected to show.
 
-    Inside the workspace of the description and within its limits of speed, acceleration and torque, empty, from rest to
-    rest. What it shows is over the noise of the torque: whatever else the robot does besides the rivals comes on top.
+    Inside the workspace of the description and within its [limits] of speed, acceleration and torque, or those of the
+    options, empty, from rest to rest. A limit that is in neither is asked for. What the run shows is over the noise of
+    the torque: whatever else the robot does besides the rivals comes on top.
 
     Example: deltatwin plan-motion --robot r.toml --diagnosis diag --out motion.csv
 
-    Example: deltatwin plan-motion --robot r.toml --for identify --out motion.csv
+    Example: deltatwin plan-motion --robot r.toml --for identify --out motion.csv --max-acceleration 120
     """
     import time
 
@@ -73,6 +77,12 @@ def command(
     check_folder(out.parent)
     description = load_robot(robot, effects)
     limits = limits_of(description, max_speed, max_acceleration, max_torque)
+    assumed = _assumed(description, limits, max_speed, max_acceleration, max_torque)
+    if assumed and not assume_limits:
+        raise DataError(
+            f"{robot}: how far may the robot be driven? no limit is given of {_listed(assumed)}: write it in [limits], "
+            "or say the option; --assume-limits takes these"
+        )
     if limits.speed > (most := description.limits.joint_speed_radps):
         raise DataError(
             f"--max-speed {limits.speed:g} rad/s: limits.joint_speed_radps of {description.name} is {most:g}"
@@ -120,10 +130,30 @@ def command(
         result = {"std_errors": {name: error for name, (error, _) in learned.items()}}
     if json:
         run = {"motion": str(out), "duration_s": sent.duration, "planned_in_s": round(spent, 1)}
+        run |= {"assumed_limits": {key: value for key, (_, value, _) in assumed.items()}}
         typer.echo(as_json("plan-motion", run | result))
         return
     typer.echo("\n".join(lines))
+    if assumed:
+        typer.echo(f"assumed, nobody has given it: the limit of {_listed(assumed)}: check before a robot runs this")
     typer.echo(f"planned in {spent:.0f} s: {out}, {_used(sent, planner)}")
+
+
+def _assumed(
+    robot: Robot, limits: MotionLimits, speed: float | None, acceleration: float | None, torque: float | None
+) -> dict[str, tuple[str, float, str]]:
+    """Limits that neither the description nor an option gives: key of [limits] -> option, value, unit."""
+    told = {key for key in robot.limits.model_fields_set if getattr(robot.limits, key) is not None}
+    every = {
+        "joint_speed_radps": (speed, "--max-speed", limits.speed, "rad/s"),
+        "joint_acceleration_radps2": (acceleration, "--max-acceleration", limits.acceleration, "rad/s^2"),
+        "peak_torque_nm": (torque, "--max-torque", limits.torque, "N m"),
+    }
+    return {key: one[1:] for key, one in every.items() if one[0] is None and key not in told}
+
+
+def _listed(assumed: dict[str, tuple[str, float, str]]) -> str:
+    return ", ".join(f"{key} ({option}): {value:.3g} {unit}" for key, (option, value, unit) in assumed.items())
 
 
 def _diagnosed(folder: Path, robot: Robot, effects: Path | None) -> tuple[Robot, Diagnosis]:

@@ -22,20 +22,20 @@ def command(
 
     Example: deltatwin recover run.mcap run-whole.mcap
     """
+    import os
+
     import rich.progress
 
     from schemas.errors import StorageError
+    from schemas.files import opened
     from service.monitor.recover import recover
 
     screen = console(stderr=True)
-    try:
-        opened = rich.progress.open(
-            source, "rb", description=f"recover {source.name}", console=screen, disable=not screen.is_terminal
-        )
-    except OSError as error:
-        raise StorageError(f"{source}: {error.strerror}") from error
-    with opened as stream:
-        saved = recover(source, stream, target)
+    with opened(source, StorageError) as raw:
+        size = os.fstat(raw.fileno()).st_size
+        title, quiet = f"recover {source.name}", not screen.is_terminal
+        with rich.progress.wrap_file(raw, size, description=title, console=screen, disable=quiet) as stream:
+            saved = recover(source, stream, target)
     if json:
         typer.echo(as_json("recovery", vars(saved) | {"out": str(target)}))
         return

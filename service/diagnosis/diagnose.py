@@ -123,7 +123,7 @@ def diagnose(
             judged = _judged(regressors, selection, doubts, len(given), kept, unknown, limit, scope.allows, untold)
             found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
             errors = statistics.standard_errors(found.best.fitted, split)
-    selection = found
+    selection = replace(found, best=statistics.combined(problem, found.best))
     after = statistics.by_fold(chosen, split)
     gap, reference = plain.residuals, plain.hypothesis
     if baseline is not None:

@@ -12,7 +12,8 @@ from service.diagnosis.documents.text import how_much
 MOVED_SIGMAS = 5.0  # standard errors of the difference: a fleet asks thousands of times
 MOVED_SHARE = 0.1  # of the reference's value: below, no two days of a gear agree
 FRICTION = {"f_v_": "viscous friction", "f_c_": "Coulomb friction"}
-ORDER: tuple[ChangeKind, ...] = ("effect", "parameter", "unexplained")
+ORDER: tuple[ChangeKind, ...] = ("effect", "parameter", "unexplained", "risen")
+RISEN = 2.0  # times the gap of the first day, as a share of the torque: two days of one robot differ by less
 
 
 def changes(days: Sequence[DayResult]) -> list[Change]:
@@ -27,7 +28,29 @@ def changes(days: Sequence[DayResult]) -> list[Change]:
     for (kind, name, joint), on in seen.items():
         together.setdefault((kind, name, tuple(on)), []).extend([joint] if joint else [])
     found = [_change(*key, sorted(joints), judged) for key, joints in together.items()]
+    found += _risen(days)
     return sorted(found, key=lambda one: (one.gone, ORDER.index(one.kind), -one.days))
+
+
+def _risen(days: Sequence[DayResult]) -> list[Change]:
+    """That the gap has grown on days on which no cause of it was found, or could be: figures stand whether or not."""
+    measured = [(day, day.gap_percent) for day in days if day.gap_percent]
+    if not measured:
+        return []
+    (first, was), *_ = measured
+    on = [k for k, (day, gap) in enumerate(measured) if gap > RISEN * was and not (day.judged and any(_found(day)))]
+    if not on:
+        return []
+    begin, last = measured[on[0]], measured[on[-1]]
+    grown = [f"{one / was:.2g} times that of {first.day}, {gap_in_words(day)}" for day, one in (begin, last)]
+    return [
+        Change(
+            kind="risen", name="", title="the gap to what it was has risen, the cause is unknown", since=begin[0].day,
+            not_on=measured[on[0] - 1][0].day, last=last[0].day, gone=on[-1] < len(measured) - 1, days=len(on),
+            of=len(measured) - on[0], first=[grown[0]], now=[grown[1]],
+            means="`deltatwin diagnose` shows where it lies; record motion that tells more.",
+        )
+    ]  # fmt: skip
 
 
 def _found(day: DayResult) -> Iterator[tuple[ChangeKind, str, int | None]]:

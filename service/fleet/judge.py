@@ -21,7 +21,7 @@ from drivers.trace import find_columns, read_trace
 from schemas.axes import Description, load_description, save_description
 from schemas.diagnosis import Provenance
 from schemas.errors import DataError, DeltatwinError, StorageError
-from schemas.files import make_folder, write_text
+from schemas.files import MIB, make_folder, opened, read_bytes, write_text
 from schemas.fleet import DayResult, Fleet, LogResult, RobotHistory
 from schemas.machine import Machine
 from schemas.robot import robot_file
@@ -38,6 +38,7 @@ from service.identification.regression import summarise
 from service.model.effects import catalogue
 from service.model.nominal import pack
 
+MOST_OF_A_DAY = 64 * MIB  # bytes of a day's result
 NOT_PLACED = "no date in its name or its stamps, while other logs of this robot have one: when was it?"
 
 
@@ -105,8 +106,8 @@ def _identified(robot: Member, settings: Settings) -> tuple[Path, str | None]:
     for day, logs in robot.days.items():
         tried += logs
         state = {"made_of": _digest([*_sources(robot, settings), *tried]), "day": day}
-        with suppress(OSError, ValueError):
-            if path.is_file() and json.loads(note.read_text(encoding="utf-8")) == state:
+        with suppress(StorageError, ValueError):
+            if json.loads(read_bytes(note, MIB, StorageError)) == state | {"identified": _digest([path])}:
                 return path, day
         try:
             read = list(_read(logs, description, settings.columns))
@@ -123,7 +124,7 @@ def _identified(robot: Member, settings: Settings) -> tuple[Path, str | None]:
         except DeltatwinError as error:
             first = first or f"{day}: {error}"
             continue
-        write_text(note, json.dumps(state))
+        write_text(note, json.dumps(state | {"identified": _digest([path])}))
         return path, day
     raise DataError(f"{robot.name}: could be identified on no day; {first}")
 
@@ -197,8 +198,8 @@ def _read(logs: Sequence[Path], description: Description, columns: str | None) -
 
 
 def _kept(path: Path) -> DayResult | None:
-    with suppress(OSError, ValueError):
-        return DayResult.model_validate_json(path.read_bytes())
+    with suppress(StorageError, ValueError):
+        return DayResult.model_validate_json(read_bytes(path, MOST_OF_A_DAY, StorageError))
     return None
 
 
@@ -214,7 +215,7 @@ def _digest(paths: Sequence[Path]) -> str:
     found = hashlib.sha256(version("deltatwin").encode())
     for path in paths:
         found.update(f"\0{path.name}\0".encode())
-        with suppress(OSError), path.open("rb") as stream:
+        with suppress(OSError, StorageError), opened(path, StorageError) as stream:
             found.update(hashlib.file_digest(stream, "sha256").digest())
     return found.hexdigest()
 

@@ -123,6 +123,19 @@ def guess(table: Table, joints: int | None, called: Sequence[str] = ()) -> Chann
     return Channels(time, **ordered, reasons=reasons, order=order, doubts=doubts)
 
 
+def are_runs(tables: Sequence[Table], position: Sequence[str] | None, torque: Sequence[str] | None) -> bool:
+    """Whether files are runs of one machine, not parts of one log: the first has all by itself what a log has, and the
+    others have the same columns. position, torque: columns that the user names."""
+    first, *others = tables
+    if any(list(table.columns) != list(first.columns) for table in others):
+        return not others
+    found = guess(first, None)
+    alone = [
+        given or own for given, own in ((position, found.position), (torque, found.torque or found.torque_command))
+    ]
+    return not others or all(names and set(names) <= set(first.columns) for names in alone)
+
+
 def _named_channels(
     table: Table, roles: Mapping[str, str | None], called: Sequence[str]
 ) -> dict[str, list[str]] | None:

@@ -16,6 +16,7 @@ import numpy as np
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError
 from service.identification.fit import solve
+from service.identification.folds import FOLDS
 from service.identification.pooled import Plain
 from service.identification.regression import (
     COLUMNS,
@@ -144,6 +145,15 @@ def _reading(gram: np.ndarray, gear_ratio: float) -> str:
 
 def _left(gram: np.ndarray, order: Sequence[int], signs: Sequence[float], scale: float) -> float:
     """Share of the torque's rms that a fit leaves if joint j's torque is scale * signs[j] * torque[order[j]]."""
+    left, right, square, torque = _sums(gram, order, signs, scale)
+    values = solve(left, right)
+    return float(np.sqrt(max(square - right @ values, 0.0) / max(torque, 1e-12)))
+
+
+def _sums(
+    gram: np.ndarray, order: Sequence[int], signs: Sequence[float], scale: float
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Normal equations of a reading, the square of what they are to explain, and that of the torque."""
     left = np.zeros((PARAMETERS, PARAMETERS))
     right = np.zeros(PARAMETERS)
     square = torque = 0.0
@@ -156,8 +166,21 @@ def _left(gram: np.ndarray, order: Sequence[int], signs: Sequence[float], scale:
         square += wanted @ gram[joint] @ wanted
         column = TORQUE_COLUMN + order[joint]
         torque += scale**2 * gram[joint, column, column]
-    values = solve(left, right)
-    return float(np.sqrt(max(square - right @ values, 0.0) / max(torque, 1e-12)))
+    return left, right, square, torque
+
+
+def held_out_share(gram: np.ndarray, reading: TorqueReading) -> float:
+    """Share of the torque's rms that a reading leaves of blocks left out, each fold by the fit to the others. gram:
+    (B, 3, COLUMNS, COLUMNS)."""
+    folds = min(FOLDS, len(gram))
+    if folds < 2:
+        return reading.share
+    parts = [_sums(gram[fold::folds].sum(axis=0), *reading[1:]) for fold in range(folds)]
+    left, right = (np.stack([part[k] for part in parts]) for k in (0, 1))
+    values = solve(left.sum(axis=0) - left, right.sum(axis=0) - right)
+    square = np.array([part[2] for part in parts]) - 2 * np.einsum("fp,fp->f", values, right)
+    square += np.einsum("fp,fpq,fq->f", values, left, values)
+    return float(np.sqrt(max(square.sum(), 0.0) / max(sum(part[3] for part in parts), 1e-12)))
 
 
 def check_fit(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -> list[str]:

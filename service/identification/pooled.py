@@ -31,7 +31,7 @@ from service.model.hypothesis import Hypothesis
 from service.model.parameters import Parameters, Quantity, base_parameters
 from service.model.ripple import standing_out
 from service.model.scene import Base, Recording
-from service.model.signals import Band, lowpass, one_period, resolved_hz
+from service.model.signals import LEVER, Band, lowpass, one_period, resolved_hz
 from service.model.torque import predict
 
 START_TRANSITION = 0.002  # rad/s
@@ -47,7 +47,7 @@ HARM = 0.95  # of the loss on data left out that is left without the timing: the
 # A parameter whose effect the others reproduce but for this share of its variance is not told apart from them.
 COLLINEAR = 1e-5
 CONSTANT = 1e-9  # of a torque: what rounding and a decimation make of one number
-MOVES = 0.02  # rad of travel below which a joint does not move
+MOVES = 50.0  # times the noise of its position, or its encoder's step, that a joint has to go to move
 REVERSES = 0.05  # share of the motion time that must go in each direction
 
 Described = TypeVar("Described", bound=Description)
@@ -168,8 +168,8 @@ def _ripple_hz(recordings: Sequence[Recording], above: Sequence[np.ndarray]) -> 
 def start(problem: Problem) -> Hypothesis:
     """The base model as far as it is described, before anything is fitted."""
     mechanism = problem.recordings[0].mechanism
-    n = len(mechanism.frictions)
-    transition = START_TRANSITION if mechanism.kind == "delta" else np.full(n, START_TRANSITION)
+    n, unit = len(mechanism.frictions), _lever(problem)
+    transition = START_TRANSITION if mechanism.kind == "delta" else np.full(n, START_TRANSITION * unit)
     return Hypothesis(Base(mechanism.start, np.zeros(n), np.zeros(n), transition), timed=False)
 
 
@@ -205,7 +205,7 @@ def _still(problem: Problem) -> solver.Fit:
 def _turning(problem: Problem, fitted: solver.Fit) -> solver.Fit:
     """The fit with the transition of each friction that of several which suits its joints best."""
     base, rows = fitted.hypothesis.base, problem.recordings[0].mechanism.rows
-    widths = [base.transition, *(np.full(len(rows), width) for width in WIDER_TRANSITIONS)]
+    widths = [base.transition, *(np.full(len(rows), width * _lever(problem)) for width in WIDER_TRANSITIONS)]
     trials = [solver.evaluate(problem, replace(fitted.hypothesis, base=replace(base, transition=w))) for w in widths]
     left = []
     for trial in trials:  # at a width of its own the model is linear
@@ -222,6 +222,11 @@ def _turning(problem: Problem, fitted: solver.Fit) -> solver.Fit:
     suits = np.array([np.asarray(widths[choice])[place] for place, choice in enumerate(best)])
     moved = solver.fit(problem, replace(fitted.hypothesis, base=replace(base, transition=suits)))
     return moved if moved.cost < fitted.cost else fitted
+
+
+def _lever(problem: Problem) -> float:
+    """What a speed of 1 rad/s counts as in the unit of the joints' speeds."""
+    return 1.0 if problem.recordings[0].segment.angular else LEVER
 
 
 def _wants(fitted: solver.Fit, split: Split, columns: np.ndarray) -> bool:
@@ -401,9 +406,10 @@ def _structure(problem: Problem) -> dict[str, str]:
     segments = [recording.segment for recording in problem.recordings]
     forward, backward = (sum(((way * s.theta_dot > 0) & s.moving).sum(axis=0) for s in segments) for way in (1, -1))
     travel = np.max([np.ptp(s.theta, axis=0) for s in segments], axis=0)
+    noise = np.max([np.zeros(len(travel)) if s.noise is None else s.noise for s in segments], axis=0)
     reasons: dict[str, str] = {}
     for joint, (there, back) in enumerate(zip(np.asarray(forward), np.asarray(backward), strict=True), start=1):
-        if travel[joint - 1] < MOVES or there + back == 0:
+        if travel[joint - 1] <= MOVES * noise[joint - 1] or there + back == 0:
             reasons[f"f_v_{joint}"] = reasons[f"f_c_{joint}"] = f"joint {joint} never moves"
         elif min(there, back) < REVERSES * (there + back):
             reasons[f"f_c_{joint}"] = f"joint {joint} never reverses"

@@ -12,12 +12,13 @@ import numpy as np
 from schemas.errors import DataError
 from service.identification import fit as solver
 from service.identification.fit import Fit, Problem
-from service.identification.pooled import MOVES, start
+from service.identification.pooled import start
 from service.model.mechanism import SerialArm
 from service.model.scene import Recording
 
 CLEAR = 0.25  # of the squared residual that is left at most when read as degrees
 WELL = 0.05  # of a Delta's torque, rms: so little is left by positions in radians alone
+MOVES = 0.02  # rad of travel below which no joint of a Delta moves to speak of
 FAIRLY = 0.2  # of the torque, rms, that positions in degrees leave at most: else neither fits
 
 

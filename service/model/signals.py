@@ -36,6 +36,7 @@ ANALYSIS_HZ = 40.0  # of the low-pass on regressors and torque
 ANALYSIS_ORDER = 4
 PADDING = 15  # samples that a signal goes on beyond its ends, turned round there: SciPy's for this order
 REST_HZ = 60.0  # of the position whose slope tells rest from motion
+LEVER = 0.1  # m: of an axis that goes along a line, a speed or a way of so much counts as one of a radian
 REST_TIME = 0.040  # s below REST_SPEED that make a rest
 REST_MARGIN = 0.015  # s left out on both sides of a rest
 EDGE = 0.1  # s at each end of a segment that the filters' start reaches into
@@ -243,13 +244,14 @@ def _sections(share: float) -> tuple[np.ndarray, np.ndarray]:
     return np.array(sections), np.array(settled)
 
 
-def moving(position: np.ndarray, period: float) -> np.ndarray:
+def moving(position: np.ndarray, period: float, angular: bool = True) -> np.ndarray:
     """(N, n) bool: False where a joint stands below `REST_SPEED` for `REST_TIME` or more, and `REST_MARGIN` around it.
 
-    position: (N, n) rad, evenly sampled.
+    position: (N, n) rad, or m where not `angular`, evenly sampled.
     """
+    rest = REST_SPEED * (1.0 if angular else LEVER)
     cutoff = min(REST_HZ, MOTION_SHARE / period)
-    slow = np.abs(np.gradient(lowpass(position, period, cutoff), period, axis=0)) < REST_SPEED
+    slow = np.abs(np.gradient(lowpass(position, period, cutoff), period, axis=0)) < rest
     result = np.ones(position.shape, bool)
     margin = int(REST_MARGIN * (1 / period))
     for joint in range(position.shape[1]):
@@ -267,7 +269,8 @@ class Segment:
     rows: (M,) row numbers in the trace, of the next sample where they were brought to an even clock. time: (M,) s.
     period: s. theta, theta_dot, theta_ddot, torque: (M, n), rad and N m. moving: (M, n), False at rest and, for all
     joints, within `EDGE` of the ends and where something is carried. noise: (n,) rad rms of the positions, which came
-    every `sampled` s. held: s for which each torque stood in the log, where that is more than a sample.
+    every `sampled` s. held: s for which each torque stood in the log, where that is more than a sample. angular: False
+    where joints go along a line: m and N for rad and N m.
     """
 
     rows: np.ndarray
@@ -281,6 +284,7 @@ class Segment:
     noise: np.ndarray | None = None
     sampled: float = 0.0
     held: float = 0.0
+    angular: bool = True
 
 
 def usable(trace: Trace) -> np.ndarray:
@@ -357,7 +361,7 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
             clock = mine[0][0] + period * np.arange(count)
             part = part[np.clip(np.searchsorted(mine[0], clock), 0, len(part) - 1)]
             mine = clock, between(clock, mine[0], mine[1]), between(clock, mine[0], mine[2])
-        segment = _segment(good[part], *mine, period)
+        segment = _segment(good[part], *mine, period, trace.angular)
         segment.moving[(trace.flags[segment.rows] & np.uint32(SampleFlag.LOADED)) != 0] = False
         result.append(segment)
     if not result:
@@ -423,13 +427,15 @@ def position_noise(position: np.ndarray) -> np.ndarray:
     return np.where(typical > 0, typical, coarse) / 70**0.5
 
 
-def _segment(rows: np.ndarray, time: np.ndarray, position: np.ndarray, torque: np.ndarray, period: float) -> Segment:
+def _segment(
+    rows: np.ndarray, time: np.ndarray, position: np.ndarray, torque: np.ndarray, period: float, angular: bool
+) -> Segment:
     theta, theta_dot, theta_ddot = smooth(position, period)
-    mask = moving(position, period)
+    mask = moving(position, period, angular)
     edge = round(EDGE / period)
     mask[:edge] = mask[-edge:] = False
     noise = position_noise(position)
-    return Segment(rows, time, period, theta, theta_dot, theta_ddot, torque, mask, noise, period)
+    return Segment(rows, time, period, theta, theta_dot, theta_ddot, torque, mask, noise, period, angular=angular)
 
 
 def resolved_hz(parts: Sequence[Segment]) -> float:

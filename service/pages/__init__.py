@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import shutil
 import subprocess
 import tempfile
@@ -28,6 +29,12 @@ LOOK = {"font": {"size": 12}, "margin": {"l": 60, "r": 20, "t": 40, "b": 45}}  #
 _TICKS = [digit * 10.0**power for power in range(-6, 7) for digit in (1, 2, 5)]
 LOG_AXIS: dict[str, Any] = {"type": "log", "tickvals": _TICKS, "ticktext": [f"{tick:g}" for tick in _TICKS]}  # Plotly
 # itself says 5 for .05
+NONCE = secrets.token_urlsafe(16)  # of this process's pages: a script that a log's text smuggles in does not have it
+# What a page may do: run our scripts, draw, and nothing over a network.
+POLICY = (
+    f"default-src 'none'; script-src 'nonce-{NONCE}'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
+    "base-uri 'none'; form-action 'none'"
+)
 templates.default = None  # a figure gets its look when it is written: every one would copy and check Plotly's own
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")  # that print without a window
 PRINTING_S = 120.0  # a page takes seconds
@@ -101,6 +108,7 @@ def _environment() -> Environment:
         loader=PackageLoader(__name__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters |= {"plot": _plot, "named_joints": named_joints, "words": words}
+    environment.globals |= {"policy": POLICY, "nonce": NONCE}
     environment.globals["plotly"] = Markup(get_plotlyjs())
     return environment
 
@@ -110,7 +118,8 @@ def _plot(figure: go.Figure) -> Markup:
 
     drawn: Any = figure.to_plotly_json()
     drawn["layout"]["template"] = _look()
-    return Markup(to_html(drawn, full_html=False, include_plotlyjs=False, config=CONFIG, validate=False))
+    made = to_html(drawn, full_html=False, include_plotlyjs=False, config=CONFIG, validate=False)
+    return Markup(made.replace("<script", f'<script nonce="{NONCE}"', 1))  # of what is text, none is a tag in it
 
 
 @cache

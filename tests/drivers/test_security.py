@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import errno
 import json
 import os
 import socket
@@ -407,6 +408,47 @@ def test_files_are_private_and_the_ca_is_never_replaced(tmp_path: Path, hosts: l
     with pytest.raises(StorageError, match=r"ca\.key: No such file"):
         make_keys(out, hosts, "bench")
     assert (out / "ca.pem").read_bytes() == authority
+
+
+def test_a_folder_that_is_there_stays_and_planted_links_lead_nowhere(tmp_path: Path, hosts: list[Host]) -> None:
+    out, elsewhere = tmp_path / "keys", tmp_path / "elsewhere"
+    out.mkdir(mode=0o755)
+    out.chmod(0o755)
+    elsewhere.mkdir()
+    host = out / hosts[0].folder
+    host.symlink_to(elsewhere)
+    with pytest.raises(StorageError, match="not a folder: keys go nowhere else"):
+        make_keys(out, hosts)
+    assert list(elsewhere.iterdir()) == []
+    host.unlink()
+    host.mkdir(mode=0o700)
+    (elsewhere / "mine").write_text("mine")
+    (host / "tap.key").symlink_to(elsewhere / "mine")
+    make_keys(out, hosts)
+    assert out.stat().st_mode & 0o777 == 0o755
+    assert (elsewhere / "mine").read_text() == "mine"
+    assert not (host / "tap.key").is_symlink()
+    host.chmod(0o777)
+    with pytest.raises(StorageError, match="others may write in it"):
+        make_keys(out, hosts)
+    assert host.stat().st_mode & 0o777 == 0o777
+
+
+def test_a_ca_is_whole_or_there_is_none(tmp_path: Path, hosts: list[Host], monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a disk that is full once the key of it is written."""
+    real = Path.write_bytes
+
+    def full(path: Path, content: bytes) -> int:
+        if path.name.endswith("ca.pem"):
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        return real(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(StorageError, match="No space left"):
+        make_keys(tmp_path / "keys", hosts)
+    monkeypatch.undo()
+    assert list((tmp_path / "keys").iterdir()) == []
+    make_keys(tmp_path / "keys", hosts)
 
 
 def test_foreign_ca_key_is_named(tmp_path: Path, hosts: list[Host]) -> None:

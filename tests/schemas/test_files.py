@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from schemas import files
 from schemas.errors import LONGEST, StorageError, TraceError, printable
-from schemas.files import most_unpacked, read_bytes, whole, write_text
+from schemas.files import most_unpacked, name_of, read_bytes, whole, write_text
 from schemas.trace import Finding
 
 
@@ -37,6 +38,45 @@ def test_a_link_stays_a_link_and_a_device_a_device(tmp_path: Path) -> None:
         with pytest.raises(StorageError, match="exists and is not a file"):
             write_text(Path(what), "x")
     assert not Path("/dev/null").is_file()
+
+
+def test_nothing_that_is_there_already_is_written_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even where its name was guessed: a link that lies there leads nowhere."""
+    other, path = tmp_path / "other", tmp_path / "a.txt"
+    other.write_text("mine")
+    names = iter(["0" * 16, "1" * 16])
+    monkeypatch.setattr(files.secrets, "token_hex", lambda size: next(names))
+    (tmp_path / f".part-{'0' * 16}-a.txt").symlink_to(other)
+    with pytest.raises(StorageError, match=r"a\.txt: File exists"):
+        write_text(path, "secret")
+    assert other.read_text() == "mine"
+    write_text(path, "secret")
+    assert path.read_text() == "secret"
+
+
+def test_two_that_write_one_file_do_not_meet(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    with whole(path) as one, whole(path) as other:
+        assert one != other
+        one.write_text("one")
+        other.write_text("other")
+        assert (name_of(one), name_of(other)) == ("a.txt", "a.txt")
+    assert path.read_text() == "one"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_a_file_of_secrets_is_nobody_elses_and_takes_the_place_of_a_link(tmp_path: Path) -> None:
+    there, link = tmp_path / "there", tmp_path / "key"
+    there.write_text("mine")
+    link.symlink_to(there)
+    with whole(link, 0o600, links=False) as partial:
+        assert partial.stat().st_mode & 0o777 == 0o600
+        partial.write_text("secret")
+    assert not link.is_symlink()
+    assert (link.read_text(), there.read_text()) == ("secret", "mine")
+    with whole(tmp_path / ("n" * 255)) as partial:
+        partial.write_text("x")
+    assert (tmp_path / ("n" * 255)).read_text() == "x"
 
 
 def test_more_than_the_limit_is_not_read(tmp_path: Path) -> None:

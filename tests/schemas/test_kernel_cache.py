@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.kernels import KERNEL_ROOMS
+from schemas.kernel_cache import KERNEL_ROOMS
 
 PROJECT = Path(__file__).resolve().parents[2]
 HEADER = "from numba import njit\nimport schemas.kernels\n"
@@ -89,6 +89,59 @@ def test_with_no_folder_at_all_it_is_one_line(tmp_path, homeless):
     assert done.returncode == 1
     assert len(done.stderr.splitlines()) == 1
     assert "NUMBA_CACHE_DIR" in done.stderr
+
+
+@pytest.fixture
+def ours(tmp_path, room):
+    """The same room with kernels of our own making."""
+    shutil.copy(PROJECT / "schemas" / "kernels.py", tmp_path / "schemas")
+    for path in room.glob("call*.py"):
+        text = path.read_text().replace("from numba import njit\n", "from schemas.kernels import kernel\n")
+        path.write_text(text.replace("@njit(cache=True)", "@kernel"))
+    return tmp_path
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def turned(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0x10
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("damage", [cut, turned, lambda path: path.write_bytes(b"")], ids=["cut", "turned", "empty"])
+@pytest.mark.parametrize("kind", ["*.nbc", "*.nbi"])
+def test_what_is_damaged_is_made_anew_and_said_once(ours, kind, damage):
+    assert run(ours) == ("1", "")
+    files = list(ours.rglob(kind))
+    assert len(files) == 2
+    for path in files:
+        damage(path)
+    answer, said = run(ours)
+    assert answer == "1"
+    if damage is not turned or kind == "*.nbc":  # a bit of an index may only say that there is nothing
+        assert len(said.splitlines()) == 1
+        assert "compiled kernels are damaged" in said
+        assert said.endswith("made anew")
+    assert run(ours) == ("1", "")
+
+
+def test_where_the_disk_is_full_kernels_are_made_for_this_run_alone(ours):
+    """Files of more than 4 kB cannot be written, as by `ulimit -f`."""
+    code = (
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))\n"
+        "from service.model.caller import ask; print(ask())"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # Python itself leaves its own files cut there
+    done = subprocess.run([sys.executable, "-c", code], cwd=ours, env=environment, capture_output=True, text=True)
+    assert done.stdout.strip() == "1", done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert "compiled kernels cannot be kept (File too large): made for this run alone" in done.stderr
+    assert run(ours) == ("1", "")
 
 
 def imported(path: Path) -> set[Path]:

@@ -23,6 +23,7 @@ HOLDS_MATRICES = {1, 2, 3}  # array classes: cell, structure, object
 PARTS = {4: 4, 5: 6} | dict.fromkeys(range(6, 16), 4)  # of a text, a sparse array, numbers: flags, size, name, values
 IS_COMPLEX = 0x800  # in the flags: one part more
 DEEPEST_ELEMENT = 40
+MOST_ARRAYS = 20_000  # in a file, each a kilobyte in memory however small: a log has an array a signal
 
 
 def read(path: Path) -> Table:
@@ -36,7 +37,7 @@ def read(path: Path) -> Table:
     limit = most_unpacked(len(raw))
     try:
         if order := {b"IM": "<", b"MI": ">"}.get(raw[126:128]):
-            _check_elements(raw, 128, order, {MATRIX, COMPRESSED}, limit, 0)
+            _check_elements(raw, 128, order, {MATRIX, COMPRESSED}, limit, 0, [MOST_ARRAYS])
         claimed = sum(8 * int(np.prod(shape, dtype=float)) for _, shape, _ in scipy.io.whosmat(path))
         if claimed > limit:
             raise TraceError(f"{path}: {claimed} bytes of arrays in it, at most {limit} are read")
@@ -52,9 +53,11 @@ def read(path: Path) -> Table:
     return Table(path, "MATLAB .mat", same_length(columns, path))
 
 
-def _check_elements(raw: bytes, at: int, order: str, allowed: set[int], limit: int, depth: int) -> int:
+def _check_elements(
+    raw: bytes, at: int, order: str, allowed: set[int], limit: int, depth: int, arrays: list[int]
+) -> int:
     """How many there are. SciPy crashes the process on data of an unknown type, and takes what follows an array that
-    lacks a part for that part.
+    lacks a part for that part. arrays: one number, how many more the file may have.
 
     Raises:
         ValueError: an element of no type that can stand there, longer than what holds it, or without all its parts.
@@ -71,12 +74,15 @@ def _check_elements(raw: bytes, at: int, order: str, allowed: set[int], limit: i
             raise ValueError(f"element of type {kind} and {size} bytes at byte {at}")
         if kind == COMPRESSED:
             inner = zlib.decompressobj().decompress(raw[begin : begin + size], limit)
-            _check_elements(inner, 0, order, {MATRIX}, limit, depth + 1)
+            _check_elements(inner, 0, order, {MATRIX}, limit, depth + 1, arrays)
         elif kind == MATRIX and size:
+            arrays[0] -= 1
+            if arrays[0] < 0:
+                raise ValueError(f"more than {MOST_ARRAYS} arrays: cells are no signals")
             inner = raw[begin : begin + size]
             (flags,) = struct.unpack_from(f"{order}I", inner.ljust(12, b"\0"), 8)
             held = VALUES | {MATRIX} if flags & 0xFF in HOLDS_MATRICES else VALUES
-            parts = _check_elements(inner, 0, order, held, limit, depth + 1)
+            parts = _check_elements(inner, 0, order, held, limit, depth + 1, arrays)
             if parts < PARTS.get(flags & 0xFF, 0) + bool(flags & IS_COMPLEX):
                 raise ValueError(f"array of {parts} parts at byte {at}, some are missing")
         count += 1

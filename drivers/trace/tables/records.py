@@ -82,7 +82,7 @@ def _lists(document: Any) -> list[list[dict[str, Any]]]:
 
 
 def _numbers(values: list[Any]) -> bool:
-    return len(values) > 1 and all(isinstance(value, (int, float, str, list)) for value in values)
+    return len(values) > 1 and all(value is None or isinstance(value, (int, float, str, list)) for value in values)
 
 
 def _columns(records: list[dict[str, Any]], path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], int]:

@@ -5,6 +5,7 @@ Nothing is guessed that the next reader of the file could not check: what was fo
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,15 @@ from schemas.columns import MAX_COLUMNS, Columns
 from schemas.errors import TraceError
 from schemas.messages import NANOSECONDS
 
+DAY = r"^(\d{4}[-/]\d\d?[-/]\d\d?|\d\d?[./]\d\d?[./]\d{4})$"
+TIME_OF_DAY = r"^\d\d?:\d\d:\d\d([.,]\d+)?$"
 LOOKED_AT = 400  # lines from the top in which the numbers have to begin
 RUN = 8  # lines of one shape that make a table, fewer only where the file ends
+THOUSANDS = (".", ",", "'", " ")  # marks between groups of three digits
 SEPARATORS = ("\t", ";", ",", " ", "|")
 UNIT_WORDS = frozenset({
     "s", "ms", "us", "µs", "ns", "rad", "deg", "°", "m", "mm", "nm", "n", "n m", "n*m", "a", "ma", "v", "%", "‰", "inc",
+    "rev", "turns", "counts", "rad/s", "deg/s", "°/s", "m/s", "mm/s", "rpm", "1/min", "hz", "°c", "k", "w", "bar", "kg",
 })  # fmt: skip
 
 
@@ -40,7 +45,9 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
     if head[0].strip() == CODESYS_CSV:
         return read_codesys(path, raw.decode(encoding, "replace"))
     found = dict(layout) if layout else _layout(head, path) | ({"encoding": encoding} if encoding != "utf-8" else {})
-    columns = Columns.model_validate({**found, "position": "-", "torque": "--"})
+    columns = Columns.model_validate(
+        {key: value for key, value in found.items() if key != "date"} | {"position": "-", "torque": "--"}
+    )
     units = _units(head, columns)
     symbols = next((_fields(line, columns.separator) for line in head if line.startswith("SymbolName")), [])
     names, cells = read_cells(raw, columns, path)
@@ -63,8 +70,31 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
             clock, kept_units[name] = name, "ms"
         elif clock:
             time_of[name] = clock
+    epoch_ns = _days(names, cells, values, kept_units, epoch_ns, found)
     kind = "TwinCAT Scope export" if _twincat(head) else "table with a header" if columns.header_line else "table"
     return Table(path, kind, values, kept_units, time_of, epoch_ns, found, paths)
+
+
+def _days(
+    names: list[str], cells: pl.DataFrame, values: dict[str, np.ndarray], units: dict[str, str], epoch_ns: int,
+    found: dict[str, Any],
+) -> int:  # fmt: skip
+    """Put a column of days and one of times of day together, called after the latter, and say so in the layout."""
+    texts = {name: cells[str(k)].str.strip_chars() for k, name in enumerate(names) if name not in values}
+    day, clock = (
+        next((name for name, text in texts.items() if text.len() and text.str.contains(form).all()), None)
+        for form in (DAY, TIME_OF_DAY)
+    )
+    if day is None or clock is None:
+        return epoch_ns
+    array, unit, epoch_ns = numbers_of(texts[day] + " " + texts[clock], ".", epoch_ns)
+    if array is not None and unit:
+        first = {clock: array}
+        first.update(values)
+        values.clear()
+        values.update(first)
+        units[clock], found["date"] = unit, day
+    return epoch_ns
 
 
 def _encoding(raw: bytes) -> str:
@@ -94,6 +124,8 @@ def _layout(head: list[str], path: Path) -> dict[str, Any]:
             if fields > MAX_COLUMNS:
                 raise TraceError(f"{path}: {fields} columns, at most {MAX_COLUMNS} are read")
             found = {"separator": separator, "decimal": decimal, **_header(head, separator, decimal, start, fields)}
+            if mark := _thousands(head[start:], separator, decimal):
+                found["thousands"] = mark
             plain = -sum("." in line and decimal == "," for line in head[start : start + RUN])
             if best is None or (numbers, plain) > best[:2]:
                 best = numbers, plain, found
@@ -110,15 +142,37 @@ def _numeric(line: str, separator: str, decimal: str) -> tuple[int, int]:
         if field in MISSING:
             continue
         try:
-            float(field.replace(decimal, "."))
+            float(_plain(field, separator, decimal).replace(decimal, "."))
             numbers += 1
         except ValueError:
             texts += not _flag_or_date(field)
     return len(fields), numbers if texts <= len(fields) // 4 and numbers else -1
 
 
+def _plain(field: str, separator: str, decimal: str) -> str:
+    """A number without the marks between its groups of three digits, where it has some beside a decimal mark, or
+    several; anything else as it is."""
+    for mark in THOUSANDS:
+        if mark not in (separator, decimal) and mark in field:
+            whole, _, part = field.lstrip("+-").partition(decimal)
+            groups = whole.split(mark)
+            grouped = 1 <= len(groups[0]) <= 3 and all(len(group) == 3 for group in groups[1:])
+            if grouped and (part or len(groups) > 2) and "".join([*groups, part]).isdigit():
+                return field.replace(mark, "")
+    return field
+
+
+def _thousands(lines: list[str], separator: str, decimal: str) -> str | None:
+    """The mark between groups of three digits in a table's lines; None where there is none."""
+    fields = [field for line in lines for field in _fields(line, separator)]
+    marked = [field for field in fields if _plain(field, separator, decimal) != field]
+    marks = [mark for mark in THOUSANDS if mark not in (separator, decimal)]
+    return next((mark for mark in marks if any(mark in field for field in marked)), None)
+
+
 def _flag_or_date(field: str) -> bool:
-    return field.lower() in ("true", "false") or (":" in field and field[:1].isdigit())
+    days = re.match(DAY, field) is not None
+    return days or field.lower() in ("true", "false") or (":" in field and field[:1].isdigit())
 
 
 def _fields(line: str, separator: str) -> list[str]:

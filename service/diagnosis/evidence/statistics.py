@@ -3,30 +3,83 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from service.diagnosis.fit.selection import TOLD_APART, Scored, Selection, worth, z_score
-from service.identification.fit import Fit, Problem, solve
+from service.identification.fit import Fit, Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations
 from service.model.parameters import Parameters
 
 # A reversal's place between two samples is known to about this share of the sample time.
 REVERSAL_PLACE = 0.2
 DRAWS = 2000
+TOLD_APART_FROM_OTHERS = 1e-8  # of a parameter's effect, squared, that others do not reproduce; less is rounding
+SAME_FIT = 1e-6  # of the squared residual by which two ways to write one model may differ
 # Of the rms acceleration of the liveliest run: one with less is a slow sweep, made to identify, not what a robot does.
 AT_WORK = 0.2
 
 
 def standard_errors(fitted: Fit, split: Split) -> np.ndarray:
-    """(P,) in the order of `Parameters`, zero for what the fit does not move; at a limit as if there were none.
+    """(P,) in the order of `Parameters`, zero for what the fit does not move or the data do not tell from parameters
+    before it (`untold`); at a limit as if there were none.
 
     Blocks of the residual count as independent, samples in a block do not: the residual may be coloured.
     """
-    inside, everything = fitted.inside, np.ones(len(fitted.inside), bool)
+    told = ~untold(fitted)
+    inside, everything = fitted.inside & told, told
     error = np.where(inside, _errors(fitted, split, inside), _errors(fitted, split, everything))
     return Parameters(fitted.hypothesis).spread(error)
+
+
+def untold(fitted: Fit) -> np.ndarray:
+    """(F,) bool: parameters whose effect those before them reproduce, so that only their combination is told."""
+    return ~_independent(_scaled_gram(fitted)[0])[0]
+
+
+def _scaled_gram(fitted: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """(F, F) products of the tangents at unit length, and (F,) their lengths, 1 where one is nothing."""
+    gram = np.asarray(sum(t.T @ t for t in fitted.tangents))
+    scale = np.sqrt(np.where(np.diag(gram) > 0, np.diag(gram), 1.0))
+    return gram / np.outer(scale, scale), scale
+
+
+def _independent(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) bool, columns that are no combination of those before them; and (F, F) the shares of those in each column
+    that is. gram: (F, F) with ones on its diagonal, or zeros where a column is nothing."""
+    count = len(gram)
+    kept, shares = np.zeros(count, bool), np.zeros((count, count))
+    for column in range(count):
+        before = np.flatnonzero(kept)
+        share = solve(gram[np.ix_(before, before)], gram[before, column])
+        if gram[column, column] - share @ gram[before, column] > TOLD_APART_FROM_OTHERS:
+            kept[column] = True
+        else:
+            shares[before, column] = share
+    return kept, shares
+
+
+def combined(problem: Problem, scored: Scored) -> Scored:
+    """The same model with what only a combination of parameters tells given to the first of them: the amplitudes of
+    effects that are no more than the base model's constants, or another effect's, are zero."""
+    fitted, parameters = scored.fitted, Parameters(scored.hypothesis)
+    gram, scale = _scaled_gram(fitted)
+    kept, shares = _independent(gram)
+    linear = np.zeros(len(kept), bool)
+    for term, mine in zip(scored.hypothesis.terms, parameters.terms, strict=True):
+        linear[parameters.among_free(slice(mine.start, mine.start + term.amplitude.size))] = True
+    moved = np.flatnonzero(~kept & linear)
+    values = parameters.values[parameters.free]
+    if not np.any(values[moved]):
+        return scored
+    for column in moved:
+        values += values[column] * scale[column] * shares[:, column] / scale
+        values[column] = 0.0
+    again = evaluate(problem, parameters.at(values))
+    if not again.cost <= fitted.cost * (1.0 + SAME_FIT):  # the torque is not as linear as its slopes
+        return scored
+    return replace(scored, fitted=again)
 
 
 def _errors(fitted: Fit, split: Split, moved: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from service.identification.fit import Problem
 from service.model.description import in_units_of
 from service.model.hypothesis import Hypothesis
 from service.model.mechanism import Delta
+from service.model.signals import LEVER
 
 REVERSAL_SPEED = 0.1  # rad/s: nearer than this to zero is a reversal
 ANGLE_BINS = 10
@@ -99,8 +100,9 @@ def regimes(findings: Findings, rows: RowStates, residuals: list[np.ndarray], jo
     speed_unit, angle_unit, torque_unit = (in_units_of(findings.robot, unit) for unit in ("rad/s", "rad", "N m"))
     speed, acceleration, load = np.abs(rows.speed[mine]), np.abs(rows.acceleration[mine]), np.abs(rows.load[mine])
     theta = rows.theta[mine]
+    reversal = REVERSAL_SPEED * (1.0 if findings.problem.recordings[0].segment.angular else LEVER)
     masks: list[tuple[str, np.ndarray]] = [
-        (f"within {REVERSAL_SPEED:g} {speed_unit} of reversal", speed < REVERSAL_SPEED),
+        (f"within {reversal:g} {speed_unit} of reversal", speed < reversal),
         ("forward motion", rows.speed[mine] > 0),
     ]
     for name, values, unit in (
@@ -112,7 +114,7 @@ def regimes(findings: Findings, rows: RowStates, residuals: list[np.ndarray], jo
         masks += [(f"{name} below {low:.2g} {unit}", values < low), (f"{name} above {high:.2g} {unit}", values > high)]
     edges = np.linspace(theta.min(), theta.max() + 1e-9, ANGLE_BINS + 1)
     masks += [
-        (f"angle {low:.2f} to {high:.2f} {angle_unit}", (theta >= low) & (theta < high))
+        (f"angle {low:.3g} to {high:.3g} {angle_unit}", (theta >= low) & (theta < high))
         for low, high in pairwise(edges)
     ]
     clock = rows.clock[mine]

@@ -15,7 +15,8 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.trace import read_trace
-from schemas.axes import load_description
+from drivers.trace.tables import read_table
+from schemas.axes import Description, load_description
 from schemas.columns import load_columns
 from schemas.errors import DeltatwinError
 from service.cli.main import app
@@ -51,6 +52,14 @@ def test_joints_go_by_name(field: Path, tmp_path: Path) -> None:
     assert names == ["shoulder_pan_joint.effort", "shoulder_lift_joint.effort", "elbow_joint.effort"]
     assert np.ptp(position[:, 0]) == pytest.approx(1.324 + 1.3177, abs=1e-3)  # of the pan joint, by the README's table
     assert "joints by the names of the description: 1 is 'shoulder_pan_joint.position'" in said
+    assert "check: torques are N m by the definition of the message" in said  # a UR's driver publishes currents
+    assert "--torque-unit 'A CONSTANT" in said
+
+
+def test_only_a_driver_that_is_known_for_currents_is_doubted(field: Path, tmp_path: Path) -> None:
+    *_, said = imported(field / "bag_compressed" / "msg_bag", field / "bag_compressed" / "robot.toml", tmp_path)
+    assert "torques are N m by the definition of the message, which not every driver keeps to" in said
+    assert "check: torques" not in said
 
 
 def test_a_velocity_is_no_torque(field: Path, tmp_path: Path) -> None:
@@ -194,3 +203,90 @@ def test_a_small_motor_has_significant_digits(field: Path, tmp_path: Path) -> No
     numbers = re.findall(r"\d+\.\d+", inertia)
     assert float(numbers[0]) == pytest.approx(1.94e-4, rel=0.02)
     assert float(numbers[1]) > 0
+
+
+def found_of(log: Path, robot: Path, folder: Path) -> dict[str, float]:
+    """Value of each parameter that `identify` finds of a single axis."""
+    arguments = ["identify", str(log), "--robot", str(robot), "--out", str(folder / "found.toml")]
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    found = tomllib.loads((folder / "found.toml").read_text())["identified"]
+    return {name: entry["value"][0] for name, entry in found.items() if isinstance(entry, dict)}
+
+
+def test_a_linear_axis_of_little_stroke_moves(field: Path, tmp_path: Path) -> None:
+    folder = field / "linear_axis_small_stroke"
+    found = found_of(folder / "log.csv", folder / "robot.toml", tmp_path)
+    assert found["inertia"] == pytest.approx(12.0, rel=0.02)
+    assert found["viscous_friction"] == pytest.approx(150.0, rel=0.05)
+    assert found["coulomb_friction"] == pytest.approx(20.0, rel=0.02)
+
+
+@pytest.mark.parametrize("rate", [1000.0, 125.0])
+@pytest.mark.parametrize("stroke", [0.4, 0.01, 0.001])
+def test_an_axis_is_found_whatever_its_stroke(tmp_path: Path, stroke: float, rate: float) -> None:
+    """A tenth of the stroke with ten times the inertia and damping takes the same force."""
+    time, rng = np.arange(0, 16, 1 / rate), np.random.default_rng(1)
+    wave = np.outer(time, 2 * np.pi * np.array([0.31, 0.83, 1.9])) + [0.1, 1.0, 2.0]
+    size = stroke / 3 * np.array([1.0, 0.5, 0.25])
+    pulse = 2 * np.pi * np.array([0.31, 0.83, 1.9])
+    x, v, a = np.sin(wave) @ size, np.cos(wave) @ (size * pulse), -np.sin(wave) @ (size * pulse**2)
+    mass, viscous = 2.0 / stroke, 5.0 / stroke
+    force = mass * a + viscous * v + 6.0 * np.tanh(v / (0.003 * stroke)) + 0.1 * rng.standard_normal(len(time))
+    block = np.column_stack([time, x + 1e-6 * stroke * rng.standard_normal(len(time)), force])
+    np.savetxt(tmp_path / "log.csv", block, delimiter=",", header="time_s,position_1_m,torque_1_n", comments="")
+    (tmp_path / "robot.toml").write_text('name = "lin"\nkind = "axes"\n[[axis]]\nunit = "m"\n')
+    found = found_of(tmp_path / "log.csv", tmp_path / "robot.toml", tmp_path)
+    assert found["inertia"] == pytest.approx(mass, rel=0.02)
+    assert found["viscous_friction"] == pytest.approx(viscous, rel=0.05)
+    assert found["coulomb_friction"] == pytest.approx(6.0, rel=0.05)
+
+
+def test_what_only_a_combination_tells_is_given_as_that(field: Path, tmp_path: Path) -> None:
+    folder = field / "asymmetric_offset_split"
+    logs = [str(path) for path in sorted(folder.glob("dir_*.csv"))]
+    arguments = ["diagnose", *logs, "--robot", str(folder / "robot.toml"), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    corrected = tomllib.loads((tmp_path / "out" / "corrected.toml").read_text())
+    (effect,) = [one for one in corrected["effect"] if one["name"] == "asymmetric_friction"]
+    assert effect["parameters"]["delta_v"]["value"] == pytest.approx(0.040, abs=1e-3)
+    assert effect["parameters"]["delta_c"]["value"] == 0.0
+    assert corrected["identified"]["offset"]["value"] == pytest.approx([0.012], abs=1e-3)
+    assert "Coulomb levels" not in done.output
+
+
+@pytest.mark.parametrize("options", [(), ("--position-unit", "rad")])
+def test_the_sign_of_an_axis_that_is_moved_by_hand_stays_as_recorded(
+    field: Path, options: tuple[str, ...], tmp_path: Path
+) -> None:
+    folder = field / "sign_of_backdriven_axis"
+    _, position, torque, said = imported(folder / "log.csv", folder / "robot.toml", tmp_path, *options)
+    assert np.corrcoef(np.sin(position[:, 0]), torque[:, 0])[0, 1] > 0.99  # 3.3 sin q, by the README
+    assert "the other sign" not in said
+    assert "check: sign of the torque of joint 1" in said
+
+
+def read_or_refused(path: Path, robot: Description | None) -> str:
+    """Reads a file of any kind; "" or what is said of it."""
+    try:
+        if path.suffix == ".toml":
+            load_description(path)
+        elif path.suffix in (".pcap", ".pcapng"):
+            assert len(read_trace(path, robot)) > 0
+        elif path.suffix != ".urdf":
+            assert len(read_table(path)) > 0
+    except DeltatwinError as error:
+        return str(error)
+    return ""
+
+
+def test_every_file_is_read_or_refused_in_a_line(field: Path) -> None:
+    """And every folder has its own test here, but seam_250hz: test_jumps.py of the estimator tries every rate."""
+    told = Path(__file__).read_text()
+    for folder in sorted(path for path in field.iterdir() if path.is_dir()):
+        assert folder.name in told
+        found = folder / "robot.toml"
+        robot = load_description(found) if found.exists() else None
+        for path in sorted(path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("README")):
+            assert "\n" not in read_or_refused(path, robot)

@@ -10,11 +10,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import lz4.frame
+import numpy as np
 import pytest
+import scipy.io
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord, Schema
 
+from drivers.trace.tables import read_table
+from schemas.errors import TraceError
 from schemas.messages import SAMPLE
 
 MEMORY = 2 << 30  # of address space behind what the interpreter and its libraries have mapped
@@ -146,3 +150,14 @@ def test_a_pipe_or_device_is_no_file(tmp_path: Path) -> None:
         [sys.executable, "-c", READER, str(MEMORY), tmp_path / "zeros.csv"], capture_output=True, text=True, timeout=100
     )
     assert "zeros.csv: not a file" in done.stdout
+
+
+def test_cells_of_matlab_are_counted_before_they_are_read(tmp_path: Path) -> None:
+    """A hundred thousand in half a megabyte, which would be hundreds of megabytes of objects."""
+    cells = np.empty(100_000, object)
+    cells[:] = [np.array([1.0])] * len(cells)
+    scipy.io.savemat(tmp_path / "log.mat", {"c": cells}, do_compression=True)
+    with pytest.raises(TraceError, match=r"log\.mat: not a MATLAB file: .*more than 20000 arrays"):
+        read_table(tmp_path / "log.mat")
+    scipy.io.savemat(tmp_path / "few.mat", {"c": cells[:500], "t": np.arange(9.0), "q": np.arange(9.0)})
+    assert list(read_table(tmp_path / "few.mat").columns) == ["t", "q"]

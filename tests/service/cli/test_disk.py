@@ -45,7 +45,7 @@ LONG = {  # refuse before they compute
     "monitor-nowhere": "monitor --robot {in}/robot.toml --out {disk}/nowhere/new.mcap",
     "watch": f"watch --robot {ROBOT} --out {{disk}}/findings",
     "estimate": f"estimate --robot {ROBOT} --keep {{disk}}/friction.json",
-    "plan-motion": f"plan-motion --for identify --robot {ROBOT} --out {{disk}}/motion.csv",
+    "plan-motion": f"plan-motion --assume-limits --for identify --robot {ROBOT} --out {{disk}}/motion.csv",
     "rollout": "rollout {in}/nowhere.csv --robot {in}/robot.toml --out {disk}",
     "fleet": "fleet {in}/log.csv --robot {in}/robot.toml --out {disk}/fleet",
     "segment": "segment lo --robot {in}/robot.toml --out {disk}/new.mcap",

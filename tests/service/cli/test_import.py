@@ -268,7 +268,7 @@ def test_axes_with_a_force_of_the_other_sign(tmp_path: Path) -> None:
     text(tmp_path / "axis.csv", np.column_stack([time, position, -force]), ",", "t,pos,force\n")
     (tmp_path / "axis.toml").write_text('name = "axis"\nkind = "axes"\n[[axis]]\nunit = "m"\n')
     said = imported(tmp_path / "axis.csv", "--robot", tmp_path / "axis.toml", "--yes")
-    assert "'force' pushes against the motion: the other sign" in said
+    assert "axis 1: the torque pushes against the motion: the other sign (over 1 000 000 times likelier)" in said
     back = read_trace(tmp_path / "axis.imported.csv")
     np.testing.assert_allclose(back.torque[:, 0], force, atol=1e-6)
 
@@ -281,3 +281,53 @@ def test_real_logs(data: Path, tmp_path: Path) -> None:
     options = ["--rate", "5000", "--yes", "--torque-unit", "N m", "--out", tmp_path / "tx40.csv"]
     imported(real / "tx40" / "pos_read_data.csv", real / "tx40" / "curr_data.csv", "--robot", robot, *options)
     assert read_trace(tmp_path / "tx40.csv").torque.shape == (45000, 6)
+
+
+def servo(path: Path, seed: int, sign: float, size: float, seconds: float = 4.0) -> np.ndarray:
+    """A motor's run with friction and inertia, positions of 18 bits; returns its torque."""
+    rng, time = np.random.default_rng(seed), np.arange(0, seconds, 1e-3)
+    position = size * np.sin(np.outer(time, [3.1, 8.7, 21.0]) + rng.uniform(0, 6, 3)).sum(axis=1)
+    speed = np.gradient(position, time)
+    torque = 0.02 * np.gradient(speed, time) + 0.1 * speed + 0.3 * np.tanh(speed / 0.01)
+    torque += 0.01 * rng.standard_normal(len(time))
+    text(path, np.column_stack([time, position, sign * torque]), ",", "time_s,position [rad],torque [Nm]\n")
+    return torque
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_runs_of_one_machine_are_judged_together_and_get_one_mapping(tmp_path: Path, sign: float) -> None:
+    """Two of half a second, of which nothing can be told alone, and one of four."""
+    (tmp_path / "motor.toml").write_text('name = "motor"\nkind = "axes"\n[[axis]]\ngravity = false\n')
+    names = ["run1.csv", "run2.csv", "run3.csv"]
+    torque = [servo(tmp_path / name, k, sign, 0.5, 4.0 if k == 2 else 0.9) for k, name in enumerate(names)]
+    alone = imported(tmp_path / "run1.csv", "--robot", tmp_path / "motor.toml", "--yes", "--out", tmp_path / "a.csv")
+    assert ("left as recorded, --sign says it" in alone) or ("hardly anything moves" in alone)
+    out = tmp_path / "runs"
+    said = imported(*(tmp_path / name for name in names), "--robot", tmp_path / "motor.toml", "--yes", "--out", out)
+    assert ("the other sign" in said) == (sign < 0)
+    assert "check: sign" not in said
+    for name, expected in zip(names, torque, strict=True):
+        np.testing.assert_allclose(read_trace(out / name).torque[:, 0], expected, atol=1e-6)
+    assert sorted(path.name for path in out.glob("*.toml")) == ["run1.columns.toml"]
+
+
+def test_a_sign_that_is_said_is_taken_and_what_speaks_against_it_is_said(tmp_path: Path) -> None:
+    (tmp_path / "motor.toml").write_text('name = "motor"\nkind = "axes"\n[[axis]]\ngravity = false\n')
+    torque = servo(tmp_path / "run.csv", 1, 1.0, 0.5)
+    options = ["--robot", tmp_path / "motor.toml", "--yes", "--out", tmp_path / "log.csv", "--overwrite"]
+    said = imported(tmp_path / "run.csv", *options, "--sign", "-1")
+    assert "check: the motion speaks against the signs that --sign gives" in said
+    np.testing.assert_allclose(read_trace(tmp_path / "log.csv").torque[:, 0], -torque, atol=1e-6)
+    assert "speaks against" not in imported(tmp_path / "run.csv", *options, "--sign", "1")
+    for wrong, message in (("1,1", "--sign has 2 numbers, there are 1 joints"), ("up", "1 or -1 a joint")):
+        done = CliRunner().invoke(app, ["import", str(tmp_path / "run.csv"), *map(str, options), "--sign", wrong])
+        assert message in f"{done.exception} {' '.join(done.output.split())}"
+
+
+def test_a_constant_a_joint(tmp_path: Path, log: Trace) -> None:
+    text(
+        tmp_path / "log.csv", block(log) * [1, 1, 1, 1, *(1 / np.array([0.5, 0.4, 0.25]))], ",", ",".join(NAMES) + "\n"
+    )
+    options = ["--torque-unit", "A 0.5,0.4,0.25", "--yes", "--out", tmp_path / "out.csv"]
+    imported(tmp_path / "log.csv", "--robot", "d3-1200", *options)
+    np.testing.assert_allclose(read_trace(tmp_path / "out.csv").torque, log.torque, rtol=1e-6, atol=1e-6)

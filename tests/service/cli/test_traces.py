@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -96,8 +97,7 @@ def test_convert_stopped_half_way_leaves_the_old_file(tmp_path: Path, stop: sign
     command = [sys.executable, "-c", "from service.cli.main import main; main()"]
     command += ["convert", "--overwrite", "long.csv", "out.mcap"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    part = tmp_path / ".part-out.mcap"
-    while not (part.exists() and part.stat().st_size > 0) and process.poll() is None:
+    while not any(part.stat().st_size for part in tmp_path.glob(".part-*-out.mcap")) and process.poll() is None:
         time.sleep(0.01)
     process.send_signal(stop)
     _, errors = process.communicate(timeout=60)
@@ -167,3 +167,12 @@ def test_help_has_an_example(deltatwin: Run, name: str, tmp_path: Path) -> None:
     done = deltatwin(name, "--help")
     assert done.returncode == 0
     assert f"Example: deltatwin {name}" in done.stdout
+
+
+def test_a_pipe_is_no_recording(deltatwin: Run, tmp_path: Path) -> None:
+    """Nor waited for: nobody may ever write to it."""
+    os.mkfifo(tmp_path / "run.mcap")
+    done = deltatwin("recover", tmp_path / "run.mcap", tmp_path / "out.mcap")
+    assert done.returncode != 0
+    assert done.stderr.strip().endswith("run.mcap: not a file")
+    assert not (tmp_path / "out.mcap").exists()

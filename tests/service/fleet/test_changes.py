@@ -57,3 +57,18 @@ def test_friction_that_moved_is_told_where_it_is_certain_and_the_base_fits() -> 
     assert (change.kind, change.title, change.joints, change.since) == ("parameter", "Coulomb friction", [2], "day 6")
     assert change.now == ["3 → 4 N m (+33 %)"]
     assert [one.kind for one in changes([day(1), wrong])] == ["unexplained"]
+
+
+def test_a_gap_that_has_risen_without_a_cause_is_told() -> None:
+    """Whether or not the day could be judged; not where its cause is, nor by less than days differ."""
+    lame = {"verdict": "cannot_tell", "cannot_tell": ["too little motion"]}
+    days = [day(1), day(2, gap_nm=1.9), day(3, gap_nm=25.0, **lame), day(4, gap_nm=25.0), day(5, gap_nm=30.0, **lame)]
+    (change,) = changes(days)
+    assert change.kind == "risen"
+    assert change.title == "the gap to what it was has risen, the cause is unknown"
+    assert told([change]) == [("", [], "day 3", "day 2", "day 5", False, 3, 3)]
+    assert change.now == ["30 times that of day 1, 30 → 0.1 N m (3e+02 % of the torque)"]
+    assert [one.kind for one in changes([day(1), day(2, effect("backlash", 1), gap_nm=25.0)])] == ["effect"]
+    assert changes([day(1, gap_nm=None), day(2)]) == []
+    (gone,) = changes([day(1), day(2, gap_nm=9.0), day(3)])
+    assert gone.gone

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from schemas.errors import DataError
+from schemas.errors import DataError, StorageError
 from schemas.fleet import Fleet
 from schemas.robot import save_robot
 from service.cli.main import app
@@ -124,6 +124,21 @@ def test_a_run_that_was_killed_goes_on_and_says_what_changed_since_when(
     changed.write_bytes(content[: content.rindex(b"\n", 0, -1) + 1])
     assert fleet(logs, out)["robots"][1]["changes"][0]["days"] == 2
     assert [Path(path).parent.name for path in asked[7:]] == [DAYS[2]]
+
+    # what was kept is damaged: a reference cut in half is made anew, a result that is a pipe is refused
+    reference = out / "robots" / "cell_1" / "identified.toml"
+    whole = reference.read_text()
+    reference.write_text(whole[: len(whole) // 2])
+    first, _ = fleet(logs, out)["robots"]
+    assert first["error"] is None
+    assert reference.read_text() == whole
+    assert [day["verdict"] for day in first["days"]] == ["within_noise"] * 3
+    result = out / "robots" / "cell_2" / DAYS[1] / "day.json"
+    result.unlink()
+    os.mkfifo(result)
+    with pytest.raises(StorageError, match=r"day\.json: exists and is not a file"):
+        fleet(logs, out)
+    result.unlink()
 
 
 def test_a_robot_that_cannot_be_identified_is_told(logs: Path, tmp_path: Path) -> None:

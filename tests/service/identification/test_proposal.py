@@ -19,9 +19,10 @@ from schemas.columns import Columns
 from schemas.errors import DataError
 from schemas.robot import Drive, Robot
 from schemas.trace import Trace
-from service.identification import proposal
+from service.identification import evidence, proposal, readings
 from service.identification.channels import Channels
-from service.identification.proposal import Proposal, Stated, propose
+from service.identification.proposal import Proposal, propose
+from service.identification.readings import Stated
 from tests.service.world import stub
 
 GEAR = 25.0
@@ -246,7 +247,7 @@ def test_an_axis_takes_force_to_accelerate_and_against_friction(force: Callable[
 
 def test_a_force_that_shows_nothing_is_doubted() -> None:
     found = propose(slide(lambda x, v, a: np.sin(80e-3 * np.arange(len(x)))), AXIS, Stated())
-    assert any("neither inertia nor friction shows in 'force'" in doubt for doubt in found.doubts)
+    assert any("neither inertia nor friction shows enough of itself" in doubt for doubt in found.doubts)
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1.0, "m"), (1000.0, "mm")])
@@ -297,7 +298,7 @@ def test_a_torque_command_in_another_unit_than_the_torque_is_left_out() -> None:
 def test_increments_of_a_linear_axis_are_so_many_a_metre(tmp_path: Path) -> None:
     made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
     counts = replace(made, columns={**made.columns, "pos": np.round(1e6 * made.columns["pos"])})
-    with pytest.raises(DataError, match=r"slide\.csv: .* increments, of an axis in m; .* say --counts-per-m$"):
+    with pytest.raises(DataError, match=r"slide\.csv: .* increments, of an axis in m; .* say --counts-per-m, or"):
         propose(counts, AXIS, Stated())
     found = propose(counts, AXIS, Stated(counts_per_m=1e6))
     assert found.columns["position"] == [{"name": "pos", "unit": "counts", "counts_per_m": 1e6}]
@@ -349,9 +350,9 @@ def test_where_one_joint_lost_its_sign_all_did(geared: Robot, log: Trace) -> Non
     assert "'tau1', 'tau2', 'tau3' are of 16 bits without their sign: 65535 stands for -1" in found.reasons
 
 
-def units(values: np.ndarray, rate: float = 1.0, robot: Robot | None = None) -> proposal._Units:
+def units(values: np.ndarray, rate: float = 1.0, robot: Robot | None = None) -> readings.Candidates:
     made = Table(Path("log.csv"), "text", {"q": values})
-    return proposal._Units(made, Channels(position=("q",)), robot, rate, Stated())
+    return readings.Candidates([made], Channels(position=("q",)), robot, rate, Stated())
 
 
 def test_positions_are_what_a_joint_could_do() -> None:
@@ -369,7 +370,8 @@ def test_positions_are_what_a_joint_could_do() -> None:
 @pytest.mark.parametrize(
     ("values", "increments"),
     [
-        (np.arange(0, 1002.0), True), (np.arange(0, 1000.0), False), (np.arange(0, 1002.0) + 0.3, False),
+        (np.arange(0, 1002.0), True), (np.arange(0, 9.0), True), (np.tile(np.arange(0, 8.0), 9), False),
+        (np.arange(0, 1002.0) + 0.3, False), (np.arange(0, 999.5, 0.5), False),
         (np.r_[np.arange(0, 1002.0), 1e4, np.nan], True),
         (np.where(np.arange(1200) % 8, 0.3, 0) + np.arange(1200), True),
         (np.where(np.arange(1200) % 12, 0.3, 0) + np.arange(1200), False),
@@ -385,7 +387,7 @@ def test_increments_are_many_whole_numbers(values: np.ndarray, increments: bool)
 def test_a_side_of_the_gear_is_one_on_which_a_joint_could_turn_so_far(
     geared: Robot, farthest: float, sides: list[str]
 ) -> None:
-    found = units(np.array([-farthest / 2, 0.0]), 1.0, geared)._sides({"unit": "rad"}, 2.0)
+    found = units(np.array([-farthest / 2, 0.0]), 1.0, geared)._sides({"unit": "counts", "counts_per_rev": np.pi})
     assert [entry.get("side", "") for entry in found] == sides
 
 
@@ -397,7 +399,7 @@ def test_the_part_of_a_log_that_moves_most_is_tried() -> None:
     )
     torque = position.copy()
     torque[150, 1] = position[160, 2] = np.nan
-    found = proposal._trial(Table(Path("a/log.csv"), "text", {"t": time}), 10.0, position, torque)
+    found = evidence.trial(evidence.Run(position, torque, 10.0))
     first = int(np.flatnonzero((position == found.position[0]).all(axis=1))[0])
     assert 118 <= first <= 122
     assert len(found.time) == 100
@@ -405,7 +407,7 @@ def test_the_part_of_a_log_that_moves_most_is_tried() -> None:
     np.testing.assert_array_equal(found.torque, torque[first : first + 100])
     assert np.flatnonzero(found.flags).tolist() == [150 - first, 160 - first]
     early = 1e-3 * position[::-1] * (time < 9.0)[:, None]
-    found = proposal._trial(Table(Path("a/log.csv"), "text", {"t": time}), 10.0, early, torque)
+    found = evidence.trial(evidence.Run(early, torque, 10.0))
     np.testing.assert_array_equal(found.position, early[:100])
 
 
@@ -418,22 +420,22 @@ def test_the_part_of_a_log_that_moves_most_is_tried() -> None:
     ],
 )  # fmt: skip
 def test_the_scale_of_a_position(position: dict[str, Any], scale: float) -> None:
-    assert proposal._scale(position, GEAR) == pytest.approx(scale)
+    assert readings.scale_of(position, GEAR) == pytest.approx(scale)
 
 
 def test_a_drive_that_is_described_says_its_counts_and_its_rated_torque(robot: Robot) -> None:
     drive: Any = stub(joint=[stub(counts_per_turn=4096, torque=stub(full_scale_nm=7.0))])
     described = robot.model_copy(update={"drive": drive})
-    assert (proposal._counts(described), proposal._rated(described)) == (4096.0, 7.0)
-    assert (proposal._counts(robot), proposal._rated(robot)) == (None, None)
-    assert (proposal._counts(AXIS), proposal._rated(AXIS)) == (None, None)
+    assert (readings._counts(described), readings._rated(described)) == (4096.0, 7.0)
+    assert (readings._counts(robot), readings._rated(robot)) == (None, None)
+    assert (readings._counts(AXIS), readings._rated(AXIS)) == (None, None)
 
 
 def test_of_several_ways_to_read_positions_it_is_said_how_well_each_fits(geared: Robot, log: Trace) -> None:
     found = propose(written(log), geared, Stated())
-    (line,) = (one for one in found.reasons if one.startswith("positions are rad of the joint: the fit leaves"))
-    best, others = re.findall(r"([0-9.e+-]+) %", line)
-    assert float(best) < 5.0 < float(others)
+    (line,) = (one for one in found.reasons if one.startswith("positions are rad of the joint"))
+    assert float(re.findall(r"\(([0-9.e+]+) times likelier\)", line)[0]) > 1000
+    assert float(re.findall(r"([0-9.e+-]+) % of the torque is left on rows left out", line)[0]) < 5.0
     assert any(one.startswith("torques taken as N m: nothing says so") for one in found.reasons)
 
 
@@ -458,9 +460,10 @@ def test_torques_are_read_with_their_sign_and_times_what_is_said() -> None:
     assert reasons == ["'y' are of 16 bits without their sign: 65535 stands for -1"]
 
 
-def test_of_less_than_a_hundred_rows_no_sign_is_told() -> None:
+def test_of_a_second_no_sign_is_told() -> None:
+    """Of three independent pieces it is."""
     made = slide(lambda x, v, a: -95 * a)
-    for rows, sign in ((99, None), (1000, -1)):
+    for rows, sign in ((99, None), (1000, None), (2000, -1)):
         few = {name: np.where(np.arange(4000) < rows, values, np.nan) for name, values in made.columns.items()}
         found = propose(Table(made.path, made.kind, few | {"t": made.columns["t"]}), AXIS, Stated())
         assert entries(found, "torque")[0].get("sign") == sign

@@ -206,3 +206,18 @@ def test_a_page_that_cannot_be_written_is_named(page: Page, tmp_path: Path) -> N
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match="file: File exists"):
         write_page(page, tmp_path / "file" / "page.html")
+
+
+def test_a_script_that_text_smuggles_in_does_not_run_and_nothing_is_sent(page: Page, tmp_path: Path) -> None:
+    """Even where something was not escaped."""
+    write_page(page, tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    (policy,) = re.findall(r'<meta http-equiv="Content-Security-Policy" content="([^"]+)">', text)
+    assert "default-src &#39;none&#39;" in policy
+    assert "connect-src" not in policy
+    smuggled = "<script>throw Error('smuggled in')</script><img src=x onerror=\"throw Error('handled')\">"
+    bad = tmp_path / "bad.html"
+    bad.write_text(text.replace("</h1>", f"</h1>{smuggled}", 1), encoding="utf-8")
+    seen = looked_at(bad)
+    assert seen["texts"] > 5
+    assert not any("smuggled" in error or "handled" in error for error in seen["errors"])
