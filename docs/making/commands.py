@@ -76,5 +76,5 @@ def exit_codes() -> str:
         ],
         [f"`{INTERRUPTED}`", "Ended by Ctrl-C, SIGTERM or a closed terminal. Files written so far are whole."],
     ]
-    text = "# Exit codes\n\nResults go to stdout, progress and errors to stderr. The codes are the same for all commands.\n\n"
+    text = "# Exit codes\n\nResults go to stdout, progress and errors to stderr. All commands have these codes.\n\n"
     return text + table(["Code", "Meaning"], rows)

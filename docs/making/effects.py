@@ -218,7 +218,7 @@ def _confused(effect: Effect) -> str:
     found = aliases(effect)
     if not found:
         return text + (
-            "On a fast multisine and a slow sweep together no other effect of the catalogue produces a torque like it.\n"
+            "On a fast multisine and a slow sweep together no other effect of the catalogue has a torque like it.\n"
         )
     text += (
         "On a fast multisine and a slow sweep together, once the base parameters have explained what they can, these "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from docs.making import commands, drawings, effects, messages, models
+from docs.making import commands, drawings, effects, figures, messages, models
 from drivers.plant.truth import PlantTruth
 from schemas.axes import Axes
 from schemas.chain import Chain
@@ -30,8 +30,8 @@ FILES = {
 }  # fmt: skip
 
 
-def reference() -> dict[str, str]:
-    """Path -> text, of the whole reference and of the drawings; takes some seconds."""
+def made() -> dict[str, str]:
+    """Path -> text, of the whole reference, the tables of figures and the drawings; takes some seconds."""
     found = {
         "reference/commands/index.md": commands.index(),
         "reference/exit-codes.md": commands.exit_codes(),
@@ -45,6 +45,8 @@ def reference() -> dict[str, str]:
     found |= {f"reference/messages/{topic}.md": messages.page(topic) for topic in TOPICS}
     for name, (model, title, introduction) in FILES.items():
         found[f"reference/files/{name}.md"] = models.page(model, title, introduction)
+    found["measured/index.md"] = figures.index()
+    found |= {f"measured/{name}.md": figures.page(name) for name in figures.benches()}
     for effect in CATALOGUE:
         found[f"reference/effects/{effect.name}.md"] = effects.page(effect)
         found[f"reference/effects/{effect.name}.svg"] = effects.picture(effect)
