@@ -103,8 +103,8 @@ def index() -> str:
     """All benches."""
     text = (
         "# Measured\n\nWhat was measured, with counts, bounds and the commit. Unless said otherwise on simulated "
-        "robots: no public log of a real Delta with torque is known to us. The machine is shared, so rates are given as ratios to "
-        "what ran beside them in the same run.\n\n"
+        "robots: no public log of a real Delta with torque is known to us. The machine is shared, so rates are given "
+        "as ratios to what ran beside them in the same run.\n\n"
     )
     return text + table(
         ["Page", "What"], ([f"[{bench.title}]({name}.md)", cell(bench.about)] for name, bench in benches().items())

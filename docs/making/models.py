@@ -35,6 +35,7 @@ class Key:
 
 def keys(model: type[BaseModel], above: str = "") -> Iterator[Key]:
     """All keys of a model, those of inner tables included, each once."""
+    model.model_rebuild()  # names of classes that stand further down in their file become these
     for name, field in model.model_fields.items():
         path, inner = f"{above}{field.alias or name}", tuple(dict.fromkeys(_models(field.annotation)))
         yield Key(path, field, _comments(model).get(name, ""), inner)
