@@ -68,10 +68,10 @@ def joint_zero() -> str:
             (0.015, 0.20, "z", INK), (0.12, 0.035, "towards arm $i$", INK), (-0.075, 0.03, "O", INK),
             (base + 0.26, -0.085, r"$\theta_i > 0$", COLOURS[0]),
             (base + active + 0.09, -0.012, r"$\theta_i = 0$: link horizontal", INK),
-            (0.36, -0.155, "active link $l_1$", COLOURS[0]), (0.47, -0.62, "forearm $l_2$ (two rods)", COLOURS[1]),
+            (0.22, -0.19, "active link $l_1$", COLOURS[0]), (0.47, -0.62, "forearm $l_2$ (two rods)", COLOURS[1]),
             (-0.215, wrist[1] + 0.03, "platform, $p$", COLOURS[2]), (-0.17, -0.37, "gravity", INK),
-            (x + 0.015, wrist[1] - 0.15, "payload", COLOURS[2]), (0.03, -0.055, "base radius $r_a$", INK),
-            (-0.24, -0.055, "base", INK),
+            (x + 0.015, wrist[1] - 0.15, "payload", COLOURS[2]), (-0.02, -0.06, "base radius $r_a$", INK),
+            (-0.24, 0.03, "base", INK),
         ]  # fmt: skip
         for left, low, text, colour in words:
             axes.text(left, low, text, color=colour, fontsize=9)

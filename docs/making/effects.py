@@ -155,7 +155,7 @@ def picture(effect: Effect) -> str:
         over_angle.set(xlabel="angle of the joint, rad", title="against angle")
         for axes in (over_time, over_speed, over_angle):
             axes.set_ylim(-1.1, 1.1)
-        over_angle.legend(loc="upper right", markerscale=6, fontsize=7)
+        over_angle.legend(loc="lower center", bbox_to_anchor=(0.5, 1.1), ncols=2, markerscale=6, fontsize=7)
         return as_svg(drawing)
 
 

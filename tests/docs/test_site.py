@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from schemas.errors import StorageError
+from service.pages import headless
 from tests.conftest import REPOSITORY
 
 pytest.importorskip("mkdocs", reason="needs the dependency group docs: uv sync --group docs")
@@ -43,3 +45,16 @@ def test_every_page_is_in_the_menu_of_the_first(site: Path) -> None:
     for page in ("reference/effects/backlash.html", "reference/commands/diagnose.html", "how-to/faults.html"):
         assert page in menu
     assert not list(site.rglob("*.py"))
+
+
+@pytest.mark.slow
+def test_search_works_from_a_folder(site: Path, tmp_path: Path) -> None:
+    try:
+        browser = headless(tmp_path)
+    except StorageError as error:
+        pytest.skip(str(error))
+    done = subprocess.run(
+        [*browser, "--virtual-time-budget=10000", "--dump-dom", f"{(site / 'index.html').as_uri()}?q=backlash"],
+        capture_output=True, text=True, timeout=200, check=True,
+    )  # fmt: skip
+    assert 'href="reference/effects/backlash.html' in done.stdout.split("md-search-result__list", 1)[1]
