@@ -11,7 +11,7 @@ import numpy as np
 
 INK = "#6b7280"  # grey that has contrast on white and on near-black
 COLOURS = ("#0b7fc0", "#d9480f", "#2b8a3e", "#9c36b5")
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.hashsalt": "deltatwin", "svg.fonttype": "path", "font.size": 8, "axes.titlesize": 8,
     "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": INK, "xtick.color": INK, "ytick.color": INK,
     "axes.spines.top": False, "axes.spines.right": False, "figure.facecolor": "none", "axes.facecolor": "none",
@@ -25,9 +25,10 @@ def figure(width: float, height: float, columns: int = 1) -> Iterator[tuple[Any,
     import matplotlib
 
     matplotlib.use("svg")
+    from cycler import cycler
     from matplotlib import pyplot
 
-    with matplotlib.rc_context({**STYLE, "axes.prop_cycle": matplotlib.cycler(color=COLOURS)}):
+    with matplotlib.rc_context({**STYLE, "axes.prop_cycle": cycler(color=COLOURS)}):
         drawing, axes = pyplot.subplots(1, columns, figsize=(width, height), layout="constrained")
         try:
             yield drawing, axes

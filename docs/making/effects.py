@@ -22,7 +22,7 @@ from drivers.motion import Planner
 from schemas.robot import load_robot
 from service.model.effects import CATALOGUE
 from service.model.effects.base import Effect
-from service.model.hypothesis import Term
+from service.model.hypothesis import Hypothesis, Term
 from service.model.mechanism import Delta, mechanism_of
 from service.model.scene import Base, Recording, Scene
 from service.model.signals import Segment, lowpass
@@ -82,8 +82,7 @@ def _columns(effect: Effect, scene: Scene) -> list[np.ndarray]:
     for amplitude in amplitudes:
         term = Term(effect, joints, amplitude[None], middle)
         if effect.measured:
-            hypothesis = type("Carried", (), {"terms": (term,)})()
-            found.append(reported(scene, hypothesis, scene.total) - scene.total)
+            found.append(reported(scene, Hypothesis(scene.base, (term,)), scene.total) - scene.total)
         else:
             found.append(added(scene, term))
     return found

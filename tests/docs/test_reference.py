@@ -6,6 +6,7 @@ What is to be there comes from another side than the page: the text of `--help`,
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -57,8 +58,9 @@ def test_bounds_and_defaults_of_keys() -> None:
 def test_every_field_of_a_message(topic: str) -> None:
     page = messages.page(topic)
     dtype = TOPICS[topic].dtype
+    fields: dict[str, Any] = dict(dtype.fields or {})
     for name in set(dtype.names or ()) - {"cdr_header", "stamp_sec", "stamp_nanosec", "frame_id"}:
-        offset = (dtype.fields or {})[name][1]
+        offset = fields[name][1]
         assert re.search(rf"\| `{name}` \| `\w+(\[\d+\])?` \| {offset} \|", page), name
     assert f"[`{topic}`]({topic}.md)" in messages.index()
 
