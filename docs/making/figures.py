@@ -6,7 +6,12 @@ A figure in a text is `{{ figure("speed.step_median") }}`: value and unit as the
 from __future__ import annotations
 
 import json
+import os
+import platform
 import re
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 
@@ -76,6 +81,34 @@ def figure(key: str) -> Figure:
             if one.key == name:
                 return one
     raise KeyError(f"results/{bench}.json has no figure {name!r}")
+
+
+def store(bench: str, measured: Mapping[str, tuple[float | int | str, int | str | None, str | None]]) -> Path:
+    """Put what a bench has measured, key -> (value, count, interval), in place of what its file has; returns the file.
+
+    Text, unit and bound of a figure are written by hand, once; machine, commit and date are those of now.
+
+    Raises:
+        KeyError: the file has no such figure.
+    """
+    path = RESULTS / f"{bench}.json"
+    document = json.loads(path.read_text(encoding="utf-8"))
+    known = {one["key"]: one for one in document["figures"]}
+    for key, (value, count, interval) in measured.items():
+        if key not in known:
+            raise KeyError(f"{path.name} has no figure {key!r}: write it there, with its unit and bound")
+        known[key].update(value=value, count=count, interval=interval, **_here())
+    Bench.model_validate(document)
+    path.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    return path
+
+
+def _here() -> dict[str, str]:
+    """Where and when something is measured. commit: `-dirty` where files differ from it."""
+    command = ["git", "describe", "--always", "--dirty", "--exclude", "*"]
+    commit = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
+    machine = f"{os.cpu_count()} processors, {platform.processor() or platform.machine()}, {platform.platform()}"
+    return {"machine": machine, "commit": commit or "no git", "date": datetime.now(UTC).date().isoformat()}
 
 
 def filled(text: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,21 @@ def test_every_bench_has_its_table() -> None:
         page = figures.page(name)
         assert all(one.text.replace("_", r"\_") in page.replace(r"\<", "<") for one in bench.figures)
         assert f"({name}.md)" in figures.index()
+
+
+def test_what_a_bench_measures_takes_the_place_of_what_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copy(figures.RESULTS / "speed.json", tmp_path)
+    before = figures.Bench.model_validate_json((tmp_path / "speed.json").read_text(encoding="utf-8")).figures
+    monkeypatch.setattr(figures, "RESULTS", tmp_path)
+    figures.store("speed", {"step_median": (2.5, 1000, "p99 4")})
+    after = figures.Bench.model_validate_json((tmp_path / "speed.json").read_text(encoding="utf-8")).figures
+    changed = [one for one, old in zip(after, before, strict=True) if one != old]
+    assert [(one.key, one.value, one.unit, one.count, one.interval) for one in changed] == [
+        ("step_median", 2.5, "µs", 1000, "p99 4")
+    ]
+    assert changed[0].commit
+    with pytest.raises(KeyError, match=r"speed\.json has no figure 'step_mean'"):
+        figures.store("speed", {"step_mean": (2.5, 1000, None)})
 
 
 def test_readme_is_short() -> None:
