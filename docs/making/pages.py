@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from docs.making import commands, drawings, effects, figures, messages, models
+from docs.making import commands, drawings, effects, figures, messages, models, python
 from drivers.plant.truth import PlantTruth
 from schemas.axes import Axes
 from schemas.chain import Chain
@@ -45,6 +45,8 @@ def made() -> dict[str, str]:
     found |= {f"reference/messages/{topic}.md": messages.page(topic) for topic in TOPICS}
     for name, (model, title, introduction) in FILES.items():
         found[f"reference/files/{name}.md"] = models.page(model, title, introduction)
+    if python.is_there():
+        found["reference/python.md"] = python.page()
     found["measured/index.md"] = figures.index()
     found |= {f"measured/{name}.md": figures.page(name) for name in figures.benches()}
     for effect in CATALOGUE:

@@ -12,7 +12,7 @@ from tests.conftest import REPOSITORY
 
 
 def test_the_example_from_python_runs() -> None:
-    page = (REPOSITORY / "docs" / "how-to" / "from-python.md").read_text(encoding="utf-8")
+    page = (REPOSITORY / "docs" / "how-to" / "parts-from-python.md").read_text(encoding="utf-8")
     code = "".join(re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL))
     found: dict[str, Any] = {}
     exec(code, found)
