@@ -12,6 +12,7 @@ from docs.making import figures
 from docs.making.pages import FILES
 from schemas.messages import TOPICS
 from service.cli.main import summaries
+from service.diagnosis.blindpage import BOUNDS
 from service.model.effects import NAMES
 from tests.conftest import REPOSITORY
 
@@ -67,6 +68,12 @@ def test_every_bench_has_its_table() -> None:
         page = figures.page(name)
         assert all(one.text.replace("_", r"\_") in page.replace(r"\<", "<") for one in bench.figures)
         assert f"({name}.md)" in figures.index()
+
+
+@pytest.mark.parametrize("name", ["blindtest", "blindtest_families"])
+def test_bounds_of_the_blind_test_are_those_of_the_tool(name: str) -> None:
+    for one in figures.benches()[name].figures:
+        assert one.bound == BOUNDS[one.key][1], one.key
 
 
 def test_what_a_bench_measures_takes_the_place_of_what_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

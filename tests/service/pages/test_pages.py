@@ -24,7 +24,7 @@ from schemas.messages import MODEL_ERROR, PAYLOAD, SAMPLE, set_stamp
 from schemas.robot import Servo
 from schemas.rollout import Reached, RegimeReached, RolloutDocument
 from service.cli.main import app
-from service.diagnosis.blindpage import BOUNDS
+from service.diagnosis.blindpage import BOUNDS, missed
 from service.diagnosis.blindpage import write_page as write_blindtest
 from service.experiment.closed_loop import FEEDBACK, Tracking
 from service.experiment.loop_page import page as loop_page
@@ -153,6 +153,7 @@ def blind_test(path: Path) -> None:
     write_blindtest(rows, summary, ["case_003: refused"], "sha256 0", path)
     outside = re.sub(r"<script.*?</script>", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
     assert "partly explained" in outside
+    assert f"{len(missed(summary))} of {len(BOUNDS)} bounds are missed" in outside
     assert not re.search(r"[a-z]_[a-z]+_?friction|partly_", outside)
 
 
