@@ -37,7 +37,7 @@ def go_realtime(role: str, priority: int = PRIORITY) -> HealthFlag:
         refused.append(f"SCHED_FIFO ({getattr(error, 'strerror', 'not on this system')})")
     if refused:
         print(
-            f"{role}: no {' and no '.join(refused)}: timing is best effort; see 'Real time' in the README",
+            f"{role}: no {' and no '.join(refused)}: timing is best effort; see 'Real time' in the documentation",
             file=sys.stderr,
         )
     return HealthFlag.NO_REALTIME if refused else HealthFlag(0)

@@ -34,9 +34,9 @@ class Axis(TomlTable):
     """One axis. gear_ratio: motor turns an axis turn, for ripple orders. gravity: whether its weight changes with its
     angle; what does not change is its constant load."""
 
-    unit: Literal["m", "rad"] = "rad"
-    gear_ratio: Positive = 1.0
-    gravity: bool | None = None
+    unit: Literal["m", "rad"] = "rad"  # of the position
+    gear_ratio: Positive = 1.0  # motor turns for a turn of the axis
+    gravity: bool | None = None  # default: a turning axis bears a weight
 
     @model_validator(mode="after")
     def _weight(self) -> Axis:
@@ -64,7 +64,7 @@ class AxesIdentified(JointFriction):
 class Axes(Machine):
     """n decoupled axes."""
 
-    kind: Literal["axes"]
+    kind: Literal["axes"]  # of the machine
     axis: Annotated[list[Axis], Field(min_length=1, max_length=MAX_JOINTS)]
     identified: AxesIdentified | None = None
 

@@ -31,9 +31,9 @@ Names = Annotated[list[str], Field(max_length=MAX_JOINTS)]
 class CarriedMass(TomlTable):
     """A mass on a link of the URDF. centre_m: of its gravity, in the link's frame."""
 
-    frame: str
-    mass_kg: NotNegative | None = None
-    centre_m: Three = Field([0.0, 0.0, 0.0])
+    frame: str  # link of the URDF
+    mass_kg: NotNegative | None = None  # default: to be identified
+    centre_m: Three = Field([0.0, 0.0, 0.0])  # in the frame of the link
 
 
 class ChainIdentified(JointFriction):
@@ -45,13 +45,13 @@ class ChainIdentified(JointFriction):
 class Chain(Machine):
     """A serial arm."""
 
-    kind: Literal["chain"]
-    urdf: str
-    joints: Annotated[Names, Field(min_length=1)]
-    held: Names = Field([])
-    gear_ratio: Positive | list[Positive] = 1.0
-    masses: Literal["identified", "known"] = "identified"
-    gravity_mps2: Gravity = Field([0.0, 0.0, -9.81])
+    kind: Literal["chain"]  # of the machine
+    urdf: str  # file beside this one
+    joints: Annotated[Names, Field(min_length=1)]  # of the URDF, in the order of the log
+    held: Names = Field([])  # joints that stood still at their zero
+    gear_ratio: Positive | list[Positive] = 1.0  # motor turns for a turn of the joint: one, or one for each joint
+    masses: Literal["identified", "known"] = "identified"  # known: those of the URDF, or of `identified`
+    gravity_mps2: Gravity = Field([0.0, 0.0, -9.81])  # in the base frame of the URDF
     payload: CarriedMass | None = None
     identified: ChainIdentified | None = None
     _arm: Urdf | None = PrivateAttr(None)

@@ -47,7 +47,7 @@ def implausible_rate(period: float) -> str | None:
 class TimeColumn(TomlTable):
     """The stamps. Where the name occurs several times, each channel has the nearest one to its left (TwinCAT Scope)."""
 
-    name: str = "time_s"
+    name: str = "time_s"  # of the column
     # datetime: text such as 2026-11-22 09:30:00.125; filetime: 100 ns since 1601, as Windows and TwinCAT count
     unit: Literal["s", "ms", "us", "ns", "datetime", "filetime"] = "s"
     date: str | None = None  # name of the column with the day, where `name` has the time of day alone
@@ -66,7 +66,7 @@ class TimeColumn(TomlTable):
 
 
 class _Channel(TomlTable):
-    name: str
+    name: str  # of the column
     time: str | None = None  # name of this channel's own time column, same unit as `Columns.time`
 
 
@@ -83,7 +83,7 @@ class _JointChannel(_Channel):
 class PositionColumn(_JointChannel):
     """A joint position."""
 
-    unit: Literal["rad", "deg", "turns", "counts", "m", "mm"] = "rad"
+    unit: Literal["rad", "deg", "turns", "counts", "m", "mm"] = "rad"  # of the column
     counts_per_rev: Positive | None = None  # encoder increments per turn of its shaft,
     counts_per_m: Positive | None = None  # or per metre that a linear axis goes
 
@@ -115,7 +115,7 @@ class PositionColumn(_JointChannel):
 class TorqueColumn(_JointChannel):
     """A joint torque, or the force of a linear axis."""
 
-    unit: Literal["N m", "N", "permille", "percent", "V", "A"] = "N m"
+    unit: Literal["N m", "N", "permille", "percent", "V", "A"] = "N m"  # of the column
     rated: Positive | None = None  # permille, percent: rated torque of the drive, N m (or rated force, N)
     constant: Positive | None = None  # V, A: N m (or N) per volt or ampere
 
@@ -139,9 +139,9 @@ class RowFilter(TomlTable):
     """Rows that count: those with `equals` in the column `name`, or with anything but `unlike` where that is said. The
     others are left out, and that is told."""
 
-    name: str
-    equals: float = 1.0
-    unlike: float | None = None
+    name: str  # of the column
+    equals: float = 1.0  # value of rows that count
+    unlike: float | None = None  # value of rows that do not
 
     @model_validator(mode="after")
     def _one(self) -> RowFilter:
@@ -162,8 +162,8 @@ class RowFilter(TomlTable):
 class GripperColumn(_Channel):
     """The state of the gripper: `open` where it holds nothing, any other number where it is closed."""
 
-    open: float = 0.0
-    between: Literal["hold"] = "hold"
+    open: float = 0.0  # value where it holds nothing
+    between: Literal["hold"] = "hold"  # value between two samples
 
 
 def _table(value: Any) -> Any:
@@ -190,10 +190,11 @@ def _text_encoding(name: str) -> str:
 class Columns(TomlTable):
     """A table's layout and the meaning of its columns. Defaults: our own CSV. Lines count from 1, as editors do."""
 
+    # between two columns
     separator: Annotated[str, Field(pattern=r"^[\t !#$%&*,/:;<=>?@^_|~]$")] = ","
-    decimal: Literal[".", ","] = "."
+    decimal: Literal[".", ","] = "."  # mark in numbers
     thousands: Literal[".", ",", " ", "'"] | None = None  # mark between groups of three digits
-    encoding: Annotated[str, AfterValidator(_text_encoding)] = "utf-8"
+    encoding: Annotated[str, AfterValidator(_text_encoding)] = "utf-8"  # of the text
     header_line: Annotated[int, Field(ge=0, le=MAX_LINE)] = 1  # 0: there is none, columns are called 1, 2, ...
     data_line: Annotated[int, Field(ge=1, le=MAX_LINE)] | None = None  # of numbers; absent: the one behind the header
     beside: Annotated[list[str], _LISTED] = []  # files in the same folder whose rows go on to the right

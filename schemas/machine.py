@@ -18,20 +18,21 @@ class JointFriction(TomlTable):
     friction_transition: one for all, or one a joint and then one such motor.
     """
 
-    viscous_friction: JointParameter
-    coulomb_friction: JointParameter
+    viscous_friction: JointParameter  # N m s/rad, or N s/m
+    coulomb_friction: JointParameter  # N m, or N
     motor_viscous_friction: JointParameter | None = None
     motor_coulomb_friction: JointParameter | None = None
+    # rad/s or m/s over which Coulomb friction changes sign; 0: a jump
     friction_transition: NotNegative | list[Positive] = 0.0
-    torque_timing_s: float = 0.0
+    torque_timing_s: float = 0.0  # by which the torque is older than the position, within a sample
 
 
 class Machine(Described):
     """n servo joints. coupling: row i, how far motor i, behind its gear, turns for a turn of each joint; default: its
     own."""
 
-    columns: str | None = None
-    coupling: list[list[float]] | None = None
+    columns: str | None = None  # column mapping: a file beside this one, or one that comes along
+    coupling: list[list[float]] | None = None  # turns of each motor for a turn of each joint
     effect: list[EffectEntry] = []
 
     @property

@@ -38,15 +38,16 @@ Gravity = Annotated[Three, BeforeValidator(_vector), AfterValidator(_pulling)]
 class Geometry(TomlTable):
     """Lengths in metres, azimuths in degrees. Frame: origin at the base centre, z up, the platform works at z < 0."""
 
-    active_link_length: Positive
-    passive_link_length: Positive
-    base_radius: Positive
-    platform_radius: Positive
-    arm_angles_deg: Three = [0.0, 120.0, 240.0]
+    active_link_length: Positive  # m, from the joint's axis to the elbow
+    passive_link_length: Positive  # m, of a forearm, from elbow to wrist
+    base_radius: Positive  # m, from the centre of the base to the joints' axes
+    platform_radius: Positive  # m, from the centre of the platform to the wrists
+    arm_angles_deg: Three = [0.0, 120.0, 240.0]  # azimuth of each arm about the z axis
     active_link_length_error: Three = [0.0, 0.0, 0.0]  # true minus nominal per arm, found by `diagnose`
     passive_link_length_error: Three = [0.0, 0.0, 0.0]  # the same of the forearms
     base_radius_error: Three = [0.0, 0.0, 0.0]  # the same of the joints' distance from the axis, less the platform's
     joint_offset_rad: Three = [0.0, 0.0, 0.0]  # true minus measured angle per joint, found by `diagnose`
+    # lowest and highest joint angle
     joint_range_rad: Annotated[list[float], Field(min_length=2, max_length=2)] = [-1.6, 2.2]
 
     @model_validator(mode="after")
@@ -71,16 +72,16 @@ class Geometry(TomlTable):
 class Mass(TomlTable):
     """Masses in kilograms. `passive_link` is one forearm, both rods together."""
 
-    active_link: NotNegative
-    passive_link: NotNegative
-    platform: Positive
+    active_link: NotNegative  # of one link, without motor and gear
+    passive_link: NotNegative  # of one forearm, both rods together
+    platform: Positive  # with the gripper that it always carries
 
 
 class RatedTorque(TomlTable):
     """0x6077 counts per mille of the motor's rated torque, 0x6076, N m."""
 
-    reference: Literal["rated_torque"]
-    rated_torque_nm: Positive
+    reference: Literal["rated_torque"]  # what 1000 per mille stand for
+    rated_torque_nm: Positive  # 0x6076, of the motor
 
     @property
     def full_scale_nm(self) -> float:
@@ -91,8 +92,8 @@ class RatedTorque(TomlTable):
 class StandstillTorque(TomlTable):
     """0x6077 counts per mille of the motor's standstill (stall) torque, N m."""
 
-    reference: Literal["standstill_torque"]
-    standstill_torque_nm: Positive
+    reference: Literal["standstill_torque"]  # what 1000 per mille stand for
+    standstill_torque_nm: Positive  # of the motor
 
     @property
     def full_scale_nm(self) -> float:
@@ -106,11 +107,11 @@ class RatedCurrent(TomlTable):
     Each of the two says whether it means the rms or the peak of the sinusoidal phase current.
     """
 
-    reference: Literal["rated_current"]
-    rated_current_a: Positive
-    rated_current_form: Literal["rms", "peak"]
-    torque_constant_nmpa: Positive
-    torque_constant_form: Literal["rms", "peak"]
+    reference: Literal["rated_current"]  # what 1000 per mille stand for
+    rated_current_a: Positive  # of the motor
+    rated_current_form: Literal["rms", "peak"]  # of the phase current
+    torque_constant_nmpa: Positive  # N m per ampere, of the motor
+    torque_constant_form: Literal["rms", "peak"]  # of the ampere in it
 
     @property
     def full_scale_nm(self) -> float:
@@ -141,7 +142,7 @@ class JointDrive(TomlTable):
     velocity_unit_rpm: Positive | None = None  # of the motor; with neither 0x606C is not checked
     outputs_address: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None  # logical address of the first byte
     outputs: list[str] = []  # RxPDO: master to drive
-    inputs_address: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None
+    inputs_address: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None  # the same of the inputs
     inputs: list[str] = []  # TxPDO: drive to master
 
     @model_validator(mode="after")
@@ -168,7 +169,7 @@ class GripperInput(TomlTable):
 class Drive(TomlTable):
     """What stands between the bus and the joint. `joint`: one drive a joint, in joint order, where a bus is decoded."""
 
-    gear_ratio: Positive = 1.0
+    gear_ratio: Positive = 1.0  # motor turns for a turn of the joint
     position_resolution_rad: Positive = 2.4e-7  # one encoder count at the joint; a 20-bit encoder behind a 25:1 gear
     eni: str | None = None  # ENI file that maps the process data, relative to the robot description
     joint: Annotated[list[JointDrive], Field(max_length=3)] = []
@@ -198,7 +199,7 @@ class Limits(TomlTable):
     torque_fade_s: Positive = 0.05  # in which a feed-forward without fresh input goes to zero
     joint_speed_radps: Positive = 40.0  # a position or command that moved faster is a jump
     joint_acceleration_radps2: Positive | None = None  # of planned motion; default: 250
-    max_payload_kg: Positive = 6.0
+    max_payload_kg: Positive = 6.0  # greatest payload that the robot carries
     friction_drift: Positive = 0.3  # share of the identified friction beyond which health says that it has changed
     torque_scale_drift: Positive = 0.04  # the same of a joint's torque, by its own size; magnets lose 0.1 %/K
 
@@ -210,7 +211,7 @@ class Servo(TomlTable):
     velocity_gain_nms: Three  # N m for a rad/s
     integral_time_s: Three = [0.0, 0.0, 0.0]  # of the velocity control; 0: none
     velocity_feedforward: Three = [1.0, 1.0, 1.0]  # share of the commanded speed
-    acceleration_feedforward_kgm2: Three = [0.0, 0.0, 0.0]
+    acceleration_feedforward_kgm2: Three = [0.0, 0.0, 0.0]  # N m for a commanded rad/s^2
     peak_torque_nm: Positive | None = None  # default: that of `limits`
 
 
@@ -222,24 +223,24 @@ class FourthAxis(TomlTable):
 
     shaft_mass_kg: NotNegative = 0.0  # what of the shaft moves with the platform, beside `mass.platform`
     inertia_kgm2: NotNegative = 0.0  # about the axis, without load
-    viscous_friction_nms: NotNegative = 0.0
-    coulomb_friction_nm: NotNegative = 0.0
+    viscous_friction_nms: NotNegative = 0.0  # of the shaft
+    coulomb_friction_nm: NotNegative = 0.0  # of the shaft
 
 
 class Parameter(TomlTable):
     """One identified number with its standard error in the same unit, and whether the data could tell it."""
 
-    value: float
-    std_error: NotNegative = 0.0
-    verdict: Literal["identifiable", "weak", "not identifiable"] = "identifiable"
+    value: float  # as fitted
+    std_error: NotNegative = 0.0  # of `value`
+    verdict: Literal["identifiable", "weak", "not identifiable"] = "identifiable"  # whether the data determine it
 
 
 class JointParameter(TomlTable):
     """The same for one number a joint."""
 
-    value: list[float]
-    std_error: list[NotNegative] = []
-    verdict: list[Literal["identifiable", "weak", "not identifiable"]] = []
+    value: list[float]  # as fitted, joint 1 first
+    std_error: list[NotNegative] = []  # of each `value`
+    verdict: list[Literal["identifiable", "weak", "not identifiable"]] = []  # whether the data determine it
 
 
 def check_joints(identified: BaseModel | None, effects: list[EffectEntry], count: int) -> None:
@@ -260,11 +261,11 @@ def check_joints(identified: BaseModel | None, effects: list[EffectEntry], count
 class Identified(TomlTable):
     """What `identify` found. Absent terms are zero (friction, forearm) or one (rho)."""
 
-    method: Literal["pooled", "paper"] = "pooled"
-    rho_1: Parameter = Parameter(value=1.0)
-    rho_2: Parameter = Parameter(value=1.0)
-    viscous_friction_nms: JointParameter = JointParameter(value=[0.0, 0.0, 0.0])
-    coulomb_friction_nm: JointParameter = JointParameter(value=[0.0, 0.0, 0.0])
+    method: Literal["pooled", "paper"] = "pooled"  # of the fit: pooled least squares, or the grid of the paper
+    rho_1: Parameter = Parameter(value=1.0)  # factor on the inertia
+    rho_2: Parameter = Parameter(value=1.0)  # factor on the weight
+    viscous_friction_nms: JointParameter = JointParameter(value=[0.0, 0.0, 0.0])  # N m s/rad
+    coulomb_friction_nm: JointParameter = JointParameter(value=[0.0, 0.0, 0.0])  # N m
     forearm_inertia_kg: Parameter = Parameter(
         value=0.0
     )  # forearm mass whose rod coupling is added; 0: two point masses
@@ -280,15 +281,15 @@ class Identified(TomlTable):
 class EffectEntry(TomlTable):
     """One unmodelled effect that `diagnose` named. Parameters as name -> {value, unit, std_error}."""
 
-    name: str
-    joints: list[Annotated[int, Field(ge=1)]]
-    parameters: dict[str, EffectParameter]
+    name: str  # of the catalogue
+    joints: list[Annotated[int, Field(ge=1)]]  # that it sits on, from 1; empty: the robot as a whole
+    parameters: dict[str, EffectParameter]  # by the names of the effect's reference page
 
 
 class EffectParameter(TomlTable):
-    value: float
-    unit: str = ""
-    std_error: NotNegative = 0.0
+    value: float  # as fitted
+    unit: str = ""  # SI
+    std_error: NotNegative = 0.0  # of `value`
 
 
 def _robot_name(name: str) -> str:
@@ -314,7 +315,7 @@ class Source:
 class Described(TomlTable):
     """What descriptions of all kinds say of n joints."""
 
-    name: RobotName
+    name: RobotName  # of the robot, in keys, topics and reports
     _source: Source = PrivateAttr(Source())
 
     def __repr__(self) -> str:
@@ -363,7 +364,7 @@ class Described(TomlTable):
 class Robot(Described):
     """A Delta robot with three actuated joints."""
 
-    kind: Literal["delta"] = "delta"
+    kind: Literal["delta"] = "delta"  # of the machine
     gravity_mps2: Gravity = [0.0, 0.0, -9.81]  # in the base frame: [-9.81, 0, 0] with the x axis up a wall
     geometry: Geometry
     mass: Mass

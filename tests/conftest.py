@@ -25,6 +25,8 @@ ON_THE_CLOCK = (
     "tests/drivers/plant/test_live.py", "tests/replay", "tests/service/test_", "tests/service/monitor",
     "tests/service/cli/test_demo.py", "tests/service/cli/test_replay.py",
     "tests/service/experiment/test_closed_loop.py",
+    "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[ethercat",
+    "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[first-demo",
 )  # fmt: skip
 
 # What takes most of the time, computing or waiting: `.ci/run` runs it, `uv run pytest` does without. Of all that moves

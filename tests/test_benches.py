@@ -1,4 +1,4 @@
-"""Every bench starts as the README says, from any folder's environment, and one with nothing to measure by says so."""
+"""Every bench starts as CONTRIBUTING.md says, and one with nothing to measure by says so."""
 
 from __future__ import annotations
 

@@ -42,10 +42,10 @@ def command(
     scheduler: Scheduler = None,
     json: AsJson = False,
 ) -> None:
-    """Simulate robots with hidden faults, diagnose them from their logs alone, then open the key and count.
+    """Simulate robots with hidden faults, diagnose them from their logs alone, then open the key and compare.
 
-    Every answer is kept as it comes: after Ctrl-C the same command goes on where it stopped. Exit code 3 where a bound
-    is missed.
+    Every answer is stored at once: after Ctrl-C the same command continues where it stopped. Exit code 3 if a bound is
+    missed.
 
     Example: deltatwin blindtest --cases 100 --family known --seed 1 --out blind
 

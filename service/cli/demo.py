@@ -1,4 +1,4 @@
-"""`deltatwin demo`: the whole of it on a sample log."""
+"""`deltatwin demo`: the whole path on a log that comes along."""
 
 from __future__ import annotations
 

@@ -35,17 +35,18 @@ def command(
     ] = None,
     loads: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="What was carried there: CSV with from_s,until_s,mass_kg; one a log"),
+        typer.Option(metavar="FILE", help="What was carried there: CSV with from_s,until_s,mass_kg; one for each log"),
     ] = None,
     pdf: Annotated[
         bool, typer.Option("--pdf", help="Print the report too (report.pdf), by Chromium or Chrome")
     ] = False,
 ) -> None:
-    """Say where torque and model part, which effect explains it, and how far it shrinks on runs not used for the fit.
+    """Say where torque and model differ, which effect explains it, and how far the gap shrinks on held-out logs.
 
-    --robot may also describe decoupled axes (kind = "axes"). Effects that --robot or --baseline carry are not found
-    again. --test tells events, stretches far above the rest, from what the correction leaves elsewhere. Of a Delta it
-    says too what the correction is worth to the estimator: mass, false events and feed-forward before and after.
+    --robot may also describe axes (kind = "axes") or an arm by its URDF (kind = "chain"). Effects that --robot or
+    --baseline already contain are not searched. --test separates events, stretches far above the rest, from the
+    residual elsewhere. For a Delta the result also says what the correction is worth to the estimator: mass, false
+    events and feed-forward before and after.
 
     Example: deltatwin diagnose fit_*.csv --robot robot.toml --out diagnosis --test other_day.csv
 

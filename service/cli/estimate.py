@@ -17,7 +17,7 @@ def command(
     ros_domain: RosDomain = None,
     effects: OwnEffects = None,
     keep: Annotated[
-        Path | None, typer.Option(help="File in which friction as it was learnt outlives a restart", metavar="FILE")
+        Path | None, typer.Option(help="File that keeps what was learnt of friction over a restart", metavar="FILE")
     ] = None,
 ) -> None:
     """Answer every sample on the bus with feed-forward torque, payload mass and model errors, until Ctrl-C.

@@ -27,11 +27,11 @@ def command(
     logs: Annotated[bool, typer.Option("--logs", help="Write the simulated logs as CSV too.")] = False,
     json: AsJson = False,
 ) -> None:
-    """Identify a simulated D3-1200-like robot as in the paper and set tables and figures beside the published ones.
+    """Repeat the paper's experiment on a simulated robot of the D3-1200's size, and compare with the published values.
 
     Twelve identification trajectories, a stress motion near the bounds of the workspace (υ_F) and a pick-and-place run
-    with 3.8 kg (υ_P): tables 1 and 2, figures 2 to 9 with the paper's numbers, and in a section of its own what we do
-    beyond, as one interactive page and as PNG and PDF. Every measurement in it is simulated.
+    with 3.8 kg (υ_P): tables 1 and 2 and figures 2 to 9, with the paper's numbers beside them, and in a section of its
+    own what goes beyond the paper; as one interactive page, as PNG and as PDF. Every measurement in it is simulated.
 
     Example: deltatwin experiment --out experiment
     """

@@ -1,4 +1,4 @@
-"""`deltatwin keys`: who may speak on the bus across hosts."""
+"""`deltatwin keys`: certificates and configurations for roles on several hosts."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def command(
 ) -> None:
     """Make keys, certificates and Zenoh configurations: roles on several hosts trust each other and nobody else.
 
-    Writes a folder a host with, for each role, a certificate and a configuration for --zenoh-config: TLS with
+    Writes a folder for each host with, for each role, a certificate and a configuration for --zenoh-config: TLS with
     certificates on both sides, nothing searched for or announced, everything denied but what the role needs. Only the
     estimator writes feedforward, payload and error; only the source writes samples. Copy a host's folder to that host,
     keep ca.key where it is. Run it again to renew, to add hosts or to change the source, and copy all folders again.

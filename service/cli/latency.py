@@ -21,11 +21,10 @@ def command(
     count: Annotated[int, typer.Option(min=1000, help="Samples to each of estimator and echo.")] = 40_000,
     json: AsJson = False,
 ) -> None:
-    """Measure one estimator step and the round trip sample to feed-forward over Zenoh, beside the best echo that
-    Zenoh's Python gives.
+    """Measure one estimator step, and the round trip from sample to feed-forward over Zenoh beside a bare echo.
 
-    Runs the real estimator process on the demo log. Ratios to the echo say what the estimator costs; the absolute times
-    say what this machine and its load allow.
+    Runs the real estimator process on the demo log. The ratios to the echo are what the estimator costs; the absolute
+    times depend on this machine and its load.
 
     Example: deltatwin latency --rate 1000 --count 10000
     """

@@ -1,4 +1,4 @@
-"""`deltatwin master`: drive a Delta robot over EtherCAT, with the twin's torque beside every position."""
+"""`deltatwin master`: drive a Delta robot over EtherCAT, with feed-forward torque in every cycle."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class FeedforwardOrigin(enum.StrEnum):
 
 
 def command(
-    interface: Annotated[str, typer.Argument(metavar="INTERFACE", help="Ethernet interface that the drives hang on.")],
+    interface: Annotated[str, typer.Argument(metavar="INTERFACE", help="Ethernet interface of the drives.")],
     robot: Annotated[Path, robot_file(" with its drives and their process data.")],
     feedforward: Annotated[
         FeedforwardOrigin,

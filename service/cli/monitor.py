@@ -1,4 +1,4 @@
-"""`deltatwin monitor`: everything on the bus to MCAP."""
+"""`deltatwin monitor`: record the bus to MCAP."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def command(
 ) -> None:
     """Record samples, feed-forward, payload, errors and health to an MCAP file until Ctrl-C.
 
-    Says once a second on the bus how many messages came, were lost or came twice, and how long a feed-forward took. If
-    the disk fails later it says so and goes on watching.
+    Publishes once a second how many messages came, were lost or came twice, and how long a feed-forward took. If the
+    disk fails it reports that and continues to count.
 
     Example: deltatwin monitor --robot d3.toml --out run.mcap
     """

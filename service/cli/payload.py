@@ -1,4 +1,4 @@
-"""`deltatwin payload`: what was picked in traces."""
+"""`deltatwin payload`: picks and releases in traces, with the mass of each."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ def command(
     json: AsJson = False,
     truth: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="What was really picked: CSV with from_s,until_s,mass_kg; one a trace"),
+        typer.Option(metavar="FILE", help="What was really picked: CSV with from_s,until_s,mass_kg, for each trace"),
     ] = None,
     predictions: Annotated[
         Path | None, typer.Option(help="Folder for <trace>.csv with mass, std_dev, trusted, event after every sample")
     ] = None,
 ) -> None:
-    """Find picks and releases and weigh what was picked, as the online estimator does it.
+    """Find picks and releases and estimate what was picked, as the online estimator does.
 
     A mass has two errors, each one standard deviation: the random one differs from mass to mass, the common one is the
     same share of all masses of this robot until a known load calibrates its torque constants (identify --carried).
 
-    With --truth beside it: how soon, how close, and the same for the paper's recursion at a fixed forgetting factor, on
-    the M_Id+F of this description. Identified the paper's way, other factors, rest left out: `deltatwin experiment`.
+    With --truth: how soon and how accurately each mass was found, and the same for the paper's recursion with a fixed
+    forgetting factor, on the M_Id+F of this description. The recursion as the paper has it: `deltatwin experiment`.
 
     Example: deltatwin payload pick_a.csv --robot identified.toml --truth pick_a.payloads.csv
     """
@@ -47,7 +47,7 @@ def command(
     from service.identification.payload import common_error, levels, payload_history, read_truth, score
 
     if truth and len(truth) != len(traces):
-        raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one a trace, in their order")
+        raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one for each, in the same order")
     description = load_robot(robot, effects)
     screen = console()
     scores: list[Score] = []

@@ -1,4 +1,4 @@
-"""`deltatwin replay`: a trace onto the bus."""
+"""`deltatwin replay`: play a trace on the bus, on time."""
 
 from __future__ import annotations
 

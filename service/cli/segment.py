@@ -23,18 +23,18 @@ def command(
     ],
     robot: Annotated[Path, robot_file(" with its drives and their process data.")],
     truth: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where the simulated robot departs from it (TOML).")
+        Path | None, typer.Option(metavar="FILE", help="What the simulated robot really is, where it differs (TOML).")
     ] = None,
     rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second that the master will run at (Hz).")] = 1000.0,
-    product: Annotated[float, typer.Option(min=0.0, help="What the gripper lifts when it is told to grip (kg).")] = 0.0,
+    product: Annotated[float, typer.Option(min=0.0, help="Mass that the gripper lifts when told to (kg).")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the sensors' noise.")] = 0,
     out: Annotated[Path | None, typer.Option(help="Write the robot's own account of the run here (.mcap).")] = None,
 ) -> None:
     """Be an EtherCAT segment of three CiA 402 drives that move a simulated Delta robot.
 
-    Any master can bring it into operation. Lines on standard input throw the switches: `break N` parts the cable before
-    drive N, `silence N` makes drive N miss the process data (the working counter falls short), `trip N` puts drive N
-    into fault, `mend` undoes the first two; `product KG` changes what there is to grip.
+    Any master can bring it into operation. Lines on standard input cause faults: `break N` cuts the cable before drive
+    N, `silence N` makes drive N miss the process data (the working counter falls short), `trip N` puts drive N into
+    fault, `mend` undoes the first two; `product KG` sets the mass of what is gripped.
 
     Example: ip link add bus0 type veth peer name seg0; ip link set bus0 up; ip link set seg0 up;
     deltatwin segment seg0 --robot d3.toml

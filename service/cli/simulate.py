@@ -72,8 +72,8 @@ def command(
 ) -> None:
     """Simulate a closed-chain Delta (MuJoCo) with drives, friction, noise and payloads.
 
-    Writes what a controller would log, joint side, in SI units; or, live, is the robot: publishes samples and the
-    planned motion of the next cycle, and adds feed-forward torque to its drives.
+    Writes what a controller would log, joint side, in SI units. With --live it takes the place of the robot: it
+    publishes samples and the planned motion of the next cycle, and its drives add the feed-forward torque.
 
     Example: deltatwin simulate --robot d3-1200 --motion pick --payload 3.8 --duration 20 --out pick.csv
 

@@ -1,4 +1,4 @@
-"""`deltatwin view`: what runs on the bus, live in Foxglove."""
+"""`deltatwin view`: the bus live in Foxglove."""
 
 from __future__ import annotations
 

@@ -13,14 +13,14 @@ from service.cli.options import Insecure, OwnEffects, ZenohConfig, robot_file
 def command(
     robot: Annotated[Path, robot_file(" that `identify` or `diagnose` wrote.")],
     out: Annotated[
-        Path | None, typer.Option(help="Folder for findings and the motion behind them. Default: <robot>-watch.")
+        Path | None, typer.Option(help="Folder for findings and the motion that shows them. Default: <robot>-watch.")
     ] = None,
     reference: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="TRACE",
-            help="Production from when the description was made, whose gap is the level; may be repeated. "
-            "Default: the first motion on the bus is.",
+            help="Production log from when the description was made, whose gap is the level; may be repeated. "
+            "Default: the level is that of the first motion on the bus.",
         ),
     ] = None,
     learn: Annotated[float, typer.Option(min=2.0, help="Motion that the level is learnt from (s).")] = 30.0,
@@ -31,10 +31,10 @@ def command(
 ) -> None:
     """Compare what the robot does with its description once a second, until Ctrl-C, and publish it as `gap`.
 
-    The level is known by kind of motion: a motion that was never seen is learnt, not alarmed about. What is carried is
-    left out, as gripper or estimator tell. When the gap rises and stays, the motion since is diagnosed against that
-    before in a process of the lowest priority. What has changed, since when, where and how much is published as
-    `finding`, printed, and stored with the motion behind it.
+    The gap is compared with its level in motion of the same kind; motion that was never seen is learnt and raises no
+    alarm. Stretches with a payload are left out, as gripper or estimator report it. When the gap rises and stays, the
+    motion since then is diagnosed against the motion before, in a process of the lowest priority. What has changed,
+    since when, where and how much is published as `finding`, printed, and stored with the motion that shows it.
 
     Example: deltatwin watch --robot corrected.toml --out findings
 
@@ -56,7 +56,7 @@ def command(
 
     description = load_robot(robot, effects)
     if description.identified is None:
-        raise DataError(f"{robot}: no [identified] parameters to hold the robot against: run `deltatwin identify`")
+        raise DataError(f"{robot}: no [identified] parameters to compare the robot with: run `deltatwin identify`")
     check_free(description.name, Role.WATCH, zenoh_config, insecure)
     folder = out or Path(f"{description.name}-watch")
     make_folder(folder)  # before anything runs: a watch that cannot store has nothing to do

@@ -48,7 +48,14 @@ def write_page(
     plots = {"Confusion": _confusion(rows)} if kinds & {"catalogue", "unknown", "null"} else {}
     plots |= {"Detection against lift": _detection(rows)} if "catalogue" in kinds else {}
     plots["Shrink"] = _claims(rows)
-    fields = {"rows": rows, "summary": summary, "refused": refused, "figures": figures, "plots": plots}
+    fields: dict[str, Any] = {
+        "late": missed(summary),
+        "rows": rows,
+        "summary": summary,
+        "refused": refused,
+        "figures": figures,
+        "plots": plots,
+    }
     pages.write_page("blindtest", path, commitment=commitment, **fields)
 
 

@@ -70,7 +70,7 @@ def sites(room: str) -> list[Mutant]:
 
 def copy(to: Path) -> None:
     """The tree as git knows it, with what is not committed."""
-    for name in ("drivers", "replay", "schemas", "service", "tests", "pyproject.toml", "README.md"):
+    for name in ("drivers", "replay", "schemas", "service", "tests", "docs", "results", "pyproject.toml", "README.md"):
         source = ROOT / name
         if source.is_dir():
             shutil.copytree(source, to / name, ignore=shutil.ignore_patterns("__pycache__"))

@@ -13,6 +13,7 @@ import time
 
 import numpy as np
 
+from docs.making.figures import store
 from drivers.trace import read_trace
 from replay.demo import LOG, ROBOT
 from replay.process import process
@@ -27,7 +28,7 @@ BLOCK = 1000  # steps of the one, then of the other: shorter turns would time th
 PAUSED = 4000  # steps behind a pause
 
 
-def main() -> None:
+def main(keep: bool) -> None:
     robot = load_robot(ROBOT)
     samples = np.tile(read_trace(LOG, robot).samples(), LOOPS)
     samples["sequence"] = np.arange(len(samples))
@@ -75,8 +76,23 @@ def main() -> None:
         process(robot, samples)
         rates.append(len(samples) / (time.perf_counter() - begin))
     print(f"process replay from memory: median {np.median(rates):.0f} samples/s of 5 runs of {len(samples)}")
+    if keep:
+        print(f"kept in {store('speed', _figures(taken, rates))}")
+
+
+def _figures(taken: dict[str, np.ndarray], rates: list[float]) -> dict[str, tuple[float, int, str | None]]:
+    """For `results/speed.json`."""
+    told = {}
+    for key, name in (("step_median", "compiled"), ("step_paused", "paused")):
+        median, p99, p999 = np.quantile(taken[name], [0.5, 0.99, 0.999]) * 1e-3
+        told[key] = (round(float(median), 1), len(taken[name]), f"p99 {p99:.1f}, p99.9 {p999:.1f}")
+    ratio = float(np.median(taken["NumPy"]) / np.median(taken["compiled"]))
+    told["step_numpy"] = (round(ratio), len(taken["compiled"]), None)
+    told["replay_rate"] = (round(float(np.median(rates)), -3), len(rates), None)
+    return told
 
 
 if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__).parse_args()
-    main()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--keep", action="store_true", help="put the figures into results/speed.json")
+    main(parser.parse_args().keep)

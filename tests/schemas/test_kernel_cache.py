@@ -28,7 +28,7 @@ def run(folder: Path, **environment: str) -> tuple[str, str]:
 def room(tmp_path):
     """A package of one kernel that calls another."""
     (tmp_path / "schemas").mkdir()
-    for name in ("__init__.py", "kernels.py"):
+    for name in ("__init__.py", "kernel_cache.py", "kernels.py"):
         shutil.copy(PROJECT / "schemas" / name, tmp_path / "schemas")
     room = tmp_path / "service" / "model"
     room.mkdir(parents=True)

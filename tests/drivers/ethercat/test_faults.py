@@ -1,4 +1,4 @@
-"""Every line of the README's table of faults, on one wire at 1 kHz: who notices, how soon, what the drives get.
+"""Every line of the table of faults (docs/how-to/faults.md), on a wire at 1 kHz: who tells, how soon, what drives get.
 
 Segment, middle box, tap, estimator and master are processes of their own, one `forkserver` away from this one so that
 they start in a second; an observer on their bus keeps all `health` and `sample` messages with their times of arrival.

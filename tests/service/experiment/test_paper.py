@@ -139,7 +139,7 @@ def test_report_holds_tables_and_figures_in_the_papers_order(found: PaperResult,
     text = (tmp_path / "experiment.html").read_text(encoding="utf-8")
     assert "Every measurement here is simulated" in text
     assert "Chosen to resemble the published figures" in text
-    assert text.count("Plotly.newPlot") >= 10
+    assert text.count('class="plot-data"') >= 10
     assert text.count('"fillcolor":"#999999"') == len(found.scores) * (3 + 2 + 2), "figures 7 and 8 and ours are shaded"
     outside = re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL)
     assert not re.search(r'(src|href)="(?!#)', outside)

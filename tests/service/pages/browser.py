@@ -19,7 +19,7 @@ from service.pages import headless
 LOOK = """
 <script>
 const errors=[];addEventListener('error',e=>errors.push(String(e.message)));
-addEventListener('load',()=>setTimeout(()=>{
+addEventListener('load',()=>drawn.then(()=>setTimeout(()=>{
   const boxes=[...document.querySelectorAll('svg text')].filter(t=>t.textContent.trim())
     .concat(...document.querySelectorAll('.modebar-group'))
     .map(t=>[t.textContent||'buttons',t.getBoundingClientRect()]).filter(([,b])=>b.width&&b.height);
@@ -27,16 +27,24 @@ addEventListener('load',()=>setTimeout(()=>{
   boxes.forEach(([a,p],i)=>boxes.slice(i+1).forEach(([b,q])=>{
     if(Math.min(p.right,q.right)-Math.max(p.left,q.left)>1&&Math.min(p.bottom,q.bottom)-Math.max(p.top,q.top)>1)
       over.push([a,b]);}));
-  const told=document.createElement('pre');told.id='told';
   const ticks=[...document.querySelectorAll('.ytick text')].map(t=>t.textContent);
-  told.textContent=JSON.stringify({errors,over,ticks,texts:boxes.length});document.body.append(told);
-},1000));
+  const root=document.documentElement, beyond=root.scrollWidth-root.clientWidth;
+  parent.postMessage(JSON.stringify({errors,over,ticks,beyond,texts:boxes.length}),'*');
+},1000)));
 </script>
 """
 
 
-def looked_at(path: Path) -> dict[str, Any]:
-    """`errors` of the console, pairs of texts `over` each other, number of `texts` in plots, `ticks` of upright axes.
+# A window is at least 500 px wide, a frame in it as narrow as one likes.
+FRAME = """<!doctype html><body style="margin:0"><iframe src="looked_at.html" width="{width}" height="2000"
+style="border:0"></iframe><script>addEventListener('message',({{data}})=>{{
+const told=document.createElement('pre');
+told.id='told';told.textContent=data;document.body.append(told);}});</script>"""
+
+
+def looked_at(path: Path, width: int = 1200) -> dict[str, Any]:
+    """`errors` of the console, pairs of texts `over` each other, number of `texts` in plots, `ticks` of upright axes,
+    px by which the page is wider than its window (`beyond`), at a width of the window in px.
 
     Skips without a browser.
     """
@@ -50,8 +58,10 @@ def looked_at(path: Path) -> dict[str, Any]:
     assert nonce, "a page without a policy of what it may do"
     look = LOOK.replace("<script>", f'<script nonce="{nonce[1]}">')
     seen.write_text(text.replace("<body>", f"{look}<body>", 1), encoding="utf-8")
+    frame = path.with_name("frame.html")
+    frame.write_text(FRAME.format(width=width), encoding="utf-8")
     done = subprocess.run(
-        [*browser, "--window-size=1200,2000", "--dump-dom", seen.as_uri()],
+        [*browser, f"--window-size={max(width, 500)},2000", "--dump-dom", frame.as_uri()],
         capture_output=True, text=True, timeout=240, check=True,
     )  # fmt: skip
     found = re.search(r'<pre id="told">(.*?)</pre>', done.stdout, re.DOTALL)

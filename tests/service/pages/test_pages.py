@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 import re
 import shutil
 from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from plotly.graph_objs.layout import Template
 from plotly.io import templates
+from plotly.offline import get_plotlyjs
 from typer.testing import CliRunner
 
 from schemas.errors import StorageError
@@ -19,7 +24,7 @@ from schemas.messages import MODEL_ERROR, PAYLOAD, SAMPLE, set_stamp
 from schemas.robot import Servo
 from schemas.rollout import Reached, RegimeReached, RolloutDocument
 from service.cli.main import app
-from service.diagnosis.blindpage import BOUNDS
+from service.diagnosis.blindpage import BOUNDS, missed
 from service.diagnosis.blindpage import write_page as write_blindtest
 from service.experiment.closed_loop import FEEDBACK, Tracking
 from service.experiment.loop_page import page as loop_page
@@ -27,7 +32,7 @@ from service.experiment.loop_page import verdict_of_models
 from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, write_page
 from service.monitor.readback import Recorded
 from service.monitor.report import picture
-from service.pages import LOOK, print_page
+from service.pages import LOOK, PROGRAM, print_page
 from service.pages import write_page as write_any_page
 from service.rollout.document import write_rollout
 from service.rollout.gap import REGIMES
@@ -67,10 +72,7 @@ def test_every_plot_has_the_look(tmp_path: Path) -> None:
     figures = tuple(Figure(f"f{k}", "Over time", "c", (panel,)) for k in range(2))
     write_page(Page("t", (), figures), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
-    looks = [
-        json.JSONDecoder().raw_decode(text, at.end())[0]
-        for at in re.finditer(r'"template":(?=\{"(?:data|layout)")', text)
-    ]
+    looks = [plot["layout"]["template"] for plot in plots_of(text)]
     assert len(looks) == text.count('class="plotly-graph-div"') == 2
     for look in looks:
         assert look["layout"]["paper_bgcolor"] == "white"
@@ -151,6 +153,7 @@ def blind_test(path: Path) -> None:
     write_blindtest(rows, summary, ["case_003: refused"], "sha256 0", path)
     outside = re.sub(r"<script.*?</script>", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
     assert "partly explained" in outside
+    assert f"{len(missed(summary))} of {len(BOUNDS)} bounds are missed" in outside
     assert not re.search(r"[a-z]_[a-z]+_?friction|partly_", outside)
 
 
@@ -168,14 +171,39 @@ def recording(path: Path) -> None:
     write_any_page("recording", path, title="pick.mcap replayed", figure=picture(recorded))
 
 
+@pytest.mark.parametrize(
+    "width", [pytest.param(390, marks=pytest.mark.slow), 1000, pytest.param(1400, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("write", [closed_loop, rollout, blind_test, recording])
-def test_pages_are_clear(tmp_path: Path, write: Callable[[Path], None]) -> None:
+def test_pages_are_clear(tmp_path: Path, write: Callable[[Path], None], width: int) -> None:
     path = tmp_path / "page.html"
     write(path)
-    told = looked_at(path)
+    told = looked_at(path, width)
     assert told["texts"] > 20
     assert told["errors"] == []
     assert told["over"] == []
+    assert told["beyond"] == 0
+
+
+@pytest.mark.parametrize("write", [closed_loop, rollout, blind_test, recording])
+def test_pages_are_small(tmp_path: Path, write: Callable[[Path], None]) -> None:
+    write(tmp_path / "page.html")
+    assert (tmp_path / "page.html").stat().st_size < 1_500_000
+
+
+def test_the_plotting_program_is_that_of_the_library(tmp_path: Path) -> None:
+    """What Plotly of Python describes a newer program draws; an older one may not know all of it."""
+    ours, theirs = gzip.decompress(files("service.pages").joinpath(PROGRAM).read_bytes()).decode(), get_plotlyjs()
+    versions = [re.search(r"plotly\.js (?:\(.*?\) )?v(\d+)\.(\d+)", text) for text in (ours[:200], theirs[:200])]
+    assert versions[0]
+    assert versions[1]
+    assert [int(part) for part in versions[0].groups()] >= [int(part) for part in versions[1].groups()]
+
+
+def plots_of(text: str) -> list[dict[str, Any]]:
+    """What `plots.js` draws on a page."""
+    packed = re.findall(r'<script type="text/plain" class="plot-data">(.*?)</script>', text)
+    return [json.loads(gzip.decompress(base64.b64decode(one))) for one in packed]
 
 
 def test_an_axis_of_magnitudes_says_its_figures_whole(tmp_path: Path) -> None:

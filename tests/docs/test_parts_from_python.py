@@ -1,8 +1,8 @@
-"""What README shows of Python runs as it stands there."""
+"""What the documentation shows of Python runs as it stands there."""
 
 from __future__ import annotations
 
-import textwrap
+import re
 from typing import Any, get_args
 
 import numpy as np
@@ -12,10 +12,8 @@ from tests.conftest import REPOSITORY
 
 
 def test_the_example_from_python_runs() -> None:
-    section = (
-        (REPOSITORY / "README.md").read_text(encoding="utf-8").split("## From Python\n", 1)[1].split("\n## ", 1)[0]
-    )
-    code = textwrap.dedent("\n".join(line for line in section.splitlines() if line.startswith("    ") or not line))
+    page = (REPOSITORY / "docs" / "how-to" / "parts-from-python.md").read_text(encoding="utf-8")
+    code = "".join(re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL))
     found: dict[str, Any] = {}
     exec(code, found)
     assert found["trace"].torque.shape[1] == 3

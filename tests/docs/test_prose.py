@@ -1,0 +1,121 @@
+"""What the documentation claims has a source, what it links is there, and the README stays one that is read."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from docs.making import figures
+from docs.making.pages import FILES
+from schemas.messages import TOPICS
+from service.cli.main import summaries
+from service.diagnosis.blindpage import BOUNDS
+from service.model.effects import NAMES
+from tests.conftest import REPOSITORY
+
+DOCS = REPOSITORY / "docs"
+PAGES = sorted([REPOSITORY / "README.md", *DOCS.rglob("*.md")])
+README_LINES = 150
+
+# What reads like a measurement: percent, counts out of counts, deviations, times and sizes of machines, ratios.
+CLAIM = re.compile(
+    r"\d\s?%|\b\d[\d ]* of \d|±\s?\d|\d\s?(?:µs|ns|[MG]i?B|samples/s|frames/s)\b|\b\d[\d.]* times\b|\b\d+ lost\b"
+)
+# Numbers like that which measure nothing, and what they are.
+STATED = {
+    "how-to/faults.md": {"1 and 5 %": "the fault that the test makes"},
+    "how-to/run-on-the-bus.md": {},
+    "explanation/diagnosis.md": {"95 %": "the level of an interval"},
+    "how-to/ros-2.md": {"20 times": "a rate that the code sets"},
+}
+
+
+def prose(path: Path) -> str:
+    """A page without code, comments and the figures that have a source."""
+    text = re.sub(r"^```.*?^```$", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"<!--.*?-->|`[^`\n]*`", "", figures.MACRO.sub("", text), flags=re.DOTALL)
+    for stated in STATED.get(path.relative_to(DOCS).as_posix() if DOCS in path.parents else "", {}):
+        text = text.replace(stated, "")
+    return text
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(REPOSITORY).as_posix())
+def test_no_figure_without_a_source(path: Path) -> None:
+    claims = [line for line in prose(path).splitlines() if CLAIM.search(line)]
+    assert claims == [], 'a measured figure stands in results/*.json and is put in by {{ figure("bench.key") }}'
+
+
+@pytest.mark.parametrize(
+    "line", ["a shrink of 43 %", "29 of 30 named", "takes 3.0 µs", "207 times faster", "0.05 ± 0.01", "0 lost"]
+)
+def test_a_claim_is_seen(line: str) -> None:
+    assert CLAIM.search(line)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(REPOSITORY).as_posix())
+def test_every_figure_in_a_text_is_there(path: Path) -> None:
+    assert "{{" not in figures.filled(path.read_text(encoding="utf-8"))
+
+
+def test_every_bench_has_its_table() -> None:
+    assert figures.benches()
+    for name, bench in figures.benches().items():
+        assert bench.bench == name
+        assert len({one.key for one in bench.figures}) == len(bench.figures)
+        page = figures.page(name)
+        assert all(one.text.replace("_", r"\_") in page.replace(r"\<", "<") for one in bench.figures)
+        assert f"({name}.md)" in figures.index()
+
+
+@pytest.mark.parametrize("name", ["blindtest", "blindtest_families"])
+def test_bounds_of_the_blind_test_are_those_of_the_tool(name: str) -> None:
+    for one in figures.benches()[name].figures:
+        assert one.bound == BOUNDS[one.key][1], one.key
+
+
+def test_what_a_bench_measures_takes_the_place_of_what_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copy(figures.RESULTS / "speed.json", tmp_path)
+    before = figures.Bench.model_validate_json((tmp_path / "speed.json").read_text(encoding="utf-8")).figures
+    monkeypatch.setattr(figures, "RESULTS", tmp_path)
+    figures.store("speed", {"step_median": (2.5, 1000, "p99 4")})
+    after = figures.Bench.model_validate_json((tmp_path / "speed.json").read_text(encoding="utf-8")).figures
+    changed = [one for one, old in zip(after, before, strict=True) if one != old]
+    assert [(one.key, one.value, one.unit, one.count, one.interval) for one in changed] == [
+        ("step_median", 2.5, "µs", 1000, "p99 4")
+    ]
+    assert changed[0].commit
+    with pytest.raises(KeyError, match=r"speed\.json has no figure 'step_mean'"):
+        figures.store("speed", {"step_mean": (2.5, 1000, None)})
+
+
+def test_readme_is_short() -> None:
+    assert len((REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines()) <= README_LINES
+
+
+def test_readme_names_every_command() -> None:
+    table = (REPOSITORY / "README.md").read_text(encoding="utf-8").split("## Commands\n")[1].split("## ")[0]
+    assert set(re.findall(r"`([a-z-]+)`", table)) >= set(summaries())
+
+
+def made(path: Path) -> bool:
+    """Whether a page is one that is made when the site is built."""
+    below = path.relative_to(DOCS).as_posix()
+    names = {
+        **{f"reference/commands/{name}.md": 0 for name in ("index", *summaries())},
+        **{f"reference/messages/{name}.md": 0 for name in ("index", *TOPICS)},
+        **{f"reference/effects/{name}.md": 0 for name in ("index", *NAMES)},
+        **{f"reference/files/{name}.md": 0 for name in FILES},
+        **{f"measured/{name}.md": 0 for name in ("index", *figures.benches())},
+    }
+    return below in names or below in ("reference/exit-codes.md", "reference/flags.md", "explanation/joint-zero.svg")
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(REPOSITORY).as_posix())
+def test_links_lead_somewhere(path: Path) -> None:
+    for link in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", prose(path)):
+        if not link.startswith(("http:", "https:")):
+            target = (path.parent / link).resolve()
+            assert target.exists() or made(target), f"{path.name}: {link}"

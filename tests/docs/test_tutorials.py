@@ -1,0 +1,54 @@
+"""The tutorials are run as they are written, in an empty folder."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from docs.making.tutorials import TUTORIALS, TutorialError, blocks, commands, run
+
+NAMES = sorted(path.stem for path in TUTORIALS.glob("*.md") if path.stem != "index")
+QUICK = ("servo-axis",)
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in NAMES])
+@pytest.mark.timeout(900)
+def test_a_tutorial_does_what_it_says(name: str, tmp_path: Path) -> None:
+    if name == "arm":
+        pytest.importorskip("pinocchio")
+    if name == "ethercat" and (os.geteuid() != 0 or not shutil.which("dumpcap")):
+        pytest.skip("needs root and dumpcap")
+    assert run(TUTORIALS / f"{name}.md", tmp_path)
+
+
+def test_from_an_own_csv_to_a_named_cause_in_ten_commands_or_fewer() -> None:
+    assert 4 <= len(commands((TUTORIALS / "csv-to-cause.md").read_text(encoding="utf-8"))) <= 10
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_tutorial_has_a_picture_or_an_answer(name: str) -> None:
+    kinds = {block.kind for block in blocks((TUTORIALS / f"{name}.md").read_text(encoding="utf-8"))}
+    assert "bash" in kinds
+    for block in blocks((TUTORIALS / f"{name}.md").read_text(encoding="utf-8")):
+        if block.kind == "picture":
+            assert (TUTORIALS / block.name).is_file(), "python -m docs.making.tutorials --pictures"
+
+
+def test_an_answer_that_does_not_come_is_told(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text('```toml title="a.txt"\nmass 3.0\n```\n```bash\ncat a.txt\n```\n```text\nmass 2.5\n```\n')
+    assert run(page, made(tmp_path / "one")) == "mass 3.0\n"
+    page.write_text("```bash\necho mass\n```\n```text\nlength 2.5\n```\n")
+    with pytest.raises(TutorialError, match=r"'length 2.5' does not stand"):
+        run(page, made(tmp_path / "two"))
+    page.write_text("```bash\nexit 3\n```\n")
+    with pytest.raises(TutorialError, match="exit code 3"):
+        run(page, made(tmp_path / "three"))
+
+
+def made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
