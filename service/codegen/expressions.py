@@ -289,6 +289,8 @@ class Expressions:
         arguments = tuple(self.lower(one) for one in node.args)
         if any(not isinstance(one.type, Scalar | Several | Reference) for one in arguments):
             self.source.refuse(node, "an argument that is no value")
+        if any(one.op == "several" for one in arguments):
+            self.source.refuse(node, "values side by side made inside a call: give them a name first")
         made = self.program.function(function, tuple(one.type for one in arguments))
         return Expr("call", made.returns, arguments, made)
 
