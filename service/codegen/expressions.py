@@ -257,15 +257,9 @@ class Expressions:
             for one in chosen
         ]
         kinds = {one.type for one in chosen}
-        if all(one.op == "several" for one in chosen):
-            pairs = zip(chosen[0].args, chosen[1].args, strict=True)
-            items = tuple(Expr("cond", one.type, (test, one, other)) for one, other in pairs)
-            if any(item.args[1].type != item.args[2].type for item in items):
-                self.source.refuse(node, "a choice between types")
-            return Expr("several", Several(tuple(item.type for item in items)), items)
         if kinds == {INT, REAL}:
             kinds, chosen = {REAL}, [self.cast(node, one, REAL) for one in chosen]
-        if len(kinds) > 1 or any(one.op == "static" for one in chosen):
+        if len(kinds) > 1 or isinstance(chosen[0].type, Several | Nothing):
             self.source.refuse(node, "a choice between types")
         return Expr("cond", chosen[0].type, (test, *chosen))
 

@@ -151,6 +151,8 @@ class Body:
         return target
 
     def _assign(self, node: ast.Assign) -> list[Any]:
+        if isinstance(node.value, ast.IfExp) and isinstance(node.targets[0], ast.Tuple):
+            return self._choose(node, node.value)
         value = self.expressions.lower(node.value)
         if value.op == "static":
             self.source.refuse(node, "no value")
@@ -160,6 +162,15 @@ class Body:
         for target in node.targets:
             statements += self._store(node, target, value)
         return statements
+
+    def _choose(self, node: ast.Assign, choice: ast.IfExp) -> list[Any]:
+        """`a, b = one if test else other`, which is what an `if` does."""
+        test = self.expressions.as_test(choice.test)
+        one, other = (
+            self._assign(ast.copy_location(ast.Assign(node.targets, value), node))
+            for value in (choice.body, choice.orelse)
+        )
+        return [If(test, one, other)]
 
     def _annassign(self, node: ast.AnnAssign) -> list[Any]:
         return self.source.refuse(node, "an annotated variable is not known")

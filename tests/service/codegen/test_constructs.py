@@ -100,12 +100,19 @@ def _narrow(d):
 
 
 @kernel
+def _both(d):
+    return d.x[4], d.x[5]
+
+
+@kernel
 def _chosen(d):
     for k in range(2):
         x, y = (d.x[4], d.x[5]) if k == 0 else (-d.x[5], d.x[4])
         d.real[2 * k], d.real[2 * k + 1] = x, y
     a, b = d.x[4], d.x[5]
     a, b = b, a + b
+    one, other = _both(d) if d.n[0] > 0 else (0.0, 1.0)
+    d.real[6], d.real[7] = one, other
     d.real[4], d.real[5] = a, b
     event = (PayloadEvent.PICK if a > b else PayloadEvent.RELEASE).value
     d.whole[0] = event
