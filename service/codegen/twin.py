@@ -18,7 +18,7 @@ import jinja2
 import numpy as np
 
 from schemas.errors import RobotError
-from schemas.messages import TOPICS, Message
+from schemas.messages import TOPICS, HealthFlag, Message
 from schemas.robot import Robot
 from service.codegen import parameters
 from service.codegen.c import Writer, nested, number, word
@@ -29,12 +29,20 @@ from service.codegen.types import Array, Record, Scalar
 from service.estimator import state
 from service.estimator.estimator import LONGEST_PERIOD, SHORTEST_PERIOD
 from service.estimator.feedforward import plan_kernel
+from service.estimator.findings import findings_kernel
 from service.estimator.left_out import left_out
 from service.estimator.step import answer_kernel, look_back_kernel
 
 SAME_PERIOD = 1e-3  # relative, of the cycle that init is told
-IN, OUT = ("sample", "reference"), ("feedforward", "payload", "error")
-ROOTS = {"answer": answer_kernel, "look_back": look_back_kernel, "plan": plan_kernel}
+IN, OUT = ("sample", "reference"), ("feedforward", "payload", "error", "friction")
+ROOTS = {"answer": answer_kernel, "look_back": look_back_kernel, "plan": plan_kernel, "findings": findings_kernel}
+# What findings say of the machine; the rest of health is of a process on the bus.
+HEALTH = {
+    HealthFlag.FRICTION_DRIFT: "friction is further from the identified one than the description allows",
+    HealthFlag.SCALE_DRIFT: "a torque constant is",
+    HealthFlag.COMMAND_REFUTED: "the drives do not do what torque_command says: masses are weighed without it",
+    HealthFlag.EFFECT_LEFT_OUT: "the description names an effect that the online model does without",
+}
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -95,6 +103,7 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
         period_literal=number(period, Scalar.REAL),
         effects=", ".join(_said(entry.name) for entry in robot.effect) or "none",
         messages=[_message(writer, topic, TOPICS[topic]) for topic in (*IN, *OUT)],
+        health=[{"name": flag.name, "value": flag.value, "comment": said} for flag, said in HEALTH.items()],
         loadable=loadable,
     )
     source = _template("twin.c").render(

@@ -95,6 +95,21 @@ int {{ name }}_look_back({{ name }}_payload *payload, {{ name }}_error *error)
     return {{ macro }}_OK;
 }
 
+int {{ name }}_findings({{ name }}_friction *friction)
+{
+    int64_t flags = 0;
+    if (friction == 0) {
+        return {{ macro }}_NO_ARGUMENT;
+    }
+    if (!is_ready) {
+        zero_friction(friction);
+        return {{ macro }}_NOT_READY;
+    }
+    flags = {{ roots.findings }}(&it);
+    *friction = it.friction;
+    return (int)flags;
+}
+
 int {{ name }}_plan(const {{ name }}_reference *reference)
 {
     if (reference == 0) {

@@ -34,6 +34,11 @@ typedef struct {
 } {{ name }}_{{ message.topic }};
 
 {% endfor %}
+/* Bits of what findings return. */
+{% for flag in health %}
+#define {{ macro }}_{{ flag.name }} {{ flag.value }} /* {{ flag.comment }} */
+{% endfor %}
+
 /* Figures that may be loaded while the controller runs; all others are constants. */
 typedef struct {
 {% for one in loadable %}
@@ -50,6 +55,8 @@ int {{ name }}_step(const {{ name }}_sample *sample, {{ name }}_feedforward *ans
 /* After a step, when the drives have their torque: payload and errors a fixed lag ago. Left out, the next step does it
  * first. */
 int {{ name }}_look_back({{ name }}_payload *payload, {{ name }}_error *error);
+/* About once a second: how far friction is from the identified one. Returns bits, or a code below zero. */
+int {{ name }}_findings({{ name }}_friction *friction);
 /* The planned motion of a coming cycle: while it lies ahead, the torque is for it. */
 int {{ name }}_plan(const {{ name }}_reference *reference);
 /* The figures of now. */

@@ -70,7 +70,7 @@ class Built:
 
     def call(self, function: str, *records: np.ndarray) -> int:
         """A function of the twin with pointers to (1,) records."""
-        return getattr(self.library, f"{self.name}_{function}")(*map(_pointer, records))
+        return getattr(self.library, f"{self.name}_{function}")(*map(pointer, records))
 
     def samples(self, samples: np.ndarray) -> np.ndarray:
         """(N,) records of SAMPLE as C has them."""
@@ -80,8 +80,14 @@ class Built:
         """What it answers, topic -> (N,) and (M,) records."""
         given = self.samples(samples)
         answers = {topic: np.zeros(len(samples), self.dtypes[topic]) for topic in TOPICS_OUT}
-        behind = self.library.run(ctypes.c_int64(len(given)), *map(_pointer, (given, *answers.values())))
-        return {topic: found if topic == "feedforward" else found[:behind] for topic, found in answers.items()}
+        behind = self.library.run(ctypes.c_int64(len(given)), *map(pointer, (given, *answers.values())))
+        found = {topic: records if topic == "feedforward" else records[:behind] for topic, records in answers.items()}
+        return found | {"friction": self.findings()[1]}
+
+    def findings(self) -> tuple[int, np.ndarray]:
+        """Bits of health, or a code, and (1,) record of friction."""
+        friction = np.zeros(1, self.dtypes["friction"])
+        return self.call("findings", friction), friction
 
 
 def converted(records: np.ndarray, dtype: np.dtype) -> np.ndarray:
@@ -93,8 +99,11 @@ def converted(records: np.ndarray, dtype: np.dtype) -> np.ndarray:
 
 def expected(built: Built, samples: np.ndarray) -> dict[str, np.ndarray]:
     """What the service answers, as C has it."""
-    result = Estimator(built.robot, built.period).run(samples)._asdict()
-    return {topic: converted(result[topic], built.dtypes[topic]) for topic in TOPICS_OUT}
+    estimator = Estimator(built.robot, built.period)
+    result = estimator.run(samples)._asdict()
+    estimator.findings()
+    result["friction"] = estimator.friction
+    return {topic: converted(records, built.dtypes[topic]) for topic, records in result.items()}
 
 
 def differences(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> list[str]:
@@ -115,5 +124,5 @@ def differences(found: dict[str, np.ndarray], wanted: dict[str, np.ndarray]) -> 
     return said
 
 
-def _pointer(records: np.ndarray) -> ctypes.c_void_p:
+def pointer(records: np.ndarray) -> ctypes.c_void_p:
     return ctypes.c_void_p(records.ctypes.data)
