@@ -41,9 +41,9 @@ class Difference(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """Of one topic. answers: recorded ones. missing: expected and not recorded. alike: answers that are the same bit for
-    bit. largest: of a real field, in its unit. first: None where all are the same within `SAME`. last_row: of the last
-    answer that differs, -1: none."""
+    """Of one topic. answers: recorded ones. missing: expected and not recorded. alike: answers that are the same bit
+    for bit. largest: field -> difference in its unit. first: None where all are the same within `SAME`. last_row: of
+    the last answer that differs, -1: none."""
 
     answers: int
     missing: int
@@ -61,9 +61,7 @@ def verify(robot: Robot, manifest: Manifest, recorded: Mapping[str, Recorded]) -
     """
     for topic in ("sample", "feedforward"):
         if not len(recorded[topic].records):
-            raise DataError(
-                f"no {topic} messages: record what the controller {'heard' if topic == 'sample' else 'said'}"
-            )
+            raise DataError(f"no {topic} messages: record both what the controller heard and what it answered")
     expected = _expected(Estimator(robot, manifest.period_s), recorded["sample"], recorded["reference"])
     return {
         topic: _compare(recorded[topic].records, expected[topic], fields)

@@ -78,11 +78,14 @@ class Built:
 
     def run(self, samples: np.ndarray) -> dict[str, np.ndarray]:
         """What it answers, topic -> (N,) and (M,) records."""
-        given = self.samples(samples)
-        answers = {topic: np.zeros(len(samples), self.dtypes[topic]) for topic in TOPICS_OUT}
-        behind = self.library.run(ctypes.c_int64(len(given)), *map(pointer, (given, *answers.values())))
+        answers, behind = self.loop(self.samples(samples))
         found = {topic: records if topic == "feedforward" else records[:behind] for topic, records in answers.items()}
         return found | {"friction": self.findings()[1]}
+
+    def loop(self, given: np.ndarray) -> tuple[dict[str, np.ndarray], int]:
+        """Answers to (N,) samples as C has them, topic -> (N,) records, and how many payloads and errors there are."""
+        answers = {topic: np.zeros(len(given), self.dtypes[topic]) for topic in TOPICS_OUT}
+        return answers, self.library.run(ctypes.c_int64(len(given)), *map(pointer, (given, *answers.values())))
 
     def findings(self) -> tuple[int, np.ndarray]:
         """Bits of health, or a code, and (1,) record of friction."""

@@ -1,4 +1,4 @@
-"""A controller's recorded answers against its twin's: the same bits, another library's rounding, or what differs first."""
+"""A controller's recorded answers against its twin's: same bits, another library's rounding, or what differs first."""
 
 from __future__ import annotations
 
