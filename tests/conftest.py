@@ -44,6 +44,7 @@ SLOW = (
     "tests/drivers/test_bus.py::test_stopped_subscriber_costs_the_others_nothing_and_comes_back[5",
     "tests/drivers/trace/test_limits.py", "tests/schemas/test_kernel_cache.py", "tests/service/cli/test_disk.py",
     "tests/service/cli/test_first_day.py::test_offline_commands_run_without_posix",
+    "tests/service/codegen/test_hostile.py", "tests/service/codegen/test_twin.py",
     "tests/service/diagnosis/test_aside.py", "tests/service/diagnosis/test_axes.py",
     "tests/service/diagnosis/test_bad_input.py", "tests/service/diagnosis/test_blindtest.py",
     "tests/service/diagnosis/test_earned.py", "tests/service/diagnosis/test_exchange.py",

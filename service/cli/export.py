@@ -1,14 +1,17 @@
-"""`deltatwin export`: the described robot in a simulator's own terms."""
+"""`deltatwin export`: the described robot for a simulator, or the estimator as code for its controller."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from service.cli.options import OwnEffects
+
+if TYPE_CHECKING:
+    from schemas.robot import Robot
 
 
 class Format(StrEnum):
@@ -16,32 +19,49 @@ class Format(StrEnum):
 
     mjcf = "mjcf"
     urdf = "urdf"
+    c = "c"
 
 
 def command(
     robot: Annotated[
         Path, typer.Argument(metavar="FILE|NAME", help="Robot description (TOML), identified or corrected")
     ],
-    out: Annotated[Path, typer.Option(help="File to write")],
-    to: Annotated[Format, typer.Option(help="mjcf: MuJoCo, the closed chain; urdf: viewers, the actuated links")] = (
-        Format.mjcf
-    ),
+    out: Annotated[Path, typer.Option(help="File to write; of c: folder")],
+    to: Annotated[
+        Format,
+        typer.Option(
+            help="mjcf: MuJoCo, the closed chain; urdf: viewers, the actuated links; c: feed-forward and payload as C99"
+        ),
+    ] = Format.mjcf,
     effects: OwnEffects = None,
+    rate: Annotated[float, typer.Option(min=10.0, max=50_000.0, help="Of c: controller cycles a second (Hz)")] = 1000.0,
+    name: Annotated[str, typer.Option(help="Of c: what files, types and functions begin with")] = "deltatwin",
+    nominal: Annotated[bool, typer.Option("--nominal", help="Of c: also a robot that was never identified")] = False,
 ) -> None:
-    """Write the robot, as identified and corrected, for MuJoCo, or the actuated part of it for viewers.
+    """Write the robot, as identified and corrected, for MuJoCo, or the actuated part of it for viewers; or its
+    estimator as code for its controller.
 
     Effects that MuJoCo has no word for come as a Python file beside it, to be called in your own loop: friction and the
     like before each step, what delay, filter and encoder do to a log after it. What neither has is listed.
 
+    The C code does what `deltatwin estimate` does, to the same bits, without heap; docs/how-to/controller.md says how
+    to call it.
+
     Example: deltatwin export corrected.toml --to mjcf --out robot.xml
+
+    Example: deltatwin export corrected.toml --to c --rate 1000 --out twin/
     """
     import sys
 
     from schemas.files import make_folder, write_text
     from schemas.robot import load_robot
-    from service.rollout.export import to_mjcf, to_urdf
 
     description = load_robot(robot, effects)
+    if to is Format.c:
+        _code(description, out, rate, name, nominal)
+        return
+    from service.rollout.export import to_mjcf, to_urdf
+
     make_folder(out.parent)
     if to is Format.urdf:
         write_text(out, to_urdf(description))
@@ -62,3 +82,21 @@ def command(
             print(f"  Measurement gives what a log shows: {', '.join(made.measured)}")
     for name, why in made.left_out.items():
         print(f"{name} is left out: {why}", file=sys.stderr)
+
+
+def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool) -> None:
+    """`--to c`."""
+    import sys
+
+    from service.codegen.folder import write_twin
+    from service.codegen.twin import to_c
+
+    twin = to_c(robot, 1.0 / rate, name, nominal)
+    for path in write_twin(robot, 1.0 / rate, twin, out):
+        print(f"wrote {path}")
+    for effect, why in twin.left_out.items():
+        print(f"{effect} is left out: {why}", file=sys.stderr)
+    print(f"one sample every {1e6 / rate:g} us; {twin.static_bytes / 1024:.0f} KiB static, no heap")
+    print(
+        f"next: gcc -O2 -std=c99 -ffp-contract=off -c {out / name}.c, and call {name}_init, then {name}_step each cycle"
+    )

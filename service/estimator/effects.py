@@ -130,8 +130,10 @@ def _dispatcher(forms, arguments: str, otherwise: str):
     lines = [f"def online({arguments}):"]
     for name in forms:
         lines += [f"    if effect.number == {_NUMBER[name]}:", f"        return {name}({arguments})"]
-    scope = {"__name__": __name__, **forms}
-    exec(compile("\n".join([*lines, f"    return {otherwise}"]), __file__, "exec"), scope)
+    lines.append(f"    return {otherwise}")
+    text, scope = "\n".join(lines), {"__name__": __name__, **forms}
+    exec(compile(text, __file__, "exec"), scope)
+    scope["online"].source = text  # for the generator of C, which reads kernels
     return kernel(scope["online"])
 
 

@@ -14,10 +14,11 @@ import numba
 import numpy as np
 
 from schemas.errors import DataError
-from schemas.messages import FEEDFORWARD, FRICTION, MODEL_ERROR, PAYLOAD, stamp_ns
+from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, HealthFlag, stamp_ns
 from schemas.robot import Robot
-from service.estimator import departure, state
+from service.estimator import state
 from service.estimator.feedforward import plan_kernel
+from service.estimator.findings import findings_kernel
 from service.estimator.payload.step import payload_kernel
 from service.estimator.step import answer_kernel, look_back_kernel, run_kernel
 
@@ -49,7 +50,8 @@ class Rate(NamedTuple):
 class Estimator:
     """Consumes samples in the order they come; the same samples give the same bits, one by one or in any batches.
 
-    feedforward, payload, error: (1,) records, what the last `step` and `look_back` said, overwritten by the next.
+    feedforward, payload, error, friction: (1,) records, what the last `step`, `look_back` and `findings` said,
+    overwritten by the next.
     """
 
     def __init__(self, robot: Robot, period: float, stride: int = 1) -> None:
@@ -57,7 +59,9 @@ class Estimator:
         self.period, self.stride = period, stride
         self._steps = state.fresh(state.settings(robot, period, stride))
         self._sample = self._steps["sample"].view(np.uint8).data
-        self.feedforward, self.payload, self.error = (self._steps[name] for name in ("feedforward", "payload", "error"))
+        self.feedforward, self.payload, self.error, self.friction = (
+            self._steps[name] for name in ("feedforward", "payload", "error", "friction")
+        )
         self._lagged = False
 
     def step(self, message: bytes) -> int:
@@ -100,20 +104,9 @@ class Estimator:
         """The STATE record: everything that is remembered from sample to sample."""
         return self._steps["state"][0]
 
-    def friction(self) -> np.ndarray:
-        """(1,) record of FRICTION: what is known of friction now."""
-        (state,), (settings,) = self._steps["state"], self._steps["settings"]
-        found, spread = departure.learnt(state["payload"]["departure"])
-        own = found[:-1].reshape(3, departure.OWN)
-        record = FRICTION.empty()
-        for field in ("stamp_sec", "stamp_nanosec", "sequence"):
-            record[field] = state[field]
-        for part, name in enumerate(("coulomb", "viscous", "offset", "scale")):
-            record[name], record[f"{name}_std_dev"] = own[:, part], spread[part : -1 : departure.OWN]
-        identified = np.stack([settings["coulomb"], settings["viscous"]], axis=1)
-        record["drift"] = departure.drift_share(own, identified)
-        record["ball_joints"], record["ball_joints_std_dev"] = found[-1], spread[-1]
-        return record
+    def findings(self) -> HealthFlag:
+        """Fill `friction` with what is known of it now. Returns what there is to say of it in health."""
+        return HealthFlag(findings_kernel(self._steps))
 
     def warm_up(self) -> None:
         """Compile `plan` and `step`, without touching the state, so that the first live sample is not seconds late.
@@ -133,6 +126,7 @@ class Estimator:
             if beside is not None:
                 beside.wait()  # if it failed, the next line compiles all of it
             look_back_kernel(fresh)
+            findings_kernel(fresh)
         finally:
             if beside is not None:
                 beside.kill()

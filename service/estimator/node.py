@@ -77,15 +77,9 @@ class EstimatorNode:
         self.health.flags = self._flags | silence | self._found
 
     def _tell_findings(self, estimator: Estimator) -> None:
-        friction, found = estimator.friction(), HealthFlag(0)
-        self._put["friction"](friction.tobytes())
+        found = estimator.findings()
+        self._put["friction"](estimator.friction.tobytes())
         self._published += 1
-        if (friction["drift"] > self._robot.limits.friction_drift).any():
-            found |= HealthFlag.FRICTION_DRIFT
-        if (np.abs(friction["scale"]) > self._robot.limits.torque_scale_drift).any():
-            found |= HealthFlag.SCALE_DRIFT
-        if estimator.state["drive_torque"]["refuted"]:
-            found |= HealthFlag.COMMAND_REFUTED
         if found != self._found:
             self._found = found
             self._set_flags()
@@ -108,9 +102,7 @@ class EstimatorNode:
         without = left_out(self._robot, rate.period)
         for name, why in without.items():
             print(f"estimate: the online model does without {name}: {why}", file=sys.stderr)
-        self._flags = self._flags & ~HealthFlag.EFFECT_LEFT_OUT
-        if without:
-            self._flags |= HealthFlag.EFFECT_LEFT_OUT
+        self._found = HealthFlag.EFFECT_LEFT_OUT if without else HealthFlag(0)
         self._set_flags()
         if self._keeper is not None:
             print(f"estimate: {self._keeper.begin(self._estimator)}", file=sys.stderr)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
+from schemas.messages import FEEDFORWARD, FRICTION, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
 from schemas.robot import Robot
 from service.estimator import commanded, departure, effects, kalman, readout, turning
 from service.estimator.bounds import acceleration_of, bounds_of, growth_of
@@ -57,6 +57,9 @@ SETTINGS = np.dtype(
         ("variance", "f8", 3),  # (N m)^2 of a torque sample, worth CORRELATION_TIME
         ("drive_torque", commanded.SETTINGS),
         ("payload", payload.SETTINGS),
+        ("friction_drift", "f8"),  # share of the identified friction beyond which health says so
+        ("scale_drift", "f8"),  # the same of the torque, by its own size
+        ("left_out", "i8"),  # whether the description names an effect that the online model does without
     ],
     align=True,
 )
@@ -148,6 +151,7 @@ STEP = np.dtype(
         ("feedforward", FEEDFORWARD.dtype),
         ("payload", PAYLOAD.dtype),
         ("error", MODEL_ERROR.dtype),
+        ("friction", FRICTION.dtype),
     ],
     align=True,
 )
@@ -205,6 +209,9 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     prior = departure.drift(record["viscous"][0], record["coulomb"][0])
     limit, variance = robot.limits.max_payload_kg, record["variance"][0]
     record["payload"] = payload.settings(period, prior, limit, left_over, variance, calibrated, mass_error(described))
+    record["friction_drift"] = robot.limits.friction_drift
+    record["scale_drift"] = robot.limits.torque_scale_drift
+    record["left_out"] = bool(without)
     return record
 
 
@@ -213,6 +220,7 @@ def fresh(record: np.ndarray) -> np.ndarray:
     step = np.zeros(1, STEP)
     step["settings"] = record
     step["feedforward"], step["payload"], step["error"] = FEEDFORWARD.empty(), PAYLOAD.empty(), MODEL_ERROR.empty()
+    step["friction"] = FRICTION.empty()
     payload.start(step["state"]["payload"], record["payload"]["prior"][0])
     step["state"]["source"] = FeedforwardSource.NONE
     return step

@@ -254,7 +254,8 @@ def test_friction_is_told(robot, make):
     known.samples["torque"] += more * direction
     estimator = Estimator(robot, PERIOD)
     estimator.run(known.samples)
-    (told,) = estimator.friction()
+    estimator.findings()
+    (told,) = estimator.friction
     assert (np.abs(told["coulomb"] - more) < 4 * told["coulomb_std_dev"] + 0.02).all()
     assert (np.abs(told["viscous"]) < 4 * told["viscous_std_dev"] + 0.02).all()
     assert (np.abs(told["offset"]) < 4 * told["offset_std_dev"] + 0.02).all()
@@ -375,7 +376,8 @@ def test_ball_joints_that_rub_are_told_from_a_load(robot, make):
     known.samples["torque"] += rubs
     estimator = Estimator(robot, PERIOD)
     payload = estimator.run(known.samples).payload
-    (told,) = estimator.friction()
+    estimator.findings()
+    (told,) = estimator.friction
     assert told["ball_joints"] == pytest.approx(0.3, abs=4 * told["ball_joints_std_dev"] + 0.01)
     assert told["ball_joints_std_dev"] < 0.02
     time = stamp_ns(payload) * 1e-9

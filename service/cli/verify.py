@@ -1,0 +1,81 @@
+"""`deltatwin verify`: what a controller answered with exported code, against what it should have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.cli.options import AsJson
+
+if TYPE_CHECKING:
+    from service.codegen.verify import Compared
+
+
+def command(
+    twin: Annotated[Path, typer.Argument(metavar="FOLDER", help="What `deltatwin export --to c` wrote")],
+    log: Annotated[
+        Path, typer.Option(help="Recording (MCAP) with the samples that the controller heard and what it answered")
+    ],
+    json: AsJson = False,
+) -> None:
+    """Compare each recorded answer with that of the twin: torque, source, flags; payload and errors where they are.
+
+    The recording begins where the controller began: its first sample is the first after init. Exit code 3 if an answer
+    differs by more than another library's rounding does.
+
+    Example: deltatwin verify twin/ --log run.mcap
+    """
+    from service.cli.main import MISSED
+    from service.codegen.folder import read_twin
+    from service.codegen.verify import verify
+    from service.monitor.readback import read_recording
+
+    manifest, robot = read_twin(twin)
+    found = verify(robot, manifest, read_recording(log))
+    differs = any(one.first is not None for one in found.values())
+    if json:
+        from service.cli.output import as_json
+
+        print(as_json("verify", {topic: _document(one) for topic, one in found.items()}))
+    else:
+        for topic, one in found.items():
+            print(f"{topic}: {_said(one)}")
+        print(_conclusion(found))
+    if differs:
+        raise typer.Exit(MISSED)
+
+
+def _document(one: Compared) -> dict[str, Any]:
+    return one._asdict() | {"first": None if one.first is None else one.first._asdict()}
+
+
+def _said(one: Compared) -> str:
+    parts = [f"{one.answers} answers, {one.alike} the same bit for bit"]
+    if one.missing:
+        parts.append(f"{one.missing} samples without one")
+    if one.alike < one.answers:
+        off = ", ".join(f"{name} {value:.3g}" for name, value in one.largest.items() if value)
+        parts.append(f"largest differences: {off or 'none of a number with a unit'}")
+    if one.first is not None:
+        first, joint = one.first, f" of joint {one.first.joint}" if one.first.joint else ""
+        parts.append(
+            f"first at sequence {first.sequence} (t = {first.stamp_s:.6f} s): {first.field}{joint} is "
+            f"{first.answered:.9g}, not {first.expected:.9g} {first.unit}".rstrip()
+        )
+    return "; ".join(parts)
+
+
+def _conclusion(found: dict[str, Compared]) -> str:
+    if all(one.alike == one.answers for one in found.values()):
+        return "the controller answers as its twin, bit for bit"
+    feedforward = found["feedforward"]
+    if all(one.first is None for one in found.values()):
+        return "the controller answers as its twin, but for its mathematics library's rounding"
+    if 0 <= feedforward.last_row < feedforward.answers // 2:
+        return (
+            "the controller's torque is its twin's again in the second half: the recording begins later than the "
+            "controller did, or its figures were loaded anew; record from init on"
+        )
+    return "the controller does not answer as its twin: look at the first difference; other code, figures or cycle?"

@@ -1,0 +1,77 @@
+"""A generated twin on disk: header, source, the description that it was made from, and a manifest that ties them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from schemas.errors import StorageError
+from schemas.files import make_folder, read_bytes, write_text
+from schemas.robot import Robot, load_robot, save_robot
+from schemas.toml import validate
+from service.codegen.twin import Twin
+
+MANIFEST, DESCRIPTION = "twin.json", "description.toml"
+MAX_BYTES = 64 << 10
+MAX_CODE_BYTES = 16 << 20
+
+
+class Manifest(BaseModel):
+    """name: of files and functions. period_s: of a cycle. sha256: of header and source."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    schema_: Literal["deltatwin.twin/1"] = Field("deltatwin.twin/1", alias="schema")
+    deltatwin: str
+    robot: str
+    name: str
+    period_s: Annotated[float, Field(gt=0)]
+    sha256: str
+    static_bytes: int
+
+
+def write_twin(robot: Robot, period: float, twin: Twin, folder: Path) -> list[Path]:
+    """Write `twin` of `robot` into `folder`. Returns the files.
+
+    Raises:
+        StorageError: one cannot be written.
+    """
+    make_folder(folder)
+    manifest = Manifest(
+        schema="deltatwin.twin/1",
+        deltatwin=version("deltatwin"),
+        robot=robot.name,
+        name=twin.name,
+        period_s=period,
+        sha256=twin.digest,
+        static_bytes=twin.static_bytes,
+    )
+    texts = {f"{twin.name}.h": twin.header, f"{twin.name}.c": twin.source}
+    texts[MANIFEST] = manifest.model_dump_json(by_alias=True, indent=1) + "\n"
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    save_robot(robot, folder / DESCRIPTION)
+    return [folder / name for name in (*texts, DESCRIPTION)]
+
+
+def read_twin(folder: Path) -> tuple[Manifest, Robot]:
+    """The manifest and the description of what `write_twin` wrote.
+
+    Raises:
+        StorageError: it is not there, or the code was changed since. RobotError: the description is wrong.
+    """
+    path = folder / MANIFEST
+    try:
+        values = json.loads(read_bytes(path, MAX_BYTES, StorageError))
+    except (ValueError, RecursionError) as error:
+        raise StorageError(f"{path}: not what `export --to c` wrote: {error}") from None
+    manifest = validate(Manifest, values if isinstance(values, dict) else {}, path, StorageError)
+    texts = [read_bytes(folder / f"{manifest.name}.{ending}", MAX_CODE_BYTES, StorageError) for ending in "hc"]
+    if hashlib.sha256(b"".join(texts)).hexdigest() != manifest.sha256:
+        raise StorageError(f"{folder}: {manifest.name}.h or .c was changed since it was exported: export it again")
+    return manifest, load_robot(folder / DESCRIPTION)

@@ -1,0 +1,99 @@
+"""What the generated code calls the service's records, and how much of them one robot at one sample rate needs."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+
+from schemas.messages import OPTIONAL, TOPICS
+from schemas.robot import Robot
+from service.codegen.c import nested
+from service.codegen.program import Layout
+from service.codegen.source import CodegenError
+from service.estimator import kalman, turning
+from service.estimator.payload import state as payload
+from service.estimator.state import STATE, STEP
+
+WIRE = ("cdr_header", "frame_id")  # of a message, which no controller has to do with
+_FOURTH = "fourth_position"
+_HOMES = ("service.", "schemas.")
+
+
+def layout_of(robot: Robot, settings: np.ndarray) -> Layout:
+    """settings: (1,) SETTINGS, as the estimator has them.
+
+    The lag line keeps no more samples than the look back needs. A robot without a fourth axis has no angle of it, so no
+    load is ever looked for off its axis, and what is remembered of the load's parts is remembered of its mass alone.
+
+    Raises:
+        CodegenError: a record of the service has no such fields any more.
+    """
+    (record,) = settings
+    lag, first = int(record["motion"]["lag"]), int(record["readout"]["first"]) if record["readout"]["active"] else 0
+    longest = lag - min(0, first)
+    if longest > kalman.MAX_LAG:
+        raise CodegenError(f"a look back of {longest} samples, {kalman.MAX_LAG} are remembered")
+    line = 2 * longest + 1
+    shapes = {(STATE, "slots"): (longest + 1,), (STATE, "past"): (longest + 1,), (STATE, "turn"): (line,)}
+    fields: dict[tuple[np.dtype, str], float] = {}
+    if robot.fourth_axis is None:
+        fields[TOPICS["sample"].dtype, _FOURTH] = np.nan
+        for name in ("bin_information", "bin_moment", "bin_drag"):
+            shape = _shape(payload.STATE, name)
+            loads = 2 if name == "bin_information" else 1
+            shapes[payload.STATE, name] = (shape[0], *(1,) * loads, *shape[1 + loads :])
+    for dtype, name in shapes:
+        _shape(dtype, name)
+    hidden = frozenset((message.dtype, name) for message in TOPICS.values() for name in WIRE)
+    constants = {"MAX_LAG": (kalman.MAX_LAG, longest), "LINE": (turning.LINE, line)}
+    return Layout(_names(), constants, shapes, fields, hidden)
+
+
+def _shape(dtype: np.dtype, name: str) -> tuple[int, ...]:
+    if name not in (dtype.names or ()):
+        raise CodegenError(f"a record of the estimator has no field {name!r} any more")
+    assert dtype.fields is not None
+    return dtype.fields[name][0].shape
+
+
+def _names() -> dict[np.dtype, str]:
+    """Each record in a step by the constant that defines it: `TRACK` of `kalman` is kalman_track, `STATE` of
+    `payload.state` payload_state. One that no constant does is named after the record and field that hold it."""
+    names = {message.dtype: name for name, message in TOPICS.items()}
+    for module_name, module in sorted(sys.modules.items()):
+        if module_name.startswith(_HOMES):
+            for name, value in vars(module).items():
+                if isinstance(value, np.dtype) and value.fields and name.isupper() and value not in names:
+                    names[value] = _name(_home(module_name, name, value), name)
+    found: dict[np.dtype, str] = {}
+    for dtype in nested(STEP):
+        name = names.get(dtype, f"part_{len(found)}")
+        found[dtype] = f"{name}_{len(found)}" if name in found.values() else name
+    return found
+
+
+def _home(module_name: str, name: str, value: Any) -> str:
+    """The module that defines the constant, not one that imports it."""
+    for other, module in sorted(sys.modules.items()):
+        text = getattr(getattr(module, "__spec__", None), "origin", None)
+        if other.startswith(_HOMES) and text and getattr(module, name, None) is value and _defines(text, name):
+            return other
+    return module_name
+
+
+def _defines(path: str, name: str) -> bool:
+    with open(path, encoding="utf-8") as file:
+        return any(line.startswith(f"{name} = np.dtype") for line in file)
+
+
+def _name(module: str, name: str) -> str:
+    parts = module.split(".")
+    home = parts[-2] if parts[-1] in ("state", "base") else parts[-1]
+    return f"{home.strip('_')}_{name.strip('_')}".lower()
+
+
+def optional(dtype: np.dtype) -> list[str]:
+    """Fields of a message that are no number where a source does not have them."""
+    return [name for name in dtype.names or () if name in OPTIONAL or name.endswith("_command")]

@@ -1,0 +1,262 @@
+"""One description at one sample rate as a C99 header and source: all of the online step, with the state in it.
+
+The arithmetic is that of the kernels (`program`, `c`). What `templates` add is what stands round them in
+`service.estimator.estimator`: the state as it begins, the order of answer and look back; and what a controller may do
+wrong: no init, another cycle, a figure that no robot has.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from schemas.errors import RobotError
+from schemas.messages import TOPICS, HealthFlag, Message
+from schemas.robot import Robot
+from service.codegen import parameters
+from service.codegen.c import Writer, nested, number, word
+from service.codegen.layout import layout_of, optional
+from service.codegen.program import Layout, Program
+from service.codegen.source import CodegenError
+from service.codegen.types import Array, Record, Scalar
+from service.estimator import state
+from service.estimator.estimator import LONGEST_PERIOD, SHORTEST_PERIOD
+from service.estimator.feedforward import plan_kernel
+from service.estimator.findings import findings_kernel
+from service.estimator.left_out import left_out
+from service.estimator.step import answer_kernel, look_back_kernel
+
+SAME_PERIOD = 1e-3  # relative, of the cycle that init is told
+IN, OUT = ("sample", "reference"), ("feedforward", "payload", "error", "friction")
+ROOTS = {"answer": answer_kernel, "look_back": look_back_kernel, "plan": plan_kernel, "findings": findings_kernel}
+# What findings say of the machine; the rest of health is of a process on the bus.
+HEALTH = {
+    HealthFlag.FRICTION_DRIFT: "friction is further from the identified one than the description allows",
+    HealthFlag.SCALE_DRIFT: "a torque constant is",
+    HealthFlag.COMMAND_REFUTED: "the drives do not do what torque_command says: masses are weighed without it",
+    HealthFlag.EFFECT_LEFT_OUT: "the description names an effect that the online model does without",
+}
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+_TEMPLATES = Path(__file__).parent / "templates"
+
+
+@dataclass(frozen=True)
+class Twin:
+    """header, source: of C99. static_bytes: of what it remembers and its settings, where doubles are aligned to eight.
+    left_out: effect -> why the online model does without."""
+
+    name: str
+    header: str
+    source: str
+    static_bytes: int
+    left_out: dict[str, str]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of header and source."""
+        return hashlib.sha256((self.header + self.source).encode()).hexdigest()
+
+
+def check_name(name: str) -> str:
+    """A name that files, types and functions may begin with.
+
+    Raises:
+        CodegenError: C would not take it.
+    """
+    if not _IDENTIFIER.fullmatch(name) or word(name) != name:
+        raise CodegenError(f"--name: {name!r}: letters, digits and _ from a letter on, at most 31, no word of C")
+    return name
+
+
+def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = False) -> Twin:
+    """The online step of `robot` at a sample every `period` s. nominal: also of one that was never identified.
+
+    Raises:
+        RobotError: it was not identified, or has an effect that is not known. CodegenError: the name, the period, or a
+        construct of a kernel that the generator does not know.
+    """
+    check_name(name)
+    if robot.identified is None and not nominal:
+        raise RobotError(
+            f"{robot.origin}: identified: not there: friction would be zero and rho 1; run `deltatwin identify`, "
+            "or give --nominal"
+        )
+    if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
+        raise CodegenError(f"a cycle of {period:g} s: from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s are possible")
+    settings = state.settings(robot, period, 1)
+    layout = layout_of(robot, settings)
+    program, step = Program(layout), (Array(Record(state.STEP), (1,)),)
+    roots = {root: program.function(kernel, step).name for root, kernel in ROOTS.items()}
+    writer, macro = Writer(layout, name), name.upper()
+    loadable = [_loadable(writer, one) for one in parameters.LOADABLE]
+    known = {"name": name, "macro": macro, "version": version("deltatwin"), "robot": _said(robot.name)}
+    header = _template("twin.h").render(
+        **known,
+        period=period,
+        period_literal=number(period, Scalar.REAL),
+        effects=", ".join(_said(entry.name) for entry in robot.effect) or "none",
+        messages=[_message(writer, topic, TOPICS[topic]) for topic in (*IN, *OUT)],
+        health=[{"name": flag.name, "value": flag.value, "comment": said} for flag, said in HEALTH.items()],
+        loadable=loadable,
+    )
+    source = _template("twin.c").render(
+        **known,
+        definitions="\n".join(_definitions(writer, program)),
+        settings=writer.record(state.SETTINGS),
+        step=writer.record(state.STEP),
+        described="\n".join(_initial(layout, state.SETTINGS, settings[0], "    ")),
+        beginning=_nonzero(layout, state.STATE, state.fresh(settings)["state"][0], "it.state"),
+        answers={topic: _zeros(layout, topic, macro) for topic in OUT},
+        cleared=_cleared(layout),
+        roots=roots,
+        loadable=loadable,
+        same_period=repr(SAME_PERIOD),
+        growth_share=_literal(parameters.growth_share(settings)),
+    )
+    return Twin(name, header, source, in_c(layout, state.STEP).itemsize, left_out(robot, period))
+
+
+def in_c(layout: Layout, dtype: np.dtype) -> np.dtype:
+    """The record as the generated code lays it out in memory."""
+    fields = []
+    for name in layout.members(dtype):
+        kind = layout.field(dtype, name)
+        assert dtype.fields is not None
+        base = dtype.fields[name][0].base
+        inner = in_c(layout, base) if base.fields else base
+        fields.append((name, inner, kind.shape) if isinstance(kind, Array) else (name, inner))
+    return np.dtype(fields, align=True)
+
+
+def _template(name: str) -> jinja2.Template:
+    loader = jinja2.FileSystemLoader(_TEMPLATES)
+    environment = jinja2.Environment(
+        loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined
+    )
+    return environment.get_template(name)
+
+
+def _said(text: str) -> str:
+    """A text of a description, which may be anything, inside a comment, which ends where it says so."""
+    return re.sub(r"[^A-Za-z0-9_. -]", "?", text)
+
+
+def _definitions(writer: Writer, program: Program) -> list[str]:
+    functions = [line for one in program.functions for line in writer.function(one)]
+    public = {TOPICS[topic].dtype for topic in (*IN, *OUT)}
+    records = writer.records(one for one in nested(state.STEP) if one not in public)
+    return [*records, *writer.bundles(program), *writer.used_helpers(), *functions]
+
+
+def _message(writer: Writer, topic: str, message: Message) -> dict[str, Any]:
+    """A message as its text defines it, constants and comments too, less what is of the wire alone."""
+    lines = message.text.splitlines()
+    said = {line.split("#", 1)[0].strip(): line.partition("#")[2].strip() for line in lines}
+    notes = {text.split()[-1]: note for text, note in said.items() if text and "=" not in text}
+    notes |= {"stamp_sec": f"s, {notes.get('header', '')}", "stamp_nanosec": "ns, on top of that"}
+    constants = [
+        {"name": found[1], "value": found[2], "comment": _comment(note)}
+        for text, note in said.items()
+        if (found := re.fullmatch(r"uint32 ([A-Z_]+)=(\d+)", text))
+    ]
+    fields = [
+        {"declared": writer.member(message.dtype, name), "comment": _comment(notes.get(name, ""))}
+        for name in writer.layout.members(message.dtype)
+    ]
+    return {"topic": topic, "about": lines[0].lstrip("# "), "constants": constants, "fields": fields}
+
+
+def _comment(note: str) -> str:
+    return f" /* {note} */" if note else ""
+
+
+def _loadable(writer: Writer, one: parameters.Loadable) -> dict[str, Any]:
+    shape = parameters.shape(one)
+    axes = [{"name": axis, "count": count} for axis, count in zip("ij", shape, strict=False)]
+    return {
+        "name": one.name,
+        "declared": writer.member(state.SETTINGS, one.name),
+        "unit": one.unit,
+        "meaning": one.meaning,
+        "low": _literal(one.low),
+        "high": _literal(one.high),
+        "axes": axes,
+        "index": "".join(f"[{axis['name']}]" for axis in axes),
+    }
+
+
+def _initial(layout: Layout, dtype: np.dtype, record: Any, space: str) -> list[str]:
+    """Designated initialisers of a record's fields."""
+    lines = []
+    for name in layout.members(dtype):
+        kind, value, own = layout.field(dtype, name), record[name], f"{space}.{word(name)} = "
+        if isinstance(kind, Record):
+            lines += [f"{own}{{", *_initial(layout, kind.dtype, value, f"{space}    "), f"{space}}},"]
+        elif isinstance(kind, Array) and isinstance(kind.element, Record):
+            lines.append(f"{own}{{")
+            for one in value:
+                inner = _initial(layout, kind.element.dtype, one, f"{space}        ")
+                lines += [f"{space}    {{", *inner, f"{space}    }},"]
+            lines.append(f"{space}}},")
+        else:
+            lines.append(f"{own}{_braces(np.asarray(value))},")
+    return lines
+
+
+def _nonzero(layout: Layout, dtype: np.dtype, record: Any, place: str) -> list[tuple[str, str]]:
+    """Where a record is not zero, and what it is there."""
+    found = []
+    for name in layout.members(dtype):
+        kind, value, here = layout.field(dtype, name), record[name], f"{place}.{word(name)}"
+        if isinstance(kind, Record):
+            found += _nonzero(layout, kind.dtype, value, here)
+        elif isinstance(kind, Array) and isinstance(kind.element, Record):
+            for n in range(kind.shape[0]):
+                found += _nonzero(layout, kind.element.dtype, value[n], f"{here}[{n}]")
+        else:
+            shape = kind.shape if isinstance(kind, Array) else ()
+            cut = np.asarray(value)[tuple(slice(count) for count in shape)]
+            for at in np.argwhere(cut != 0):
+                index = "".join(f"[{n}]" for n in at)
+                found.append((f"{here}{index}", _literal(cut[tuple(at)])))
+    return found
+
+
+def _zeros(layout: Layout, topic: str, macro: str) -> list[str]:
+    """Statements that make a message say nothing."""
+    dtype = TOPICS[topic].dtype
+    values = {"source": f"{macro}_SOURCE_NONE"}
+    return [_set("answer", layout, dtype, name, values.get(name, "0")) for name in layout.members(dtype)]
+
+
+def _cleared(layout: Layout) -> list[str]:
+    dtype = TOPICS["sample"].dtype
+    unknown = optional(dtype)
+    names = layout.members(dtype)
+    return [_set("sample", layout, dtype, name, "(double)NAN" if name in unknown else "0") for name in names]
+
+
+def _set(record: str, layout: Layout, dtype: np.dtype, name: str, value: str) -> str:
+    kind = layout.field(dtype, name)
+    if not isinstance(kind, Array):
+        return f"{record}->{name} = {value};"
+    shown = "0.0" if value == "0" else value
+    return f"for (int64_t i = 0; i < {kind.shape[0]}; i++) {{ {record}->{name}[i] = {shown}; }}"
+
+
+def _literal(value: Any) -> str:
+    kind = Scalar.REAL if isinstance(value, float | np.floating) else Scalar.INT
+    return number(value.item() if isinstance(value, np.generic) else value, kind)
+
+
+def _braces(values: np.ndarray) -> str:
+    if values.ndim:
+        return "{" + ", ".join(_braces(one) for one in values) + "}"
+    return _literal(values[()])

@@ -1,0 +1,246 @@
+"""The exported C beside the service's compiled step: time, instructions, bytes; random robots bit for bit; a million
+hostile samples under the sanitizers. Written to results/export.json.
+
+uv run python -m tests.bench.bench_export [--robots 100] [--hostile 1000000] [--steps 10000000] [--seed 1]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import re
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.trace import read_trace
+from replay.demo import LOG, ROBOT
+from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD
+from schemas.robot import Robot, load_robot
+from service.estimator import state
+from service.estimator.step import run_kernel
+from service.model.effects import CATALOGUE
+from tests.bench.need import need
+from tests.service.codegen.built import COMPILER, FLAGS, Built, differences, expected
+from tests.service.codegen.disturbed import disturbed
+from tests.service.codegen.sanitized import Sanitized
+from tests.service.codegen.test_hostile import streams
+from tests.service.estimator.test_effects import FOUND, effect
+
+PERIOD = 1e-3
+BLOCK, TURNS = 1000, 40  # steps of the one, then of the other
+RESULT = Path(__file__).parents[2] / "results" / "export.json"
+# Cycles of each step over a log again and again, by the processor's own counter; a histogram of 100 ns would do.
+TIMED = """
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+#include "deltatwin.c"
+
+#define MOST 200000
+
+static int64_t now(void)
+{
+    struct timespec t;
+    (void)clock_gettime(CLOCK_MONOTONIC, &t);
+    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+
+int main(int argc, char **argv)
+{
+    static deltatwin_sample samples[20000];
+    static int64_t taken[MOST + 1];
+    deltatwin_feedforward answer;
+    deltatwin_payload payload;
+    deltatwin_error error;
+    int64_t steps = (argc > 1) ? atoll(argv[1]) : 0, count = (int64_t)fread(samples, sizeof samples[0], 20000, stdin);
+    uint64_t sequence = 0;
+    (void)deltatwin_init(DELTATWIN_PERIOD);
+    for (int64_t n = 0; n < steps; n++) {
+        deltatwin_sample sample = samples[n % count];
+        sample.sequence = sequence++;
+        sample.stamp_sec = (int32_t)(n / 1000);
+        sample.stamp_nanosec = (uint32_t)(n % 1000) * 1000000U;
+        const int64_t begin = now();
+        (void)deltatwin_step(&sample, &answer);
+        (void)deltatwin_look_back(&payload, &error);
+        const int64_t took = now() - begin;
+        taken[(took < MOST) ? took : MOST]++;
+    }
+    int64_t seen = 0, median = -1, most = 0, rare = -1;
+    for (int64_t n = 0; n <= MOST; n++) {
+        seen += taken[n];
+        median = ((median < 0) && (2 * seen >= steps)) ? n : median;
+        rare = ((rare < 0) && (1000 * (steps - seen) <= steps)) ? n : rare;
+        most = (taken[n] > 0) ? n : most;
+    }
+    (void)printf("%lld %lld %lld\\n", (long long)median, (long long)rare, (long long)most);
+    return 0;
+}
+"""
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--robots", type=int, default=100)
+    arguments.add_argument("--hostile", type=int, default=1_000_000)
+    arguments.add_argument("--steps", type=int, default=10_000_000)
+    arguments.add_argument("--seed", type=int, default=1)
+    given = arguments.parse_args()
+    need("gcc", "valgrind")
+    robot = load_robot(ROBOT)
+    samples = read_trace(LOG, robot).samples()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        built = Built(robot, PERIOD, folder)
+        result: dict[str, Any] = {"schema": "deltatwin.bench_export/1", "machine": platform.processor() or _cpu()}
+        result |= {"seed": given.seed, "kernel": side_by_side(built, samples)}
+        result |= timed(built, samples, folder, given.steps) | sizes(folder)
+        print(json.dumps(result, indent=1), flush=True)
+        result["hostile"] = hostile(robot, folder, given.hostile, given.seed)
+        result["random_robots"] = drawn(folder, given.robots, given.seed)
+    RESULT.parent.mkdir(exist_ok=True)
+    RESULT.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    print(f"wrote {RESULT}")
+
+
+def _cpu() -> str:
+    return next(line.partition(": ")[2].strip() for line in open("/proc/cpuinfo") if line.startswith("model name"))
+
+
+def side_by_side(built: Built, samples: np.ndarray) -> dict[str, Any]:
+    """Mean time of a step in blocks of both, in turns, so that both see the same machine."""
+    steps = state.fresh(state.settings(built.robot, PERIOD, 1))
+    out = FEEDFORWARD.empty(BLOCK), PAYLOAD.empty(BLOCK), MODEL_ERROR.empty(BLOCK)
+    assert built.init() == 0
+    built.run(samples[:BLOCK])
+    run_kernel(steps, samples[:BLOCK], *out)
+    taken: dict[str, list[float]] = {"c": [], "service": []}
+    for turn in range(TURNS):
+        part = samples[turn % (len(samples) // BLOCK) * BLOCK :][:BLOCK].copy()
+        part["sequence"] = np.arange(BLOCK) + turn * BLOCK
+        part["stamp_sec"], part["stamp_nanosec"] = np.divmod((np.arange(BLOCK) + turn * BLOCK) * 1_000_000, 10**9)
+        given = built.samples(part)
+        begin = time.perf_counter_ns()
+        built.loop(given)
+        taken["c"].append((time.perf_counter_ns() - begin) / BLOCK)
+        begin = time.perf_counter_ns()
+        run_kernel(steps, part, *out)
+        taken["service"].append((time.perf_counter_ns() - begin) / BLOCK)
+    medians = {f"{name}_ns": round(float(np.median(values)), 1) for name, values in taken.items()}
+    ratios = np.array(taken["c"]) / np.array(taken["service"])
+    low, middle, high = np.quantile(ratios, [0.1, 0.5, 0.9])
+    ratio = {"c_over_service": round(float(middle), 3), "p10": round(float(low), 3), "p90": round(float(high), 3)}
+    return medians | ratio | {"blocks": TURNS, "steps_a_block": BLOCK}
+
+
+def timed(built: Built, samples: np.ndarray, folder: Path, steps: int) -> dict[str, Any]:
+    """Median, p99.9 and worst of single steps, the clock's own 20 to 40 ns in them; and instructions a step."""
+    (folder / "timed.c").write_text("#define _POSIX_C_SOURCE 199309L\n" + TIMED)
+    program = folder / "timed"
+    flags = [flag for flag in FLAGS if not flag.startswith("-W")]
+    subprocess.run(
+        [COMPILER or "gcc", "-O2", *flags, str(folder / "timed.c"), "-o", str(program), "-lm"], check=True, cwd=folder
+    )
+    data = built.samples(samples).tobytes()
+    ran = subprocess.run([program, str(steps)], input=data, capture_output=True, check=True)
+    median, rare, worst = map(int, ran.stdout.split())
+    counts = [_instructions(program, data, count) for count in (4000, 8000)]
+    return {
+        "single_step_ns": {"median": median, "p99.9": rare, "worst": worst, "steps": steps},
+        "instructions_a_step": round((counts[1] - counts[0]) / 4000),
+    }
+
+
+def _instructions(program: Path, data: bytes, steps: int) -> int:
+    ran = subprocess.run(
+        ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", str(program), str(steps)],
+        input=data, capture_output=True, check=True,
+    )  # fmt: skip
+    found = re.search(rb"Collected : (\d+)", ran.stderr)
+    assert found is not None, ran.stderr[-500:]
+    return int(found[1])
+
+
+def sizes(folder: Path) -> dict[str, Any]:
+    """Bytes of what it remembers, of code and constants, and of the deepest stack, at -O2."""
+    flags = ["-O2", *FLAGS, "-fcallgraph-info=su", "-c", "deltatwin.c", "-o", "deltatwin.o"]
+    subprocess.run([COMPILER or "gcc", *flags], check=True, cwd=folder)
+    text, data, bss = map(
+        int, subprocess.run(["size", "deltatwin.o"], check=True, cwd=folder, capture_output=True).stdout.split()[6:9]
+    )
+    stack = _deepest((folder / "deltatwin.ci").read_text())
+    return {"static_bytes": data + bss, "code_and_constant_bytes": text, "stack_bytes": stack}
+
+
+def _deepest(graph: str) -> int:
+    """Bytes on the longest way through gcc's call graph; a library function's own are not in it."""
+    own = {name: int(size) for name, size in re.findall(r'node: \{ title: "([^"]+)" label: "[^"]*?(\d+) bytes', graph)}
+    calls: dict[str, set[str]] = {}
+    for one, other in re.findall(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"', graph):
+        calls.setdefault(one, set()).add(other)
+
+    def deep(name: str) -> int:
+        return own.get(name, 0) + 8 + max((deep(other) for other in calls.get(name, ())), default=0)
+
+    return max(deep(name) for name in own)
+
+
+def hostile(robot: Robot, folder: Path, count: int, seed: int) -> dict[str, Any]:
+    """Samples under address, undefined, float-cast-overflow and the code's own checks of every index."""
+    if not count:
+        return {"samples": 0}
+    samples = streams(read_trace(LOG, robot).samples()[1200:1600], count, seed)
+    torque = Sanitized(robot, PERIOD, folder).run(samples)
+    return {"samples": len(samples), "findings": 0, "largest_torque_nm": float(np.abs(torque).max())}
+
+
+def drawn(folder: Path, count: int, seed: int) -> dict[str, Any]:
+    """Robots drawn at random, each with up to four effects, along the demo log with faults, bit for bit."""
+    random, wrong = np.random.default_rng(seed), []
+    base = load_robot(ROBOT)
+    samples = disturbed(read_trace(LOG, base).samples()[:4000])
+    for number in range(count):
+        robot = _draw(base, random)
+        built = Built(robot, PERIOD, folder, "-O0", f"robot_{number}")
+        assert built.init() == 0
+        found = differences(built.run(samples), expected(built, samples))
+        if found:
+            wrong.append({"effects": [one.name for one in robot.effect], "differences": found[:3]})
+        print(f"\r{number + 1} robots, {len(wrong)} differ", end="", flush=True)
+    print()
+    return {"robots": count, "samples_each": len(samples), "differ": len(wrong), "which": wrong}
+
+
+def _draw(base: Robot, random: np.random.Generator) -> Robot:
+    def near(value: float) -> float:
+        return float(value * random.uniform(0.85, 1.15))
+
+    geometry = base.geometry.model_copy(
+        update={n: near(getattr(base.geometry, n)) for n in ("active_link_length", "passive_link_length")}
+    )
+    mass = base.mass.model_copy(
+        update={n: near(getattr(base.mass, n)) for n in ("active_link", "passive_link", "platform")}
+    )
+    names = random.choice(sorted(FOUND), int(random.integers(0, 5)), replace=False)
+    reports = {"torque_delay", "torque_filter", "drive_lag"}
+    whole = {entry.name for entry in CATALOGUE if not entry.per_joint}
+    joints = [
+        sorted(int(j) for j in random.choice([1, 2, 3], int(random.integers(1, 4)), replace=False)) for _ in names
+    ]
+    effects = [
+        effect(str(name), [1, 2, 3] if name in whole or name in reports else own)
+        for name, own in zip(names, joints, strict=True)
+    ]
+    return base.model_copy(update={"geometry": geometry, "mass": mass, "effect": effects})
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    main()
