@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from docs.making.figures import store
 from drivers.motion import Planner
 from drivers.plant.cases import PERIOD
 from drivers.plant.effects import EFFECTS
@@ -42,6 +43,13 @@ from tests.bench.bench_payload import MASSES, SCENARIOS, SPEED, Fault, Machine, 
 FIT_SECONDS = (4.0, 6.0, 6.0)  # of pick and place, multisine, slow motion
 PICK_SECONDS, SLOW_SECONDS = 10.0, 20.0  # of picks
 NAMED = {effect.name: effect for effect in CATALOGUE}
+CARRIED = (
+    "joint_elasticity", "backlash", "presliding_friction", "torque_delay", "torque_filter", "drive_lag",
+    "load_dependent_friction", "stribeck_friction", "nonlinear_viscous_friction", "shaft_friction",
+    "passive_joint_friction", "asymmetric_friction", "position_dependent_friction", "warmup_friction", "air_drag",
+    "joint_spring", "hose_spring", "rotor_inertia", "tool_mass", "arm_mass", "base_tilt", "link_length_error",
+    "joint_offset", "torque_scale", "torque_offset", "cogging",
+)  # fmt: skip
 ORDER = (
     "clean", "cold", "shaft_friction", "constant_since", "one_constant_since", "constant", "slow", "air_drag",
     "joint_spring", "hose_spring", "rotor_inertia", "load_dependent_friction", "shaft_since", "warm", "stacked",
@@ -207,6 +215,24 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def figures(rows: list[dict[str, Any]]) -> dict[str, tuple[float, int, str | None]]:
+    """For `results/online.json`, of each effect with its corrected description and of none as identified."""
+    told: dict[str, tuple[float, int, str | None]] = {}
+    for name in (*CARRIED, "clean"):
+        by = "identified" if name == "clean" else "corrected"
+        some = [row for row in rows if (row["scenario"], row["by"]) == (name, by)]
+        if not some:
+            continue
+        changes = int(sum(row["changes"] for row in some))
+        right, trusted, wrong, z = (np.array([row[key] for row in some], float) for key in
+                                    ("moving", "trusted", "false", "z"))  # fmt: skip
+        told[f"{name}_right"] = round(float(np.nanmean(right)), 3), changes, f"worst robot {np.nanmin(right):.2f}"
+        told[f"{name}_trusted"] = round(float(trusted.mean()), 3), len(some), f"worst robot {trusted.min():.2f}"
+        told[f"{name}_false"] = round(float(wrong.mean()), 2), len(some), f"worst robot {wrong.max():.1f}"
+        told[f"{name}_z"] = round(float(np.sqrt(np.nanmean(z**2))), 2), len(some), None
+    return told
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("draw", "score"))
@@ -215,6 +241,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=ORDER, default=[], metavar="NAME", help="scenarios or effects")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--commands", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--keep", action="store_true", help="put the figures into results/online.json")
     parser.add_argument("--json", type=Path, help="file for a row a log and description")
     asked = parser.parse_args()
     if asked.what == "draw":
@@ -224,6 +251,8 @@ def main() -> None:
         return
     rows = [row for one in kept(asked.folder, asked.only, asked.robots) for row in score(one, asked.commands)]
     print(table(rows))
+    if asked.keep:
+        print(f"kept in {store('online', figures(rows))}")
     if asked.json:
         asked.json.write_text(json.dumps(rows, indent=1))
 
