@@ -2,7 +2,8 @@
 
 uv run python -m tests.bench.bench_step
 
-In turns of a second of samples; and behind a pause of a millisecond each, when caches hold what others left there.
+In turns of a second of samples; and behind a pause of a millisecond each, when caches hold what others left there. Also
+of a robot with every kind of state that an effect may have: gears, bristles, encoders, a late and filtered report.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import argparse
 import gc
 import time
+from functools import partial
 
 import numpy as np
 
@@ -19,13 +21,30 @@ from replay.demo import LOG, ROBOT
 from replay.process import process
 from replay.realtime import go_realtime
 from schemas.messages import SAMPLE
-from schemas.robot import load_robot
+from schemas.robot import EffectEntry, EffectParameter, Robot, load_robot
 from service.estimator.estimator import Estimator
 from tests.bench.numpy_step import NumpyEstimator
 
 LOOPS = 4  # of the demo log: 40 000 steps
 BLOCK = 1000  # steps of the one, then of the other: shorter turns would time the caches that the other one emptied
 PAUSED = 4000  # steps behind a pause
+STATES = {
+    "joint_elasticity": {"natural_hz": 20.0, "damping_ratio": 0.03, "motor_share": 0.3},
+    "presliding_friction": {"f_1": 2.0, "f_2": 2.0, "f_3": 2.0, "distance": 0.02},
+    "encoder_eccentricity": {"order": 1.0, **{f"{of}_{n}": 1e-4 for of in ("cosine", "sine") for n in (1, 2, 3)}},
+    "load_dependent_friction": {"mu_1": 0.05, "mu_2": 0.05, "mu_3": 0.05, "motor_share": 0.0},
+    "torque_delay": {"delay": 0.002}, "torque_filter": {"cutoff": 60.0}, "drive_lag": {"cutoff": 60.0},
+}  # fmt: skip
+
+
+def with_states(robot: Robot) -> Robot:
+    """`robot` with all of `STATES`."""
+    entries = []
+    for name, values in STATES.items():
+        given = {key: EffectParameter(value=value) for key, value in values.items()}
+        joints = [] if name.startswith(("torque", "drive")) else [1, 2, 3]
+        entries.append(EffectEntry(name=name, joints=joints, parameters=given))
+    return robot.model_copy(update={"effect": entries})
 
 
 def main(keep: bool) -> None:
@@ -38,23 +57,26 @@ def main(keep: bool) -> None:
     messages = [data[n * size : (n + 1) * size] for n in range(len(samples))]
     messages, paused = messages[:-PAUSED], messages[-PAUSED:]
     compiled, plain = Estimator(robot, 1e-3), NumpyEstimator(robot, 1e-3)
+    states = Estimator(with_states(robot), 1e-3)
     compiled.warm_up()
 
-    def ours(message: bytes) -> None:
-        compiled.step(message)
-        compiled.feedforward.tobytes()
-        if compiled.look_back() >= 0:
-            compiled.payload.tobytes()
-            compiled.error.tobytes()
+    def answer(estimator: Estimator, message: bytes) -> None:
+        estimator.step(message)
+        estimator.feedforward.tobytes()
+        if estimator.look_back() >= 0:
+            estimator.payload.tobytes()
+            estimator.error.tobytes()
 
+    ours, stateful = partial(answer, compiled), partial(answer, states)
     for message in messages[:200]:
         ours(message)
+        stateful(message)
         plain.step(message)
     go_realtime("bench")
     gc.disable()
-    taken = {"compiled": np.zeros(len(messages)), "NumPy": np.zeros(len(messages))}
+    taken = {name: np.zeros(len(messages)) for name in ("compiled", "states", "NumPy")}
     for begin in range(0, len(messages), BLOCK):  # in turns, so that both see the same machine
-        for name, step in (("compiled", ours), ("NumPy", plain.step)):
+        for name, step in (("compiled", ours), ("states", stateful), ("NumPy", plain.step)):
             for n in range(begin, min(begin + BLOCK, len(messages))):
                 start = time.perf_counter_ns()
                 step(messages[n])
@@ -83,7 +105,7 @@ def main(keep: bool) -> None:
 def _figures(taken: dict[str, np.ndarray], rates: list[float]) -> dict[str, tuple[float, int, str | None]]:
     """For `results/speed.json`."""
     told = {}
-    for key, name in (("step_median", "compiled"), ("step_paused", "paused")):
+    for key, name in (("step_median", "compiled"), ("step_states", "states"), ("step_paused", "paused")):
         median, p99, p999 = np.quantile(taken[name], [0.5, 0.99, 0.999]) * 1e-3
         told[key] = (round(float(median), 1), len(taken[name]), f"p99 {p99:.1f}, p99.9 {p999:.1f}")
     ratio = float(np.median(taken["NumPy"]) / np.median(taken["compiled"]))
