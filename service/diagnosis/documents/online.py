@@ -28,7 +28,7 @@ from service.model.hypothesis import Hypothesis
 from service.model.mechanism import Mechanism, mechanism_of
 from service.model.prediction import Motion, error_in_band, motion
 from service.model.scene import Recording
-from service.model.signals import ANALYSIS_HZ
+from service.model.signals import ANALYSIS_HZ, delayed
 from service.model.torque import reported
 
 IN_TIME = 0.15  # s after a change from which on the mass has to be right
@@ -202,6 +202,6 @@ def _feedforward_error(case: Loaded, late: Hypothesis, samples: np.ndarray, resu
     there = rows < len(samples)
     there[there] &= samples["sequence"][rows[there]] == result.feedforward["target_sequence"][there]
     fed[rows[there]] = result.feedforward["torque"][there]
-    if late.terms:
-        fed = reported(late.seen(Recording(case.along.parts[0], case.mechanism, 0, case.trace.name)), late, fed)
+    scene = late.seen(Recording(case.along.parts[0], case.mechanism, 0, case.trace.name))
+    fed = delayed(reported(scene, late, fed), late.base.timing, scene.period)
     return error_in_band(case.trace, case.along, fed)
