@@ -41,13 +41,13 @@ LATE = ("torque_delay", "torque_filter")  # of the reported torque alone: what i
 
 @dataclass(frozen=True)
 class Loaded:
-    """A log in which the load is known. along: its smoothed motion. simulated: the load was added to its torque."""
+    """A log in which the load is known. along: its smoothed motion. bare: the log before loads were simulated on it."""
 
     trace: Trace
     along: Motion
     mechanism: Mechanism
     picks: tuple[Pick, ...]
-    simulated: bool
+    bare: Trace | None
 
     @property
     def changes(self) -> list[tuple[float, float, float]]:
@@ -76,7 +76,7 @@ def online_trial(
     if left_out := sorted({term.effect.name for term in terms if not carried(term.effect)}):
         return OnlineTrial(reason="not_carried", left_out=left_out)
     mechanism = mechanism_of(better)
-    cases = [Loaded(trace, motion(trace), mechanism, tuple(picks), False) for trace, picks in loaded]
+    cases = [Loaded(trace, motion(trace), mechanism, tuple(picks), None) for trace, picks in loaded]
     if not cases:
         cases = _simulated(better, mechanism, tests or logs)
     if not any(case.changes for case in cases):
@@ -88,7 +88,7 @@ def online_trial(
     figures = [_figures(description, cases, late, floor) for description in (known, better)]
     return OnlineTrial(
         traces=[case.trace.name for case in cases],
-        simulated=cases[0].simulated,
+        simulated=cases[0].bare is not None,
         held_out=bool(loaded or tests),
         seconds=digits(sum(float(case.trace.time[-1] - case.trace.time[0]) for case in cases)),
         changes=sum(len(case.changes) for case in cases),
@@ -116,7 +116,7 @@ def _simulated(robot: Robot, mechanism: Mechanism, traces: Sequence[Trace]) -> l
             Pick(begin, end, masses[number % len(masses)])
             for number, (begin, end) in enumerate(zip_longest(rests[::2], rests[1::2], fillvalue=np.inf))
         )
-        cases.append(Loaded(carrying(robot, trace, along, picks), along, mechanism, picks, True))
+        cases.append(Loaded(carrying(robot, trace, along, picks), along, mechanism, picks, trace))
     return cases
 
 
@@ -166,9 +166,7 @@ def _figures(robot: Robot, cases: Sequence[Loaded], late: Hypothesis, floor: flo
     right = false = known = trusted = 0
     squares = count = 0.0
     for case in cases:
-        samples = case.trace.samples()
-        samples["position_command"] = case.along.theta  # feed-forward for the motion that was made
-        result = Estimator(robot, *rate_of(samples)).run(samples)
+        samples, result = _answered(robot, case, case.trace)
         found = as_known(samples, result.payload)
         clock = found.time - found.time[0] + case.trace.time[0]  # as the picks have it
         empty = clock < (case.changes[0][0] if case.changes else np.inf)
@@ -178,6 +176,9 @@ def _figures(robot: Robot, cases: Sequence[Loaded], late: Hypothesis, floor: flo
             trusted, known = trusted + int(found.trusted[rows].sum()), known + int(rows.sum())
             empty |= rows & (mass == 0.0)
         false += _false_events(found, clock, case)
+        if case.bare is not None:  # a load that was only added swings no link
+            samples, result = _answered(robot, case, case.bare)
+            empty[:] = True
         error = _feedforward_error(case, late, samples, result)[empty & case.along.measured]
         squares, count = squares + float(np.nansum(error**2)), count + float(np.isfinite(error).sum())
     error = float(np.sqrt(squares / count)) if count else np.nan
@@ -194,14 +195,22 @@ def _false_events(found: Weighed, clock: np.ndarray, case: Loaded) -> int:
     return int(sum(not np.any((events_at >= changes) & (events_at <= changes + SEEN)) for events_at in events))
 
 
+def _answered(robot: Robot, case: Loaded, trace: Trace) -> tuple[np.ndarray, Result]:
+    """Samples of `trace`, commanded to go where they went, and what the estimator answers to them."""
+    samples = trace.samples()
+    samples["position_command"] = case.along.theta
+    return samples, Estimator(robot, *rate_of(samples)).run(samples)
+
+
 def _feedforward_error(case: Loaded, late: Hypothesis, samples: np.ndarray, result: Result) -> np.ndarray:
     """(N, 3) N m in the band, NaN at rest: what was measured less what was fed forward for that cycle, as it would have
     been measured."""
-    fed = case.trace.torque.copy()
+    trace = case.bare or case.trace
+    fed = trace.torque.copy()
     rows = np.searchsorted(samples["sequence"], result.feedforward["target_sequence"])
     there = rows < len(samples)
     there[there] &= samples["sequence"][rows[there]] == result.feedforward["target_sequence"][there]
     fed[rows[there]] = result.feedforward["torque"][there]
     scene = late.seen(Recording(case.along.parts[0], case.mechanism, 0, case.trace.name))
     fed = delayed(reported(scene, late, fed), late.base.timing, scene.period)
-    return error_in_band(case.trace, case.along, fed)
+    return error_in_band(trace, case.along, fed)

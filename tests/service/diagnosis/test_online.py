@@ -83,7 +83,7 @@ def loaded(seed: int, viscous: float = 1.0) -> online.Loaded:
     along = motion(trace)
     (case,) = online._simulated(KNOWN, Delta.of(ROBOT), [trace])
     real = log(seed, picks=case.picks, viscous=viscous)
-    return online.Loaded(real, along, Delta.of(ROBOT), case.picks, False)
+    return online.Loaded(real, along, Delta.of(ROBOT), case.picks, None)
 
 
 def test_a_simulated_load_takes_what_a_heavier_platform_takes_in_mujoco() -> None:
@@ -149,7 +149,7 @@ def test_an_event_is_false_where_no_change_explains_it() -> None:
     sure = np.ones(40)
     found = Weighed(clock, np.zeros(40), sure, sure, sure, np.zeros(40, bool), event)
     trace = log(1, moves=4)
-    case = online.Loaded(trace, motion(trace), Delta.of(ROBOT), (Pick(1.05, 2.35, 1.0),), False)
+    case = online.Loaded(trace, motion(trace), Delta.of(ROBOT), (Pick(1.05, 2.35, 1.0),), None)
     assert online._false_events(found, clock, case) == 2  # 1.2 s and 2.5 s are the pick's and the release's
 
 
