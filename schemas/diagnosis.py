@@ -291,7 +291,8 @@ class OnlineTrial(DocumentPart):
     reason: why there are no figures, if there are none: the online model does not carry the effects `left_out`, or no
     log has two rests in which a load could come and go. traces: the logs; simulated: loads were added to the torque of
     a log as recorded, while all joints rested; held_out: a log that was not fitted. seconds: of all logs. changes: of
-    the load, that are judged. identified: without the correction, or the baseline where one is given.
+    the load, that are judged; none where loads cannot be simulated, behind gears that yield. identified: without the
+    correction, or the baseline where one is given.
     """
 
     reason: OnlineReason | None = None

@@ -51,12 +51,19 @@ def sentences_of(trial: OnlineTrial) -> list[str]:
     if known is None or better is None:
         return ["What the correction is worth online is not said: no log has two rests in which a load could change."]
     found = standing(known, better, trial.changes)
+    off = f"off by {better.feedforward_over_noise:.2g} times the noise ({known.feedforward_over_noise:.2g})"
+    if not trial.changes:
+        return [
+            f"{BEGINS[found]} feeds forward a torque that is {off}.",
+            "Its masses are not tried: behind gears that yield a pick makes the links swing, which cannot be simulated "
+            "on a log. Give logs with known loads (--loaded).",
+            *([KEEP] if found == "worse" else []),
+        ]
     said = (
         f"{BEGINS[found]} has the mass right 150 ms after {better.right} of {trial.changes} changes of the load "
         f"(identified: {known.right}), trusts it {100 * better.trusted:.0f} % of the time "
         f"({100 * known.trusted:.0f} %), "
-        f"reports {better.false_events} false events ({known.false_events}), and its feed-forward is off by "
-        f"{better.feedforward_over_noise:.2g} times the noise ({known.feedforward_over_noise:.2g})."
+        f"reports {better.false_events} false events ({known.false_events}), and its feed-forward is {off}."
     )
     where = ", ".join(trial.traces)
     source = f"loads simulated along {where}" if trial.simulated else f"the loads of {where}"

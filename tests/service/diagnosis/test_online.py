@@ -179,9 +179,9 @@ def test_what_weighs_more_decides(after: OnlineFigures, said: str) -> None:
     assert standing(figures(), after, changes=10) == said
 
 
-def trial(after: OnlineFigures, held_out: bool = False) -> OnlineTrial:
+def trial(after: OnlineFigures, held_out: bool = False, changes: int = 10) -> OnlineTrial:
     return OnlineTrial(
-        traces=["fit_a"], held_out=held_out, seconds=5.0, changes=10, identified=figures(), corrected=after
+        traces=["fit_a"], held_out=held_out, seconds=5.0, changes=changes, identified=figures(), corrected=after
     )
 
 
@@ -195,6 +195,9 @@ def test_it_says_plainly_what_is_worse_and_what_to_do_then() -> None:
     ]
     assert bad[0].startswith("With the corrected description the estimator does worse than with the identified one: it")
     assert bad[1:] == ["Tried on loads simulated along fit_a, kept out of the fit.", KEEP]
+    soft = sentences_of(trial(figures(right=0), changes=0))
+    assert "feeds forward a torque that is off by" in soft[0]
+    assert "cannot be simulated on a log. Give logs with known loads (--loaded)." in soft[1]
     silent = sentences_of(OnlineTrial(reason="not_carried", left_out=["joint_elasticity"]))
     assert silent == [
         "What the correction is worth online is not said: the online model does not carry joint elasticity.", KEEP,
