@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
 
 import numpy as np
 
@@ -54,7 +54,7 @@ class Loaded:
         """From a change to the next, s, and the mass there, kg; those at the very end are not judged."""
         end = float(self.trace.time[-1])
         edges = sorted({time for pick in self.picks for time in (pick.begin, pick.end) if time < end - SEEN})
-        return [(start, stop, self._mass(start)) for start, stop in zip(edges, [*edges[1:], end], strict=True)]
+        return [(start, stop, self._mass(start)) for start, stop in pairwise([*edges, end])]
 
     def _mass(self, time: float) -> float:
         return sum(pick.mass for pick in self.picks if pick.begin <= time < pick.end)

@@ -274,3 +274,19 @@ def test_diagnose_says_what_its_correction_is_worth(tmp_path: Path) -> None:
         assert (tmp_path / "out" / "corrected.toml").read_text(encoding="utf-8").startswith(NOTE)
     schema = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))["online"]
     assert list(schema) == list(OnlineTrial.model_fields)
+
+
+@pytest.mark.slow
+def test_behind_gears_that_yield_feed_forward_alone_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    gear = Term(EFFECTS["joint_elasticity"], (0, 1, 2), np.zeros((3, 0)), (40.0, 0.05, 0.2))
+    soft = stub(robot=ROBOT, best=stub(hypothesis=Hypothesis(BASE, (gear,))), problem=stub(band=stub(cutoff_hz=40.0),
+                sigma=np.full(3, NOISE)))  # fmt: skip
+    monkeypatch.setattr(online, "corrected", lambda _: KNOWN)
+    monkeypatch.setattr(online, "identified", lambda _: KNOWN)
+    found = online.online_trial(soft, [log(1)], [])  # pyright: ignore[reportArgumentType]
+    assert found is not None
+    assert found.reason is None
+    assert (found.changes, found.simulated) == (0, True)
+    assert found.corrected is not None
+    assert 0.0 < found.corrected.feedforward_over_noise < 20.0
+    assert (found.corrected.right, found.corrected.false_events) == (0, 0)
