@@ -36,13 +36,16 @@ def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_while_the_program_is_loaded_it_ends_without_a_word(how: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("how", "before"),
+    [(signal.SIGINT, "typer"), (signal.SIGTERM, "typer"), (signal.SIGHUP, "typer"), (signal.SIGINT, "service.stopping")],
+)
+def test_while_the_program_is_loaded_it_ends_without_a_word(how: signal.Signals, before: str) -> None:
     done = run(f"""
 import os, sys
 class Sends:
     def find_spec(self, name, path=None, target=None):
-        if name == "typer":
+        if name == {before!r}:
             os.kill(os.getpid(), {how:d})
 sys.meta_path.insert(0, Sends())
 sys.argv = ["deltatwin", "--version"]
