@@ -78,7 +78,13 @@ def test_what_a_library_makes_of_an_interrupt_is_no_traceback() -> None:
         raise ImportError("initialization failed") from interrupt"""
     building = """
     raise ValueError("Error building `literal` serializer: KeyboardInterrupt: ")"""
-    for left_behind in (compiler, loading, building):
+    naming = """
+    class Field:
+        def __set_name__(self, owner, name):
+            os.kill(os.getpid(), signal.SIGINT) or time.sleep(5)
+    class Owner:
+        field = Field()"""
+    for left_behind in (compiler, loading, building, naming):
         done = run(AS_MAIN.format(left_behind))
         assert (done.returncode, done.stderr) == (130, "")
     done = run(AS_MAIN.format("raise RuntimeError('of its own')"))
