@@ -18,10 +18,10 @@ Nothing large is imported before it is used.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # that of `typing`, which takes longer to import than all of this
 if TYPE_CHECKING:
+    from typing import Any
+
     from deltatwin.functions import (
         Description,
         diagnose,
@@ -80,6 +80,8 @@ def __getattr__(name: str) -> Any:
     if name.endswith("Error"):
         from schemas import errors as module
     else:
+        import importlib
+
         home = "trace" if name == "Trace" else "results" if name.endswith("Result") else "functions"
         module = importlib.import_module(f"{__name__}.{home}")
     found = globals()[name] = getattr(module, name)

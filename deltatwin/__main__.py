@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from service.stopping import end_at_once
+import os
+
+try:
+    from service.stopping import end_at_once
+except KeyboardInterrupt:  # nothing is begun yet
+    os._exit(130)
 
 
 def main() -> None:

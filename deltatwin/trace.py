@@ -100,7 +100,11 @@ class Trace(recorded.Trace):
         }
         if gripper is not None:
             single["gripper"] = single["gripper"].astype(np.uint32)
-        trace = recorded.Trace(Path(name), clock, **arrays, **single, epoch_ns=epoch_ns, angular=angular)
+        trace = recorded.Trace(
+            Path(name), clock, arrays["position"], arrays["torque"], arrays.get("position_command"),
+            arrays.get("torque_command"), single.get("fourth_position"), single.get("gripper"), epoch_ns=epoch_ns,
+            angular=angular,
+        )  # fmt: skip
         return cls.of(check(trace, RowNames("row", np.arange(len(clock))), robot))
 
     @classmethod

@@ -30,6 +30,7 @@ EXTRAS = {  # module: extra, what for
 SOCKET_PATH = 107  # bytes of the path of a local socket, at most
 LONGEST_SOCKET = len("/deltatwin/a-robot-of-a-long-name.estimator.sock")
 _CLONE_NEWNET = 0x40000000
+_MCL_ALL = 3  # MCL_CURRENT | MCL_FUTURE
 
 
 @dataclass(frozen=True)
@@ -155,11 +156,8 @@ def _may_have_priority() -> bool:
 
 
 def _may_lock_memory() -> bool | None:
-    try:
-        import resource
-    except ImportError:
-        return None
-    return resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY or bool(_has("CAP_IPC_LOCK"))
+    """A child tries: what is locked stays so."""
+    return _child(f"ctypes.CDLL(None).mlockall({_MCL_ALL})")
 
 
 def _memory_limit() -> str:
@@ -181,9 +179,14 @@ def _has(capability: str) -> bool | None:
 
 def _may_make_namespace() -> bool | None:
     """A child tries: a process that has entered one cannot go back."""
-    if not hasattr(os, "fork"):
+    return _child(f"ctypes.CDLL(None).unshare({_CLONE_NEWNET})")
+
+
+def _child(call: str) -> bool | None:
+    """Whether a function of the C library gives 0 in a process of its own."""
+    if not sys.platform.startswith("linux"):
         return None
-    code = f"import ctypes, sys; sys.exit(ctypes.CDLL(None).unshare({_CLONE_NEWNET}) != 0)"
+    code = f"import ctypes, sys; sys.exit({call} != 0)"
     return subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, check=False).returncode == 0
 
 

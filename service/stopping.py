@@ -76,9 +76,9 @@ def broke(error: BaseException) -> bool:
     if _Interrupt.swallowed or KeyboardInterrupt.__name__ in str(error):  # compiled code tells of it in words alone
         return True
     cause: BaseException | None = error
-    while isinstance(cause, ImportError):
-        cause = cause.__cause__ or cause.__context__
-    return isinstance(cause, KeyboardInterrupt)
+    while cause is not None and not isinstance(cause, KeyboardInterrupt):
+        cause = cause.__cause__ or (cause.__context__ if isinstance(cause, ImportError) else None)
+    return cause is not None
 
 
 def stop_requested() -> Callable[[], bool]:

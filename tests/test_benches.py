@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from schemas.errors import DataError
-from tests.bench import bench_payload
+from tests.bench import bench_payload, bench_stop
 from tests.conftest import REPOSITORY
 
+BEFORE = '\nTraceback (most recent call last):\n  File "/home/a/deltatwin/.venv/lib/site-packages/a.pth", line 1\n'
 BENCHES = sorted(path.stem for path in (REPOSITORY / "tests" / "bench").glob("bench_*.py"))
 
 
@@ -49,6 +51,24 @@ def test_a_robot_that_cannot_be_identified_is_a_row_that_says_why(monkeypatch: p
     rows = bench_payload.one("d3-1200", "clean", 1, 24.0, (True, False))
     row = {"robot": "d3-1200", "scenario": "clean", "error": "fit_0: a payload?"}
     assert rows == [row | {"commands": True}, row | {"commands": False}]
+
+
+@pytest.mark.parametrize(
+    ("code", "said", "ended"),
+    [
+        (0, "stopped", "0"),
+        (130, "", "130"),
+        (-signal.SIGINT, "", "in Python's start"),
+        (1, f"Fatal Python error: init_import_site{BEFORE}KeyboardInterrupt", "in Python's start"),
+        (1, f"{BEFORE}KeyboardInterrupt", "traceback"),
+        (-signal.SIGINT, f'{BEFORE}  File "/a/service/stopping.py", line 3', "traceback"),
+        (1, f'Fatal Python error: init_import_site{BEFORE}  File "/a/deltatwin/__main__.py"', "traceback"),
+        (-signal.SIGABRT, "FATAL: exception not rethrown", "aborted"),
+        (None, "", "not ended"),
+    ],
+)
+def test_a_stop_before_our_first_line_is_not_ours(code: int | None, said: str, ended: str) -> None:
+    assert bench_stop.how_it_ended(code, said, signal.SIGINT) == ended
 
 
 def test_what_is_missing_is_said_in_a_line(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from service.cli.output import Table, as_json, console, quantiles, table
 if TYPE_CHECKING:
     import numpy as np
 
-    from drivers.bus import Bus
     from service.monitor.readback import Recorded
 
 
@@ -41,6 +40,7 @@ def command(
     from schemas.files import make_folder
     from schemas.messages import Role
     from schemas.robot import load_robot
+    from service.cli.live import Joints
     from service.monitor.readback import read_recording
     from service.monitor.report import picture
     from service.pages import write_page
@@ -59,13 +59,13 @@ def command(
             ]
             for role in roles:
                 role.wait_ready()
-        live = _Live(bus)
+        live = Joints(bus)
         player = crew.start("", "replay", LOG, "--robot", ROBOT, "--wait", 20)
         with Live(console=screen, refresh_per_second=8, transient=True) as display:
             while player.running:
                 crew.check()
                 time.sleep(0.1)
-                display.update(live.table())
+                display.update(live.table("replaying"))
         time.sleep(0.5)  # the last answers
     crew.check()
     recorded = read_recording(recording)
@@ -78,49 +78,6 @@ def command(
     for shown in _tables(results):
         console().print(shown)
     typer.echo(f"{player.last_words()}\nrecording: {recording}\npicture:   {page}")
-
-
-class _Live:
-    """The last second of the bus as a table."""
-
-    def __init__(self, bus: Bus) -> None:
-        self._inboxes = {topic: bus.subscribe(topic) for topic in ("sample", "feedforward", "payload", "error")}
-        self._newest: dict[str, np.ndarray] = {}
-        self._events: list[str] = []
-
-    def table(self) -> Table:
-        import numpy as np
-
-        from schemas.messages import PayloadEvent, stamp_ns
-
-        for topic, inbox in self._inboxes.items():
-            records, _ = inbox.take()
-            if len(records):
-                self._newest[topic] = records
-        for record in self._newest.get("payload", []):
-            if record["event"]:
-                event = PayloadEvent(int(record["event"])).name.lower()
-                line = f"{float(stamp_ns(record)) * 1e-9:.2f} s {event}"
-                self._events = [*self._events, line][-4:] if line not in self._events else self._events
-        shown = table(("", "joint 1", "joint 2", "joint 3"), title="replaying")
-        if set(self._newest) != set(self._inboxes):
-            return shown
-        newest = {topic: records[-1] for topic, records in self._newest.items()}
-
-        def joints(label: str, values: np.ndarray, form: str) -> None:
-            shown.add_row(label, *(format(value, form) for value in values))
-
-        joints("position, rad", newest["sample"]["position"], "+8.3f")
-        joints("torque measured, N m", newest["sample"]["torque"], "+8.2f")
-        joints("torque feed-forward, N m", newest["feedforward"]["torque"], "+8.2f")
-        for label, field in (("M_KH", "kh"), ("M_Id+F", "id_friction"), ("full", "full")):
-            joints(f"error {label}, rms N m", np.sqrt(np.nanmean(self._newest["error"][field] ** 2, axis=0)), "8.2f")
-        payload = newest["payload"]
-        trust = "trusted" if payload["trusted"] else "not yet trusted"
-        errors = f"± {payload['random_std_dev']:.3f} random ± {payload['common_std_dev']:.3f} common"
-        shown.add_row("payload, kg", f"{payload['mass']:.3f}", errors, trust)
-        shown.caption = f"bus time {float(stamp_ns(newest['sample'])) * 1e-9:.1f} s   {'   '.join(self._events)}"
-        return shown
 
 
 def _errors(recorded: dict[str, Recorded]) -> dict[str, dict[str, np.ndarray]]:

@@ -24,7 +24,7 @@ from service.stopping import INTERRUPTED, broke, end_at_once, terminate_as_inter
 GROUPS = {
     "Begin": ("demo", "init", "import", "inspect", "convert", "doctor"),
     "From logs to answers": ("identify", "evaluate", "payload", "diagnose", "fleet", "plan-motion", "rollout"),
-    "On the bus": ("replay", "estimate", "monitor", "watch", "view", "recover", "keys", "latency"),
+    "On the bus": ("replay", "estimate", "monitor", "watch", "top", "view", "recover", "keys", "latency"),
     "On EtherCAT": ("tap", "master", "segment", "ethercat-demo"),
     "In the controller": ("export", "verify"),
     "Simulated robots": ("simulate", "closed-loop", "experiment", "blindtest"),

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -55,6 +56,7 @@ READY = {  # the socket that it opens last; other roles end by themselves
     "simulate": "other.robot.sock",
 }
 COLD = ("estimate", "identify")  # roles whose start compiles
+OWN = re.compile(r"/(service|schemas|drivers|replay)/|/deltatwin/\w+\.py")  # a file of ours in a traceback
 BAD = ("Traceback", "Exception ignored", "FATAL", "Fatal", "panicked", "Aborted")
 
 
@@ -74,8 +76,9 @@ def how_it_ended(code: int | None, said: str, stop: signal.Signals) -> str:
     if code in (-signal.SIGABRT, -signal.SIGSEGV):
         return "aborted"
     if any(word in said for word in BAD):
-        own = "service" in said or "schemas" in said or "drivers" in said
-        return "traceback" if own or code != -signal.SIGINT else "in Python's start"
+        own = bool(OWN.search(said))
+        starting = code == -signal.SIGINT or "init_import_site" in said  # of what other packages have run at the start
+        return "in Python's start" if starting and not own else "traceback"
     if code == -stop and not said:
         return "in Python's start"
     return str(code) if code in (0, 130) else f"code {code}"

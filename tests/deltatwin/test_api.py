@@ -143,6 +143,8 @@ def test_arrays_and_frames_are_the_trace_they_came_from(demo: tuple) -> None:
         assert np.array_equal(other.time, log.time)
         assert np.array_equal(other.position, log.position)
         assert np.array_equal(other.torque, log.torque)
+        assert other.position_command is not None
+        assert log.position_command is not None
         assert np.array_equal(other.position_command, log.position_command)
         assert np.array_equal(other.flags, log.flags)
     assert dt.evaluate(robot, arrays).to_frame()["rms"].to_list() == dt.evaluate(robot, log).to_frame()["rms"].to_list()

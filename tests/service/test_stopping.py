@@ -36,13 +36,16 @@ def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_while_the_program_is_loaded_it_ends_without_a_word(how: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("how", "before"),
+    [*((how, "typer") for how in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)), (signal.SIGINT, "service.stopping")],
+)
+def test_while_the_program_is_loaded_it_ends_without_a_word(how: signal.Signals, before: str) -> None:
     done = run(f"""
 import os, sys
 class Sends:
     def find_spec(self, name, path=None, target=None):
-        if name == "typer":
+        if name == {before!r}:
             os.kill(os.getpid(), {how:d})
 sys.meta_path.insert(0, Sends())
 sys.argv = ["deltatwin", "--version"]
@@ -75,7 +78,13 @@ def test_what_a_library_makes_of_an_interrupt_is_no_traceback() -> None:
         raise ImportError("initialization failed") from interrupt"""
     building = """
     raise ValueError("Error building `literal` serializer: KeyboardInterrupt: ")"""
-    for left_behind in (compiler, loading, building):
+    naming = """
+    class Field:
+        def __set_name__(self, owner, name):
+            os.kill(os.getpid(), signal.SIGINT) or time.sleep(5)
+    class Owner:
+        field = Field()"""
+    for left_behind in (compiler, loading, building, naming):
         done = run(AS_MAIN.format(left_behind))
         assert (done.returncode, done.stderr) == (130, "")
     done = run(AS_MAIN.format("raise RuntimeError('of its own')"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -235,3 +237,9 @@ def test_effect_errors_name_effect_and_parameter(entry: dict[str, object], compl
 def test_impossible_payload_is_refused(ideal: Plant) -> None:
     with pytest.raises(DataError, match="payload of -1"):
         ideal.set_payload(-1.0)
+
+
+def test_the_plant_loads_nothing_that_draws() -> None:
+    code = "import os; os.environ.pop('MUJOCO_GL', None); import sys, drivers.plant.plant; print('glfw' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"

@@ -1,0 +1,109 @@
+"""What runs on the bus, as tables that are drawn again and again: a robot's joints and payload, and its roles."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from service.cli.output import Table, table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import numpy as np
+
+    from drivers.bus import Bus
+
+JOINTS = ("sample", "feedforward", "payload", "error")
+MOST_EVENTS = 4  # told
+WINDOW_NS = 1_000_000_000  # of what the errors are an rms of
+
+
+class Joints:
+    """The newest of every joint, the model errors of the last second, the payload and its last events."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._inboxes = {topic: bus.subscribe(topic) for topic in JOINTS}
+        self._newest: dict[str, np.ndarray] = {}
+        self._events: list[str] = []
+
+    def table(self, title: str) -> Table:
+        """What is known by now; what never came is left out."""
+        import numpy as np
+
+        from schemas.messages import PayloadEvent, stamp_ns
+
+        for topic, inbox in self._inboxes.items():
+            records, _ = inbox.take()
+            if len(records):
+                kept = np.concatenate([self._newest.get(topic, records[:0]), records])
+                self._newest[topic] = kept[stamp_ns(kept) > stamp_ns(kept[-1]) - WINDOW_NS]
+        for record in self._newest.get("payload", []):
+            if record["event"]:
+                event = PayloadEvent(int(record["event"])).name.lower()
+                line = f"{float(stamp_ns(record)) * 1e-9:.2f} s {event}"
+                self._events = [*self._events, line][-MOST_EVENTS:] if line not in self._events else self._events
+        shown = table(("", "joint 1", "joint 2", "joint 3"), self._rows(), title)
+        if "sample" in self._newest:
+            clock = float(stamp_ns(self._newest["sample"][-1])) * 1e-9
+            shown.caption = f"bus time {clock:.1f} s   {'   '.join(self._events)}"
+        return shown
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        import numpy as np
+
+        newest = {topic: records[-1] for topic, records in self._newest.items()}
+        for label, topic, field, form in (
+            ("position, rad", "sample", "position", "+8.3f"),
+            ("torque measured, N m", "sample", "torque", "+8.2f"),
+            ("torque feed-forward, N m", "feedforward", "torque", "+8.2f"),
+        ):
+            if topic in newest:
+                yield label, *(format(value, form) for value in newest[topic][field])
+        for label, field in (("M_KH", "kh"), ("M_Id+F", "id_friction"), ("full", "full")):
+            if "error" in newest:
+                values = self._newest["error"][field]
+                known = np.isfinite(values).sum(axis=0)
+                rms = np.sqrt(np.nansum(values**2, axis=0) / np.maximum(known, 1))
+                told = (format(value, "8.2f") if count else "at rest" for value, count in zip(rms, known, strict=True))
+                yield f"error {label}, rms N m", *told
+        if "payload" in newest:
+            payload = newest["payload"]
+            trust = "trusted" if payload["trusted"] else "not yet trusted"
+            errors = f"± {payload['random_std_dev']:.3f} random ± {payload['common_std_dev']:.3f} common"
+            yield "payload, kg", f"{payload['mass']:.3f}", errors, trust
+
+
+class Roles:
+    """What each role said of itself last."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._inbox = bus.subscribe("health")
+        self._newest: dict[int, np.void] = {}
+
+    def table(self) -> Table:
+        """A row a role that is here, or said that it has ended."""
+        for record in self._inbox.take()[0]:
+            self._newest[int(record["role"])] = record
+        head = ("role", "state", "messages in, out", "lost", "latency, median, p99, max", "what it says")
+        return table(head, list(self._rows()), figures=slice(2, 5))
+
+    def _rows(self) -> Iterator[tuple[str, ...]]:
+        from schemas.messages import HealthFlag, Role
+
+        alive = {int(role) for role in self._bus.alive} - {int(self._bus.role)}
+        for number in sorted(alive | set(self._newest)):
+            said: Any = self._newest.get(number)
+            name = Role(number).name.lower()
+            if said is None:
+                yield name, "here", "", "", "", "nothing yet"
+                continue
+            flags = HealthFlag(int(said["flags"]))
+            ended = bool(flags & HealthFlag.STOPPED)
+            state = "[yellow]ended[/yellow]" if ended else "runs" if number in alive else "[red]gone[/red]"
+            told = [flag.name.lower().replace("_", " ") for flag in HealthFlag if flags & flag and flag.name]
+            latency = [f"{1e6 * said[key]:.0f}" for key in ("latency_median", "latency_p99", "latency_max")]
+            yield (
+                name, state, f"{said['received']}, {said['published']}", str(said["lost"]),
+                f"{', '.join(latency)} µs" if said["latency_max"] > 0 else "", ", ".join(told) or "well",
+            )  # fmt: skip

@@ -1,0 +1,53 @@
+"""`deltatwin top`: the running robot on the terminal: torque, mass, model error, health and latency of all roles."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
+from service.cli.output import console
+
+REFRESH_S = 0.05  # on a terminal; anywhere else a text a second
+NICENESS = 10
+
+
+def command(
+    robot: Annotated[Path, robot_file("; its name is the robot on the bus.")],
+    zenoh_config: ZenohConfig = None,
+    insecure: Insecure = False,
+    ros_domain: RosDomain = None,
+) -> None:
+    """Show what runs on the bus until Ctrl-C, twenty times a second; into a pipe once a second.
+
+    Steers nothing and runs below the priority of all roles. A robot has one observer: end its `view` first.
+
+    Example: deltatwin top --robot identified.toml
+    """
+    import os
+    import time
+
+    from rich.console import Group
+    from rich.live import Live
+
+    from drivers.bus import open_bus
+    from schemas.messages import Role
+    from schemas.robot import load_robot
+    from service.cli.live import Joints, Roles
+    from service.stopping import stop_requested
+
+    name = load_robot(robot).name
+    stopped, screen = stop_requested(), console()
+    with open_bus(name, Role.OBSERVER, zenoh_config, insecure, ros_domain) as bus:
+        os.nice(NICENESS)
+        joints, roles = Joints(bus), Roles(bus)
+        if not sys.stdout.isatty():
+            while not stopped():
+                time.sleep(1.0)
+                screen.print(joints.table(name), roles.table())
+            return
+        with Live(console=screen, screen=True, auto_refresh=False) as display:
+            while not stopped():
+                time.sleep(REFRESH_S)
+                display.update(Group(joints.table(f"{name}; Ctrl-C ends it"), "", roles.table()), refresh=True)

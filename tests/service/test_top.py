@@ -1,0 +1,75 @@
+"""`deltatwin top`: what is on the bus is on the terminal, whole at 80 columns, and Ctrl-C ends it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.bus import Bus, open_bus
+from drivers.health import Health
+from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, SAMPLE, HealthFlag, PayloadEvent, Role, set_stamp
+
+PROGRAM = Path(sys.executable).with_name("deltatwin")
+CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+def publish(player: Bus, estimator: Bus, number: int, event: PayloadEvent = PayloadEvent.NONE) -> None:
+    """One cycle of a robot: torque 1, 2, 3 N m, 1.234 kg, joint 2 at rest."""
+    for bus, topic, message, values in (
+        (player, "sample", SAMPLE, {"torque": [1.0, 2.0, 3.0], "position": [0.1, 0.2, 0.3]}),
+        (estimator, "feedforward", FEEDFORWARD, {"torque": [1.5, 2.5, 3.5]}),
+        (estimator, "payload", PAYLOAD, {"mass": 1.234, "trusted": 1, "event": event}),
+        (estimator, "error", MODEL_ERROR, {"full": [0.3, np.nan, 0.5], "kh": 1.0, "id_friction": 0.7}),
+    ):
+        record = message.empty(1)
+        record["sequence"] = number
+        set_stamp(record, np.array([number * 1_000_000]))
+        for name, value in values.items():
+            record[name] = value
+        bus.publisher(topic).put(record.tobytes())
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_what_is_on_the_bus_is_shown(bus_folder: Path, bench_robot: Path, until: Callable, terminal: bool) -> None:
+    master, slave = os.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 60, 80, 0, 0))
+    output = slave if terminal else subprocess.PIPE
+    with open_bus("bench", Role.PLAYER) as player, open_bus("bench", Role.ESTIMATOR) as estimator:
+        health = Health(estimator, HealthFlag.NO_REALTIME)
+        health.flags = HealthFlag.FRICTION_DRIFT
+        process = subprocess.Popen([PROGRAM, "top", "--robot", bench_robot], stdout=output, stderr=subprocess.PIPE)
+        until(lambda: Role.OBSERVER in player.alive and Role.OBSERVER in estimator.alive)
+        seen, give_up, number = b"", time.monotonic() + 60.0, 0
+        os.set_blocking(master, False)
+        if process.stdout is not None:
+            os.set_blocking(process.stdout.fileno(), False)
+        while time.monotonic() < give_up and not (b"friction drift" in seen and b"1.234" in seen and b"pick" in seen):
+            publish(player, estimator, number, PayloadEvent.PICK if number == 200 else PayloadEvent.NONE)
+            if health.due:
+                health.publish(received=number, published=number, lost=0)
+            number += 1
+            time.sleep(2e-3)
+            try:
+                seen += (os.read(master, 1 << 16) if terminal else process.stdout.read()) or b""  # type: ignore[union-attr]
+            except BlockingIOError:
+                continue
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0, process.stderr and process.stderr.read()
+    os.close(slave)
+    os.close(master)
+    text = CONTROL.sub("\n" if terminal else "", seen.decode())
+    for said in ("torque measured, N m", "+2.00", "+2.50", "1.234", "trusted", "at rest", "0.50", "estimator", "runs"):
+        assert said in text, text
+    assert not terminal or max(len(line) for line in text.replace("\r", "").split("\n")) <= 80
