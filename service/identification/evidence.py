@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.trace.quality import LARGEST
 from schemas.errors import DataError, TraceError
 from schemas.machine import Machine
 from schemas.messages import SampleFlag
@@ -79,12 +80,19 @@ def said(log_ratio: float) -> str:
     return f"over {MOST_SAID:,.0f}".replace(",", " ") if ratio > MOST_SAID else f"{ratio:.2g}"
 
 
+def possible(values: np.ndarray) -> np.ndarray:
+    """Values with NaN for what no machine has."""
+    return np.where(np.abs(values) <= LARGEST, values, np.nan)
+
+
 def trial(run: Run) -> Trace:
     """The part of a log that moves most. A clock that stands still or goes back breaks it as a gap does."""
     position, torque, rate = run.position, run.torque, run.rate
     clock = np.arange(len(position)) / rate if run.time is None else run.time
     stamped = np.isfinite(clock)
-    position, torque, clock = position[stamped], torque[stamped], clock[stamped]
+    position, torque, clock = possible(position[stamped]), possible(torque[stamped]), clock[stamped]
+    if len(clock) < 2 or not rate > 0:
+        raise TraceError(f"{len(clock)} rows with a stamp")
     length = min(len(position), int(LONGEST * rate))
     activity = np.concatenate([[0.0], np.cumsum(np.nansum(np.abs(np.diff(position, axis=0)), axis=1))])
     ends = activity[length - 1 :] - activity[: len(activity) - length + 1]

@@ -139,7 +139,8 @@ def _reading(
     else:
         unit = stated.position_unit or said_unit(runs[0], channels.position[0], POSITION_UNITS)
         logs = [_run(run, channels, own, stated.rate_hz) for run in runs]
-        found = judge(robot, logs, positions, torque, (unit is not None, told))
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # numbers of no machine are no evidence
+            found = judge(robot, logs, positions, torque, (unit is not None, told))
         if robot.linear and unit is None:
             found.doubts.append(f"positions taken as {positions[0]['unit']}, by their range")
     reasons += found.reasons

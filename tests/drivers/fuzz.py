@@ -23,7 +23,10 @@ from pathlib import Path
 
 import numpy as np
 import scipy.io
+import zstandard
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.typesys import Stores, get_typestore
 
 from drivers.ethercat.eni import read_eni
 from drivers.ethercat.process_data.layout import make_layout
@@ -38,7 +41,10 @@ from schemas.errors import DeltatwinError
 from schemas.keys import topic_key
 from schemas.messages import TOPICS
 from schemas.robot import load_robot, save_robot
+from schemas.toml import validate
 from service.identification.payload import read_truth
+from service.identification.proposal import propose
+from service.identification.readings import Stated
 from service.monitor.readback import read_recording
 from service.monitor.recover import recover
 from tests.drivers.ethercat import wire
@@ -154,6 +160,48 @@ def _saved(save: Callable[..., object], *arguments: object, **named: object) -> 
     return stream.getvalue()
 
 
+def _texts() -> list[bytes]:
+    """Foreign tables: marks between thousands, day and time of day, two topics on one clock, units, TwinCAT's."""
+    head, half = ";".join(NAMES), len(NAMES) // 2
+    marked = [";".join(f"{1e6 * v:,.3f}".translate(str.maketrans(",.", ".,")) for v in row) for row in BLOCK]
+    dated = [f"2026-11-26,23:59:59.{999 * k % 1000:03},{','.join(map(str, row[1:]))}" for k, row in enumerate(BLOCK)]
+    apart = [
+        ",".join([f"{row[0] + late:.4f}", *("" if (k < half) == late else f"{v:.6f}" for k, v in enumerate(row[1:]))])
+        for row in BLOCK
+        for late in (0, 1e-3)
+    ]
+    scope = "Name\tScope\nFile\tx\n\nName\t" + "\t".join(NAMES[1:]) + "\nSampleTime[ms]\t2\n\n"
+    made = [
+        "\n".join([head, "s;rad;rad;rad;Nm;Nm;Nm", *marked]),
+        "\n".join(["Date,Time," + ",".join(NAMES[1:]), *dated]),
+        "\n".join([",".join(NAMES), *apart]),
+        scope + "\n".join("\t".join(f"{v:.6f}" for v in row) for row in BLOCK) + "\nEOF\n",
+    ]
+    return [text.encode() for text in made]
+
+
+def _ros1(folder: Path) -> list[bytes]:
+    made = []
+    for number, chunk in enumerate((None, 700)):
+        path = folder / f"{number}.bag"
+        writer = Ros1Writer(path)
+        if chunk:
+            writer.set_compression(Ros1Writer.CompressionFormat.LZ4)
+            writer.chunk_threshold = chunk
+        with writer as bag:
+            store = get_typestore(Stores.ROS1_NOETIC)
+            kind = "sensor_msgs/msg/JointState"
+            connection = bag.add_connection("/joint_states", kind, typestore=store)
+            state, header = store.types[kind], store.types["std_msgs/msg/Header"]
+            stamp = store.types["builtin_interfaces/msg/Time"]
+            for k, row in enumerate(BLOCK):
+                at = header(seq=k, stamp=stamp(sec=0, nanosec=round(row[0] * 1e9)), frame_id="base")
+                message = state(header=at, name=NAMES[1:4], position=row[1:4], velocity=row[:0], effort=row[4:7])
+                bag.write(connection, k, store.serialize_ros1(message, kind))
+        made.append(path.read_bytes())
+    return made
+
+
 def _npz() -> list[bytes]:
     named = dict(zip(NAMES, BLOCK.T, strict=True))
     return [
@@ -227,6 +275,7 @@ def corpus() -> dict[str, list[bytes]]:
     with tempfile.TemporaryDirectory() as folder:
         pcaps, pcapngs = _captures(Path(folder))
         db3 = _db3(Path(folder))
+        ros1 = _ros1(Path(folder))
     codesys_text, codesys_xml = _codesys()
     return {
         "csv": _csv(),
@@ -244,6 +293,9 @@ def corpus() -> dict[str, list[bytes]]:
         "trace": codesys_xml,
         "db3": db3,
         "bag": _bag(),
+        "text": _texts(),
+        "ros1": ros1,
+        "packed": [zstandard.compress(db3[0])],
     }
 
 
@@ -352,6 +404,17 @@ def _read_table(path: Path) -> None:
     _each(lambda: read_table(path), lambda: read_trace(path, ROBOT, TABLE))
 
 
+def _read_text(path: Path) -> None:
+    """As it is found, and as `import` would have it read again."""
+
+    def again() -> None:
+        table = read_table(path)
+        proposal = propose(table, None, Stated(rate_hz=500.0))
+        read_trace(path, None, validate(Columns, dict(proposal.columns), path, DeltatwinError))
+
+    _each(lambda: read_table(path), again)
+
+
 def _read_kuka(path: Path) -> None:
     BLOCK[:, 1:].astype("<f8").tofile(path.with_name("case.r64"))
     _read_table(path)
@@ -382,6 +445,9 @@ ENDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "trace": (".trace", _read_table),
     "db3": (".db3", _read_table),
     "bag": (".mcap", _read_table),
+    "text": (".txt", _read_text),
+    "ros1": (".bag", _read_table),
+    "packed": (".db3.zstd", _read_table),
 }
 
 

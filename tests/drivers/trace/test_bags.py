@@ -16,7 +16,7 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.typesys import Stores, get_typestore
 
 from drivers.trace.tables import read_table
-from drivers.trace.tables.bag_files import _Clock, parts_of
+from drivers.trace.tables.bag_files import _allowed, _Clock, _rows, parts_of
 from schemas.errors import TraceError
 
 TYPE = "sensor_msgs/msg/JointState"
@@ -228,7 +228,44 @@ def test_a_database_gives_what_stands_in_its_tables_and_nothing_else(tmp_path: P
     with pytest.raises(TraceError, match=r"log\.db3: not a rosbag2 database: ") as told:
         read_table(tmp_path / "log.db3")
     assert "\n" not in str(told.value)
+    if "VIEW" in messages or "VIRTUAL" in messages:
+        assert "should be two tables" in str(told.value)
     assert time.monotonic() - begin < 5.0
+
+
+@pytest.mark.parametrize(
+    "query",
+    ["SELECT hex(data) FROM messages", "SELECT * FROM seen", "SELECT data FROM other", "DELETE FROM messages",
+     "ATTACH 'x.db' AS x", "PRAGMA user_version"],
+)  # fmt: skip
+def test_of_a_database_only_columns_of_its_two_tables_are_read(query: str) -> None:
+    with sqlite3.connect(":memory:") as bag:
+        bag.execute("CREATE TABLE messages(id INTEGER, data BLOB)")
+        bag.execute("CREATE TABLE other(data BLOB)")
+        bag.execute("CREATE VIEW seen AS SELECT data FROM messages")
+        bag.set_authorizer(_allowed)
+        with pytest.raises(sqlite3.DatabaseError, match=r"not authorized|prohibited"):
+            bag.execute(query).fetchall()
+        assert bag.execute("SELECT data FROM messages").fetchall() == []
+
+
+def test_a_database_that_takes_longer_than_its_size_asks_for_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.trace.tables.bag_files.LEAST_SECONDS", -1e9)
+    monkeypatch.setattr("drivers.trace.tables.bag_files.STEPS", 1)
+    with pytest.raises(TraceError, match=r"log\.db3: not a rosbag2 database: it would take more than"):
+        read_table(db3(tmp_path / "log.db3", states()))
+
+
+def test_messages_of_more_bytes_than_the_file_has_are_not_kept(tmp_path: Path) -> None:
+    """As where many rows share a page, or a join repeats them."""
+    bag = sqlite3.connect(db3(tmp_path / "log.db3", states()))
+    try:
+        with pytest.raises(ValueError, match="its messages have more bytes than the file, 100"):
+            _rows(bag, 100, tmp_path / "log.db3", lambda kinds, path: "/joint_states")
+    finally:
+        bag.close()
 
 
 def test_a_query_ends_with_its_time_and_with_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -111,6 +111,7 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes], str]] = {
     ),
     "record": ("a.mcap", lambda: mcap([]).replace(b"\x0f\x04", b"\x0f\xff\xff\xff\xff", 1), "a damaged summary"),
     "brackets": ("a.toml", lambda: b"a = " + b"[" * 3000 + b"]" * 3000, "more than 12 deep"),
+    "few brackets": ("a.toml", lambda: b"a = " + b"[" * 100 + b"]" * 100, "more than 12 deep"),
     "dotted key": ("a.toml", lambda: b".".join([b"a"] * 60_000) + b" = 1", "more than 12 deep"),
     "quoted dotted key": ("a.toml", lambda: b"a = {" + b".".join([b'"a"'] * 60_000) + b" = 1}", "more than 12 deep"),
     "long toml": ("a.toml", lambda: b"#" * (300 << 10), "307200 bytes, at most 262144 are read"),
