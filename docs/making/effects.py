@@ -167,7 +167,7 @@ def page(effect: Effect) -> str:
         "*Torque that the effect adds on one joint of the robot d3-1200, computed by the model, as a share of its "
         "peak.*\n"
     )
-    for title, key in (("Equation", "Physics"), ("In the model", "Implementation")):
+    for title, key in (("Physics and equation", "Physics"), ("In the model", "Implementation")):
         if key in parts:
             text.append(f"## {title}\n\n{parts[key]}\n")
     text.append("## Check on the machine\n\n" + (effect.means or "Nothing is stored for this effect.") + "\n")

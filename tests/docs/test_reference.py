@@ -79,7 +79,7 @@ def test_every_effect_has_a_page() -> None:
         assert "## Check on the machine\n\nNothing" not in page
         for name in [*effect.amplitudes, *effect.nonlinear]:
             assert f"| `{name}` |" in page
-        for heading in ("Equation", "Check on the machine", "Parameters", "What it is confused with"):
+        for heading in ("Physics and equation", "Check on the machine", "Parameters", "What it is confused with"):
             assert f"## {heading}\n" in page, effect.name
         assert f"[`{effect.name}`]({effect.name}.md)" in effects.index()
 
