@@ -20,6 +20,7 @@ class Format(StrEnum):
     mjcf = "mjcf"
     urdf = "urdf"
     c = "c"
+    sheet = "sheet"
 
 
 def command(
@@ -30,12 +31,16 @@ def command(
     to: Annotated[
         Format,
         typer.Option(
-            help="mjcf: MuJoCo, the closed chain; urdf: viewers, the actuated links; c: feed-forward and payload as C99"
+            help="mjcf: MuJoCo, the closed chain; urdf: viewers, the actuated links; c: feed-forward and payload as "
+            "C99; sheet: figures for a controller's own rigid model"
         ),
     ] = Format.mjcf,
     effects: OwnEffects = None,
     rate: Annotated[float, typer.Option(min=10.0, max=50_000.0, help="Of c: controller cycles a second (Hz)")] = 1000.0,
     name: Annotated[str, typer.Option(help="Of c: what files, types and functions begin with")] = "deltatwin",
+    log: Annotated[
+        list[Path] | None, typer.Option(help="Of sheet: held-out log, what is left of its torque; may come again")
+    ] = None,
     nominal: Annotated[bool, typer.Option("--nominal", help="Of c: also a robot that was never identified")] = False,
 ) -> None:
     """Write the robot, as identified and corrected, for MuJoCo, or the actuated part of it for viewers; or its
@@ -50,6 +55,8 @@ def command(
     Example: deltatwin export corrected.toml --to mjcf --out robot.xml
 
     Example: deltatwin export corrected.toml --to c --rate 1000 --out twin/
+
+    Example: deltatwin export corrected.toml --to sheet --log test_1.csv --log test_2.csv --out figures.md
     """
     import sys
 
@@ -59,6 +66,9 @@ def command(
     description = load_robot(robot, effects)
     if to is Format.c:
         _code(description, out, rate, name, nominal)
+        return
+    if to is Format.sheet:
+        _sheet(description, out, log or [])
         return
     from service.rollout.export import to_mjcf, to_urdf
 
@@ -100,3 +110,16 @@ def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool) -> Non
     print(
         f"next: gcc -O2 -std=c99 -ffp-contract=off -c {out / name}.c, and call {name}_init, then {name}_step each cycle"
     )
+
+
+def _sheet(robot: Robot, out: Path, logs: list[Path]) -> None:
+    """`--to sheet`."""
+    from schemas.files import make_folder, write_text
+    from service.cli.reading import reading
+    from service.codegen.sheet import to_sheet
+
+    make_folder(out.parent)
+    write_text(out, to_sheet(robot, list(reading(logs, robot, None, "reading"))))
+    print(f"wrote {out}")
+    if not logs:
+        print("next: --log with held-out logs says what each figure leaves of the torque")

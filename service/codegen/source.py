@@ -1,13 +1,17 @@
 """The Python text of a kernel, what its names stand for, and how it is refused where it says what no back end knows."""
 
 from __future__ import annotations
+import __future__
 
 import ast
 import inspect
+import linecache
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from types import CodeType
 from typing import Any, NoReturn
 
 from numba.core.registry import CPUDispatcher
@@ -83,7 +87,24 @@ def source_of(kernel: CPUDispatcher) -> Source:
     if not isinstance(tree, ast.FunctionDef):
         raise CodegenError(f"{path}:{first}: {function.__name__}: no function stands there")
     arguments = tree.args
+    if not _is_of(made or "".join(linecache.getlines(path)), function):
+        raise CodegenError(f"{path}:{first}: {function.__name__}: the file is another than when this process read it")
     source = Source(function, tree, path, first)
     if arguments.defaults or arguments.kwonlyargs or arguments.vararg or arguments.kwarg or arguments.posonlyargs:
         source.refuse(tree, "parameters with defaults or of any number")
     return source
+
+
+def _is_of(text: str, function: Callable[..., Any]) -> bool:
+    """Whether `text`, of its whole file, is what `function` was compiled from: a file may have been changed since."""
+    own = function.__code__
+    made = _codes(text).get((own.co_name, own.co_firstlineno))
+    parts = ("co_code", "co_names", "co_varnames", "co_consts")
+    return made is not None and all(getattr(made, part) == getattr(own, part) for part in parts)
+
+
+@cache
+def _codes(text: str) -> dict[tuple[str, int], CodeType]:
+    """What the functions of a file are compiled to, by name and first line."""
+    module = compile(text, "?", "exec", flags=__future__.annotations.compiler_flag, dont_inherit=True)
+    return {(one.co_name, one.co_firstlineno): one for one in module.co_consts if isinstance(one, CodeType)}

@@ -6,6 +6,8 @@ what it does not know refused with file and line."""
 from __future__ import annotations
 
 import ctypes
+import importlib.util
+import linecache
 import math
 import subprocess
 from pathlib import Path
@@ -336,3 +338,18 @@ def test_a_kernel_is_made_once_for_each_shape_of_its_arguments() -> None:
     one = program.function(_loops, (Record(DATA),))
     assert program.function(_loops, (Record(DATA),)) is one
     assert Array("f8", (2, 3)).item == Array("f8", (3,))
+
+
+def test_a_file_that_was_changed_since_it_was_read_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "changing.py"
+    path.write_text("from schemas.kernels import kernel\n\n\n@kernel\ndef double(d):\n    d.x[0] = 2.0 * d.x[1]\n")
+    spec = importlib.util.spec_from_file_location("changing", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert Program(LAYOUT).function(module.double, (Record(DATA),)).body
+    path.write_text(path.read_text().replace("2.0", "3.0"))
+    linecache.checkcache(str(path))
+    with pytest.raises(CodegenError, match=r"changing\.py:4: double: the file is another"):
+        Program(LAYOUT).function(module.double, (Record(DATA),))
