@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 import re
 import subprocess
@@ -67,3 +69,9 @@ def looked_at(path: Path, width: int = 1200) -> dict[str, Any]:
     found = re.search(r'<pre id="told">(.*?)</pre>', done.stdout, re.DOTALL)
     assert found, done.stderr[-500:]
     return json.loads(unescape(found[1]))
+
+
+def plots_of(page: str) -> list[dict[str, Any]]:
+    """What `plots.js` draws on a page, which carries it packed."""
+    packed = re.findall(r'<script type="text/plain" class="plot-data">(.*?)</script>', page)
+    return [json.loads(gzip.decompress(base64.b64decode(one))) for one in packed]

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import gzip
-import json
 import re
 import shutil
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +33,7 @@ from service.pages import LOOK, PROGRAM, print_page
 from service.pages import write_page as write_any_page
 from service.rollout.document import write_rollout
 from service.rollout.gap import REGIMES
-from tests.service.pages.browser import looked_at
+from tests.service.pages.browser import looked_at, plots_of
 
 
 @pytest.fixture
@@ -198,12 +195,6 @@ def test_the_plotting_program_is_that_of_the_library(tmp_path: Path) -> None:
     assert versions[0]
     assert versions[1]
     assert [int(part) for part in versions[0].groups()] >= [int(part) for part in versions[1].groups()]
-
-
-def plots_of(text: str) -> list[dict[str, Any]]:
-    """What `plots.js` draws on a page."""
-    packed = re.findall(r'<script type="text/plain" class="plot-data">(.*?)</script>', text)
-    return [json.loads(gzip.decompress(base64.b64decode(one))) for one in packed]
 
 
 def test_an_axis_of_magnitudes_says_its_figures_whole(tmp_path: Path) -> None:
