@@ -134,19 +134,7 @@ def assemble(
     stamps = {i: table[str(i)].to_numpy() / per_second for i in sorted({c.time_index for c in channels})}
     base = channels[0].time_index
     lines = RowNames(word, numbers)
-    rows, left_out = _stamped(stamps[base], lines)
-    notes.extend(left_out)
-    if len(rows) == 0:
-        raise TraceError(f"{path}: no row has a time stamp in column {columns.time.name!r}")
-    if columns.where is not None:
-        counts = columns.where.counts(table[str(wanted.where)].to_numpy()[rows])
-        left_out = f"{columns.where.left_out} in column {columns.where.name!r}"
-        if not counts.any():
-            raise TraceError(f"{path}: all rows {left_out}")
-        if not counts.all():
-            message = f"{np.count_nonzero(~counts)} of {len(rows)} rows {left_out} and were left out"
-            notes.append(Finding.note(message))
-        rows = rows[counts]
+    rows = _counted(table, stamps[base], columns, wanted, lines, notes, path)
     apart = _rows_of_their_own(table, channels)
     if apart:
         rows = rows[np.isfinite(table[str(channels[0].index)].to_numpy()[rows])]
@@ -201,6 +189,30 @@ def assemble(
         angular=not any(isinstance(c.column, PositionColumn) and c.column.linear for c in channels),
     )
     return check(trace, RowNames(word, lines.numbers[rows]), robot)
+
+
+def _counted(
+    table: pl.DataFrame, stamps: np.ndarray, columns: Columns, wanted: Plan, lines: RowNames, notes: list[Finding],
+    path: Path,
+) -> np.ndarray:  # fmt: skip
+    """Rows that have a stamp and count; what is left out is added to `notes`.
+
+    Raises:
+        TraceError: there are none.
+    """
+    rows, left_out = _stamped(stamps, lines)
+    notes.extend(left_out)
+    if len(rows) == 0:
+        raise TraceError(f"{path}: no row has a time stamp in column {columns.time.name!r}")
+    if columns.where is None:
+        return rows
+    counts = columns.where.counts(table[str(wanted.where)].to_numpy()[rows])
+    why = f"{columns.where.left_out} in column {columns.where.name!r}"
+    if not counts.any():
+        raise TraceError(f"{path}: all rows {why}")
+    if not counts.all():
+        notes.append(Finding.note(f"{np.count_nonzero(~counts)} of {len(rows)} rows {why} and were left out"))
+    return rows[counts]
 
 
 def _rows_of_their_own(table: pl.DataFrame, channels: Sequence[Channel]) -> set[int]:

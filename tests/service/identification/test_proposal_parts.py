@@ -10,7 +10,7 @@ import pytest
 
 from drivers.trace.tables import Table
 from schemas.axes import Axes
-from schemas.errors import DataError, TraceError
+from schemas.errors import DataError, RobotError, TraceError
 from schemas.robot import Drive, Robot
 from service.identification import evidence, proposal, readings
 from service.identification.channels import Channels
@@ -466,3 +466,13 @@ def test_it_is_said_in_what_stamps_are_and_doubted_where_only_their_rate_tells(
     assert (reasons, doubts) == (([line], []) if sure else ([], [line]))
     assert proposal._time(table, Channels(), Stated(rate_hz=500.0), reasons, doubts) == ({"rate_hz": 500.0}, 500.0)
     assert len(reasons + doubts) == 1
+
+
+def test_an_arm_whose_masses_no_library_knows_is_read_as_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(robot: Any, runs: Any) -> None:
+        raise RobotError("Pinocchio is not installed")
+
+    monkeypatch.setattr(readings, "machine_sums", missing)
+    found = propose(swings(lambda x, v, a: -5.0 * a, lambda x, v, a: 5.0 * a), TURNING, Stated())
+    assert not any("sign" in entry for entry in found.columns["torque"])
+    assert "units and signs are not checked: Pinocchio is not installed" in found.doubts
