@@ -11,8 +11,8 @@ import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
-from typing import IO
 
 from schemas.errors import DeltatwinError, StorageError
 
@@ -24,7 +24,7 @@ PART = ".part-"  # in front of the name of a file that is not complete, and of a
 MOST_NAME = 200  # letters of a file's own name in that: file systems end at 255 bytes
 
 
-def opened(path: Path, error: type[DeltatwinError]) -> IO[bytes]:
+def opened(path: Path, error: type[DeltatwinError]) -> BufferedReader:
     """`path` opened to be read.
 
     Raises:

@@ -27,9 +27,9 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if function is None:
         return lambda given: kernel(given, **options)
     compiled = njit(**flags)(function)
-    kept = getattr(compiled, "_cache", None)
-    if isinstance(getattr(kept, "_cache_file", None), IndexDataCacheFile):
-        kept._cache_file.__class__ = _Kept
+    kept = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
+    if isinstance(kept, IndexDataCacheFile):
+        kept.__class__ = _Kept
     return compiled
 
 

@@ -226,7 +226,7 @@ def _rows_of_their_own(table: pl.DataFrame, channels: Sequence[Channel]) -> set[
 def on_other_rows(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether two columns, (N,) bool where they hold values, hardly ever do so on the same row."""
     least = min(np.count_nonzero(one), np.count_nonzero(other))
-    return least > 1 and np.count_nonzero(one & other) < ON_ONE_ROW * least
+    return bool(least > 1 and np.count_nonzero(one & other) < ON_ONE_ROW * least)
 
 
 def _stamped(stamps: np.ndarray, lines: RowNames) -> tuple[np.ndarray, list[Finding]]:

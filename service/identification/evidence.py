@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from drivers.trace.quality import LARGEST
+from schemas.axes import Axes
+from schemas.chain import Chain
 from schemas.errors import DataError, TraceError
-from schemas.machine import Machine
 from schemas.messages import SampleFlag
 from schemas.robot import Robot
 from schemas.trace import Trace
@@ -159,7 +160,7 @@ class MachineSums:
         return within(whole[:-1, :-1], whole[:-1, -1], self.low, self.high)
 
 
-def machine_sums(robot: Machine, runs: Sequence[Run]) -> MachineSums | None:
+def machine_sums(robot: Axes | Chain, runs: Sequence[Run]) -> MachineSums | None:
     """None where no run has a part that can be used, or no joint moves long enough."""
     mechanism = mechanism_of(robot)
     if isinstance(mechanism, SerialArm):

@@ -319,7 +319,7 @@ def _of_machine(
     torque: dict[str, Any],
 ) -> Reading:  # fmt: skip
     """Signs with which a machine's inertia and friction are not negative, each joint for itself."""
-    assert isinstance(robot, Machine)
+    assert not isinstance(robot, Robot)
     count = robot.count
     reading = Reading(position, torque, None, [1] * count, [1] * count)
     gear = np.array(robot.gear_ratios)
