@@ -139,6 +139,7 @@ def main() -> None:
     arguments.add_argument("--out", type=Path, help="file for the figures, .json")
     given = arguments.parse_args()
     numbers = [given.only] if given.only is not None else range(given.start, given.start + given.cases)
+    commit = commit_here()
     counts, by_form, begin = Counter[str](), Counter[tuple[str, str]](), time.monotonic()
     for number in numbers:
         case = draw(number)
@@ -159,13 +160,17 @@ def main() -> None:
     for form in sorted({form for form, _ in by_form}):
         print(f"  {form:14}" + "".join(f"  {one} {by_form[form, one]}" for one in OUTCOMES))
     if given.out:
-        given.out.write_text(json.dumps(figures(counts), indent=1) + "\n")
+        given.out.write_text(json.dumps(figures(counts, commit), indent=1) + "\n")
     sys.exit(bool(counts["silent"] + counts["crash"]))
 
 
-def figures(counts: Counter[str]) -> list[dict[str, Any]]:
+def commit_here() -> str:
+    """Of the sources that run."""
+    return subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
+
+
+def figures(counts: Counter[str], commit: str) -> list[dict[str, Any]]:
     """What was measured, each with its bound."""
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
     total = sum(counts[outcome] for outcome in OUTCOMES)
     made = {"count": total, "commit": commit, "date": datetime.now(UTC).date().isoformat()}
     share = round(100 * counts["right"] / total, 2)
