@@ -10,19 +10,17 @@ silently wrong otherwise, which is printed with its number. Exit code 1 where on
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
 import sys
 import tempfile
 import time
 import traceback
 from collections import Counter
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from docs.making.figures import store
 from drivers.trace import read_trace
 from drivers.trace.tables import read_table
 from schemas.columns import Columns
@@ -34,7 +32,6 @@ from service.identification.proposal import Proposal, propose
 from service.identification.readings import Stated
 from tests.bench.field_files import ROBOT, TRUTH, Case, Written, draw, stated_of, tells_enough, truth, write
 
-BOUND_RIGHT = 85.0  # % of all cases
 CLOSE = 0.05  # of a parameter, beside three of its standard errors
 ABOUT = {"position": ("position", "increments"), "torque": ("torque", "force", "sign"), "time": ("stamps",)}
 OUTCOMES = "right", "said", "silent", "crash"
@@ -136,10 +133,9 @@ def main() -> None:
     arguments.add_argument("--start", type=int, default=0, help="number of the first")
     arguments.add_argument("--only", type=int, help="one case, and all that is said of it")
     arguments.add_argument("--said", action="store_true", help="print what is said, too")
-    arguments.add_argument("--out", type=Path, help="file for the figures, .json")
+    arguments.add_argument("--store", action="store_true", help="put the figures into results/field.json")
     given = arguments.parse_args()
     numbers = [given.only] if given.only is not None else range(given.start, given.start + given.cases)
-    commit = commit_here()
     counts, by_form, begin = Counter[str](), Counter[tuple[str, str]](), time.monotonic()
     for number in numbers:
         case = draw(number)
@@ -159,36 +155,21 @@ def main() -> None:
     print(f"\n{total} files in {time.monotonic() - begin:.0f} s: {dict(counts)}")
     for form in sorted({form for form, _ in by_form}):
         print(f"  {form:14}" + "".join(f"  {one} {by_form[form, one]}" for one in OUTCOMES))
-    if given.out:
-        given.out.write_text(json.dumps(figures(counts, commit), indent=1) + "\n")
+    if given.store:
+        print(store("field", figures(counts)))
     sys.exit(bool(counts["silent"] + counts["crash"]))
 
 
-def commit_here() -> str:
-    """Of the sources that run."""
-    return subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=False).stdout.strip()
-
-
-def figures(counts: Counter[str], commit: str) -> list[dict[str, Any]]:
-    """What was measured, each with its bound."""
+def figures(counts: Counter[str]) -> dict[str, tuple[float | int | str, int | str | None, str | None]]:
+    """What was measured, by the keys of results/field.json."""
     total = sum(counts[outcome] for outcome in OUTCOMES)
-    made = {"count": total, "commit": commit, "date": datetime.now(UTC).date().isoformat()}
-    share = round(100 * counts["right"] / total, 2)
-    enough = round(100 * counts["right of enough"] / max(counts["enough"], 1), 2)
-    return [
-        {"figure": "silently wrong", "value": counts["silent"], "unit": "files", "bound": 0} | made,
-        {"figure": "ended in a traceback", "value": counts["crash"], "unit": "files", "bound": 0} | made,
-        {"figure": "right", "value": share, "unit": "%", "bound": None} | made,
-        {
-            "figure": "right, of files that with what the user says tell enough",
-            "value": enough,
-            "unit": "%",
-            "bound": BOUND_RIGHT,
-        }
-        | made
-        | {"count": counts["enough"]},
-        {"figure": "said in one line", "value": counts["said"], "unit": "files", "bound": None} | made,
-    ]
+    enough = round(100 * counts["right of enough"] / max(counts["enough"], 1), 1)
+    return {
+        "silent": (counts["silent"], total, None),
+        "crash": (counts["crash"], total, None),
+        "right": (enough, counts["enough"], f"of all files {100 * counts['right'] / total:.0f} %"),
+        "said": (counts["said"], total, "refused, or doubted where it came out wrong"),
+    }
 
 
 if __name__ == "__main__":
