@@ -467,3 +467,47 @@ def test_of_a_second_no_sign_is_told() -> None:
         few = {name: np.where(np.arange(4000) < rows, values, np.nan) for name, values in made.columns.items()}
         found = propose(Table(made.path, made.kind, few | {"t": made.columns["t"]}), AXIS, Stated())
         assert entries(found, "torque")[0].get("sign") == sign
+
+
+def test_degrees_under_a_header_that_says_radians_are_degrees_and_doubted(geared: Robot, log: Trace) -> None:
+    """Not the motor's radians, which go as far."""
+    found = propose(written(log, 180 / np.pi, names=("q{} [rad]", "tau{} [Nm]")), geared, Stated())
+    assert entries(found, "position") == [{"unit": "deg"}] * 3
+    assert any("positions are deg of the joint, though the file says rad" in doubt for doubt in found.doubts)
+
+
+def test_a_gear_ratio_of_twice_the_true_one_is_doubted(geared: Robot, log: Trace) -> None:
+    twice = geared.model_copy(update={"drive": Drive(gear_ratio=2 * GEAR)})
+    for robot, told in ((twice, True), (geared, False)):
+        found = propose(written(log, GEAR, names=("q{} [rad]", "tau{} [Nm]")), robot, Stated())
+        assert any("times the gear ratio, or increments a turn" in doubt for doubt in found.doubts) is told
+
+
+def test_half_of_the_torque_is_not_blamed_on_the_gear(robot: Robot, log: Trace) -> None:
+    """Of a gear of two and a half, whose motor side it might be; nor is it taken for N m without a word."""
+    for gear in (1.0, 2.5):
+        described = robot.model_copy(update={"drive": Drive(gear_ratio=gear)})
+        found = propose(written(log, torque=0.5, names=("q{} [rad]", "tau{} [Nm]")), described, Stated())
+        assert any("torque" in doubt for doubt in found.doubts), (gear, found.reasons)
+        assert not any("torques are the motor's" in reason for reason in found.reasons)
+
+
+def test_few_increments_are_no_radians() -> None:
+    """Of a small motion, below a thousand of them."""
+    made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
+    turning = Axes.model_validate({"name": "axis", "kind": "axes", "axis": [{}]})
+    counts = replace(made, columns={**made.columns, "pos": np.round(300 * made.columns["pos"])})
+    with pytest.raises(DataError, match=r"positions are increments; how many make a turn"):
+        propose(counts, turning, Stated())
+
+
+def test_many_turns_are_no_degrees() -> None:
+    """Of an axis that winds, without a weight: radians as recorded, and it is said that nothing tells."""
+    made = slide(lambda x, v, a: 0.5 * a + 3 * np.sign(v), scale=1.0)
+    time = made.columns["t"]
+    wound = 40.0 * time + made.columns["pos"]
+    force = 0.5 * np.gradient(np.gradient(wound, time), time) + 3 * np.sign(np.gradient(wound, time))
+    turning = Axes.model_validate({"name": "axis", "kind": "axes", "axis": [{"gravity": False}]})
+    found = propose(Table(made.path, made.kind, {"t": time, "pos": wound, "force": force}), turning, Stated())
+    assert entries(found, "position") == [{"unit": "rad"}]
+    assert any(line.startswith("positions are rad of the joint, as recorded") for line in found.doubts)
