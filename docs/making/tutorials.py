@@ -20,7 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 TUTORIALS = ROOT / "docs" / "tutorials"
 CLONE = "deltatwin"  # what a tutorial calls the clone, beside the folder that it works in
-SECONDS = 600  # that a block may take
+SECONDS = 1500  # that a block may take, on a busy machine
 _BLOCK = re.compile(
     r"^```(?P<kind>\w+)(?: title=\"(?P<title>[^\"]+)\")?\n(?P<body>.*?)^```$"
     r"|^<!-- picture: (?P<page>\S+) (?P<picture>\S+) -->$",

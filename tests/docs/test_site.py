@@ -13,6 +13,7 @@ from schemas.errors import StorageError
 from service.pages import headless
 from tests.conftest import REPOSITORY
 
+pytestmark = pytest.mark.timeout(1500)  # on a busy machine
 pytest.importorskip("mkdocs", reason="needs the dependency group docs: uv sync --group docs")
 FETCHED = re.compile(r"<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)=[\"']?(?:https?:)?//[^>]*>")
 
@@ -22,7 +23,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     done = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
-        cwd=REPOSITORY, capture_output=True, text=True, timeout=280, check=False,
+        cwd=REPOSITORY, capture_output=True, text=True, timeout=1200, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return folder
