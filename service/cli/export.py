@@ -20,6 +20,7 @@ class Format(StrEnum):
     mjcf = "mjcf"
     urdf = "urdf"
     c = "c"
+    fmu = "fmu"
     sheet = "sheet"
 
 
@@ -32,16 +33,17 @@ def command(
         Format,
         typer.Option(
             help="mjcf: MuJoCo, the closed chain; urdf: viewers, the actuated links; c: feed-forward and payload as "
-            "C99; sheet: figures for a controller's own rigid model"
+            "C99; fmu: the same for co-simulation; sheet: figures for a controller's own rigid model"
         ),
     ] = Format.mjcf,
     effects: OwnEffects = None,
-    rate: Annotated[float, typer.Option(min=10.0, max=50_000.0, help="Of c: controller cycles a second (Hz)")] = 1000.0,
-    name: Annotated[str, typer.Option(help="Of c: what files, types and functions begin with")] = "deltatwin",
+    rate: Annotated[float, typer.Option(min=10.0, max=50_000.0, help="Of c, fmu: cycles a second (Hz)")] = 1000.0,
+    name: Annotated[str, typer.Option(help="Of c, fmu: what files, types and functions begin with")] = "deltatwin",
+    fmi: Annotated[int, typer.Option(min=2, max=3, help="Of fmu: version of the standard, 2 or 3")] = 3,
     log: Annotated[
         list[Path] | None, typer.Option(help="Of sheet: held-out log, what is left of its torque; may come again")
     ] = None,
-    nominal: Annotated[bool, typer.Option("--nominal", help="Of c: also a robot that was never identified")] = False,
+    nominal: Annotated[bool, typer.Option("--nominal", help="Of c, fmu: also where never identified")] = False,
 ) -> None:
     """Write the robot, as identified and corrected, for MuJoCo, or the actuated part of it for viewers; or its
     estimator as code for its controller.
@@ -66,6 +68,9 @@ def command(
     description = load_robot(robot, effects)
     if to is Format.c:
         _code(description, out, rate, name, nominal)
+        return
+    if to is Format.fmu:
+        _unit(description, out, rate, name, fmi, nominal)
         return
     if to is Format.sheet:
         _sheet(description, out, log or [])
@@ -123,3 +128,17 @@ def _sheet(robot: Robot, out: Path, logs: list[Path]) -> None:
     print(f"wrote {out}")
     if not logs:
         print("next: --log with held-out logs says what each figure leaves of the torque")
+
+
+def _unit(robot: Robot, out: Path, rate: float, name: str, fmi: int, nominal: bool) -> None:
+    """`--to fmu`."""
+    import sys
+
+    from schemas.files import make_folder
+    from service.codegen.fmu import write_fmu
+
+    make_folder(out.parent)
+    twin = write_fmu(robot, 1.0 / rate, 2 if fmi == 2 else 3, out, name, nominal)
+    print(f"wrote {out}: FMI {fmi}.0, co-simulation, a step every {1e6 / rate:g} us, one instance in a process")
+    for effect, why in twin.left_out.items():
+        print(f"{effect} is left out: {why}", file=sys.stderr)

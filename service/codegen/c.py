@@ -140,12 +140,11 @@ class Writer:
     def member(self, dtype: np.dtype, name: str) -> str:
         """The declaration of a record's field."""
         kind = self.layout.field(dtype, name)
-        assert dtype.fields is not None
         if isinstance(kind, Record):
             return f"{self.record(kind.dtype)} {word(name)}"
         if isinstance(kind, Array):
             return f"{self.element(kind.element)} {word(name)}" + "".join(f"[{count}]" for count in kind.shape)
-        return f"{STORED[dtype.fields[name][0].str[1:]]} {word(name)}"
+        return f"{STORED[dtype[name].str[1:]]} {word(name)}"
 
     # expressions
 
@@ -301,8 +300,7 @@ class Writer:
         if target.op == "field":
             holder = target.args[0].type
             assert isinstance(holder, Record)
-            assert holder.dtype.fields is not None
-            code = holder.dtype.fields[target.value][0].base.str[1:]
+            code = holder.dtype[target.value].base.str[1:]
         elif target.op == "index":
             array = target.args[0].type
             assert isinstance(array, Array)
@@ -443,8 +441,7 @@ def nested(dtype: np.dtype) -> list[np.dtype]:
     """The records in `dtype`, each before what holds it, itself last."""
     found: list[np.dtype] = []
     for name in dtype.names or ():
-        assert dtype.fields is not None
-        kind = stored(dtype.fields[name][0])
+        kind = stored(dtype[name])
         inner = kind.element if isinstance(kind, Array) else kind
         if isinstance(inner, Record):
             found += [one for one in nested(inner.dtype) if one not in found]

@@ -36,7 +36,11 @@ def layout_of(robot: Robot, settings: np.ndarray) -> Layout:
     if longest > kalman.MAX_LAG:
         raise CodegenError(f"a look back of {longest} samples, {kalman.MAX_LAG} are remembered")
     line = 2 * longest + 1
-    shapes = {(STATE, "slots"): (longest + 1,), (STATE, "past"): (longest + 1,), (STATE, "turn"): (line,)}
+    shapes: dict[tuple[np.dtype, str], tuple[int, ...]] = {
+        (STATE, "slots"): (longest + 1,),
+        (STATE, "past"): (longest + 1,),
+        (STATE, "turn"): (line,),
+    }
     fields: dict[tuple[np.dtype, str], float] = {}
     if robot.fourth_axis is None:
         fields[TOPICS["sample"].dtype, _FOURTH] = np.nan
@@ -54,8 +58,7 @@ def layout_of(robot: Robot, settings: np.ndarray) -> Layout:
 def _shape(dtype: np.dtype, name: str) -> tuple[int, ...]:
     if name not in (dtype.names or ()):
         raise CodegenError(f"a record of the estimator has no field {name!r} any more")
-    assert dtype.fields is not None
-    return dtype.fields[name][0].shape
+    return dtype[name].shape
 
 
 def _names() -> dict[np.dtype, str]:

@@ -34,8 +34,7 @@ LOADABLE = (
 
 
 def shape(one: Loadable) -> tuple[int, ...]:
-    assert SETTINGS.fields is not None
-    return SETTINGS.fields[one.name][0].shape
+    return SETTINGS[one.name].shape
 
 
 def growth_share(settings: np.ndarray) -> float:

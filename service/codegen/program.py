@@ -35,8 +35,7 @@ class Layout:
         return here if before is not None and isinstance(value, type(before)) and value == before else value
 
     def field(self, dtype: np.dtype, name: str) -> Type:
-        assert dtype.fields is not None
-        return stored(dtype.fields[name][0], self.shapes.get((dtype, name), ()))
+        return stored(dtype[name], self.shapes.get((dtype, name), ()))
 
     def members(self, dtype: np.dtype) -> list[str]:
         """The fields that a record has here."""

@@ -96,17 +96,17 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
     roots = {root: program.function(kernel, step).name for root, kernel in ROOTS.items()}
     writer, macro = Writer(layout, name), name.upper()
     loadable = [_loadable(writer, one) for one in parameters.LOADABLE]
-    known = {"name": name, "macro": macro, "version": version("deltatwin"), "robot": _said(robot.name)}
-    header = _template("twin.h").render(
+    known = {"name": name, "macro": macro, "version": version("deltatwin"), "robot": said(robot.name)}
+    header = template("twin.h").render(
         **known,
         period=period,
         period_literal=number(period, Scalar.REAL),
-        effects=", ".join(_said(entry.name) for entry in robot.effect) or "none",
+        effects=", ".join(said(entry.name) for entry in robot.effect) or "none",
         messages=[_message(writer, topic, TOPICS[topic]) for topic in (*IN, *OUT)],
         health=[{"name": flag.name, "value": flag.value, "comment": said} for flag, said in HEALTH.items()],
         loadable=loadable,
     )
-    source = _template("twin.c").render(
+    source = template("twin.c").render(
         **known,
         definitions="\n".join(_definitions(writer, program)),
         settings=writer.record(state.SETTINGS),
@@ -128,14 +128,14 @@ def in_c(layout: Layout, dtype: np.dtype) -> np.dtype:
     fields = []
     for name in layout.members(dtype):
         kind = layout.field(dtype, name)
-        assert dtype.fields is not None
-        base = dtype.fields[name][0].base
+        base = dtype[name].base
         inner = in_c(layout, base) if base.fields else base
         fields.append((name, inner, kind.shape) if isinstance(kind, Array) else (name, inner))
     return np.dtype(fields, align=True)
 
 
-def _template(name: str) -> jinja2.Template:
+def template(name: str) -> jinja2.Template:
+    """One of `templates`."""
     loader = jinja2.FileSystemLoader(_TEMPLATES)
     environment = jinja2.Environment(
         loader=loader, trim_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined
@@ -143,7 +143,7 @@ def _template(name: str) -> jinja2.Template:
     return environment.get_template(name)
 
 
-def _said(text: str) -> str:
+def said(text: str) -> str:
     """A text of a description, which may be anything, inside a comment, which ends where it says so."""
     return re.sub(r"[^A-Za-z0-9_. -]", "?", text)
 

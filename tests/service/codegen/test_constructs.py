@@ -274,7 +274,7 @@ def _two_types(d):
 def _behind_its_loop(d):
     for i in range(3):
         d.x[i] = 0.0
-    d.x[i] = 1.0
+    d.x[i] = 1.0  # pyright: ignore[reportPossiblyUnboundVariable]
 
 
 @kernel

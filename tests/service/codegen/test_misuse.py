@@ -38,6 +38,11 @@ def parameters_of(built: Built) -> np.ndarray:
     return record
 
 
+def ones(built: Built, topic: str) -> np.ndarray:
+    """(1,) record full of what nobody answered."""
+    return np.ones(1, built.dtypes[topic])
+
+
 def is_zero(answer: np.ndarray) -> bool:
     return not answer["torque"].any() and answer["source"][0] == FeedforwardSource.NONE
 
@@ -67,7 +72,7 @@ def test_before_init_and_at_another_rate_every_answer_is_zero(built, make) -> No
 @needs_compiler
 def test_no_pointer_is_followed_that_is_none(built) -> None:
     assert built.init() == OK
-    answer = np.ones(1, built.dtypes["feedforward"])
+    answer = ones(built, "feedforward")
     for function, count in (("step", 2), ("look_back", 2), ("plan", 1), ("load", 1), ("findings", 1)):
         assert built.library[f"{built.name}_{function}"](*[None] * count) == NO_ARGUMENT
     assert (
@@ -120,7 +125,7 @@ def test_figures_that_are_loaded_are_those_of_the_service(built, robot, make) ->
 @needs_compiler
 def test_no_sample_and_time_that_goes_back_make_no_torque_of_their_own(built, make) -> None:
     samples = make(0.6).samples
-    empty, answer = np.zeros(1, built.dtypes["sample"]), np.zeros(1, built.dtypes["feedforward"])
+    empty, answer = ones(built, "sample"), ones(built, "feedforward")
     assert built.init() == OK
     built.run(samples)
     built.library[f"{built.name}_clear"](pointer(empty))

@@ -28,7 +28,7 @@ def as_numba_has_it(
     """Types of the variables of a kernel, and the kernels that it calls with the types of their arguments."""
     text = reconstruct_ssa(compiler.run_frontend(kernel.py_func))
     contexts = cpu_target.typing_context, cpu_target.target_context
-    contexts[0].refresh()
+    contexts[0].refresh()  # pyright: ignore[reportAttributeAccessIssue]
     found = type_inference_stage(*contexts, text, arguments, None)
     called = set()
     for block in text.blocks.values():
