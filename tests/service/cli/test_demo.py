@@ -11,6 +11,7 @@ from mcap_ros2.reader import read_ros2_messages
 from replay.demo import PAYLOADS
 from schemas.messages import PayloadEvent
 from service.monitor.readback import read_recording
+from tests.service.pages.test_pages import plots_of
 
 PROGRAM = Path(sys.executable).with_name("deltatwin")
 
@@ -32,7 +33,7 @@ def test_the_demo_weighs_every_pick_and_leaves_a_whole_recording(bus_folder, tmp
     assert np.nanstd(error["full"]) < 0.5 * np.nanstd(error["id_friction"]) < 0.25 * np.nanstd(error["kh"])
     assert len(list(read_ros2_messages(tmp_path / "demo.mcap", topics=["/deltatwin/demo/payload"]))) == len(payload)
     page = (tmp_path / "demo.html").read_text()
-    assert "full model with payload" in page
+    assert "full model with payload" in [trace["name"] for plot in plots_of(page) for trace in plot["data"]]
     assert "<script src=" not in page, "the page needs nothing from elsewhere"
     for text in ("M_KH", "3.80", f"{len(samples)}", "demo.mcap"):
         assert text in run.stdout
