@@ -236,7 +236,7 @@ def dtype_of(text: str) -> np.dtype:
 
 
 def _load(name: str) -> Message:
-    text = (resources.files(__package__) / "msg" / f"{name}.msg").read_text(encoding="utf-8")
+    text = (resources.files(__package__ or "schemas") / "msg" / f"{name}.msg").read_text(encoding="utf-8")
     return Message(name, text, dtype_of(text))
 
 

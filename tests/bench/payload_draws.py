@@ -25,6 +25,7 @@ from docs.making.figures import store
 from drivers.motion import Planner
 from drivers.plant.cases import PERIOD
 from drivers.plant.effects import EFFECTS
+from drivers.plant.effects.sensing import TorqueFilter
 from drivers.plant.simulate import simulate
 from drivers.trace import read_trace
 from schemas.axes import load_description, save_description
@@ -85,7 +86,7 @@ def scenario_of(name: str, machine: Machine, seed: int) -> Scenario:
 def late_by(fault: Fault) -> float:
     """s by which the reported torque is behind the one that acts."""
     delays = (getattr(effect, "delay_s", 0.0) for effect in fault.effects)
-    filters = (1 / (2 * np.pi * one.cutoff_hz) for one in fault.effects if isinstance(one, EFFECTS["torque_filter"]))
+    filters = (1 / (2 * np.pi * one.cutoff_hz) for one in fault.effects if isinstance(one, TorqueFilter))
     return sum(delays) + sum(filters)
 
 

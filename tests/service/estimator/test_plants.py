@@ -150,6 +150,7 @@ def soft_machine() -> tuple[Robot, Robot, Plant, Planner]:
     named = [effect for effect in CATALOGUE if effect.name == "joint_elasticity"]
     found = diagnose(robot, fits, named)
     soft = corrected(found)
+    assert isinstance(soft, Robot)
     assert [entry.name for entry in soft.effect] == ["joint_elasticity"]
     return identify(robot, [summarise(pack(robot), log) for log in fits]).robot, soft, plant, planner
 

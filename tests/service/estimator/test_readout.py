@@ -49,7 +49,8 @@ def late(known, samples):
 def low_passed(known, cutoff):
     """The torque behind a first-order low-pass."""
     rate = 2 * np.pi * cutoff
-    (top,), bottom, _ = cont2discrete(([rate], [1.0, rate]), PERIOD / FINE, method="foh")
+    made = cont2discrete(([rate], [1.0, rate]), PERIOD / FINE, method="foh")
+    top, bottom = np.ravel(np.asarray(made[0])), np.ravel(np.asarray(made[1]))
     start = known.torque[0]
     return start + lfilter(top, bottom, known.torque - start, axis=0)
 
