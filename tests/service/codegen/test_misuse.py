@@ -50,10 +50,8 @@ def is_zero(answer: np.ndarray) -> bool:
 @needs_compiler
 def test_before_init_and_at_another_rate_every_answer_is_zero(built, make) -> None:
     samples = built.samples(make(0.1).samples)
-    answer, others = (
-        np.ones(1, built.dtypes["feedforward"]),
-        [np.ones(1, built.dtypes[t]) for t in ("payload", "error")],
-    )
+    answer: np.ndarray = np.ones(1, built.dtypes["feedforward"])
+    others: list[np.ndarray] = [np.ones(1, built.dtypes[topic]) for topic in ("payload", "error")]
     for period in (2e-3, 0.9e-3, 0.0, -PERIOD, math.nan, math.inf):
         assert built.init(period) == WRONG_PERIOD
         for n in range(3):

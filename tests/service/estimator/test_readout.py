@@ -3,6 +3,8 @@
 The reports are made by another hand: samples of a finer time base, and SciPy's filter on it.
 """
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
@@ -49,8 +51,8 @@ def late(known, samples):
 def low_passed(known, cutoff):
     """The torque behind a first-order low-pass."""
     rate = 2 * np.pi * cutoff
-    made = cont2discrete(([rate], [1.0, rate]), PERIOD / FINE, method="foh")
-    top, bottom = np.ravel(np.asarray(made[0])), np.ravel(np.asarray(made[1]))
+    made: Any = cont2discrete(([rate], [1.0, rate]), PERIOD / FINE, method="foh")
+    top, bottom = np.ravel(made[0]), np.ravel(made[1])
     start = known.torque[0]
     return start + lfilter(top, bottom, known.torque - start, axis=0)
 

@@ -8,7 +8,7 @@ from schemas.diagnosis import Provenance
 from schemas.fleet import DayResult, Fleet, RobotHistory
 from service.fleet.changes import changes
 from service.fleet.page import write_page
-from tests.service.pages.browser import looked_at
+from tests.service.pages.browser import looked_at, plots_of
 
 
 def test_the_colours_of_the_gap_begin_at_zero(tmp_path: Path) -> None:
@@ -22,17 +22,25 @@ def test_the_colours_of_the_gap_begin_at_zero(tmp_path: Path) -> None:
     write_page(Fleet(schema="deltatwin.fleet/1", made=made, robots=robots), tmp_path / "fleet.html")
     seen = looked_at(tmp_path / "fleet.html")
     assert seen["errors"] == seen["over"] == []
-    text = (tmp_path / "fleet.html").read_text(encoding="utf-8")
-    assert '"zmin":0' in text
-    assert '"zmax":5.05' in text
+    (shown,) = (
+        plot
+        for figure in plots_of((tmp_path / "fleet.html").read_text(encoding="utf-8"))
+        for plot in figure["data"]
+        if plot["type"] == "heatmap"
+    )
+    assert (shown["zmin"], shown["zmax"]) == (0, 5.05)
 
 
 def test_the_headline_follows_the_figures(tmp_path: Path) -> None:
     """Of a robot at 25 times its first day, of which no cause can be told."""
-    days = [
-        DayResult(made_of="0", robot="cell", day=day, verdict=verdict, gap_nm=gap, after_nm=gap, torque_nm=10.0)
+    first, last = (
+        DayResult.model_validate(
+            {"made_of": "0", "robot": "cell", "day": day, "verdict": verdict, "gap_nm": gap, "after_nm": gap,
+             "torque_nm": 10.0}
+        )
         for day, gap, verdict in (("2026-01-30", 0.1, "within_noise"), ("2026-01-31", 2.5, "cannot_tell"))
-    ]
+    )  # fmt: skip
+    days = [first, last]
     made = Provenance(at="2026-02-01T00:00:00+00:00", version="1", inputs={})
     robots = [RobotHistory(robot="cell", days=days, changes=changes(days))]
     write_page(Fleet(schema="deltatwin.fleet/1", made=made, robots=robots), tmp_path / "fleet.html")

@@ -14,6 +14,7 @@ from service.identification.pooled import ParameterEstimate, _structure
 from tests.service.world import stub
 
 PERIOD = 2e-3
+NOISE = 1e-4  # rad, of a position
 TIME = PERIOD * np.arange(5000)
 
 
@@ -52,9 +53,10 @@ def test_frictions_that_always_turn_together_are_not_told_apart() -> None:
 def test_a_joint_that_only_quivers_has_no_friction() -> None:
     axes = Axes.model_validate({"name": "two", "kind": "axes", "axis": [{"gravity": False}] * 2})
     angle, speed, acceleration = swing(1.0)
-    quiver = 0.009 * np.array([np.sin(30 * TIME), 30 * np.cos(30 * TIME)])
+    quiver = 4e-4 * np.array([np.sin(30 * TIME), 30 * np.cos(30 * TIME)])
+    seen = quiver[0] + 5e-5 * np.random.default_rng(2).standard_normal(len(TIME))
     torque = 0.2 * acceleration + 0.5 * speed + 1.5 * np.sign(speed)
-    known = found(axes, np.column_stack([angle, quiver[0]]), np.column_stack([torque, 1.5 * np.sign(quiver[1])]))
+    known = found(axes, np.column_stack([angle, seen]), np.column_stack([torque, 1.5 * np.sign(quiver[1])]))
     for name in ("f_v_2", "f_c_2"):
         assert (known[name].value, known[name].reason) == (0.0, "joint 2 never moves; 0 assumed")
     assert known["f_c_1"].value == pytest.approx(1.5, rel=0.02)
@@ -77,7 +79,8 @@ def reasons(*shares: float, travel: float = 1.0) -> dict[str, str]:
         forward = np.arange(1000) < 1000 * share
         theta = np.linspace(0, travel, 1000)[:, None]
         speed = np.where(forward, 1.0, -1.0)[:, None]
-        segments.append(stub(theta=theta, theta_dot=speed, moving=np.ones((1000, 1), bool), period=1e-3))
+        noise = np.array([NOISE])
+        segments.append(stub(theta=theta, theta_dot=speed, moving=np.ones((1000, 1), bool), period=1e-3, noise=noise))
     return _structure(stub(recordings=[stub(segment=segment) for segment in segments]))
 
 
@@ -86,9 +89,9 @@ def test_a_joint_reverses_if_a_twentieth_of_its_time_goes_the_other_way() -> Non
     assert reasons(0.96) == reasons(0.04) == {"f_c_1": "joint 1 never reverses"}
 
 
-def test_a_joint_moves_if_it_travels_a_fiftieth_of_a_radian() -> None:
-    assert reasons(0.5, travel=0.021) == {}
-    assert reasons(0.5, travel=0.019) == {"f_v_1": "joint 1 never moves", "f_c_1": "joint 1 never moves"}
+def test_a_joint_moves_if_it_travels_fifty_times_the_noise_of_its_position() -> None:
+    assert reasons(0.5, travel=51 * NOISE) == {}
+    assert reasons(0.5, travel=49 * NOISE) == {"f_v_1": "joint 1 never moves", "f_c_1": "joint 1 never moves"}
 
 
 def test_effects_of_an_earlier_identification_are_left_out_and_said_to_be() -> None:
