@@ -61,6 +61,7 @@ OTHER_UNITS = {
     "m/s",
     "mm/s",
 }  # of what is neither a position nor a torque
+MOST_DIGITS = 6  # of a number in a column's name that may be a joint's
 OTHER = "other"  # role of a column whose name or unit says that it is neither
 _RATE = re.compile(r"/ ?(s|sec|min|h)\b|[/ ]s(\^?2|²)|s-[12]|s⁻[¹²]|1/min|u/min")
 FILETIMES = 1.19e17, 1.37e17  # 100 ns since 1601: years 1978 to 2035
@@ -368,7 +369,7 @@ def _by_joint(names: Sequence[str]) -> list[str]:
 
 def _numbers_of(names: Sequence[str]) -> list[int] | None:
     """The joint numbers in names, one after the other; None where they have none."""
-    numbers = [[int(token) for token in tokens(name) if token.isdecimal()] for name in names]
+    numbers = [[int(one) for one in tokens(name) if one.isdecimal() and len(one) <= MOST_DIGITS] for name in names]
     for place in range(-1, -min((len(n) for n in numbers), default=0) - 1, -1):
         at = [n[place] for n in numbers]
         if len(set(at)) == len(at) and max(at) - min(at) == len(at) - 1:

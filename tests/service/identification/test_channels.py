@@ -9,6 +9,7 @@ import pytest
 
 from drivers.trace.tables import Table
 from schemas.errors import DataError
+from service.identification import channels
 from service.identification.channels import (
     POSITION_UNITS,
     TORQUE_UNITS,
@@ -303,3 +304,10 @@ def test_a_torque_that_never_changes_was_not_recorded() -> None:
     assert no_torque(Table(made.path, made.kind, {**made.columns, "b.effort": rough(1)}), list(still)) is None
     empty = Table(made.path, made.kind, {**made.columns, **dict.fromkeys(still, np.full(ROWS, np.nan))})
     assert "are empty" in str(no_torque(empty, list(still)))
+
+
+def test_a_name_of_many_digits_is_no_joint() -> None:
+    """Which Python does not even read as a number."""
+    names = [f"q{digit * 5000}" for digit in "12"]
+    assert channels._numbers_of(names) is None
+    assert channels._numbers_of(["q1", "q2"]) == [1, 2]
