@@ -100,7 +100,9 @@ def main() -> None:
         folder = Path(name)
         built = Built(robot, PERIOD, folder)
         result: dict[str, Any] = {"schema": "deltatwin.bench_export/1", "machine": platform.processor() or _cpu()}
-        result |= {"seed": given.seed, "kernel": side_by_side(built, samples)}
+        (fast := folder / "fast").mkdir()
+        sides = {"-O2": side_by_side(built, samples), "-O3": side_by_side(Built(robot, PERIOD, fast, "-O3"), samples)}
+        result |= {"seed": given.seed, "kernel": sides}
         result |= timed(built, samples, folder, given.steps) | sizes(folder)
         write(result)
         result["hostile"] = hostile(robot, folder, given.hostile, given.seed)
@@ -255,9 +257,7 @@ def _draw(base: Robot, random: np.random.Generator) -> Robot:
     names = random.choice(sorted(FOUND), int(random.integers(0, 5)), replace=False)
     reports = {"torque_delay", "torque_filter", "drive_lag"}
     whole = {entry.name for entry in CATALOGUE if not entry.per_joint}
-    joints = [
-        sorted(int(j) for j in random.choice([1, 2, 3], int(random.integers(1, 4)), replace=False)) for _ in names
-    ]
+    joints = [[int(random.integers(1, 4))] for _ in names]
     effects = [
         effect(str(name), [1, 2, 3] if name in whole or name in reports else own)
         for name, own in zip(names, joints, strict=True)
