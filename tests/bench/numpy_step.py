@@ -79,6 +79,7 @@ class NumpyEstimator:
         if self.count * self.period > SETTLE_TIME:
             self.past.append((self.measured.kept(), sample))
         answer = FEEDFORWARD.empty(1)
+        answer["position_offset"] = 0.0  # no gear yields
         for field in ("stamp_sec", "stamp_nanosec", "sequence"):
             answer[field] = sample[field]
         answer["target_sequence"] = sample["sequence"]

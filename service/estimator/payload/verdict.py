@@ -25,10 +25,9 @@ CLEAR_STEP = 10.0
 # The same where most of that is what the model lacked when it was identified, which unlike noise is not drawn anew with
 # every sample.
 BIASED_STEP = 4.0
-# Where it lacks more than it did then, and as much as a load, or where the robot sets out from a rest as slowly as
-# nothing tells the mass in, a change whose onset is further back than this is believed, and no event: of a late one
-# nobody knows what it is about.
-FRESH_TIME = 0.25  # s of motion
+# A change whose onset is further back than this, or after which the robot sets out from a rest so long as slowly as
+# nothing tells the mass in, is believed, and no event: of a late one nobody knows what it is about.
+FRESH_TIME = 0.29  # s of motion
 # Where what it lacks is so many times that of then, squared, gears are soft and settle: no step at rest is an event.
 SOFT = 10.0
 # What the model lacks is this many times the noise: what it says of the mass is not to be used.
@@ -138,7 +137,7 @@ def conclude(settings, state):
             _note_event(state, event, state.load)
         _believe(state, held, own)
     elif trusted or refined or (held - state.load) ** 2 > least:
-        late = foreign and not known_empty and state.filled * settings.bin_size * settings.period > FRESH_TIME
+        late = not known_empty and state.filled * settings.bin_size * settings.period > FRESH_TIME
         late |= state.gripper == UNKNOWN and state.crept > FRESH_TIME
         if late:
             _believe(state, held, own)

@@ -169,7 +169,7 @@ def test_what_is_wanted_is_the_models_torque_a_payload_and_learnt_friction(step,
     sure = np.arange(13.0)
     sure[[3, 7, 11]] = scale = [0.05, -0.03, 0.0]
     now["payload"]["usable"], now["payload"]["departure"]["sure"] = 1.5, sure
-    assert feedforward._for_motion(settings, now, step["sample"][0], 1)
+    assert feedforward._for_motion(settings, now, step["sample"][0], 1, False)
     inertia, gravity, platform, forearm, load = torque_terms(pack(robot), *now["trajectory"])
     rigid = found.rho_1.value * inertia + found.rho_2.value * gravity + platform
     rigid += found.forearm_inertia_kg.value * forearm
@@ -180,6 +180,6 @@ def test_what_is_wanted_is_the_models_torque_a_payload_and_learnt_friction(step,
     moved = (1 + np.array(scale)) * (now["full"] + 1.5 * settings["scale"] * load)
     np.testing.assert_allclose(now["wanted"], moved + learnt, rtol=1e-9)
     now["payload"]["usable"] = np.inf
-    assert not feedforward._for_motion(settings, now, step["sample"][0], 1), "no torque that is none"
+    assert not feedforward._for_motion(settings, now, step["sample"][0], 1, False), "no torque that is none"
     now["trajectory"][0] = 3.0
-    assert not feedforward._for_motion(settings, now, step["sample"][0], 1), "no pose"
+    assert not feedforward._for_motion(settings, now, step["sample"][0], 1, False), "no pose"
