@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import re
 import subprocess
 import tempfile
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from docs.making.figures import store
 from drivers.trace import read_trace
 from replay.demo import LOG, ROBOT
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD
@@ -36,7 +36,6 @@ from tests.service.estimator.test_effects import FOUND, effect
 PERIOD = 1e-3
 BLOCK, TURNS = 1000, 40  # steps of the one, then of the other
 COUNTED = 2000  # steps
-RESULT = Path(__file__).parents[2] / "results" / "export.json"
 # Time of each step over a log again and again, in a histogram of ns.
 TIMED = """
 #include <stdio.h>
@@ -99,10 +98,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         built = Built(robot, PERIOD, folder)
-        result: dict[str, Any] = {"schema": "deltatwin.bench_export/1", "machine": platform.processor() or _cpu()}
+        result: dict[str, Any] = {}
         (fast := folder / "fast").mkdir()
         sides = {"-O2": side_by_side(built, samples), "-O3": side_by_side(Built(robot, PERIOD, fast, "-O3"), samples)}
-        result |= {"seed": given.seed, "kernel": sides}
+        result |= {"kernel": sides}
         result |= timed(built, samples, folder, given.steps) | sizes(folder)
         write(result)
         result["hostile"] = hostile(robot, folder, given.hostile, given.seed)
@@ -113,13 +112,23 @@ def main() -> None:
 
 def write(result: dict[str, Any]) -> None:
     """What there is by now."""
-    RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    print(f"wrote {RESULT}", flush=True)
-
-
-def _cpu() -> str:
-    return next(line.partition(": ")[2].strip() for line in open("/proc/cpuinfo") if line.startswith("model name"))
+    told: dict[str, tuple[float, int, str | None]] = {}
+    for key, level in (("over_service", "-O2"), ("over_service_o3", "-O3")):
+        side = result["kernel"][level]
+        spread = f"10 to 90 % of the blocks: {side['p10']} to {side['p90']}"
+        told[key] = side["c_over_service"], side["blocks"] * side["steps_a_block"], spread
+    step, most = result["single_step_ns"], result["most_instructions_a_step"]
+    told["step"] = round(step["median"] / 1000, 2), step["steps"], f"p99 {step['p99'] / 1000:.1f}"
+    told["instructions"] = result["mean_instructions_a_step"], most["steps"], None
+    told["instructions_most"] = most["most"], most["steps"], None
+    for key, name in (("static", "static_bytes"), ("stack", "stack_bytes"), ("code", "code_and_constant_bytes")):
+        told[key] = result[name], 1, None
+    if "hostile" in result:
+        found = result["hostile"]
+        largest = f"largest torque {found['largest_torque_nm']:.0f} N m"
+        told["hostile_findings"] = found["findings"], found["samples"], largest
+    print(json.dumps(result, indent=1))
+    print(f"kept in {store('export', told)}", flush=True)
 
 
 def side_by_side(built: Built, samples: np.ndarray) -> dict[str, Any]:

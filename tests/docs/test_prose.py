@@ -29,7 +29,6 @@ STATED = {
     "how-to/faults.md": {"1 and 5 %": "the fault that the test makes"},
     "how-to/run-on-the-bus.md": {},
     "explanation/diagnosis.md": {"95 %": "the level of an interval"},
-    "how-to/controller.md": {"77 µs": "an estimate that the text works out, and calls one"},
     "how-to/which-reading.md": {"3 %": "a bound that the code sets"},
     "how-to/ros-2.md": {"20 times": "a rate that the code sets"},
 }
