@@ -113,7 +113,7 @@ def test_angles_are_told_in_ten_bins(findings, rows):
     theta = rows.theta[rows.joint == 0]
     low, high = np.linspace(theta.min(), theta.max(), 11)[[4, 5]]
     found = told(findings, rows, (rows.theta >= low) & (rows.theta < high))
-    assert next(iter(found)) == f"angle {low:.2f} to {high:.2f} rad"
+    assert next(iter(found)) == f"angle {low:.3g} to {high:.3g} rad"
     assert sum(name.startswith("angle") for name in found) == 10
 
 
