@@ -82,7 +82,11 @@ def broke(error: BaseException) -> bool:
 
 
 def stop_requested() -> Callable[[], bool]:
-    """A question that is answered True once one of them came; for loops that must not be torn out of a step."""
-    came: list[int] = []
+    """A question that is answered True once one of them came; for loops that must not be torn out of a step.
+
+    One that came before was raised, and code that catches everything, as some libraries do while they are imported, has
+    swallowed it if this is still asked.
+    """
+    came: list[int] = [signal.SIGINT] if _Interrupt.raised_s > 0.0 else []
     _handle(lambda received, _: came.append(received))
     return lambda: bool(came)

@@ -55,6 +55,20 @@ main()
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
+def test_an_interrupt_that_code_which_catches_everything_has_swallowed_stops_a_role() -> None:
+    swallowing = """
+    from service.stopping import stop_requested
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5)
+    except BaseException:  # as a library does while it is imported
+        pass
+    print(stop_requested()())
+"""
+    done = run(AS_MAIN.format(swallowing))
+    assert done.stdout.strip() == "True", done.stderr
+
+
 def test_an_interrupt_that_is_swallowed_by_what_a_library_calls_back_is_raised_again() -> None:
     swallowing = """
     import ctypes
