@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-import schemas.kernel_cache  # noqa: F401 - before Numba, which reads the place then
+from schemas.kernel_cache import kept_in  # noqa: F401 - before Numba, which reads the place then
 
 from numba import njit  # isort: skip
 from numba.core.caching import IndexDataCacheFile  # isort: skip

@@ -13,6 +13,7 @@ from tests.drivers.fuzz import ENDINGS, finding, mutated, warm_up
 MUTATIONS = 20_000
 QUICK = 4_000  # of them in the quick set
 AT_ONCE = 20  # mutations a draw: drawing costs as much as reading
+SLOWER = {"ros1": 8, "packed": 8, "mat": 4}  # readers of others that take so many times as long get so many fewer
 
 
 @pytest.fixture(scope="module")
@@ -23,11 +24,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.flaky(reruns=1)  # memory is that of the process, in which what tests before left may still work
 @pytest.mark.parametrize("kind", ENDINGS)
 def test_mutated(kind: str, folder: Path, pytestconfig: pytest.Config) -> None:
-    count = QUICK if pytestconfig.option.markexpr == "not slow" else MUTATIONS
+    count = (QUICK if pytestconfig.option.markexpr == "not slow" else MUTATIONS) // SLOWER.get(kind, 1)
 
-    @settings(max_examples=count // len(ENDINGS) // AT_ONCE, deadline=None, database=None, derandomize=True)
+    @settings(max_examples=max(1, count // len(ENDINGS) // AT_ONCE), deadline=None, database=None, derandomize=True)
     @given(st.integers(0, 1 << 40))
     def read(first: int) -> None:
         for number in range(first, first + AT_ONCE):

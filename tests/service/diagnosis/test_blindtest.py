@@ -419,7 +419,7 @@ def test_an_interrupted_run_goes_on_and_finishes_once(blind: Path, answered: lis
     (blind / "answers" / ".part-case_001.json").write_text("{")  # and what it was writing when it was stopped
     arguments = ["blindtest", "--out", str(blind), "--cases", "2", "--jobs", "1"]
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
-    assert result.exit_code == 3  # the time kept from the run before misses its bound
+    assert result.exit_code == 0, result.output  # whatever the time kept from the run before
     results = json.loads((blind / "results.json").read_text())
     assert [answer["seconds"] == 1234.5 for answer in results["rows"]] == [True, False]
     assert [effect["name"] for effect in by_hand["named"]] == [e["name"] for e in results["rows"][1]["named"]], "loky"
