@@ -48,10 +48,10 @@ class FeedforwardIntake:
 
     def __init__(self, inbox: Inbox, limit: float):
         self.received = self._refused = 0
-        self._stale = True
         self._inbox, self._limit = inbox, limit
         self._waiting: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._last: tuple[int, tuple[np.ndarray, np.ndarray]] | None = None
+        self._in_force: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def newest(self) -> int | None:
@@ -61,7 +61,7 @@ class FeedforwardIntake:
     @property
     def offset(self) -> np.ndarray | None:
         """(3,) rad, of the positions, which came with the torque that is in force; None as `at`."""
-        return None if self._last is None or self._stale else self._last[1][1]
+        return None if self._in_force is None else self._in_force[1]
 
     @property
     def refused(self) -> int:
@@ -87,8 +87,9 @@ class FeedforwardIntake:
                 self._last = (newest, self._waiting[newest])
             for target in due:
                 del self._waiting[target]
-        self._stale = self._last is None or cycle - self._last[0] > STALE_CYCLES
-        return None if self._last is None or self._stale else self._last[1][0]
+        stale = self._last is None or cycle - self._last[0] > STALE_CYCLES
+        self._in_force = None if self._last is None or stale else self._last[1]
+        return None if self._in_force is None else self._in_force[0]
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ def online_trial(
     if not any(case.changes for case in cases):
         return OnlineTrial(reason="no_rest")
     if not loaded and inside_of(terms).two_masses:  # a pick makes links swing, which only a robot does
-        cases = [replace(case, trace=case.bare or case.trace, picks=()) for case in cases]
+        cases = [replace(case, trace=case.bare or case.trace, bare=None, picks=()) for case in cases]
     known = identified(findings)
     assert isinstance(known, Robot)
     best, floor = findings.best.hypothesis, _floor(findings)

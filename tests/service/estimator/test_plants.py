@@ -17,6 +17,7 @@ from drivers.plant.simulate import Course
 from drivers.plant.truth import TRUTHS, load_truth
 from schemas.messages import REFERENCE, SAMPLE, set_stamp, stamp_ns
 from schemas.robot import Robot, load_robot
+from schemas.trace import Trace
 from service.diagnosis.diagnose import diagnose
 from service.diagnosis.documents.document import corrected
 from service.estimator.estimator import Estimator
@@ -57,6 +58,14 @@ def outside(payload: np.ndarray, time: np.ndarray, payloads: tuple[Payload, ...]
             fresh |= (time >= edge) & (time < edge + SETTLED)
     judged = payload["trusted"].astype(bool) & ~fresh
     return judged, judged & (np.abs(payload["mass"] - hung) > 2 * payload["std_dev"] + 0.02)
+
+
+def weighed(robot: Robot, picks: Trace) -> tuple[np.ndarray, np.ndarray]:
+    """What the estimator says of a log without torque commands, as on most machines, and when, s from its begin."""
+    samples = picks.samples()
+    samples["torque_command"] = np.nan
+    payload = Estimator(robot, PERIOD).run(samples).payload
+    return payload, stamp_ns(payload) * 1e-9 - picks.time[0]
 
 
 @functools.cache
@@ -127,10 +136,7 @@ def test_gears_that_stick_more_than_they_did_make_no_picks():
     plant = Plant(robot, truth, (*make_effects(truth.effect, "test"), StribeckFriction([2.5] * 3, 0.2)), seed=4)
     motion = planner.pick_and_place(np.random.default_rng(7), 8.0, (0.5, 2.0), speed=0.8)
     (picks,) = record(plant, iter([motion]), "sticking")
-    samples = picks.samples()
-    samples["torque_command"] = np.nan
-    payload = Estimator(robot, PERIOD).run(samples).payload
-    time = stamp_ns(payload) * 1e-9 - picks.time[0]
+    payload, time = weighed(robot, picks)
     judged, wrong = outside(payload, time, motion.payloads)
     assert wrong.sum() <= 0.05 * judged.sum()
     edges = np.array([edge for load in motion.payloads for edge in (load.pick, load.release)])
@@ -161,10 +167,7 @@ def test_behind_soft_gears_a_mass_is_known_as_soon_as_behind_stiff_ones():
     _, soft, plant, planner = soft_machine()
     motion = planner.pick_and_place(np.random.default_rng(10), 8.0, (0.5, 1.0, 3.8), speed=0.9)
     (picks,) = record(plant, iter([motion]), "soft")
-    samples = picks.samples()
-    samples["torque_command"] = np.nan
-    payload = Estimator(soft, PERIOD).run(samples).payload
-    time = stamp_ns(payload) * 1e-9 - picks.time[0]
+    payload, time = weighed(soft, picks)
     judged, wrong = outside(payload, time, motion.payloads)
     assert judged.mean() > 1.5 * RARE
     assert wrong.sum() <= 0.05 * judged.sum()
