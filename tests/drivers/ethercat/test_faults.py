@@ -249,8 +249,10 @@ def prompt() -> Iterator[None]:
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(55))
-    yield
-    os.sched_setscheduler(0, *before)
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)
 
 
 @pytest.fixture(scope="module")
