@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
@@ -28,6 +29,9 @@ ON_THE_CLOCK = (
     "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[ethercat",
     "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[first-demo",
 )  # fmt: skip
+
+# What does another thing for root, beside `../shared` or with wireshark and a browser.
+BY_RIGHTS = ("tests/drivers/ethercat", "tests/service/cli", "tests/service/pages", "tests/test_")
 
 # What takes most of the time, computing or waiting: `.ci/run` runs it, `uv run pytest` does without. Of all that moves
 # a robot (master, estimator, bounds, identification, diagnosis, commands) other tests are in the quick set.
@@ -87,11 +91,29 @@ def pytest_configure(config: pytest.Config) -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def _passed_before() -> set[str]:
+    """`module.test` of what passed by the report (JUnit's XML) that DELTATWIN_PASSED names: `.ci/run` asks once."""
+    report = os.environ.get("DELTATWIN_PASSED")
+    if report is None:
+        return set()
+    cases = ElementTree.parse(report).iter("testcase")
+    return {f"{case.get('classname')}.{case.get('name')}" for case in cases if not len(case)}
+
+
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """What watches the clock and failed while this machine was not let run has shown nothing: it is run again, twice at
-    most, and listed as such. What `SLOW` names is marked so."""
+    most, and listed as such. What `SLOW` names is marked so. Of what passed before, what rights or a clock make another
+    test is asked again."""
     again = pytest.mark.flaky(reruns=2, condition=_Held.during_test)
+    passed, kept, left_out = _passed_before(), [], []
+    for item in items:
+        path, _, name = item.nodeid.partition("::")
+        known = f"{path.removesuffix('.py').replace('/', '.')}.{name.replace('::', '.')}" in passed
+        again_here = item.nodeid.startswith((*ON_THE_CLOCK, *BY_RIGHTS))
+        (left_out if known and not again_here else kept).append(item)
+    items[:] = kept
+    config.hook.pytest_deselected(items=left_out)
     for item in items:
         if item.nodeid.startswith(ON_THE_CLOCK):
             item.add_marker(again)
