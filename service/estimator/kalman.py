@@ -15,8 +15,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from filterpy.common import van_loan_discretization
-from scipy.linalg import solve_discrete_are
 
 from schemas.kernels import kernel
 
@@ -98,6 +96,9 @@ def design(period: float, resolution: float, least_lag: int = 1) -> MotionFilter
     The resolution is taken as the standard deviation of a position sample: quantisation is 0.29 of it, the rest is the
     encoder's own noise.
     """
+    # here, for with `scipy.stats` they take longer to load than what uses this module without a filter takes to run
+    from filterpy.common import van_loan_discretization
+
     drift = np.zeros((ORDER, ORDER))
     drift[0, 1] = drift[1, 2] = drift[2, 3] = 1.0
     drift[3, 3] = -1.0 / JERK_TIME
@@ -113,6 +114,8 @@ def design(period: float, resolution: float, least_lag: int = 1) -> MotionFilter
         lag=max(least_lag, min(LONGEST_SMOOTHING, round(SMOOTHING_LAG / period))),
         acceleration_variance=math.nan,
     )
+    from scipy.linalg import solve_discrete_are
+
     prior = solve_discrete_are(motion.transition.T, np.eye(ORDER, 1), motion.noise, np.array([[resolution**2]]))
     return motion._replace(behind=_behind(motion, prior), acceleration_variance=_steady_variance(motion, prior))
 
