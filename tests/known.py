@@ -13,6 +13,7 @@ from scipy.integrate import cumulative_trapezoid
 from schemas.messages import SAMPLE, set_stamp, stamp_ns
 from schemas.robot import Geometry, Identified, JointParameter, Mass, Parameter, Robot
 from schemas.trace import Trace
+from service.estimator.estimator import Estimator
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, torque_terms
 from service.model.nominal import pack
 
@@ -109,3 +110,10 @@ def trace_of(known: Known) -> Trace:
         torque=samples["torque"].copy(),
         position_command=None if np.isnan(command).any() else command.copy(),
     )
+
+
+def learnt(estimator: Estimator) -> tuple[np.ndarray, np.ndarray]:
+    """How far friction and scale are from the identified ones, and its standard deviation: (COUNT,) each, in the order
+    of `service.estimator.departure.place`."""
+    known = estimator.state["payload"]["departure"]
+    return known["delta"].copy(), np.sqrt(np.diag(known["covariance"]))

@@ -94,21 +94,6 @@ def aged(information: np.ndarray, moment: np.ndarray, prior: np.ndarray, share: 
     return later - known, later @ (share * (covariance @ moment))
 
 
-def learnt(state: np.void) -> tuple[np.ndarray, np.ndarray]:
-    """Departure from what was identified and its standard deviation, (COUNT,) each."""
-    return state["delta"].copy(), np.sqrt(np.maximum(np.diag(state["covariance"]), 0.0))
-
-
-def drift_share(departure: np.ndarray, identified: np.ndarray) -> np.ndarray:
-    """(3,): the larger of what friction at `DRIFT_SPEED` and what the offset departs by, over friction there.
-
-    departure: (3, OWN), of the joints. identified: (3, 2) N m, N m s/rad.
-    """
-    moving = departure[:, 0] + departure[:, 1] * DRIFT_SPEED
-    whole = identified[:, 0] + identified[:, 1] * DRIFT_SPEED
-    return np.maximum(np.abs(moving), np.abs(departure[:, 2])) / np.maximum(whole, SMALLEST_DRIFT[0])
-
-
 @kernel
 def place(joint, part):
     """Where a part of a joint's shape has its departure."""

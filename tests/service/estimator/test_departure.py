@@ -12,7 +12,7 @@ from service.estimator import departure
 from service.estimator.departure import BALLS, COUNT, OWN, PARTS, SCALE
 from service.estimator.estimator import Estimator
 from service.estimator.keep import Keeper
-from tests.known import PERIOD
+from tests.known import PERIOD, learnt
 
 LATE = slice(3000, None)  # samples
 PRIOR = np.array([0.6, 0.2, 0.15, 0.03] * 3 + [0.1])
@@ -120,9 +120,6 @@ def test_friction_is_least_squares_at_right_angles_to_the_load():
     assert not state["held"], "nothing is beyond a gear's any more"
     covariance = state["covariance"]
     one, other = random.standard_normal((2, COUNT))
-    learnt, spread = departure.learnt(state)
-    np.testing.assert_array_equal(learnt, state["delta"])
-    np.testing.assert_allclose(spread**2, np.diag(covariance))
     assert departure.covariance_kernel(state, one, other) == pytest.approx(one @ covariance @ other)
 
 
@@ -229,12 +226,7 @@ def test_what_is_left_of_a_departure_after_a_while_is_a_gauss_markov_process():
     np.testing.assert_allclose(then @ later[1], share * mean, rtol=1e-9)
 
 
-def test_a_share_of_friction_is_reckoned_at_one_speed():
-    """Coulomb and viscous together at 1 rad/s, or an offset, over what rubs there, of which a little is always taken to
-    be."""
-    found = np.array([[0.4, 0.2, -0.9], [0.5, -0.5, 0.1], [0.0, 0.0, 0.3]])
-    identified = np.array([[2.0, 1.0], [3.0, 2.0], [0.0, 0.0]])
-    assert departure.drift_share(found, identified) == pytest.approx([0.3, 0.02, 2.0])
+def test_a_gear_drifts_by_a_share_of_its_friction_and_by_a_little_at_least():
     np.testing.assert_allclose(
         departure.drift(np.array([-2.0, 0.1, 4.0]), np.array([3.0, 0.1, 0.0])),
         [0.45, 0.3, 0.15, 0.03, 0.15, 0.05, 0.15, 0.03, 0.15, 0.6, 0.15, 0.03, 0.1],
@@ -248,10 +240,6 @@ def kept(robot, make, tmp_path):
     path = tmp_path / "friction.json"
     Keeper(path, robot).close(estimator)
     return path, estimator
-
-
-def learnt(estimator):
-    return departure.learnt(estimator.state["payload"]["departure"])[0]
 
 
 def after_a_restart(robot, make, path):
@@ -299,10 +287,10 @@ def test_what_is_learnt_is_written_while_it_runs_but_not_all_the_time(robot, tmp
 def test_friction_outlives_a_restart(robot, make, kept):
     path, before = kept
     estimator, said = after_a_restart(robot, make, path)
-    np.testing.assert_allclose(learnt(estimator), learnt(before), atol=0.1)
+    np.testing.assert_allclose(learnt(estimator)[0], learnt(before)[0], atol=0.1)
     assert "counted 100%" in said
     anew, _ = after_a_restart(robot, make, path.with_name("none.json"))
-    assert rms(learnt(anew) - learnt(before)) > 3 * rms(learnt(estimator) - learnt(before))
+    assert rms(learnt(anew)[0] - learnt(before)[0]) > 3 * rms(learnt(estimator)[0] - learnt(before)[0])
 
 
 def test_a_change_of_load_found_soon_after_a_restart_does_not_take_what_was_kept(robot, kept):
@@ -325,7 +313,7 @@ def test_what_was_learnt_yesterday_says_little_of_a_cold_gear(robot, make, kept)
     estimator, said = after_a_restart(robot, make, path)
     anew, _ = after_a_restart(robot, make, path.with_name("none.json"))
     assert "counted 0%" in said
-    np.testing.assert_allclose(learnt(estimator), learnt(anew), atol=0.02)
+    np.testing.assert_allclose(learnt(estimator)[0], learnt(anew)[0], atol=0.02)
 
 
 @pytest.mark.parametrize(("period", "used"), [(5e-4, False), (1.0005e-3, True), (0.9995e-3, True), (1.0015e-3, False)])

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from schemas.messages import HealthFlag
-from service.estimator.departure import OWN, drift_share, learnt
+from service.estimator import state
+from service.estimator.departure import OWN
 from service.estimator.estimator import Estimator
-from tests.known import PERIOD, make, robot
+from service.estimator.findings import findings_kernel
+from tests.known import PERIOD, learnt, make, robot
 
 __all__ = ["make", "robot"]
 
@@ -20,17 +22,25 @@ def test_friction_is_told_as_it_was_learnt(robot, make, rubs: float) -> None:
     estimator = Estimator(robot, PERIOD)
     estimator.run(known.samples)
     flags, (told,) = estimator.findings(), estimator.friction
-    found, spread = learnt(estimator.state["payload"]["departure"])
+    found, spread = learnt(estimator)
     own, deviation = found[:-1].reshape(3, OWN), spread[:-1].reshape(3, OWN)
     for part, name in enumerate(("coulomb", "viscous", "offset", "scale")):
         np.testing.assert_array_equal(told[name], own[:, part])
         np.testing.assert_array_equal(told[f"{name}_std_dev"], deviation[:, part])
     assert (told["ball_joints"], told["ball_joints_std_dev"]) == (found[-1], spread[-1])
     assert told["sequence"] == known.samples["sequence"][-1]
-    identified = robot.identified
-    rubbing = np.stack([identified.coulomb_friction_nm.value, identified.viscous_friction_nms.value], axis=1)
-    np.testing.assert_allclose(told["drift"], drift_share(own, rubbing), rtol=1e-12)
     drifted = bool((told["drift"] > robot.limits.friction_drift).any())
     assert drifted == bool(rubs)
     assert bool(flags & HealthFlag.FRICTION_DRIFT) == drifted
     assert not flags & (HealthFlag.EFFECT_LEFT_OUT | HealthFlag.COMMAND_REFUTED)
+
+
+def test_a_share_of_friction_is_reckoned_at_one_speed(robot) -> None:
+    """Coulomb and viscous together at 1 rad/s, or an offset, over what rubs there, of which a little is always taken to
+    be."""
+    steps = state.fresh(state.settings(robot, PERIOD, 1))
+    steps["settings"]["coulomb"], steps["settings"]["viscous"] = [2.0, 3.0, 0.0], [1.0, 2.0, 0.0]
+    own = steps["state"]["payload"]["departure"]["delta"][0, :-1].reshape(3, OWN)
+    own[:, :3] = [[0.4, 0.2, -0.9], [0.5, -0.5, 0.1], [0.0, 0.0, 0.3]]
+    findings_kernel(steps)
+    assert steps["friction"]["drift"][0] == pytest.approx([0.3, 0.02, 2.0])

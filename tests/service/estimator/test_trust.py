@@ -5,13 +5,13 @@ import pytest
 
 from schemas.messages import Gripper, PayloadEvent, stamp_ns
 from schemas.robot import EffectEntry, EffectParameter
-from service.estimator.departure import OWN, learnt
+from service.estimator.departure import OWN
 from service.estimator.estimator import Estimator
 from service.estimator.payload.verdict import EVENT_BURST, EVENT_RATE
 from service.model.kinematics import jacobian
 from service.model.nominal import pack
 from service.model.prediction import FULL, motion, predict_along
-from tests.known import PERIOD, trace_of
+from tests.known import PERIOD, learnt, trace_of
 
 PICKS = [(1.0, 1.6, 2.0), (2.2, 2.9, 0.5), (3.5, 4.1, 3.8), (4.7, 5.4, 1.0), (6.0, 6.7, 3.0), (7.3, 8.0, 0.5)]
 
@@ -355,7 +355,7 @@ def test_friction_is_learnt_whatever_hangs_on_the_gripper(robot, make):
     known.samples["torque"] += truth[:, 0] * direction + truth[:, 1] * known.theta_dot + truth[:, 2]
     estimator = Estimator(robot, PERIOD)
     estimator.run(known.samples)
-    found, spread = learnt(estimator.state["payload"]["departure"])
+    found, spread = learnt(estimator)
     own, deviation = found[:-1].reshape(3, OWN), spread[:-1].reshape(3, OWN)
     assert (np.abs(own - truth) < 4 * deviation + [0.02, 0.02, 0.02, 0.002]).all()
     assert (spread < 0.1).all()
