@@ -14,7 +14,6 @@ all joints with `{joint}` (1, 2, ...) in its name; a bare string is a name with 
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -23,13 +22,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from schemas.errors import TraceError
 from schemas.toml import Positive, TomlTable, read_toml, validate
+from schemas.units import CONSTANTS, LINEAR, POSITION_SCALES, SHARES, TIME_UNITS, TORQUE_SCALES
 
 MAX_LINE = 10_000  # of the header; what exports put above it are some dozens
 MAX_JOINTS = 64
 MAX_COLUMNS = 4096  # of a table
 _LISTED = Field(max_length=MAX_JOINTS)
 
-TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "filetime": 1e7}  # per second
 FILETIME_S = 11_644_473_600  # from 1601, where Windows counts from, to 1970
 RATES_HZ = 5.0, 2e5  # of logs that hold dynamics: below, a fast joint has moved on by a radian; above none is known
 
@@ -83,7 +82,7 @@ class _JointChannel(_Channel):
 class PositionColumn(_JointChannel):
     """A joint position."""
 
-    unit: Literal["rad", "deg", "turns", "counts", "m", "mm"] = "rad"  # of the column
+    unit: Literal["rad", "mrad", "deg", "turns", "counts", "m", "cm", "mm", "um"] = "rad"  # of the column
     counts_per_rev: Positive | None = None  # encoder increments per turn of its shaft,
     counts_per_m: Positive | None = None  # or per metre that a linear axis goes
 
@@ -100,39 +99,41 @@ class PositionColumn(_JointChannel):
     @property
     def linear(self) -> bool:
         """Whether it goes along a line."""
-        return self.unit in ("m", "mm") or self.counts_per_m is not None
+        return self.unit in LINEAR or self.counts_per_m is not None
 
     @property
     def scale(self) -> float:
         """Radians (or metres) per unit of the column, before the gear."""
         if self.counts_per_rev is not None:
-            return 2 * math.pi / self.counts_per_rev
+            return POSITION_SCALES["turns"] / self.counts_per_rev
         if self.counts_per_m is not None:
             return 1 / self.counts_per_m
-        return {"rad": 1.0, "deg": math.pi / 180, "turns": 2 * math.pi, "m": 1.0, "mm": 1e-3}[self.unit]
+        return POSITION_SCALES[self.unit]
 
 
 class TorqueColumn(_JointChannel):
     """A joint torque, or the force of a linear axis."""
 
-    unit: Literal["N m", "N", "permille", "percent", "V", "A"] = "N m"  # of the column
+    unit: Literal[
+        "N m", "mN m", "N cm", "kN m", "lbf in", "lbf ft", "N", "mN", "kN", "permille", "percent", "V", "A", "mA"
+    ] = "N m"  # of the column
     rated: Positive | None = None  # permille, percent: rated torque of the drive, N m (or rated force, N)
     constant: Positive | None = None  # V, A: N m (or N) per volt or ampere
 
     @model_validator(mode="after")
     def _complete(self) -> TorqueColumn:
-        if (self.unit in ("permille", "percent")) != (self.rated is not None):
+        if (self.unit in SHARES) != (self.rated is not None):
             raise ValueError(f"unit {self.unit!r} with rated {self.rated}: give it with 'permille' or 'percent' only")
-        if (self.unit in ("V", "A")) != (self.constant is not None):
-            raise ValueError(f"unit {self.unit!r} with constant {self.constant}: give it with 'V' or 'A' only")
+        if (self.unit in CONSTANTS) != (self.constant is not None):
+            raise ValueError(f"unit {self.unit!r} with constant {self.constant}: give it with 'V', 'A' or 'mA' only")
         return self
 
     @property
     def scale(self) -> float:
         """N m (or N) per unit of the column, before the gear."""
         if self.rated is not None:
-            return self.rated / {"permille": 1000.0, "percent": 100.0}[self.unit]
-        return self.constant or 1.0
+            return self.rated / SHARES[self.unit]
+        return TORQUE_SCALES[self.unit] * (self.constant or 1.0)
 
 
 class RowFilter(TomlTable):

@@ -9,61 +9,55 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drivers.trace.tables import Table
-from schemas.columns import CHANNELS, TIME_UNITS
+from schemas.columns import CHANNELS
 from schemas.errors import DataError
+from schemas.units import (
+    CLOCK_UNITS,
+    OTHER_UNITS,
+    POSITION_UNITS,
+    SPELLED_ONLY,
+    TIME_UNITS,
+    TORQUE_UNITS,
+    is_another,
+    is_unit,
+    unit_of,
+)
 
 # Words of column names, English and German, as controllers and loggers write them.
 WORDS = {
     "time": {"t", "time", "timestamp", "timestamps", "stamp", "zeit", "zeitstempel", "clock", "when", "date"},
     "position": {"position", "positions", "pos", "q", "qm", "angle", "angles", "winkel", "lage", "phi", "theta"},
     "torque": {
-        "torque", "torques", "trq", "tau", "effort", "moment", "drehmoment", "m", "nm", "iq", "current", "currents",
-        "curr", "strom", "load", "force", "kraft", "vir",
+        "torque", "torques", "trq", "tq", "tau", "effort", "efforts", "moment", "drehmoment", "m", "nm", "load",
+        "force", "kraft", "vir",
     },
     "command": {
-        "set", "soll", "setpoint", "cmd", "command", "commanded", "target", "ref", "reference", "desired",
-        "goal", "qg",
+        "set", "soll", "setpoint", "cmd", "command", "commanded", "target", "ref", "reference", "desired", "des",
+        "demand", "feedforward", "goal", "qg",
     },
     "other": {
         "velocity", "speed", "vel", "qd", "dq", "qdot", "geschwindigkeit", "drehzahl", "error", "err", "lag",
         "schleppfehler", "deviation", "following", "temp", "temperature", "volt", "volts", "voltage", "acceleration",
-        "acc", "qdd", "pwm", "status", "state", "enable", "enabled",
+        "acc", "accel", "qdd", "ddq", "dqd", "dtau", "omega", "pwm", "status", "state", "enable", "enabled", "ext",
+        "external", "limit", "limits", "max", "min", "power", "leistung",
     },
+    "current": {"iq", "current", "currents", "curr", "strom"},
+    "counter": {"index", "idx", "sample", "samples", "cycle", "cycles", "nr", "row", "seq", "counter", "line", "zeile"},
 }  # fmt: skip
+FRACTIONS = {"nsec", "nsecs", "nanosec", "nanosecs", "nanos", "usec", "usecs"}  # of a second, which stands elsewhere
+OTHER_ALONE = {
+    "w",
+    "id",
+    "u",
+}  # a column called so and a number, or nothing else: speed, current along the field, volts
+DESIRED = "d"  # `q_d` beside `q`
+OF_ANY_JOINT = {"joint", "axis", "link", "achse", "gelenk"}  # words of a joint's name that tell none from another
 MEASURED = {"ist", "act", "actual", "meas", "measured", "feedback", "fbk"}
 _PARTS = re.compile(r"^(ist|soll)(\w+)$|^(\w+?)(?:s|en)?(ist|soll)wert$")  # Istposition; Lageistwert, Momentensollwert
-POSITION_UNITS = {
-    "rad": "rad", "radian": "rad", "radians": "rad", "deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg",
-    "°": "deg", "turns": "turns", "rev": "turns", "inc": "counts", "count": "counts", "counts": "counts",
-    "m": "m", "mm": "mm",
-}  # fmt: skip
-TORQUE_UNITS = {
-    "nm": "N m", "n m": "N m", "n*m": "N m", "n": "N", "%": "percent", "percent": "percent", "‰": "permille",
-    "permille": "permille", "promille": "permille", "a": "A", "amp": "A", "v": "V",
-}  # fmt: skip
-OTHER_UNITS = {
-    "rpm",
-    "w",
-    "kw",
-    "hz",
-    "bar",
-    "k",
-    "c",
-    "°c",
-    "kg",
-    "s",
-    "ms",
-    "us",
-    "ns",
-    "rad/s",
-    "deg/s",
-    "°/s",
-    "m/s",
-    "mm/s",
-}  # of what is neither a position nor a torque
 MOST_DIGITS = 6  # of a number in a column's name that may be a joint's
+OVER = 10  # samples over which a rate is taken, so that a reading's steps do not hide it
+FOLLOWS = 0.02  # of a column, rms, that its being a position's rate leaves; of no machine is the torque nothing else
 OTHER = "other"  # role of a column whose name or unit says that it is neither
-_RATE = re.compile(r"/ ?(s|sec|min|h)\b|[/ ]s(\^?2|²)|s-[12]|s⁻[¹²]|1/min|u/min")
 FILETIMES = 1.19e17, 1.37e17  # 100 ns since 1601: years 1978 to 2035
 LEAST_HZ = 20.0  # of logs that hold dynamics; a unit of time that gives a lower rate is not believed
 _TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+|[%‰°]")
@@ -96,8 +90,9 @@ def guess(table: Table, joints: int | None, called: Sequence[str] = ()) -> Chann
     called: names of its joints, where its description has them."""
     time = _time(table)
     clocks = {time, *table.time_of.values()} - {None}
-    roles = {name: _role(name, table) for name in table.columns if name not in clocks}
-    if named := _named_channels(table, roles, called):
+    roles = _roles([name for name in table.columns if name not in clocks], table)
+    named = _named_channels(table, roles, called)
+    if named.get("position") and (named.get("torque") or named.get("torque_command")):
         order = [f"joints by the names of the description: {_numbered(named['position'])}"]
         return Channels(time, **named, reasons=["columns are told by their names"], order=order)
     names = [name for name in roles if _moves(table.columns[name])]
@@ -108,20 +103,22 @@ def guess(table: Table, joints: int | None, called: Sequence[str] = ()) -> Chann
             break
     else:
         found = {role: [name for name in names if roles[name] == role] for role in CHANNELS}
-    reasons = ["columns are told by their names"]
+    reasons, doubts = ["columns are told by their names"], list[str]()
     wanted = joints or len(found["torque"] or found["torque_command"])
     found = {role: _measured(columns, wanted) for role, columns in found.items()}
     if not (found["position"] and (found["torque"] or found["torque_command"])):
         by_shape = _by_smoothness(table, names, joints, roles)
         if by_shape:
             found |= dict(zip(("position", "torque"), by_shape, strict=True))
-            reasons = ["names say nothing: the smoother columns are taken for positions, the rougher for torques"]
-    ordered = {role: _by_joint(columns) for role, columns in found.items()}
+            reasons = []
+            doubts = ["names say nothing: the smoother columns are taken for positions, the rougher for torques"]
+    ordered = {role: _by_joint(columns) for role, columns in found.items()} | {r: c for r, c in named.items() if c}
     ordered |= {role: _as_ordered(columns, ordered["position"]) for role, columns in ordered.items()}
     count = joints or len(ordered["position"])
     ordered = {role: columns if len(columns) == count else [] for role, columns in ordered.items()}
-    order, doubts = _told_order(ordered["position"], called)
-    return Channels(time, **ordered, reasons=reasons, order=order, doubts=doubts)
+    partly = bool(ordered["torque"] or ordered["torque_command"]) and any(named.values())
+    order, open_ones = _told_order(table, ordered, called, partly)
+    return Channels(time, **ordered, reasons=reasons, order=order, doubts=doubts + open_ones)
 
 
 def are_runs(tables: Sequence[Table], position: Sequence[str] | None, torque: Sequence[str] | None) -> bool:
@@ -139,28 +136,36 @@ def are_runs(tables: Sequence[Table], position: Sequence[str] | None, torque: Se
 
 def _named_channels(
     table: Table, roles: Mapping[str, str | None], called: Sequence[str]
-) -> dict[str, list[str]] | None:
-    """Columns by role that bear the names of the description's joints, in its order; None where not all do."""
-    if not called:
-        return None
+) -> dict[str, list[str]]:  # fmt: skip
+    """Columns by role that bear the names of the description's joints, in its order; of a role none where not all
+    do."""
     found = {}
-    for role in CHANNELS:
+    for role in CHANNELS if called else ():
         of_role = [name for name in roles if roles[name] == role]
         found[role] = _by_name(of_role, called, {name: [name, table.paths.get(name, "")] for name in of_role})
-    return found if found["position"] and (found["torque"] or found["torque_command"]) else None
+    return found
 
 
 def _by_name(columns: Sequence[str], called: Sequence[str], spelled: Mapping[str, Sequence[str]]) -> list[str]:
     """For each joint the one column that bears its name; empty where there is none, or several. spelled: the names of
     a column, its own and others that the file has for it."""
+    words = _telling(called)
     of_joint: dict[str, list[str]] = {joint: [] for joint in called}
     for column in columns:
-        hits = [j for j in called if any(_contains(tokens(name), tokens(j)) for name in spelled[column])]
-        longest = max((len(tokens(joint)) for joint in hits), default=0)  # "elbow_2" is not "elbow"
-        if len(best := [joint for joint in hits if len(tokens(joint)) == longest]) == 1:
+        hits = [j for j in called if any(_contains(tokens(name), words[j]) for name in spelled[column])]
+        longest = max((len(words[joint]) for joint in hits), default=0)  # "elbow_2" is not "elbow"
+        if len(best := [joint for joint in hits if len(words[joint]) == longest]) == 1:
             of_joint[best[0]].append(column)
     chosen = [_measured(of_joint[joint], 1) for joint in called]
     return [one[0] for one in chosen] if all(len(one) == 1 for one in chosen) else []
+
+
+def _telling(called: Sequence[str]) -> dict[str, list[str]]:
+    """The words of each joint's name; without those of any joint, where the others tell all joints apart."""
+    whole = {joint: tokens(joint) for joint in called}
+    short = {joint: [word for word in words if word not in OF_ANY_JOINT] for joint, words in whole.items()}
+    tell = len({tuple(words) for words in short.values()}) == len(called)
+    return short if tell and all(any(len(w) > 1 and w.isalpha() for w in words) for words in short.values()) else whole
 
 
 def _contains(words: Sequence[str], part: Sequence[str]) -> bool:
@@ -179,17 +184,29 @@ def _as_ordered(columns: list[str], positions: Sequence[str]) -> list[str]:
 
 def _joint_words(name: str) -> tuple[str, ...]:
     """What of a column's name is neither its quantity nor its unit."""
-    known = MEASURED.union(*WORDS.values(), POSITION_UNITS, TORQUE_UNITS, OTHER_UNITS, ("wert",))
+    known = MEASURED.union(*WORDS.values(), POSITION_UNITS, TORQUE_UNITS, OTHER_UNITS, ("wert", DESIRED))
     return tuple(word for word in tokens(name) if word not in known)
 
 
-def _told_order(positions: Sequence[str], called: Sequence[str]) -> tuple[list[str], list[str]]:
-    """How several joints are told apart: what is certain, and what is to be checked."""
+def _told_order(
+    table: Table, ordered: Mapping[str, Sequence[str]], called: Sequence[str], partly: bool
+) -> tuple[list[str], list[str]]:  # fmt: skip
+    """How several joints are told apart: what is certain, and what is to be checked. partly: positions or torques bear
+    the description's names, and not both."""
+    positions = ordered["position"]
     if len(positions) < 2:
         return [], []
+    if partly:
+        torques = ordered["torque"] or ordered["torque_command"]
+        line = f"joints by their names for one of both: positions {_numbered(positions)}; torques {_numbered(torques)}"
+        return [], [f"{line}; the description calls them {', '.join(called)}"]
+    paths = [table.paths.get(name, "") for name in positions]
+    known = f"; the file calls them {', '.join(paths)}" if all(paths) else ""
+    if known and called:
+        return [], [f"joints by their place in the file{known}; the description calls them {', '.join(called)}"]
     if _numbers_of(positions) is not None:
-        return [f"joints by the numbers in the names: {_numbered(positions)}"], []
-    line = f"joints by their place in the file: {_numbered(positions)}"
+        return [f"joints by the numbers in the names: {_numbered(positions)}{known}"], []
+    line = f"joints by their place in the file: {_numbered(positions)}{known}"
     if called:
         return [], [f"{line}; the description calls them {', '.join(called)}, the columns do not"]
     return [f"{line}; the description has no names for them"], []
@@ -229,13 +246,21 @@ def clocks_of(tables: Sequence[Table], time: str | None) -> list[str | None]:
 
 
 def time_unit(table: Table, name: str) -> tuple[str, bool]:
-    """Unit of a column of stamps, and whether the file or the name says so; else by the rate that it gives."""
+    """Unit of a column of stamps, and whether the file or the name says so; else by the rate that it gives.
+
+    Raises:
+        DataError: it says a unit that is not read.
+    """
     known = table.columns[name][np.isfinite(table.columns[name])]
     if len(known) and FILETIMES[0] < known.min() <= known.max() < FILETIMES[1]:  # no other clock counts there
         return "filetime", True
-    said = table.units.get(name, "").lower().replace("µ", "u")
-    if said in TIME_UNITS or said == "datetime":
+    texts = _unit_texts(table, name)
+    if "datetime" in texts:
+        return "datetime", True
+    if said := next((unit for text in texts if (unit := unit_of(text, CLOCK_UNITS))), None):
         return said, True
+    if other := unknown_unit(table, name) or next(filter(is_another, texts), None):
+        raise DataError(f"{table.path}: stamps in {name!r} are in {other!r}: s, ms, us, ns are read, or --rate HZ")
     for unit in ("ns", "us", "ms", "s"):
         if unit in tokens(name.replace("µ", "u")):
             return unit, True
@@ -252,13 +277,28 @@ def rate_hz(table: Table, clock: str) -> float:
 
 def said_unit(table: Table, name: str, known: Mapping[str, str]) -> str | None:
     """The unit that the file, or the name of the column, gives."""
-    said = table.units.get(name, "").strip().lower()
-    if said in known:
-        return known[said]
-    bracket = re.search(r"[\[(]([^\])]+)[\])]", name)
-    words = [bracket[1].strip().lower()] if bracket else []
-    words += [word for word in tokens(name)[-2:] if word not in ("m", "a", "v", "n")]  # one letter names an axis too
-    return next((known[word] for word in words if word in known), None)
+    texts = _unit_texts(table, name)
+    found = next((unit for text in texts if (unit := unit_of(text, known))), None)
+    if found or any(map(is_unit, texts)):
+        return found
+    for words in (re.split(r"[^\w%‰°µ]|_", name)[-2:], tokens(name)[-2:]):  # a unit of one letter names an axis too
+        spelled = (unit_of(word, known) for word in words if word.lower() not in SPELLED_ONLY)
+        if found := next((unit for unit in spelled if unit), None):
+            return found
+    return None
+
+
+def unknown_unit(table: Table, name: str) -> str | None:
+    """What the file gives as a unit, or a name between square brackets, that is the unit of nothing that is known."""
+    said = table.units.get(name, "")
+    texts = [said] if said else re.findall(r"\[([^\]]+)\]", name)
+    return next((t for t in texts if re.search(r"[^\W\d_]", t) and not is_unit(t) and t != "datetime"), None)
+
+
+def _unit_texts(table: Table, name: str) -> list[str]:
+    """What may be a column's unit: the file's own, else what stands between brackets in its name, the last first."""
+    said = table.units.get(name, "").strip()
+    return [said] if said else re.findall(r"[\[(]([^\])]+)[\])]", name)[::-1]
 
 
 def _time(table: Table) -> str | None:
@@ -266,12 +306,13 @@ def _time(table: Table) -> str | None:
         return named[0]
     first = next(iter(table.columns))
     alone = _role(first, table) in (None, OTHER) and not table.layout.get("beside")
-    return first if alone and _rises(table.columns[first]) else None
+    counts = (WORDS["counter"] | FRACTIONS) & set(tokens(first))
+    return first if alone and not counts and _rises(table.columns[first]) else None
 
 
 def _named_times(table: Table) -> list[str]:
     """Columns that rise and are called stamps, or dates; the clocks of a TwinCAT export."""
-    rising = [name for name, values in table.columns.items() if _rises(values)]
+    rising = [name for name, values in table.columns.items() if _rises(values) and not FRACTIONS & set(tokens(name))]
     named = [name for name in rising if WORDS["time"] & set(tokens(name)) or table.units.get(name) == "datetime"]
     if not named and table.kind.startswith("TwinCAT"):
         named = [name for name in table.columns if name in table.time_of.values()]
@@ -293,14 +334,26 @@ def _moves(values: np.ndarray) -> bool:
     return len(known) > 1 and bool(np.ptp(known) > 0)
 
 
+def _roles(names: Sequence[str], table: Table) -> dict[str, str | None]:
+    """What each column is; `q_d` beside `q` is the command of what `q` measures."""
+    roles = {name: _role(name, table) for name in names}
+    spelled = {tuple(tokens(name)): name for name in names}
+    for name, role in roles.items():
+        without = tuple(word for word in tokens(name) if word != DESIRED)
+        if role in ("position", "torque") and spelled.get(without, name) != name:
+            roles[name] = f"{role}_command"
+    return roles
+
+
 def _role(name: str, table: Table) -> str | None:
     words = _words(name)
     if table.layout.get("beside") and ":" not in name:
         words |= set(tokens(table.path.name.split(".")[0]))
-    if words & WORDS["other"] or _of_another_kind(table, name):
+    alone = {word for word in tokens(re.sub(r"[\[(].*", "", name)) if not word.isdecimal()}
+    if words & WORDS["other"] or (len(alone) == 1 and alone <= OTHER_ALONE) or _of_another_kind(table, name):
         return OTHER
     command = bool(words & WORDS["command"])
-    torque = words & WORDS["torque"] or said_unit(table, name, TORQUE_UNITS)
+    torque = words & (WORDS["torque"] | WORDS["current"]) or said_unit(table, name, TORQUE_UNITS)
     position = words & WORDS["position"] or said_unit(table, name, POSITION_UNITS)
     if bool(torque) == bool(position):
         strong = "torque" if words & (WORDS["torque"] - {"m", "load"}) else "position" if position else None
@@ -313,16 +366,16 @@ def _role(name: str, table: Table) -> str | None:
 
 def _of_another_kind(table: Table, name: str) -> bool:
     """Whether the unit that the file or the name gives is that of neither a position nor a torque."""
-    bracket = re.search(r"[\[(]([^\])]+)[\])]", name)
-    said = table.units.get(name, bracket[1] if bracket else "").strip().lower()
-    return said in OTHER_UNITS or _RATE.search(said) is not None or said_unit(table, name, {"rpm": "rpm"}) is not None
+    said = _unit_texts(table, name)
+    known = any(unit_of(text, units) for text in said for units in (POSITION_UNITS, TORQUE_UNITS))
+    return not known and (any(map(is_another, said)) or "rpm" in tokens(name)[-2:])
 
 
 def no_torque(table: Table, columns: Sequence[str]) -> str | None:
     """Why no torque was recorded; None where there is one, or may be. columns: taken for it."""
     if columns:
         if other := next((name for name in columns if _of_another_kind(table, name)), None):
-            return f"{other!r} is in {table.units.get(other, 'another unit')}"
+            return f"{other!r} is in {', '.join(_unit_texts(table, other)) or 'another unit'}"
         constant = [name for name in columns if not _moves(table.columns[name])]
         if len(constant) < len(columns):
             return None
@@ -333,6 +386,30 @@ def no_torque(table: Table, columns: Sequence[str]) -> str | None:
     roles = {name: _role(name, table) for name in table.columns if name not in clocks}
     may_be = [name for name, role in roles.items() if role is None or role.startswith("torque")]
     return None if may_be else f"none of its columns is one by name and unit ({', '.join(list(roles)[:20])})"
+
+
+def calls_itself_torque(name: str) -> bool:
+    """Whether a column's name says that it is a torque, a force or a current."""
+    return bool(_words(name) & (WORDS["torque"] | WORDS["current"]))
+
+
+def is_rate(table: Table, column: str, position: str, clock: str | None) -> bool:
+    """Whether a column is the speed or the acceleration that goes with a position, not a torque: it follows from it."""
+    stamps = np.arange(len(table), dtype=float) if clock is None else table.columns[clock]
+    known = np.isfinite(stamps) & np.isfinite(table.columns[column]) & np.isfinite(table.columns[position])
+    known[1:] &= np.diff(stamps, prepend=-np.inf)[1:] > 0
+    at, values, time = table.columns[position][known], table.columns[column][known], stamps[known]
+    if len(at) < 10 * OVER or not np.ptp(values) > 0:
+        return False
+    window = np.ones(OVER) / OVER
+    with np.errstate(all="ignore"):
+        speed = np.gradient(at, time)
+        for rate in (speed, np.gradient(speed, time)):
+            one, other = (np.convolve(x, window, "valid") for x in (rate, values))
+            scale = one @ other / max(one @ one, 1e-300)
+            if np.std(other - scale * one) < FOLLOWS * np.std(other):
+                return True
+    return False
 
 
 def _by_smoothness(

@@ -65,6 +65,13 @@ class Left:
     share: np.ndarray
     pieces: np.ndarray
 
+    @property
+    def overall(self) -> float:
+        """Share over all joints that move."""
+        if not self.pieces.any():
+            return float("inf")
+        return float(np.sqrt(np.average(self.share**2, weights=self.pieces)))
+
 
 def log_odds(better: Left, worse: Left) -> float:
     """Logarithm of how many times likelier the first is; without end where only the other is impossible."""

@@ -15,18 +15,19 @@ from schemas.axes import Description
 from schemas.chain import Chain
 from schemas.columns import CHANNELS, TIME_UNITS
 from schemas.errors import DataError
+from schemas.units import LINEAR, POSITION_SCALES, POSITION_UNITS, TORQUE_UNITS
 from service.identification.channels import (
-    POSITION_UNITS,
-    TORQUE_UNITS,
     Channels,
+    calls_itself_torque,
     guess,
+    is_rate,
     no_torque,
     rate_hz,
     said_unit,
     time_unit,
 )
 from service.identification.evidence import Run
-from service.identification.readings import SCALES, Candidates, Reading, Stated, judge, named, scale_of
+from service.identification.readings import Candidates, Reading, Stated, judge, named, scale_of
 
 LEAPS = 0.5  # of the way that readings go, that is left where their sign is put right
 FOLLOWS_WITHIN = 2.0  # factor between the way of a command and that of what follows it
@@ -107,6 +108,8 @@ def _channels(
     )
     channels = _told_once(channels, doubts)
     _check(table, channels, stated, joints)
+    if not stated.torque:
+        _refuse_rates(table, channels, doubts)
     if not (stated.position and stated.torque):
         reasons += channels.reasons
     if not stated.position:
@@ -130,7 +133,7 @@ def _reading(
             raise DataError(f"{runs[0].path}: {what} has {len(given)} numbers, there are {count} joints")
     own = [1] * count if stated.sign is None else [int(sign) for sign in stated.sign] * (count // len(stated.sign))
     candidates = Candidates(runs, channels, robot, rate, stated)
-    positions, (torque, told) = candidates.positions(reasons), candidates.torque(reasons, doubts)
+    positions, (torque, told) = candidates.positions(reasons, doubts), candidates.torque(reasons, doubts)
     if robot is None:
         found = Reading(positions[0], torque, None, [1] * count, [1] * count)
         found.doubts.append("without --robot signs and the side of the gear cannot be checked")
@@ -193,16 +196,18 @@ def _as_measured(
 ) -> dict[str, Any] | None:  # fmt: skip
     """How commands are to be read so that they go as far as what was measured, which `entry` says; None where no unit
     is known in which they do."""
+    if not isinstance(entry["unit"], str):  # a unit a joint
+        return entry if [said_unit(table, name, units) for name in names] == entry["unit"] else None
     said = said_unit(table, names[0], units)
     same = said in (None, entry["unit"])
     if units is TORQUE_UNITS:  # a command may be a part of the torque, however large
         return entry if same else None
     way, wanted = (sum(np.nanvar(table.columns[name]) for name in columns) ** 0.5 for columns in (names, measured))
     wanted *= scale_of(entry, gear)
-    linear = entry["unit"] in ("m", "mm") or "counts_per_m" in entry
+    linear = entry["unit"] in LINEAR or "counts_per_m" in entry
     others = [said] if said else ["m", "mm"] if linear else ["rad", "deg", "turns"]
     sides: list[dict[str, Any]] = [{}, {"side": "motor"}] if entry.get("side") == "motor" else [{}]
-    readings = [entry] * same + [{"unit": unit} | side for unit in others if unit in SCALES for side in sides]
+    readings = [entry] * same + [{"unit": unit} | side for unit in others if unit in POSITION_SCALES for side in sides]
     near = (r for r in readings if wanted < FOLLOWS_WITHIN * way * scale_of(r, gear) < FOLLOWS_WITHIN**2 * wanted)
     return next(near, None)
 
@@ -234,6 +239,23 @@ def _check(table: Table, channels: Channels, stated: Stated, joints: int | None)
     for name in (stated.where and stated.where[0], stated.torque_times):
         if name is not None and name not in table.columns:
             raise DataError(f"{table.path}: no column {name!r}; it has: {listed}")
+
+
+def _refuse_rates(table: Table, channels: Channels, doubts: list[str]) -> None:
+    """Of what was taken for torques and follows from the positions: a doubt where its name says that it is one.
+
+    Raises:
+        DataError: nothing says so.
+    """
+    clock = table.time_of.get(channels.position[0], channels.time)
+    for at, name in zip(channels.position, channels.torque, strict=True):
+        if said_unit(table, name, TORQUE_UNITS) is None and is_rate(table, name, at, clock):
+            line = f"{name!r} is the speed or acceleration of {at!r}"
+            if not calls_itself_torque(name):
+                raise DataError(
+                    f"{table.path}: no torque was recorded: {line}; if it is one all the same: --torque NAME"
+                )
+            doubts.append(f"{line}, though it is called a torque")
 
 
 def _stretch(table: Table, name: str, equals: float) -> Table:

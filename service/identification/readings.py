@@ -9,19 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from drivers.trace.quality import ANY_JOINT, MAX_SPEED
 from drivers.trace.tables import Table
-from schemas.axes import Description
+from schemas.axes import Axes, Description
 from schemas.chain import Chain
 from schemas.diagnosis import named_joints
 from schemas.errors import DataError, RobotError
 from schemas.machine import Machine
 from schemas.robot import Robot
-from service.identification.channels import POSITION_UNITS, TORQUE_UNITS, Channels, said_unit
+from schemas.units import CONSTANTS, LINEAR, POSITION_SCALES, POSITION_UNITS, SHARES, TORQUE_SCALES, TORQUE_UNITS
+from service.identification.channels import WORDS, Channels, said_unit, tokens, unknown_unit
 from service.identification.checks import SUSPECT
 from service.identification.evidence import (
     AS_GIVEN,
@@ -29,6 +31,7 @@ from service.identification.evidence import (
     SURE,
     DeltaFit,
     Left,
+    MachineSums,
     Run,
     delta_fits,
     log_odds,
@@ -36,6 +39,7 @@ from service.identification.evidence import (
     said,
 )
 
+POOR = 2 * SUSPECT  # share of the torque left by an arm's equations, from which something is wrong with them
 HOPELESS = 0.5  # share of the torque left, from which nothing can be said
 SAME = 1.25  # factor within which a torque's scale goes with the masses of the description
 NO_ACCIDENT = 4.0  # gear ratio that no torque is off by for another reason, such as half of it being recorded
@@ -45,7 +49,6 @@ FEW = 8  # different whole numbers: more, and nothing but these, are increments
 OFTEN_WRONG = 0.25, 0.5, 2.0, 4.0  # times that a gear ratio or a number of increments is wrong
 UR_JOINT = "shoulder_pan_joint"
 UR_CURRENTS = ": that of Universal Robots publishes currents as effort; --torque-unit 'A CONSTANT,CONSTANT,...'"
-SCALES = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "m": 1.0, "mm": 1e-3}
 WHENCE = "by the masses of the description; the data sheet is better: --torque-unit"
 
 
@@ -84,21 +87,25 @@ class Reading:
     @property
     def share(self) -> float:
         """Of the torque, rms, over all joints that move."""
-        if self.left is None or not self.left.pieces.any():
-            return float("inf")
-        return float(np.sqrt(np.average(self.left.share**2, weights=self.left.pieces)))
+        return float("inf") if self.left is None else self.left.overall
 
 
 def named(position: Mapping[str, Any]) -> str:
     """A reading of positions in words."""
-    return f"{position['unit']} of the {'motor' if position.get('side') == 'motor' else 'joint'}"
+    unit = position["unit"] if isinstance(position["unit"], str) else ", ".join(position["unit"])
+    return f"{unit} of the {'motor' if position.get('side') == 'motor' else 'joint'}"
 
 
 def scale_of(position: Mapping[str, Any], gear: float | np.ndarray) -> Any:
-    """rad (or m) of the joint per unit of a column."""
+    """rad (or m) of the joint per unit of a column, or (n,) where the joints' units differ."""
     if "counts_per_m" in position:
         return 1 / position["counts_per_m"]
-    scale = 2 * np.pi / position["counts_per_rev"] if "counts_per_rev" in position else SCALES[position["unit"]]
+    if "counts_per_rev" in position:
+        scale: Any = 2 * np.pi / position["counts_per_rev"]
+    elif isinstance(position["unit"], str):
+        scale = POSITION_SCALES[position["unit"]]
+    else:
+        scale = np.array([POSITION_SCALES[unit] for unit in position["unit"]])
     return scale / gear if position.get("side") == "motor" else scale
 
 
@@ -113,17 +120,75 @@ class Candidates:
         self._values = [np.column_stack([table.columns[name] for name in channels.position]) for table in tables]
         self._gear = robot.gear_ratios[0] if robot else 1.0
 
-    def positions(self, reasons: list[str]) -> list[dict[str, Any]]:
+    def positions(self, reasons: list[str], doubts: list[str]) -> list[dict[str, Any]]:
         """What the positions may be, first as what they were recorded. An entry whose unit the file contradicts comes
         last.
 
         Raises:
-            DataError: they are increments, and how many make a turn or a metre is not known.
+            DataError: they are increments, and how many make a turn or a metre is not known; or in an unknown unit.
         """
         stated, robot = self._stated, self._robot
-        unit = stated.position_unit or said_unit(self._table, self._channels.position[0], POSITION_UNITS)
-        counts = unit == "counts" or (unit is None and self._integers())
-        if counts and (stated.counts_per_m is not None or (robot is not None and robot.linear)):
+        said = self._said(self._channels.position, POSITION_UNITS, stated.position_unit, "--position-unit")
+        if len(set(said)) > 1:
+            return self._mixed(said, reasons)
+        unit = said[0]
+        if unit == "counts" or (unit is None and self._integers()):
+            return self._increments(reasons)
+        if robot is not None and robot.linear:
+            return [{"unit": unit}] if unit else [{"unit": "mm" if self._farthest() > 10 else "m"}]
+        others = [] if stated.position_unit else [one for one in ("rad", "deg") if one != unit]
+        if unit is not None:
+            others = others if robot is not None and unit in ("rad", "deg") else []
+        units = [unit] if unit else []
+        every = [entry for one in (*units, *others) for entry in self._sides({"unit": one})]
+        if stated.position_unit:
+            reasons.append(f"positions are {unit}: told")
+            return every
+        if unit in ("rad", "turns") and self._integers():
+            raise DataError(
+                f"{self._table.path}: positions are said to be {unit}, and are whole numbers: increments? say "
+                "--position-unit counts and --counts-per-rev, or --position-unit"
+            )
+        possible = [e for e in every if self._plausible(scale_of(e, self._gear))] or every[:1]
+        if unit is not None and unit == possible[0]["unit"]:
+            reasons.append(f"positions are {unit}: it stands there")
+        elif unit is not None:
+            doubts.append(
+                f"positions taken as {named(possible[0])}, though the file says {unit}: no joint goes so far, or so "
+                "fast; --position-unit says it"
+            )
+        return possible
+
+    def _said(
+        self, names: Sequence[str], known: Mapping[str, str], stated: str | None, option: str
+    ) -> list[str | None]:  # fmt: skip
+        """The unit of each joint as the user or the file says it.
+
+        Raises:
+            DataError: the file says one that is not known.
+        """
+        if stated is not None:
+            return [stated] * len(names)
+        for name in names:
+            if other := unknown_unit(self._table, name):
+                raise DataError(f"{self._table.path}: {name!r} is in {other!r}, no unit that is known: say {option}")
+        return [said_unit(self._table, name, known) for name in names]
+
+    def _mixed(self, said: list[str | None], reasons: list[str]) -> list[dict[str, Any]]:
+        """Positions of joints that are in several units, as the file says.
+
+        Raises:
+            DataError: of some it says none, or they are increments.
+        """
+        if None in said or "counts" in said:
+            listed = ", ".join(f"{n}: {u or 'none'}" for n, u in zip(self._channels.position, said, strict=True))
+            raise DataError(f"{self._table.path}: positions in several units ({listed}): say --position-unit")
+        reasons.append(f"positions are {', '.join(map(str, said))}: it stands there")
+        return self._sides({"unit": said})
+
+    def _increments(self, reasons: list[str]) -> list[dict[str, Any]]:
+        stated, robot = self._stated, self._robot
+        if stated.counts_per_m is not None or (robot is not None and robot.linear):
             if stated.counts_per_m is None:
                 raise DataError(
                     f"{self._table.path}: positions are increments, of an axis in m; how many make a metre? say "
@@ -131,26 +196,14 @@ class Candidates:
                 )
             reasons.append(f"positions are increments, {stated.counts_per_m:g} a metre")
             return [{"unit": "counts", "counts_per_m": stated.counts_per_m}]
-        if counts:
-            per_turn = stated.counts_per_rev or _counts(robot)
-            if per_turn is None:
-                raise DataError(
-                    f"{self._table.path}: positions are increments; how many make a turn of the encoder's shaft? "
-                    "say --counts-per-rev, or --position-unit"
-                )
-            reasons.append(f"positions are increments, {per_turn:g} a turn")
-            return self._sides({"unit": "counts", "counts_per_rev": per_turn})
-        if robot is not None and robot.linear:
-            return [{"unit": unit}] if unit else [{"unit": "mm" if self._farthest() > 10 else "m"}]
-        others = [] if stated.position_unit else [one for one in ("rad", "deg") if one != unit]
-        if unit is not None:
-            reasons.append(f"positions are {unit}: " + ("told" if stated.position_unit else "it stands there"))
-            others = others if robot is not None and unit in ("rad", "deg") else []
-        units = [unit] if unit else []
-        every = [entry for one in (*units, *others) for entry in self._sides({"unit": one})]
-        if stated.position_unit:
-            return every
-        return [e for e in every if self._plausible(scale_of(e, self._gear))] or every[:1]
+        per_turn = stated.counts_per_rev or _counts(robot)
+        if per_turn is None:
+            raise DataError(
+                f"{self._table.path}: positions are increments; how many make a turn of the encoder's shaft? "
+                "say --counts-per-rev, or --position-unit"
+            )
+        reasons.append(f"positions are increments, {per_turn:g} a turn")
+        return self._sides({"unit": "counts", "counts_per_rev": per_turn})
 
     def _farthest(self) -> float:
         return max(float(np.nanmax(np.abs(values))) for values in self._values)
@@ -172,7 +225,7 @@ class Candidates:
         for values in self._values:
             if np.nanquantile(np.abs(np.diff(values, axis=0)) * scale * self._rate, 0.99) > fastest:
                 return False
-            if delta and np.nanmax(np.abs(values)) * scale > ANY_JOINT:
+            if delta and np.nanmax(np.abs(values) * scale) > ANY_JOINT:
                 return False
             span = np.nanmax(values, axis=0) - np.nanmin(values, axis=0)
             if isinstance(self._robot, Chain) and (span * scale > BEYOND_LIMITS * limits).any():
@@ -181,13 +234,13 @@ class Candidates:
 
     def _sides(self, entry: dict[str, Any]) -> list[dict[str, Any]]:
         """The sides of the gear on which a joint could turn so far."""
-        if self._gear == 1.0 or "m" in entry["unit"]:
+        if self._gear == 1.0 or entry["unit"] in LINEAR:
             return [entry]
         both = [entry, entry | {"side": "motor"}]
         if isinstance(self._robot, Machine):
             return both
         farthest = self._farthest()
-        return [one for one in both if farthest * scale_of(one, self._gear) <= ANY_JOINT] or [entry]
+        return [one for one in both if np.max(farthest * scale_of(one, self._gear)) <= ANY_JOINT] or [entry]
 
     def torque(self, reasons: list[str], doubts: list[str]) -> tuple[dict[str, Any], bool]:
         """Without a scale where it takes a constant that nobody has said; and whether the unit was said.
@@ -195,25 +248,34 @@ class Candidates:
         Raises:
             DataError: it takes a constant that only a Delta's masses could tell.
         """
+        names = self._channels.torque
+        factor: float | Sequence[float] | None = None
         if self._stated.torque_unit is not None:
             unit, factor = self._stated.torque_unit
         else:
-            unit, factor = said_unit(self._table, self._channels.torque[0], TORQUE_UNITS), None
+            said = self._said(names, TORQUE_UNITS, None, "--torque-unit")
+            if len(set(said)) > 1:
+                listed = ", ".join(f"{name}: {one or 'none'}" for name, one in zip(names, said, strict=True))
+                raise DataError(f"{self._table.path}: torques in several units ({listed}): say --torque-unit")
+            unit = said[0]
             if unit is not None and self._table.kind.startswith("bag"):
                 line = f"torques are {unit} by the definition of the message, which not every driver keeps to"
-                currents = any(UR_JOINT in name for name in self._channels.torque)
+                currents = any(UR_JOINT in name for name in names)
                 (doubts if currents else reasons).append(line + UR_CURRENTS * currents)
             elif unit is not None:
                 reasons.append(f"torques are {unit}: it stands there")
+            elif all(WORDS["current"] & set(tokens(name)) for name in names):
+                unit = "A"
+                reasons.append("torques are currents by their names, taken as A")
         told = unit is not None
         if unit is None:
             unit = "N" if self._robot and self._robot.linear else "N m"
             if not isinstance(self._robot, Robot):
                 doubts.append(f"torques taken as {unit}: nothing says so")
         entry: dict[str, Any] = {"unit": unit}
-        if unit in ("percent", "permille"):
+        if unit in SHARES:
             entry["rated"] = factor or _rated(self._robot)
-        elif unit in ("A", "V"):
+        elif unit in CONSTANTS:
             entry["constant"] = factor
         missing = next((key for key in ("rated", "constant") if key in entry and entry[key] is None), None)
         if missing and not isinstance(self._robot, Robot):
@@ -236,37 +298,37 @@ def _rated(robot: Description | None) -> float | None:
 
 def factor_of(torque: Mapping[str, Any]) -> np.ndarray | None:
     """N m (or N) per unit of a column, () or one a joint (n,); None where it is not known."""
-    per = {"percent": 100.0, "permille": 1000.0}.get(torque["unit"], 1.0)
+    unit = torque["unit"]
+    per = TORQUE_SCALES[unit] if unit in TORQUE_SCALES else 1.0 / SHARES[unit]
     keys = [key for key in ("constant", "rated") if key in torque]
     if not keys:
-        return np.array(1.0)
-    return None if torque[keys[0]] is None else np.asarray(torque[keys[0]], float) / per
+        return np.array(per)
+    return None if torque[keys[0]] is None else np.asarray(torque[keys[0]], float) * per
 
 
 @dataclass(frozen=True)
 class _Choice:
-    """Of candidates in order: which is taken, the runner-up, and how many times likelier (logarithm) the one that is
-    taken is; negative where the runner-up is the likelier and not sure enough."""
+    """Of candidates in order: which is taken, the runner-up, how many times likelier (logarithm) the one that is taken
+    is, negative where the runner-up is the likelier; and whether that decides."""
 
     taken: int
     second: int | None
     odds: float
-
-    @property
-    def sure(self) -> bool:
-        return self.odds >= SURE
+    sure: bool
 
 
 def choose(found: Sequence[Left]) -> _Choice:
-    """The first, but where another is sure to be likelier."""
+    """The first, but where another is sure to be likelier. A reading that leaves no more than a machine's own effects
+    may leave (`SUSPECT`) is never ruled out by another."""
     odds = [log_odds(one, found[0]) for one in found]
     best = int(np.argmax(odds))
-    taken = best if odds[best] >= SURE else 0
+    taken = best if odds[best] >= SURE and found[0].overall > SUSPECT else 0
     others = [k for k in range(len(found)) if k != taken]
     if not others:
-        return _Choice(taken, None, np.inf)
+        return _Choice(taken, None, np.inf, True)
     second = max(others, key=lambda k: odds[k])
-    return _Choice(taken, second, log_odds(found[taken], found[second]))
+    ahead = log_odds(found[taken], found[second])
+    return _Choice(taken, second, ahead, ahead >= SURE and found[second].overall > SUSPECT)
 
 
 def judge(
@@ -289,8 +351,9 @@ def judge(
         best.reasons.append("positions are the motor's: no joint turns so far")
     if choice.second is not None:
         _tell_choice(best, found[choice.second], choice, told[0], named(positions[0]))
-    if isinstance(robot, Robot):
-        _doubt_gear(robot, runs, best, torque)
+    if isinstance(robot, Chain):
+        return _of_arm(robot, runs, best)
+    _doubt_gear(robot, runs, best, torque)
     return best
 
 
@@ -322,29 +385,15 @@ def _of_machine(
     assert not isinstance(robot, Robot)
     count = robot.count
     reading = Reading(position, torque, None, [1] * count, [1] * count)
-    gear = np.array(robot.gear_ratios)
-    factor = factor_of(torque)
-    turned = []
-    for run in runs:
-        at_joint = run.position * scale_of(position, gear)
-        if position.get("side") == "motor" and robot.coupling is not None:
-            at_joint = at_joint @ np.linalg.inv(robot.motors).T
-        scaled = run.torque * (1.0 if factor is None else factor)
-        turned.append(replace(run, position=at_joint, torque=scaled))
     try:
-        sums = machine_sums(robot, turned)
+        sums = machine_sums(robot, _at_joints(robot, runs, position, torque, reading.signs))
     except RobotError as error:  # an arm without the library that knows what it weighs
         reading.doubts.append(f"units and signs are not checked: {error}")
         return reading
     if sums is None:
         reading.doubts.append("hardly anything moves: signs cannot be told from this log")
         return reading
-    signs, odds = [1] * count, np.zeros(count)
-    for joint in range(count):
-        other = [*signs[:joint], -signs[joint], *signs[joint + 1 :]]
-        odds[joint] = log_odds(sums.left(signs), sums.left(other))
-        if odds[joint] <= -SURE:
-            signs = other
+    signs, odds = _torque_signs(sums, count)
     _tell_signs(reading, odds)
     one = sums.torque_of_masses(signs)
     if one is not None and not 1 / SAME <= one <= SAME:
@@ -352,7 +401,88 @@ def _of_machine(
             f"by the masses of the URDF one unit of torque is {one:.3g} N m of the joint: unit, constant, or the "
             "motor's side?"
         )
-    return Reading(position, torque, sums.left(signs), [1] * count, signs, reading.reasons, reading.doubts)
+    return replace(reading, left=sums.left(signs), torque_signs=signs)
+
+
+def _at_joints(
+    robot: Axes | Chain, runs: Sequence[Run], position: dict[str, Any], torque: dict[str, Any], signs: Sequence[int]
+) -> list[Run]:
+    """Runs in rad (or m) and N m (or N) of the joints. signs: of the positions."""
+    factor = factor_of(torque)
+    turned = []
+    for run in runs:
+        at_joint = run.position * scale_of(position, np.array(robot.gear_ratios)) * np.array(signs)
+        if position.get("side") == "motor" and robot.coupling is not None:
+            at_joint = at_joint @ np.linalg.inv(robot.motors).T
+        scaled = run.torque * (1.0 if factor is None else factor)
+        turned.append(replace(run, position=at_joint, torque=scaled))
+    return turned
+
+
+def _torque_signs(sums: MachineSums, count: int) -> tuple[list[int], np.ndarray]:
+    """The sign of each joint's torque, and how much likelier (logarithm) the one as recorded is than the other."""
+    signs, odds = [1] * count, np.zeros(count)
+    for joint in range(count):
+        other = [*signs[:joint], -signs[joint], *signs[joint + 1 :]]
+        odds[joint] = log_odds(sums.left(signs), sums.left(other))
+        if odds[joint] <= -SURE:
+            signs = other
+    return signs, odds
+
+
+def _of_arm(robot: Chain, runs: Sequence[Run], best: Reading) -> Reading:
+    """With the signs of positions under which an arm's equations hold: its links know up from down. One joint after
+    the other, the likeliest first; two at once where none alone is likelier. What leaves much under any is said."""
+    if best.left is None:
+        return best
+    recorded, left, flips, signs = best.left, best.left, [1] * robot.count, list(best.torque_signs)
+    for _ in range(robot.count):
+        for many in (1, 2):
+            odds, other, turned, there = _flipped(robot, runs, best, (flips, signs, left), many)
+            if odds >= SURE or left.overall <= SUSPECT:
+                break
+        if odds < SURE:
+            break
+        flips, signs, left = other, turned, there
+    doubts = list(best.doubts)
+    if -1 in flips:
+        which = named_joints([joint + 1 for joint in range(robot.count) if flips[joint] < 0])
+        line = (
+            f"with the other sign of the position of {which} {_percent(left.overall)} of the torque is left, as "
+            f"recorded {_percent(recorded.overall)} ({said(log_odds(left, recorded))} times likelier)"
+        )
+        if recorded.overall > SUSPECT:
+            doubts = [line for line in doubts if "sign of the torque" not in line and "by the masses" not in line]
+            doubts.append(f"{line}: so it is taken")
+            reasons = [line for line in best.reasons if "pushes against" not in line]
+            turned = [joint + 1 for joint in range(robot.count) if signs[joint] < 0]
+            reasons += [f"the torque of {named_joints(turned)} has the other sign"] if turned else []
+            best = replace(best, left=left, signs=flips, torque_signs=signs, reasons=reasons)
+        else:
+            doubts.append(f"{line}: left as recorded")
+    if best.share > POOR:
+        doubts.append(
+            f"the equations of {robot.name} leave {_percent(best.share)} of the torque: are sign, order and zero of "
+            "the positions right, and does the URDF describe this arm?"
+        )
+    return replace(best, doubts=doubts)
+
+
+def _flipped(
+    robot: Chain, runs: Sequence[Run], best: Reading, now: tuple[list[int], list[int], Left], many: int
+) -> tuple[float, list[int], list[int], Left]:
+    """The likeliest of the readings with the other sign of so many more positions: how much likelier (logarithm) than
+    that of now, signs of positions and torques, and what it leaves."""
+    flips, signs, left = now
+    found = [(0.0, flips, signs, left)]
+    for joints in combinations(range(robot.count), many):
+        other = [-sign if joint in joints else sign for joint, sign in enumerate(flips)]
+        sums = machine_sums(robot, _at_joints(robot, runs, best.position, best.torque, other))
+        if sums is not None:
+            turned, _ = _torque_signs(sums, robot.count)
+            there = sums.left(turned)
+            found.append((log_odds(there, left), other, turned, there))
+    return max(found, key=lambda one: one[0])
 
 
 def _tell_signs(reading: Reading, odds: np.ndarray) -> None:
@@ -421,7 +551,7 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
     side = next((s for s in (1.0, gear) if 1 / SAME <= reads.scale / s <= SAME), None) if known else None
     fits = fit.share < SUSPECT and 1 / SAME <= fit.by_masses / reads.scale <= SAME
     if side is None:
-        per = {"percent": 100.0, "permille": 1000.0}.get(torque["unit"], 1.0)
+        per = SHARES[torque["unit"]] if torque["unit"] in SHARES else 1.0 / TORQUE_SCALES[torque["unit"]]
         unknown = torque if not known else {"unit": "A", "constant": None}
         worth = float(f"{reads.scale * per:.4g}")
         torque = {key: worth if value is None else value for key, value in unknown.items()}
@@ -442,14 +572,18 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
     return Reading(reading.position, torque, fit.left, fit.signs, signs, reasons, doubts)
 
 
-def _doubt_gear(robot: Robot, runs: Sequence[Run], best: Reading, torque: dict[str, Any]) -> None:
+def _doubt_gear(robot: Robot | Axes, runs: Sequence[Run], best: Reading, torque: dict[str, Any]) -> None:
     """Say where another gear ratio, or another number of increments, is sure to be likelier than that described."""
     turns = best.position.get("side") == "motor" or "counts_per_rev" in best.position
     if best.left is None or not turns or best.share < FLOOR:
         return
     for times in OFTEN_WRONG:
         other = [replace(run, position=run.position / times) for run in runs]
-        there = _of_delta(robot, other, best.position, torque, True)
+        there = (
+            _of_delta(robot, other, best.position, torque, True)
+            if isinstance(robot, Robot)
+            else _of_machine(robot, other, best.position, torque)
+        )
         if there.left is not None and log_odds(there.left, best.left) >= SURE:
             best.doubts.append(
                 f"with {times:g} times the gear ratio, or increments a turn, {_percent(there.share)} of the torque "

@@ -1,6 +1,7 @@
-"""Foreign files of one known machine on one known motion: every format, unit, order, time base and fault of the field.
+"""Foreign files of known machines on known motions: every format, unit, order, time base and fault of the field.
 
-What a file says is drawn from `DIMENSIONS` by a seed; what is right is known with it.
+Machines: two axes of which one bears a weight, a Delta behind gears, an arm of three joints by its URDF. What a file
+says is drawn from `DIMENSIONS` by a seed; what is right is known with it.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import gzip
 import json
 import sqlite3
 import struct
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime, timedelta
@@ -20,12 +22,16 @@ import numpy as np
 import scipy.io
 from mcap.writer import Writer
 
-from schemas.axes import Axes
+from drivers.motion import Planner
+from drivers.plant.plant import Plant
+from drivers.plant.simulate import simulate
+from drivers.plant.truth import PlantTruth
+from schemas.axes import Axes, Description, load_description
 from schemas.columns import FILETIME_S
+from schemas.robot import load_robot
+from tests.service import arm
 
 RATE, SECONDS = 250.0, 12.0
-COUNTS = 65536.0  # a turn
-RATED, CONSTANT = 12.5, 0.8  # N m, N m/A
 START = 1_764_150_000.0  # s since 1970
 TRUTH = {
     "inertia": (0.8, 0.3),
@@ -34,15 +40,14 @@ TRUTH = {
     "gravity_sin": (0.0, 5.0),
 }
 ROBOT = Axes.model_validate({"name": "two", "kind": "axes", "axis": [{"gravity": False}, {}]})
-POSITION = {"rad": 1.0, "deg": 180 / np.pi, "turns": 0.5 / np.pi, "counts": COUNTS / (2 * np.pi)}
-TORQUE = {"Nm": 1.0, "%": 100 / RATED, "A": 1 / CONSTANT}
+POSITION = {"rad": 1.0, "deg": 180 / np.pi, "turns": 0.5 / np.pi}
 DIMENSIONS: dict[str, tuple[str, ...]] = {
     "form": (
         "csv", "semicolon", "comma_decimal", "tab", "space", "gz", "records", "lists", "lines", "npy", "npz", "mat",
-        "db3", "mcap", "twincat", "codesys", "kuka",
+        "db3", "mcap", "fox_json", "fox_protobuf", "twincat", "codesys", "kuka",
     ),
-    "position": tuple(POSITION),
-    "torque": tuple(TORQUE),
+    "position": (*POSITION, "counts"),
+    "torque": ("Nm", "%", "A"),
     "says": ("unit", "row", "nothing"),
     "order": ("as_is", "turned", "mixed"),
     "names": ("numbers", "dotted", "german", "words", "none"),
@@ -54,9 +59,14 @@ DIMENSIONS: dict[str, tuple[str, ...]] = {
     "sign": ("as_is", "as_is", "first", "second"),
     "others": ("none", "velocity", "status"),
     "stated": ("none", "what_is_asked", "what_is_asked", "what_is_asked"),
+    "machine": ("axes", "axes", "delta", "arm"),
+    "side": ("joint", "motor"),
+    "turned": ("no", "no", "no", "second"),
 }  # fmt: skip
 TEXTS = ("csv", "semicolon", "comma_decimal", "tab", "gz")
-BINARY = ("npy", "npz", "mat", "db3", "mcap", "kuka", "codesys", "records", "lists", "lines")
+BAGS = ("db3", "mcap", "fox_json", "fox_protobuf")
+BINARY = ("npy", "npz", "mat", *BAGS, "kuka", "codesys", "records", "lists", "lines")
+NO_TORQUE = ("no_torque", "still_torque", "noise")  # faults of files that hold no torque of a machine
 
 
 @dataclass(frozen=True)
@@ -74,6 +84,9 @@ class Case:
     sign: str
     others: str
     stated: str
+    machine: str
+    side: str
+    turned: str
 
     def __str__(self) -> str:
         return " ".join(f"{one.name}={getattr(self, one.name)}" for one in fields(self))
@@ -81,21 +94,20 @@ class Case:
 
 @dataclass(frozen=True)
 class Written:
-    """A file and what it holds. rows: of the truth, in the file's order. time: s, of each. lacks: (N, 2) cells of
-    position or torque that are missing. refuse: why it may not be read, if it may not."""
+    """A file and what it holds. rows: of the truth, in the file's order. time: s, of each. lacks: (N, n) cells of
+    position or torque that are missing."""
 
     path: Path
     rows: np.ndarray
     time: np.ndarray
     lacks: np.ndarray
-    refuse: bool = False
 
 
 def draw(seed: int) -> Case:
     """A case by its number, as far as its format can hold it."""
     random = np.random.default_rng(seed)
     found = {name: str(random.choice(values)) for name, values in DIMENSIONS.items()}
-    if found["form"] in ("db3", "mcap"):  # joint states say themselves what they are
+    if found["form"] in BAGS:  # joint states say themselves what they are
         found |= {"position": "rad", "torque": "Nm", "says": "unit", "time": "s", "names": "dotted", "others": "none"}
         found["fault"] = found["fault"] if found["fault"] in ("none", "gap", "no_torque", "still_torque") else "none"
     if found["form"] in ("npy", "space"):
@@ -122,13 +134,39 @@ def draw(seed: int) -> Case:
     if found["fault"] == "thousands" and found["form"] not in ("semicolon", "comma_decimal", "tab"):
         found["fault"] = "none"
     if found["fault"] == "no_torque":
-        found["others"] = "velocity" if found["form"] not in ("db3", "mcap") else "none"
+        found["others"] = "velocity" if found["form"] not in BAGS else "none"
+    if found["machine"] != "arm":
+        found["turned"] = "no"
+    if found["machine"] != "delta" or found["form"] in BAGS:
+        found["side"] = "joint"
+    elif found["position"] == "counts":  # of a Delta they are its motors'
+        found["side"] = "motor"
     return Case(**found)
 
 
+@dataclass(frozen=True)
+class Subject:
+    """A machine and what it did. time: (N,) s. position, velocity, torque: (N, n) of the joints. counts: of the encoder
+    a turn. rated, constant: N m, N m/A of a motor. joints: as the description calls them, if it does."""
+
+    robot: Description
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    torque: np.ndarray
+    counts: float = 65536.0
+    rated: float = 12.5
+    constant: float = 0.8
+    joints: tuple[str, ...] = ()
+
+
 @cache
-def truth() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Clock (N,), positions, velocities and torques (N, 2) of the machine."""
+def subject(name: str) -> Subject:
+    """One of the machines."""
+    return {"axes": _axes, "delta": _delta, "arm": _arm}[name]()
+
+
+def _axes() -> Subject:
     random = np.random.default_rng(5)
     time = np.arange(round(SECONDS * RATE)) / RATE
     hz = np.array([[0.23, 0.71, 1.7, 3.1], [0.31, 0.83, 1.9, 2.7]])
@@ -141,32 +179,65 @@ def truth() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     torque = acceleration * TRUTH["inertia"] + velocity * TRUTH["viscous_friction"]
     torque += np.tanh(velocity / 0.02) * TRUTH["coulomb_friction"] + np.sin(position) * TRUTH["gravity_sin"]
     position += 1e-6 * random.standard_normal(position.shape)
-    return time, position, velocity, torque + 0.02 * random.standard_normal(torque.shape)
+    return Subject(ROBOT, time, position, velocity, torque + 0.02 * random.standard_normal(torque.shape))
+
+
+def _delta() -> Subject:
+    robot = load_robot("d3-1200")
+    plant = Plant(robot, PlantTruth.nominal(robot), period=1e-3, seed=1)
+    trace = simulate(plant, Planner(robot, 1e-3).multisine(np.random.default_rng(1), SECONDS))
+    rows = np.arange(0, round(SECONDS * 1000), round(1000 / RATE))
+    position, torque = trace.position[rows], trace.torque[rows]
+    velocity = np.gradient(position, 1 / RATE, axis=0)
+    return Subject(robot, np.arange(len(rows)) / RATE, position, velocity, torque, 1048576.0, 2.4, 0.05)
+
+
+def _arm() -> Subject:
+    joints = {"j1": "shoulder", "j2": "elbow", "j3": "wrist"}
+    with tempfile.TemporaryDirectory() as folder:
+        path = arm.write(Path(folder))
+        for file in (path, path.with_suffix(".urdf")):
+            text = file.read_text()
+            for old, new in joints.items():
+                text = text.replace(f'"{old}"', f'"{new}"')
+            file.write_text(text)
+        robot = load_description(path)
+        log = np.loadtxt(arm.record(Path(folder) / "log.csv", 3), delimiter=",", skiprows=1)
+    position, torque = log[:, 1:4], log[:, 4:]
+    velocity = np.gradient(position, log[:, 0], axis=0)
+    return Subject(robot, log[:, 0], position, velocity, torque, joints=tuple(joints.values()))
 
 
 def stated_of(case: Case) -> dict[str, Any]:
-    """What the user says, as `Stated` has it."""
-    said: dict[str, Any] = {"rate_hz": RATE} if case.time == "rate" and case.form not in ("db3", "mcap") else {}
+    """What the user says at once, as `Stated` has it."""
+    said: dict[str, Any] = {"rate_hz": RATE} if case.time == "rate" and case.form not in BAGS else {}
     if case.stated == "none":
         return said
-    if case.position == "counts":
-        said["counts_per_rev"] = COUNTS
-    if case.torque != "Nm":
-        said["torque_unit"] = ("percent", RATED) if case.torque == "%" else ("A", CONSTANT)
-    return said | ({"position_unit": case.position} if case.says == "nothing" else {})
+    answers = ["counts_per_rev"] * (case.position == "counts") + ["torque_unit"] * (case.torque != "Nm")
+    answers += ["position_unit"] * (case.says == "nothing")
+    return said | {answer: answer_of(case, answer) for answer in answers}
 
 
-def tells_enough(case: Case) -> bool:
-    """Whether the file and the user together say all that a reading takes, and a machine wrote it."""
-    stated, says = case.stated != "none", case.says != "nothing" or case.form in ("db3", "mcap")
-    if case.fault in ("no_torque", "still_torque", "noise") or (case.names == "words" and case.order != "as_is"):
-        return False
-    return stated or (says and case.torque == "Nm" and case.position != "counts")
+def answer_of(case: Case, option: str) -> Any:
+    """What is true of a file, as the user would say it to a line that asks."""
+    made = subject(case.machine)
+    units = {"Nm": ("N m", None), "%": ("percent", made.rated), "A": ("A", made.constant)}
+    signs = [1] * made.position.shape[1]
+    if case.sign != "as_is":
+        signs[0 if case.sign == "first" else 1] = -1
+    return {
+        "counts_per_rev": made.counts,
+        "torque_unit": units[case.torque],
+        "position_unit": case.position,
+        "sign": signs,
+        "rate_hz": RATE,
+    }[option]
 
 
 def write(case: Case, folder: Path) -> Written:
     """The file of a case."""
-    time, position, velocity, torque = truth()
+    made = subject(case.machine)
+    time, position, velocity, torque = made.time, made.position, made.velocity, made.torque
     rows = np.arange(len(time))
     clock = time.copy()
     if case.fault == "gap":
@@ -178,10 +249,14 @@ def write(case: Case, folder: Path) -> Written:
         clock[len(clock) // 2 :] -= 0.1
     elif case.fault == "late_start":
         clock += 4321.5
-    places = position[rows] * POSITION[case.position]
-    forces = torque[rows] * TORQUE[case.torque]
+    gear = made.robot.gear_ratios[0] if case.side == "motor" else 1.0
+    scale = made.counts / (2 * np.pi) if case.position == "counts" else POSITION[case.position]
+    places = position[rows] * scale * gear
+    forces = torque[rows] / gear * {"Nm": 1.0, "%": 100 / made.rated, "A": 1 / made.constant}[case.torque]
     if case.position == "counts":
         places = np.round(places)
+    if case.turned == "second":
+        places[:, 1] *= -1
     if case.fault == "still_torque":
         forces = np.zeros_like(forces)
     if case.fault == "noise":
@@ -199,7 +274,7 @@ def write(case: Case, folder: Path) -> Written:
     path = _FORMS[case.form](case, folder, clock, columns)
     if case.fault == "two_topics":
         clock = clock[::2]
-    return Written(path, rows, clock, lacks, case.fault in ("no_torque", "still_torque"))
+    return Written(path, rows, clock, lacks)
 
 
 def _on_own_rows(values: np.ndarray, name: str) -> np.ndarray:
@@ -209,14 +284,17 @@ def _on_own_rows(values: np.ndarray, name: str) -> np.ndarray:
     return np.stack([blank, values] if second else [values, blank], axis=1).ravel()
 
 
-def _names(case: Case) -> list[tuple[str, str]]:
+def names_of(case: Case) -> list[tuple[str, str]]:
     """Of the position and torque of each joint."""
+    made = subject(case.machine)
+    joints = range(1, 1 + made.position.shape[1])
+    words = made.joints or ("base", "elbow", "tip")
     return {
-        "numbers": [(f"q{j}", f"tau{j}") for j in (1, 2)],
-        "dotted": [(f"joint_{j}.position", f"joint_{j}.effort") for j in (1, 2)],
-        "german": [(f"A{j} Lageistwert", f"A{j} Drehmoment") for j in (1, 2)],
-        "words": [("base position", "base torque"), ("elbow position", "elbow torque")],
-        "none": [("", ""), ("", "")],
+        "numbers": [(f"q{j}", f"tau{j}") for j in joints],
+        "dotted": [(f"{joint}.position", f"{joint}.effort") for joint in made.joints or map("joint_{}".format, joints)],
+        "german": [(f"A{j} Lageistwert", f"A{j} Drehmoment") for j in joints],
+        "words": [(f"{words[j - 1]} position", f"{words[j - 1]} torque") for j in joints],
+        "none": [("", "") for _ in joints],
     }[case.names]
 
 
@@ -224,13 +302,13 @@ def _columns(case: Case, places: np.ndarray, forces: np.ndarray, speed: np.ndarr
     """(name, unit, values) of all columns but the clock, in the order of the file."""
     position_unit = {"rad": "rad", "deg": "deg", "turns": "rev", "counts": "inc"}[case.position]
     own = []
-    for joint, (at, pushes) in enumerate(_names(case)):
+    for joint, (at, pushes) in enumerate(names_of(case)):
         own += [[(at, position_unit, places[:, joint])], [(pushes, case.torque, forces[:, joint])]]
         if case.others == "velocity":
             own.append([(f"vel{joint + 1}", "rad/s", speed[:, joint])])
-    kinds = len(own) // 2
+    kinds = len(own) // places.shape[1]
     wanted = range(kinds) if case.fault != "no_torque" else [k for k in range(kinds) if k != 1]
-    joints = (1, 0) if case.order == "turned" else (0, 1)
+    joints = range(places.shape[1])[:: -1 if case.order == "turned" else 1]
     if case.order == "mixed":
         found = [column for joint in joints for k in wanted for column in own[joint * kinds + k]]
     else:
@@ -334,29 +412,62 @@ def _numpy(case: Case, folder: Path, clock: np.ndarray, columns: list[tuple[str,
 
 
 def _joint_states(case: Case, clock: np.ndarray, columns: list[tuple[str, str, Any]]) -> list[tuple[int, bytes]]:
-    """Messages in CDR, joints in the order of the columns."""
+    """Messages with the time at which they were recorded, joints in the order of the columns."""
     at = {name.split(" ")[0]: values for name, _, values in columns}
     joints = list(dict.fromkeys(name.split(".")[0] for name in at))
+    encoded = {"fox_json": _in_json, "fox_protobuf": _in_protobuf}.get(case.form, _in_cdr)
     found = []
     for k, t in enumerate(clock):
-        out = struct.pack("<II", int(START + t), round((START + t) % 1 * 1e9) % 10**9) + struct.pack(
-            "<I5s", 5, b"base\0"
-        )
-        out += b"\0" * (-len(out) % 4) + struct.pack("<I", len(joints))
-        for joint in joints:
-            text = joint.encode() + b"\0"
-            out += b"\0" * (-len(out) % 4) + struct.pack("<I", len(text)) + text
-        for what in ("position", "velocity", "effort"):
-            values = [at[f"{joint}.{what}"][k] for joint in joints if f"{joint}.{what}" in at]
-            out += b"\0" * (-len(out) % 4) + struct.pack("<I", len(values))
-            out += (b"\0" * (-len(out) % 8) if values else b"") + np.array(values, "<f8").tobytes()
-        found.append((round((START + t) * 1e9), b"\0\1\0\0" + out))
+        values = {
+            what: [(joint, float(at[f"{joint}.{what}"][k])) for joint in joints if f"{joint}.{what}" in at]
+            for what in ("position", "velocity", "effort")
+        }
+        nanoseconds = round((START + t) * 1e9)
+        found.append((nanoseconds, encoded(*divmod(nanoseconds, 10**9), joints, values)))
     return found
+
+
+Values = dict[str, list[tuple[str, float]]]  # of each field: joint and number
+
+
+def _in_cdr(seconds: int, nanoseconds: int, joints: list[str], fields: Values) -> bytes:
+    out = struct.pack("<III5s", seconds, nanoseconds, 5, b"base\0")
+    out += b"\0" * (-len(out) % 4) + struct.pack("<I", len(joints))
+    for joint in joints:
+        text = joint.encode() + b"\0"
+        out += b"\0" * (-len(out) % 4) + struct.pack("<I", len(text)) + text
+    for values in fields.values():
+        out += b"\0" * (-len(out) % 4) + struct.pack("<I", len(values))
+        out += (b"\0" * (-len(out) % 8) if values else b"") + np.array([v for _, v in values], "<f8").tobytes()
+    return b"\0\1\0\0" + out
+
+
+def _in_json(seconds: int, nanoseconds: int, joints: list[str], fields: Values) -> bytes:
+    states = [{"name": joint} | {what: dict(v)[joint] for what, v in fields.items() if v} for joint in joints]
+    return json.dumps({"timestamp": {"sec": seconds, "nsec": nanoseconds}, "joints": states}).encode()
+
+
+def _in_protobuf(seconds: int, nanoseconds: int, joints: list[str], fields: Values) -> bytes:
+    def whole(value: int) -> bytes:
+        more = value >> 7
+        return bytes([value & 0x7F | 0x80 * bool(more)]) + (whole(more) if more else b"")
+
+    def inside(number: int, content: bytes) -> bytes:
+        return whole(number << 3 | 2) + whole(len(content)) + content
+
+    out = inside(1, b"\x08" + whole(seconds) + b"\x10" + whole(nanoseconds))
+    for joint in joints:
+        state = inside(1, joint.encode())
+        for number, what in ((2, "position"), (3, "velocity"), (5, "effort")):
+            if fields[what]:
+                state += whole(number << 3 | 1) + struct.pack("<d", dict(fields[what])[joint])
+        out += inside(2, state)
+    return out
 
 
 def _bag(case: Case, folder: Path, clock: np.ndarray, columns: list[tuple[str, str, Any]]) -> Path:
     states = _joint_states(case, clock, columns)
-    path = folder / f"log.{case.form}"
+    path = folder / ("log.db3" if case.form == "db3" else "log.mcap")
     if case.form == "db3":
         with sqlite3.connect(path) as bag:
             bag.execute("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
@@ -370,8 +481,10 @@ def _bag(case: Case, folder: Path, clock: np.ndarray, columns: list[tuple[str, s
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="ros2")
-        schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
-        channel = writer.register_channel("/joint_states", "cdr", schema)
+        ros = case.form == "mcap"
+        kind = ("sensor_msgs/msg/JointState", "ros2msg") if ros else ("foxglove.JointStates", "")
+        schema = writer.register_schema(*kind, b"")
+        channel = writer.register_channel("/joint_states", "cdr" if ros else case.form.removeprefix("fox_"), schema)
         for at, data in states:
             writer.add_message(channel, at, data, at)
         writer.finish()
@@ -429,6 +542,8 @@ _FORMS: dict[str, Callable[..., Path]] = {
     "mat": _numpy,
     "db3": _bag,
     "mcap": _bag,
+    "fox_json": _bag,
+    "fox_protobuf": _bag,
     "twincat": _twincat,
     "codesys": _codesys,
     "kuka": _kuka,

@@ -29,11 +29,12 @@ from schemas.messages import SAMPLE
 METADATA = "metadata.yaml"  # of a rosbag2, in its folder
 ENDINGS = (".db3", ".mcap", ".bag", ".db3.zstd", ".mcap.zstd")
 LEAST_SECONDS, BYTES_PER_SECOND = 2.0, 2 * MIB  # that reading a database may take; a slow disk gives ten times as much
+ENCODINGS = {"ros": ("cdr", "ros1", "json"), "foxglove": ("protobuf", "json")}  # of joint states in MCAP
 STEPS = 10_000  # of SQLite's machine between two looks at the clock: some tenths of a millisecond
 
 
 class Stored(NamedTuple):
-    """One message as it was recorded. log_ns: when the recorder had it. encoding: cdr or ros1."""
+    """One message as it was recorded. log_ns: when the recorder had it. encoding: one of `ENCODINGS`."""
 
     log_ns: int
     data: bytes
@@ -196,8 +197,9 @@ def _from_mcap(plain: Path, path: Path, choose: Choose) -> list[Stored]:
                 raise TraceError(f"{path}: a log of deltatwin already; every command reads it as it is")
             topic = choose(kinds, path)
             channels = {c.id: c.message_encoding for c in summary.channels.values() if c.topic == topic}
-            if unread := set(channels.values()) - {"cdr", "ros1"}:
-                raise TraceError(f"{path}: {topic} is in {', '.join(sorted(unread))}; cdr (ROS 2) and ros1 are read")
+            read = ENCODINGS["foxglove" if kinds[topic].startswith("foxglove") else "ros"]
+            if unread := set(channels.values()) - {*read}:
+                raise TraceError(f"{path}: {topic} is in {', '.join(sorted(unread))}; {', '.join(read)} are read")
             stream.seek(0)
             return [
                 Stored(record.log_time, record.data, channels[record.channel_id])

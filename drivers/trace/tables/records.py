@@ -15,6 +15,7 @@ from drivers.trace.tables.text import numbers_of
 from schemas.columns import MAX_COLUMNS
 from schemas.errors import TraceError
 from schemas.files import MIB, read_bytes
+from schemas.messages import NANOSECONDS
 
 MAX_BYTES = 512 * MIB  # twenty times that in memory
 MAX_DEPTH = 12  # lists and objects in each other; records have three
@@ -105,6 +106,10 @@ def _columns(records: list[dict[str, Any]], path: Path) -> tuple[dict[str, np.nd
     units: dict[str, str] = {}
     epoch_ns = 0
     for name, values in cells.items():
+        if all(isinstance(value, _Stamp) for value in values):
+            epoch_ns = epoch_ns or values[0]
+            found[name], units[name] = np.array([value - epoch_ns for value in values]) / NANOSECONDS, "s"
+            continue
         if not any(isinstance(value, str) for value in values):
             found[name] = np.array(values, np.float64)
             continue
@@ -116,13 +121,52 @@ def _columns(records: list[dict[str, Any]], path: Path) -> tuple[dict[str, np.nd
 
 
 def _flat(name: str, value: Any) -> list[tuple[str, float | str]]:
-    """A record's numbers and texts by name: `motor.position_1` for the first of a list inside an object."""
+    """A record's numbers and texts by name: `motor.position_1` for the first of a list inside an object; what names
+    itself, or is named by a list beside it, goes by that: `joints.elbow.position`."""
+    prefix = f"{name}." if name else ""
+    if isinstance(value, dict) and (stamp := _stamp(value)) is not None:
+        return [(name or "time", stamp)]
     if isinstance(value, dict):
-        return [pair for key, inner in value.items() for pair in _flat(f"{name}.{key}" if name else str(key), inner)]
+        called = _called(value)
+        if called is None:
+            return [pair for key, inner in value.items() for pair in _flat(f"{prefix}{key}", inner)]
+        return [
+            pair
+            for key, inner in value.items()
+            if key not in ("name", "names")
+            for pair in (
+                [p for joint, one in zip(called, inner, strict=True) for p in _flat(f"{prefix}{joint}.{key}", one)]
+                if isinstance(inner, list) and len(inner) == len(called)
+                else _flat(f"{prefix}{key}", inner)
+            )
+        ]
     if isinstance(value, list):
-        return [pair for k, inner in enumerate(value) for pair in _flat(f"{name}_{k + 1}", inner)]
+        own = [inner.get("name") if isinstance(inner, dict) else None for inner in value]
+        named = len(value) > 0 and all(isinstance(one, str) for one in own) and len(set(own)) == len(own)
+        labels = [f"{prefix}{one}" for one in own] if named else [f"{name}_{k + 1}" for k in range(len(value))]
+        return [pair for label, inner in zip(labels, value, strict=True) for pair in _flat(label, inner)]
     if isinstance(value, str):
         return [(name, value)]
     if isinstance(value, (bool, int, float)) and abs(value) < 1e300:
         return [(name, float(value))]
     return []
+
+
+class _Stamp(int):
+    """ns; float64 would lose the last hundreds of them."""
+
+
+def _stamp(record: dict[str, Any]) -> _Stamp | None:
+    """A record that is whole seconds and the rest, as ROS and Foxglove write stamps."""
+    for whole, rest in (("sec", "nsec"), ("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos")):
+        numbers = record.get(whole), record.get(rest)
+        if len(record) == 2 and all(type(number) is int and abs(number) < 1 << 40 for number in numbers):
+            return _Stamp(numbers[0] * NANOSECONDS + numbers[1])
+    return None
+
+
+def _called(record: dict[str, Any]) -> list[str] | None:
+    """Names that a record has for the numbers of its lists, as joint states of ROS do."""
+    names = next((record[key] for key in ("name", "names") if isinstance(record.get(key), list)), [])
+    called = [one for one in names if isinstance(one, str)]
+    return called if len(called) == len(names) == len(set(called)) > 0 else None

@@ -1,4 +1,4 @@
-"""Bags of ROS: the joints of `sensor_msgs/JointState`, called `<joint>.position` and `<joint>.effort`.
+"""Bags of ROS and of Foxglove: the joints of their joint states, called `<joint>.position` and `<joint>.effort`.
 
 Several publishers on one topic have each its own joints and stamps; a publisher may change the order of its joints.
 """
@@ -12,6 +12,8 @@ import numpy as np
 
 from drivers.trace.tables import Table, padded
 from drivers.trace.tables.bag_files import Choose, messages_of, parts_of
+from drivers.trace.tables.foxglove import TYPE as FOXGLOVE
+from drivers.trace.tables.foxglove import decode as _foxglove
 from drivers.trace.tables.joint_state import TYPES, UNITS, JointState, decode
 from schemas.errors import TraceError
 from schemas.messages import NANOSECONDS
@@ -57,7 +59,7 @@ def _states(part: Path, choose: Choose) -> list[tuple[int, JointState]]:
     found = []
     for number, message in enumerate(messages_of(part, choose), 1):
         try:
-            state = decode(message.data, message.encoding)
+            state = (_foxglove if message.encoding in ("json", "protobuf") else decode)(message.data, message.encoding)
         except (struct.error, ValueError, UnicodeDecodeError) as error:
             raise TraceError(f"{part}: joint state {number} is not whole: {error}") from error
         if state.names:
@@ -85,18 +87,18 @@ def _joints(states: list[JointState]) -> list[tuple[str, np.ndarray, str]]:
 
 def _chooser(topic: str | None) -> Choose:
     def choose(kinds: dict[str, str], path: Path) -> str:
-        found = [name for name, kind in kinds.items() if kind in TYPES]
+        found = [name for name, kind in kinds.items() if kind in (*TYPES, FOXGLOVE)]
         listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items())) or "none"
         if topic is not None:
             if topic in found:
                 return topic
-            raise TraceError(f"{path}: no topic {topic!r} of {TYPES[0]}; topics: {listed}")
+            raise TraceError(f"{path}: no topic {topic!r} of {TYPES[0]}, or {FOXGLOVE}; topics: {listed}")
         if len(found) == 1:
             return found[0]
         if found:
             raise TraceError(
                 f"{path}: {len(found)} topics of {TYPES[0]}: {', '.join(sorted(found))}; say which: --topic"
             )
-        raise TraceError(f"{path}: no topic of {TYPES[0]}; topics: {listed}")
+        raise TraceError(f"{path}: no topic of {TYPES[0]}, or {FOXGLOVE}; topics: {listed}")
 
     return choose

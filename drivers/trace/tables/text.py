@@ -20,17 +20,15 @@ from drivers.trace.tables.codesys import read_csv as read_codesys
 from schemas.columns import MAX_COLUMNS, Columns
 from schemas.errors import TraceError
 from schemas.messages import NANOSECONDS
+from schemas.units import is_unit
 
 DAY = r"^(\d{4}[-/]\d\d?[-/]\d\d?|\d\d?[./]\d\d?[./]\d{4})$"
 TIME_OF_DAY = r"^\d\d?:\d\d:\d\d([.,]\d+)?$"
+_JOINT_NAME = re.compile(r"(?i)(?<![a-z])names?\D{0,2}(\d+)\]?$")
 LOOKED_AT = 400  # lines from the top in which the numbers have to begin
 RUN = 8  # lines of one shape that make a table, fewer only where the file ends
 THOUSANDS = (".", ",", "'", " ")  # marks between groups of three digits
 SEPARATORS = ("\t", ";", ",", " ", "|")
-UNIT_WORDS = frozenset({
-    "s", "ms", "us", "µs", "ns", "rad", "deg", "°", "m", "mm", "nm", "n", "n m", "n*m", "a", "ma", "v", "%", "‰", "inc",
-    "rev", "turns", "counts", "rad/s", "deg/s", "°/s", "m/s", "mm/s", "rpm", "1/min", "hz", "°c", "k", "w", "bar", "kg",
-})  # fmt: skip
 
 
 def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
@@ -55,11 +53,13 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
     kept_units: dict[str, str] = {}
     time_of: dict[str, str] = {}
     paths: dict[str, str] = {}
+    texts: dict[str, pl.Series] = {}
     clock, epoch_ns = "", 0
     for index, name in enumerate(names):
         name = _unique(name, values)
         array, unit, epoch_ns = numbers_of(cells[str(index)], columns.decimal, epoch_ns)
         if array is None:
+            texts[name] = cells[str(index)]
             continue
         values[name] = array
         if index < len(symbols):
@@ -71,6 +71,7 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
         elif clock:
             time_of[name] = clock
     epoch_ns = _days(names, cells, values, kept_units, epoch_ns, found)
+    paths |= _named_in_cells(list(values), texts, path)
     kind = "TwinCAT Scope export" if _twincat(head) else "table with a header" if columns.header_line else "table"
     return Table(path, kind, values, kept_units, time_of, epoch_ns, found, paths)
 
@@ -95,6 +96,26 @@ def _days(
         values.update(first)
         units[clock], found["date"] = unit, day
     return epoch_ns
+
+
+def _named_in_cells(columns: list[str], texts: Mapping[str, pl.Series], path: Path) -> dict[str, str]:
+    """Joints by column, where columns of text name them: `field.name0` that of `field.position0` (`rostopic echo -p`).
+
+    Raises:
+        TraceError: one of them names several joints.
+    """
+    found = {}
+    for name, cells in texts.items():
+        if (which := _JOINT_NAME.search(name)) is None:
+            continue
+        joints = cells.str.strip_chars().drop_nulls().unique().to_list()
+        if len(joints) > 1:
+            raise TraceError(
+                f"{path}: {name!r} names several joints, {joints[0]!r} and {joints[1]!r}: one a column is read"
+            )
+        number = which[1]
+        found |= {column: joint for joint in joints for column in columns if re.search(rf"(?<!\d){number}\D*$", column)}
+    return found
 
 
 def _encoding(raw: bytes) -> str:
@@ -146,7 +167,7 @@ def _numeric(line: str, separator: str, decimal: str) -> tuple[int, int]:
             numbers += 1
         except ValueError:
             texts += not _flag_or_date(field)
-    return len(fields), numbers if texts <= len(fields) // 4 and numbers else -1
+    return len(fields), numbers if texts <= len(fields) // 3 and numbers else -1
 
 
 def _plain(field: str, separator: str, decimal: str) -> str:
@@ -216,11 +237,11 @@ def _header(head: list[str], separator: str, decimal: str, start: int, fields: i
 
 
 def _units(head: list[str], columns: Columns) -> dict[int, str]:
-    """Units that stand on a line between names and numbers, by the index of their column."""
+    """Units that stand on a line between names and numbers, by the index of their column; unknown ones too."""
     for line in head[columns.header_line : columns.first_line - 1]:
-        cells = [cell.strip("[]() ").lower() for cell in _fields(line, columns.separator)]
-        if cells and sum(cell in UNIT_WORDS for cell in cells) > len(cells) // 2:
-            return {index: cell for index, cell in enumerate(cells) if cell in UNIT_WORDS}
+        cells = [cell.strip("[]() ") for cell in _fields(line, columns.separator)]
+        if cells and sum(is_unit(cell) for cell in cells) > len(cells) // 2:
+            return {index: cell for index, cell in enumerate(cells) if cell.strip("-")}
     return {}
 
 

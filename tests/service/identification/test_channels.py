@@ -127,7 +127,7 @@ def test_where_names_say_nothing_the_smoother_half_are_positions(order: str) -> 
     columns = {"clock": STAMPS} | {letter: smooth(k) if letter in "ab" else rough(k) for k, letter in enumerate(order)}
     found = guess(Table(Path("log.csv"), "text", columns), 2)
     assert (list(found.position), list(found.torque)) == (["a", "b"], ["x", "y"])
-    assert "smoother" in found.reasons[0]
+    assert "smoother" in found.doubts[0]
 
 
 @pytest.mark.parametrize(("order", "joints"), [("axyb", 2), ("abxy", 3), ("abx", None)])
@@ -311,3 +311,86 @@ def test_a_name_of_many_digits_is_no_joint() -> None:
     names = [f"q{digit * 5000}" for digit in "12"]
     assert channels._numbers_of(names) is None
     assert channels._numbers_of(["q1", "q2"]) == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "position", "torque"),
+    [
+        ("mrad", "mrad", None), ("µm", "um", None), ("N·m", None, "N m"), ("mNm", None, "mN m"), ("N*cm", None, "N cm"),
+        ("kNm", None, "kN m"), ("lbf-in", None, "lbf in"), ("ft lb", None, "lbf ft"), ("mA", None, "mA"),
+    ],
+)  # fmt: skip
+def test_a_unit_with_a_prefix_is_not_the_unit_without(text: str, position: str | None, torque: str | None) -> None:
+    for made in (
+        Table(Path("a"), "text", {"x": STAMPS}, {"x": text}), Table(Path("a"), "text", {f"x [{text}]": STAMPS}),
+    ):  # fmt: skip
+        (name,) = made.columns
+        assert said_unit(made, name, POSITION_UNITS) == position
+        assert said_unit(made, name, TORQUE_UNITS) == torque
+        assert channels.unknown_unit(made, name) is None
+    strange = Table(Path("a"), "text", {"x [stone furlong]": STAMPS, "y[0]": STAMPS, "z [datetime]": STAMPS})
+    assert channels.unknown_unit(strange, "x [stone furlong]") == "stone furlong"
+    assert channels.unknown_unit(strange, "y[0]") is None
+
+
+@pytest.mark.parametrize("text", ["min", "h", "100ns", "cycles"])
+def test_stamps_in_a_unit_that_is_not_read_are_refused(text: str) -> None:
+    made = Table(Path("a.csv"), "text", {f"time [{text}]": STAMPS})
+    with pytest.raises(DataError, match=rf"stamps in 'time \[{text}\]' are in '{text}': s, ms, us, ns are read"):
+        time_unit(made, f"time [{text}]")
+
+
+@pytest.mark.parametrize("name", ["index", "Sample", "cycle nr", "nanosec"])
+def test_a_counter_is_no_clock(name: str) -> None:
+    assert guess(Table(Path("a"), "text", {name: np.arange(ROWS), "q": smooth(1), "tau": rough(2)}), 1).time is None
+
+
+@pytest.mark.parametrize(
+    ("names", "position", "torque", "commands"),
+    [
+        ("time,q[0],q_d[0],dq[0],dq_d[0],tau_J[0],tau_J_d[0],dtau_J[0],tau_ext_hat[0]", "q[0]", "tau_J[0]",
+         ("q_d[0]", "tau_J_d[0]")),
+        ("t,q1,omega1,tau1,tau_des1", "q1", "tau1", ("", "tau_des1")),
+        ("t,q1,w1,iq1,id1", "q1", "iq1", ("", "")),
+        ("t,q1,torque1,torque limit 1,torque max 1", "q1", "torque1", ("", "")),
+        ("t,q_a,q_d,tau_a,tau_d", "q_a,q_d", "tau_a,tau_d", ("", "")),  # axes a and d
+    ],
+)  # fmt: skip
+def test_what_stands_beside_a_torque_is_none(
+    names: str, position: str, torque: str, commands: tuple[str, str]
+) -> None:  # fmt: skip
+    found = guess(table(names), None)
+    assert (",".join(found.position), ",".join(found.torque)) == (position, torque)
+    assert (",".join(found.position_command), ",".join(found.torque_command)) == commands
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_speed_or_an_acceleration_without_a_name_is_none(order: int) -> None:
+    at = sum(np.sin(2 * np.pi * hz * STAMPS) for hz in (1.3, 3.1, 7.7))
+    rate = at
+    for _ in range(order):
+        rate = np.gradient(rate, STAMPS)
+    made = Table(Path("a"), "text", {"t": STAMPS, "a": at, "b": rate, "c": rate + 0.1 * np.std(rate) * np.sign(rate)})
+    assert channels.is_rate(made, "b", "a", "t")
+    assert channels.is_rate(made, "b", "a", None)
+    assert not channels.is_rate(made, "c", "a", "t")
+
+
+def test_joints_go_by_what_of_their_names_tells_them_apart() -> None:
+    names = "t,Elbow pos,Shoulder Lift pos,Shoulder Pan pos,Elbow trq,Shoulder Lift trq,Shoulder Pan trq"
+    assert list(guess(table(names), 3, CALLED).position) == ["Shoulder Pan pos", "Shoulder Lift pos", "Elbow pos"]
+    found = guess(table("t,pos 2,pos 1,trq 2,trq 1"), 2, ("joint_1", "joint_2"))
+    assert list(found.position) == ["pos 1", "pos 2"]
+
+
+def test_names_of_one_of_both_are_kept_to_and_the_other_is_to_be_checked() -> None:
+    names = "t,elbow_joint pos,shoulder_lift_joint pos,shoulder_pan_joint pos,tau1,tau2,tau3"
+    found = guess(table(names), 3, CALLED)
+    assert list(found.position) == [f"{joint} pos" for joint in CALLED]
+    assert list(found.torque) == ["tau1", "tau2", "tau3"]
+    assert "names for one of both" in found.doubts[0]
+    made = table("t,position0,position1,effort0,effort1")
+    paths = {"position0": "zed", "position1": "alpha", "effort0": "zed", "effort1": "alpha"}
+    made = Table(made.path, made.kind, made.columns, paths=paths)
+    assert list(guess(made, 2, ("alpha", "zed")).position) == ["position1", "position0"]
+    assert "the file calls them zed, alpha" in guess(made, 2, ("x", "y")).doubts[0]

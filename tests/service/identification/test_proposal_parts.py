@@ -403,13 +403,15 @@ def test_an_axis_turns_as_far_as_it_likes_and_its_increments_are_said() -> None:
     channels = Channels(None, ("q",))
     both = [{"unit": "rad"}, {"unit": "rad", "side": "motor"}]
     reasons: list[str] = []
-    assert readings.Candidates([made], channels, geared, 1.0, Stated(position_unit="rad")).positions(reasons) == both
+    assert (
+        readings.Candidates([made], channels, geared, 1.0, Stated(position_unit="rad")).positions(reasons, []) == both
+    )
     assert reasons == ["positions are rad: told"]
     for stated in (Stated(counts_per_rev=500.0), Stated(position_unit="counts", counts_per_rev=500.0)):
-        first, *_ = readings.Candidates([made], channels, geared, 1.0, stated).positions([])
+        first, *_ = readings.Candidates([made], channels, geared, 1.0, stated).positions([], [])
         assert first == {"unit": "counts", "counts_per_rev": 500.0}
     wound = Table(made.path, made.kind, {"q": np.linspace(0.0, 5000.5, 5002)})
-    units = readings.Candidates([wound], channels, geared, 1.0, Stated()).positions([])
+    units = readings.Candidates([wound], channels, geared, 1.0, Stated()).positions([], [])
     assert units == [*both, {"unit": "deg"}, {"unit": "deg", "side": "motor"}]
 
 
