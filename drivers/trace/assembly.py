@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -123,7 +123,6 @@ def assemble(
     Raises:
         TraceError: see `drivers.trace`.
     """
-    channels = wanted.channels
     per_second = TIME_UNITS.get(columns.time.unit, 1.0)
     first = columns.first_line if word == "line" else 1
     numbers = first + np.arange(len(table))
@@ -131,52 +130,23 @@ def assemble(
         table, numbers = table.reverse(), numbers[::-1]
     if columns.time.rate_hz is not None:
         table = table.with_columns(pl.Series(str(COUNTED), np.arange(len(table)) / columns.time.rate_hz * per_second))
-    stamps = {i: table[str(i)].to_numpy() / per_second for i in sorted({c.time_index for c in channels})}
+    channels = wanted.channels
     base = channels[0].time_index
+    stamps = {i: table[str(i)].to_numpy() / per_second for i in sorted({c.time_index for c in channels})}
     lines = RowNames(word, numbers)
     rows = _counted(table, stamps[base], columns, wanted, lines, notes, path)
     apart = _rows_of_their_own(table, channels)
     if apart:
         rows = rows[np.isfinite(table[str(channels[0].index)].to_numpy()[rows])]
-    joints = 1 + max(channel.joint for channel in channels if channel.name in CHANNELS)
-    time = stamps[base][rows]
-    arrays: dict[str, np.ndarray] = {}
-    own_time: dict[str, np.ndarray] = {}
-    for channel in channels:
-        column, raw = channel.column, table[str(channel.index)].to_numpy()
-        if not isinstance(column, GripperColumn):
-            raw = signed(raw, column.bits)
-            _refuse_wraps(raw, channel, lines, path)
-        if channel.times_index is not None:
-            raw = raw * table[str(channel.times_index)].to_numpy()
-        own = stamps[channel.time_index]
-        if channel.index in apart:
-            own = np.where(np.isfinite(raw), own, np.nan)
-        if channel.index not in apart and (
-            channel.time_index == base or np.array_equal(own, stamps[base], equal_nan=True)
-        ):
-            values = raw[rows]
-        else:
-            values, note = _bring(time, own, raw, channel, channels[0], path)
-            notes.append(note)
-            own_time[f"{channel.name}_{channel.joint + 1}"] = own[np.isfinite(own)]
-        if isinstance(column, GripperColumn):
-            closed = np.where(values == column.open, Gripper.OPEN, Gripper.CLOSED)
-            arrays[channel.name] = np.where(np.isfinite(values), closed, Gripper.UNKNOWN).astype(np.uint32)
-            continue
-        values = _to_joint(values, channel, column, robot, path)
-        if channel.name in EXTRAS:
-            arrays[channel.name] = values
-        else:
-            arrays.setdefault(channel.name, np.empty((len(rows), joints)))[:, channel.joint] = values
-    if isinstance(robot, Machine) and robot.coupling is not None and joints == robot.count:
+    arrays, own_time = _arrays(table, channels, stamps, (rows, apart), robot, lines, notes, path)
+    if isinstance(robot, Machine) and robot.coupling is not None and arrays["position"].shape[1] == robot.count:
         for name in CHANNELS:
             own = [c.column for c in channels if c.name == name and not isinstance(c.column, GripperColumn)]
             if own:
                 _uncouple(arrays, name, {column.side for column in own}, robot, path)
     trace = Trace(
         path=path,
-        time=time,
+        time=stamps[base][rows],
         position=arrays["position"],
         torque=arrays["torque"],
         position_command=arrays.get("position_command"),
@@ -189,6 +159,50 @@ def assemble(
         angular=not any(isinstance(c.column, PositionColumn) and c.column.linear for c in channels),
     )
     return check(trace, RowNames(word, lines.numbers[rows]), robot)
+
+
+def _arrays(
+    table: pl.DataFrame, channels: Sequence[Channel], stamps: Mapping[int, np.ndarray],
+    taken: tuple[np.ndarray, set[int]], robot: Description | None, lines: RowNames, notes: list[Finding],
+    path: Path,
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:  # fmt: skip
+    """Values of all channels in SI of the joint, by name, and the stamps of those that were brought to others'.
+
+    stamps: s, of each column of stamps. taken: rows of the trace, and columns that stand on rows of their own.
+    """
+    rows, apart = taken
+    base = channels[0].time_index
+    joints = 1 + max(channel.joint for channel in channels if channel.name in CHANNELS)
+    arrays: dict[str, np.ndarray] = {}
+    own_time: dict[str, np.ndarray] = {}
+    for channel in channels:
+        column, raw = channel.column, table[str(channel.index)].to_numpy()
+        if not isinstance(column, GripperColumn):
+            raw = signed(raw, column.bits)
+            _refuse_wraps(raw, channel, lines, path)
+        if channel.times_index is not None:
+            raw = raw * table[str(channel.times_index)].to_numpy()
+        own = stamps[channel.time_index]
+        if channel.index in apart:
+            own = np.where(np.isfinite(raw), own, np.nan)
+        elif channel.time_index != base and np.array_equal(own, stamps[base], equal_nan=True):
+            own = stamps[base]
+        if own is stamps[base]:
+            values = raw[rows]
+        else:
+            values, note = _bring(stamps[base][rows], own, raw, channel, channels[0], path)
+            notes.append(note)
+            own_time[f"{channel.name}_{channel.joint + 1}"] = own[np.isfinite(own)]
+        if isinstance(column, GripperColumn):
+            closed = np.where(values == column.open, Gripper.OPEN, Gripper.CLOSED)
+            arrays[channel.name] = np.where(np.isfinite(values), closed, Gripper.UNKNOWN).astype(np.uint32)
+            continue
+        values = _to_joint(values, channel, column, robot, path)
+        if channel.name in EXTRAS:
+            arrays[channel.name] = values
+        else:
+            arrays.setdefault(channel.name, np.empty((len(rows), joints)))[:, channel.joint] = values
+    return arrays, own_time
 
 
 def _counted(

@@ -13,56 +13,74 @@ from service.cli.output import table as printed
 
 if TYPE_CHECKING:
     from drivers.trace.tables import Table
+    from schemas.axes import Description
     from service.identification.proposal import Proposal
     from service.identification.readings import Stated
 
 
+_Files = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="FILE",
+        help="TwinCAT Scope, CODESYS, KUKA (.dat), tables with or without a header, JSON, .mat, .npy, .npz, bags of "
+        "ROS and Foxglove (rosbag2, its folder, .bag, .mcap). Several files with the same columns are runs of one "
+        "machine, and get one mapping; others are taken side by side.",
+    ),
+]
+_Robot = Annotated[Path | None, robot_file(": signs and gear side are tried.")]
+_Out = Annotated[
+    Path | None,
+    typer.Option(
+        help="Log to write. Default: the first file's name, .mcap (.csv if not three joints). "
+        "Of several runs: a folder."
+    ),
+]
+_Yes = Annotated[bool, typer.Option("--yes", help="Take the proposal without asking.")]
+_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")]
+_Time = Annotated[str | None, typer.Option(help="Column of the stamps.")]
+_Rate = Annotated[float | None, typer.Option(min=0.1, help="Rows a second (Hz), where no column has stamps.")]
+_Position = Annotated[str | None, typer.Option(help="Columns of the positions, with commas, joint 1 first.")]
+_Torque = Annotated[str | None, typer.Option(help="Columns of the torques or currents, with commas.")]
+_PositionUnit = Annotated[str | None, typer.Option(help="rad, mrad, deg, turns, counts, m, cm, mm or um.")]
+_CountsPerRev = Annotated[float | None, typer.Option(min=1.0, help="Increments a turn of the encoder.")]
+_CountsPerM = Annotated[
+    float | None, typer.Option(min=1.0, help="Increments a metre, of an axis that goes along a line.")
+]
+_TorqueUnit = Annotated[
+    str | None,
+    typer.Option(
+        help="'N m', 'mN m', N, ..., 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT' (N m, N m/A, "
+        "N m/V); of joints that differ 'A 0.2,0.2,0.1'."
+    ),
+]
+_TorqueTimes = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Column to multiply the torques with, such as a voltage.")
+]
+_Where = Annotated[str | None, typer.Option(metavar="NAME[=VALUE]", help="Rows that count: VALUE (1) in this column.")]
+_Sign = Annotated[
+    str | None, typer.Option(help="Sign of each torque, with commas, joint 1 first: 1,-1,1; or one for all.")
+]
+_Topic = Annotated[str | None, typer.Option(help="Topic of the joint states, where a bag has several.")]
+
+
 def command(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE",
-            help="TwinCAT Scope, CODESYS, KUKA (.dat), tables with or without a header, JSON, .mat, .npy, .npz, "
-            "bags of ROS (rosbag2, its folder, .bag). Several files with the same columns are runs of one machine, and "
-            "get one mapping; others are taken side by side.",
-        ),
-    ],
-    robot: Annotated[Path | None, robot_file(": signs and gear side are tried.")] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Log to write. Default: the first file's name, .mcap (.csv if not three joints). "
-            "Of several runs: a folder."
-        ),
-    ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Take the proposal without asking.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
-    time: Annotated[str | None, typer.Option(help="Column of the stamps.")] = None,
-    rate: Annotated[float | None, typer.Option(min=0.1, help="Rows a second (Hz), where no column has stamps.")] = None,
-    position: Annotated[str | None, typer.Option(help="Columns of the positions, with commas, joint 1 first.")] = None,
-    torque: Annotated[str | None, typer.Option(help="Columns of the torques or currents, with commas.")] = None,
-    position_unit: Annotated[str | None, typer.Option(help="rad, deg, turns, counts, m or mm.")] = None,
-    counts_per_rev: Annotated[float | None, typer.Option(min=1.0, help="Increments a turn of the encoder.")] = None,
-    counts_per_m: Annotated[
-        float | None, typer.Option(min=1.0, help="Increments a metre, of an axis that goes along a line.")
-    ] = None,
-    torque_unit: Annotated[
-        str | None,
-        typer.Option(
-            help="'N m', N, 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT' (N m, N m/A, N m/V); of "
-            "joints that differ 'A 0.2,0.2,0.1'."
-        ),
-    ] = None,
-    torque_times: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Column to multiply the torques with, such as a voltage.")
-    ] = None,
-    where: Annotated[
-        str | None, typer.Option(metavar="NAME[=VALUE]", help="Rows that count: VALUE (1) in this column.")
-    ] = None,
-    sign: Annotated[
-        str | None, typer.Option(help="Sign of each torque, with commas, joint 1 first: 1,-1,1; or one for all.")
-    ] = None,
-    topic: Annotated[str | None, typer.Option(help="Topic of the joint states, where a bag has several.")] = None,
+    files: _Files,
+    robot: _Robot = None,
+    out: _Out = None,
+    yes: _Yes = False,
+    overwrite: _Overwrite = False,
+    time: _Time = None,
+    rate: _Rate = None,
+    position: _Position = None,
+    torque: _Torque = None,
+    position_unit: _PositionUnit = None,
+    counts_per_rev: _CountsPerRev = None,
+    counts_per_m: _CountsPerM = None,
+    torque_unit: _TorqueUnit = None,
+    torque_times: _TorqueTimes = None,
+    where: _Where = None,
+    sign: _Sign = None,
+    topic: _Topic = None,
     json: AsJson = False,
 ) -> None:
     """List the channels of foreign logs, propose how to read them, and write the mapping and the log.
@@ -76,25 +94,16 @@ def command(
 
     Example: deltatwin import pos.csv current.csv --robot arm.toml --rate 5000 --torque-unit 'A 0.12'
     """
-    import sys
     from dataclasses import replace
 
-    from drivers.trace import read_trace, write_trace
     from schemas.axes import load_description
-    from schemas.columns import Columns
-    from schemas.errors import TraceError
     from schemas.files import write_text
-    from schemas.toml import validate
     from service.identification.proposal import propose
 
     description = load_description(robot) if robot else None
-    stated = replace(
-        _stated(time, rate, position, torque, position_unit, counts_per_rev, torque_unit),
-        counts_per_m=counts_per_m,
-        torque_times=torque_times,
-        where=None if where is None else _row_filter(where),
-        sign=None if sign is None else _signs(sign),
-    )
+    stated = _stated(time, rate, position, torque, position_unit, counts_per_rev, torque_unit)
+    rows, signs = None if where is None else _row_filter(where), None if sign is None else _signs(sign)
+    stated = replace(stated, counts_per_m=counts_per_m, torque_times=torque_times, where=rows, sign=signs)
     with console(stderr=True).status(f"reading {files[0].name}"):
         runs = _runs(files, stated, topic)
         proposal = propose(runs, description, stated)
@@ -102,28 +111,51 @@ def command(
         _show(runs[0], proposal)
     logs, mapping = _targets(files[: len(runs)], proposal, out, overwrite)
     if not yes:
-        if not sys.stdin.isatty():
-            raise typer.BadParameter("no terminal to ask on; --yes takes the proposal", param_hint="--yes")
-        if not typer.confirm("take it?", default=not proposal.doubts, err=True):
-            typer.echo("nothing written; say otherwise with --position, --torque, --time, --torque-unit ...", err=True)
-            raise typer.Exit(1)
+        _ask(proposal)
+    samples = _write(files, logs, mapping, proposal, description)
+    write_text(mapping, _toml(runs[0], proposal))  # last: on a disk that is full it would stand there without its log
+    if json:
+        typer.echo(_json(runs[0], proposal, logs, mapping))
+        return
+    for log, count in zip(logs, samples, strict=True):
+        typer.echo(f"{log}: {count} samples, {len(proposal.columns['position'])} joints; mapping in {mapping}")
+    options = f"--robot {robot}" if robot else "--robot ROBOT.toml"
+    typer.echo(f"next: deltatwin diagnose {' '.join(map(str, logs))} {options} --out diagnosis")
+
+
+def _ask(proposal: Proposal) -> None:
+    """
+    Raises:
+        BadParameter: there is nobody to ask. Exit: the proposal is not taken.
+    """
+    import sys
+
+    if not sys.stdin.isatty():
+        raise typer.BadParameter("no terminal to ask on; --yes takes the proposal", param_hint="--yes")
+    if not typer.confirm("take it?", default=not proposal.doubts, err=True):
+        typer.echo("nothing written; say otherwise with --position, --torque, --time, --torque-unit ...", err=True)
+        raise typer.Exit(1)
+
+
+def _write(
+    files: list[Path], logs: list[Path], mapping: Path, proposal: Proposal, description: Description | None
+) -> list[int]:
+    """Write each run's log and tell what was found in it; how many samples they have."""
+    from drivers.trace import read_trace, write_trace
+    from schemas.columns import Columns
+    from schemas.errors import TraceError
+    from schemas.toml import validate
+
     columns = validate(Columns, dict(proposal.columns), mapping, TraceError)
     samples = []
     for path, log in zip(files, logs, strict=False):
         with console(stderr=True).status(f"writing {log.name}"):
             trace = read_trace(path, description, columns)
             write_trace(trace, log, description.name if description else "robot")
-        samples.append((log, len(trace)))
+        samples.append(len(trace))
         for finding in trace.findings:
             typer.echo(f"{path}: {finding.message}", err=True)
-    write_text(mapping, _toml(runs[0], proposal))  # last: on a disk that is full it would stand there without its log
-    if json:
-        typer.echo(_json(runs[0], proposal, logs, mapping))
-        return
-    for log, count in samples:
-        typer.echo(f"{log}: {count} samples, {len(proposal.columns['position'])} joints; mapping in {mapping}")
-    options = f"--robot {robot}" if robot else "--robot ROBOT.toml"
-    typer.echo(f"next: deltatwin diagnose {' '.join(map(str, logs))} {options} --out diagnosis")
+    return samples
 
 
 def _runs(files: list[Path], stated: Stated, topic: str | None) -> list[Table]:
@@ -191,11 +223,13 @@ def _stated(
     counts_per_rev: float | None,
     torque_unit: str | None,
 ) -> Stated:
-    from service.identification.channels import POSITION_UNITS, TORQUE_UNITS
+    from schemas.units import POSITION_SCALES, POSITION_UNITS, TORQUE_UNITS
     from service.identification.readings import Stated
 
     if position_unit is not None and position_unit not in POSITION_UNITS.values():
-        raise typer.BadParameter(f"{position_unit!r}: rad, deg, turns, counts, m or mm", param_hint="--position-unit")
+        raise typer.BadParameter(
+            f"{position_unit!r}: {', '.join(POSITION_SCALES)} or counts", param_hint="--position-unit"
+        )
     unit: tuple[str, float | list[float] | None] | None = None
     if torque_unit is not None:
         name, _, number = torque_unit.rpartition(" ")
@@ -206,7 +240,8 @@ def _stated(
             unit = (torque_unit.strip(), None)
         if unit[0] not in TORQUE_UNITS.values():
             raise typer.BadParameter(
-                f"{torque_unit!r}: 'N m', N, 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT'",
+                f"{torque_unit!r}: 'N m', 'mN m', N, ..., 'percent RATED', 'permille RATED', 'A CONSTANT' or "
+                "'V CONSTANT'",
                 param_hint="--torque-unit",
             )
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,9 +15,11 @@ from service.cli.output import as_json
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from drivers.motion import MotionLimits, Planner, Trajectory
     from schemas.diagnosis import Diagnosis
-    from schemas.robot import Robot
+    from schemas.robot import EffectEntry, Robot
     from service.planning.question import Apart, Figures, Pair
 
 NOISE_SHARE = 0.005  # of the torque limit, where no noise is known
@@ -30,24 +33,33 @@ class Purpose(enum.StrEnum):
     IDENTIFY = "identify"
 
 
+_Robot = Annotated[Path, robot_file(", with its limits")]
+_Out = Annotated[Path, typer.Option(help="Motion to write (.csv): what `simulate`, `master` and `replay` run")]
+_Diagnosis = Annotated[Path | None, typer.Option(help="Folder that `diagnose` wrote")]
+_For = Annotated[Purpose, typer.Option("--for", help="diagnose: tell its rivals apart; identify: base parameters.")]
+_Duration = Annotated[float, typer.Option(min=5.0, max=15.0, help="Length of the run (s)")]
+_Rate = Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz)")]
+_Seed = Annotated[int, typer.Option(min=0, help="Of the search: same seed, same motion")]
+_Speed = Annotated[float | None, typer.Option(min=0.01, help="Joint speed limit (rad/s)")]
+_Acceleration = Annotated[float | None, typer.Option(min=0.1, help="Joint acceleration limit (rad/s^2)")]
+_Torque = Annotated[float | None, typer.Option(min=0.1, help="Joint torque limit, without friction (N m)")]
+_Assume = Annotated[
+    bool, typer.Option("--assume-limits", help="Take limits that nobody has given from the robot's size.")
+]
+
+
 def command(
-    robot: Annotated[Path, robot_file(", with its limits")],
-    out: Annotated[Path, typer.Option(help="Motion to write (.csv): what `simulate`, `master` and `replay` run")],
-    diagnosis: Annotated[Path | None, typer.Option(help="Folder that `diagnose` wrote")] = None,
-    purpose: Annotated[
-        Purpose, typer.Option("--for", help="diagnose: tell its rivals apart; identify: base parameters.")
-    ] = Purpose.DIAGNOSE,
-    duration: Annotated[float, typer.Option(min=5.0, max=15.0, help="Length of the run (s)")] = 10.0,
-    rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz)")] = 1000.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the search: same seed, same motion")] = 0,
-    max_speed: Annotated[float | None, typer.Option(min=0.01, help="Joint speed limit (rad/s)")] = None,
-    max_acceleration: Annotated[float | None, typer.Option(min=0.1, help="Joint acceleration limit (rad/s^2)")] = None,
-    max_torque: Annotated[
-        float | None, typer.Option(min=0.1, help="Joint torque limit, without friction (N m)")
-    ] = None,
-    assume_limits: Annotated[
-        bool, typer.Option("--assume-limits", help="Take limits that nobody has given from the robot's size.")
-    ] = False,
+    robot: _Robot,
+    out: _Out,
+    diagnosis: _Diagnosis = None,
+    purpose: _For = Purpose.DIAGNOSE,
+    duration: _Duration = 10.0,
+    rate: _Rate = 1000.0,
+    seed: _Seed = 0,
+    max_speed: _Speed = None,
+    max_acceleration: _Acceleration = None,
+    max_torque: _Torque = None,
+    assume_limits: _Assume = False,
     effects: OwnEffects = None,
     json: AsJson = False,
 ) -> None:
@@ -63,71 +75,30 @@ def command(
     """
     import time
 
-    import numpy as np
-
     from drivers.motion import Planner, limits_of
     from drivers.motion_file import write_motion
-    from schemas.errors import DataError
     from schemas.files import check_folder
     from schemas.robot import load_robot
-    from service.estimator.bounds import bounds_of
     from service.planning.plan import at_rate, evaluations, plan
-    from service.planning.question import PERIOD, Apart, expected
+    from service.planning.question import PERIOD
 
     check_folder(out.parent)
     description = load_robot(robot, effects)
     limits = limits_of(description, max_speed, max_acceleration, max_torque)
     assumed = _assumed(description, limits, max_speed, max_acceleration, max_torque)
-    if assumed and not assume_limits:
-        raise DataError(
-            f"{robot}: how far may the robot be driven? no limit is given of {_listed(assumed)}: write it in [limits], "
-            "or say the option; --assume-limits takes these"
-        )
-    if limits.speed > (most := description.limits.joint_speed_radps):
-        raise DataError(
-            f"--max-speed {limits.speed:g} rad/s: limits.joint_speed_radps of {description.name} is {most:g}"
-        )
+    _refuse(robot, description, limits, {} if assume_limits else assumed)
     planner = Planner(description, PERIOD, limits)
-    if purpose is Purpose.DIAGNOSE:
-        if diagnosis is None:
-            raise typer.BadParameter(
-                "say which diagnosis left something open, or --for identify", param_hint="--diagnosis"
-            )
-        known, found = _diagnosed(diagnosis, description, effects)
-        question = _apart(known, found, diagnosis)
-        carried = found.rivals[0].effects
-    else:
-        known = description
-        question = _figures(known, limits.torque)
-        carried = known.effect
+    known, question, carried = _question(purpose, description, diagnosis, effects, limits.torque)
     begin = time.perf_counter()
     with bars() as progress:
         task = progress.add_task("planning", total=evaluations(duration))
         motion = plan(planner, question, duration, lambda: progress.advance(task), seed)
     spent = time.perf_counter() - begin
-    shown = question.shown(motion, whole=True)
     sent = at_rate(motion, 1.0 / rate)
     planner.period = sent.period
     planner.check(sent, str(out))
-    torque = expected(known, carried, sent)
-    peak = bounds_of(description).peak_nm
-    if np.abs(torque).max() > peak:
-        raise DataError(
-            f"with its friction the motion would take {np.abs(torque).max():.4g} N m, the drives give {peak:.4g} N m: "
-            f"plan with less than --max-torque {limits.torque:.4g}"
-        )
-    write_motion(sent, torque, planner, out)
-    if isinstance(question, Apart):
-        pairs = question.learned(shown)
-        lines = _told(pairs)
-        result = {"pairs": [vars(pair) for pair in pairs]}
-    else:
-        learned = question.learned(shown)
-        lines = [
-            f"After this run, by torque noise of {', '.join(f'{s:.2g}' for s in question.view.sigma)} N m in the band:"
-        ]
-        lines += [f"  {name} ± {error:.2g} {unit}".rstrip() for name, (error, unit) in learned.items()]
-        result = {"std_errors": {name: error for name, (error, _) in learned.items()}}
+    write_motion(sent, _driven(known, description, carried, sent, limits.torque), planner, out)
+    lines, result = _shown(question, question.shown(motion, whole=True))
     if json:
         run = {"motion": str(out), "duration_s": sent.duration, "planned_in_s": round(spent, 1)}
         run |= {"assumed_limits": {key: value for key, (_, value, _) in assumed.items()}}
@@ -137,6 +108,78 @@ def command(
     if assumed:
         typer.echo(f"assumed, nobody has given it: the limit of {_listed(assumed)}: check before a robot runs this")
     typer.echo(f"planned in {spent:.0f} s: {out}, {_used(sent, planner)}")
+
+
+def _refuse(
+    path: Path, robot: Robot, limits: MotionLimits, open_ones: dict[str, tuple[str, float, str]]
+) -> None:  # fmt: skip
+    """
+    Raises:
+        DataError: a limit is not given, or a speed is said beyond that of the description.
+    """
+    from schemas.errors import DataError
+
+    if open_ones:
+        raise DataError(
+            f"{path}: how far may the robot be driven? no limit is given of {_listed(open_ones)}: write it in "
+            "[limits], or say the option; --assume-limits takes these"
+        )
+    if limits.speed > (most := robot.limits.joint_speed_radps):
+        raise DataError(f"--max-speed {limits.speed:g} rad/s: limits.joint_speed_radps of {robot.name} is {most:g}")
+
+
+def _question(
+    purpose: Purpose, robot: Robot, diagnosis: Path | None, effects: Path | None, torque: float
+) -> tuple[Robot, Apart | Figures, Sequence[EffectEntry]]:
+    """The robot as it is known, what the run has to tell, and the effects that it will show.
+
+    Raises:
+        BadParameter: rivals are to be told apart, and no diagnosis is named.
+    """
+    if purpose is Purpose.IDENTIFY:
+        return robot, _figures(robot, torque), robot.effect
+    if diagnosis is None:
+        raise typer.BadParameter("say which diagnosis left something open, or --for identify", param_hint="--diagnosis")
+    known, found = _diagnosed(diagnosis, robot, effects)
+    return known, _apart(known, found, diagnosis), found.rivals[0].effects
+
+
+def _driven(
+    known: Robot, robot: Robot, carried: Sequence[EffectEntry], sent: Trajectory, most: float
+) -> np.ndarray:  # fmt: skip
+    """(N, 3) N m that the motion is expected to take. most: limit of the plan, N m.
+
+    Raises:
+        DataError: more than the drives give.
+    """
+    import numpy as np
+
+    from schemas.errors import DataError
+    from service.estimator.bounds import bounds_of
+    from service.planning.question import expected
+
+    torque = expected(known, carried, sent)
+    peak = bounds_of(robot).peak_nm
+    if np.abs(torque).max() > peak:
+        raise DataError(
+            f"with its friction the motion would take {np.abs(torque).max():.4g} N m, the drives give {peak:.4g} N m: "
+            f"plan with less than --max-torque {most:.4g}"
+        )
+    return torque
+
+
+def _shown(question: Apart | Figures, shown: Any) -> tuple[list[str], dict[str, Any]]:
+    """What the run is expected to show, in lines and for JSON. shown: by `question`."""
+    from service.planning.question import Apart
+
+    if isinstance(question, Apart):
+        pairs = question.learned(shown)
+        return _told(pairs), {"pairs": [vars(pair) for pair in pairs]}
+    learned = question.learned(shown)
+    sigma = ", ".join(f"{s:.2g}" for s in question.view.sigma)
+    lines = [f"After this run, by torque noise of {sigma} N m in the band:"]
+    lines += [f"  {name} ± {error:.2g} {unit}".rstrip() for name, (error, unit) in learned.items()]
+    return lines, {"std_errors": {name: error for name, (error, _) in learned.items()}}
 
 
 def _assumed(

@@ -43,6 +43,7 @@ from service.identification.axes import identify_axes
 from service.identification.proposal import Proposal, propose
 from service.identification.readings import Stated
 from tests.bench.field_files import (
+    BAGS,
     NO_TORQUE,
     TRUTH,
     Case,
@@ -58,6 +59,7 @@ from tests.bench.field_files import (
 CLOSE = 0.05  # of a parameter, beside three of its standard errors
 ABOUT = {"position": ("position", "increments"), "torque": ("torque", "force", "sign"), "time": ("stamps",)}
 OUTCOMES = "right", "asked", "refused", "said", "silent", "crash"
+TEXT_FORMS = "csv", "semicolon", "comma_decimal", "tab", "space", "gz"
 MOST_ASKED = 4  # times that a user answers
 ORDER = "joints by their place"
 
@@ -233,7 +235,7 @@ def main() -> None:
     for what in ("machine", "form", "fault"):
         print(shown(what, {number: outcomes[number] for number in numbers}))
     if given.store:
-        print(store("field", figures(counts)))
+        print(store("field", figures({number: outcomes[number] for number in numbers})))
     sys.exit(bool(counts["silent"] + counts["crash"]))
 
 
@@ -253,21 +255,30 @@ def shown(what: str, outcomes: dict[int, str]) -> str:
     return "\n".join(["", *rows])
 
 
-def figures(counts: Counter[str]) -> dict[str, tuple[float | int | str, int | str | None, str | None]]:
-    """What was measured, by the keys of results/field.json."""
-    total = sum(counts.values())
-    holds = total - counts["refused"]
+def figures(outcomes: dict[int, str]) -> dict[str, tuple[float | int | str, int | str | None, str | None]]:
+    """What was measured, by the keys of results/field.json: of files that hold a torque, and of all."""
+    counts, total = Counter(outcomes.values()), len(outcomes)
     read = counts["right"] + counts["asked"]
-    at_once = f"{counts['right']} at once, {counts['asked']} after answers to what a line asks for"
-    none = (
-        f"and {counts['refused']} files without a torque are refused: {share(read + counts['refused'], total)} % of all"
-    )
-    return {
+    at_once = f"{counts['right']} at once, {counts['asked']} after an answer to what a line asks for"
+    found: dict[str, tuple[float | int | str, int | str | None, str | None]] = {
         "silent": (counts["silent"], total, None),
         "crash": (counts["crash"], total, None),
-        "right": (share(read, holds), holds, f"{at_once}; {none}"),
-        "said": (counts["said"], holds, "refused, or marked as uncertain where it came out wrong"),
+        "right": (share(read, total - counts["refused"]), total - counts["refused"], at_once),
+        "refused": (
+            counts["refused"],
+            total,
+            f"with those read right {share(read + counts['refused'], total)} % of all",
+        ),
+        "said": (counts["said"], total, "refused, or marked as uncertain where it came out wrong"),
     }
+    for key, what, values in (
+        ("axes", "machine", ("axes",)), ("delta", "machine", ("delta",)), ("arm", "machine", ("arm",)),
+        ("tables", "form", TEXT_FORMS), ("bags", "form", BAGS),
+    ):  # fmt: skip
+        some = Counter(outcome for number, outcome in outcomes.items() if getattr(draw(number), what) in values)
+        holds = some.total() - some["refused"]
+        found[key] = (share(some["right"] + some["asked"], holds), holds, f"{some['right']} at once")
+    return found
 
 
 def share(part: int, whole: int) -> float:

@@ -139,8 +139,9 @@ def test_where_the_disk_is_full_kernels_are_made_for_this_run_alone(ours):
     environment["PYTHONDONTWRITEBYTECODE"] = "1"  # Python itself leaves its own files cut there
     done = subprocess.run([sys.executable, "-c", code], cwd=ours, env=environment, capture_output=True, text=True)
     assert done.stdout.strip() == "1", done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert "compiled kernels cannot be kept (File too large): made for this run alone" in done.stderr
+    said = [line for line in done.stderr.splitlines() if "compiled kernels" in line]  # a library may warn beside it
+    assert len(said) == 1, done.stderr
+    assert "compiled kernels cannot be kept (File too large): made for this run alone" in said[0]
     assert run(ours) == ("1", "")
 
 
