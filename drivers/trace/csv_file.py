@@ -30,7 +30,11 @@ END_TAG = b"EOF"  # the last line of a TwinCAT Scope export, where that is asked
 _OWN = re.compile(r"^position_\d+_(rad|m)$")
 OWN_UNITS = {True: ("rad", "nm"), False: ("m", "n")}  # endings of our own column names: angular, linear
 _STAMP = pl.Decimal(38, 9)
-DATE_FORMATS = tuple(f"{day} %H:%M:%S%.f" for day in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%m/%d/%Y"))
+DATE_FORMATS = (
+    *(f"{day} %H:%M:%S%.f" for day in ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%m/%d/%Y")), "%m/%d/%Y %I:%M:%S%.f %p",
+)  # fmt: skip
+_NO_DAY = r"^\d\d?:\d\d:\d\d"  # a time of day alone
+HALF_A_DAY = 43_200 * NANOSECONDS
 _ZONE = r"(?<time>:\d\d(\.\d+)?) ?(Z|(?<sign>[+-])(?<hours>\d\d):?(?<minutes>\d\d))$"
 _LATIN = '; from a German or French Windows? encoding = "latin-1" in its [columns], or deltatwin import'
 _FIXED_POINT_LINES = 20  # lines looked at to tell whether the last field has a fixed number of decimals
@@ -121,6 +125,8 @@ def load(path: Path) -> bytes:
     if zero >= 0:
         what = "an Excel file or an archive, save it as CSV" if raw.startswith(b"PK") else f"starts with {raw[:8]!r}"
         raise TraceError(f"{path}: not a text table: zero byte at offset {zero} ({what})")
+    for space in (b"\xc2\xa0", b"\xe2\x80\xaf"):  # between groups of digits, as French spreadsheets write it
+        raw = raw.replace(space, b" ")
     return raw.removeprefix(b"\xef\xbb\xbf")
 
 
@@ -286,15 +292,19 @@ def _from_dates(table: pl.DataFrame, text: pl.DataFrame, wanted: Plan) -> tuple[
 def date_times(text: pl.Expr) -> pl.Expr:
     """Dates with times of day, written in any of the usual ways, as int64 ns since 1970; null where it is none.
 
-    A zone behind the time, as Z or +02:00, is taken into account; without one the time is taken for UTC.
+    A zone behind the time, as Z or +02:00, is taken into account; without one the time is taken for UTC. Times of day
+    alone count from midnight, on over the next one.
     """
     plain = text.str.strip_chars().str.replace(",", ".", literal=True).str.replace("T", " ", literal=True)
     zone = plain.str.extract_groups(_ZONE)
     ahead = 60 * zone.struct["hours"].cast(pl.Int64) + zone.struct["minutes"].cast(pl.Int64)
     ahead = pl.when(zone.struct["sign"] == "-").then(-ahead).otherwise(ahead).fill_null(0)
-    local = plain.str.replace(_ZONE, "$time")
+    local = plain.str.replace(_ZONE, "$time").str.replace(_NO_DAY, "1970-01-01 $0")
     parsed = (local.str.to_datetime(form, time_unit="ns", strict=False) for form in DATE_FORMATS)
-    return pl.coalesce(parsed).cast(pl.Int64) - ahead * 60 * NANOSECONDS
+    stamps = pl.coalesce(parsed).cast(pl.Int64) - ahead * 60 * NANOSECONDS
+    midnights = (stamps.forward_fill().diff() < -HALF_A_DAY).fill_null(False).cum_sum().cast(pl.Int64)
+    no_day = plain.str.contains(_NO_DAY).fill_null(False)
+    return (stamps + pl.when(no_day).then(midnights).otherwise(0) * pl.lit(2 * HALF_A_DAY, pl.Int64)).cast(pl.Int64)
 
 
 def _explain(body: bytes, names: list[str], used: list[int], columns: Columns, error: str) -> str:

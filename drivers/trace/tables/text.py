@@ -25,6 +25,7 @@ from schemas.units import is_unit
 DAY = r"^(\d{4}[-/]\d\d?[-/]\d\d?|\d\d?[./]\d\d?[./]\d{4})$"
 TIME_OF_DAY = r"^\d\d?:\d\d:\d\d([.,]\d+)?$"
 _JOINT_NAME = re.compile(r"(?i)(?<![a-z])names?\D{0,2}(\d+)\]?$")
+_WORD = re.compile(r"^[A-Za-z]\w*$")
 LOOKED_AT = 400  # lines from the top in which the numbers have to begin
 RUN = 8  # lines of one shape that make a table, fewer only where the file ends
 THOUSANDS = (".", ",", "'", " ")  # marks between groups of three digits
@@ -81,7 +82,11 @@ def _days(
     found: dict[str, Any],
 ) -> int:  # fmt: skip
     """Put a column of days and one of times of day together, called after the latter, and say so in the layout."""
-    texts = {name: cells[str(k)].str.strip_chars() for k, name in enumerate(names) if name not in values}
+    texts = {
+        name: cells[str(k)].str.strip_chars()
+        for k, name in enumerate(names)
+        if name not in values or units.get(name) == "datetime"
+    }
     day, clock = (
         next((name for name, text in texts.items() if text.len() and text.str.contains(form).all()), None)
         for form in (DAY, TIME_OF_DAY)
@@ -90,8 +95,7 @@ def _days(
         return epoch_ns
     array, unit, epoch_ns = numbers_of(texts[day] + " " + texts[clock], ".", epoch_ns)
     if array is not None and unit:
-        first = {clock: array}
-        first.update(values)
+        first = {clock: array} | {name: column for name, column in values.items() if name != clock}
         values.clear()
         values.update(first)
         units[clock], found["date"] = unit, day
@@ -158,7 +162,7 @@ def _layout(head: list[str], path: Path) -> dict[str, Any]:
 def _numeric(line: str, separator: str, decimal: str) -> tuple[int, int]:
     """Fields of a line, and how many of them are numbers, or a date. None is text: (fields, -1)."""
     fields = _fields(line, separator)
-    numbers = texts = 0
+    numbers = texts = words = 0
     for field in fields:
         if field in MISSING:
             continue
@@ -167,7 +171,9 @@ def _numeric(line: str, separator: str, decimal: str) -> tuple[int, int]:
             numbers += 1
         except ValueError:
             texts += not _flag_or_date(field)
-    return len(fields), numbers if texts <= len(fields) // 3 and numbers else -1
+            words += _WORD.match(field) is not None
+    most = len(fields) // (3 if words == texts else 4)  # joints may be named in each row
+    return len(fields), numbers if texts <= most and numbers else -1
 
 
 def _plain(field: str, separator: str, decimal: str) -> str:

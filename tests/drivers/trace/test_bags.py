@@ -191,7 +191,9 @@ def test_of_several_topics_the_user_says_which(tmp_path: Path) -> None:
         read_table(path)
     table = read_table(path, {"topic": "/right/joint_states"})
     assert (len(table), table.layout) == (20, {"topic": "/right/joint_states"})
-    with pytest.raises(TraceError, match=r"no topic '/up' of sensor_msgs/msg/JointState; topics: /left"):
+    with pytest.raises(
+        TraceError, match=r"no topic '/up' of sensor_msgs/msg/JointState, or foxglove.JointStates; topics: /left"
+    ):
         read_table(path, {"topic": "/up"})
 
 

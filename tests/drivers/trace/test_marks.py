@@ -3,6 +3,7 @@ share one column of stamps."""
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,28 @@ def test_marks_between_thousands(tmp_path: Path, cells: tuple[str, ...], marks: 
     assert {key: table.layout.get(key) for key in marks} == marks
     again = read_table(path, table.layout)
     np.testing.assert_array_equal(again.columns["q"], table.columns["q"])
+
+
+def test_a_space_that_does_not_break_is_one(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t;q\n" + "".join(f"0,0{k}0;1\u202f234\u00a0567,5\n" for k in range(9)))
+    table = read_table(path)
+    assert table.layout["thousands"] == " "
+    np.testing.assert_allclose(table.columns["q"], 1234567.5)
+
+
+@pytest.mark.parametrize("form", ["%H:%M:%S.%f", "%H:%M:%S,%f", "%m/%d/%Y %I:%M:%S.%f %p"])
+def test_times_of_day_go_on_over_midnight(tmp_path: Path, form: str) -> None:
+    path, clock = tmp_path / "log.csv", np.arange(500) * 0.004
+    begin = datetime(2026, 11, 26, 23, 59, 59)
+    cells = [(begin + timedelta(seconds=float(t))).strftime(form) for t in clock]
+    path.write_text("Time;q1;tau1\n" + "".join(f"{cell};{k}.5;1.5\n" for k, cell in enumerate(cells)))
+    table = read_table(path)
+    assert table.units["Time"] == "datetime"
+    np.testing.assert_allclose(table.columns["Time"], clock, atol=1e-6)
+    columns = {"separator": ";", "joints": 1, "time": {"name": "Time", "unit": "datetime"}, "position": "q1"}
+    trace = read_trace(path, columns=validate(Columns, columns | {"torque": "tau1"}, path, TraceError))
+    np.testing.assert_allclose(np.diff(trace.time), 0.004, atol=1e-6)
 
 
 @pytest.mark.parametrize("cells", [("1.234", "2.345", "10.500"), ("1,234", "2,345", "10,500")])

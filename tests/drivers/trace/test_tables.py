@@ -164,7 +164,7 @@ def test_units_below_the_names_and_latin_1_are_found(tmp_path: Path) -> None:
     rows = "".join(";".join(map(repr, row)) + "\n" for row in BLOCK.tolist())
     (tmp_path / "log.csv").write_text(";".join(NAMES) + "\n[s];°;°;°;Nm;Nm;Nm\n" + rows, encoding="latin-1")
     table = read_table(tmp_path / "log.csv")
-    assert [table.units[name] for name in ("t", "q1", "m3")] == ["s", "°", "nm"]
+    assert [table.units[name] for name in ("t", "q1", "m3")] == ["s", "°", "Nm"]
     assert table.layout["encoding"] == "latin-1"
 
 
