@@ -93,6 +93,8 @@ def _days(
     )
     if day is None or clock is None:
         return epoch_ns
+    if not any(unit == "datetime" for name, unit in units.items() if name != clock):
+        epoch_ns = 0  # not from the midnight of the times of day alone
     array, unit, epoch_ns = numbers_of(texts[day] + " " + texts[clock], ".", epoch_ns)
     if array is not None and unit:
         first = {clock: array} | {name: column for name, column in values.items() if name != clock}

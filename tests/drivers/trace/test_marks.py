@@ -95,6 +95,7 @@ def test_the_day_stands_beside_the_time_of_day(tmp_path: Path, day: str, ending:
     table = read_table(path)
     assert table.units["Time"] == "datetime"
     assert table.layout["date"] == "Date"
+    assert table.columns["Time"][0] == 0.0  # so that float64 keeps its nanoseconds
     np.testing.assert_allclose(np.diff(table.columns["Time"]), 0.004, atol=1e-6)
     columns = Columns.model_validate(
         {"time": {"name": "Time", "date": "Date", "unit": "datetime"}, "position": POSITION, "torque": "tau"}
