@@ -20,7 +20,7 @@ from drivers.trace.mcap_file import to_trace, write_samples
 from drivers.trace.quality import RowNames, check
 from schemas.errors import TraceError
 from schemas.files import whole
-from schemas.messages import stamp_ns
+from schemas.messages import SampleFlag, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Finding, Trace
 
@@ -60,6 +60,11 @@ class CaptureReader:
                 yield samples, raw
         if made == 0:
             raise TraceError(f"{self.capture.path}: {self._why_nothing()}")
+
+    @property
+    def bunched(self) -> bool:
+        """Whether a card that collects interrupts has made the stamps, once `blocks` has ended."""
+        return self._bunches.period_ns is not None
 
     def findings(self) -> list[Finding]:
         """What is to be known about the bus and the declaration, once `blocks` has ended."""
@@ -145,8 +150,23 @@ def read_capture(path: Path, robot: Robot) -> Trace:
     """
     reader = CaptureReader(path, robot)
     samples = np.concatenate([samples for samples, _ in reader.blocks()])
-    trace = replace(to_trace(samples, path), findings=tuple(reader.findings()))
-    return check(trace, RowNames("cycle", np.arange(1, len(samples) + 1)), robot)
+    said = tuple(reader.findings())
+    try:
+        trace = check(to_trace(samples, path), RowNames("cycle", np.arange(1, len(samples) + 1)), robot)
+    except TraceError as error:
+        raise TraceError(f"{error}; {BUNCHED}") if reader.bunched else error from error
+    found = _of_bunches(trace) if reader.bunched else trace.findings
+    return replace(trace, findings=said + found)
+
+
+def _of_bunches(trace: Trace) -> tuple[Finding, ...]:
+    """Findings of a trace whose stamps come in bunches, without those that are made of its stamps: they contradict
+    what is known of the cycle."""
+    by_stamps = np.uint32(SampleFlag.GAP_BEFORE | SampleFlag.JUMP | SampleFlag.REPEATED)
+    flagged = np.count_nonzero(trace.flags & by_stamps)
+    kept = tuple(f for f in trace.findings if f.flag and not f.flag & by_stamps)
+    line = f"stamps of bunches tell no speed: {flagged} of {len(trace)} cycles are flagged, and left out of every fit"
+    return (*kept, Finding.note(line)) if flagged else kept
 
 
 def convert_capture(

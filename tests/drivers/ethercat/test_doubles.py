@@ -11,6 +11,7 @@ import pytest
 
 from drivers.trace.capture import CaptureReader, read_capture
 from drivers.trace.capture_survey import survey_capture
+from schemas.errors import TraceError
 from schemas.messages import SampleFlag
 from tests.drivers.ethercat.test_process_data import LOCAL, START, stream
 from tests.drivers.ethercat.wire import cycle, passes, pcap, robot
@@ -111,3 +112,11 @@ def test_stamps_of_a_card_that_collects_interrupts(tmp_path: Path, spread: int) 
     assert (entry["jitter_std_s"], entry["lost_cycles"]) == (None, None)
     assert any("stamps come in bunches" in finding for finding in figures["findings"])
     assert float(said.split("cycle time ")[1].split(" ms")[0]) == pytest.approx(1.0, rel=0.03)
+    if not spread:
+        with pytest.raises(TraceError, match=r"time does not rise .*; stamps come in bunches"):
+            read_capture(path, robot())
+        return
+    told = " ".join(finding.message for finding in read_capture(path, robot()).findings)
+    assert "ms missing: before" not in told
+    assert "samples a second" not in told
+    assert f"of {COUNT} cycles are flagged" in told
