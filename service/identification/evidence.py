@@ -93,8 +93,8 @@ def possible(values: np.ndarray) -> np.ndarray:
     return np.where(np.abs(values) <= LARGEST, values, np.nan)
 
 
-def trial(run: Run) -> Trace:
-    """The part of a log that moves most. A clock that stands still or goes back breaks it as a gap does."""
+def trial(run: Run, angular: bool = True) -> Trace:
+    """The part of a log that moves most. angular: positions are rad, not m. A clock that stands still or goes back breaks it as a gap does."""
     position, torque, rate = run.position, run.torque, run.rate
     clock = np.arange(len(position)) / rate if run.time is None else run.time
     stamped = np.isfinite(clock)
@@ -117,6 +117,7 @@ def trial(run: Run) -> Trace:
         np.ascontiguousarray(position[part]),
         np.ascontiguousarray(torque[part]),
         flags=flags,
+        angular=angular,
     )
 
 
@@ -173,7 +174,7 @@ def machine_sums(robot: Axes | Chain, runs: Sequence[Run]) -> MachineSums | None
     if isinstance(mechanism, SerialArm):
         mechanism = replace(mechanism, asked=False, known=mechanism.arm.weights if mechanism.asked else mechanism.known)
     try:
-        parts = [[thin(part) for part in segments(trial(run))] for run in runs]
+        parts = [[thin(part) for part in segments(trial(run, not robot.linear))] for run in runs]
     except TraceError:
         return None
     flat = [part for of_run in parts for part in of_run]

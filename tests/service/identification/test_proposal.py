@@ -511,3 +511,11 @@ def test_many_turns_are_no_degrees() -> None:
     found = propose(Table(made.path, made.kind, {"t": time, "pos": wound, "force": force}), turning, Stated())
     assert entries(found, "position") == [{"unit": "rad"}]
     assert any(line.startswith("positions are rad of the joint, as recorded") for line in found.doubts)
+
+
+@pytest.mark.parametrize("stroke", [1.0, 0.004])
+def test_the_sign_of_an_axis_of_little_stroke_is_told(stroke: float) -> None:
+    """What moves is told by metres a second, not by radians."""
+    made = slide(lambda x, v, a: -(95 * a + 20 * np.sign(v)) / stroke, scale=stroke)
+    found = propose(made, AXIS, Stated(position_unit="m"))
+    assert entries(found, "torque")[0].get("sign") == -1
