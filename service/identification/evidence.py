@@ -94,7 +94,8 @@ def possible(values: np.ndarray) -> np.ndarray:
 
 
 def trial(run: Run, angular: bool = True) -> Trace:
-    """The part of a log that moves most. angular: positions are rad, not m. A clock that stands still or goes back breaks it as a gap does."""
+    """The part of a log that moves most. A clock that stands still or goes back breaks it as a gap does. angular:
+    positions are rad, not m."""
     position, torque, rate = run.position, run.torque, run.rate
     clock = np.arange(len(position)) / rate if run.time is None else run.time
     stamped = np.isfinite(clock)

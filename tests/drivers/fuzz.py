@@ -14,6 +14,7 @@ import re
 import resource
 import signal
 import sqlite3
+import struct
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -269,6 +270,34 @@ def _bag() -> list[bytes]:
     return made
 
 
+def _foxglove() -> list[bytes]:
+    """Joint states in JSON and in protobuf, each message plain in the file so that mutations reach it."""
+    made = []
+    for encoding in ("json", "protobuf"):
+        stream = io.BytesIO()
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start()
+        channel = writer.register_channel("/js", encoding, writer.register_schema("foxglove.JointStates", "", b""))
+        for k, row in enumerate(BLOCK):
+            writer.add_message(channel, k, _state(row, encoding), k)
+        writer.finish()
+        made.append(stream.getvalue())
+    return made
+
+
+def _state(row: np.ndarray, encoding: str) -> bytes:
+    joints = list(zip(NAMES[1:4], row[1:4].tolist(), row[4:7].tolist(), strict=True))
+    if encoding == "json":
+        states = [{"name": name, "position": at, "effort": pushes} for name, at, pushes in joints]
+        stamp = {"sec": 1, "nsec": round(row[0] * 1e9)}
+        return json.dumps({"timestamp": stamp, "joints": states}).encode()
+    inner = [
+        b"\x0a\x02" + name.encode() + struct.pack("<Bd", 0x11, at) + struct.pack("<Bd", 0x29, pushes)
+        for name, at, pushes in joints
+    ]
+    return b"\x0a\x02\x08\x01" + b"".join(b"\x12" + bytes([len(one)]) + one for one in inner)
+
+
 @cache
 def corpus() -> dict[str, list[bytes]]:
     """Small whole files by format."""
@@ -293,6 +322,7 @@ def corpus() -> dict[str, list[bytes]]:
         "trace": codesys_xml,
         "db3": db3,
         "bag": _bag(),
+        "foxglove": _foxglove(),
         "text": _texts(),
         "ros1": ros1,
         "packed": [zstandard.compress(db3[0])],
@@ -445,6 +475,7 @@ ENDINGS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "trace": (".trace", _read_table),
     "db3": (".db3", _read_table),
     "bag": (".mcap", _read_table),
+    "foxglove": (".mcap", _read_table),
     "text": (".txt", _read_text),
     "ros1": (".bag", _read_table),
     "packed": (".db3.zstd", _read_table),
