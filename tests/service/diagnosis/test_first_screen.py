@@ -11,7 +11,8 @@ import pytest
 
 from schemas.diagnosis import Caution, Estimate, Simulated
 from service.diagnosis.documents.document import made_from
-from service.diagnosis.documents.report import _short, _thinned, write_report
+from service.diagnosis.documents.over_time import _short, _thinned
+from service.diagnosis.documents.report import write_report
 from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, caution, paragraphs, sentences
 from service.model.effects import CATALOGUE
 from tests.service.pages.browser import looked_at
@@ -42,18 +43,19 @@ def test_the_box_says_what_where_how_much_and_what_to_do(findings):
     found = document.document(findings)
     said = answer(found)
     assert [cause.what for cause in said.causes] == [
-        "More friction at low speed (sticking), joints 1, 2 and 3",
-        "Torque ripple over the motor turn (cogging), joint 2",
+        "Stribeck friction in joints 1, 2 and 3",
+        "Cogging in joint 2",
     ]
+    assert said.causes[0].title == "More friction at low speed (sticking)"
     assert said.causes[0].how_much[0].startswith("breakaway friction above the Coulomb level, joint 1 = ")
     assert said.causes[0].how_much[0].endswith(" N m")
-    assert said.causes[0].surety == "100 % likely, by the resampled data."
+    assert said.causes[0].surety == "100 % probable, by bootstrap over blocks of the data."
     assert said.check == []
     first, *others = found.effects
     open_ = first.model_copy(update={"probability": 0.8, "confusable_with": ["backlash"]})
     said_open = answer(found.model_copy(update={"effects": [open_, *others]}))
     assert said_open.causes[0].surety == (
-        "80 % likely, by the resampled data. On this data it cannot be told from backlash."
+        "80 % probable, by bootstrap over blocks of the data. The data cannot separate it from backlash."
     )
     assert said_open.check == ["To be sure, record a slow sweep with reversals, 0.005 to 1 rad/s.", PLANNED]
     assert "relubricate" in said.causes[0].means
