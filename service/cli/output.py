@@ -114,9 +114,14 @@ def table(
 
 def conclude(said: str, *following: object) -> None:
     """How a command ends: what it comes to, and the words of the command that comes next."""
-    screen = console()
-    screen.print(said, highlight=False, markup=False)
-    screen.print(f"next: deltatwin {shlex.join(map(str, following))}", highlight=False, markup=False, soft_wrap=True)
+    console().print(said, highlight=False, markup=False)
+    say_next(*following)
+
+
+def say_next(*following: object) -> None:
+    """The words of the command that comes next."""
+    line = f"next: deltatwin {shlex.join(map(str, following))}"
+    console().print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def say_headline(headline: Headline) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
-from service.cli.output import in_quantiles
+from service.cli.output import in_quantiles, say_next
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
@@ -124,6 +124,8 @@ def command(
         if picks is not None:
             _write_picks(planned, picks)
     typer.echo(f"simulated {description.name}, {which}; workspace {_workspace(planner)}")
+    if out is not None:
+        say_next("identify", out, "--robot", robot, "--out", "identified.toml")
 
 
 def _plan(
