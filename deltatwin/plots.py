@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 
 from schemas.messages import PayloadEvent
 from service.model.description import in_units_of
-from service.pages import LOG_AXIS
+from service.pages import LOG_AXIS, under_buttons
 from service.pages.palette import JOINTS, Colour, faint
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def of_evaluation(result: EvaluationResult, number: int) -> go.Figure:
             )  # fmt: skip
         figure.update_yaxes(title_text=f"joint {joint + 1}, {unit}", row=joint + 1, col=1)
     figure.update_xaxes(title_text=f"time in {one.trace.name}, s", row=joints, col=1)
-    return figure.update_layout(height=HEIGHT * joints + 60, legend={"orientation": "h", "y": 1.08})
+    return figure.update_layout(under_buttons(HEIGHT * joints + 90))
 
 
 def of_payload(result: PayloadResult) -> go.Figure:

@@ -101,7 +101,7 @@ def _confusion(rows: list[dict[str, Any]]) -> go.Figure:
         go.Heatmap(x=answer, y=truth, z=table, text=text, texttemplate="%{text}", colorscale="Blues", showscale=False)
     )
     figure.update_yaxes(autorange="reversed", title_text="truth", automargin=True)
-    figure.update_xaxes(title_text="named first", tickangle=-60, automargin=True)
+    figure.update_xaxes(title_text="named first", tickangle=-90, automargin=True)
     figure.update_layout(height=260 + 20 * len(truth))
     return figure
 

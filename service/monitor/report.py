@@ -8,6 +8,7 @@ from plotly.subplots import make_subplots
 
 from schemas.messages import stamp_ns
 from service.monitor.readback import Recorded
+from service.pages import under_buttons
 from service.pages.palette import Colour, faint
 
 POINTS = 5000  # a line; more than a screen has, few enough to draw without WebGL, which remote desktops lack
@@ -57,5 +58,5 @@ def picture(recorded: dict[str, Recorded]) -> go.Figure:
         title_text="kg", range=[-0.5, max(0.5, 1.2 * float(payload["mass"].max(initial=0.0)))], row=4, col=1
     )
     figure.update_xaxes(title_text="bus time, s", row=4, col=1)
-    figure.update_layout(height=1000, legend={"orientation": "h", "y": 1.06})
+    figure.update_layout(under_buttons(1000, titles=True))
     return figure

@@ -40,6 +40,7 @@ POLICY = (
     f"default-src 'none'; script-src 'nonce-{NONCE}'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
     "base-uri 'none'; form-action 'none'"
 )
+LEGEND_Y = 34  # px below the upper edge of a plot, under Plotly's buttons
 templates.default = None  # a figure gets its look when it is written: every one would copy and check Plotly's own
 PROGRAM = "plotly-cartesian.min.js.gz"  # plotly.js with lines, bars and maps alone, a third of the whole (MIT licence)
 DEFAULT_HEIGHT = 450  # px, Plotly's
@@ -72,6 +73,13 @@ def write_page(template: str, path: Path, headline: Headline, **fields: Any) -> 
     text = _environment().get_template(f"{template}.html").render(fields, headline=headline)
     make_folder(path.parent)
     write_text(path, text)
+
+
+def under_buttons(height: float, titles: bool = False) -> dict[str, Any]:
+    """Layout of a plot so high, px, with its legend in a row between Plotly's buttons and the axes, where nothing lies
+    over it. titles: of subplots, which come between."""
+    legend = {"orientation": "h", "yref": "container", "y": 1 - LEGEND_Y / height, "yanchor": "top", "x": 0}
+    return {"height": height, "margin": {"t": 2 * LEGEND_Y + 22 * titles}, "legend": legend}
 
 
 def browser() -> str:

@@ -10,6 +10,7 @@ from plotly.subplots import make_subplots
 
 from service.diagnosis.findings import Findings
 from service.model.description import in_units_of
+from service.pages import under_buttons
 from service.pages.palette import Colour
 
 MOST_NAMES = 12  # on the time axis
@@ -49,15 +50,16 @@ def worst_second(findings: Findings) -> tuple[str, go.Figure] | None:
         limits.append(_around(shown))
     whole, ends = [clock[0], clock[-1]], [begin, begin + WORST_S]
     zoomed, all_of_it = _axes(n, ends, limits), _axes(n, whole, None)
+    height = ROW_HEIGHT * n + 120
+    buttons = [
+        {"label": label, "method": "relayout", "args": [ranges]}
+        for label, ranges in (("worst second", zoomed), ("whole log", all_of_it))
+    ]
     figure.update_layout(
-        height=ROW_HEIGHT * n + 90, margin={"t": 80}, legend={"orientation": "h", "y": 1.0 + 30 / (ROW_HEIGHT * n)},
+        **under_buttons(height, titles=True),
         updatemenus=[{
-            "type": "buttons", "direction": "right", "x": 1.0, "xanchor": "right", "y": 1.0 + 34 / (ROW_HEIGHT * n),
-            "yanchor": "bottom", "pad": {"t": 0, "b": 0}, "showactive": True,
-            "buttons": [
-                {"label": "worst second", "method": "relayout", "args": [zoomed]},
-                {"label": "whole log", "method": "relayout", "args": [all_of_it]},
-            ],
+            "type": "buttons", "direction": "right", "x": 0, "xanchor": "left", "y": 1.0, "yanchor": "bottom",
+            "pad": {"t": 0, "b": 4}, "showactive": True, "buttons": buttons,
         }],
     )  # fmt: skip
     figure.update_layout({key: value for key, value in zoomed.items() if not key.endswith("autorange")})
@@ -135,7 +137,7 @@ def gap_over_time(findings: Findings) -> go.Figure:
         figure.update_xaxes(title_text="log, each from its beginning; its own time under the pointer", row=n, col=1)
     else:
         figure.update_xaxes(title_text=f"time in {next(iter(starts))}, s", row=n, col=1)
-    figure.update_layout(height=ROW_HEIGHT * n + 60, legend={"orientation": "h", "y": 1.06})
+    figure.update_layout(under_buttons(ROW_HEIGHT * n + 90))
     return figure
 
 

@@ -19,7 +19,7 @@ from service.diagnosis.findings import Findings
 from service.model.description import in_units_of
 from service.model.hypothesis import Hypothesis
 from service.model.torque import predict
-from service.pages import LOG_AXIS, write_page
+from service.pages import LOG_AXIS, under_buttons, write_page
 from service.pages.palette import EFFECTS, Colour
 
 BINS = 24
@@ -74,7 +74,7 @@ def levels(document: Diagnosis) -> go.Figure:
         )  # fmt: skip
     top = max(*gap.before_nm, *gap.after_nm, *gap.noise_floor_nm, 1e-9)
     figure.update_yaxes(title_text=f"rms gap, {gap.unit}", range=[0, 1.18 * top])
-    figure.update_layout(height=240, legend={"orientation": "h", "y": 1.25})
+    figure.update_layout(under_buttons(270))
     return figure
 
 
@@ -92,7 +92,7 @@ def _budget(document: Diagnosis) -> go.Figure:
             orientation="h",
             marker_color=FIXED.get(part) or next(spare),
         )
-    figure.update_layout(barmode="stack", height=110 + 55 * len(joints), legend={"orientation": "h", "y": 1.25})
+    figure.update_layout(barmode="stack", **under_buttons(140 + 55 * len(joints)))
     figure.update_xaxes(title_text=f"mean square of the gap, ({document.gap.unit})²")
     figure.update_yaxes(autorange="reversed")
     return figure
@@ -115,7 +115,7 @@ def _regimes(document: Diagnosis) -> go.Figure | None:
         y=labels, x=[100 * r.of_time for _, r in entries][::-1], orientation="h", name="of the time",
         marker_color=Colour.MEASURED,
     )  # fmt: skip
-    figure.update_layout(barmode="group", height=90 + 34 * len(labels), legend={"orientation": "h", "y": 1.12})
+    figure.update_layout(barmode="group", **under_buttons(130 + 34 * len(labels)))
     figure.update_xaxes(title_text="%")
     figure.update_yaxes(automargin=True)
     return figure
@@ -196,10 +196,8 @@ def _ranking(document: Diagnosis) -> go.Figure:
                 y=[name for name, _ in mine], x=[100 * share for _, share in mine], orientation="h", name=kind,
                 marker_color=colour, text=[percent(share) for _, share in mine], textposition="outside",
             )  # fmt: skip
-    figure.update_layout(
-        height=130 + 26 * len(entries), showlegend=True, legend={"orientation": "h", "y": 1.0 + 30 / len(entries) / 26}
-    )
-    figure.update_xaxes(title_text="probability before the checks, %", range=[0, 112])
+    figure.update_layout(showlegend=True, **under_buttons(130 + 26 * len(entries)))
+    figure.update_xaxes(title_text="probability, %", range=[0, 130], tickvals=[0, 25, 50, 75, 100])
     names = list(dict.fromkeys(name for name, *_ in entries))
     figure.update_yaxes(automargin=True, categoryorder="array", categoryarray=names[::-1])
     return figure
@@ -227,7 +225,7 @@ def _spectrum(findings: Findings) -> go.Figure:
     figure.update_xaxes(title_text="frequency, Hz", **LOG_AXIS)
     figure.update_yaxes(**LOG_AXIS)
     figure.update_yaxes(title_text=f"{in_units_of(findings.robot, 'N m')} / √Hz", col=1)
-    figure.update_layout(height=340, legend={"orientation": "h", "y": 1.2})
+    figure.update_layout(under_buttons(370, titles=True))
     return figure
 
 

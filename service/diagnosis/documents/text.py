@@ -342,7 +342,7 @@ def _joints(document: Diagnosis) -> list[str]:
             lines.append(f"Joint {joint} hardly moves: nothing is said about it.")
             continue
         line = f"Joint {joint}: {significant(before)} {gap.unit} between model and robot, "
-        line += f"{significant(before / floor, 2)} times the noise."
+        line += f"{before / floor:.1f} times the noise."
         if before > 1.15 * floor and entry.before:
             line += " " + _concentrated(entry.before[0])
         lines.append(line)
@@ -473,7 +473,7 @@ def _remaining(document: Diagnosis) -> list[str]:
         after, floor = document.gap.after_nm[joint - 1], document.gap.noise_floor_nm[joint - 1]
         if entry.after and after > 1.1 * floor:
             bands = max(entry.spectrum_after, key=lambda band: band.share, default=None)
-            line = f"Unexplained in joint {joint}: {significant(after / floor, 2)} times the noise."
+            line = f"Unexplained in joint {joint}: {after / floor:.1f} times the noise."
             line += f" {_concentrated(entry.after[0])}"
             if bands and bands.share > 0:
                 line += f" {percent(bands.share)} of it lies at {bands.from_hz:g} to {bands.to_hz:g} Hz."
@@ -483,7 +483,5 @@ def _remaining(document: Diagnosis) -> list[str]:
         lines.append(_bursts(document.where.bursts, document.where.bursts_rhythm_s))
     if document.where.worst_runs:
         worst = document.where.worst_runs[0]
-        lines.append(
-            f"It is worst in {worst.run} ({significant(worst.after_over_noise, 2)} times the noise): look there first."
-        )
+        lines.append(f"It is worst in {worst.run} ({worst.after_over_noise:.1f} times the noise): look there first.")
     return lines

@@ -19,7 +19,7 @@ const looked = text => {
     bgcolor: shade('--box'), bordercolor: shade('--line'), font: {color: shade('--ink'), size: 11}});
   look.modebar = {bgcolor: 'rgba(0,0,0,0)', color: shade('--soft'), activecolor: shade('--ink')};
   for (const axis of ['xaxis', 'yaxis']) Object.assign(look[axis], {
-    gridcolor: shade('--grid'), linecolor: shade('--grid'), zerolinecolor: shade('--line')});
+    exponentformat: 'power', gridcolor: shade('--grid'), linecolor: shade('--grid'), zerolinecolor: shade('--line')});
   if (narrow.matches) {
     look.font.size = 10;
     layout.margin = {...look.margin, ...layout.margin, l: 44, r: 8};

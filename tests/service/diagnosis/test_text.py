@@ -61,7 +61,7 @@ def test_a_named_effect_is_told_in_one_line() -> None:
 def test_the_answer_says_how_much_and_what_to_do() -> None:
     found = text.answer(document())
     (cause,) = found.causes
-    assert cause.what == "Cogging, joint 2"
+    assert cause.what == "Cogging in joint 2"
     # a cosine of 3 and a sine of 4: 5, with the root of (3 0.6)^2 + (4 0.8)^2 over it
     assert cause.how_much == ["amplitude of a ripple = 5.0 ± 0.7 N m"]
     assert found.gap == "2.24 N m (10 % of the torque's rms) → 1.27 N m (5.7 % of the torque's rms)"

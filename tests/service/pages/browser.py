@@ -16,8 +16,8 @@ import pytest
 from schemas.errors import StorageError
 from service.pages import headless
 
-# With all unfolded: every pair of texts of a plot, or of a text and the buttons above it, or of two parts of the page,
-# whose boxes cover each other by more than a pixel each way, and every console error.
+# With all unfolded: every pair of texts of a plot, or of a text and the buttons above it, of a legend and a bar, or of
+# two parts of the page, whose boxes cover each other by more than a pixel each way, and every console error.
 LOOK = """
 <script>
 const errors=[];addEventListener('error',e=>errors.push(String(e.message)));
@@ -36,6 +36,10 @@ addEventListener('load',()=>drawn.then(()=>{unfold();setTimeout(()=>{
   blocks.forEach(([a,s,p],i)=>blocks.slice(i+1).forEach(([b,t,q])=>{
     if(!s.contains(t)&&Math.min(p.right,q.right)-Math.max(p.left,q.left)>1
       &&Math.min(p.bottom,q.bottom)-Math.max(p.top,q.top)>1)over.push([a,b]);}));
+  const legends=[...document.querySelectorAll('.legend .bg')].map(t=>t.getBoundingClientRect());
+  document.querySelectorAll('.bars path,.modebar-group').forEach(t=>{const p=t.getBoundingClientRect();
+    if(p.width&&legends.some(q=>q.width&&Math.min(p.right,q.right)-Math.max(p.left,q.left)>1
+      &&Math.min(p.bottom,q.bottom)-Math.max(p.top,q.top)>1))over.push(['legend',t.getAttribute('class')||'bar']);});
   const ticks=[...document.querySelectorAll('.ytick text')].map(t=>t.textContent);
   const root=document.documentElement, beyond=root.scrollWidth-root.clientWidth;
   parent.postMessage(JSON.stringify({errors,over,ticks,beyond,texts:boxes.length}),'*');

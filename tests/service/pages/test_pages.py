@@ -142,7 +142,7 @@ def test_pages_are_clear(tmp_path: Path, kind: str, width: int, dark: bool) -> N
     path = tmp_path / f"{kind.replace(' ', '_')}.html"
     written(kind, path)
     told = looked_at(path, width, dark)
-    assert told["texts"] > 20
+    assert told["texts"] > 8
     assert told["errors"] == []
     assert told["over"] == []
     assert told["beyond"] == 0
