@@ -118,6 +118,11 @@ def conclude(said: str, *following: object) -> None:
     say_next(*following)
 
 
+def read_by(columns: object) -> tuple[object, ...]:
+    """The words by which the command that comes next reads the same logs."""
+    return ("--columns", columns) if columns else ()
+
+
 def say_next(*following: object) -> None:
     """The words of the command that comes next."""
     line = f"next: deltatwin {shlex.join(map(str, following))}"

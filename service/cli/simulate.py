@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from schemas.words import percent
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
 from service.cli.output import in_quantiles, say_next
 from service.cli.progress import bars
@@ -202,7 +203,7 @@ def _live(
     helped = np.isfinite(run.feedforward).all(axis=1).mean()
     kept = "" if run.cycles == len(run.trace) else f" (of the newest {len(run.trace)}:)"
     typer.echo(
-        f"live {robot.name}: {run.cycles} cycles{kept}, feed-forward in {helped:.1%}, "
+        f"live {robot.name}: {run.cycles} cycles{kept}, feed-forward in {percent(helped, 1)}, "
         f"tracking error {error * 1e3:.3f} mrad rms; {run.late} cycles late, lateness {in_quantiles(run.lateness)}"
     )
     if out is not None:

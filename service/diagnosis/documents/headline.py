@@ -23,12 +23,14 @@ TRY = (
 def headline(document: Diagnosis, folder: Path = Path()) -> Headline:
     """What the page and the command say first. folder: of the corrected description."""
     gap, said = document.gap, answer(document)
-    before, after, noise = (_rms(values) for values in (gap.before_nm, gap.after_nm, gap.noise_floor_nm))
+    before, noise = _rms(gap.before_nm), _rms(gap.noise_floor_nm)
     if document.effects:
         names = "; ".join(map(_placed, document.effects))
         names = names[0].upper() + names[1:]
         rest = "explains the gap" if document.verdict == "explained" else "explains part of the gap"
-        goes = f"{significant(before)} → {significant(after)} {gap.unit} rms; noise {significant(noise)}"
+        levels = (gap.work_before_nm, gap.work_after_nm) if gap.slow_runs else (gap.before_nm, gap.after_nm)
+        goes = f"{' → '.join(significant(_rms(level)) for level in levels)} {gap.unit} rms; noise {significant(noise)}"
+        goes += "; slow sweeps apart" if gap.slow_runs else ""
         shrinks = "smaller" if gap.shrink >= 0 else "larger"
         return Headline(
             "bad", f"{names}: {rest if len(document.effects) == 1 else rest.replace('explains', 'explain')}.",

@@ -69,7 +69,7 @@ def sentences_of(trial: OnlineTrial) -> list[str]:
     )
     where = ", ".join(trial.traces)
     source = f"loads simulated along {where}" if trial.simulated else f"the loads of {where}"
-    seen = "kept out of the fit" if trial.held_out else "which the fit has seen"
+    seen = "held out of the fit" if trial.held_out else "which the fit has seen"
     return [said, f"Tried on {source}, {seen}.", *([KEEP] if found == "worse" else [])]
 
 

@@ -148,7 +148,8 @@ def _maps(findings: Findings) -> go.Figure:
     figure.update_yaxes(title_text=f"speed, {in_units_of(findings.robot, 'rad/s')}", col=1)
     limit = float(np.quantile(np.abs(np.concatenate(findings.before)), 0.97) * findings.problem.sigma.max())
     figure.update_layout(
-        height=520,
+        height=560,
+        margin={"t": 80},
         coloraxis={
             "colorscale": "RdBu",
             "cmin": -limit,
@@ -174,7 +175,9 @@ def _workspace(findings: Findings) -> go.Figure | None:
     figure.update_xaxes(title_text="platform x, m")
     figure.update_yaxes(title_text="platform y, m", col=1)
     figure.update_layout(
-        height=380, coloraxis={"colorscale": "Blues", "cmin": 0, "cmax": top, "colorbar": {"title": "rms, N m"}}
+        height=420,
+        margin={"t": 80},
+        coloraxis={"colorscale": "Blues", "cmin": 0, "cmax": top, "colorbar": {"title": "rms, N m"}},
     )
     return figure
 

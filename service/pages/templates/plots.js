@@ -23,7 +23,10 @@ const looked = text => {
   if (narrow.matches) {
     look.font.size = 10;
     layout.margin = {...look.margin, ...layout.margin, l: 44, r: 8};
-    for (const name in layout) if (/^xaxis/.test(name)) layout[name].nticks ??= 5;
+    for (const name in layout) if (/^xaxis/.test(name)) {
+      const {domain = [0, 1]} = layout[name];
+      layout[name].nticks = Math.max(2, Math.round(5 * (domain[1] - domain[0])));
+    }
     for (const menu of layout.updatemenus ?? []) Object.assign(menu, {x: 0, xanchor: 'left'});
     if (layout.legend?.orientation === 'h') {
       const room = 20 * new Set(figure.data.filter(one => one.showlegend !== false).map(one => one.name)).size;

@@ -191,7 +191,7 @@ class TestVerdict:
         ("error", "late", "answer", "step"),
         [
             (5e-4, 0, "With the correction the platform follows 2 times as well as with the rigid model.",
-             "Next: `deltatwin estimate --robot out/corrected.toml` feeds this forward."),
+             "`deltatwin estimate --robot out/corrected.toml` feeds this forward."),
             (2e-3, 0, "With the correction the platform follows worse than with the rigid model: 2 times the error.",
              "keep `deltatwin estimate --robot out/identified.toml`: the correction does harm here."),
             (1e-3, 0, "With the correction the platform follows as well as with the rigid model: no difference that "

@@ -24,7 +24,7 @@ const errors=[];addEventListener('error',e=>errors.push(String(e.message)));
 addEventListener('load',()=>drawn.then(()=>{unfold();setTimeout(()=>{
   const parts='h1,.headline,body>p,h2,.plot,table,.one,.muted';
   const boxes=[...document.querySelectorAll('svg text')].filter(t=>t.textContent.trim())
-    .concat(...document.querySelectorAll('.modebar-group,.updatemenu-button'))
+    .concat(...document.querySelectorAll('.modebar-group'))
     .concat(...document.querySelectorAll('.headline p'))
     .map(t=>[t.textContent||'buttons',t.getBoundingClientRect()]).filter(([,b])=>b.width&&b.height);
   const blocks=[...document.querySelectorAll(parts)].map(t=>[t.tagName+' '+t.textContent.slice(0,40),t,
@@ -42,6 +42,9 @@ addEventListener('load',()=>drawn.then(()=>{unfold();setTimeout(()=>{
       &&Math.min(p.bottom,q.bottom)-Math.max(p.top,q.top)>1))over.push(['legend',t.getAttribute('class')||'bar']);});
   const ticks=[...document.querySelectorAll('.ytick text')].map(t=>t.textContent);
   const root=document.documentElement, beyond=root.scrollWidth-root.clientWidth;
+  if(beyond)document.querySelectorAll('body *').forEach(t=>{
+    if(t.getBoundingClientRect().right>root.clientWidth+1&&!t.closest('table'))
+      over.push(['window',t.tagName+' '+t.getAttribute('class')+' '+t.textContent.slice(0,30)]);});
   parent.postMessage(JSON.stringify({errors,over,ticks,beyond,texts:boxes.length}),'*');
 },1000)}));
 </script>
