@@ -120,6 +120,7 @@ def of_rollout(document: Any, page: str) -> None:
 
 
 def of_blind_test(figures: Any, page: str) -> None:
+    page = page.replace("\u00a0", " ")
     said, rows = headline_of(page), re.findall(r"<tr><td>([^<]*)</td><td>([^<]*)</td><td>([≥≤]) ([\d.]+)</td>", page)
     labels = {label: key for key, (label, _) in BOUNDS.items()}
     held = [
@@ -142,6 +143,7 @@ def of_closed_loop(runs: Any, page: str) -> None:
     found = ratio(before, after)
     assert said["number"].strip().startswith(f"{significant(found.value, 2)} times")
     assert said["tone"] == ("good" if found.high < 1 else "bad" if found.low > 1 else "open")
+    page = page.replace("\u00a0", " ")
     for run in runs:
         assert f"<td>{run.name}</td>" in page
         assert f"<td>{run.true_rms * 1e3:.3f}</td>" in page

@@ -145,7 +145,7 @@ def test_pages_are_clear(tmp_path: Path, kind: str, width: int, dark: bool) -> N
     assert told["texts"] > 8
     assert told["errors"] == []
     assert told["over"] == []
-    assert told["beyond"] == 0
+    assert told["beyond"] <= 0
     assert picture_of(path, width, dark).stat().st_size > 10_000  # to be looked at
 
 
