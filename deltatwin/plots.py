@@ -10,15 +10,14 @@ from plotly.subplots import make_subplots
 
 from schemas.messages import PayloadEvent
 from service.model.description import in_units_of
-from service.pages import LOG_AXIS
+from service.pages import LOG_AXIS, under_buttons
+from service.pages.palette import JOINTS, Colour, faint
 
 if TYPE_CHECKING:
     from deltatwin.results import EvaluationResult, IdentificationResult, PayloadResult
     from deltatwin.trace import Trace
 
-MEASURED, MODEL, NOISE = "#6e7781", "#1f6feb", "#d0d7de"
-BAND = "rgba(31, 111, 235, 0.2)"
-EVENTS = {PayloadEvent.PICK: "#2da44e", PayloadEvent.RELEASE: "#bf8700"}
+EVENTS = {PayloadEvent.PICK: Colour.PICK, PayloadEvent.RELEASE: Colour.RELEASE}
 HEIGHT = 190  # of a joint's row
 
 
@@ -30,7 +29,14 @@ def of_trace(trace: Trace) -> go.Figure:
         (("position", trace.position, position), ("torque", trace.torque, torque)), start=1
     ):
         for joint, channel in enumerate(values.T):
-            figure.add_scatter(x=trace.time, y=channel, name=f"{name} {joint + 1}", line={"width": 1}, row=row, col=1)
+            figure.add_scatter(
+                x=trace.time,
+                y=channel,
+                name=f"{name} {joint + 1}",
+                line={"width": 1, "color": JOINTS[joint % 3]},
+                row=row,
+                col=1,
+            )
         figure.update_yaxes(title_text=f"{name}, {unit}", row=row, col=1)
     figure.update_xaxes(title_text="time, s", row=2, col=1)
     return figure.update_layout(height=2 * HEIGHT + 80)
@@ -39,7 +45,11 @@ def of_trace(trace: Trace) -> go.Figure:
 def of_identification(result: IdentificationResult) -> go.Figure:
     """Rms of each joint: torque, residual, the same of logs held out, noise."""
     fit, unit = result.fit, in_units_of(result.robot, "N m")
-    shown = {"torque": (fit.torque, MEASURED), "residual": (fit.residual, MODEL), "held out": (fit.held_out, "#8250df")}
+    shown = {
+        "torque": (fit.torque, Colour.MEASURED),
+        "residual": (fit.residual, Colour.AFTER),
+        "held out": (fit.held_out, Colour.BEFORE),
+    }
     joints = [f"joint {joint + 1}" for joint in range(len(fit.noise_floor))]
     figure = go.Figure()
     for name, (values, colour) in shown.items():
@@ -47,7 +57,7 @@ def of_identification(result: IdentificationResult) -> go.Figure:
         if known.any():
             rms = np.sqrt(np.nansum(values**2, axis=0) / np.maximum(known.sum(axis=0), 1))
             figure.add_bar(x=joints, y=rms, name=name, marker_color=colour)
-    figure.add_bar(x=joints, y=fit.noise_floor, name="noise", marker_color=NOISE)
+    figure.add_bar(x=joints, y=fit.noise_floor, name="noise", marker_color=Colour.NOISE)
     figure.update_yaxes(title_text=f"rms, {unit}", **LOG_AXIS)
     return figure.update_layout(barmode="group", height=320)
 
@@ -59,14 +69,14 @@ def of_evaluation(result: EvaluationResult, number: int) -> go.Figure:
     joints = torque.shape[1]
     figure = make_subplots(rows=joints, cols=1, shared_xaxes=True, vertical_spacing=0.04)
     for joint in range(joints):
-        for label, values, colour in (("measured", one.trace.torque, MEASURED), (name, torque, MODEL)):
+        for label, values, colour in (("measured", one.trace.torque, Colour.MEASURED), (name, torque, Colour.AFTER)):
             figure.add_scatter(
                 x=one.trace.time, y=values[:, joint], name=label, legendgroup=label, showlegend=joint == 0,
                 line={"width": 1, "color": colour}, row=joint + 1, col=1,
             )  # fmt: skip
         figure.update_yaxes(title_text=f"joint {joint + 1}, {unit}", row=joint + 1, col=1)
     figure.update_xaxes(title_text=f"time in {one.trace.name}, s", row=joints, col=1)
-    return figure.update_layout(height=HEIGHT * joints + 60, legend={"orientation": "h", "y": 1.08})
+    return figure.update_layout(under_buttons(HEIGHT * joints + 90))
 
 
 def of_payload(result: PayloadResult) -> go.Figure:
@@ -76,10 +86,10 @@ def of_payload(result: PayloadResult) -> go.Figure:
     figure = go.Figure()
     figure.add_scatter(x=found.time, y=high, line={"width": 0}, showlegend=False, hoverinfo="skip")
     figure.add_scatter(
-        x=found.time, y=low, line={"width": 0}, fill="tonexty", fillcolor=BAND, name="± 2 standard deviations",
-        hoverinfo="skip",
+        x=found.time, y=low, line={"width": 0}, fill="tonexty", fillcolor=faint(Colour.AFTER),
+        name="± 2 standard deviations", hoverinfo="skip",
     )  # fmt: skip
-    figure.add_scatter(x=found.time, y=found.mass, name="mass", line={"width": 1.5, "color": MODEL})
+    figure.add_scatter(x=found.time, y=found.mass, name="mass", line={"width": 1.5, "color": Colour.AFTER})
     for event, colour in EVENTS.items():
         rows = np.flatnonzero(found.event == event)
         figure.add_scatter(

@@ -13,6 +13,7 @@ import numpy as np
 
 from schemas.axes import Description
 from schemas.robot import Robot
+from schemas.words import percent
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -239,7 +240,7 @@ class PayloadResult(Result):
         head = ("from, s", "until, s", "event", "mass, kg", "std. dev., kg", "trusted")
         return head, [
             (f"{one.begin:.3f}", f"{one.end:.3f}", one.event.name.lower(), f"{one.mass:.3f}", f"{one.std_dev:.3f}",
-             f"{one.trusted:.0%}")
+             percent(one.trusted))
             for one in self.levels
         ]  # fmt: skip
 
@@ -302,7 +303,7 @@ class DiagnosisResult(Result):
     def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
         head = ("effect", "joints", "probability", "of the gap")
         return head, [
-            (one.title or one.name, ", ".join(map(str, one.joints)), f"{one.probability:.0%}", f"{one.gap_share:.0%}")
+            (one.title or one.name, ", ".join(map(str, one.joints)), percent(one.probability), percent(one.gap_share))
             for one in self.document.effects
         ]
 

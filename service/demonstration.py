@@ -22,6 +22,7 @@ from schemas.errors import BusError, StorageError, TraceError
 from schemas.files import make_folder, write_text
 from schemas.messages import PayloadEvent, SampleFlag, stamp_ns
 from schemas.robot import SHIPPED, Robot, load_robot
+from schemas.words import percent
 from service.monitor.readback import read_recording
 from service.supervisor import Process, Supervisor
 
@@ -203,7 +204,7 @@ def _payload(payload: np.ndarray, product: float) -> Check:
     return Check(
         f"payload of {product:g} kg is found",
         f"{mass:.3f} kg, median of {len(carried)} trusted estimates; {picks} picks",
-        f"within {PAYLOAD_SHARE:.0%}",
+        f"within {percent(PAYLOAD_SHARE)}",
         picks > 0 and abs(mass - product) <= PAYLOAD_SHARE * product,
     )
 

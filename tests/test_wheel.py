@@ -91,6 +91,31 @@ def test_the_wheel_works_outside_the_repository(tmp_path: Path) -> None:
     assert (tmp_path / "shown" / "demo.html").exists()
 
 
+def test_the_version_is_that_of_the_tag(tmp_path: Path) -> None:
+    """And one that is stated where there is no history, as in an archive of the sources."""
+    uv, git = shutil.which("uv"), shutil.which("git")
+    if uv is None or git is None:
+        pytest.skip("needs uv and git")
+    folder = tmp_path / "sources"
+    folder.mkdir()
+    for name in (".ci", "deltatwin", "pyproject.toml", "README.md", "LICENSE"):
+        copy = shutil.copytree if (REPOSITORY / name).is_dir() else shutil.copy
+        copy(REPOSITORY / name, folder / name)
+    for room in ROOMS:
+        (folder / room).mkdir()
+    version = re.search(r'^fallback-version = "(.*?)"', (folder / "pyproject.toml").read_text(encoding="utf-8"), re.M)
+    assert version
+    for tag in (None, "v1.2.3"):
+        if tag:
+            for words in (["init", "-q"], ["add", "."], ["commit", "-qm", "all"], ["tag", tag]):
+                run(git, "-c", "user.name=t", "-c", "user.email=t@example.org", *words, folder=folder)
+        built = run(uv, "build", "--wheel", "--offline", "--out-dir", tmp_path / str(tag), folder=folder)
+        if built.returncode and "network" in built.stderr.lower():
+            pytest.skip("needs the build backend (hatchling) in uv's cache, or the network")
+        (wheel,) = (tmp_path / str(tag)).glob("*.whl")
+        assert wheel.name.split("-")[1] == (tag or "v" + version[1]).removeprefix("v")
+
+
 def only_imports_differ(packed: zipfile.ZipFile) -> None:
     """Line by line the wheel's modules are the repository's, but for what rooms import of each other."""
     for name in filter(lambda name: name.endswith(".py"), packed.namelist()):

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import AsJson, Backend, Jobs, OnBackend, Scheduler
-from service.cli.output import as_json, console, table
+from service.cli.output import as_json, console, say_headline, table
 
 
 class Family(StrEnum):
@@ -59,7 +59,7 @@ def command(
     from schemas.files import make_folder, write_text
     from service.cli.main import MISSED
     from service.diagnosis import blindtest
-    from service.diagnosis.blindpage import BOUNDS, missed, write_page
+    from service.diagnosis.blindpage import BOUNDS, headline, missed, write_page
     from service.diagnosis.workers import backend as workers
 
     if (out / "results.json").exists():
@@ -95,6 +95,6 @@ def command(
         for line in refused:
             typer.echo(line)
         typer.echo(f"wrote {out / 'blindtest.html'}")
+        say_headline(headline(figures))
     if late:
-        typer.echo(f"bounds missed: {', '.join(late)}", err=True)
         raise typer.Exit(MISSED)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from service.cli.options import AsJson, OwnEffects, robot_file
-from service.cli.output import as_json, console, table
+from service.cli.output import as_json, console, say_headline, table
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from schemas.robot import Robot
     from schemas.trace import Trace
     from service.experiment.closed_loop import Subject, Tracking
-    from service.experiment.pictures import Verdict
 
 LOGS, LOG_S = 4, 6.0  # to identify on: how many, and the length of each, s
 
@@ -112,12 +111,12 @@ def command(
         runs = [_run(subject, seed, motion, name, feed, lost, standing, progress) for name, feed in feeds.items()]
     judged = [run for run in runs if run.name != lost]
     if known.corrected is not None:
-        verdict = verdict_of_correction(runs, known.named, _left_out(known.corrected), str(out))
+        headline = verdict_of_correction(runs, known.named, _left_out(known.corrected), str(out))
         shown, compared = runs, ratio(runs[1], runs[2])
     else:
-        verdict, compared = verdict_of_models(judged), ratio(runs[0], judged[-1])
+        headline, compared = verdict_of_models(judged), ratio(runs[0], judged[-1])
         shown = [runs[0], *runs[3:]]  # feedback alone, M_Id+F, full, payload-aware, estimator lost
-    report = page(description.name, which, masses, runs, shown, verdict)
+    report = page(description.name, which, masses, runs, shown, headline)
     write_page(report, out / "closed_loop.html")
     write_pictures(report.drawings, out, "closed_loop")
     counts = not any(run.spoilt for run in judged)
@@ -136,8 +135,8 @@ def command(
     else:
         short = [[row(run, runs[0])[column] for column in SHORT] for run in runs]
         console().print(table([HEAD[column] for column in SHORT], short, caption=NOTE))
-        _say(verdict)
         typer.echo(f"wrote {out / 'closed_loop.html'}, .pdf, .json and PNG pictures")
+        say_headline(headline)
     if not counts:
         raise typer.Exit(MISSED)
 
@@ -257,8 +256,3 @@ def _figures(run: Tracking) -> dict[str, object]:
         "cycles": len(run.time),
         "counts": not run.spoilt,
     }
-
-
-def _say(verdict: Verdict) -> None:
-    for line in (verdict.answer, *verdict.lines):
-        typer.echo(line)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import ColumnsFrom, robot_file
+from service.cli.output import conclude
 from service.cli.progress import bars
 
 
@@ -54,7 +55,7 @@ def command(
             )
         for finding in findings:
             typer.echo(f"{source}: {finding.message}", err=True)
-        typer.echo(f"{target}: {made} samples, 3 joints")
+        _conclude(target, made, 3, robot)
         return
     with bars() as progress:
         reading = progress.add_task(f"reading {source.name}", total=None)
@@ -69,4 +70,14 @@ def command(
         )
     for finding in trace.findings:
         typer.echo(f"{source}: {finding.message}", err=True)
-    typer.echo(f"{target}: {len(trace)} samples, {trace.position.shape[1]} joints")
+    _conclude(target, len(trace), trace.position.shape[1], robot)
+
+
+def _conclude(target: Path, samples: int, joints: int, robot: Path | None) -> None:
+    from schemas.words import counted
+
+    said = f"{target}: {counted(samples, 'sample')}, {counted(joints, 'joint')}"
+    if robot:
+        conclude(said, "evaluate", target, "--robot", robot)
+    else:
+        conclude(said, "inspect", target)

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.options import AsJson
-from service.cli.output import Table, as_json, console, quantiles, table
+from service.cli.output import Table, as_json, console, quantiles, say_headline, table
 
 if TYPE_CHECKING:
     import numpy as np
 
     from service.monitor.readback import Recorded
+    from service.pages import Headline
 
 
 def command(
@@ -69,15 +70,16 @@ def command(
         time.sleep(0.5)  # the last answers
     crew.check()
     recorded = read_recording(recording)
-    title = f"{LOG.name} replayed: measured against predicted torque"
-    write_page("recording", page, title=title, figure=picture(recorded))
     results = {"errors": _errors(recorded), "payload": _payloads(recorded), "bus": _delivery(recorded)}
+    said = _headline(results)
+    write_page("recording", page, said, title=f"{LOG.name} replayed", figure=picture(recorded))
     if json:
         typer.echo(as_json("demo", results | {"recording": str(recording), "picture": str(page)}))
         return
     for shown in _tables(results):
         console().print(shown)
     typer.echo(f"{player.last_words()}\nrecording: {recording}\npicture:   {page}")
+    say_headline(said)
 
 
 def _errors(recorded: dict[str, Recorded]) -> dict[str, dict[str, np.ndarray]]:
@@ -113,6 +115,29 @@ def _payloads(recorded: dict[str, Recorded]) -> list[dict[str, Any]]:
     return rows
 
 
+def _headline(results: dict[str, Any]) -> Headline:
+    """Whether all came through and every payload was found; how near the full model is."""
+    import numpy as np
+
+    from schemas.words import counted, percent, significant
+    from service.pages import Headline
+
+    picks, lost = results["payload"], results["bus"]["lost"]
+    right = sum(abs(row["mass_kg"] - row["truth_kg"]) <= max(0.05 * row["truth_kg"], 0.05) for row in picks)
+    book, full = (
+        float(np.sqrt(np.mean(results["errors"][model]["mean_nm"] ** 2 + results["errors"][model]["std_nm"] ** 2)))
+        for model in ("M_KH", "full")
+    )
+    return Headline(
+        "good" if right == len(picks) and not lost else "bad",
+        f"{right} of {counted(len(picks), 'payload')} found within the larger of 5 % and 50 g; "
+        f"{counted(lost, 'sample') if lost else 'no sample'} lost.",
+        percent(1 - full / book),
+        f"smaller torque error, {significant(book)} → {significant(full)} N m rms (M_KH → full model with payload)",
+        "`deltatwin init` describes your robot, `deltatwin import LOG --robot FILE` reads its logs.",
+    )
+
+
 def _ms(seconds: float) -> int | None:
     return None if seconds != seconds else round(1000 * seconds)
 
@@ -129,6 +154,8 @@ def _delivery(recorded: dict[str, Recorded]) -> dict[str, Any]:
 
 
 def _tables(results: dict[str, Any]) -> list[Table]:
+    from schemas.words import change
+
     errors = [
         (model, *(f"{m:+.2f}, {s:.2f}" for m, s in zip(error["mean_nm"], error["std_nm"], strict=True)))
         for model, error in results["errors"].items()
@@ -137,7 +164,7 @@ def _tables(results: dict[str, Any]) -> list[Table]:
     for row in results["payload"]:
         truth, mass = row["truth_kg"], row["mass_kg"]
         seen = ("-" if row[key] is None else str(row[key]) for key in ("pick_seen_ms", "release_seen_ms"))
-        off = f"{100 * (mass / truth - 1):+.1f} %"
+        off = change(mass / truth, 1)
         payloads.append((f"{row['picked_s']:.2f}", f"{truth:.2f}", f"{mass:.3f}", off, *seen))
     *counts, latency = results["bus"].values()
     bus = (*map(str, counts), *(f"{value:.0f}" for value in latency.values()))

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import console
+from service.cli.output import console, say_headline
 from service.cli.reading import reading
 
 
@@ -57,6 +57,7 @@ def command(
     from schemas.files import make_folder, write_text
     from service.diagnosis.diagnose import diagnose
     from service.diagnosis.documents.document import corrected, document, made_from
+    from service.diagnosis.documents.headline import headline
     from service.diagnosis.documents.online import online_trial
     from service.diagnosis.documents.online_text import noted
     from service.diagnosis.documents.report import write_report
@@ -103,3 +104,4 @@ def command(
         screen.print()
     written = "diagnosis.json, corrected.toml, report.html" + (", report.pdf" if pdf else "")
     typer.echo(f"wrote {written} in {out}")
+    say_headline(headline(result, out))

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from schemas.words import counted
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import Table, as_json, conclude, console, table
+from service.cli.output import Table, as_json, conclude, console, read_by, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
@@ -70,11 +71,11 @@ def command(
             print(_events(result, unit))
     said, explained = of_evaluation(description, results)
     if description.identified is None:
-        conclude(said, "identify", *traces, "--robot", robot, "--out", "identified.toml")
+        conclude(said, "identify", *traces, "--robot", robot, *read_by(columns), "--out", "identified.toml")
     elif explained:
         conclude(said, "estimate", "--robot", robot)
     else:
-        conclude(said, "diagnose", *traces, "--robot", robot, "--out", "diagnosis")
+        conclude(said, "diagnose", *traces, "--robot", robot, *read_by(columns), "--out", "diagnosis")
 
 
 def _csv_name(path: Path) -> str:
@@ -145,7 +146,7 @@ def _table(results: list[Evaluation], unit: str) -> Table:
         for name, moments in shown.items()
     ]
     head = ("model", *(f"joint {joint + 1}: mean, std" for joint in range(len(rows[0]) - 1)))
-    title = f"torque - model, {unit}, below {ANALYSIS_HZ:g} Hz while moving, {len(results)} trace(s)"
+    title = f"torque - model, {unit}, below {ANALYSIS_HZ:g} Hz while moving, {counted(len(results), 'trace')}"
     return table(head, rows, title)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import AsJson
-from service.cli.output import as_json, console, table
+from service.cli.output import as_json, console, say_headline, table
 from service.cli.progress import bars
 
 
@@ -87,3 +87,4 @@ def command(
         return
     console().print(table(shown.head, shown.rows, shown.title, shown.note))
     typer.echo(f"all of it simulated; wrote {out / 'experiment.html'}, .pdf, PNG pictures and identified.toml")
+    say_headline(report.headline)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import AsJson, Backend, ColumnsFrom, Jobs, OnBackend, OwnEffects, Scheduler, robot_file
-from service.cli.output import Table, console, table
+from service.cli.output import Table, console, say_headline, table
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def command(
         from service.diagnosis.workers import backend as workers
         from service.fleet.judge import Settings, survey
         from service.fleet.logs import members
-        from service.fleet.page import write_page
+        from service.fleet.page import headline, write_page
         from service.model.effects import catalogue
 
         catalogue(effects)  # what is wrong for all robots is said before the first
@@ -73,6 +73,7 @@ def command(
     else:
         console().print(_table(fleet))
         typer.echo(f"wrote fleet.html and fleet.json in {out}")
+        say_headline(headline(fleet, out))
     for what, why in (line for one in fleet.robots for line in one.unusable):
         typer.echo(why if what in why else f"{what}: {why}", err=True)
     if not any(day.verdict for one in fleet.robots for day in one.days):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, robot_file
-from service.cli.output import Table, as_json, conclude, console, table
+from service.cli.output import Table, as_json, conclude, console, read_by, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
@@ -78,8 +78,10 @@ def command(
         typer.secho(f"warning: {warning}", fg="yellow")
     typer.echo(f"wrote {out}")
     said, explained = of_fit(result.fit)
-    following = ("evaluate", "OTHER_LOG", "--robot", out) if explained else ("diagnose", *traces, "--robot", robot)
-    conclude(said, *following, *(() if explained else ("--out", "diagnosis")))
+    if explained:
+        conclude(said, "evaluate", "OTHER_LOG", "--robot", out, *read_by(columns))
+    else:
+        conclude(said, "diagnose", *traces, "--robot", robot, *read_by(columns), "--out", "diagnosis")
 
 
 def _load(text: str) -> tuple[float, Path]:

@@ -9,7 +9,7 @@ import typer
 from rich.markup import escape
 
 from service.cli.options import AsJson, ColumnsFrom, robot_file
-from service.cli.output import as_json, console, say, table
+from service.cli.output import as_json, conclude, console, read_by, say, table
 
 ROWS_SHOWN = 12  # changes of a capture
 STAMPS = ("rate_hz", "jitter_std_s", "jitter_p99_s", "jitter_max_s", "gaps", "repeats", "backwards")
@@ -62,8 +62,24 @@ def command(
             (_show_capture if capture else _show)(surveys[-1])
     if json:
         typer.echo(as_json("inspection", {"traces": surveys}))
+    else:
+        _conclude(surveys, traces, robot, columns)
     if failed:
         raise typer.Exit(1)
+
+
+def _conclude(surveys: list[dict[str, Any]], traces: list[Path], robot: Path | None, columns: Path | None) -> None:
+    from schemas.words import counted
+
+    usable = sum("error" not in one for one in surveys)
+    clean = sum("error" not in one and not one["findings"] for one in surveys)
+    said = f"{usable} of {counted(len(surveys), 'file')} usable, {clean} without a finding."
+    if not usable:
+        conclude(said, "import", traces[0], *(("--robot", robot) if robot else ()))
+    elif robot:
+        conclude(said, "identify", *traces, "--robot", robot, *read_by(columns), "--out", "identified.toml")
+    else:
+        conclude(said, "init", "--help")
 
 
 def _show(figures: dict[str, Any]) -> None:

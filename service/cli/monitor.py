@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
+from service.cli.output import conclude
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -69,7 +70,7 @@ def command(
     typer.echo(summary(monitor))
     if writer.failed:
         raise typer.Exit(1)
-    typer.echo(f"wrote {writer.written} messages to {path}")
+    conclude(f"wrote {writer.written} messages to {path}", "inspect", path)
 
 
 class _Silence:

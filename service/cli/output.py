@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     import numpy as np
     from rich.console import Console, ConsoleOptions, RenderableType
 
+    from service.pages import Headline
+
 PIPED_WIDTH = 1000  # characters: wider than any of our tables, so that what is piped is never wrapped or cut
 GUTTER = 3  # characters between two columns
 QUANTILES = {"median": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
@@ -112,9 +114,26 @@ def table(
 
 def conclude(said: str, *following: object) -> None:
     """How a command ends: what it comes to, and the words of the command that comes next."""
+    console().print(said, highlight=False, markup=False)
+    say_next(*following)
+
+
+def read_by(columns: object) -> tuple[object, ...]:
+    """The words by which the command that comes next reads the same logs."""
+    return ("--columns", columns) if columns else ()
+
+
+def say_next(*following: object) -> None:
+    """The words of the command that comes next."""
+    line = f"next: deltatwin {shlex.join(map(str, following))}"
+    console().print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def say_headline(headline: Headline) -> None:
+    """How a command that writes a page ends: what the page says first."""
     screen = console()
-    screen.print(said, highlight=False, markup=False)
-    screen.print(f"next: deltatwin {shlex.join(map(str, following))}", highlight=False, markup=False, soft_wrap=True)
+    for line in (headline.answer, f"{headline.number} {headline.of}", *headline.lines, f"next: {headline.step}"):
+        screen.print(line, highlight=False, markup=False, soft_wrap="next:" in line)
 
 
 def quantiles(nanoseconds: np.ndarray) -> dict[str, float]:

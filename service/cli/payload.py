@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from schemas.words import percent
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
 from service.cli.output import Table, as_json, conclude, console, table
 from service.cli.reading import reading
@@ -52,7 +53,7 @@ def command(
     screen = console()
     scores: list[Score] = []
     seen: dict[str, list[MassLevel]] = {}
-    for number, trace in enumerate(reading(traces, description, columns, "weighing")):
+    for number, trace in enumerate(reading(traces, description, columns, "estimating the payload")):
         found = payload_history(description, trace)
         if predictions is not None:
             _write(found, predictions / f"{trace.path.name.split('.')[0]}.csv")
@@ -74,7 +75,7 @@ def command(
     if scores:
         screen.print(*_scored(scores))
     elif not truth:
-        screen.print(*(_found(Path(path).name, found) for path, found in seen.items()))
+        screen.print(*(_found(Path(path).name, found) for path, found in seen.items() if found))
     screen.print(_said(common), highlight=False, markup=False)
     conclude(conclusion, "estimate", "--robot", robot)
 
@@ -96,10 +97,10 @@ def _write(found: PayloadHistory, path: Path) -> None:
 
 def _said(common: CommonError) -> str:
     if common.calibrated:
-        return f"common error: {common.share:.1%} of every mass, one standard deviation, by a known load"
+        return f"common error: {percent(common.share, 1)} of every mass, one standard deviation, by a known load"
     return (
-        f"common error: {common.share:.1%} of every mass, one standard deviation: no known load has calibrated the "
-        "torque constants of this robot. To remove it: deltatwin identify ... --carried 3.0:loaded.csv"
+        f"common error: {percent(common.share, 1)} of every mass, one standard deviation: no known load has calibrated "
+        "the torque constants of this robot. To remove it: deltatwin identify ... --carried 3.0:loaded.csv"
     )
 
 
@@ -107,7 +108,7 @@ def _found(name: str, seen: list[MassLevel]) -> Table:
     head = ("seen at, s", "until, s", "what", "mass, kg", "random, kg", "common, kg", "trusted")
     rows = [
         (f"{one.begin:.3f}", f"{one.end:.3f}", one.event.name.lower() if one.event else "changed unseen",
-         f"{one.mass:.3f}", f"± {one.random_std_dev:.3f}", f"± {one.common_std_dev:.3f}", f"{one.trusted:.0%}")
+         f"{one.mass:.3f}", f"± {one.random_std_dev:.3f}", f"± {one.common_std_dev:.3f}", percent(one.trusted))
         for one in seen
     ]  # fmt: skip
     return table(head, rows, f"{name}: payload", figures=slice(None))
@@ -125,13 +126,13 @@ def _scored(scores: list[Score]) -> list[Table]:
         for s in scores
     ]  # fmt: skip
     found = np.array([(s.settled, s.settled_recursion) for s in scores]) <= 0.15
-    summary = [("found within 150 ms (5 % or 50 g, and staying)", *(f"{share:.0%}" for share in found.mean(axis=0)))]
+    summary = [("found within 150 ms (5 % or 50 g, and staying)", *(percent(share) for share in found.mean(axis=0)))]
     heavy = [s for s in scores if s.truth.mass >= 1.0]
     if heavy:
         off = np.array([np.abs(np.array([s.mass, s.mass_recursion]) / s.truth.mass - 1) for s in heavy])
         summary += [
-            ("error at the release, median, >= 1 kg", *(f"{middle:.2%}" for middle in np.median(off, axis=0))),
-            ("within 4 % at the release, >= 1 kg", *(f"{share:.0%}" for share in (off <= 0.04).mean(axis=0))),
+            ("error at the release, median, >= 1 kg", *(percent(middle, 2) for middle in np.median(off, axis=0))),
+            ("within 4 % at the release, >= 1 kg", *(percent(share) for share in (off <= 0.04).mean(axis=0))),
         ]
     head = (
         "picked at, s", "truth, kg", "mass, kg", "found, ms", "pick seen, ms", "release seen, ms", "paper: mass, kg",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.options import AsJson, OwnEffects, robot_file
-from service.cli.output import as_json
+from service.cli.output import as_json, say_next
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
@@ -108,6 +108,7 @@ def command(
     if assumed:
         typer.echo(f"assumed, nobody has given it: the limit of {_listed(assumed)}: check before a robot runs this")
     typer.echo(f"planned in {spent:.0f} s: {out}, {_used(sent, planner)}")
+    say_next("simulate", "--robot", robot, "--motion", out, "--out", "tried.csv")
 
 
 def _refuse(

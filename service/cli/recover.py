@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.options import AsJson
-from service.cli.output import as_json, console
+from service.cli.output import as_json, console, say_next
 
 
 def command(
@@ -44,3 +44,4 @@ def command(
     state = "the file was whole" if saved.whole else "the end was missing or damaged"
     chunks = f"; {saved.bad_chunks} damaged chunks left out" if saved.bad_chunks else ""
     typer.echo(f"saved {sum(saved.counts.values())} messages over {saved.span_s:.3f} s in {target} ({state}{chunks})")
+    say_next("inspect", target)

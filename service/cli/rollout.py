@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.options import AsJson, ColumnsFrom, OwnEffects, robot_file
-from service.cli.output import Table, console, table
+from service.cli.output import Table, console, say_headline, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def command(
     Example: deltatwin rollout test_*.csv --robot identified.toml --robot corrected.toml --out rollout
     """
     from schemas.files import make_folder, write_text
-    from service.rollout.document import document, sentences, write_rollout
+    from service.rollout.document import document, headline, write_rollout
     from service.rollout.gap import PLAIN, compare
 
     robots = _robots(robot, effects)
@@ -58,9 +58,9 @@ def command(
         print(result.model_dump_json(indent=1, by_alias=True))
         return
     console().print(_table(result), _regimes(result))
-    typer.echo("\n".join(sentences(result)))
     if out is not None:
         typer.echo(f"wrote rollout.json and rollout.html in {out}")
+    say_headline(headline(result))
 
 
 def _robots(paths: list[Path], effects: Path | None) -> dict[str, Robot]:

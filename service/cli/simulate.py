@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from schemas.words import percent
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
-from service.cli.output import in_quantiles
+from service.cli.output import Table, console, in_quantiles, say_next, table
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
     import numpy as np
 
     from drivers.motion import Planner, Trajectory
+    from drivers.plant.live import LiveRun
     from drivers.plant.plant import Plant
     from schemas.robot import Robot
 
@@ -124,6 +126,11 @@ def command(
         if picks is not None:
             _write_picks(planned, picks)
     typer.echo(f"simulated {description.name}, {which}; workspace {_workspace(planner)}")
+    if out is not None:
+        if planned.payloads:
+            say_next("payload", out, "--robot", robot)
+        else:
+            say_next("identify", out, "--robot", robot, "--out", "identified.toml")
 
 
 def _plan(
@@ -189,22 +196,45 @@ def _live(
     from schemas.messages import Role
     from service.cli.progress import counting
 
+    typer.echo(f"live {robot.name}: `deltatwin top --robot FILE` shows its mass, torque and health meanwhile", err=True)
     with counting(f"live {robot.name}", len(motion) * loops) as show:
         standing = go_realtime("simulate")
         with open_bus(robot.name, Role.ROBOT, zenoh_config, insecure, ros_domain) as bus:
             run = run_live(plant, motion, bus, Pacer(), loops=loops, changes=changes, standing=standing, progress=show)
     if not len(run.trace):
         return
-    assert run.trace.position_command is not None
-    error = np.sqrt(np.mean((run.trace.position - run.trace.position_command) ** 2))
+    console().print(_joints(run))
     helped = np.isfinite(run.feedforward).all(axis=1).mean()
-    kept = "" if run.cycles == len(run.trace) else f" (of the newest {len(run.trace)}:)"
     typer.echo(
-        f"live {robot.name}: {run.cycles} cycles{kept}, feed-forward in {helped:.1%}, "
-        f"tracking error {error * 1e3:.3f} mrad rms; {run.late} cycles late, lateness {in_quantiles(run.lateness)}"
+        f"{run.cycles} cycles, feed-forward in {percent(helped, 1)}; {run.late} cycles late, "
+        f"lateness {in_quantiles(run.lateness)}"
     )
+    if motion.payloads:
+        typer.echo(f"carried: {', '.join(f'{load.mass:.3f} kg' for load in motion.payloads)}, in turn")
     if out is not None:
         write_trace(run.trace, out, robot.name)
+
+
+def _joints(run: LiveRun) -> Table:
+    """What each joint did over the cycles that are kept."""
+    import numpy as np
+
+    def told(name: str, values: np.ndarray, form: str) -> tuple[str, ...]:
+        return name, *("-" if np.isnan(value) else format(value, form) for value in values)
+
+    def rms(values: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.mean(values**2, axis=0)) if len(values) else np.full(3, np.nan)
+
+    trace, known = run.trace, np.isfinite(run.feedforward).all(axis=1)
+    assert trace.position_command is not None
+    rows = [
+        told("tracking error, mrad rms", 1e3 * rms(trace.position - trace.position_command), ".3f"),
+        told("torque, N m rms", rms(trace.torque), ".2f"),
+        told("torque, N m, largest", np.abs(trace.torque).max(axis=0), ".2f"),
+        told("feed-forward, N m rms", rms(run.feedforward[known]), ".2f"),
+    ]
+    kept = "" if run.cycles == len(trace) else f", the newest {len(trace)} cycles"
+    return table(("", "joint 1", "joint 2", "joint 3"), rows, f"live, as measured{kept}")
 
 
 def _workspace(planner: Planner) -> str:

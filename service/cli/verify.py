@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.options import AsJson
+from service.cli.output import conclude
 
 if TYPE_CHECKING:
     from service.codegen.verify import Compared
@@ -42,7 +43,7 @@ def command(
     else:
         for topic, one in found.items():
             print(f"{topic}: {_said(one)}")
-        print(_conclusion(found))
+        conclude(_conclusion(found), "inspect", log)
     if differs:
         raise typer.Exit(MISSED)
 

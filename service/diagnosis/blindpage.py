@@ -7,8 +7,11 @@ from typing import Any
 
 import plotly.graph_objects as go
 
+from schemas.words import counted, significant, words
 from service import pages
 from service.diagnosis.blindtest import confusion
+from service.pages import Headline
+from service.pages.palette import Colour
 
 BOUNDS = {
     "right_first": ("right effect first (single, findable)", "≥ 0.97"),
@@ -47,16 +50,30 @@ def write_page(
     kinds = {row["kind"] for row in rows if "error" not in row}
     plots = {"Confusion": _confusion(rows)} if kinds & {"catalogue", "unknown", "null"} else {}
     plots |= {"Detection against lift": _detection(rows)} if "catalogue" in kinds else {}
-    plots["Shrink"] = _claims(rows)
+    plots["Shrink, claimed and measured"] = _claims(rows)
     fields: dict[str, Any] = {
-        "late": missed(summary),
         "rows": rows,
-        "summary": summary,
         "refused": refused,
         "figures": figures,
         "plots": plots,
     }
-    pages.write_page("blindtest", path, commitment=commitment, **fields)
+    pages.write_page("blindtest", path, headline(summary), commitment=commitment, **fields)
+
+
+def headline(summary: dict[str, Any]) -> Headline:
+    """Whether the bounds hold."""
+    late, held = missed(summary), [key for key in BOUNDS if key not in OF_SPEED and summary[key] is not None]
+    cases = f"bounds hold over {counted(summary['cases'], 'case')}"
+    if summary["failed"]:
+        cases += f", {summary['failed']} of which failed"
+    number = f"{len(held) - len(late)} of {len(held)}"
+    if not held:
+        return Headline("open", "No case to judge by.", number, cases, "run it with more --cases.")
+    if not late:
+        said = "The diagnosis keeps every bound for which there were cases."
+        return Headline("good", said, number, cases, "more --cases, or another --seed, narrow the figures.")
+    said = f"The diagnosis misses {counted(len(late), 'bound')}: {'; '.join(late)}."
+    return Headline("bad", said, number, cases, "open a case whose row differs from its truth, and diagnose its logs.")
 
 
 def missed(summary: dict[str, Any]) -> list[str]:
@@ -73,18 +90,18 @@ def missed(summary: dict[str, Any]) -> list[str]:
 
 
 def _shown(value: float | None) -> str:
-    return "no such case" if value is None else str(value)
+    return "no such case" if value is None else significant(value)
 
 
 def _confusion(rows: list[dict[str, Any]]) -> go.Figure:
     truth, answer, table = confusion(rows)
-    truth, answer = [pages.words(name) for name in truth], [pages.words(name) for name in answer]
+    truth, answer = [words(name) for name in truth], [words(name) for name in answer]
     text = [[str(v) if v else "" for v in line] for line in table]
     figure = go.Figure(
         go.Heatmap(x=answer, y=truth, z=table, text=text, texttemplate="%{text}", colorscale="Blues", showscale=False)
     )
     figure.update_yaxes(autorange="reversed", title_text="truth", automargin=True)
-    figure.update_xaxes(title_text="named first", tickangle=-60, automargin=True)
+    figure.update_xaxes(title_text="named first", tickangle=-90, automargin=True)
     figure.update_layout(height=260 + 20 * len(truth))
     return figure
 
@@ -98,7 +115,7 @@ def _detection(rows: list[dict[str, Any]]) -> go.Figure:
         labels.append(f"{low:g} to {high:g}" if high < 1e9 else f"above {low:g}")
         hits.append(100 * sum(inside) / len(inside) if inside else 0.0)
         counts.append(f"{sum(inside)} of {len(inside)}")
-    figure.add_bar(x=labels, y=hits, text=counts, textposition="outside")
+    figure.add_bar(x=labels, y=hits, text=counts, textposition="outside", marker_color=Colour.AFTER)
     figure.update_xaxes(title_text="gap over noise floor")
     figure.update_yaxes(title_text="right effect first, %", range=[0, 115])
     figure.update_layout(height=340)
@@ -110,9 +127,12 @@ def _claims(rows: list[dict[str, Any]]) -> go.Figure:
     figure = go.Figure()
     figure.add_scatter(
         x=[row["shrink"] for row in good], y=[row["claimed"] for row in good], mode="markers", showlegend=False,
-        text=[f"{pages.words(row['case'])}: {', '.join(map(pages.words, row['truth'])) or 'none'}" for row in good],
+        marker={"color": Colour.AFTER},
+        text=[f"{words(row['case'])}: {', '.join(map(words, row['truth'])) or 'none'}" for row in good],
     )  # fmt: skip
-    figure.add_scatter(x=[0, 1], y=[0, 1], mode="lines", line={"dash": "dot"}, showlegend=False)
+    figure.add_scatter(
+        x=[0, 1], y=[0, 1], mode="lines", line={"dash": "dot", "color": Colour.MEASURED}, showlegend=False
+    )
     figure.update_xaxes(title_text="shrink measured on test logs")
     figure.update_yaxes(title_text="shrink claimed")
     figure.update_layout(height=420)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
+from schemas.words import percent, significant
 from service.experiment.closed_loop import CORRECTED, FEEDBACK, RIGID, SETTLING, Ratio, Tracking, ratio
-from service.experiment.pictures import COLOURS, Figure, Line, Page, PageTable, Panel, Verdict, by_joint
+from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, by_joint
+from service.pages import Headline
+from service.pages.palette import Colour
 
 NOTE = (
     "rms tracking error, and the worst of any joint; the platform by the encoders, and in truth with what gears bend "
@@ -33,73 +37,82 @@ def row(run: Tracking, reference: Tracking) -> tuple[str, ...]:
         f"{run.true_rms * 1e3:.3f}",
         f"{run.worst * 1e3:.2f}",
         f"{reference.rms / run.rms:.1f}",
-        f"{run.helped:.1%}",
-        f"{run.held:.1%}",
+        percent(run.helped, 1),
+        percent(run.held, 1),
         str(run.late),
     )
 
 
-def verdict_of_models(runs: Sequence[Tracking]) -> Verdict:
+def verdict_of_models(runs: Sequence[Tracking]) -> Headline:
     """What feed-forward is worth. runs: with feedback alone first, with the best feed-forward last."""
     alone, best = runs[0], runs[-1]
     if spoilt := _spoilt(runs):
         return spoilt
     found = ratio(alone, best)
-    return Verdict(
+    return Headline(
+        _tone(found),
         _compared(f"With tau_FF ({best.name}) the platform follows", found, "with feedback alone"),
-        (
-            f"Platform error over that with feedback alone: {_in_words(found)}; {_errors(alone, best)}.",
-            "Next: `deltatwin closed-loop --effect joint_elasticity` for a robot that its description does not know.",
-        ),
+        *_number(found, "feedback alone"),
+        "`deltatwin closed-loop --effect joint_elasticity` for a robot that its description does not know.",
+        (_errors(alone, best),),
     )
 
 
-def verdict_of_correction(runs: Sequence[Tracking], named: str, left_out: Sequence[str], folder: str) -> Verdict:
+def verdict_of_correction(runs: Sequence[Tracking], named: str, left_out: Sequence[str], folder: str) -> Headline:
     """What the correction is worth. runs: by name as `closed_loop` has them. named: what the corrected description
     holds, in words. left_out: effects of it that the online model does not carry. folder: of the descriptions."""
     alone, rigid, corrected = ({run.name: run for run in runs}[name] for name in (FEEDBACK, RIGID, CORRECTED))
     if spoilt := _spoilt(runs):
         return spoilt
     found = ratio(rigid, corrected)
-    lines = [
-        f"Platform error, corrected over rigid: {_in_words(found)}; {_errors(alone, rigid, corrected)}.",
-        f"The correction: {named}.",
-    ]
+    lines = [_errors(alone, rigid, corrected), f"The correction: {named}."]
     if left_out:
         lines.append(f"The online model does not carry {', '.join(left_out)}: the feed-forward goes without it.")
     if found.high < 1.0:
-        lines.append(f"Next: `deltatwin estimate --robot {folder}/corrected.toml` feeds this forward.")
+        step = f"`deltatwin estimate --robot {folder}/corrected.toml` feeds this forward."
     elif found.low > 1.0:
-        lines.append(
-            f"Next: keep `deltatwin estimate --robot {folder}/identified.toml`: the correction does harm here."
-        )
+        step = f"keep `deltatwin estimate --robot {folder}/identified.toml`: the correction does harm here."
     else:
-        lines.append("Next: a longer --duration narrows the interval.")
-    return Verdict(_compared("With the correction the platform follows", found, "with the rigid model"), tuple(lines))
+        step = "a longer --duration narrows the interval."
+    said = _compared("With the correction the platform follows", found, "with the rigid model")
+    return Headline(_tone(found), said, *_number(found, "the rigid model"), step, tuple(lines))
+
+
+def colour_of(run: str) -> Colour:
+    """What a run is fed with has its colour."""
+    if run == FEEDBACK:
+        return Colour.FEEDBACK
+    if "lost" in run:
+        return Colour.FAULT
+    if run == CORRECTED or "payload-aware" in run:
+        return Colour.AFTER
+    stages = {"M_KH": Colour.TEXTBOOK, "M_Id": Colour.WITHOUT_FRICTION, "full": Colour.REFITTED}
+    return stages.get(run.partition(",")[0], Colour.BEFORE)
 
 
 def page(
     robot: str, which: str, masses: Sequence[float], runs: Sequence[Tracking], shown: Sequence[Tracking],
-    verdict: Verdict,
+    headline: Headline,
 ) -> Page:  # fmt: skip
     """The page. which: what the robot really is, in words. shown: of `runs`, those whose error is drawn over time."""
-    lines = [
-        Line(run.name, run.time, run.error * 1e3, colour % len(COLOURS), "thin") for colour, run in enumerate(shown)
-    ]
+    lines = [Line(run.name, run.time, run.error * 1e3, colour_of(run.name), "thin") for run in shown]
     joints = np.array(["joint 1", "joint 2", "joint 3"])
     bars = Panel(
         "",
         "rms error / mrad",
-        tuple(Line(run.name, joints, run.joint_rms * 1e3, colour, "bars") for colour, run in enumerate(runs[:6])),
+        tuple(Line(run.name, joints, run.joint_rms * 1e3, colour_of(run.name), "bars") for run in runs[:6]),
     )
     platform = Panel(
         "time / s",
         "platform error / mm",
-        tuple(Line(run.name, run.time, run.astray * 1e3, colour, "thin") for colour, run in enumerate(shown)),
+        tuple(Line(run.name, run.time, run.astray * 1e3, colour_of(run.name), "thin") for run in shown),
     )
+    first = Figure("closed_loop_platform", "Platform error over time", "In truth: gears bend and play.", (platform,))
     loads = ", ".join(f"{mass:g} kg" for mass in masses)
     return Page(
         f"Closed loop: {robot}",
+        headline,
+        first,
         (
             f"Everything here is simulated: the robot is a rigid-body plant (MuJoCo; {which}) in real time, the "
             f"estimator a process of its own; they talk over Zenoh. The motion, pick-and-place with {loads}, and the "
@@ -107,45 +120,53 @@ def page(
         ),
         (
             PageTable("Tracking error", HEAD, tuple(row(run, runs[0]) for run in runs), NOTE),
-            Figure("closed_loop_platform", "Platform error over time", "In truth: gears bend and play.", (platform,)),
+            first,
             Figure(
                 "closed_loop_error", "Tracking error over time", "Measured minus commanded joint angle.",
                 by_joint(lines, "error / mrad", "joint {}"),
             ),
             Figure("closed_loop_rms", "Tracking error by model", f"rms after the first {SETTLING:g} s.", (bars,)),
         ),
-        verdict,
     )  # fmt: skip
 
 
-def _spoilt(runs: Sequence[Tracking]) -> Verdict | None:
+def _spoilt(runs: Sequence[Tracking]) -> Headline | None:
     """That figures do not count, where they do not."""
-    said = tuple(
-        f"{run.name}: {run.late} of {len(run.time)} cycles began late, {1 - run.helped:.1%} had no feed-forward."
-        for run in runs
-        if run.spoilt
-    )
-    if not said:
+    spoilt = [run for run in runs if run.spoilt]
+    if not spoilt:
         return None
-    return Verdict("These figures do not count: the computer was too slow.", (*said, f"Next: {AGAIN}"))
+    lines = tuple(
+        f"{run.name}: {run.late} of {len(run.time)} cycles began late, "
+        f"{percent(1 - run.helped, 1)} had no feed-forward."
+        for run in spoilt
+    )
+    worst = max(run.late / len(run.time) for run in spoilt)
+    said = "These figures do not count: the computer was too slow."
+    return Headline("open", said, percent(worst, 1), "of the cycles of the worst run began late", AGAIN, lines)
+
+
+def _tone(found: Ratio) -> Literal["good", "bad", "open"]:
+    return "good" if found.high < 1.0 else "bad" if found.low > 1.0 else "open"
+
+
+def _number(found: Ratio, than: str) -> tuple[str, str]:
+    """The ratio and what it is of."""
+    interval = f"95 % interval {significant(found.low, 2)} to {significant(found.high, 2)}"
+    return f"{significant(found.value, 2)} times", f"the platform's error with {than} ({interval})"
 
 
 def _compared(what: str, found: Ratio, than: str) -> str:
     if found.high < 1.0:
-        return f"{what} {1 / found.value:.2g} times as well as {than}."
+        return f"{what} {significant(1 / found.value, 2)} times as well as {than}."
     if found.low > 1.0:
-        return f"{what} worse than {than}: {found.value:.2g} times the error."
+        return f"{what} worse than {than}: {significant(found.value, 2)} times the error."
     return f"{what} as well as {than}: no difference that this run can show."
-
-
-def _in_words(found: Ratio) -> str:
-    return f"{found.value:.2g} [{found.low:.2g}, {found.high:.2g}]"
 
 
 def _errors(*runs: Tracking) -> str:
     """Platform errors of runs in turn, by the encoders and in truth."""
-    seen, true = (" → ".join(f"{value * 1e3:.3g}" for value in values) for values in (
+    seen, true = (" → ".join(significant(value * 1e3) for value in values) for values in (
         [run.platform_rms for run in runs], [run.true_rms for run in runs],
     ))  # fmt: skip
     names = " → ".join(run.name for run in runs)
-    return f"{seen} mm rms by the encoders ({names}), {true} mm in truth"
+    return f"Platform error, {names}: {seen} mm rms by the encoders, {true} mm in truth."

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from drivers.motion import Payload
 from schemas.robot import Robot
 from schemas.trace import Trace
+from schemas.words import percent, significant
 from service.estimator.recursion import FORGETTING
 from service.experiment.diagrams import IDENTIFICATION, WEIGHING
 from service.experiment.pictures import Figure, Heat, Line, Page, PageTable, Panel, Section, by_joint
@@ -27,6 +29,8 @@ from service.identification.regression import COULOMB, RHO_1, RHO_2, VISCOUS, No
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
+from service.pages import Headline
+from service.pages.palette import JOINTS, Colour
 
 # Mean and standard deviation of tau - tau_hat over upsilon_F on the real robot, N m, joints 1 to 3, as published.
 PUBLISHED = {
@@ -36,6 +40,7 @@ PUBLISHED = {
 }
 FRICTION = "M_Id+F"  # the paper's fullest model
 GRID = 80  # points a side of the pictured error surface
+COLOURS = {"M_KH": Colour.TEXTBOOK, "M_Id": Colour.WITHOUT_FRICTION, "M_Id+F": Colour.BEFORE}
 ESTIMATOR = "our estimator"
 
 
@@ -148,8 +153,11 @@ def _with_values(robot: Robot, values: np.ndarray) -> Robot:
 
 def page(found: PaperResult, which: str) -> Page:
     """Tables and figures. which: the truth of the plant in words."""
+    first = _figure_6(found)
     return Page(
         f"The paper's experiment on a simulated {found.robot.name}",
+        headline(found),
+        first,
         (
             "Every measurement here is simulated; “real” in a title is the simulated robot's measured torque. The "
             f"robot is a rigid-body plant (MuJoCo: arms, two rods a forearm, platform, servo drives; {which}) of the "
@@ -166,7 +174,7 @@ def page(found: PaperResult, which: str) -> Page:
             IDENTIFICATION,
             table_1(found),
             *(_figure_of_model(found, number, model) for number, model in enumerate(PUBLISHED, start=3)),
-            _figure_6(found),
+            first,
             _table_2(found),
             _figure_7(found),
             _figure_8(found),
@@ -186,6 +194,22 @@ def page(found: PaperResult, which: str) -> Page:
             _per_trajectory(found),
             _error(found),
         ),
+    )
+
+
+def headline(found: PaperResult) -> Headline:
+    """Whether identification does on the simulated robot what the paper says of its own: each model is nearer."""
+    deviations = [found.stress.moments(found.stress.torque[model])[1] for model in PUBLISHED]
+    first, *_, last = (float(np.sqrt(np.mean(one**2))) for one in deviations)
+    nearer = all((after < before).all() for before, after in pairwise(deviations))
+    said = "Every step of the paper's identification brings the model nearer to the robot, on each joint."
+    return Headline(
+        "good" if nearer else "bad",
+        said if nearer else said.replace("Every step", "Not every step"),
+        percent(1 - last / first),
+        f"smaller standard deviation of the error over υ_F, {significant(first)} → {significant(last)} N m "
+        f"(M_KH → {FRICTION})",
+        "`deltatwin experiment --logs` writes the logs; `deltatwin diagnose` names what friction leaves unexplained.",
     )
 
 
@@ -234,8 +258,8 @@ def _empty_and_loaded(found: PaperResult) -> tuple[np.ndarray, np.ndarray]:
 def _figure_of_model(found: PaperResult, number: int, model: str) -> Figure:
     trace = found.stress.trace
     lines = (
-        Line("τ", _since(trace), trace.torque, 0, "thin"),
-        Line(f"τ̂, {model}", _since(trace), found.stress.torque[model], number - 2),
+        Line("τ", _since(trace), trace.torque, Colour.MEASURED, "thin"),
+        Line(f"τ̂, {model}", _since(trace), found.stress.torque[model], COLOURS[model]),
     )
     caption = "Stress motion near the bounds of the workspace, not used to identify. Simulated."
     return Figure(
@@ -245,7 +269,7 @@ def _figure_of_model(found: PaperResult, number: int, model: str) -> Figure:
 
 def _figure_6(found: PaperResult) -> Figure:
     bars = []
-    for colour, model in enumerate(PUBLISHED, start=1):
+    for model, colour in COLOURS.items():
         mean, std = found.stress.moments(found.stress.torque[model])
         bars.append(Line(model, np.array(["τ1", "τ2", "τ3"]), mean, colour, "bars", std))
     panel = Panel("joint", "τ − τ̂ / N m", tuple(bars))
@@ -259,9 +283,9 @@ def _figure_7(found: PaperResult) -> Figure:
     empty, loaded = _empty_and_loaded(found)
     since = _since(trace)
     lines = (
-        Line("τ", since, trace.torque, 0, "thin"),
-        Line("τ̂, m_p = 0", since, empty, 1),
-        Line("τ̂, m_p = m̂_p", since, loaded, 2),
+        Line("τ", since, trace.torque, Colour.MEASURED, "thin"),
+        Line("τ̂, m_p = 0", since, empty, Colour.BEFORE),
+        Line("τ̂, m_p = m̂_p", since, loaded, Colour.AFTER),
     )
     panels = by_joint(lines, "τ{} / N m", shade=_held(found))
     caption = (
@@ -275,7 +299,7 @@ def _figure_8(found: PaperResult) -> Figure:
     trace = found.picks.trace
 
     def panel(torque: np.ndarray, title: str) -> Panel:
-        lines = (Line(f"joint {joint + 1}", _since(trace), torque[:, joint], joint + 1) for joint in range(3))
+        lines = (Line(f"joint {n}", _since(trace), torque[:, n - 1], JOINTS[n - 1]) for n in (1, 2, 3))
         return Panel("time / s", "torque / N m", tuple(lines), title, shade=_held(found))
 
     panels = (
@@ -383,10 +407,10 @@ def _mass(found: PaperResult) -> Figure:
             "time / s",
             "m_p / kg",
             (
-                Line("truth", since, truth, 0, "dashed"),
-                Line("as it stands", since, np.clip(all_samples, -reach, reach), 1),
-                Line("samples at rest left out", since, np.clip(in_motion, -reach, reach), 5),
-                Line(ESTIMATOR, since, found.weighed.mass, 2),
+                Line("truth", since, truth, Colour.MEASURED, "dashed"),
+                Line("as it stands", since, np.clip(all_samples, -reach, reach), Colour.TEXTBOOK),
+                Line("samples at rest left out", since, np.clip(in_motion, -reach, reach), Colour.BEFORE),
+                Line(ESTIMATOR, since, found.weighed.mass, Colour.AFTER),
             ),
             title,
             shade=_held(found),
@@ -421,7 +445,7 @@ def _surface(found: PaperResult) -> Figure:
     panel = Panel(
         "ρ1",
         "ρ2",
-        (Line("least error", np.array([best[0]]), np.array([best[1]]), 1, "points"),),
+        (Line("least error", np.array([best[0]]), np.array([best[1]]), Colour.FAULT, "points"),),
         heat=Heat("rms error / N m", rho_1, rho_2, rms),
     )
     caption = (
@@ -444,9 +468,9 @@ def _per_trajectory(found: PaperResult) -> Figure:
                 "trajectory",
                 symbol,
                 (
-                    Line("grid search, one trajectory", number, each[:, column], 2, "points"),
-                    Line("mean (the paper's result)", ends, mean, 0, "dashed"),
-                    Line("pooled least squares with friction and forearm", ends, np.full(2, value), 1),
+                    Line("grid search, one trajectory", number, each[:, column], Colour.WITHOUT_FRICTION, "points"),
+                    Line("mean (the paper's result)", ends, mean, Colour.BEFORE, "dashed"),
+                    Line("pooled least squares with friction and forearm", ends, np.full(2, value), Colour.AFTER),
                 ),
             )
         )
@@ -460,7 +484,7 @@ def _error(found: PaperResult) -> Figure:
     stress = found.stress
     lines = [
         Line(name, _since(stress.trace), error_in_band(stress.trace, stress.along, stress.torque[name]), colour)
-        for colour, name in enumerate(PUBLISHED, start=1)
+        for name, colour in COLOURS.items()
     ]
     panels = by_joint(lines, "τ{0} − τ̂{0} / N m")
     caption = "Through the common zero-phase low-pass; joints at rest are left out. Simulated."

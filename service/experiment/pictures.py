@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,12 +12,12 @@ import numpy as np
 
 from schemas.files import make_folder, whole
 from service import pages
+from service.pages import Headline
+from service.pages.palette import Colour
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-# Okabe and Ito's palette: told apart in print and by colour-blind eyes.
-COLOURS = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 MOST_POINTS = 4000  # of a line in the HTML page
 PANEL_HEIGHT = 180  # px in the page
 CELL_INCHES = 0.75  # height of a row of a diagram
@@ -26,12 +26,12 @@ GAP = 75  # px between two panels, for the upper one's scale and label and the l
 
 @dataclass(frozen=True)
 class Line:
-    """One curve: x, y (N,). colour: index into `COLOURS`. spread: (N,) above and below the end of each bar."""
+    """One curve: x, y (N,). spread: (N,) above and below the end of each bar."""
 
     name: str
     x: np.ndarray
     y: np.ndarray
-    colour: int = 0
+    colour: Colour = Colour.MEASURED
     style: Literal["line", "thin", "dashed", "points", "bars"] = "line"
     spread: np.ndarray | None = None
 
@@ -132,25 +132,19 @@ class PageTable:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What a reader wants to know first: the answer, and below it lines with the figure and the next step."""
-
-    answer: str
-    lines: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Page:
-    """What goes into a report, in order; the verdict, where there is one, comes before all else."""
+    """What goes into a report: the headline, the `first` figure of the parts, then the others in
+    order, folded. lead: paragraphs."""
 
     title: str
-    lead: tuple[str, ...]  # paragraphs
-    parts: tuple[PageTable | Figure | Diagram | Section, ...] = field(default=())
-    verdict: Verdict | None = None
+    headline: Headline
+    first: Figure
+    lead: tuple[str, ...]
+    parts: tuple[PageTable | Figure | Diagram | Section, ...]
 
     @property
     def drawings(self) -> list[Figure | Diagram]:
-        """What of it is drawn."""
+        """What of it is drawn, in order."""
         return [part for part in self.parts if isinstance(part, Figure | Diagram)]
 
 
@@ -160,7 +154,7 @@ def write_page(page: Page, path: Path) -> None:
     Raises:
         StorageError: it cannot be written.
     """
-    pages.write_page("findings", path, page=page, draw=_interactive, sketch=_svg)
+    pages.write_page("findings", path, page.headline, page=page, draw=_interactive, sketch=_svg)
 
 
 def write_pictures(figures: Sequence[Figure | Diagram], folder: Path, document: str) -> None:
@@ -200,7 +194,7 @@ def _interactive(figure: Figure) -> Any:
             common = {"x": line.x[::every], "y": line.y[::every], "name": line.name, "legendgroup": line.name}
             common["showlegend"] = line.name not in told
             told.add(line.name)
-            colour = COLOURS[line.colour]
+            colour = line.colour
             if line.style == "bars":
                 if line.spread is not None:
                     common["error_y"] = {"type": "data", "array": line.spread}
@@ -242,7 +236,7 @@ def _printed(figure: Figure) -> Any:
             canvas.colorbar(axis.pcolormesh(heat.x, heat.y, heat.z, shading="nearest"), ax=axis, label=heat.name)
         bars = [line for line in panel.lines if line.style == "bars"]
         for line in panel.lines:
-            colour = COLOURS[line.colour]
+            colour = line.colour
             if line.style == "bars":
                 width = 0.8 / len(bars)
                 place = np.arange(len(line.x)) + (bars.index(line) - (len(bars) - 1) / 2) * width

@@ -7,6 +7,7 @@ from math import hypot
 
 from schemas.diagnosis import Moved
 from schemas.fleet import Change, ChangeKind, DayResult
+from schemas.words import change, percent, significant, words
 from service.diagnosis.documents.text import how_much
 
 MOVED_SIGMAS = 5.0  # standard errors of the difference: a fleet asks thousands of times
@@ -42,7 +43,9 @@ def _risen(days: Sequence[DayResult]) -> list[Change]:
     if not on:
         return []
     begin, last = measured[on[0]], measured[on[-1]]
-    grown = [f"{one / was:.2g} times that of {first.day}, {gap_in_words(day)}" for day, one in (begin, last)]
+    grown = [
+        f"{significant(one / was, 2)} times that of {first.day}, {gap_in_words(day)}" for day, one in (begin, last)
+    ]
     return [
         Change(
             kind="risen", name="", title="the gap to what it was has risen, the cause is unknown", since=begin[0].day,
@@ -77,13 +80,13 @@ def _change(kind: ChangeKind, name: str, on: tuple[int, ...], joints: list[int],
     title, means = "structure that no effect of the catalogue explains", "`deltatwin diagnose` shows where it lies."
     if kind == "effect":
         effect = next(one for one in last.effects if one.name == name)
-        others = [other.replace("_", " ") for other in effect.confusable_with]
-        title, means = effect.title + (f" (or {', '.join(others)})" if others else ""), effect.means
+        others = f" (or {', '.join(map(words, effect.confusable_with))})" if effect.confusable_with else ""
+        title, means = words(effect.name) + others, f"{effect.title}. {effect.means}" if effect.title else effect.means
     elif kind == "parameter":
         prefix = next((prefix for prefix in FRICTION if name.startswith(prefix)), None)
         title, means = (
-            name.replace("_", " "),
-            "The reference's figure no longer holds; warm and cold gears differ, too.",
+            words(name),
+            "The reference's value no longer holds; warm and cold gears differ, too.",
         )
         if prefix:
             title, joint = FRICTION[prefix], name.removeprefix(prefix)
@@ -98,11 +101,11 @@ def _change(kind: ChangeKind, name: str, on: tuple[int, ...], joints: list[int],
 def _amount(kind: ChangeKind, name: str, day: DayResult) -> list[str]:
     if kind == "effect":
         effect = next(one for one in day.effects if one.name == name)
-        return [f"{100 * effect.gap_share:.0f} % of the gap", *how_much(effect)]
+        return [f"{percent(effect.gap_share)} of the gap", *how_much(effect)]
     if kind == "parameter":
         one = day.moved[name]
-        share = f" ({100 * (one.after / one.before - 1):+.0f} %)" if one.before else ""
-        return [f"{one.before:.3g} → {one.after:.3g} {one.unit}".rstrip() + share]
+        share = f" ({change(one.after / one.before)})" if one.before else ""
+        return [f"{significant(one.before)} → {significant(one.after)} {one.unit}".rstrip() + share]
     return [gap_in_words(day)]
 
 
@@ -110,5 +113,5 @@ def gap_in_words(day: DayResult) -> str:
     """The gap to the reference and what is left of it."""
     if day.gap_nm is None or day.after_nm is None:
         return ""
-    share = f" ({day.gap_percent:.2g} % of the torque)" if day.gap_percent is not None else ""
-    return f"{day.gap_nm:.3g} → {day.after_nm:.3g} {day.unit}{share}"
+    share = f" ({significant(day.gap_percent, 2)} % of the torque)" if day.gap_percent is not None else ""
+    return f"{significant(day.gap_nm)} → {significant(day.after_nm)} {day.unit}{share}"

@@ -6,17 +6,51 @@ from pathlib import Path
 
 import plotly.graph_objects as go
 
+from schemas.diagnosis import named_joints
 from schemas.fleet import Change, DayResult, Fleet
+from schemas.words import counted, words
 from service import pages
 from service.fleet.changes import gap_in_words
 from service.fleet.logs import natural
+from service.pages import Headline
 
 MOST_DAYS = 12  # named on the axis of days
 
 
 def write_page(fleet: Fleet, path: Path) -> None:
     """Write the page."""
-    pages.write_page("fleet", path, fleet=fleet, found=found(fleet), gap=_gap(fleet), words=gap_in_words, when=when)
+    pages.write_page(
+        "fleet",
+        path,
+        headline(fleet, path.parent),
+        fleet=fleet,
+        found=found(fleet),
+        gap=_gap(fleet),
+        words=gap_in_words,
+        when=when,
+    )
+
+
+def headline(fleet: Fleet, folder: Path) -> Headline:
+    """How many robots have changed, and what to look at first. folder: of the page."""
+    days = [day for robot in fleet.robots for day in robot.days]
+    judged = sum(day.judged for day in days)
+    robots, number = counted(len(fleet.robots), "robot"), f"{judged} of {counted(len(days), 'robot day')}"
+    of = "judged"
+    if not judged:
+        step = "see below why; record motion in which all joints move and reverse."
+        return Headline("open", f"Of {robots} none could be judged.", number, of, step)
+    there = [(robot, change) for robot, change in found(fleet) if not change.gone]
+    if not there:
+        return Headline("good", f"Of {robots} none has changed.", number, of, "nothing; judge the next day's logs.")
+    changed = list(dict.fromkeys(robot for robot, _ in there))
+    robot, first = there[0]
+    where = f" in {named_joints(first.joints)}" if first.joints else ""
+    said = f"{len(changed)} of {robots} {'has' if len(changed) == 1 else 'have'} changed: {', '.join(changed)}."
+    return Headline(
+        "bad", said, str(len(changed)), f"of {robots} to look at ({number} {of})",
+        f"look at {robot}: {first.title}{where}, since {first.since}; its days are in {folder / robot}.",
+    )  # fmt: skip
 
 
 def found(fleet: Fleet) -> list[tuple[str, Change]]:
@@ -56,4 +90,4 @@ def _gap(fleet: Fleet) -> go.Figure:
 def _told(day: DayResult | None) -> str:
     if day is None:
         return "no log"
-    return ", ".join(effect.title for effect in day.effects) or day.error or pages.words(day.verdict or "")
+    return ", ".join(words(effect.name) for effect in day.effects) or day.error or words(day.verdict or "")

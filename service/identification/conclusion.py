@@ -13,6 +13,7 @@ from schemas.axes import Description
 from schemas.diagnosis import named_joints
 from schemas.messages import PayloadEvent
 from schemas.robot import Robot
+from schemas.words import percent
 from service.identification.evaluation import Evaluation, pooled_by_model
 from service.identification.fit import WITHIN_COLOURED
 from service.identification.payload import CommonError, MassLevel
@@ -67,17 +68,15 @@ def of_payload(seen: Sequence[MassLevel], common: CommonError) -> str:
     """The conclusion of a payload estimation over all logs."""
     picks = [one for one in seen if one.event == PayloadEvent.PICK]
     if not picks:
-        return (
-            "No pick was seen: nothing came to hang on the platform that can be distinguished from the model's error."
-        )
+        return "No pick was seen: no payload can be distinguished from the model's error."
     masses = [one.mass for one in picks]
     span = f"{min(masses):.3f} kg" if len(picks) == 1 else f"{min(masses):.3f} to {max(masses):.3f} kg"
     random = np.median([one.random_std_dev for one in picks])
     trusted = np.average([one.trusted for one in picks], weights=[one.end - one.begin + 1e-9 for one in picks])
     count = "1 pick" if len(picks) == 1 else f"{len(picks)} picks"
     return (
-        f"{count} of {span}, each known to ± {random:.3f} kg, and all alike to {common.share:.1%} (one standard "
-        f"deviation); trusted during {trusted:.0%} of their time."
+        f"{count} of {span}, each known to ± {random:.3f} kg, with a common error of {percent(common.share, 1)} "
+        f"(one standard deviation); trusted during {percent(trusted)} of their time."
     )
 
 

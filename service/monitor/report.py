@@ -8,9 +8,10 @@ from plotly.subplots import make_subplots
 
 from schemas.messages import stamp_ns
 from service.monitor.readback import Recorded
+from service.pages import under_buttons
+from service.pages.palette import Colour, faint
 
 POINTS = 5000  # a line; more than a screen has, few enough to draw without WebGL, which remote desktops lack
-MEASURED, PREDICTED, KH, MASS = "#7f7f7f", "#d62728", "#1f77b4", "#2ca02c"
 
 
 def errors_by_model(error: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -36,9 +37,9 @@ def picture(recorded: dict[str, Recorded]) -> go.Figure:
     )  # fmt: skip
     for joint in range(3):
         lines = (
-            ("measured", measured[:, joint], MEASURED),
-            ("M_KH", measured[:, joint] - error["kh"][:, joint], KH),
-            ("full model with payload", measured[:, joint] - error["full"][:, joint], PREDICTED),
+            ("measured", measured[:, joint], Colour.MEASURED),
+            ("M_KH", measured[:, joint] - error["kh"][:, joint], Colour.TEXTBOOK),
+            ("full model with payload", measured[:, joint] - error["full"][:, joint], Colour.AFTER),
         )
         for name, torque, colour in lines:
             figure.add_scatter(
@@ -49,13 +50,13 @@ def picture(recorded: dict[str, Recorded]) -> go.Figure:
     for bound, fill in ((-2, None), (2, "tonexty")):
         figure.add_scatter(
             x=payload_time, y=payload["mass"] + bound * payload["std_dev"], line={"width": 0}, fill=fill,
-            fillcolor="rgba(44,160,44,0.25)", name="± 2 standard deviations", showlegend=fill is not None,
+            fillcolor=faint(Colour.AFTER), name="± 2 standard deviations", showlegend=fill is not None,
             hoverinfo="skip", row=4, col=1,
         )  # fmt: skip
-    figure.add_scatter(x=payload_time, y=payload["mass"], name="payload", line={"color": MASS}, row=4, col=1)
+    figure.add_scatter(x=payload_time, y=payload["mass"], name="payload", line={"color": Colour.AFTER}, row=4, col=1)
     figure.update_yaxes(
         title_text="kg", range=[-0.5, max(0.5, 1.2 * float(payload["mass"].max(initial=0.0)))], row=4, col=1
     )
     figure.update_xaxes(title_text="bus time, s", row=4, col=1)
-    figure.update_layout(height=1000, legend={"orientation": "h", "y": 1.06})
+    figure.update_layout(under_buttons(1000, titles=True))
     return figure

@@ -10,10 +10,11 @@ import shutil
 import subprocess
 import tempfile
 from base64 import b64decode, b64encode
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from plotly.io import templates
@@ -21,6 +22,7 @@ from plotly.io import templates
 from schemas.diagnosis import named_joints
 from schemas.errors import StorageError
 from schemas.files import make_folder, whole, write_text
+from schemas.words import counted, percent, significant, words
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -38,6 +40,7 @@ POLICY = (
     f"default-src 'none'; script-src 'nonce-{NONCE}'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
     "base-uri 'none'; form-action 'none'"
 )
+LEGEND_Y = 34  # px below the upper edge of a plot, under Plotly's buttons
 templates.default = None  # a figure gets its look when it is written: every one would copy and check Plotly's own
 PROGRAM = "plotly-cartesian.min.js.gz"  # plotly.js with lines, bars and maps alone, a third of the whole (MIT licence)
 DEFAULT_HEIGHT = 450  # px, Plotly's
@@ -45,15 +48,38 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
 PRINTING_S = 120.0  # a page takes seconds
 
 
-def write_page(template: str, path: Path, **fields: Any) -> None:
+@dataclass(frozen=True)
+class Headline:
+    """What a page says first: the answer in a sentence, one number and what it is of, what to do next, and lines of
+    more.
+
+    tone: "good" needs nothing done, "bad" does, and of "open" the data cannot say; "told" judges nothing.
+    """
+
+    tone: Literal["good", "bad", "open", "told"]
+    answer: str
+    number: str
+    of: str
+    step: str
+    lines: tuple[str, ...] = ()
+
+
+def write_page(template: str, path: Path, headline: Headline, **fields: Any) -> None:
     """Fill `templates/<template>.html` with `fields` and write it to `path`. Whatever is no markup is escaped.
 
     Raises:
         StorageError: it cannot be written.
     """
-    text = _environment().get_template(f"{template}.html").render(fields)
+    text = _environment().get_template(f"{template}.html").render(fields, headline=headline)
     make_folder(path.parent)
     write_text(path, text)
+
+
+def under_buttons(height: float, titles: bool = False) -> dict[str, Any]:
+    """Layout of a plot so high, px, with its legend in a row between Plotly's buttons and the axes, where nothing lies
+    over it. titles: of subplots, which come between."""
+    legend = {"orientation": "h", "yref": "container", "y": 1 - LEGEND_Y / height, "yanchor": "top", "x": 0}
+    return {"height": height, "margin": {"t": 2 * LEGEND_Y + 22 * titles}, "legend": legend}
 
 
 def browser() -> str:
@@ -98,11 +124,6 @@ def print_page(page: Path, out: Path) -> None:
             raise StorageError(f"{out}: {command[0]} does not print: {said.strip()[-200:]}")
 
 
-def words(name: str) -> str:
-    """A name of a document as it is read."""
-    return name.replace("_", " ")
-
-
 @cache
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -111,10 +132,20 @@ def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader(__name__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"plot": _plot, "named_joints": named_joints, "words": words}
+    for filter_ in (named_joints, words, counted, percent, significant):
+        environment.filters[filter_.__name__] = filter_
+    environment.filters |= {"plot": _plot, "code": _code}
     environment.globals |= {"policy": POLICY, "nonce": NONCE}
     environment.globals["plotly"] = Markup(b64encode(files(__name__).joinpath(PROGRAM).read_bytes()).decode("ascii"))
     return environment
+
+
+def _code(text: str) -> Markup:
+    """A text with the commands in it, which stand between backquotes."""
+    from markupsafe import Markup, escape
+
+    parts = [escape(part) for part in text.split("`")]
+    return Markup("").join(Markup("<code>{}</code>").format(part) if n % 2 else part for n, part in enumerate(parts))
 
 
 def _plot(figure: go.Figure) -> Markup:

@@ -10,15 +10,16 @@ import plotly.graph_objects as go
 
 from schemas.robot import Robot
 from schemas.rollout import LogInterruption, Reached, RegimeReached, RolloutDocument
-from service.pages import LOG_AXIS, write_page
+from schemas.words import counted, significant
+from service.pages import LOG_AXIS, Headline, write_page
+from service.pages.palette import EFFECTS, Colour
 from service.rollout.gap import REGIMES, Deviation, Rollout, rms
 from service.rollout.recognise import over_identified
 from service.rollout.robot import left_out
 
 TIMES = 21  # of the growth over the horizon
-COLOURS = ("#b0b7c3", "#bf8700", "#1f6feb", "#8250df", "#2da44e")
-FLOOR = "#d0d7de"
 NAMED = 5  # interruptions of logs that are told one by one
+AT_FLOOR = 1.5  # times the error that noise alone makes, up to which a robot moves as the real one
 STRANGE = 3.0  # times the torque unexplained that a description left when made, from which its log may be another's
 
 
@@ -95,15 +96,53 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 
 def write_rollout(result: RolloutDocument, path: Path) -> None:
     """Write the page of a rollout."""
-    plots = {"How the platform's error grows": growth(result), "By joint and kind of motion": _by_regime(result)}
-    write_page("rollout", path, document=result, sentences=sentences(result), in_figures=in_figures, plots=plots)
+    plots = {"growth": growth(result), "by_regime": _by_regime(result)}
+    write_page("rollout", path, headline(result), document=result, in_figures=in_figures, **plots)
 
 
 def in_figures(value: float | None) -> str:
     """An error, mrad, mm or N m, as it is read."""
     if value is None:
         return "ran away"
-    return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
+    return significant(value) if value < 1000.0 else f"{value:.0f}"
+
+
+def headline(result: RolloutDocument) -> Headline:
+    """How far the best description is from the robot, after the horizon."""
+    lines, horizon = tuple(sentences(result)), f"{1e3 * result.horizon_s:.0f} ms"
+    floor, shown = result.floor.platform_mm, [robot for robot in result.robots if robot.platform_mm is not None]
+    if not shown:
+        step = "a shorter --horizon, or a description that was identified on logs of this robot."
+        return Headline(
+            "bad", f"Every simulated robot leaves the workspace within {horizon}.", "0", "windows", step, lines
+        )
+    *others, best = shown
+    error = best.platform_mm or 0.0
+    number, of = f"{significant(error)} mm", f"rms error of the platform after {horizon}, {best.robot}"
+    if strange(result):
+        step = f"`deltatwin identify` on logs of this robot, or check their units and what it carried; {best.robot} "
+        step += "was made from others."
+        said = f"'{best.robot}' does not describe the robot of these logs."
+        return Headline("bad", said, number, of, step, lines)
+    if floor is not None and error < AT_FLOOR * floor:
+        said = f"'{best.robot}' moves as the robot does: what differs is the noise of torque and start state."
+        step = f"`deltatwin export --robot FILE --to mjcf` takes {best.robot} into a simulator."
+        return Headline("good", said, number, of, step, lines)
+    others = [robot for robot in others if robot.platform_mm]
+    if others and error < others[-1].platform_mm:
+        times = significant(others[-1].platform_mm / error, 2)
+        said = (
+            f"'{best.robot}' is {times} times nearer to the robot than '{others[-1].robot}', but not within the noise."
+        )
+    else:
+        said = f"'{best.robot}' does not move as the robot does."
+    step = "`deltatwin diagnose` on these logs says which effect is missing."
+    return Headline("bad", said, number, of, step, lines)
+
+
+def strange(result: RolloutDocument) -> bool:
+    """Whether the last description leaves far more unexplained than in the logs that it was identified on."""
+    return any(over is not None and over > STRANGE for over in result.over_identified or ())
 
 
 def sentences(result: RolloutDocument) -> list[str]:
@@ -112,9 +151,9 @@ def sentences(result: RolloutDocument) -> list[str]:
     shown = [robot for robot in result.robots if robot.platform_mm is not None]
     lines = []
     if result.over_identified is None:
-        lines.append(f"{result.robots[-1].robot} was not identified on logs: whether these are of it cannot be told.")
-    elif any(over is not None and over > STRANGE for over in result.over_identified):
-        times = ", ".join("-" if over is None else f"{over:.3g}" for over in result.over_identified)
+        lines.append(f"{result.robots[-1].robot} was not identified on logs: whether these are of it is unknown.")
+    elif strange(result):
+        times = ", ".join("-" if over is None else significant(over) for over in result.over_identified)
         lines.append(
             f"{result.robots[-1].robot} leaves {times} times as much torque unexplained, by joint, as in the logs it "
             "was identified on: these are of another robot, in another unit, or it has changed since."
@@ -122,12 +161,13 @@ def sentences(result: RolloutDocument) -> list[str]:
     if len(shown) > 1:
         first, last = shown[-2], shown[-1]
         lines.append(
-            f"In the simulator the platform's error after {horizon} goes from {first.platform_mm:.3g} mm "
-            f"({first.robot}) to {last.platform_mm:.3g} mm ({last.robot})."
+            f"In the simulator the platform's error after {horizon} goes from {significant(first.platform_mm)} mm "
+            f"({first.robot}) to {significant(last.platform_mm)} mm ({last.robot})."
         )
     elif shown:
         lines.append(
-            f"In the simulator the platform is off by {shown[0].platform_mm:.3g} mm ({shown[0].robot}) after {horizon}."
+            f"In the simulator the platform is off by {significant(shown[0].platform_mm)} mm ({shown[0].robot}) "
+            f"after {horizon}."
         )
     if result.servo is not None:
         gains, speeds = (
@@ -139,31 +179,34 @@ def sentences(result: RolloutDocument) -> list[str]:
         )
     if result.floor.platform_mm is not None:
         lines.append(
-            f"Torque noise and start state alone give {result.floor.platform_mm:.3g} mm; "
-            f"the platform goes {result.path_mm:.3g} mm in that time."
+            f"Torque noise and start state alone give {significant(result.floor.platform_mm)} mm; "
+            f"the platform goes {significant(result.path_mm)} mm in that time."
         )
     masses = [mass for mass in result.payload_kg if mass]
     if masses:
         least, most = f"{min(masses):.3g}", f"{max(masses):.3g}"
+        span = least if least == most else f"{least} to {most}"
         lines.append(
-            f"In {len(masses)} of {result.windows} windows {least if least == most else f'{least} to {most}'} kg hang "
-            "on every simulated robot: what is carried, as the last description weighs it."
+            f"In {len(masses)} of {counted(result.windows, 'window')} {span} kg are attached to every simulated robot: "
+            "the payload as estimated with the last description."
         )
     if len(masses) == result.windows:
         lines.append("It is never empty: a tool whose mass the description lacks would look the same.")
     if result.untold_s:
-        lines.append(f"{result.untold_s:.3g} s are left out in which it cannot be told what is carried.")
+        lines.append(f"{significant(result.untold_s)} s are left out in which the data do not show what is carried.")
     if result.interruptions:
         shown = result.interruptions[:NAMED]
         where = ", ".join(f"{one.trace} at {one.from_s:.3f} to {one.until_s:.3f} s" for one in shown)
         more = f" and {len(result.interruptions) - NAMED} more" if len(result.interruptions) > NAMED else ""
         lines.append(
-            f"No window spans what interrupts a log, which costs {result.windows_lost} windows: {where}{more}."
+            "No window spans what interrupts a log, which costs "
+            f"{counted(result.windows_lost, 'window')}: {where}{more}."
         )
     for robot in result.robots:
         if robot.ran_away:
             lines.append(
-                f"{robot.robot}: runs away in {robot.ran_away} of {result.windows} windows, which no figure counts."
+                f"{robot.robot}: leaves the workspace in {robot.ran_away} of "
+                f"{counted(result.windows, 'window')}, which no figure includes."
             )
         elif robot.platform_mm is not None and robot.platform_mm > result.path_mm:
             lines.append(f"{robot.robot}: no better than a robot that stands still.")
@@ -196,5 +239,9 @@ def _by_regime(result: RolloutDocument) -> go.Figure:
     return figure
 
 
-def _colours(result: RolloutDocument) -> list[str]:
-    return [COLOURS[number % len(COLOURS)] for number in range(len(result.robots))] + [FLOOR]
+def _colours(result: RolloutDocument) -> list[Colour]:
+    """Of the robots, as drawn up first and best last, and of the floor."""
+    between = len(result.robots) - 2
+    last = [Colour.BEFORE] * (between > 0) + [Colour.AFTER] * (between >= 0)
+    others = [EFFECTS[number % len(EFFECTS)] for number in range(between - 1)]
+    return [Colour.TEXTBOOK, *others, *last, Colour.NOISE]

@@ -34,6 +34,8 @@ from service.model.nominal import lengthened, pack
 from service.model.signals import time_constant
 
 STEP = 0.25e-3  # s
+THICK, THIN = 0.02, 0.008  # m, half a disc's and a rod's radius, to look at
+STEEL, LINK = [0.45, 0.47, 0.5, 1.0], [0.12, 0.44, 0.92, 1.0]  # red, green, blue, opacity
 SMOOTH = 0.01  # rad/s over which the callback's friction turns, explicit as it is
 
 
@@ -123,6 +125,7 @@ def to_mjcf(robot: Robot) -> Export:
             _linear(spec.joint(axis), stiffness=float(hose))
             spec.joint(axis).springref = float(-amount("hose_spring", f"force_{axis}")[0] / hose)
     _add_home(spec, design, model.joint_offset)
+    _add_shapes(spec, truth)
     result = Export(spec)
     _callback(result, robot, terms, inside, max(SMOOTH, float(np.max(base.transition))))
     return result
@@ -168,6 +171,26 @@ def _add_home(spec: mujoco.MjSpec, design: Design, offset: np.ndarray) -> None:
     for i in range(3):
         pose[list({plain.arm[i], plain.motor[i]})] -= offset[i]
     spec.add_key(name="home", qpos=pose)
+
+
+def _add_shapes(spec: mujoco.MjSpec, truth: PlantTruth) -> None:
+    """What a viewer shows: links as rods, base and platform as discs, without mass or contact."""
+    seen: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 1}
+    rod, disc = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER
+    radius = float(np.mean(truth.base_radius_m))
+    spec.worldbody.add_geom(name="base", type=disc, size=[radius, THICK, 0], rgba=STEEL, **seen)
+    platform = spec.body("platform")
+    platform.add_geom(name="platform", type=disc, size=[truth.platform_radius_m, THICK / 2, 0],
+                      rgba=STEEL, **seen)  # fmt: skip
+    for i in range(3):
+        for body, length, size in (
+            (f"arm{i}", truth.active_link_length_m[i], 2 * THIN),
+            (f"rod{i}0", truth.passive_link_length_m[i], THIN),
+            (f"rod{i}1", truth.passive_link_length_m[i], THIN),
+        ):
+            spec.body(body).add_geom(
+                name=body, type=rod, fromto=[0, 0, 0, float(length), 0, 0], size=[size, 0, 0], rgba=LINK, **seen
+            )
 
 
 _HEAD = '''"""What MuJoCo has no word for in robot {name}. Made by `deltatwin export`.

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from docs.making.figures import store
 from drivers.trace import read_trace
 from schemas.robot import load_robot
 from service.diagnosis.diagnose import diagnose
@@ -47,8 +48,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--case", action="append", help="only these")
+    parser.add_argument("--keep", action="store_true", help="put the figures into results/rollout.json")
     arguments = parser.parse_args()
-    lifted, over_floor = [], []
+    lifted, over_floor, free = [], [], []
     for key in json.loads((arguments.folder / "key.json").read_text()):
         if arguments.case and key["case"] not in arguments.case:
             continue
@@ -56,12 +58,17 @@ def main() -> None:
         if key["kind"] != "unknown":
             over_floor.append(floor)
         if key["kind"] == "null":
+            free.append(shrunk)
             print(f"    gap-free: {shrunk:.3f} of what it was (bound {1 - NULL_BOUND:g} to {1 + NULL_BOUND:g})")
         elif key["kind"] == "catalogue" and key["lift"] >= LIFT:
             lifted.append(shrunk)
     if lifted:
         print(f"corrected over identified, median of {len(lifted)}: {np.median(lifted):.2f} (bound {BOUND:g})")
     print(f"corrected over floor, median of {len(over_floor)}: {np.median(over_floor):.2f} (bound {FLOOR_BOUND:g})")
+    if arguments.keep:
+        medians = {"corrected_identified": lifted, "corrected_floor": over_floor, "gap_free": free}
+        found = {key: (round(float(np.median(one)), 2), len(one), None) for key, one in medians.items() if one}
+        print(f"kept in {store('rollout', found)}")
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from typer.testing import CliRunner
 
+from docs.making.figures import store
 from drivers.motion import Planner
 from drivers.motion_file import read_motion
 from drivers.plant.cases import PAUSE, PERIOD, random_case
@@ -115,6 +116,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=30, help="open cases to come to")
     parser.add_argument("--seed", type=int, default=1, help="of the first case")
     parser.add_argument("--seconds", type=float, default=7200.0, help="no new case after this time")
+    parser.add_argument("--keep", action="store_true", help="put the figures into results/plan_motion.json")
     arguments = parser.parse_args()
     begin, right, spent, tried = time.perf_counter(), [], [], 0
     while len(right) < arguments.cases and time.perf_counter() - begin < arguments.seconds:
@@ -142,6 +144,11 @@ def main() -> None:
             f"{len(right)} open cases of {tried}: right with the planned run {planned:.0%} (bound {BOUND:.0%}), with a "
             f"random one {random:.0%}; planning up to {max(spent):.0f} s"
         )
+        if arguments.keep:
+            count, (mine, other) = len(right), np.sum(right, axis=0).tolist()
+            kept = {"planned_right": (mine, count, None), "random_right": (other, count, None)}
+            kept["time"] = (f"{min(spent):.0f} to {max(spent):.0f}", count, None)
+            print(f"kept in {store('plan_motion', kept)}")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 
+from docs.making.figures import store
 from schemas.robot import EffectParameter, Robot
 from service.rollout.gap import simulate
 from service.rollout.robot import stretch
@@ -52,9 +53,14 @@ def speed(robot: Robot) -> float:
 
 def main() -> None:
     """Print both and what is asked."""
-    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
-    for name, robot in (("base model", identified()), ("whole catalogue", whole())):
-        print(f"{name}: {speed(robot):.0f} times real time at {1 / PERIOD:.0f} Hz (bound {BOUND:g})")
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--keep", action="store_true", help="put the figures into results/rollout.json")
+    given, rates = arguments.parse_args(), {}
+    for name, key, robot in (("base model", "rate_base", identified()), ("whole catalogue", "rate_all", whole())):
+        rates[key] = speed(robot)
+        print(f"{name}: {rates[key]:.0f} times real time at {1 / PERIOD:.0f} Hz (bound {BOUND:g})")
+    if given.keep:
+        print(f"kept in {store('rollout', {key: (round(rate), 1, None) for key, rate in rates.items()})}")
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from pathlib import Path
 
 import psutil
 
+from docs.making.figures import store
 from drivers.trace import read_trace, write_trace
 from replay.demo import LOG, ROBOT
 from schemas.robot import load_robot, save_robot
@@ -167,6 +168,7 @@ def main() -> None:
     arguments.add_argument("--jobs", type=int, default=3, help="at once")
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--roles", nargs="+", choices=ROLES, default=list(ROLES))
+    arguments.add_argument("--keep", action="store_true", help="put the figures into results/stop.json")
     given = arguments.parse_args()
     for number in ENDING:  # in the background of a shell or under `nohup` all that is started here would ignore them
         signal.signal(number, signal.default_int_handler)
@@ -208,7 +210,21 @@ def main() -> None:
         print(f"{role:<16} {sum(ends.counts.values()):>5} starts, longest end {max(ends.took):6.2f} s; {counts}")
     bad = sum(len(ends.said) for ends in found.values())
     print(f"{sum(sum(ends.counts.values()) for ends in found.values())} starts, {bad} did not end well")
+    if given.keep:
+        print(f"kept in {store('stop', _figures(found))}")
     sys.exit(3 if bad else 0)
+
+
+def _figures(found: dict[str, Ends]) -> dict[str, tuple[float | int, int, str | None]]:
+    """By the keys of results/stop.json."""
+    starts = sum(sum(ends.counts.values()) for ends in found.values())
+    took = [one for ends in found.values() for one in ends.took]
+    each = ", ".join(f"{role} {sum(ends.counts.values())}" for role, ends in found.items())
+    slowest = max(found, key=lambda role: max(found[role].took))
+    return {
+        "not_well": (sum(len(ends.said) for ends in found.values()), starts, each),
+        "longest": (round(max(took), 1), starts, slowest),
+    }
 
 
 if __name__ == "__main__":

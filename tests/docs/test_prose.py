@@ -21,7 +21,9 @@ PAGES = sorted([REPOSITORY / "README.md", *DOCS.rglob("*.md")])
 README_LINES = 150
 
 # What reads like a measurement: percent, counts out of counts, deviations, times and sizes of machines, ratios.
+WORDS = r"(?:none|all|one|two|three|four|five|six|seven|eight|nine|ten|twelve|twenty|thirty|forty|fifty|hundred|\d+)"
 CLAIM = re.compile(
+    rf"\bper ?cent\b|\b\w+fold\b|\b{WORDS} (?:out )?of (?:the )?{WORDS}\b|\b\d[\d.]*x\b|\d\s?(?:mrad|mm|kg|N m) rms\b|"
     r"\d\s?%|\b\d[\d ]* of \d|±\s?\d|\d\s?(?:µs|ns|[MG]i?B|samples/s|frames/s)\b|\b\d[\d.]* times\b|\b\d+ lost\b"
 )
 # Numbers like that which measure nothing, and what they are.
@@ -50,7 +52,20 @@ def test_no_figure_without_a_source(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["a shrink of 43 %", "29 of 30 named", "takes 3.0 µs", "207 times faster", "0.05 ± 0.01", "0 lost"]
+    "line",
+    [
+        "a shrink of 43 %",
+        "29 of 30 named",
+        "takes 3.0 µs",
+        "207 times faster",
+        "0.05 ± 0.01",
+        "0 lost",
+        "ten per cent",
+        "nine out of ten",
+        "2.3x",
+        "a tenfold error",
+        "0.3 mm rms",
+    ],
 )
 def test_a_claim_is_seen(line: str) -> None:
     assert CLAIM.search(line)

@@ -6,6 +6,7 @@ import textwrap
 from typing import Literal
 
 from schemas.diagnosis import OnlineFigures, OnlineTrial
+from schemas.words import percent, significant, words
 
 Standing = Literal["better", "same", "worse"]
 
@@ -45,13 +46,14 @@ def standing(identified: OnlineFigures, corrected: OnlineFigures, changes: int) 
 def sentences_of(trial: OnlineTrial) -> list[str]:
     """What the trial says, with the advice that follows."""
     if trial.reason == "not_carried":
-        names = ", ".join(name.replace("_", " ") for name in trial.left_out)
+        names = ", ".join(map(words, trial.left_out))
         return [f"What the correction is worth online is not said: the online model does not carry {names}.", KEEP]
     known, better = trial.identified, trial.corrected
     if known is None or better is None:
         return ["What the correction is worth online is not said: no log has two rests in which a load could change."]
     found = standing(known, better, trial.changes)
-    off = f"off by {better.feedforward_over_noise:.2g} times the noise ({known.feedforward_over_noise:.2g})"
+    over, was = (significant(one.feedforward_over_noise, 2) for one in (better, known))
+    off = f"off by {over} times the noise ({was})"
     if not trial.changes:
         return [
             f"{BEGINS[found]} feeds forward a torque that is {off}.",
@@ -61,13 +63,13 @@ def sentences_of(trial: OnlineTrial) -> list[str]:
         ]
     said = (
         f"{BEGINS[found]} has the mass right 150 ms after {better.right} of {trial.changes} changes of the load "
-        f"(identified: {known.right}), trusts it {100 * better.trusted:.0f} % of the time "
-        f"({100 * known.trusted:.0f} %), "
+        f"(identified: {known.right}), trusts it {percent(better.trusted)} of the time "
+        f"({percent(known.trusted)}), "
         f"reports {better.false_events} false events ({known.false_events}), and its feed-forward is {off}."
     )
     where = ", ".join(trial.traces)
     source = f"loads simulated along {where}" if trial.simulated else f"the loads of {where}"
-    seen = "kept out of the fit" if trial.held_out else "which the fit has seen"
+    seen = "held out of the fit" if trial.held_out else "which the fit has seen"
     return [said, f"Tried on {source}, {seen}.", *([KEEP] if found == "worse" else [])]
 
 

@@ -17,82 +17,84 @@ from schemas.diagnosis import (
     Unseen,
     named_joints,
 )
+from schemas.words import percent, significant, words
 from service.diagnosis.documents.online_text import sentences_of
 from service.diagnosis.evidence.rivals import SURE
 from service.identification.loops import gains_in_words
 
 VERDICTS = {
-    "within_noise": "What is left between model and robot is within the noise of the torque signal.",
-    "explained": "The named effects explain the gap: what they leave is within the noise of the torque signal.",
-    "hardly": "The gap was hardly above the noise of the torque signal; the named effects take it there.",
-    "partly_explained": "The named effects explain part of the gap; what remains has structure that none explains.",
+    "within_noise": "The gap between model and robot is within the noise of the torque signal.",
+    "explained": "The named effects explain the gap: the residual is within the noise of the torque signal.",
+    "hardly": "The gap was hardly above the noise of the torque signal; with the named effects it is within it.",
+    "partly_explained": "The named effects explain part of the gap; the residual has structure that none explains.",
     "unexplained": "There is structure in the gap, and no effect in the catalogue explains it.",
 }  # fmt: skip
 # code of a caution -> what cannot be told
 CAUTIONS = {
-    "too_little_motion": "Cannot be told apart on this data: no joint moves for 3 s in all.",
-    "joints_at_rest": "{Joints} hardly move{s}: effects of the whole robot and of {joints} cannot be told apart on "
-    "this data.",
-    "one_way": "{Joints} move{s} one way only: friction there cannot be told from a constant torque on this data.",
-    "one_run": "There is one run only: what is left out of the fit is a stretch of the same run.",
-    "beyond_any_robot": "It would take {effect} beyond any robot's: cannot be told apart on this data.",
-    "several_arms": "Several arms at once would have to be far from the described geometry: cannot be told apart on "
-    "this data.",
-    "one_cause": "{Effect} would have to sit on {joints} at once, each with a figure of its own, and leaves far "
+    "too_little_motion": "The data cannot separate the effects: no joint moves for 3 s in all.",
+    "joints_at_rest": "{Joints} hardly move{s}: the data cannot separate effects of the whole robot from those of "
+    "{joints}.",
+    "one_way": "{Joints} move{s} one way only: the data cannot separate friction there from a constant torque.",
+    "one_run": "There is one run only: the held-out data are stretches of the same run.",
+    "beyond_any_robot": "It would take {effect} beyond any robot's: the data cannot separate the effects.",
+    "several_arms": "Several arms at once would have to be far from the described geometry: the data cannot "
+    "separate the effects.",
+    "one_cause": "{Effect} would have to sit on {joints} at once, each with another value, and leaves far "
     "more than noise: one cause on the platform looks like that.",
-    "runs_differ": "Each run fits alone, but not all together: cannot be told apart on this data.",
-    "much_is_left": "What is left is {share:.0%} of the torque itself, more than effects of the catalogue "
-    "would leave: cannot be told apart on this data.",
-    "much_beside": "What is left is {share:.0%} of the torque itself: beside what is named something is wrong or not "
-    "in the catalogue. What is named shrinks the gap of each log left out, and was told from any load, inertia and "
-    "friction that go by the angle alone.",
-    "other_joints": "The base model is wrong first: {share:.0%} of the gap in joint {first} follows the motion of "
-    "joint {last}, which it knows nothing of. No effect is named on a wrong base.",
-    "sine_of_angle": "The base model is wrong first: {share:.0%} of the gap in joint {first} goes by its angle, "
+    "runs_differ": "Each run fits alone, but not all together: the data cannot separate the effects.",
+    "much_is_left": "The residual is {share} of the torque itself, more than effects of the catalogue "
+    "would leave: the data cannot separate them.",
+    "much_beside": "The residual is {share} of the torque itself: besides the named effects something is wrong or "
+    "not in the catalogue. The named effects shrink the gap of each held-out log, and are separable from any load, "
+    "inertia and friction that depend on the angle alone.",
+    "other_joints": "The base model is wrong first: {share} of the gap in joint {first} follows the motion of "
+    "joint {last}, which it does not contain. No effect is named on a wrong base.",
+    "sine_of_angle": "The base model is wrong first: {share} of the gap in joint {first} depends on its angle, "
     "as a weight, a counterbalance or a wrong gear ratio makes it. No effect is named on a wrong base.",
-    "degrees": "The torque of {joints} goes by its angle as that of {effect} does, and as a weight's if the position "
-    "is in degrees and was taken for radians: cannot be told apart on this data. No effect is named on a wrong base.",
-    "gravity": "The base model is wrong first: gravity of another direction or size explains {share:.0%} of the "
+    "degrees": "The torque of {joints} depends on its angle as that of {effect} does, and as a weight's if the "
+    "position is in degrees and was taken for radians: the data cannot separate them. No effect is named on a wrong "
+    "base.",
+    "gravity": "The base model is wrong first: gravity of another direction or size explains {share} of the "
     "gap, as well as effects do. No effect is named on a wrong base.",
     "closed_loop": "The torque of {joints} is the controller's answer to its position error ({gains} N m per "
     "rad, or N per m, without lag): it was not measured. A delay or filter of the torque, the torque constant, and "
     "what lies between command and shaft (back-EMF looks like viscous friction) cannot be known from it.",
-    "torque_held": "The torque comes anew every {held:.3g} ms only and stands still between: the samples between were "
-    "left out, as they say it late.",
-    "noise_coloured": "The noise of {joints} has a memory: there is more of it in the band than white noise of "
-    "its level would have. The floor is read from its colour and is good to about 20 %.",
-    "noise_unknown": "The torque of {joints} shows no noise of its own (smoothed or computed?): its floor is not "
-    "known, 1 % of the torque stands in for it.",
-    "at_limit": "What comes nearest is {effect}{where}, but with {quantity} at the end of what it can be: no finding.",
-    "drives": "What comes nearest is {effect}{where}, but as friction that would drive the joint: no finding.",
-    "by_weight": "What comes nearest is {effect}{where}, over so little of a turn that friction which grows with the "
-    "weight looks like it: cannot be told apart on this data.",
-    "does_not_fall": "What comes nearest is {effect}{where}, but with it friction would not fall as the speed grows: "
-    "it levels off, or goes by the speed in another way that is not in the catalogue.",
-    "left_open": "{Effect}{where} fits, but no quantity of it is told from nothing: not named.",
-    "any_shape": "{Effect}{where} fits, but with {quantity} anywhere in what it can be: what it is, is not told, not "
-    "named.",
-    "no_shrink": "{Effect}{where} fits, but the gap on data left out does not shrink by it ({share:.0%}): not named.",
-    "no_shrink_on": "{Effect}{where} fits, but on {run}, kept out of everything, the gap does not shrink by it "
-    "({share:.0%}): not named.",
-    "varies": "{Effect}{where} fits, but {run} alone asks for a figure {share:.0%} off that of all runs together: what "
-    "stands behind it is something else, not named.",
-    "rivalled": "{Effect}{where} fits, but others may be in its place: cannot be told apart on this data, not named.",
-    "not_its_own": "{Effect}{where} fits, but what is left gives {share:.0%} as much to the same torque at other times "
-    "or in other places and runs: what stands behind it is something else, not named.",
-    "no_line": "{Effect}{where} fits, but what is left gives {share:.0%} as much to ripples next to it: what stands "
-    "behind it happens in one place and does not come again with the turns of the motor, not named.",
+    "torque_held": "The torque is updated every {held:.3g} ms only and repeated in between: the repeated samples were "
+    "left out, as they are late.",
+    "noise_coloured": "The noise of {joints} is coloured: there is more of it in the band than white noise of "
+    "its level would have. The noise floor is read from its colour, to about 20 %.",
+    "noise_unknown": "The torque of {joints} shows no noise of its own (smoothed or computed?): its noise floor "
+    "is not known; 1 % of the torque is taken for it.",
+    "at_limit": "The nearest effect is {effect}{where}, but with {quantity} at the limit of its range: not accepted.",
+    "drives": "The nearest effect is {effect}{where}, but as friction that would drive the joint: not accepted.",
+    "by_weight": "The nearest effect is {effect}{where}, over so little of a turn that friction which grows with the "
+    "weight looks like it: the data cannot separate them.",
+    "does_not_fall": "The nearest effect is {effect}{where}, but with it friction would not fall as the speed grows: "
+    "it levels off, or depends on the speed in another way that is not in the catalogue.",
+    "left_open": "{Effect}{where} fits, but none of its parameters differs from zero: not accepted.",
+    "any_shape": "{Effect}{where} fits, but with {quantity} anywhere in its range: the data do not determine it, not "
+    "accepted.",
+    "no_shrink": "{Effect}{where} fits, but it does not shrink the gap on held-out data ({share}): not accepted.",
+    "no_shrink_on": "{Effect}{where} fits, but it does not shrink the gap on {run}, held out of everything "
+    "({share}): not accepted.",
+    "varies": "{Effect}{where} fits, but {run} alone gives a value {share} off that of all runs together: the cause "
+    "is something else, not accepted.",
+    "rivalled": "{Effect}{where} fits, but so do others in its place: the data cannot separate them, not accepted.",
+    "not_its_own": "{Effect}{where} fits, but the residual projects {share} as much onto the same torque at other "
+    "times or in other places and runs: the cause is something else, not accepted.",
+    "no_line": "{Effect}{where} fits, but the residual projects {share} as much onto ripples of neighbouring "
+    "orders: the cause lies in one place and does not repeat with the turns of the motor, not accepted.",
     "misplaced": "The URDF is wrong first: with {joints} elsewhere, or otherwise turned, in the link before, "
-    "{share:.0%} of what is left goes.",
-    "set_aside": "{share:.0%} of the motion{where} has something at work that is not in the catalogue; what is named "
-    "was told by the rest.",
-    "by_place": "Something that is not in the catalogue pulls at the platform wherever it is; what is named was told "
-    "beside any torque that goes by the platform's place, springs, offsets and weights cannot be told.",
-    "by_scale": "{share:.0%} of what is left goes by the torque itself, by another share of it in each log, which "
-    "changes as a log goes on: the torque constants do not keep (do the motors get warm?). Scales, and what looks like "
-    "them, cannot be told beside it.",
+    "{share} of the residual goes.",
+    "set_aside": "In {share} of the motion{where} something is at work that is not in the catalogue; the named effects "
+    "rest on the remaining motion.",
+    "by_place": "Something that is not in the catalogue pulls at the platform wherever it is; the named effects were "
+    "found given any torque that depends on the platform's place. Springs, offsets and weights cannot be separated.",
+    "by_scale": "{share} of the residual is proportional to the torque itself, by another factor in each log, which "
+    "changes as a log goes on: the torque constants drift (do the motors get warm?). Torque scales, and their aliases, "
+    "cannot be separated from it.",
     "comes_again": "Something that is not in the catalogue pulls at the platform again every {pitch:.0f} mm of its way "
-    "(a toothed belt, a rack?); what is named was told beside it.",
+    "(a toothed belt, a rack?); the named effects were found given that.",
 }
 BESIDE = {"set_aside", "by_place", "comes_again"}  # what is named was told beside something else
 # with these no effect is told from others
@@ -107,9 +109,9 @@ ADVICE = {
     "check_description": "Check the description (lengths, gravity, gear ratio, order and sign of joints).",
     "check_runs": "Check that all runs are of one robot with one tool, in one state.",
     "check_base": "Check the base model: kind, gravity, gear ratio, coupling of joints, order and sign of columns.",
-    "record_more": "Record more of the motion that shows it, and what else changed between the runs.",
+    "record_more": "Record more of the motion that shows it, and say what else changed between the runs.",
     "measure_torque": "Log the drive's measured current beside the command.",
-    "look_there": "Look for it where and when most is left, see below.",
+    "look_there": "Look where and when the residual is largest, see below.",
     "log_warm": "Log the motors' temperature, or record once more when they have become warm.",
     "log_quicker": "Let the drive send its torque with every sample.",
     "say_degrees": 'Say the unit of the position in the mapping (unit = "deg"), or gravity = false in the '
@@ -136,8 +138,8 @@ ONLINE = {
     "no_online_form": "offline only: the online model does without it",
 }
 PLANNED = (
-    "deltatwin plan-motion --robot FILE --diagnosis FOLDER --out motion.csv makes the run that tells apart what came "
-    "into question here."
+    "deltatwin plan-motion --robot FILE --diagnosis FOLDER --out motion.csv makes the run that separates the effects "
+    "that came into question here."
 )
 MOST_TOLD = 6  # events
 MOST_NEAR = 3  # candidates told where none is named
@@ -149,9 +151,11 @@ LEAST_CONCENTRATED = 0.2  # of the gap in one regime
 
 @dataclass(frozen=True)
 class Cause:
-    """A named effect: in words with its place, how sure that is, how much there is, what it means and what to do."""
+    """A named effect: its name and place, the same in words of the plant, how sure that is, how much there is, what it
+    means and what to do."""
 
     what: str
+    title: str
     surety: str
     how_much: list[str]
     means: str
@@ -175,13 +179,14 @@ def answer(document: Diagnosis) -> Answer:
     torque = _rms(document.gap.torque_nm) if document.gap.torque_nm else 0.0
 
     def level(value: float) -> str:
-        share = f" ({100 * value / torque:.2g} % of the torque's rms)" if torque else ""
-        return f"{value:.3g} {document.gap.unit}{share}"
+        share = f" ({significant(100 * value / torque, 2)} % of the torque's rms)" if torque else ""
+        return f"{significant(value)} {document.gap.unit}{share}"
 
     causes = [
         Cause(
-            effect.title + (f", {named_joints(effect.joints)}" if effect.joints else ""),
-            f"{100 * effect.probability:.0f} % likely, by the resampled data.{_confusable(effect)}",
+            _placed(effect.name, effect.joints).capitalize(),
+            effect.title,
+            f"{percent(effect.probability)} probable, by bootstrap over blocks of the data.{_confusable(effect)}",
             how_much(effect),
             effect.means,
         )
@@ -234,22 +239,22 @@ def _figures(effect: NamedEffect) -> list[str]:
 
 def in_words(key: str, estimate: Estimate) -> str:
     """What a parameter is."""
-    return estimate.meaning or key.replace("_", " ")
+    return estimate.meaning or words(key)
 
 
 def base_in_words(key: str) -> str:
     """What a parameter of the base model is."""
-    for name, words in BASE.items():
+    for name, said in BASE.items():
         if key == name:
-            return words
+            return said
         if key.startswith(f"{name}_"):
-            where = key.removeprefix(f"{name}_").replace("_", " ")
-            return f"{words}, {'joint ' * where.isdigit()}{where}"
-    return key.replace("_", " ")
+            where = words(key.removeprefix(f"{name}_"))
+            return f"{said}, {'joint ' * where.isdigit()}{where}"
+    return words(key)
 
 
 def _degrees(estimate: Estimate) -> str:
-    return f" ({math.degrees(estimate.value):.2g}°)" if estimate.unit == "rad" else ""
+    return f" ({significant(math.degrees(estimate.value), 2)}°)" if estimate.unit == "rad" else ""
 
 
 def _half(estimate: Estimate) -> float:
@@ -271,8 +276,8 @@ def unasked(document: Diagnosis) -> list[str]:
 def _why_it_grows(document: Diagnosis) -> str:
     """The gap on data left out."""
     if document.effects and BESIDE & {one.code for one in document.cannot_tell}:
-        return "most of it is not in the catalogue; beside that, what is named shrinks it"
-    return "what was fitted to the other runs does not carry over"
+        return "most of it is not in the catalogue; given that, the named effects shrink it"
+    return "the fit to the other runs does not generalise"
 
 
 def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
@@ -281,7 +286,7 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
     figures: of the effects and of the estimator with them, which a page has in its first box.
     """
     verdict = _verdict(document)
-    effects = [_effect(effect, figures) for effect in document.effects]
+    effects = [_effect(effect, document, figures) for effect in document.effects]
     before, after = _rms(document.gap.before_nm), _rms(document.gap.after_nm)
     if document.effects or after > WORSE * before:
         left_out = "runs" if len(document.traces) > 2 else "stretches"
@@ -290,9 +295,7 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
             gap |= {"before_nm": document.gap.work_before_nm, "after_nm": document.gap.work_after_nm}
             apart = f", slow sweeps apart ({', '.join(document.gap.slow_runs)})"
         shrunk = Shrunk.model_validate(gap)
-        line = (
-            f"On {left_out} used neither to fit nor to choose{apart}, the gap goes {_goes(shrunk, document.gap.unit)}"
-        )
+        line = f"On held-out {left_out}{apart}, the gap goes {_goes(shrunk, document.gap.unit)}"
         grows = _rms(shrunk.after_nm) > _rms(shrunk.before_nm)
         effects.append(line + (f": {_why_it_grows(document)}." if grows else "."))
     if not document.effects and document.verdict == "unexplained":
@@ -313,14 +316,15 @@ def sentences(document: Diagnosis) -> list[str]:
 
 def caution(found: Caution) -> str:
     """What cannot be told, and what to record or to check."""
-    joints, effect = named_joints(found.joints), (found.effect or "").replace("_", " ")
+    joints, effect = named_joints(found.joints), words(found.effect or "")
     said = CAUTIONS[found.code].format(
         joints=joints, Joints=joints.capitalize(), s="" if len(found.joints) > 1 else "s",
         effect=effect, Effect=effect.capitalize(), where=f" in {joints}" if joints else "",
         first=found.joints[0] if found.joints else "", last=found.joints[-1] if found.joints else "",
-        share=found.share, gains=gains_in_words(found.gain or 0.0, found.gain_most or 0.0), run=found.run,
+        share=percent(found.share or 0.0), run=found.run,
+        gains=gains_in_words(found.gain or 0.0, found.gain_most or 0.0),
         pitch=1000 * (found.pitch_m or 0.0), held=1000 * (found.held_s or 0.0),
-        quantity=(found.quantity or "").replace("_", " "),
+        quantity=words(found.quantity or ""),
     )  # fmt: skip
     return f"{said} {ADVICE[found.advice]}"
 
@@ -337,7 +341,8 @@ def _joints(document: Diagnosis) -> list[str]:
         if not entry.rows or not floor:
             lines.append(f"Joint {joint} hardly moves: nothing is said about it.")
             continue
-        line = f"Joint {joint}: {before:.3g} {gap.unit} between model and robot, {before / floor:.1f} times the noise."
+        line = f"Joint {joint}: {significant(before)} {gap.unit} between model and robot, "
+        line += f"{before / floor:.1f} times the noise."
         if before > 1.15 * floor and entry.before:
             line += " " + _concentrated(entry.before[0])
         lines.append(line)
@@ -355,18 +360,18 @@ def _nearest(document: Diagnosis) -> list[str]:
     near = sorted((one for one in document.ranking if one.shrink > 0), key=lambda one: -one.shrink)[:MOST_NEAR]
     if not near:
         return []
-    told = ", ".join(f"{_placed(one.name, one.joints)} ({100 * one.shrink:.0f} %)" for one in near)
-    return [f"Nearest of the catalogue, with what the gap on data left out shrinks by each: {told}."]
+    told = ", ".join(f"{_placed(one.name, one.joints)} ({percent(one.shrink)})" for one in near)
+    return [f"Nearest of the catalogue, with how far each shrinks the gap on held-out data: {told}."]
 
 
 def _placed(name: str, joints: list[int]) -> str:
-    return name.replace("_", " ") + (f" in {named_joints(joints)}" if joints else "")
+    return words(name) + (f" in {named_joints(joints)}" if joints else "")
 
 
 def _follows(document: Diagnosis) -> list[str]:
     what = {"sine_of_angle": "the sine of its angle", "position_error": "the position error"}
     return [
-        f"{100 * one.share:.0f} % of what is left in joint {one.joint} follows "
+        f"{percent(one.share)} of the residual in joint {one.joint} follows "
         f"{what.get(one.what, f'the motion of joint {one.other}')}."
         for one in document.follows[:MOST_TOLD]
     ]
@@ -383,7 +388,7 @@ def _moved(document: Diagnosis) -> list[str]:
 
 
 def _number(value: float, error: float) -> str:
-    return f"{value:.4g}" + (f" ± {Z95 * error:.2g}" if error else "")
+    return significant(value, 4) + (f" ± {significant(Z95 * error, 2)}" if error else "")
 
 
 def _rms(values: list[float]) -> float:
@@ -393,19 +398,24 @@ def _rms(values: list[float]) -> float:
 def _concentrated(regime: Regime) -> str:
     if regime.share < LEAST_CONCENTRATED:
         return "It is spread over all of the motion."
-    return f"{100 * regime.share:.0f} % of it: {regime.regime} ({100 * regime.of_time:.0f} % of the time)."
+    return f"{percent(regime.share)} of it: {regime.regime} ({percent(regime.of_time)} of the time)."
 
 
-def _effect(effect: NamedEffect, figures: bool) -> str:
-    line = f"Most likely {_placed(effect.name, effect.joints)} ({100 * effect.probability:.0f} %)"
+def _effect(effect: NamedEffect, document: Diagnosis, figures: bool) -> str:
+    line = f"Most likely {_placed(effect.name, effect.joints)} ({percent(effect.probability)})"
     line += f": {'; '.join(_figures(effect))}." if figures else "."
-    line += f" It makes up {100 * effect.gap_share:.0f} % of the gap above the noise."
+    line += f" It makes up {share_of_gap(effect, document)} of the gap above the noise."
     return line + _confusable(effect)
 
 
+def share_of_gap(effect: NamedEffect, document: Diagnosis) -> str:
+    """What an effect makes up of the gap above the noise: not all of it where something is left."""
+    return percent(min(effect.gap_share, 0.9999) if document.verdict == "partly_explained" else effect.gap_share)
+
+
 def _confusable(effect: NamedEffect) -> str:
-    others = " or ".join(other.replace("_", " ") for other in effect.confusable_with)
-    return f" On this data it cannot be told from {others}." if others else ""
+    others = " or ".join(words(other) for other in effect.confusable_with)
+    return f" The data cannot separate it from {others}." if others else ""
 
 
 def _value(estimate: Estimate) -> str:
@@ -413,15 +423,15 @@ def _value(estimate: Estimate) -> str:
     half = _half(estimate)
     unit = f" {estimate.unit}" if estimate.unit else ""
     if half <= 0:
-        return f"{estimate.value:.3g}{unit}"
+        return f"{significant(estimate.value)}{unit}"
     decimals = max(0, 1 - math.floor(math.log10(half)) - (half / 10 ** math.floor(math.log10(half)) >= 2))
     return f"{estimate.value:.{decimals}f} ± {half:.{decimals}f}{unit}"
 
 
 def _unseen(test: Unseen, unit: str) -> list[str]:
-    lines = [f"On {test.trace}, kept out of everything, the gap goes {_goes(test.whole, unit)}."]
+    lines = [f"On {test.trace}, held out of everything, the gap goes {_goes(test.whole, unit)}."]
     if test.outside is not None:
-        lines[0] += f" Outside events ({100 * test.outside_share:.0f} % of the motion): {_goes(test.outside, unit)}."
+        lines[0] += f" Outside events ({percent(test.outside_share)} of the motion): {_goes(test.outside, unit)}."
         lines.append(_bursts(sorted(test.bursts, key=lambda burst: -burst.over_noise), test.rhythm_s))
     if test.simulated is not None:
         lines.append(_forward(test.simulated))
@@ -441,19 +451,19 @@ def _forward(found: Simulated) -> str:
 
 
 def _goes(shrunk: Shrunk, unit: str) -> str:
-    low, high = (100 * value for value in shrunk.shrink_ci95)
+    low, high = (f"{100 * value:.0f}" for value in shrunk.shrink_ci95)
     return (
-        f"from {_rms(shrunk.before_nm):.3g} to {_rms(shrunk.after_nm):.3g} {unit}, "
-        f"a shrink of {100 * shrunk.shrink:.0f} % [{low:.0f}, {high:.0f}]"
+        f"from {significant(_rms(shrunk.before_nm))} to {significant(_rms(shrunk.after_nm))} {unit}, "
+        f"a shrink of {percent(shrunk.shrink)} [{low}, {high}]"
     )
 
 
 def _bursts(events: list[Burst], rhythm: float | None) -> str:
-    many = "1 stretch stands" if len(events) == 1 else f"{len(events)} stretches stand"
+    many = "1 stretch stands out" if len(events) == 1 else f"{len(events)} stretches stand out"
     beat = f", most of them every {rhythm:.3g} s" if rhythm is not None else ""
     times = ", ".join(f"{e.run} {e.from_s:.2f} to {e.to_s:.2f} s" for e in events[:MOST_TOLD])
     more = ", ..." if len(events) > MOST_TOLD else ""
-    return f"{many} far above the rest, as events do{beat}, the strongest first: {times}{more}."
+    return f"{many} far above the rest, as events do{beat}; strongest first: {times}{more}."
 
 
 def _remaining(document: Diagnosis) -> list[str]:
@@ -463,9 +473,10 @@ def _remaining(document: Diagnosis) -> list[str]:
         after, floor = document.gap.after_nm[joint - 1], document.gap.noise_floor_nm[joint - 1]
         if entry.after and after > 1.1 * floor:
             bands = max(entry.spectrum_after, key=lambda band: band.share, default=None)
-            line = f"Unexplained in joint {joint}: {after / floor:.1f} times the noise. {_concentrated(entry.after[0])}"
+            line = f"Unexplained in joint {joint}: {after / floor:.1f} times the noise."
+            line += f" {_concentrated(entry.after[0])}"
             if bands and bands.share > 0:
-                line += f" {100 * bands.share:.0f} % of it lies at {bands.from_hz:g} to {bands.to_hz:g} Hz."
+                line += f" {percent(bands.share)} of it lies at {bands.from_hz:g} to {bands.to_hz:g} Hz."
             lines.append(line)
     lines += _follows(document)
     if document.where.bursts:

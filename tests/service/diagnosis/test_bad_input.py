@@ -51,7 +51,7 @@ def diagnosed(tmp_path: Path) -> Callable[..., tuple[dict[str, Any], str]]:
 def test_one_short_log(write: Write, diagnosed) -> None:
     found, text = diagnosed(write("short", swing(1), seconds=1.5, stuck=3.0))
     assert found["effects"] == []
-    assert "Cannot be told apart on this data" in text
+    assert "The data cannot separate the effects" in text
     assert "Record three or more runs" in text
     assert "no effect in the catalogue explains it" not in text  # none was tried
 
@@ -81,7 +81,7 @@ def test_two_robots_mixed(write: Write, diagnosed) -> None:
     )
     assert found["effects"] == []
     assert found["verdict"] == "unexplained"
-    assert "annot be told apart on this data" in text
+    assert "The data cannot separate" in text
 
 
 def test_grossly_wrong_geometry(write: Write, diagnosed, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 from schemas.axes import Axes, Axis
 from schemas.diagnosis import Caution, Diagnosis
 from schemas.trace import Trace
+from schemas.words import percent
 from service.diagnosis.documents.text import sentences
 from service.diagnosis.evidence import by_angle
 from service.diagnosis.evidence.placement import beside
@@ -86,7 +87,7 @@ def test_friction_by_the_load_is_named_beside_what_leaves_much():
     assert much.code == "much_beside"
     assert much.share is not None
     assert much.share > 0.1
-    assert f"What is left is {much.share:.0%} of the torque itself" in " ".join(sentences(found))
+    assert f"The residual is {percent(much.share)} of the torque itself" in " ".join(sentences(found))
 
 
 def test_it_may_take_less_than_a_quarter_of_what_is_left():

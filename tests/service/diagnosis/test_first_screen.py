@@ -11,10 +11,11 @@ import pytest
 
 from schemas.diagnosis import Caution, Estimate, Simulated
 from service.diagnosis.documents.document import made_from
-from service.diagnosis.documents.report import _short, _thinned, write_report
+from service.diagnosis.documents.over_time import _short, _thinned, worst_second
+from service.diagnosis.documents.report import write_report
 from service.diagnosis.documents.text import ADVICE, PLANNED, _forward, answer, caution, paragraphs, sentences
 from service.model.effects import CATALOGUE
-from tests.service.pages.browser import looked_at
+from tests.service.pages.browser import looked_at, picture_of
 from tests.service.subject import document
 
 
@@ -42,18 +43,19 @@ def test_the_box_says_what_where_how_much_and_what_to_do(findings):
     found = document.document(findings)
     said = answer(found)
     assert [cause.what for cause in said.causes] == [
-        "More friction at low speed (sticking), joints 1, 2 and 3",
-        "Torque ripple over the motor turn (cogging), joint 2",
+        "Stribeck friction in joints 1, 2 and 3",
+        "Cogging in joint 2",
     ]
+    assert said.causes[0].title == "More friction at low speed (sticking)"
     assert said.causes[0].how_much[0].startswith("breakaway friction above the Coulomb level, joint 1 = ")
     assert said.causes[0].how_much[0].endswith(" N m")
-    assert said.causes[0].surety == "100 % likely, by the resampled data."
+    assert said.causes[0].surety == "100 % probable, by bootstrap over blocks of the data."
     assert said.check == []
     first, *others = found.effects
     open_ = first.model_copy(update={"probability": 0.8, "confusable_with": ["backlash"]})
     said_open = answer(found.model_copy(update={"effects": [open_, *others]}))
     assert said_open.causes[0].surety == (
-        "80 % likely, by the resampled data. On this data it cannot be told from backlash."
+        "80 % probable, by bootstrap over blocks of the data. The data cannot separate it from backlash."
     )
     assert said_open.check == ["To be sure, record a slow sweep with reversals, 0.005 to 1 rad/s.", PLANNED]
     assert "relubricate" in said.causes[0].means
@@ -114,6 +116,33 @@ def test_the_simulators_error_is_told_in_millimetres_or_that_it_left_the_workspa
     assert "after 0.2 s" in said
 
 
+def test_the_first_plot_is_the_second_with_the_largest_gap(findings):
+    """Of all seconds of all logs, by a sum of its own; measured less predicted is the gap."""
+    problem = findings.problem
+    found = worst_second(findings)
+    assert found
+    title, figure = found
+    most = (0.0, "", 0.0)
+    for index, recording in enumerate(problem.recordings):
+        clock = recording.segment.time[:: problem.band.step]
+        at = np.concatenate([clock[mine] for mine in problem.rows[index].T])
+        for begin in clock[::5]:
+            inside = (at >= begin) & (at < begin + 1.0)
+            most = max(most, (float(np.sum(findings.after[index][inside] ** 2)), recording.name, float(begin)))
+    first, last = figure.layout.xaxis.range
+    assert last - first == pytest.approx(1.0)
+    assert most[1] in title
+    assert first == pytest.approx(most[2], abs=6 * problem.band.period * problem.band.step)
+    lines = {trace.name: np.asarray(trace.y, float) for trace in figure.data[:3]}
+    assert set(lines) == {"measured", "before", "after"}
+    gap = lines["measured"] - lines["after"]
+    index = next(k for k, one in enumerate(problem.recordings) if one.name in title)
+    mine = problem.rows[index][:, 0]
+    expected = findings.after[index][problem.joints_of_rows[index] == 0] * problem.sigma[0]
+    np.testing.assert_allclose(gap[mine], expected, atol=2e-4)
+    assert np.isnan(gap[~mine]).all()
+
+
 def test_a_fixed_value_has_no_interval():
     assert Estimate(value=120.0, unit="Hz", ci95=(120.0, 120.0)).fixed
     assert not Estimate(value=120.0, unit="Hz", ci95=(119.0, 121.0)).fixed
@@ -128,10 +157,11 @@ def test_the_page_is_drawn_without_error_and_no_text_lies_over_text(findings, tm
     text = re.sub(r"<(script|style).*?</\1>", "", (tmp_path / "report.html").read_text("utf-8"), flags=re.DOTALL)
     assert made.inputs["log.csv"][:12] in text
     assert made.version in text
-    box = re.search(r'<section class="verdict">(.*?)<h2>', text, re.DOTALL)
+    box = re.search(r'<section class="headline bad">(.*?)</section>', text, re.DOTALL)
     assert box
     assert "_" not in re.sub(r"<[^>]*>", "", box[1])
     told = looked_at(tmp_path / "report.html")
+    assert picture_of(tmp_path / "report.html", 1200).stat().st_size > 10_000
     assert told["texts"] > 50
     assert told["errors"] == []
     assert told["over"] == []

@@ -38,29 +38,30 @@ def test_a_named_effect_is_told_in_one_line() -> None:
     (line, gap), *_ = text.paragraphs(document())[2:]
     assert line == (
         "Most likely cogging in joint 2 (80 %): amplitude of a ripple = 5.0 ± 0.7 N m. It makes up 64 % of the gap "
-        "above the noise. On this data it cannot be told from backlash or torque scale."
+        "above the noise. The data cannot separate it from backlash or torque scale."
     )
     # rms of 3 and 1, of 1.5 and 1
-    assert gap == (
-        "On runs used neither to fit nor to choose, the gap goes from 2.24 to 1.27 N m, a shrink of 43 % [40, 46]."
-    )
+    assert gap == ("On held-out runs, the gap goes from 2.24 to 1.27 N m, a shrink of 43 % [40, 46].")
     two = document(traces=["a", "b"], gap=document().gap.model_dump() | {"after_nm": [4.0, 1.0]})
-    assert text.paragraphs(two)[2][1].startswith("On stretches used neither")
-    assert text.paragraphs(two)[2][1].endswith("does not carry over.")
+    assert text.paragraphs(two)[2][1].startswith("On held-out stretches, ")
+    assert text.paragraphs(two)[2][1].endswith("does not generalise.")
     aside = two.model_copy(update={"cannot_tell": [Caution(code="by_place", advice="look_there")]})
-    assert text.paragraphs(aside)[2][1].endswith("not in the catalogue; beside that, what is named shrinks it.")
+    assert text.paragraphs(aside)[2][1].endswith("not in the catalogue; given that, the named effects shrink it.")
     work = {"slow_runs": ["b", "c"], "work_before_nm": [4.0, 0.0], "work_after_nm": [2.0, 0.0]}
     line = text.paragraphs(document(gap=document().gap.model_dump() | work))[2][1]
-    assert "to choose, slow sweeps apart (b, c), the gap goes from 2.83 to 1.41 N m, a shrink of 43 % [40, 46]." in line
+    assert (
+        "On held-out runs, slow sweeps apart (b, c), the gap goes from 2.83 to 1.41 N m, a shrink of 43 % [40, 46]."
+        in line
+    )
     for after, said in ((3.1, False), (3.3, True)):  # of 3 N m: 3 % more, 9 % more
         worse = document(effects=[], gap=document().gap.model_dump() | {"after_nm": [after, 1.0]})
-        assert any("does not carry over" in line for line in text.sentences(worse)) is said
+        assert any("does not generalise" in line for line in text.sentences(worse)) is said
 
 
 def test_the_answer_says_how_much_and_what_to_do() -> None:
     found = text.answer(document())
     (cause,) = found.causes
-    assert cause.what == "Cogging, joint 2"
+    assert cause.what == "Cogging in joint 2"
     # a cosine of 3 and a sine of 4: 5, with the root of (3 0.6)^2 + (4 0.8)^2 over it
     assert cause.how_much == ["amplitude of a ripple = 5.0 ± 0.7 N m"]
     assert found.gap == "2.24 N m (10 % of the torque's rms) → 1.27 N m (5.7 % of the torque's rms)"
@@ -125,9 +126,9 @@ def test_what_remains_is_told_where_it_lies() -> None:
     assert text.paragraphs(document(where=where, follows=follows))[3] == [
         "Unexplained in joint 1: 1.5 times the noise. 60 % of it: load above 3 N m (33 % of the time). 70 % of it lies "
         "at 3 to 10 Hz.",
-        "30 % of what is left in joint 1 follows the motion of joint 2.",
-        "20 % of what is left in joint 2 follows the position error.",
-        "7 stretches stand far above the rest, as events do, most of them every 0.8 s, the strongest first: "
+        "30 % of the residual in joint 1 follows the motion of joint 2.",
+        "20 % of the residual in joint 2 follows the position error.",
+        "7 stretches stand out far above the rest, as events do, most of them every 0.8 s; strongest first: "
         + ", ".join(["b 1.25 to 1.50 s"] * 6) + ", ....",
         "It is worst in b (1.5 times the noise): look there first.",
     ]  # fmt: skip
@@ -139,7 +140,7 @@ def test_what_came_nearest_is_told_where_nothing_is_named() -> None:
                                            ("backlash", [3], 0.04), ("hose_spring", [], 0.01))]  # fmt: skip
     found = text.sentences(document(effects=[], verdict="unexplained", ranking=ranked))
     assert (
-        "Nearest of the catalogue, with what the gap on data left out shrinks by each: cogging (5 %), backlash in "
+        "Nearest of the catalogue, with how far each shrinks the gap on held-out data: cogging (5 %), backlash in "
         "joint 3 (4 %), arm mass in joint 1 (2 %)."
     ) in found
     assert text.VERDICTS["unexplained"] in found
@@ -152,11 +153,11 @@ def test_what_came_nearest_is_told_where_nothing_is_named() -> None:
 
 def test_what_cannot_be_told_names_joints_and_what_to_do() -> None:
     found = text.caution(Caution(code="other_joints", joints=[2, 3], share=0.41, advice="check_base"))
-    assert found.startswith("The base model is wrong first: 41% of the gap in joint 2 follows the motion of joint 3,")
+    assert found.startswith("The base model is wrong first: 41 % of the gap in joint 2 follows the motion of joint 3,")
     assert found.endswith(text.ADVICE["check_base"])
     limit = Caution(code="at_limit", joints=[1], effect="joint_spring", quantity="rest_angle", advice="check_base")
     assert text.caution(limit).startswith(
-        "What comes nearest is joint spring in joint 1, but with rest angle at the end"
+        "The nearest effect is joint spring in joint 1, but with rest angle at the limit"
     )
 
 
@@ -165,14 +166,14 @@ def test_there_are_words_for_all_that_cannot_be_told_and_for_every_advice() -> N
     assert set(text.ADVICE) == set(get_args(Advice))
     beside = document(cannot_tell=[Caution(code="by_place", advice="look_there")])
     assert (
-        "Something that is not in the catalogue pulls at the platform wherever it is; what is named was told beside "
-        "any torque that goes by the platform's place, springs, offsets and weights cannot be told. "
-        "Look for it where and when most is left, see below."
+        "Something that is not in the catalogue pulls at the platform wherever it is; the named effects were found "
+        "given any torque that depends on the platform's place. Springs, offsets and weights cannot be separated. "
+        "Look where and when the residual is largest, see below."
     ) in text.sentences(beside)
     belt = text.caution(Caution(code="comes_again", pitch_m=0.0643, advice="look_there"))
     assert "pulls at the platform again every 64 mm of its way" in belt
     held = text.caution(Caution(code="torque_held", held_s=0.004, advice="log_quicker"))
-    assert held.startswith("The torque comes anew every 4 ms only and stands still between")
+    assert held.startswith("The torque is updated every 4 ms only and repeated in between")
 
 
 def test_a_gap_hardly_above_the_noise_is_called_that() -> None:
@@ -194,9 +195,9 @@ def test_logs_kept_out_the_baseline_and_the_simulator_are_told() -> None:
     moved = {"rho_1": {"before": 1.0, "before_error": 0.0, "after": 1.25, "after_error": 0.05, "unit": ""}}
     lines = text.sentences(document(tests=[test], moved=moved, given=["tool_mass"]))
     gap = "from 2 to 1 N m, a shrink of 50 % [40, 60]."
-    assert f"On t, kept out of everything, the gap goes {gap} Outside events (80 % of the motion): {gap}" in lines
+    assert f"On t, held out of everything, the gap goes {gap} Outside events (80 % of the motion): {gap}" in lines
     assert (
-        "2 stretches stand far above the rest, as events do, the strongest first: t 0.50 to 2.00 s, t 1.00 to 2.00 s."
+        "2 stretches stand out far above the rest, as events do; strongest first: t 0.50 to 2.00 s, t 1.00 to 2.00 s."
     ) in lines
     assert "ρ1, on the inertia: 1 -> 1.25 ± 0.098" in lines
     assert lines[-1] == "tool mass is in the description already."

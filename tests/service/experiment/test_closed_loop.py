@@ -191,13 +191,13 @@ class TestVerdict:
         ("error", "late", "answer", "step"),
         [
             (5e-4, 0, "With the correction the platform follows 2 times as well as with the rigid model.",
-             "Next: `deltatwin estimate --robot out/corrected.toml` feeds this forward."),
+             "`deltatwin estimate --robot out/corrected.toml` feeds this forward."),
             (2e-3, 0, "With the correction the platform follows worse than with the rigid model: 2 times the error.",
-             "Next: keep `deltatwin estimate --robot out/identified.toml`: the correction does harm here."),
+             "keep `deltatwin estimate --robot out/identified.toml`: the correction does harm here."),
             (1e-3, 0, "With the correction the platform follows as well as with the rigid model: no difference that "
-             "this run can show.", "Next: a longer --duration narrows the interval."),
+             "this run can show.", "a longer --duration narrows the interval."),
             (5e-4, 700, "These figures do not count: the computer was too slow.",
-             "Next: Stop what else runs on this computer, or take a lower --rate, and run it again."),
+             "Stop what else runs on this computer, or take a lower --rate, and run it again."),
         ],
     )  # fmt: skip
     def test_it_says_what_the_correction_is_worth_and_what_to_do(
@@ -206,11 +206,12 @@ class TestVerdict:
         runs = [followed(FEEDBACK, 5e-3), followed(RIGID, 1e-3), followed(CORRECTED, error, late)]
         said = verdict_of_correction(runs, "backlash in joint 2", ["backlash"], "out")
         assert said.answer == answer
-        assert said.lines[-1] == step
+        assert said.step == step
         if late:
-            assert said.lines[0] == "corrected tau_FF: 700 of 10000 cycles began late, 0.0% had no feed-forward."
+            assert said.lines[0] == "corrected tau_FF: 700 of 10000 cycles began late, 0.0 % had no feed-forward."
         else:
-            assert said.lines[0].startswith(f"Platform error, corrected over rigid: {error / 1e-3:.2g} [")
+            assert said.number == f"{error / 1e-3:.2g} times"
+            assert said.lines[0].startswith("Platform error, feedback alone → rigid tau_FF → corrected tau_FF: ")
             assert said.lines[1] == "The correction: backlash in joint 2."
             assert said.lines[2].startswith("The online model does not carry backlash")
 
@@ -219,9 +220,9 @@ class TestVerdict:
         said = verdict_of_correction(runs, "backlash in joint 2", [], "out")
         write_page(page("d3", "ideal", (1.0,), runs, runs, said), tmp_path / "page.html")
         body = (tmp_path / "page.html").read_text(encoding="utf-8").partition("<body>")[2]
-        first = body.partition('<section class="verdict">')
+        first = body.partition('<section class="headline good">')
         assert re.sub(r"<.*?>", "", first[0]).strip() == "Closed loop: d3"
-        assert first[2].strip().startswith(f"<h3>{said.answer}</h3>")
+        assert f"{said.answer}</p>" in first[2].partition("</section>")[0]
         assert "corrected tau_FF" in body
         seen = looked_at(tmp_path / "page.html")
         assert seen["errors"] == []

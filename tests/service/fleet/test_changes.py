@@ -67,7 +67,7 @@ def test_a_gap_that_has_risen_without_a_cause_is_told() -> None:
     assert change.kind == "risen"
     assert change.title == "the gap to what it was has risen, the cause is unknown"
     assert told([change]) == [("", [], "day 3", "day 2", "day 5", False, 3, 3)]
-    assert change.now == ["30 times that of day 1, 30 → 0.1 N m (3e+02 % of the torque)"]
+    assert change.now == ["30 times that of day 1, 30 → 0.1 N m (300 % of the torque)"]
     assert [one.kind for one in changes([day(1), day(2, effect("backlash", 1), gap_nm=25.0)])] == ["effect"]
     assert changes([day(1, gap_nm=None), day(2)]) == []
     (gone,) = changes([day(1), day(2, gap_nm=9.0), day(3)])

@@ -80,12 +80,12 @@ def test_what_was_picked_in_a_sentence() -> None:
     one = MassLevel(1.0, 2.0, 1.5, 0.05, 0.02, 0.05, 0.9, PayloadEvent.PICK)
     empty = replace(one, mass=0.0, event=PayloadEvent.RELEASE)
     assert of_payload([one, empty], common) == (
-        "1 pick of 1.500 kg, each known to ± 0.020 kg, and all alike to 3.5% (one standard deviation); trusted during "
-        "90% of their time."
+        "1 pick of 1.500 kg, each known to ± 0.020 kg, with a common error of 3.5 % (one standard deviation); "
+        "trusted during 90 % of their time."
     )
     longer = replace(one, begin=5.0, end=8.0, mass=0.25, trusted=0.5)
     assert "2 picks of 0.250 to 1.500 kg" in of_payload([one, empty, longer], common)
-    assert "trusted during 60%" in of_payload([one, longer], common), "by their time: 0.9 of 1 s, 0.5 of 3 s"
+    assert "trusted during 60 %" in of_payload([one, longer], common), "by their time: 0.9 of 1 s, 0.5 of 3 s"
 
 
 def test_commands_end_with_it_and_with_what_comes_next(wrong: Robot, logs: list[Trace], tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import re
 import shutil
-from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
@@ -21,19 +20,17 @@ from schemas.messages import MODEL_ERROR, PAYLOAD, SAMPLE, set_stamp
 from schemas.robot import Servo
 from schemas.rollout import Reached, RegimeReached, RolloutDocument
 from service.cli.main import app
-from service.diagnosis.blindpage import BOUNDS, missed
-from service.diagnosis.blindpage import write_page as write_blindtest
-from service.experiment.closed_loop import FEEDBACK, Tracking
-from service.experiment.loop_page import page as loop_page
-from service.experiment.loop_page import verdict_of_models
 from service.experiment.pictures import Figure, Line, Page, PageTable, Panel, write_page
 from service.monitor.readback import Recorded
 from service.monitor.report import picture
-from service.pages import LOOK, PROGRAM, print_page
+from service.pages import LOOK, PROGRAM, Headline, print_page
 from service.pages import write_page as write_any_page
 from service.rollout.document import write_rollout
 from service.rollout.gap import REGIMES
-from tests.service.pages.browser import looked_at, plots_of
+from tests.service.pages.browser import looked_at, picture_of, plots_of
+from tests.service.pages.drawn import KINDS
+
+SAID = Headline("open", "Nothing is known <yet>.", "0 %", "of it", "look again.")
 
 
 @pytest.fixture
@@ -43,14 +40,9 @@ def page() -> Page:
         Panel("time / s", "error / mrad", (Line("measured", time, np.sin(time + joint)),), f"joint {joint + 1}")
         for joint in range(3)
     )
-    return Page(
-        "Loop of <script>alert(1)</script>",
-        ("A lead & more.",),
-        (
-            PageTable("Errors", ("what", "N m"), (("<b>bold</b>", "1.0"),), "a note"),
-            Figure("f", "Over time", "c", panels),
-        ),
-    )
+    first = Figure("f", "Over time", "c", panels)
+    table = PageTable("Errors", ("what", "N m"), (("<b>bold</b>", "1.0"),), "a note")
+    return Page("Loop of <script>alert(1)</script>", SAID, first, ("A lead & more.",), (table, first))
 
 
 def test_foreign_text_stays_text_and_nothing_is_fetched(page: Page, tmp_path: Path) -> None:
@@ -67,7 +59,7 @@ def test_foreign_text_stays_text_and_nothing_is_fetched(page: Page, tmp_path: Pa
 def test_every_plot_has_the_look(tmp_path: Path) -> None:
     panel = Panel("time / s", "error / mrad", (Line("measured", np.arange(3.0), np.arange(3.0)),))
     figures = tuple(Figure(f"f{k}", "Over time", "c", (panel,)) for k in range(2))
-    write_page(Page("t", (), figures), tmp_path / "page.html")
+    write_page(Page("t", SAID, figures[0], (), figures), tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     looks = [plot["layout"]["template"] for plot in plots_of(text)]
     assert len(looks) == text.count('class="plotly-graph-div"') == 2
@@ -84,28 +76,6 @@ def test_no_text_lies_over_text(page: Page, tmp_path: Path) -> None:
     assert told["texts"] > 20  # the plots are drawn
     assert told["errors"] == []
     assert told["over"] == []
-
-
-def closed_loop(path: Path) -> None:
-    time = np.arange(0, 3, 1e-3)
-    missed = 1e-3 * np.abs(np.sin(time))
-    names = [FEEDBACK, *(f"{model}, m_p = 0" for model in ("M_KH", "M_Id", "M_Id+F", "full")), "full, payload-aware"]
-    runs = [
-        Tracking(
-            name,
-            time,
-            np.sin(time * [[1], [2], [3]]).T * 2e-3 / k,
-            np.full(3, 1e-3 / k),
-            missed / k,
-            missed / k,
-            2e-3,
-            0.98,
-            0.01,
-            1,
-        )
-        for k, name in enumerate([*names, f"{names[-1]}, estimator lost half way"], 1)
-    ]
-    write_page(loop_page("d3-1200", "ideal", (1.0, 3.8), runs, runs[:3], verdict_of_models(runs[:-1])), path)
 
 
 def rollout(path: Path) -> None:
@@ -133,25 +103,8 @@ def rollout(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert "under the recorded position commands alone" in text
     assert "<td>1, 2, 3</td>" in text
-    assert "1 of 60 windows 1.2 kg hang" in text
+    assert "In 1 of 60 windows 1.2 kg are attached to every simulated robot" in text
     assert "corrected leaves 4, -, 1 times as much torque unexplained" in text
-
-
-def blind_test(path: Path) -> None:
-    rows = [
-        {
-            "case": f"case_{k:03d}", "kind": "catalogue", "truth": [name], "lift": 3.0, "verdict": "partly_explained",
-            "named": [{"name": name}], "first": name, "hit": True, "before_nm": 2.0, "after_nm": 1.0, "claimed": 0.5,
-            "shrink": 0.4,
-        }
-        for k, name in enumerate(("stribeck_friction", "joint_elasticity", "torque_offset"))
-    ]  # fmt: skip
-    summary = dict.fromkeys(BOUNDS, 1.0) | {"cases": 3, "failed": 0}
-    write_blindtest(rows, summary, ["case_003: refused"], "sha256 0", path)
-    outside = re.sub(r"<script.*?</script>", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert "partly explained" in outside
-    assert f"{len(missed(summary))} of {len(BOUNDS)} bounds are missed" in outside
-    assert not re.search(r"[a-z]_[a-z]+_?friction|partly_", outside)
 
 
 def recording(path: Path) -> None:
@@ -165,26 +118,40 @@ def recording(path: Path) -> None:
         topic: Recorded(some, np.arange(1000))
         for topic, some in zip(("sample", "error", "payload"), records, strict=True)
     }
-    write_any_page("recording", path, title="pick.mcap replayed", figure=picture(recorded))
+    said = Headline("told", "A log of one second.", "3 N m", "of torque", "`deltatwin inspect` it.")
+    write_any_page("recording", path, said, title="pick.mcap replayed", figure=picture(recorded))
 
 
+def written(kind: str, path: Path) -> None:
+    """A page of each kind; those with plots of logs, the diagnosis and the paper's, have tests of their own."""
+    if kind in KINDS:
+        KINDS[kind][0](np.random.default_rng(11), path)
+    else:
+        {"recording": recording, "rollout of commands": rollout}[kind](path)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "recording", "rollout of commands"])
 @pytest.mark.parametrize(
-    "width", [pytest.param(390, marks=pytest.mark.slow), 1000, pytest.param(1400, marks=pytest.mark.slow)]
+    ("width", "dark"),
+    [
+        (1000, False),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in ((390, False), (1400, False), (1000, True))),
+    ],
 )
-@pytest.mark.parametrize("write", [closed_loop, rollout, blind_test, recording])
-def test_pages_are_clear(tmp_path: Path, write: Callable[[Path], None], width: int) -> None:
-    path = tmp_path / "page.html"
-    write(path)
-    told = looked_at(path, width)
-    assert told["texts"] > 20
+def test_pages_are_clear(tmp_path: Path, kind: str, width: int, dark: bool) -> None:
+    path = tmp_path / f"{kind.replace(' ', '_')}.html"
+    written(kind, path)
+    told = looked_at(path, width, dark)
+    assert told["texts"] > 8
     assert told["errors"] == []
     assert told["over"] == []
-    assert told["beyond"] == 0
+    assert told["beyond"] <= 0
+    assert picture_of(path, width, dark).stat().st_size > 10_000  # to be looked at
 
 
-@pytest.mark.parametrize("write", [closed_loop, rollout, blind_test, recording])
-def test_pages_are_small(tmp_path: Path, write: Callable[[Path], None]) -> None:
-    write(tmp_path / "page.html")
+@pytest.mark.parametrize("kind", [*KINDS, "recording", "rollout of commands"])
+def test_pages_are_small(tmp_path: Path, kind: str) -> None:
+    written(kind, tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size < 1_500_000
 
 

@@ -109,6 +109,34 @@ def test_a_robot_as_it_was_drawn_up_is_exported_too() -> None:
     assert np.linalg.norm(theirs - there) < 0.01 * moved
 
 
+def test_a_viewer_shows_its_links_where_they_are() -> None:
+    """Each moving body with a shape that weighs nothing and touches nothing; rods end at the platform's edge."""
+    made = to_mjcf(identified())
+    model = made.spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    shown = {model.geom(number).name: number for number in range(model.ngeom)}
+    rods = [f"rod{i}{k}" for i in range(3) for k in (0, 1)]
+    assert set(shown) == {"base", "platform", *(f"arm{i}" for i in range(3)), *rods}
+    assert not model.geom_contype.any()
+    assert not model.geom_conaffinity.any()
+    bare = made.spec.copy()
+    for geom in list(bare.geoms):
+        bare.delete(geom)
+    plain_model = bare.compile()
+    np.testing.assert_array_equal(model.body_mass, plain_model.body_mass)
+    np.testing.assert_array_equal(model.body_inertia, plain_model.body_inertia)
+    middle = data.geom_xpos[shown["platform"]]
+    for name in rods:
+        number = shown[name]
+        along = data.geom_xmat[number].reshape(3, 3)[:, 2] * model.geom_size[number][1]
+        ends = data.geom_xpos[number] + np.outer((-1, 1), along)
+        end = data.site(f"end{name[3:]}").xpos
+        assert np.linalg.norm(ends - end, axis=1).min() == pytest.approx(0.0, abs=1e-9)
+        assert np.linalg.norm(end - middle) < 3 * model.geom_size[shown["platform"]][0]
+
+
 def test_the_command_writes_model_and_callback_and_says_what_is_left_out(tmp_path: Path) -> None:
     early = effect("torque_delay")
     early.parameters["delay"] = EffectParameter(value=-0.002)

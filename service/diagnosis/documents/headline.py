@@ -1,0 +1,65 @@
+"""The diagnosis in one box: verdict, one number, next step."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from schemas.diagnosis import Diagnosis, NamedEffect, OnlineTrial, named_joints
+from schemas.words import percent, significant, words
+from service.diagnosis.documents.online_text import KEEP, standing
+from service.diagnosis.documents.text import ADVICE, NO_NAMES, answer, unasked
+from service.pages import Headline
+
+AGREE = "Model and robot agree: the gap is within the noise of the torque signal."
+NONE = "No cause is confirmed: there is structure in the gap that no effect of the catalogue explains."
+ASKED = "No effect can be asked for on these data."
+TRY = (
+    "check the cause on the machine. `deltatwin evaluate LOG --robot {corrected}` tries the correction on a log that "
+    "was not used here."
+)
+
+
+def headline(document: Diagnosis, folder: Path = Path()) -> Headline:
+    """What the page and the command say first. folder: of the corrected description."""
+    gap, said = document.gap, answer(document)
+    before, noise = _rms(gap.before_nm), _rms(gap.noise_floor_nm)
+    if document.effects:
+        names = "; ".join(map(_placed, document.effects))
+        names = names[0].upper() + names[1:]
+        rest = "explains the gap" if document.verdict == "explained" else "explains part of the gap"
+        levels = (gap.work_before_nm, gap.work_after_nm) if gap.slow_runs else (gap.before_nm, gap.after_nm)
+        goes = f"{' → '.join(significant(_rms(level)) for level in levels)} {gap.unit} rms; noise {significant(noise)}"
+        goes += "; slow sweeps apart" if gap.slow_runs else ""
+        shrinks = "smaller" if gap.shrink >= 0 else "larger"
+        return Headline(
+            "bad", f"{names}: {rest if len(document.effects) == 1 else rest.replace('explains', 'explain')}.",
+            percent(abs(gap.shrink)), f"{shrinks} gap on held-out data ({goes})",
+            said.check[0] if said.check else _step(document.online, folder / "corrected.toml"),
+        )  # fmt: skip
+    of = f"the noise of the torque signal: {significant(before)} {gap.unit} rms between model and robot"
+    times = f"{significant(before / noise, 2)} times" if noise else "no"
+    if document.verdict == "within_noise":
+        step = said.check[0] if said.check else "nothing; `deltatwin watch` raises an alarm when this changes."
+        return Headline("good", AGREE, times, of, step)
+    if refusal := unasked(document):
+        advice = next(one.advice for one in document.cannot_tell if one.code in NO_NAMES)
+        return Headline("open", ASKED, times, of, ADVICE[advice], tuple(refusal[:1]))
+    return Headline("open", NONE, times, of, said.check[0])
+
+
+def _placed(effect: NamedEffect) -> str:
+    where = f" in {named_joints(effect.joints)}" if effect.joints else ""
+    others = " or ".join(map(words, effect.confusable_with))
+    return words(effect.name) + where + (f" (or {others})" if others else "")
+
+
+def _step(online: OnlineTrial | None, corrected: Path) -> str:
+    known = online.identified if online else None
+    if online and known and online.corrected and standing(known, online.corrected, online.changes) == "worse":
+        return KEEP
+    return TRY.format(corrected=corrected)
+
+
+def _rms(values: list[float]) -> float:
+    return math.sqrt(sum(value**2 for value in values) / len(values))
