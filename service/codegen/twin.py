@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -25,6 +26,7 @@ from service.codegen.c import Writer, nested, number, word
 from service.codegen.layout import layout_of, optional
 from service.codegen.program import Layout, Program
 from service.codegen.source import CodegenError
+from service.codegen.tree import Function
 from service.codegen.types import Array, Record, Scalar
 from service.estimator import state
 from service.estimator.estimator import LONGEST_PERIOD, SHORTEST_PERIOD
@@ -83,17 +85,8 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
         construct of a kernel that the generator does not know.
     """
     check_name(name)
-    if robot.identified is None and not nominal:
-        raise RobotError(
-            f"{robot.origin}: identified: not there: friction would be zero and rho 1; run `deltatwin identify`, "
-            "or give --nominal"
-        )
-    if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
-        raise CodegenError(f"a cycle of {period:g} s: from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s are possible")
-    settings = state.settings(robot, period, 1)
-    layout = layout_of(robot, settings)
-    program, step = Program(layout), (Array(Record(state.STEP), (1,)),)
-    roots = {root: program.function(kernel, step).name for root, kernel in ROOTS.items()}
+    settings, program, functions = lowered(robot, period, nominal)
+    layout, roots = program.layout, {root: function.name for root, function in functions.items()}
     writer, macro = Writer(layout, name), name.upper()
     loadable = [_loadable(writer, one) for one in parameters.LOADABLE]
     known = {"name": name, "macro": macro, "version": version("deltatwin"), "robot": said(robot.name)}
@@ -112,7 +105,10 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
         settings=writer.record(state.SETTINGS),
         step=writer.record(state.STEP),
         described="\n".join(_initial(layout, state.SETTINGS, settings[0], "    ")),
-        beginning=_nonzero(layout, state.STATE, state.fresh(settings)["state"][0], "it.state"),
+        beginning=[
+            (place, _literal(value))
+            for place, value in nonzero(layout, state.STATE, state.fresh(settings)["state"][0], "it.state", _member)
+        ],
         answers={topic: _zeros(layout, topic, macro) for topic in OUT},
         cleared=_cleared(layout),
         roots=roots,
@@ -121,6 +117,24 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
         growth_share=_literal(parameters.growth_share(settings)),
     )
     return Twin(name, header, source, in_c(layout, state.STEP).itemsize, left_out(robot, period))
+
+
+def lowered(robot: Robot, period: float, nominal: bool) -> tuple[np.ndarray, Program, dict[str, Function]]:
+    """(1,) SETTINGS of the estimator, all of its step as trees, and those of `ROOTS` among them.
+
+    Raises:
+        RobotError, CodegenError: as `to_c`.
+    """
+    if robot.identified is None and not nominal:
+        raise RobotError(
+            f"{robot.origin}: identified: not there: friction would be zero and rho 1; run `deltatwin identify`, "
+            "or give --nominal"
+        )
+    if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
+        raise CodegenError(f"a cycle of {period:g} s: from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s are possible")
+    settings = state.settings(robot, period, 1)
+    program, step = Program(layout_of(robot, settings)), (Array(Record(state.STEP), (1,)),)
+    return settings, program, {root: program.function(kernel, step) for root, kernel in ROOTS.items()}
 
 
 def in_c(layout: Layout, dtype: np.dtype) -> np.dtype:
@@ -157,20 +171,27 @@ def _definitions(writer: Writer, program: Program) -> list[str]:
 
 def _message(writer: Writer, topic: str, message: Message) -> dict[str, Any]:
     """A message as its text defines it, constants and comments too, less what is of the wire alone."""
-    lines = message.text.splitlines()
-    said = {line.split("#", 1)[0].strip(): line.partition("#")[2].strip() for line in lines}
-    notes = {text.split()[-1]: note for text, note in said.items() if text and "=" not in text}
-    notes |= {"stamp_sec": f"s, {notes.get('header', '')}", "stamp_nanosec": "ns, on top of that"}
-    constants = [
-        {"name": found[1], "value": found[2], "comment": _comment(note)}
-        for text, note in said.items()
-        if (found := re.fullmatch(r"uint32 ([A-Z_]+)=(\d+)", text))
-    ]
+    about, notes, constants = texts(message)
     fields = [
         {"declared": writer.member(message.dtype, name), "comment": _comment(notes.get(name, ""))}
         for name in writer.layout.members(message.dtype)
     ]
-    return {"topic": topic, "about": lines[0].lstrip("# "), "constants": constants, "fields": fields}
+    told = [{"name": one, "value": value, "comment": _comment(note)} for one, value, note in constants]
+    return {"topic": topic, "about": about, "constants": told, "fields": fields}
+
+
+def texts(message: Message) -> tuple[str, dict[str, str], list[tuple[str, str, str]]]:
+    """What a message's text says: of all of it, of each field, and its constants: name, value, note."""
+    lines = message.text.splitlines()
+    told = {line.split("#", 1)[0].strip(): line.partition("#")[2].strip() for line in lines}
+    notes = {text.split()[-1]: note for text, note in told.items() if text and "=" not in text}
+    notes |= {"stamp_sec": f"s, {notes.get('header', '')}", "stamp_nanosec": "ns, on top of that"}
+    constants = [
+        (found[1], found[2], note)
+        for text, note in told.items()
+        if (found := re.fullmatch(r"uint32 ([A-Z_]+)=(\d+)", text))
+    ]
+    return lines[0].lstrip("# "), notes, constants
 
 
 def _comment(note: str) -> str:
@@ -210,23 +231,29 @@ def _initial(layout: Layout, dtype: np.dtype, record: Any, space: str) -> list[s
     return lines
 
 
-def _nonzero(layout: Layout, dtype: np.dtype, record: Any, place: str) -> list[tuple[str, str]]:
-    """Where a record is not zero, and what it is there."""
+def nonzero(
+    layout: Layout, dtype: np.dtype, record: Any, place: str, member: Callable[[np.dtype, str], str]
+) -> list[tuple[str, Any]]:
+    """Where a record is not zero, and what it is there. member: what a field is called."""
     found = []
     for name in layout.members(dtype):
-        kind, value, here = layout.field(dtype, name), record[name], f"{place}.{word(name)}"
+        kind, value, here = layout.field(dtype, name), record[name], f"{place}.{member(dtype, name)}"
         if isinstance(kind, Record):
-            found += _nonzero(layout, kind.dtype, value, here)
+            found += nonzero(layout, kind.dtype, value, here, member)
         elif isinstance(kind, Array) and isinstance(kind.element, Record):
             for n in range(kind.shape[0]):
-                found += _nonzero(layout, kind.element.dtype, value[n], f"{here}[{n}]")
+                found += nonzero(layout, kind.element.dtype, value[n], f"{here}[{n}]", member)
         else:
             shape = kind.shape if isinstance(kind, Array) else ()
             cut = np.asarray(value)[tuple(slice(count) for count in shape)]
             for at in np.argwhere(cut != 0):
                 index = "".join(f"[{n}]" for n in at)
-                found.append((f"{here}{index}", _literal(cut[tuple(at)])))
+                found.append((f"{here}{index}", cut[tuple(at)]))
     return found
+
+
+def _member(dtype: np.dtype, name: str) -> str:
+    return word(name)
 
 
 def _zeros(layout: Layout, topic: str, macro: str) -> list[str]:
