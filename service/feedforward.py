@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from drivers.bus import Bus
 from drivers.ethercat.setpoints import Setpoints
 from schemas.messages import NANOSECONDS, REFERENCE, FeedforwardSource, SampleFlag, set_stamp, stamp_ns
-from service.estimator.estimator import Estimator
 
 LEAD = 4  # cycles that a motion is published ahead of its command: tap, estimator and Zenoh have that long at any rate
 DRIFT = 2  # cycles that the numbering of the samples may be off before it is adjusted; the estimator takes 1 to 8 ahead
@@ -27,10 +27,22 @@ def nothing(sample: np.ndarray, setpoints: Setpoints, number: int) -> np.ndarray
     return np.zeros(3)
 
 
+class Steps(Protocol):
+    """What an `Estimator` does in a cycle, and the library that is exported from it."""
+
+    feedforward: np.ndarray
+    payload: np.ndarray
+
+    def warm_up(self) -> None: ...
+    def plan(self, reference: np.void) -> None: ...
+    def step(self, message: bytes) -> int: ...
+    def look_back(self) -> int: ...
+
+
 class InCycle:
     """tau_FF from an estimator that steps between two frames, for the planned motion of the coming cycle."""
 
-    def __init__(self, estimator: Estimator) -> None:
+    def __init__(self, estimator: Steps) -> None:
         self._estimator = estimator
         self._reference = REFERENCE.empty(1)[0]
         self._payload: np.void | None = None

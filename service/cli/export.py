@@ -34,8 +34,8 @@ def command(
         Format,
         typer.Option(
             help="mjcf: MuJoCo, the closed chain; urdf: viewers, the actuated links; c: feed-forward and payload as "
-            "C99; fmu: the same for co-simulation; st: as Structured Text and PLCopen XML; sheet: figures for a controller's "
-            "own rigid model"
+            "C99; fmu: the same for co-simulation; st: as Structured Text and PLCopen XML; sheet: figures for a "
+            "controller's own rigid model"
         ),
     ] = Format.mjcf,
     effects: OwnEffects = None,
@@ -45,6 +45,7 @@ def command(
     log: Annotated[
         list[Path] | None, typer.Option(help="Of sheet: held-out log, what is left of its torque; may come again")
     ] = None,
+    float32: Annotated[bool, typer.Option("--float32", help="Of c: in single precision; see its error there")] = False,
     nominal: Annotated[bool, typer.Option("--nominal", help="Of c, fmu, st: also where never identified")] = False,
 ) -> None:
     """Write the robot, as identified and corrected, for MuJoCo, or the actuated part of it for viewers; or its
@@ -71,7 +72,7 @@ def command(
 
     description = load_robot(robot, effects)
     if to is Format.c:
-        _code(description, out, rate, name, nominal)
+        _code(description, out, rate, name, nominal, float32)
         return
     if to is Format.st:
         _block(description, out, rate, name, nominal)
@@ -106,19 +107,22 @@ def command(
         print(f"{name} is left out: {why}", file=sys.stderr)
 
 
-def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool) -> None:
+def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool, single: bool) -> None:
     """`--to c`."""
     import sys
 
-    from service.codegen.folder import of_c, write_twin
+    from service.codegen.float32 import ERROR
+    from service.codegen.folder import write_twin
     from service.codegen.twin import to_c
 
-    twin = to_c(robot, 1.0 / rate, name, nominal)
-    for path in write_twin(robot, 1.0 / rate, name, of_c(twin), out):
+    twin = to_c(robot, 1.0 / rate, name, nominal, single)
+    for path in write_twin(robot, 1.0 / rate, twin, out):
         print(f"wrote {path}")
     for effect, why in twin.left_out.items():
         print(f"{effect} is left out: {why}", file=sys.stderr)
     print(f"one sample every {1e6 / rate:g} us; {twin.static_bytes / 1024:.0f} KiB static, no heap")
+    if single:
+        print(f"in single precision: {ERROR}")
     print(
         f"next: gcc -O2 -std=c99 -ffp-contract=off -c {out / name}.c, and call {name}_init, then {name}_step each cycle"
     )
@@ -128,11 +132,11 @@ def _block(robot: Robot, out: Path, rate: float, name: str, nominal: bool) -> No
     """`--to st`."""
     import sys
 
-    from service.codegen.folder import of_st, write_twin
+    from service.codegen.folder import write_twin
     from service.codegen.plc import to_st
 
     project = to_st(robot, 1.0 / rate, name, nominal)
-    for path in write_twin(robot, 1.0 / rate, name, of_st(project), out):
+    for path in write_twin(robot, 1.0 / rate, project, out):
         print(f"wrote {path}")
     for effect, why in project.left_out.items():
         print(f"{effect} is left out: {why}", file=sys.stderr)

@@ -24,7 +24,8 @@ MAX_CODE_BYTES = 16 << 20
 
 
 class Manifest(BaseModel):
-    """name: of files and functions. period_s: of a cycle. files: of code. sha256: of them, one behind the other."""
+    """name: of files and functions. period_s: of a cycle. files: of code. sha256: of them, one behind the other.
+    single: in single precision. id: what the C code says of itself, hexadecimal."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -35,6 +36,8 @@ class Manifest(BaseModel):
     period_s: Annotated[float, Field(gt=0)]
     files: Annotated[list[Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*\.(h|c|st|xml)$")]], Field(min_length=1)]
     sha256: str
+    single: bool = False
+    id: Annotated[str, Field(pattern=r"^[0-9a-f]{0,16}$")] = ""
 
 
 def of_c(twin: Twin) -> dict[str, str]:
@@ -46,21 +49,25 @@ def of_st(project: Project) -> dict[str, str]:
     return {f"{project.name}.st": project.text, f"{project.name}.xml": as_xml(project)}
 
 
-def write_twin(robot: Robot, period: float, name: str, code: dict[str, str], folder: Path) -> list[Path]:
-    """Write `code` of `robot` into `folder`. Returns the files.
+def write_twin(robot: Robot, period: float, made: Twin | Project, folder: Path) -> list[Path]:
+    """Write the code of `robot` into `folder`. Returns the files.
 
     Raises:
         StorageError: one cannot be written.
     """
     make_folder(folder)
+    is_c = isinstance(made, Twin)
+    code = of_c(made) if is_c else of_st(made)
     manifest = Manifest(
         schema="deltatwin.twin/1",
         deltatwin=version("deltatwin"),
         robot=robot.name,
-        name=name,
+        name=made.name,
         period_s=period,
         files=list(code),
         sha256=hashlib.sha256("".join(code.values()).encode()).hexdigest(),
+        single=is_c and made.single,
+        id=f"{made.id:016x}" if is_c else "",
     )
     texts = code | {MANIFEST: manifest.model_dump_json(by_alias=True, indent=1) + "\n"}
     for file, text in texts.items():

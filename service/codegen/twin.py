@@ -21,7 +21,7 @@ import numpy as np
 from schemas.errors import RobotError
 from schemas.messages import TOPICS, HealthFlag, Message
 from schemas.robot import Robot
-from service.codegen import parameters
+from service.codegen import float32, parameters
 from service.codegen.c import Writer, nested, number, word
 from service.codegen.layout import layout_of, optional
 from service.codegen.program import Layout, Program
@@ -46,19 +46,23 @@ HEALTH = {
     HealthFlag.EFFECT_LEFT_OUT: "the description names an effect that the online model does without",
 }
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+_ID = "THE_ID_OF_THIS_CODE"
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
 @dataclass(frozen=True)
 class Twin:
     """header, source: of C99. static_bytes: of what it remembers and its settings, where doubles are aligned to eight.
-    left_out: effect -> why the online model does without."""
+    left_out: effect -> why the online model does without. single: in single precision. id: 64 bits of the SHA-256 of
+    both texts, which the code says of itself."""
 
     name: str
     header: str
     source: str
     static_bytes: int
     left_out: dict[str, str]
+    single: bool
+    id: int
 
     @property
     def digest(self) -> str:
@@ -77,8 +81,9 @@ def check_name(name: str) -> str:
     return name
 
 
-def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = False) -> Twin:
-    """The online step of `robot` at a sample every `period` s. nominal: also of one that was never identified.
+def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = False, single: bool = False) -> Twin:
+    """The online step of `robot` at a sample every `period` s. nominal: also of one that was never identified. single:
+    in single precision.
 
     Raises:
         RobotError: it was not identified, or has an effect that is not known. CodegenError: the name, the period, or a
@@ -93,6 +98,7 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
     header = template("twin.h").render(
         **known,
         period=period,
+        single=f"In single precision: {float32.ERROR}" if single else "",
         period_literal=number(period, Scalar.REAL),
         effects=", ".join(said(entry.name) for entry in robot.effect) or "none",
         messages=[_message(writer, topic, TOPICS[topic]) for topic in (*IN, *OUT)],
@@ -114,9 +120,15 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
         roots=roots,
         loadable=loadable,
         same_period=repr(SAME_PERIOD),
+        id=_ID,
         growth_share=_literal(parameters.growth_share(settings)),
     )
-    return Twin(name, header, source, in_c(layout, state.STEP).itemsize, left_out(robot, period))
+    if single:
+        header, source = float32.in_single(header), float32.in_single(source)
+    own = int(hashlib.sha256((header + source).encode()).hexdigest()[:16], 16)
+    source = source.replace(_ID, f"UINT64_C({own})")
+    size = in_c(layout, state.STEP, single).itemsize
+    return Twin(name, header, source, size, left_out(robot, period), single, own)
 
 
 def lowered(robot: Robot, period: float, nominal: bool) -> tuple[np.ndarray, Program, dict[str, Function]]:
@@ -137,13 +149,13 @@ def lowered(robot: Robot, period: float, nominal: bool) -> tuple[np.ndarray, Pro
     return settings, program, {root: program.function(kernel, step) for root, kernel in ROOTS.items()}
 
 
-def in_c(layout: Layout, dtype: np.dtype) -> np.dtype:
+def in_c(layout: Layout, dtype: np.dtype, single: bool = False) -> np.dtype:
     """The record as the generated code lays it out in memory."""
     fields = []
     for name in layout.members(dtype):
         kind = layout.field(dtype, name)
-        base = dtype[name].base
-        inner = in_c(layout, base) if base.fields else base
+        base = np.dtype("f4") if single and dtype[name].base == np.dtype("f8") else dtype[name].base
+        inner = in_c(layout, base, single) if base.fields else base
         fields.append((name, inner, kind.shape) if isinstance(kind, Array) else (name, inner))
     return np.dtype(fields, align=True)
 
