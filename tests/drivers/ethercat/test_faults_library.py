@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -33,45 +33,48 @@ def library(wire: Wire) -> str:
     return str(compiled(Path(wire.robot), wire.folder / "twin", table.RATE))
 
 
-def test_what_a_master_lives_through(wire: Wire, library: str) -> None:
+@pytest.fixture
+def running(wire: Wire, library: str) -> Iterator[Process]:
+    """A master whose drives get a torque of the library."""
     master = wire.master(library, duration=300)
+    yield master
+    master.stop()
+
+
+def test_what_a_master_lives_through(wire: Wire, running: Process, library: str) -> None:
     table.loaded(wire)
     for row in STAYS.values():
-        if not master.process.is_alive() and table.NO_ANSWER in master.said:
-            master = wire.master(library, duration=300)  # the host did not let the segment run
-        row(wire, master)
+        if not running.process.is_alive() and table.NO_ANSWER in running.said:
+            running = wire.master(library, duration=300)  # the host did not let the segment run
+        row(wire, running)
 
 
 @pytest.mark.parametrize(
     ("switch", "says"),
     [("silence 3", "a drive does not take part in the process data"), ("trip 2", "drive 2 is not in operation")],
 )
-def test_a_drive_that_fails(wire: Wire, library: str, switch: str, says: str) -> None:
-    master = wire.master(library)
+def test_a_drive_that_fails(wire: Wire, running: Process, switch: str, says: str) -> None:
     since = time.monotonic()
     wire.segment.say(switch)
     within = time.monotonic() - since + table.SOON
     wire.heard.told(Role.TAP, HealthFlag.BUS_FAULT, since, within)
-    table.ends_in_a_fault(wire, master, since, says, within)
+    table.ends_in_a_fault(wire, running, since, says, within)
 
 
-def test_a_cable_that_stays_cut(wire: Wire, library: str) -> None:
-    master = wire.master(library)
+def test_a_cable_that_stays_cut(wire: Wire, running: Process) -> None:
     since = wire.spoil("cut")
-    table.ends_in_a_fault(wire, master, since, table.NO_ANSWER)
+    table.ends_in_a_fault(wire, running, since, table.NO_ANSWER)
     wire.heard.told(Role.TAP, HealthFlag.STALE_INPUT, since)
 
 
-def test_frames_that_are_corrupted(wire: Wire, library: str) -> None:
-    master = wire.master(library)
+def test_frames_that_are_corrupted(wire: Wire, running: Process) -> None:
     since = wire.spoil("corrupt 0.05")
     wire.heard.told(Role.MASTER, HealthFlag.BUS_FAULT, since, 2.0)
     time.sleep(1.0)
     wire.spoil("whole")
-    if not master.process.is_alive():
-        assert master.said.splitlines()[-1].startswith("deltatwin: ")
-    assert "Traceback" not in master.said
-    master.stop()
+    if not running.process.is_alive():
+        assert running.said.splitlines()[-1].startswith("deltatwin: ")
+    assert "Traceback" not in running.said
 
 
 def test_a_library_for_another_cycle_ends_before_the_first_frame(wire: Wire, library: str, tmp_path: Path) -> None:
