@@ -55,7 +55,8 @@ def command(
     """Bring three CiA 402 drives into operation, run a pick-and-place or a motion from a file and stop them again.
 
     Cyclic synchronous position mode; tau_FF goes out as torque offset 0x60B2 in the drive's unit, within the peak and
-    slope of the description's `limits`, and fades to zero within their torque_fade_s where nothing fresh comes. Over
+    slope of the description's `limits`, and fades to zero within their torque_fade_s where nothing fresh comes. Where
+    gears yield and the drives map 0x60B0, position offset, motors go ahead of the planned joints by the twist. Over
     the bus the planned motion goes out as `reference`, and only answers to it count. `health` is published in every
     mode. Ctrl-C stops the drives. A motion from a file is refused where it breaks a limit of speed, acceleration,
     torque, joint range or workspace, or does not start and end at rest; it carries nothing.
@@ -65,7 +66,7 @@ def command(
     Example: deltatwin master eth1 --robot corrected.toml --feedforward twin/libtwin.so
     """
     from drivers.ethercat.interface import check_interface
-    from drivers.ethercat.master import Master, OffsetRamp, follow
+    from drivers.ethercat.master import Master, OffsetRamp, PositionRamp, follow
     from schemas.robot import load_robot
 
     description = load_robot(robot, effects)
@@ -84,10 +85,11 @@ def command(
     from schemas.messages import Role, StopReason
     from service.cli.progress import counting
     from service.estimator.bounds import bounds_of
-    from service.feedforward import InCycle, OverBus, nothing
+    from service.feedforward import InCycle, OverBus, goes_ahead, nothing
     from service.stopping import stop_requested
 
     period = 1 / rate
+    twists = feedforward != OFF and goes_ahead(description, period)
     peak, slope = bounds_of(description)
     planner = Planner(description, period)
     if motion is None:
@@ -122,12 +124,15 @@ def command(
             plan = course.begin(master.operate())
             stopped = stop_requested()  # asked between two cycles; torn out of one, a Ctrl-C could be swallowed there
             limit = peak if max_torque is None else min(peak, max_torque)
-            offset = OffsetRamp(master.scale, limit, slope, description.limits.torque_fade_s, period)
+            fade = description.limits.torque_fade_s
+            offset, ahead = OffsetRamp(master.scale, limit, slope, fade, period), PositionRamp(fade, period)
             typer.echo(
                 f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True
             )
+            if twists and not master.goes_ahead:
+                typer.echo("gears yield, but not all drives map 0x60B0: motors do not go ahead of the plan", err=True)
             with Report(health, master, offset, torque.counts if torque else None) as tell:
-                for done, _ in enumerate(follow(master, plan, torque or nothing, offset), start=1):
+                for done, _ in enumerate(follow(master, plan, torque or nothing, offset, ahead), start=1):
                     sent[done - 1] = master.sent_ns
                     if done % 256 == 0:
                         show(done)
