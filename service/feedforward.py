@@ -1,20 +1,22 @@
 """Where the master's feed-forward torque comes from: an estimator in its own cycle, or one that answers over Zenoh.
 
-Each gives (3,) N m for the motion that the next frame commands, or None where it has nothing fresh; `OffsetRamp`
-then takes what the drives had to zero.
+Each gives an `Answer` for the motion that the next frame commands, or None where it has nothing fresh; `OffsetRamp` and
+`PositionRamp` then take what the drives had to zero.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from drivers.bus import Bus
-from drivers.ethercat.setpoints import Setpoints
+from drivers.ethercat.setpoints import Answer, Setpoints
 from schemas.messages import NANOSECONDS, REFERENCE, FeedforwardSource, SampleFlag, set_stamp, stamp_ns
-from service.estimator.estimator import Estimator
+from schemas.robot import Robot
+from service.estimator.state import settings
 
 LEAD = 4  # cycles that a motion is published ahead of its command: tap, estimator and Zenoh have that long at any rate
 DRIFT = 2  # cycles that the numbering of the samples may be off before it is adjusted; the estimator takes 1 to 8 ahead
@@ -22,21 +24,38 @@ FRESH_CYCLES = LEAD + 3  # from question to use; an answer that is late by up to
 _NUMBERS = 1 << 64
 
 
-def nothing(sample: np.ndarray, setpoints: Setpoints, number: int) -> np.ndarray | None:
+def nothing(sample: np.ndarray, setpoints: Setpoints, number: int) -> Answer | None:
     """No feed-forward, and none wanted."""
-    return np.zeros(3)
+    return Answer(np.zeros(3), np.zeros(3))
+
+
+def goes_ahead(robot: Robot, period: float) -> bool:
+    """Whether an estimator of `robot` says how far motors go before planned positions."""
+    return bool(settings(robot, period, 1)["leads"][0])
+
+
+class Steps(Protocol):
+    """What an `Estimator` does in a cycle, and the library that is exported from it."""
+
+    feedforward: np.ndarray
+    payload: np.ndarray
+
+    def warm_up(self) -> None: ...
+    def plan(self, reference: np.void) -> None: ...
+    def step(self, message: bytes) -> int: ...
+    def look_back(self) -> int: ...
 
 
 class InCycle:
     """tau_FF from an estimator that steps between two frames, for the planned motion of the coming cycle."""
 
-    def __init__(self, estimator: Estimator) -> None:
+    def __init__(self, estimator: Steps) -> None:
         self._estimator = estimator
         self._reference = REFERENCE.empty(1)[0]
         self._payload: np.void | None = None
         estimator.warm_up()
 
-    def __call__(self, sample: np.ndarray, setpoints: Setpoints, number: int) -> np.ndarray | None:
+    def __call__(self, sample: np.ndarray, setpoints: Setpoints, number: int) -> Answer | None:
         reference = self._reference
         reference["sequence"] = sample["sequence"][0] + 1
         _plan(reference, setpoints, number)
@@ -47,7 +66,7 @@ class InCycle:
         if weighed and estimator.payload["std_dev"][0] > 0.0:  # without doubt is the mass in an open gripper alone
             self._payload = estimator.payload[0].copy()
         answer = estimator.feedforward[0]
-        return answer["torque"].copy() if _for_the_plan(answer) else None
+        return _said(answer) if _for_the_plan(answer) else None
 
     def counts(self) -> dict[str, int]:
         """For the health message."""
@@ -63,11 +82,11 @@ class InCycle:
 
 @dataclass
 class _Question:
-    """A motion that was published: for which cycle, when (CLOCK_MONOTONIC, ns), and the answer, (3,) N m."""
+    """A motion that was published: for which cycle, when (CLOCK_MONOTONIC, ns), and the answer."""
 
     cycle: int
     asked_ns: int
-    torque: np.ndarray | None = None
+    answer: Answer | None = None
 
 
 class OverBus:
@@ -94,46 +113,46 @@ class OverBus:
         self.refused = {"invalid": 0, "repeated": 0, "rejected": 0}
         self._used = self._unanswered = 0
 
-    def __call__(self, sample: np.ndarray, setpoints: Setpoints, number: int) -> np.ndarray | None:
+    def __call__(self, sample: np.ndarray, setpoints: Setpoints, number: int) -> Answer | None:
         records, _ = self._answers.take()
         for record in records:
             self._hear(record)
         if len(records):
             self._learn(int(records["sequence"][-1]), number)
         now = time.monotonic_ns()
-        torque = self._freshest(number, now)
+        answer = self._freshest(number, now)
         if self._offset is not None:
             self._ask(sample, setpoints, number, now)
-        if torque is not None:
+        if answer is not None:
             self._used += 1
         elif self._used:
             self._unanswered += 1
-        return torque
+        return answer
 
     def _hear(self, answer: np.void) -> None:
         self.received += 1
-        torque = np.array(answer["torque"])
+        said = _said(answer)
         question = self._asked.get(int(answer["target_sequence"]))
-        if not (np.abs(torque) <= self._peak).all():  # NaN is not
+        if not (np.abs(said.torque) <= self._peak).all():  # NaN is not
             self.refused["invalid"] += 1
         elif question is None or not _for_the_plan(answer):
             self.refused["rejected"] += 1
-        elif question.torque is not None:
+        elif question.answer is not None:
             self.refused["repeated"] += 1
         else:
-            question.torque = torque
+            question.answer = said
 
     def _learn(self, sequence: int, number: int) -> None:
         offset = sequence + 1 - number  # the newest answer is to the sample of the cycle before
         if self._offset is None or abs(offset - self._offset) > DRIFT:
             self._offset = offset
 
-    def _freshest(self, number: int, now: int) -> np.ndarray | None:
+    def _freshest(self, number: int, now: int) -> Answer | None:
         """The answer for the cycle `number`, else for the nearest one; questions of too long ago are forgotten."""
         oldest = now - FRESH_CYCLES * self._period_ns
         self._asked = {target: question for target, question in self._asked.items() if question.asked_ns >= oldest}
-        answered = [question for question in self._asked.values() if question.torque is not None]
-        return min(answered, key=lambda question: abs(question.cycle - number)).torque if answered else None
+        answered = [question for question in self._asked.values() if question.answer is not None]
+        return min(answered, key=lambda question: abs(question.cycle - number)).answer if answered else None
 
     def _ask(self, sample: np.ndarray, setpoints: Setpoints, number: int, now: int) -> None:
         assert self._offset is not None
@@ -171,6 +190,11 @@ def _plan(reference: np.void, setpoints: Setpoints, number: int) -> None:
     reference["position"] = setpoints.position[number]
     reference["velocity"] = setpoints.velocity[number]
     reference["acceleration"] = setpoints.acceleration[number]
+
+
+def _said(answer: np.void) -> Answer:
+    """What a FEEDFORWARD record says; the offset may be left out."""
+    return Answer(answer["torque"].copy(), np.nan_to_num(answer["position_offset"]))
 
 
 def _for_the_plan(answer: np.void) -> bool:

@@ -22,6 +22,7 @@ VELOCITY_ACTUAL = 0x606C
 TARGET_TORQUE = 0x6071
 TORQUE_ACTUAL = 0x6077
 TARGET_POSITION = 0x607A
+POSITION_OFFSET = 0x60B0
 TORQUE_OFFSET = 0x60B2
 DIGITAL_INPUTS = 0x60FD
 
@@ -39,7 +40,7 @@ OBJECTS = {
     0x6078: np.dtype("<i2"),  # current actual
     0x6079: np.dtype("<u4"),  # DC link voltage
     TARGET_POSITION: np.dtype("<i4"),
-    0x60B0: np.dtype("<i4"),  # position offset
+    POSITION_OFFSET: np.dtype("<i4"),
     0x60B1: np.dtype("<i4"),  # velocity offset
     TORQUE_OFFSET: np.dtype("<i2"),
     0x60B8: np.dtype("<u2"),  # touch probe function

@@ -26,7 +26,7 @@ from drivers.ethercat.bus_clock import BusClock
 from drivers.ethercat.cia402 import Control, DriveState, Mode, Scale, drive_state
 from drivers.ethercat.interface import check_interface, claim
 from drivers.ethercat.pdo import DIGITAL_OUTPUTS, GRIPPER, Pdo, joint_pdos
-from drivers.ethercat.setpoints import Setpoints
+from drivers.ethercat.setpoints import Answer, Setpoints
 from schemas.errors import BusError
 from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag, set_stamp
 from schemas.robot import Robot
@@ -39,6 +39,8 @@ STILL_CYCLES = 10  # without motion in which a quick stop is over
 ENABLE_TIME = 2.0  # s for all drives to get into operation
 RECEIVE_SHARE = 0.8  # of a cycle to wait for the frame to come back
 SILENCE = 0.02  # s, SOEM's longest wait for an answer: what has not come by then is not on its way
+FARTHEST = 0.1  # rad, of motors before planned positions: gears that yield further are broken
+AHEAD_SPEED = 1.0  # rad/s, at which they get there: a torque of 5000 N m/s on a gear of 5000 N m/rad
 _LATE_FRAMES = 1024  # read at once at most
 _LEAST_TRIES = 3  # before a bus that says another thing each time is given up
 
@@ -85,8 +87,9 @@ class _Axis:
         return self.outputs[place] if place >= 0 else 0
 
 
-Feedforward = Callable[[np.ndarray, Setpoints, int], np.ndarray | None]
-"""(1,) record of SAMPLE, setpoints, the number of the coming cycle; gives tau_FF (3,) N m, None where it has none."""
+Feedforward = Callable[[np.ndarray, Setpoints, int], Answer | None]
+"""(1,) record of SAMPLE, setpoints, the number of the coming cycle; gives what to feed forward, None where it has
+nothing."""
 
 
 class OffsetRamp:
@@ -122,11 +125,35 @@ class OffsetRamp:
         return self._scale.per_mille(self.torque)
 
 
+class PositionRamp:
+    """How far motors go before planned positions, to 0x60B0 of three drives: limited in size and speed, back to none
+    where nothing is known.
+
+    Attributes: ahead: (3,) rad, what is asked of the drives.
+    """
+
+    def __init__(self, fade: float, period: float) -> None:
+        """`fade`: s from the farthest to none. `period`: s."""
+        self._step, self._fall = AHEAD_SPEED * period, FARTHEST * period / fade
+        self.ahead = np.zeros(3)
+
+    def step(self, offset: np.ndarray | None) -> np.ndarray:
+        """(3,) rad for an offset (3,) rad that is wanted. None, and what is not finite, is none."""
+        if offset is None or not np.isfinite(offset).all():
+            self.ahead = self.ahead - np.clip(self.ahead, -self._fall, self._fall)
+        else:
+            wanted = np.clip(offset, -FARTHEST, FARTHEST)
+            self.ahead = self.ahead + np.clip(wanted - self.ahead, -self._step, self._step)
+        return self.ahead
+
+
 class Master:
     """The drives of one robot on one interface. Use as a context manager: leaving it stops the drives and the bus.
 
     Other stations, which the description passes over by giving each drive its `place`, go into operation with the bus;
     their outputs stay 0.
+
+    Attributes: goes_ahead: whether all drives map 0x60B0, by which motors go before planned positions.
     """
 
     def __init__(self, interface: str, robot: Robot, period: float, wait_until: Callable[[int], int]) -> None:
@@ -138,6 +165,7 @@ class Master:
         pdos = joint_pdos(robot)
         self.scale = _side_by_side(cia402.scales(robot))
         self._axes = [_Axis(rx, tx) for rx, tx in pdos]
+        self.goes_ahead = all(rx.places(cia402.POSITION_OFFSET)[0] >= 0 for rx, _ in pdos)
         places = [joint.place for joint in robot.drive.joint if joint.place is not None]
         self._declared, self._places = bool(places), places or [1, 2, 3]
         self._gripper = robot.drive.gripper
@@ -156,6 +184,7 @@ class Master:
         self._faulty_run = self._left_run = 0
         self._sample = SAMPLE.empty(1)
         self._commanded = np.full(3, np.nan), np.full(3, np.nan)
+        self._ahead = np.zeros(3)
         self._soem = pysoem.Master()
         self._states = [DriveState.UNKNOWN] * 3
         self.counts = Counts()
@@ -303,16 +332,20 @@ class Master:
         """Whether the last frame was lost or faulty, its clock could not be right, or a drive was out of operation."""
         return bool(self._faulty_run or self._left_run or self._clock.odd)
 
-    def command(self, position: np.ndarray, offset: np.ndarray, grip: bool = False) -> None:
+    def command(
+        self, position: np.ndarray, offset: np.ndarray, grip: bool = False, ahead: np.ndarray | None = None
+    ) -> None:
         """Make ready for the next frame.
 
         position: (3,) rad to be at when the cycle that the frame starts is over. offset: (3,) int16 for 0x60B2.
-        grip: whether the gripper is to hold, the `GRIPPER` bit of 0x60FE where that is mapped.
+        grip: whether the gripper is to hold, the `GRIPPER` bit of 0x60FE where that is mapped. ahead: (3,) rad for
+        0x60B0 where that is mapped, less where motors would leave the joint range or move faster than joints may.
 
         Raises:
             BusError: a target outside the joint range, or further from the last one than a joint moves in a cycle.
         """
         self._check_target(position)
+        self._go_ahead(position, np.zeros(3) if ahead is None else ahead)
         counts = self.scale.counts(position)
         for axis, target, torque in zip(self._axes, counts.tolist(), offset.tolist(), strict=True):
             axis.put(cia402.TARGET_POSITION, target)
@@ -320,10 +353,24 @@ class Master:
             axis.put(DIGITAL_OUTPUTS, GRIPPER if grip else 0)
         self._commanded = self.scale.position(counts), self.scale.torque(offset)
 
+    def _go_ahead(self, position: np.ndarray, ahead: np.ndarray) -> None:
+        if not self.goes_ahead:
+            return
+        (low, high), before, most = self._range, self._commanded[0] + self._ahead, self._most
+        motors = np.clip(np.clip(position + ahead, low, high), before - most, before + most)
+        units = np.rint((motors - position) / self.scale.radians_per_count).astype(np.int64)
+        for axis, counts in zip(self._axes, units.tolist(), strict=True):
+            axis.put(cia402.POSITION_OFFSET, counts)
+        self._ahead = units * self.scale.radians_per_count
+
+    @property
+    def _most(self) -> float:
+        """rad that a joint moves in a cycle at most."""
+        return self._limits.joint_speed_radps * self._period_ns / NANOSECONDS
+
     def _check_target(self, position: np.ndarray) -> None:
         """The last line of defence: nothing behind this looks at a target again."""
-        low, high = self._range
-        most = self._limits.joint_speed_radps * self._period_ns / NANOSECONDS
+        (low, high), most = self._range, self._most
         for joint, (target, last) in enumerate(zip(position.tolist(), self._commanded[0].tolist(), strict=True), 1):
             if not low <= target <= high:
                 raise BusError(
@@ -480,7 +527,9 @@ class Master:
         return f"{self._interface}: the drives are not in operation"
 
 
-def follow(master: Master, setpoints: Setpoints, feedforward: Feedforward, offset: OffsetRamp) -> Iterator[np.ndarray]:
+def follow(
+    master: Master, setpoints: Setpoints, feedforward: Feedforward, offset: OffsetRamp, ahead: PositionRamp
+) -> Iterator[np.ndarray]:
     """Take drives in operation through `setpoints`.
 
     Yields the (1,) record of SAMPLE of each cycle, good until the next one, once the next command is ready.
@@ -491,7 +540,8 @@ def follow(master: Master, setpoints: Setpoints, feedforward: Feedforward, offse
     for number, (position, grip) in enumerate(zip(setpoints.position, setpoints.grip.tolist(), strict=True)):
         sample = master.cycle()
         master.check_operation()
-        master.command(position, offset.step(feedforward(sample, setpoints, number)), grip)
+        torque, before = feedforward(sample, setpoints, number) or (None, None)
+        master.command(position, offset.step(torque), grip, ahead.step(before))
         yield sample
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,14 @@ class Setpoints:
 
     def __len__(self) -> int:
         return len(self.position)
+
+
+class Answer(NamedTuple):
+    """What is fed forward in a cycle: torque (3,) N m, and how far motors go before the links' planned positions where
+    gears yield, (3,) rad."""
+
+    torque: np.ndarray
+    position_offset: np.ndarray
 
 
 class SetpointPlan:

@@ -70,8 +70,8 @@ class _Station:
         control, position, torque, mode = rx.places(
             cia402.CONTROLWORD, cia402.TARGET_POSITION, cia402.TARGET_TORQUE, cia402.MODE_OF_OPERATION
         )
-        offset, digital = rx.places(cia402.TORQUE_OFFSET, DIGITAL_OUTPUTS)
-        self._rx_places = (control, mode, position, torque, offset, digital)
+        ahead, offset, digital = rx.places(cia402.POSITION_OFFSET, cia402.TORQUE_OFFSET, DIGITAL_OUTPUTS)
+        self._rx_places = (control, mode, position, torque, ahead, offset, digital)
         self._tx_places = tx.places(
             cia402.STATUSWORD,
             cia402.POSITION_ACTUAL,
@@ -86,12 +86,13 @@ class _Station:
     def command(self, position: float, period: float) -> None:
         """Outputs to the servo. Without 0x6060 mapped the mode is CSP, as a drive set up by its start-up list."""
         values = self.rx.unpack(self.controller.outputs)
-        control, mode, target, torque, offset, digital = self._rx_places
+        control, mode, target, torque, ahead, offset, digital = self._rx_places
+        wanted = (values[target] if target >= 0 else 0) + (values[ahead] if ahead >= 0 else 0)
         self.gripping = digital >= 0 and bool(values[digital] & GRIPPER)
         self.drive.receive(
             values[control],
             values[mode] if mode >= 0 else Mode.CSP,
-            values[target] if target >= 0 else 0,
+            ((wanted + 2**31) & 0xFFFFFFFF) - 2**31,
             values[torque] if torque >= 0 else 0,
             values[offset] if offset >= 0 else 0,
             position,

@@ -21,6 +21,7 @@ class Format(StrEnum):
     urdf = "urdf"
     c = "c"
     fmu = "fmu"
+    st = "st"
     sheet = "sheet"
 
 
@@ -28,22 +29,24 @@ def command(
     robot: Annotated[
         Path, typer.Argument(metavar="FILE|NAME", help="Robot description (TOML), identified or corrected")
     ],
-    out: Annotated[Path, typer.Option(help="File to write; of c: folder")],
+    out: Annotated[Path, typer.Option(help="File to write; of c, st: folder")],
     to: Annotated[
         Format,
         typer.Option(
             help="mjcf: MuJoCo, the closed chain; urdf: viewers, the actuated links; c: feed-forward and payload as "
-            "C99; fmu: the same for co-simulation; sheet: figures for a controller's own rigid model"
+            "C99; fmu: the same for co-simulation; st: as Structured Text and PLCopen XML; sheet: figures for a "
+            "controller's own rigid model"
         ),
     ] = Format.mjcf,
     effects: OwnEffects = None,
-    rate: Annotated[float, typer.Option(min=10.0, max=50_000.0, help="Of c, fmu: cycles a second (Hz)")] = 1000.0,
-    name: Annotated[str, typer.Option(help="Of c, fmu: what files, types and functions begin with")] = "deltatwin",
+    rate: Annotated[float, typer.Option(min=10.0, max=50_000.0, help="Of c, fmu, st: cycles a second, Hz")] = 1000.0,
+    name: Annotated[str, typer.Option(help="Of c, fmu, st: beginning of files, types and functions")] = "deltatwin",
     fmi: Annotated[int, typer.Option(min=2, max=3, help="Of fmu: version of the standard, 2 or 3")] = 3,
     log: Annotated[
         list[Path] | None, typer.Option(help="Of sheet: held-out log, what is left of its torque; may come again")
     ] = None,
-    nominal: Annotated[bool, typer.Option("--nominal", help="Of c, fmu: also where never identified")] = False,
+    float32: Annotated[bool, typer.Option("--float32", help="Of c: in single precision; see its error there")] = False,
+    nominal: Annotated[bool, typer.Option("--nominal", help="Of c, fmu, st: also where never identified")] = False,
 ) -> None:
     """Write the robot, as identified and corrected, for MuJoCo, or the actuated part of it for viewers; or its
     estimator as code for its controller.
@@ -58,6 +61,8 @@ def command(
 
     Example: deltatwin export corrected.toml --to c --rate 1000 --out twin/
 
+    Example: deltatwin export corrected.toml --to st --rate 500 --out plc/
+
     Example: deltatwin export corrected.toml --to sheet --log test_1.csv --log test_2.csv --out figures.md
     """
     import sys
@@ -67,7 +72,10 @@ def command(
 
     description = load_robot(robot, effects)
     if to is Format.c:
-        _code(description, out, rate, name, nominal)
+        _code(description, out, rate, name, nominal, float32)
+        return
+    if to is Format.st:
+        _block(description, out, rate, name, nominal)
         return
     if to is Format.fmu:
         _unit(description, out, rate, name, fmi, nominal)
@@ -99,22 +107,41 @@ def command(
         print(f"{name} is left out: {why}", file=sys.stderr)
 
 
-def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool) -> None:
+def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool, single: bool) -> None:
     """`--to c`."""
     import sys
 
+    from service.codegen.float32 import ERROR
     from service.codegen.folder import write_twin
     from service.codegen.twin import to_c
 
-    twin = to_c(robot, 1.0 / rate, name, nominal)
+    twin = to_c(robot, 1.0 / rate, name, nominal, single)
     for path in write_twin(robot, 1.0 / rate, twin, out):
         print(f"wrote {path}")
     for effect, why in twin.left_out.items():
         print(f"{effect} is left out: {why}", file=sys.stderr)
     print(f"one sample every {1e6 / rate:g} us; {twin.static_bytes / 1024:.0f} KiB static, no heap")
+    if single:
+        print(f"in single precision: {ERROR}")
     print(
         f"next: gcc -O2 -std=c99 -ffp-contract=off -c {out / name}.c, and call {name}_init, then {name}_step each cycle"
     )
+
+
+def _block(robot: Robot, out: Path, rate: float, name: str, nominal: bool) -> None:
+    """`--to st`."""
+    import sys
+
+    from service.codegen.folder import write_twin
+    from service.codegen.plc import to_st
+
+    project = to_st(robot, 1.0 / rate, name, nominal)
+    for path in write_twin(robot, 1.0 / rate, project, out):
+        print(f"wrote {path}")
+    for effect, why in project.left_out.items():
+        print(f"{effect} is left out: {why}", file=sys.stderr)
+    print(f"one sample every {1e6 / rate:g} us; function block {name}, {len(project.pous) - 1} functions")
+    print(f"next: import {out / name}.xml (CODESYS, TwinCAT: PLCopenXML), and call the block once a cycle")
 
 
 def _sheet(robot: Robot, out: Path, logs: list[Path]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,27 +16,25 @@ if TYPE_CHECKING:
 
     from drivers.ethercat.master import Counts
     from drivers.health import Health
-    from service.feedforward import InCycle, OverBus
+    from schemas.robot import Robot
+    from service.feedforward import InCycle, OverBus, Steps
 
 
-class FeedforwardOrigin(enum.StrEnum):
-    """Where tau_FF comes from."""
-
-    CYCLE = "cycle"
-    BUS = "bus"
-    OFF = "off"
+CYCLE, BUS, OFF = "cycle", "bus", "off"  # where tau_FF comes from; else a library
 
 
 def command(
     interface: Annotated[str, typer.Argument(metavar="INTERFACE", help="Ethernet interface of the drives.")],
     robot: Annotated[Path, robot_file(" with its drives and their process data.")],
     feedforward: Annotated[
-        FeedforwardOrigin,
+        str,
         typer.Option(
+            metavar="cycle|bus|off|FILE",
             help="The estimator inside the cycle; one that runs elsewhere, over Zenoh (`deltatwin estimate`, fed by "
-            "`deltatwin tap`); or no torque offset."
+            "`deltatwin tap`); no torque offset; or, in place of the estimator, a library (.so) compiled from what "
+            "`deltatwin export --to c` wrote, in that folder.",
         ),
-    ] = FeedforwardOrigin.CYCLE,
+    ] = CYCLE,
     rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second (Hz).")] = 1000.0,
     motion: Annotated[
         Path | None,
@@ -58,15 +55,18 @@ def command(
     """Bring three CiA 402 drives into operation, run a pick-and-place or a motion from a file and stop them again.
 
     Cyclic synchronous position mode; tau_FF goes out as torque offset 0x60B2 in the drive's unit, within the peak and
-    slope of the description's `limits`, and fades to zero within their torque_fade_s where nothing fresh comes. Over
+    slope of the description's `limits`, and fades to zero within their torque_fade_s where nothing fresh comes. Where
+    gears yield and the drives map 0x60B0, position offset, motors go ahead of the planned joints by the twist. Over
     the bus the planned motion goes out as `reference`, and only answers to it count. `health` is published in every
     mode. Ctrl-C stops the drives. A motion from a file is refused where it breaks a limit of speed, acceleration,
     torque, joint range or workspace, or does not start and end at rest; it carries nothing.
 
     Example: deltatwin master eth1 --robot d3.toml --duration 60
+
+    Example: deltatwin master eth1 --robot corrected.toml --feedforward twin/libtwin.so
     """
     from drivers.ethercat.interface import check_interface
-    from drivers.ethercat.master import Master, OffsetRamp, follow
+    from drivers.ethercat.master import Master, OffsetRamp, PositionRamp, follow
     from schemas.robot import load_robot
 
     description = load_robot(robot, effects)
@@ -85,11 +85,11 @@ def command(
     from schemas.messages import Role, StopReason
     from service.cli.progress import counting
     from service.estimator.bounds import bounds_of
-    from service.estimator.estimator import Estimator
-    from service.feedforward import InCycle, OverBus, nothing
+    from service.feedforward import InCycle, OverBus, goes_ahead, nothing
     from service.stopping import stop_requested
 
     period = 1 / rate
+    twists = feedforward != OFF and goes_ahead(description, period)
     peak, slope = bounds_of(description)
     planner = Planner(description, period)
     if motion is None:
@@ -105,8 +105,8 @@ def command(
     with ExitStack() as stack:
         show = stack.enter_context(counting(f"master {interface}", len(planned)))
         torque: InCycle | OverBus | None = None
-        if feedforward is FeedforwardOrigin.CYCLE:
-            torque = InCycle(Estimator(description, period))
+        if feedforward not in (BUS, OFF):
+            torque = InCycle(_steps(feedforward, description, period))
         standing = go_realtime("master")
         bus: Bus | None = None
         health: Health | None = None
@@ -114,22 +114,25 @@ def command(
             bus = stack.enter_context(open_bus(description.name, Role.MASTER, zenoh_config, insecure, ros_domain))
             health = stack.enter_context(Health(bus, standing))
         except BusError as error:
-            if feedforward is FeedforwardOrigin.BUS or zenoh_config is not None or isinstance(error, RoleTakenError):
+            if feedforward == BUS or zenoh_config is not None or isinstance(error, RoleTakenError):
                 raise  # two masters would fight for the drives
             typer.echo(f"master: {error}; runs on, its health is not heard", err=True)
-        if feedforward is FeedforwardOrigin.BUS and bus:
+        if feedforward == BUS and bus:
             torque = OverBus(bus, peak, period)
         done, interrupted = 0, False
         with Master(interface, description, period, wait_until) as master:
             plan = course.begin(master.operate())
             stopped = stop_requested()  # asked between two cycles; torn out of one, a Ctrl-C could be swallowed there
             limit = peak if max_torque is None else min(peak, max_torque)
-            offset = OffsetRamp(master.scale, limit, slope, description.limits.torque_fade_s, period)
+            fade = description.limits.torque_fade_s
+            offset, ahead = OffsetRamp(master.scale, limit, slope, fade, period), PositionRamp(fade, period)
             typer.echo(
                 f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True
             )
+            if twists and not master.goes_ahead:
+                typer.echo("gears yield, but not all drives map 0x60B0: motors do not go ahead of the plan", err=True)
             with Report(health, master, offset, torque.counts if torque else None) as tell:
-                for done, _ in enumerate(follow(master, plan, torque or nothing, offset), start=1):
+                for done, _ in enumerate(follow(master, plan, torque or nothing, offset, ahead), start=1):
                     sent[done - 1] = master.sent_ns
                     if done % 256 == 0:
                         show(done)
@@ -142,6 +145,20 @@ def command(
     typer.echo(summary(done, len(plan), master.counts, sent[:done]))
     if torque:
         typer.echo(torque.summary())
+
+
+def _steps(feedforward: str, robot: Robot, period: float) -> Steps:
+    """What answers inside the cycle."""
+    if feedforward == CYCLE:
+        from service.estimator.estimator import Estimator
+
+        return Estimator(robot, period)
+    path = Path(feedforward)
+    if not path.is_file():
+        raise typer.BadParameter(f"{feedforward!r}: neither cycle, bus, off nor a library that is there")
+    from service.codegen.library import Library
+
+    return Library(path, robot, period)
 
 
 def summary(done: int, planned: int, counts: Counts, sent: np.ndarray) -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def command(
-    twin: Annotated[Path, typer.Argument(metavar="FOLDER", help="What `deltatwin export --to c` wrote")],
+    twin: Annotated[Path, typer.Argument(metavar="FOLDER", help="What `deltatwin export --to c` or `--to st` wrote")],
     log: Annotated[
         Path, typer.Option(help="Recording (MCAP) with the samples that the controller heard and what it answered")
     ],

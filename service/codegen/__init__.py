@@ -6,6 +6,6 @@ construct that it does not know stops the export with file and line. (Numba's ow
 names by then; what a plant's engineer is to read, and Structured Text can hold, has both.)
 
 `source` a kernel's text, `types` and `tree` what it becomes, `expressions`, `statements`, `program` how, `c` C99 of it,
-`layout` which records and how much of them, `parameters` what may be loaded, `twin` the whole of it for one robot,
-`folder` on disk.
+`layout` which records and how much of them, `parameters` what may be loaded, `twin` the whole of it for one robot.
+`st`, `st_functions` Structured Text of it, `pou` its text, `plcopen` its XML, `plc` the whole; `folder` on disk.
 """

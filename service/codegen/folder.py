@@ -1,4 +1,4 @@
-"""A generated twin on disk: header, source, the description that it was made from, and a manifest that ties them."""
+"""A generated twin on disk: its code, the description that it was made from, and a manifest that ties them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from schemas.errors import StorageError
 from schemas.files import make_folder, read_bytes, write_text
 from schemas.robot import Robot, load_robot, save_robot
 from schemas.toml import validate
+from service.codegen.plc import Project
+from service.codegen.plcopen import as_xml
 from service.codegen.twin import Twin
 
 MANIFEST, DESCRIPTION = "twin.json", "description.toml"
@@ -22,7 +24,8 @@ MAX_CODE_BYTES = 16 << 20
 
 
 class Manifest(BaseModel):
-    """name: of files and functions. period_s: of a cycle. sha256: of header and source."""
+    """name: of files and functions. period_s: of a cycle. files: of code. sha256: of them, one behind the other.
+    single: in single precision. id: what the C code says of itself, hexadecimal."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -31,32 +34,46 @@ class Manifest(BaseModel):
     robot: str
     name: str
     period_s: Annotated[float, Field(gt=0)]
+    files: Annotated[list[Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*\.(h|c|st|xml)$")]], Field(min_length=1)]
     sha256: str
-    static_bytes: int
+    single: bool = False
+    id: Annotated[str, Field(pattern=r"^[0-9a-f]{0,16}$")] = ""
 
 
-def write_twin(robot: Robot, period: float, twin: Twin, folder: Path) -> list[Path]:
-    """Write `twin` of `robot` into `folder`. Returns the files.
+def of_c(twin: Twin) -> dict[str, str]:
+    """Files of code, name -> text."""
+    return {f"{twin.name}.h": twin.header, f"{twin.name}.c": twin.source}
+
+
+def of_st(project: Project) -> dict[str, str]:
+    return {f"{project.name}.st": project.text, f"{project.name}.xml": as_xml(project)}
+
+
+def write_twin(robot: Robot, period: float, made: Twin | Project, folder: Path) -> list[Path]:
+    """Write the code of `robot` into `folder`. Returns the files.
 
     Raises:
         StorageError: one cannot be written.
     """
     make_folder(folder)
+    is_c = isinstance(made, Twin)
+    code = of_c(made) if is_c else of_st(made)
     manifest = Manifest(
         schema="deltatwin.twin/1",
         deltatwin=version("deltatwin"),
         robot=robot.name,
-        name=twin.name,
+        name=made.name,
         period_s=period,
-        sha256=twin.digest,
-        static_bytes=twin.static_bytes,
+        files=list(code),
+        sha256=hashlib.sha256("".join(code.values()).encode()).hexdigest(),
+        single=is_c and made.single,
+        id=f"{made.id:016x}" if is_c else "",
     )
-    texts = {f"{twin.name}.h": twin.header, f"{twin.name}.c": twin.source}
-    texts[MANIFEST] = manifest.model_dump_json(by_alias=True, indent=1) + "\n"
-    for name, text in texts.items():
-        write_text(folder / name, text)
+    texts = code | {MANIFEST: manifest.model_dump_json(by_alias=True, indent=1) + "\n"}
+    for file, text in texts.items():
+        write_text(folder / file, text)
     save_robot(robot, folder / DESCRIPTION)
-    return [folder / name for name in (*texts, DESCRIPTION)]
+    return [folder / file for file in (*texts, DESCRIPTION)]
 
 
 def read_twin(folder: Path) -> tuple[Manifest, Robot]:
@@ -69,9 +86,11 @@ def read_twin(folder: Path) -> tuple[Manifest, Robot]:
     try:
         values = json.loads(read_bytes(path, MAX_BYTES, StorageError))
     except (ValueError, RecursionError) as error:
-        raise StorageError(f"{path}: not what `export --to c` wrote: {error}") from None
+        raise StorageError(f"{path}: not what `export --to c` or `--to st` wrote: {error}") from None
     manifest = validate(Manifest, values if isinstance(values, dict) else {}, path, StorageError)
-    texts = [read_bytes(folder / f"{manifest.name}.{ending}", MAX_CODE_BYTES, StorageError) for ending in "hc"]
+    texts = [read_bytes(folder / file, MAX_CODE_BYTES, StorageError) for file in manifest.files]
     if hashlib.sha256(b"".join(texts)).hexdigest() != manifest.sha256:
-        raise StorageError(f"{folder}: {manifest.name}.h or .c was changed since it was exported: export it again")
+        raise StorageError(
+            f"{folder}: {' or '.join(manifest.files)} was changed since it was exported: export it again"
+        )
     return manifest, load_robot(folder / DESCRIPTION)

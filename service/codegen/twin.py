@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -20,11 +21,12 @@ import numpy as np
 from schemas.errors import RobotError
 from schemas.messages import TOPICS, HealthFlag, Message
 from schemas.robot import Robot
-from service.codegen import parameters
+from service.codegen import float32, parameters
 from service.codegen.c import Writer, nested, number, word
 from service.codegen.layout import layout_of, optional
 from service.codegen.program import Layout, Program
 from service.codegen.source import CodegenError
+from service.codegen.tree import Function
 from service.codegen.types import Array, Record, Scalar
 from service.estimator import state
 from service.estimator.estimator import LONGEST_PERIOD, SHORTEST_PERIOD
@@ -44,19 +46,23 @@ HEALTH = {
     HealthFlag.EFFECT_LEFT_OUT: "the description names an effect that the online model does without",
 }
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+_ID = "THE_ID_OF_THIS_CODE"
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
 @dataclass(frozen=True)
 class Twin:
     """header, source: of C99. static_bytes: of what it remembers and its settings, where doubles are aligned to eight.
-    left_out: effect -> why the online model does without."""
+    left_out: effect -> why the online model does without. single: in single precision. id: 64 bits of the SHA-256 of
+    both texts, which the code says of itself."""
 
     name: str
     header: str
     source: str
     static_bytes: int
     left_out: dict[str, str]
+    single: bool
+    id: int
 
     @property
     def digest(self) -> str:
@@ -75,31 +81,24 @@ def check_name(name: str) -> str:
     return name
 
 
-def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = False) -> Twin:
-    """The online step of `robot` at a sample every `period` s. nominal: also of one that was never identified.
+def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = False, single: bool = False) -> Twin:
+    """The online step of `robot` at a sample every `period` s. nominal: also of one that was never identified. single:
+    in single precision.
 
     Raises:
         RobotError: it was not identified, or has an effect that is not known. CodegenError: the name, the period, or a
         construct of a kernel that the generator does not know.
     """
     check_name(name)
-    if robot.identified is None and not nominal:
-        raise RobotError(
-            f"{robot.origin}: identified: not there: friction would be zero and rho 1; run `deltatwin identify`, "
-            "or give --nominal"
-        )
-    if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
-        raise CodegenError(f"a cycle of {period:g} s: from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s are possible")
-    settings = state.settings(robot, period, 1)
-    layout = layout_of(robot, settings)
-    program, step = Program(layout), (Array(Record(state.STEP), (1,)),)
-    roots = {root: program.function(kernel, step).name for root, kernel in ROOTS.items()}
+    settings, program, functions = lowered(robot, period, nominal)
+    layout, roots = program.layout, {root: function.name for root, function in functions.items()}
     writer, macro = Writer(layout, name), name.upper()
     loadable = [_loadable(writer, one) for one in parameters.LOADABLE]
     known = {"name": name, "macro": macro, "version": version("deltatwin"), "robot": said(robot.name)}
     header = template("twin.h").render(
         **known,
         period=period,
+        single=f"In single precision: {float32.ERROR}" if single else "",
         period_literal=number(period, Scalar.REAL),
         effects=", ".join(said(entry.name) for entry in robot.effect) or "none",
         messages=[_message(writer, topic, TOPICS[topic]) for topic in (*IN, *OUT)],
@@ -112,24 +111,51 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
         settings=writer.record(state.SETTINGS),
         step=writer.record(state.STEP),
         described="\n".join(_initial(layout, state.SETTINGS, settings[0], "    ")),
-        beginning=_nonzero(layout, state.STATE, state.fresh(settings)["state"][0], "it.state"),
+        beginning=[
+            (place, _literal(value))
+            for place, value in nonzero(layout, state.STATE, state.fresh(settings)["state"][0], "it.state", _member)
+        ],
         answers={topic: _zeros(layout, topic, macro) for topic in OUT},
         cleared=_cleared(layout),
         roots=roots,
         loadable=loadable,
         same_period=repr(SAME_PERIOD),
+        id=_ID,
         growth_share=_literal(parameters.growth_share(settings)),
     )
-    return Twin(name, header, source, in_c(layout, state.STEP).itemsize, left_out(robot, period))
+    if single:
+        header, source = float32.in_single(header), float32.in_single(source)
+    own = int(hashlib.sha256((header + source).encode()).hexdigest()[:16], 16)
+    source = source.replace(_ID, f"UINT64_C({own})")
+    size = in_c(layout, state.STEP, single).itemsize
+    return Twin(name, header, source, size, left_out(robot, period), single, own)
 
 
-def in_c(layout: Layout, dtype: np.dtype) -> np.dtype:
+def lowered(robot: Robot, period: float, nominal: bool) -> tuple[np.ndarray, Program, dict[str, Function]]:
+    """(1,) SETTINGS of the estimator, all of its step as trees, and those of `ROOTS` among them.
+
+    Raises:
+        RobotError, CodegenError: as `to_c`.
+    """
+    if robot.identified is None and not nominal:
+        raise RobotError(
+            f"{robot.origin}: identified: not there: friction would be zero and rho 1; run `deltatwin identify`, "
+            "or give --nominal"
+        )
+    if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
+        raise CodegenError(f"a cycle of {period:g} s: from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s are possible")
+    settings = state.settings(robot, period, 1)
+    program, step = Program(layout_of(robot, settings)), (Array(Record(state.STEP), (1,)),)
+    return settings, program, {root: program.function(kernel, step) for root, kernel in ROOTS.items()}
+
+
+def in_c(layout: Layout, dtype: np.dtype, single: bool = False) -> np.dtype:
     """The record as the generated code lays it out in memory."""
     fields = []
     for name in layout.members(dtype):
         kind = layout.field(dtype, name)
-        base = dtype[name].base
-        inner = in_c(layout, base) if base.fields else base
+        base = np.dtype("f4") if single and dtype[name].base == np.dtype("f8") else dtype[name].base
+        inner = in_c(layout, base, single) if base.fields else base
         fields.append((name, inner, kind.shape) if isinstance(kind, Array) else (name, inner))
     return np.dtype(fields, align=True)
 
@@ -157,20 +183,27 @@ def _definitions(writer: Writer, program: Program) -> list[str]:
 
 def _message(writer: Writer, topic: str, message: Message) -> dict[str, Any]:
     """A message as its text defines it, constants and comments too, less what is of the wire alone."""
-    lines = message.text.splitlines()
-    said = {line.split("#", 1)[0].strip(): line.partition("#")[2].strip() for line in lines}
-    notes = {text.split()[-1]: note for text, note in said.items() if text and "=" not in text}
-    notes |= {"stamp_sec": f"s, {notes.get('header', '')}", "stamp_nanosec": "ns, on top of that"}
-    constants = [
-        {"name": found[1], "value": found[2], "comment": _comment(note)}
-        for text, note in said.items()
-        if (found := re.fullmatch(r"uint32 ([A-Z_]+)=(\d+)", text))
-    ]
+    about, notes, constants = texts(message)
     fields = [
         {"declared": writer.member(message.dtype, name), "comment": _comment(notes.get(name, ""))}
         for name in writer.layout.members(message.dtype)
     ]
-    return {"topic": topic, "about": lines[0].lstrip("# "), "constants": constants, "fields": fields}
+    told = [{"name": one, "value": value, "comment": _comment(note)} for one, value, note in constants]
+    return {"topic": topic, "about": about, "constants": told, "fields": fields}
+
+
+def texts(message: Message) -> tuple[str, dict[str, str], list[tuple[str, str, str]]]:
+    """What a message's text says: of all of it, of each field, and its constants: name, value, note."""
+    lines = message.text.splitlines()
+    told = {line.split("#", 1)[0].strip(): line.partition("#")[2].strip() for line in lines}
+    notes = {text.split()[-1]: note for text, note in told.items() if text and "=" not in text}
+    notes |= {"stamp_sec": f"s, {notes.get('header', '')}", "stamp_nanosec": "ns, on top of that"}
+    constants = [
+        (found[1], found[2], note)
+        for text, note in told.items()
+        if (found := re.fullmatch(r"uint32 ([A-Z_]+)=(\d+)", text))
+    ]
+    return lines[0].lstrip("# "), notes, constants
 
 
 def _comment(note: str) -> str:
@@ -210,23 +243,29 @@ def _initial(layout: Layout, dtype: np.dtype, record: Any, space: str) -> list[s
     return lines
 
 
-def _nonzero(layout: Layout, dtype: np.dtype, record: Any, place: str) -> list[tuple[str, str]]:
-    """Where a record is not zero, and what it is there."""
+def nonzero(
+    layout: Layout, dtype: np.dtype, record: Any, place: str, member: Callable[[np.dtype, str], str]
+) -> list[tuple[str, Any]]:
+    """Where a record is not zero, and what it is there. member: what a field is called."""
     found = []
     for name in layout.members(dtype):
-        kind, value, here = layout.field(dtype, name), record[name], f"{place}.{word(name)}"
+        kind, value, here = layout.field(dtype, name), record[name], f"{place}.{member(dtype, name)}"
         if isinstance(kind, Record):
-            found += _nonzero(layout, kind.dtype, value, here)
+            found += nonzero(layout, kind.dtype, value, here, member)
         elif isinstance(kind, Array) and isinstance(kind.element, Record):
             for n in range(kind.shape[0]):
-                found += _nonzero(layout, kind.element.dtype, value[n], f"{here}[{n}]")
+                found += nonzero(layout, kind.element.dtype, value[n], f"{here}[{n}]", member)
         else:
             shape = kind.shape if isinstance(kind, Array) else ()
             cut = np.asarray(value)[tuple(slice(count) for count in shape)]
             for at in np.argwhere(cut != 0):
                 index = "".join(f"[{n}]" for n in at)
-                found.append((f"{here}{index}", _literal(cut[tuple(at)])))
+                found.append((f"{here}{index}", cut[tuple(at)]))
     return found
+
+
+def _member(dtype: np.dtype, name: str) -> str:
+    return word(name)
 
 
 def _zeros(layout: Layout, topic: str, macro: str) -> list[str]:

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.ethercat.master import Master, OffsetRamp, follow
+from drivers.ethercat.master import Master, OffsetRamp, PositionRamp, follow
 from drivers.ethercat.setpoints import SetpointPlan
 from drivers.motion import Planner
 from replay.clock import wait_until
@@ -51,7 +51,8 @@ def main(minutes: float, rate: float, turn: float) -> None:
             schedstat = os.open("/proc/thread-self/schedstat", os.O_RDONLY)
             with Master(rig.NEAR, robot, 1 / rate, wait_until) as master:
                 here = master.operate()
-                offset = OffsetRamp(master.scale, math.inf, 5000.0, robot.limits.torque_fade_s, 1 / rate)
+                fade = robot.limits.torque_fade_s
+                offset, ahead = OffsetRamp(master.scale, math.inf, 5000.0, fade, 1 / rate), PositionRamp(fade, 1 / rate)
                 for number in range(2 * max(1, round(minutes * 30 / turn))):
                     kind = TURNS[number % 2]
                     plan = course.begin(here)
@@ -65,7 +66,7 @@ def main(minutes: float, rate: float, turn: float) -> None:
                         return feedforward(sample, course_, k)
 
                     before = resource.getrusage(resource.RUSAGE_THREAD)
-                    for k, _ in enumerate(follow(master, plan, timed, offset)):
+                    for k, _ in enumerate(follow(master, plan, timed, offset, ahead)):
                         work = time.thread_time_ns() - began
                         delay = int(os.pread(schedstat, 64, 0).split()[1])
                         rows[k] = master.sent_ns, back, work, master.counts.missed, delay

@@ -22,7 +22,7 @@ PERIOD, FADE, PEAK = 0.01, 0.05, 100.0
 FADE_CYCLES = round(FADE / PERIOD)
 FIRST_NUMBER = 5_000_000  # the tap has counted samples for hours
 HOUR = 3600
-TORQUE = np.array([30.0, -20.0, 10.0])
+TORQUE, AHEAD = np.array([30.0, -20.0, 10.0]), np.array([0.01, -0.02, np.nan])
 SCALE = Scale(0, 1e-6, np.full(3, 0.1), None)  # pyright: ignore[reportArgumentType]
 MOTION = np.outer(np.arange(400), [1e-3, 2e-3, -1e-3])
 COURSE = Setpoints(MOTION, MOTION, MOTION, np.zeros(400, bool), 0)
@@ -39,6 +39,7 @@ class Talk:
         self.references = estimator.subscribe("reference")
         self.publisher = estimator.publisher("feedforward")
         self.number = 0
+        self.ahead: np.ndarray | None = None
         self.last = FEEDFORWARD.empty(1)
         self.asked: list[np.void] = []
 
@@ -48,6 +49,7 @@ class Talk:
         set_stamp(message, time.time_ns())
         message["sequence"], message["target_sequence"] = FIRST_NUMBER + self.number, target
         message["torque"], message["source"], message["flags"] = torque, FeedforwardSource.REFERENCE, 0
+        message["position_offset"] = AHEAD
         for name, value in fields.items():
             message[name] = value
         self.publisher.put(message.tobytes())
@@ -59,7 +61,9 @@ class Talk:
         for cycle in range(cycles):
             wait_until(begin + round(cycle * PERIOD * 1e9))
             set_stamp(sample, round(self.number * PERIOD * 1e9))
-            self.offset.step(self.over(sample, COURSE, self.number))
+            answer = self.over(sample, COURSE, self.number)
+            self.ahead = None if answer is None else answer.position_offset
+            self.offset.step(None if answer is None else answer.torque)
             torque.append(self.offset.torque)
             self.asked.extend(self.references.take()[0])
             reply(self, self.asked[-1] if self.asked else np.zeros(1, FEEDFORWARD.dtype)[0])
@@ -83,6 +87,7 @@ def test_answers_to_what_was_asked_reach_the_drives(talk: Talk) -> None:
     torque = talk.run(40, good)
     assert not talk.offset.stale
     np.testing.assert_array_equal(torque[-1], TORQUE)
+    np.testing.assert_array_equal(talk.ahead, [0.01, -0.02, 0.0], "what is not said is none")
     asked = talk.asked[-1]
     command = int(asked["sequence"]) - FIRST_NUMBER - 1  # the cycle whose command that sample will carry
     np.testing.assert_array_equal(asked["position"], COURSE.position[command])

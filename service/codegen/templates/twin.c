@@ -38,6 +38,11 @@ static void zero_{{ topic }}({{ name }}_{{ topic }} *answer)
 }
 
 {% endfor %}
+uint64_t {{ name }}_id(void)
+{
+    return {{ id }};
+}
+
 int {{ name }}_init(double period_s)
 {
     is_ready = fabs((period_s / {{ macro }}_PERIOD) - 1.0) <= {{ same_period }};

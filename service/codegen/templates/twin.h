@@ -1,5 +1,8 @@
 /* Robot {{ robot }}: feed-forward torque, payload and model errors, one sample every {{ "%g" % (period * 1e6) }} us.
  * Effects: {{ effects }}. Made by deltatwin {{ version }}, `deltatwin export --to c`; do not edit.
+{% if single %}
+ * {{ single }}.
+{% endif %}
  * Compile with -ffp-contract=off and without -ffast-math, for the same bits as the service. */
 #ifndef {{ macro }}_H
 #define {{ macro }}_H
@@ -46,6 +49,8 @@ typedef struct {
 {% endfor %}
 } {{ name }}_parameters;
 
+/* Which code this is: of twin.json beside it. */
+uint64_t {{ name }}_id(void);
 /* Begin: nothing is seen yet, and nothing known of payload and changed friction. period_s: of the controller's cycle. */
 int {{ name }}_init(double period_s);
 /* A sample in which nothing is said, to be filled with what is known: stamp, sequence, positions and torques at least. */

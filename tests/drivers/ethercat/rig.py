@@ -54,7 +54,7 @@ torque_noise_nm = [0.1, 0.1, 0.1]
 
 def description(outputs: tuple[str, ...] = OUTPUTS, inputs: tuple[str, ...] = INPUTS) -> str:
     """A robot description whose drives differ in sign, zero and torque unit."""
-    sizes = {"0x6040": 2, "0x607A": 4, "0x6071": 2, "0x6060": 1, "0x60B2": 2, "0x60FE": 4}
+    sizes = {"0x6040": 2, "0x607A": 4, "0x6071": 2, "0x6060": 1, "0x60B2": 2, "0x60B0": 4, "0x60FE": 4}
     sizes |= {"0x6041": 2, "0x6064": 4, "0x606C": 4, "0x6077": 2, "0x6061": 1, "0x60FD": 4}
     out, back = sum(sizes[name] for name in outputs), sum(sizes[name] for name in inputs)
     text = _BODY

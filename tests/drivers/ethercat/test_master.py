@@ -22,8 +22,19 @@ import pytest
 
 from drivers.ethercat import cia402
 from drivers.ethercat.cia402 import Scale
-from drivers.ethercat.master import BRING_UP_TIME, FAULTY_TIME, SILENCE, Master, OffsetRamp, follow
-from drivers.ethercat.setpoints import SetpointPlan, Setpoints
+from drivers.ethercat.master import (
+    AHEAD_SPEED,
+    BRING_UP_TIME,
+    FARTHEST,
+    FAULTY_TIME,
+    SILENCE,
+    Feedforward,
+    Master,
+    OffsetRamp,
+    PositionRamp,
+    follow,
+)
+from drivers.ethercat.setpoints import Answer, SetpointPlan, Setpoints
 from drivers.motion import Planner, Trajectory
 from drivers.motion_file import write_motion
 from drivers.segment.wire import INPUT_DELAY_CYCLES
@@ -85,8 +96,8 @@ def segment(long_running: rig.SegmentProcess) -> rig.SegmentProcess:
     return long_running
 
 
-def nothing(*_: object) -> np.ndarray:
-    return np.zeros(3)
+def nothing(*_: object) -> Answer:
+    return Answer(np.zeros(3), np.zeros(3))
 
 
 @functools.cache
@@ -99,6 +110,7 @@ def run(
     robot: Robot,
     at_start: Callable[[], None] = lambda: None,
     change: Callable[[Setpoints], Setpoints] = lambda whole: whole,
+    feedforward: Feedforward = nothing,
 ) -> np.ndarray:
     """Records of SAMPLE of every cycle of a short pick-and-place."""
     taken, course = [], SetpointPlan(plan(robot.folder), robot.geometry.joint_range_rad)
@@ -106,7 +118,7 @@ def run(
         whole = change(course.begin(master.operate()))
         offset = OffsetRamp(master.scale, math.inf, 5000.0, FADE, PERIOD)
         at_start()
-        for sample in follow(master, whole, nothing, offset):
+        for sample in follow(master, whole, feedforward, offset, PositionRamp(FADE, PERIOD)):
             taken.append(sample.copy())
     return np.concatenate(taken) if taken else SAMPLE.empty(0)
 
@@ -136,6 +148,26 @@ def test_samples_are_the_plants_own_trace(space: rig.Namespace, robot: Robot, fi
         ):
             difference = values[:, joint] - true[rows - INPUT_DELAY_CYCLES, joint]
             assert np.abs(difference).max() < half * 1.01
+
+
+def test_motors_go_ahead_of_the_plan_where_the_drives_map_it(space: rig.Namespace, tmp_path: Path) -> None:
+    """By what is asked and no further than gears that are whole yield; the plan's own commands stay."""
+    mapped = rig.robot(tmp_path, outputs=(*rig.OUTPUTS, "0x60B0"))
+    (tmp_path / "truth.toml").write_text(rig.TRUTH)
+    plan(tmp_path)
+    asked = np.array([0.02, -0.01, 5.0])
+    segment = start(space, tmp_path)
+    try:
+        plain, ahead = (
+            space.call(lambda answer=answer: run(mapped, feedforward=lambda *_: answer))
+            for answer in (nothing(), Answer(np.zeros(3), asked))
+        )
+    finally:
+        segment.stop()
+    np.testing.assert_allclose(ahead["position_command"][-1], plain["position_command"][-1], atol=1e-6)
+    gone = (ahead["position"] - plain["position"][-1])[-20:].mean(axis=0)
+    np.testing.assert_allclose(gone, [0.02, -0.01, FARTHEST], atol=2e-3)
+    assert np.abs(np.diff(ahead["position"], axis=0)).max() < 4 * np.abs(np.diff(plain["position"], axis=0)).max()
 
 
 def test_nothing_is_collected_while_the_drives_wait(space: rig.Namespace) -> None:
@@ -407,6 +439,18 @@ def test_without_privilege_it_says_which_is_missing(space: rig.Namespace, files:
     done = master_command(space, files, rig.NEAR, "setpriv", "--bounding-set=-net_raw", "--inh-caps=-net_raw")
     assert done.returncode == 1
     assert done.stderr.endswith("deltatwin: bus0: raw Ethernet needs the capability CAP_NET_RAW (run as root)\n")
+
+
+def test_motors_get_ahead_of_a_plan_at_a_bounded_speed_and_come_back_in_the_declared_time() -> None:
+    ramp = PositionRamp(FADE, 1e-3)
+    steps = [ramp.step(np.array([0.5, -0.002, 0.0])).copy() for _ in range(150)]
+    np.testing.assert_allclose(np.diff(steps, axis=0).max(), AHEAD_SPEED * 1e-3)
+    np.testing.assert_allclose(steps[-1], [FARTHEST, -0.002, 0.0])
+    for senseless in (None, np.array([0.0, np.nan, 0.0])):
+        ramp.step(senseless)
+    left = [ramp.step(None).copy() for _ in range(round(FADE / 1e-3))]
+    assert np.abs(np.diff(left, axis=0)).max() < 1.01 * FARTHEST * 1e-3 / FADE
+    np.testing.assert_array_equal(left[-1], np.zeros(3))
 
 
 SCALE = Scale(

@@ -45,10 +45,17 @@ class Built:
     """A twin of `robot`, compiled in `folder`. library: of ctypes. dtypes: topic -> record as C has it."""
 
     def __init__(
-        self, robot: Robot, period: float, folder: Path, optimised: str = "-O2", name: str = "deltatwin"
+        self,
+        robot: Robot,
+        period: float,
+        folder: Path,
+        optimised: str = "-O2",
+        name: str = "deltatwin",
+        single: bool = False,
     ) -> None:
-        self.twin: Twin = to_c(robot, period, name, nominal=True)
+        self.twin: Twin = to_c(robot, period, name, nominal=True, single=single)
         self.robot, self.period, self.name = robot, period, name
+        self._real = ctypes.c_float if single else ctypes.c_double
         (folder / f"{name}.h").write_text(self.twin.header)
         (folder / f"{name}.c").write_text(self.twin.source)
         (folder / "loop.c").write_text(LOOP.format(name=name))
@@ -62,11 +69,11 @@ class Built:
         self.library = ctypes.CDLL(str(path))
         self.library.run.restype = ctypes.c_int64
         layout = layout_of(robot, state.settings(robot, period, 1))
-        self.dtypes = {topic: in_c(layout, message.dtype) for topic, message in TOPICS.items()}
+        self.dtypes = {topic: in_c(layout, message.dtype, single) for topic, message in TOPICS.items()}
 
     def init(self, period: float | None = None) -> int:
         function = getattr(self.library, f"{self.name}_init")
-        return function(ctypes.c_double(self.period if period is None else period))
+        return function(self._real(self.period if period is None else period))
 
     def call(self, function: str, *records: np.ndarray) -> int:
         """A function of the twin with pointers to (1,) records."""
