@@ -29,6 +29,7 @@ VERDICTS = {
     "partly_explained": "The named effects explain part of the gap; the residual has structure that none explains.",
     "unexplained": "There is structure in the gap, and no effect in the catalogue explains it.",
 }  # fmt: skip
+HELD_OUT = "fitted and chosen without them, among effects that a search on all suggested"
 # code of a caution -> what cannot be told
 CAUTIONS = {
     "too_little_motion": "The data cannot separate the effects: no joint moves for 3 s in all.",
@@ -295,7 +296,7 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
             gap |= {"before_nm": document.gap.work_before_nm, "after_nm": document.gap.work_after_nm}
             apart = f", slow sweeps apart ({', '.join(document.gap.slow_runs)})"
         shrunk = Shrunk.model_validate(gap)
-        line = f"On held-out {left_out}{apart}, the gap goes {_goes(shrunk, document.gap.unit)}"
+        line = f"On held-out {left_out} ({HELD_OUT}){apart}, the gap goes {_goes(shrunk, document.gap.unit)}"
         grows = _rms(shrunk.after_nm) > _rms(shrunk.before_nm)
         effects.append(line + (f": {_why_it_grows(document)}." if grows else "."))
     if not document.effects and document.verdict == "unexplained":

@@ -41,17 +41,21 @@ def test_a_named_effect_is_told_in_one_line() -> None:
         "above the noise. The data cannot separate it from backlash or torque scale."
     )
     # rms of 3 and 1, of 1.5 and 1
-    assert gap == ("On held-out runs, the gap goes from 2.24 to 1.27 N m, a shrink of 43 % [40, 46].")
+    assert gap == (
+        f"On held-out runs ({text.HELD_OUT}), the gap goes from 2.24 to 1.27 N m, a shrink of 43 % [40, 46]."
+    )
     two = document(traces=["a", "b"], gap=document().gap.model_dump() | {"after_nm": [4.0, 1.0]})
-    assert text.paragraphs(two)[2][1].startswith("On held-out stretches, ")
+    assert text.paragraphs(two)[2][1].startswith(
+        "On held-out stretches (fitted and chosen without them, among effects that a search"
+    )
     assert text.paragraphs(two)[2][1].endswith("does not generalise.")
     aside = two.model_copy(update={"cannot_tell": [Caution(code="by_place", advice="look_there")]})
     assert text.paragraphs(aside)[2][1].endswith("not in the catalogue; given that, the named effects shrink it.")
     work = {"slow_runs": ["b", "c"], "work_before_nm": [4.0, 0.0], "work_after_nm": [2.0, 0.0]}
     line = text.paragraphs(document(gap=document().gap.model_dump() | work))[2][1]
     assert (
-        "On held-out runs, slow sweeps apart (b, c), the gap goes from 2.83 to 1.41 N m, a shrink of 43 % [40, 46]."
-        in line
+        f"On held-out runs ({text.HELD_OUT}), slow sweeps apart (b, c), the gap goes from 2.83 to 1.41 N m, a shrink "
+        "of 43 % [40, 46]." in line
     )
     for after, said in ((3.1, False), (3.3, True)):  # of 3 N m: 3 % more, 9 % more
         worse = document(effects=[], gap=document().gap.model_dump() | {"after_nm": [after, 1.0]})
