@@ -31,6 +31,7 @@ STATED = {
     "how-to/faults.md": {"1 and 5 %": "the fault that the test makes"},
     "how-to/run-on-the-bus.md": {},
     "explanation/diagnosis.md": {"95 %": "the level of an interval"},
+    "how-to/import-logs.md": {", percent,": "the name of a unit"},
     "how-to/which-reading.md": {"3 %": "a bound that the code sets"},
     "how-to/ros-2.md": {"20 times": "a rate that the code sets"},
 }
