@@ -25,6 +25,7 @@ from schemas.units import is_unit
 DAY = r"^(\d{4}[-/]\d\d?[-/]\d\d?|\d\d?[./]\d\d?[./]\d{4})$"
 TIME_OF_DAY = r"^\d\d?:\d\d:\d\d([.,]\d+)?$"
 _JOINT_NAME = re.compile(r"(?i)(?<![a-z])names?\D{0,2}(\d+)\]?$")
+_LAST_NUMBER = re.compile(r"(\d+)\D*$")
 _WORD = re.compile(r"^[A-Za-z]\w*$")
 LOOKED_AT = 400  # lines from the top in which the numbers have to begin
 RUN = 8  # lines of one shape that make a table, fewer only where the file ends
@@ -111,16 +112,19 @@ def _named_in_cells(columns: list[str], texts: Mapping[str, pl.Series], path: Pa
         TraceError: one of them names several joints.
     """
     found = {}
+    numbered: dict[str, list[str]] = {}
+    for column in columns:
+        if number := _LAST_NUMBER.search(column):
+            numbered.setdefault(number[1], []).append(column)
     for name, cells in texts.items():
         if (which := _JOINT_NAME.search(name)) is None:
             continue
         joints = cells.str.strip_chars().drop_nulls().unique().to_list()
         if len(joints) > 1:
             raise TraceError(
-                f"{path}: {name!r} names several joints, {joints[0]!r} and {joints[1]!r}: one a column is read"
+                f"{path}: {name!r} names several joints, {joints[0]!r}, {joints[1]!r}: one a column is read"
             )
-        number = which[1]
-        found |= {column: joint for joint in joints for column in columns if re.search(rf"(?<!\d){number}\D*$", column)}
+        found |= {column: joint for joint in joints for column in numbered.get(which[1], [])}
     return found
 
 
