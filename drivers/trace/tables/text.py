@@ -57,9 +57,12 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
     paths: dict[str, str] = {}
     texts: dict[str, pl.Series] = {}
     clock, epoch_ns = "", 0
+    plain = _plain_numbers(cells, columns.decimal)
     for index, name in enumerate(names):
         name = _unique(name, values)
-        array, unit, epoch_ns = numbers_of(cells[str(index)], columns.decimal, epoch_ns)
+        array, unit = plain.get(str(index)), ""
+        if array is None:
+            array, unit, epoch_ns = numbers_of(cells[str(index)], columns.decimal, epoch_ns)
         if array is None:
             texts[name] = cells[str(index)]
             continue
@@ -258,7 +261,25 @@ def _units(head: list[str], columns: Columns) -> dict[int, str]:
 
 
 def _unique(name: str, taken: Mapping[str, object]) -> str:
-    return next(n for n in (name, *(f"{name} ({k})" for k in range(2, MAX_COLUMNS + 2))) if n not in taken)
+    if name not in taken:
+        return name
+    return next(n for k in range(2, MAX_COLUMNS + 2) if (n := f"{name} ({k})") not in taken)
+
+
+def _plain_numbers(cells: pl.DataFrame, decimal: str) -> dict[str, np.ndarray]:
+    """The columns that are numbers, all at once: a table may have thousands."""
+    values = cells.select(_as_number(pl.all(), decimal))
+    filled, known = (frame.select(pl.all().count()).row(0) for frame in (cells, values))
+    return {
+        name: values[name].to_numpy()
+        for name, all_, numbers in zip(cells.columns, filled, known, strict=True)
+        if all_ and numbers >= 0.5 * all_
+    }
+
+
+def _as_number(text: pl.Expr, decimal: str) -> pl.Expr:
+    lower = text.str.strip_chars().str.to_lowercase().replace({"true": "1", "false": "0"})
+    return lower.str.replace(decimal, ".", literal=True).cast(pl.Float64, strict=False)
 
 
 def numbers_of(cells: pl.Series, decimal: str, epoch_ns: int = 0) -> tuple[np.ndarray | None, str, int]:
@@ -266,14 +287,15 @@ def numbers_of(cells: pl.Series, decimal: str, epoch_ns: int = 0) -> tuple[np.nd
 
     epoch_ns: what dates have to count from, ns since 1970; 0: from their first.
     """
-    text = cells.str.strip_chars()
-    lower = text.str.to_lowercase().replace({"true": "1", "false": "0"})
-    values = lower.str.replace(decimal, ".", literal=True).cast(pl.Float64, strict=False)
-    filled = len(text.drop_nulls())
+    table = pl.DataFrame({"text": cells.str.strip_chars()})
+    values = table.select(_as_number(pl.col("text"), decimal)).to_series()
+    filled = len(table) - table["text"].null_count()
     if filled and values.count() >= 0.5 * filled:
         return values.to_numpy(), "", epoch_ns
-    dates = pl.DataFrame({"text": text}).select(date_times(pl.col("text"))).to_series()
-    if filled and dates.count() >= 0.5 * filled:
+    if table["text"].str.contains(":", literal=True).sum() < 0.5 * filled or not filled:  # a time of day has them
+        return None, "", epoch_ns
+    dates = table.select(date_times(pl.col("text"))).to_series()
+    if dates.count() >= 0.5 * filled:
         epoch_ns = epoch_ns or int(dates.drop_nulls()[0])
         return ((dates - epoch_ns).cast(pl.Float64) / NANOSECONDS).to_numpy(), "datetime", epoch_ns
     return None, "", epoch_ns
