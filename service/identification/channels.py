@@ -38,7 +38,7 @@ WORDS = {
     "other": {
         "velocity", "speed", "vel", "qd", "dq", "qdot", "geschwindigkeit", "drehzahl", "error", "err", "lag",
         "schleppfehler", "deviation", "following", "temp", "temperature", "volt", "volts", "voltage", "acceleration",
-        "acc", "accel", "qdd", "ddq", "dqd", "dtau", "omega", "pwm", "status", "state", "enable", "enabled", "ext",
+        "acc", "accel", "qdd", "ddq", "dqd", "dtau", "omega", "pwm", "status", "enable", "enabled", "ext",
         "external", "limit", "limits", "max", "min", "power", "leistung",
     },
     "current": {"iq", "current", "currents", "curr", "strom"},
@@ -115,7 +115,10 @@ def guess(table: Table, joints: int | None, called: Sequence[str] = ()) -> Chann
     ordered = {role: _by_joint(columns) for role, columns in found.items()} | {r: c for r, c in named.items() if c}
     ordered |= {role: _as_ordered(columns, ordered["position"]) for role, columns in ordered.items()}
     count = joints or len(ordered["position"])
-    ordered = {role: columns if len(columns) == count else [] for role, columns in ordered.items()}
+    kept = {role: columns if len(columns) == count else [] for role, columns in ordered.items()}
+    if ordered["torque"] and not kept["torque"]:  # something was measured: no command stands for it
+        kept["torque_command"] = []
+    ordered = kept
     partly = bool(ordered["torque"] or ordered["torque_command"]) and any(named.values())
     order, open_ones = _told_order(table, ordered, called, partly)
     return Channels(time, **ordered, reasons=reasons, order=order, doubts=doubts + open_ones)
@@ -335,13 +338,16 @@ def _moves(values: np.ndarray) -> bool:
 
 
 def _roles(names: Sequence[str], table: Table) -> dict[str, str | None]:
-    """What each column is; `q_d` beside `q` is the command of what `q` measures."""
+    """What each column is; `q_d` beside `q` is the command of what `q` measures, `Id` beside `Iq` is no torque."""
     roles = {name: _role(name, table) for name in names}
     spelled = {tuple(tokens(name)): name for name in names}
     for name, role in roles.items():
         without = tuple(word for word in tokens(name) if word != DESIRED)
         if role in ("position", "torque") and spelled.get(without, name) != name:
             roles[name] = f"{role}_command"
+        beside = tuple("iq" if word == "id" else word for word in tokens(name))
+        if role and role.startswith("torque") and spelled.get(beside, name) != name:
+            roles[name] = OTHER
     return roles
 
 
@@ -417,7 +423,7 @@ def _by_smoothness(
 ) -> tuple[list[str], list[str]] | None:
     """The table split into positions and torques: a position turns smoothly, a torque does not. Never against what a
     name or unit says."""
-    names = [name for name in names if roles[name] != OTHER]
+    names = [name for name in names if roles[name] != OTHER and not str(roles[name]).endswith("command")]
     if len(names) % 2 or (joints and len(names) != 2 * joints):
         return None
     roughness = {}

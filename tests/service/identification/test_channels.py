@@ -354,6 +354,12 @@ def test_a_counter_is_no_clock(name: str) -> None:
         ("t,q1,w1,iq1,id1", "q1", "iq1", ("", "")),
         ("t,q1,torque1,torque limit 1,torque max 1", "q1", "torque1", ("", "")),
         ("t,q_a,q_d,tau_a,tau_d", "q_a,q_d", "tau_a,tau_d", ("", "")),  # axes a and d
+        ("t,state.q[0],state.dq[0],state.tau_J[0],cmd.q_d[0],cmd.tau_J_d[0]", "state.q[0]", "state.tau_J[0]",
+         ("cmd.q_d[0]", "cmd.tau_J_d[0]")),
+        ("t,pos,motor.current.Iq_meas,motor.current.Iq_set,motor.current.Id_meas", "pos", "motor.current.Iq_meas",
+         ("", "motor.current.Iq_set")),
+        ("t,id1_pos,id1_current", "id1_pos", "id1_current", ("", "")),  # a motor's number
+        ("t,pos,torque,torque b,torque set", "pos", "", ("", "")),  # a command stands for none of two
     ],
 )  # fmt: skip
 def test_what_stands_beside_a_torque_is_none(
@@ -374,6 +380,11 @@ def test_a_speed_or_an_acceleration_without_a_name_is_none(order: int) -> None:
     assert channels.is_rate(made, "b", "a", "t")
     assert channels.is_rate(made, "b", "a", None)
     assert not channels.is_rate(made, "c", "a", "t")
+
+
+def test_a_command_is_not_taken_by_its_smoothness_for_what_was_measured() -> None:
+    columns = {"t": STAMPS, "q set": smooth(1), "tau set": rough(2)}
+    assert not guess(Table(Path("a"), "text", columns), 1).position
 
 
 def test_joints_go_by_what_of_their_names_tells_them_apart() -> None:

@@ -519,3 +519,13 @@ def test_the_sign_of_an_axis_of_little_stroke_is_told(stroke: float) -> None:
     made = slide(lambda x, v, a: -(95 * a + 20 * np.sign(v)) / stroke, scale=stroke)
     found = propose(made, AXIS, Stated(position_unit="m"))
     assert entries(found, "torque")[0].get("sign") == -1
+
+
+def test_turns_that_nothing_tells_from_radians_are_to_be_checked() -> None:
+    """Of a motor's encoder whose log states no unit."""
+    made = slide(lambda x, v, a: 0.5 * a + 0.2 * v + 3 * np.sign(v) + 2.0 * np.sin(x))
+    turning = Axes.model_validate({"name": "axis", "kind": "axes", "axis": [{}]})
+    found = propose(
+        replace(made, columns={**made.columns, "pos": made.columns["pos"] / (2 * np.pi)}), turning, Stated()
+    )
+    assert any("read as" in line and "it cannot be told" in line for line in found.doubts), found.reasons

@@ -412,7 +412,7 @@ def test_an_axis_turns_as_far_as_it_likes_and_its_increments_are_said() -> None:
         assert first == {"unit": "counts", "counts_per_rev": 500.0}
     wound = Table(made.path, made.kind, {"q": np.linspace(0.0, 5000.5, 5002)})
     units = readings.Candidates([wound], channels, geared, 1.0, Stated()).positions([], [])
-    assert units == [*both, {"unit": "deg"}, {"unit": "deg", "side": "motor"}]
+    assert units == [*both, *({"unit": unit} | side for unit in ("deg", "turns") for side in ({}, {"side": "motor"}))]
 
 
 def test_stamps_of_a_channel_of_its_own_are_told_but_of_a_twincat_export(geared: Robot) -> None:
