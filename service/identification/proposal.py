@@ -62,6 +62,7 @@ def propose(table: Table | Sequence[Table], robot: Description | None, stated: S
     read = [_readings(run, channels, stated.torque_times, reasons if run is runs[0] else []) for run in runs]
     runs, readings = [run for run, _ in read], read[0][1]
     time, rate = _time(runs[0], channels, stated, reasons, doubts)
+    _refuse_other_clocks(runs, channels)
     if day is not None and time.get("unit") == "datetime":
         time["date"] = day
     if channels.time is not None:
@@ -315,6 +316,22 @@ def _time(
     (reasons if said or unit == "datetime" else doubts).append(line if said else f"{line}, by the rate alone")
     name = clock.rsplit(" (", 1)[0] if table.kind.startswith("TwinCAT") else clock
     return {"name": name, "unit": unit}, rate
+
+
+def _refuse_other_clocks(runs: Sequence[Table], channels: Channels) -> None:
+    """
+    Raises:
+        DataError: a run's stamps are in another unit than those of the first, by what it says or by their rate.
+    """
+    if channels.time is None:
+        return
+    first = time_unit(runs[0], channels.time)[0]
+    for run in runs[1:]:
+        if (other := time_unit(run, channels.time)[0]) != first:
+            raise DataError(
+                f"{run.path}: stamps in {channels.time!r} are {other}, those of {runs[0].path.name} {first}: import it "
+                "alone"
+            )
 
 
 def _on_one_clock(table: Table, channels: Channels) -> Table:

@@ -529,3 +529,10 @@ def test_turns_that_nothing_tells_from_radians_are_to_be_checked() -> None:
         replace(made, columns={**made.columns, "pos": made.columns["pos"] / (2 * np.pi)}), turning, Stated()
     )
     assert any("read as" in line and "it cannot be told" in line for line in found.doubts), found.reasons
+
+
+def test_runs_whose_stamps_are_in_other_units_are_not_one_mapping() -> None:
+    made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
+    other = replace(made, path=Path("other.csv"), columns={**made.columns, "t": 1e3 * made.columns["t"]})
+    with pytest.raises(DataError, match=r"other.csv: stamps in 't' are ms, those of slide.csv s: import it alone"):
+        propose([made, other], AXIS, Stated(position_unit="m"))
