@@ -423,7 +423,7 @@ def _joint_states(case: Case, clock: np.ndarray, columns: list[tuple[str, str, A
             for what in ("position", "velocity", "effort")
         }
         nanoseconds = round((START + t) * 1e9)
-        found.append((nanoseconds, encoded(*divmod(nanoseconds, 10**9), joints, values)))
+        found.append((nanoseconds, encoded(nanoseconds // 10**9, nanoseconds % 10**9, joints, values)))
     return found
 
 

@@ -18,6 +18,7 @@ from schemas.files import MIB, read_bytes
 from schemas.messages import NANOSECONDS
 
 MAX_BYTES = 512 * MIB  # twenty times that in memory
+LATE = 1 << 33  # s of a stamp beyond which it is none; ns of its rest are fewer
 MAX_DEPTH = 12  # lists and objects in each other; records have three
 EMPTY = (
     16  # cells of the table for one with a value in it, beyond a million: records that have next to no key in common
@@ -108,7 +109,7 @@ def _columns(records: list[dict[str, Any]], path: Path) -> tuple[dict[str, np.nd
     for name, values in cells.items():
         if all(isinstance(value, _Stamp) for value in values):
             epoch_ns = epoch_ns or values[0]
-            found[name], units[name] = np.array([value - epoch_ns for value in values]) / NANOSECONDS, "s"
+            found[name], units[name] = np.array([(value - epoch_ns) / NANOSECONDS for value in values]), "s"
             continue
         if not any(isinstance(value, str) for value in values):
             found[name] = np.array(values, np.float64)
@@ -159,9 +160,14 @@ class _Stamp(int):
 def _stamp(record: dict[str, Any]) -> _Stamp | None:
     """A record that is whole seconds and the rest, as ROS and Foxglove write stamps."""
     for whole, rest in (("sec", "nsec"), ("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos")):
-        numbers = record.get(whole), record.get(rest)
-        if len(record) == 2 and all(type(number) is int and abs(number) < 1 << 40 for number in numbers):
-            return _Stamp(numbers[0] * NANOSECONDS + numbers[1])
+        seconds, nanoseconds = record.get(whole), record.get(rest)
+        if (
+            len(record) == 2
+            and type(seconds) is int
+            and type(nanoseconds) is int
+            and abs(seconds) + abs(nanoseconds) < LATE
+        ):
+            return _Stamp(seconds * NANOSECONDS + nanoseconds)
     return None
 
 
