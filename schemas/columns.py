@@ -114,9 +114,10 @@ class PositionColumn(_JointChannel):
 class TorqueColumn(_JointChannel):
     """A joint torque, or the force of a linear axis."""
 
+    # of the column
     unit: Literal[
         "N m", "mN m", "N cm", "kN m", "lbf in", "lbf ft", "N", "mN", "kN", "permille", "percent", "V", "A", "mA"
-    ] = "N m"  # of the column
+    ] = "N m"
     rated: Positive | None = None  # permille, percent: rated torque of the drive, N m (or rated force, N)
     constant: Positive | None = None  # V, A: N m (or N) per volt or ampere
 
