@@ -435,7 +435,7 @@ def _torque_signs(sums: MachineSums, count: int) -> tuple[list[int], np.ndarray]
 def _of_arm(robot: Chain, runs: Sequence[Run], best: Reading) -> Reading:
     """With the signs of positions under which an arm's equations hold: its links know up from down. One joint after
     the other, the likeliest first; two at once where none alone is likelier. What leaves much under any is said."""
-    if best.left is None:
+    if best.left is None or best.left.overall <= FLOOR:
         return best
     recorded, left, flips, signs = best.left, best.left, [1] * robot.count, list(best.torque_signs)
     for _ in range(robot.count):
