@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 
 try:
-    from service.stopping import end_at_once
+    from service.stopping import all_is_done, end_at_once
 except KeyboardInterrupt:  # nothing is begun yet
     os._exit(130)
 
@@ -13,6 +14,7 @@ except KeyboardInterrupt:  # nothing is begun yet
 def main() -> None:
     """Run a subcommand, see `service.cli.main`."""
     end_at_once()
+    atexit.register(all_is_done)  # the first that is registered is the last that runs
     from service.cli.main import main
 
     main()

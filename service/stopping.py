@@ -43,6 +43,13 @@ def end_at_once(code: int = INTERRUPTED) -> None:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
+def all_is_done() -> None:
+    """Let it change nothing any more: while the interpreter takes itself apart it has no handlers but this one, and a
+    signal would end a command that did all it should as one that was killed."""
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def terminate_as_interrupt() -> None:
     """Let SIGTERM, and a terminal that is closed, end a command the way Ctrl-C does: files whole, counts reported.
 

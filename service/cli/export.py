@@ -51,7 +51,7 @@ def command(
     """Write the robot, as identified and corrected, for MuJoCo, or the actuated part of it for viewers; or its
     estimator as code for its controller.
 
-    Effects that MuJoCo has no word for come as a Python file beside it, to be called in your own loop: friction and the
+    Effects that MuJoCo cannot express come as a separate Python file, to be called in your own loop: friction and the
     like before each step, what delay, filter and encoder do to a log after it. What neither has is listed.
 
     The C code does what `deltatwin estimate` does, to the same bits, without heap; docs/how-to/controller.md says how

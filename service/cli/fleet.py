@@ -33,7 +33,7 @@ def command(
     """Judge every robot day after day against what it was on its first day, and say what has changed since when.
 
     A robot is a folder: with a robot.toml, else the first one whose name has no date; recordings of several robots in
-    one folder are told by the names in them. Days are told by dates in names (2026-01-31), or by a recording's stamps.
+    one folder are separated by the names in them. Days come from dates in names (2026-01-31) or from stamps.
     The first day is identified and the others are diagnosed against it; a robot.toml with [identified] is taken as it
     is. Carry the same load on all days, best none. Every day is kept as it comes: the same command goes on where it
     stopped, and works out only what is new.
@@ -91,6 +91,6 @@ def _table(fleet: Fleet) -> Table:
     for one in fleet.robots:
         if not one.changes:
             judged = sum(day.judged for day in one.days)
-            what = "nothing" if judged else "cannot be told"
+            what = "nothing" if judged else "not judged"
             rows.append((one.robot, what, "", "", "", f"{judged} of {len(one.days)} judged", ""))
     return table(head, rows, "What has changed", figures=slice(0))

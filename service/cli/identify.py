@@ -35,7 +35,7 @@ def command(
         list[str] | None,
         typer.Option(
             metavar="KG:TRACE",
-            help="Log in which a known load hangs throughout, as 3.0:log.csv; fixes torque constants and platform mass",
+            help="Log of a known load carried throughout, as 3.0:log.csv; fixes torque constants and platform mass",
         ),
     ] = None,
     json: AsJson = False,

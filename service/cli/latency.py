@@ -21,7 +21,7 @@ def command(
     count: Annotated[int, typer.Option(min=1000, help="Samples to each of estimator and echo.")] = 40_000,
     json: AsJson = False,
 ) -> None:
-    """Measure one estimator step, and the round trip from sample to feed-forward over Zenoh beside a bare echo.
+    """Measure one estimator step, and the round trip from sample to feed-forward over Zenoh, and that of a bare echo.
 
     Runs the real estimator process on the demo log. The ratios to the echo are what the estimator costs; the absolute
     times depend on this machine and its load.

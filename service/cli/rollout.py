@@ -33,10 +33,10 @@ def command(
 ) -> None:
     """Simulate the robot under the recorded torque and say how far its motion is from the measured one.
 
-    Each window of a log starts in the measured state; from there on only torque goes in; or, with --commands, only the
-    position commands, and the torque of the simulated drives is compared too. Beside each description
-    stand the same robot as it was drawn up (plain), and the floor: what the noise of torque and start state alone
-    makes of the last one.
+    Each window of a log starts in the measured state; from there on the recorded torque alone drives the simulation,
+    or, with --commands, the position commands alone, and the torque of the simulated drives is compared too. Compared
+    with each description: the robot as drawn up (plain), and the noise floor (floor): the error that the noise of
+    torque and start state alone gives with the last one.
 
     Example: deltatwin rollout test_*.csv --robot identified.toml --robot corrected.toml --out rollout
     """

@@ -49,7 +49,7 @@ def headline(fleet: Fleet, folder: Path) -> Headline:
     said = f"{len(changed)} of {robots} {'has' if len(changed) == 1 else 'have'} changed: {', '.join(changed)}."
     return Headline(
         "bad", said, str(len(changed)), f"of {robots} to look at ({number} {of})",
-        f"look at {robot}: {first.title}{where}, since {first.since}; its days are in {folder / robot}.",
+        f"look at {robot}: {first.title}{where}, since {first.since}; its days are in {folder}/robots/{robot}.",
     )  # fmt: skip
 
 

@@ -23,10 +23,10 @@ class Colour(StrEnum):
     REFITTED = "#7a7f00"  # what refitting the base model changes
     PICK = "#1a8f4c"
     RELEASE = "#b83280"
-    EFFECT_1 = "#6b8e00"
+    EFFECT_1 = "#0f857a"
     EFFECT_2 = "#5b6bc0"
-    EFFECT_3 = "#0b7a75"
-    EFFECT_4 = "#c2255c"
+    EFFECT_3 = "#c2255c"
+    EFFECT_4 = "#96569f"
     JOINT_1 = "#2b8a3e"
     JOINT_2 = "#9a6700"
     JOINT_3 = "#9c4fd6"

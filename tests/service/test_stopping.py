@@ -55,6 +55,23 @@ main()
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_while_the_interpreter_ends_it_changes_nothing(how: signal.Signals) -> None:
+    """What was done was done: it ends as it would have."""
+    done = run(f"""
+import builtins, os, sys
+class Sends:
+    def __del__(self, kill=os.kill, me=os.getpid()):
+        kill(me, {how:d})
+builtins.kept = Sends()  # until modules are taken apart
+sys.argv = ["deltatwin", "--version"]
+from deltatwin.__main__ import main
+main()
+""")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("deltatwin ")
+
+
 def test_an_interrupt_that_code_which_catches_everything_has_swallowed_stops_a_role() -> None:
     swallowing = """
     from service.stopping import stop_requested

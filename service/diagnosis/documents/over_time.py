@@ -59,7 +59,7 @@ def worst_second(findings: Findings) -> tuple[str, go.Figure] | None:
         **under_buttons(height, titles=True),
         updatemenus=[{
             "type": "buttons", "direction": "right", "x": 0, "xanchor": "left", "y": 1.0, "yanchor": "bottom",
-            "pad": {"t": 0, "b": 4}, "showactive": True, "buttons": buttons,
+            "pad": {"t": 0, "b": 4}, "showactive": False, "buttons": buttons,
         }],
     )  # fmt: skip
     figure.update_layout({key: value for key, value in zoomed.items() if not key.endswith("autorange")})

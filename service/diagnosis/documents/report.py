@@ -85,6 +85,8 @@ def _budget(document: Diagnosis) -> go.Figure:
     spare = cycle(EFFECTS)
     for part in sorted(parts, key=lambda name: list(FIXED).index(name) if name in FIXED else -1):
         values = [entry.budget_nm2.get(part, 0.0) for entry in document.where.joints]
+        if part in FIXED and not any(values):
+            continue
         figure.add_bar(
             y=joints,
             x=values,

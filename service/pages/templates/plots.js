@@ -25,6 +25,7 @@ const looked = text => {
     layout.margin = {...look.margin, ...layout.margin, l: 44, r: 8};
     for (const name in layout) if (/^xaxis/.test(name)) {
       const {domain = [0, 1]} = layout[name];
+      if (layout[name].type === 'category') layout[name].tickangle = -90;
       layout[name].nticks = Math.max(2, Math.round(5 * (domain[1] - domain[0])));
     }
     for (const menu of layout.updatemenus ?? []) Object.assign(menu, {x: 0, xanchor: 'left'});

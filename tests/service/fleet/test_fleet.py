@@ -117,7 +117,8 @@ def test_a_run_that_was_killed_goes_on_and_says_what_changed_since_when(
     assert page["errors"] == page["over"] == []
     assert page["texts"] > 5
     text = (out / "fleet.html").read_text()
-    assert "More friction at low speed (sticking), joints 1, 2 and 3" in text
+    assert "cell_2: stribeck friction, joints 1, 2 and 3" in text
+    assert "More friction at low speed (sticking)." in text
     assert "2026-01-31 (not on 2026-01-30)" in text
 
     # one day anew: only that day is worked out

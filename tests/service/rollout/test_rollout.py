@@ -142,7 +142,7 @@ def test_a_log_of_another_robot_is_told(tmp_path: Path) -> None:
 
     words, own = said(identified(), plain=plain(ROBOT), known=known)
     assert "another robot" not in words
-    assert "cannot be told" not in words
+    assert "is unknown" not in words
     usual = np.hypot(NOISE * Band.of(PERIOD).white_share ** 0.5, 0.05)
     pushed = said(identified(effect("torque_offset")), known=known)[1]
     np.testing.assert_allclose(np.square(pushed) - np.square(own), [0.0, 0.0, (1.3 / usual) ** 2], rtol=0.05, atol=0.1)
@@ -152,7 +152,7 @@ def test_a_log_of_another_robot_is_told(tmp_path: Path) -> None:
     assert "these are of another robot, in another unit, or it has changed since. In the simulator" in words
     words, none = said(identified(), known=identified())
     assert none == []
-    assert "known was not identified on logs: whether these are of it cannot be told." in words
+    assert "known was not identified on logs: whether these are of it is unknown." in words
 
 
 def test_what_figures_do_not_say_of_a_robot_is_told(tmp_path: Path) -> None:
@@ -162,7 +162,7 @@ def test_what_figures_do_not_say_of_a_robot_is_told(tmp_path: Path) -> None:
     def said(**changed: object) -> list[str]:
         return sentences(result.model_copy(update={"robots": [result.robots[0].model_copy(update=changed)]}))
 
-    still, away = "known: no better than a robot that stands still.", "known: runs away in 2 of 13 windows"
+    still, away = "known: no better than a robot that stands still.", "known: leaves the workspace in 2 of 13 windows"
     for changed, told in (
         ({}, False),
         ({"platform_mm": result.path_mm}, False),

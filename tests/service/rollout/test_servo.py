@@ -142,7 +142,7 @@ def test_what_the_log_says_is_carried_hangs_on_the_simulated_robot(carrying, com
     said = sentences(document(found, robots, ["picks"]))
     assert not any("of another robot" in line for line in said), "the load is no strange torque"
     assert any(line.startswith(f"In {loaded.sum()} of {len(loaded)} windows 2.5") for line in said)
-    assert any("s are left out in which it cannot be told what is carried" in line for line in said)
+    assert any("s are left out in which the data do not show what is carried" in line for line in said)
     full = [(trace, replace(cut, mass=np.full(len(cut.mass), 0.7))) for trace, cut in found.cuts.parts]
     never_empty = replace(found, cuts=replace(found.cuts, parts=full))
     for one, told in ((found, False), (never_empty, True)):
