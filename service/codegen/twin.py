@@ -234,7 +234,7 @@ def _initial(layout: Layout, dtype: np.dtype, record: Any, space: str) -> list[s
             lines += [f"{own}{{", *_initial(layout, kind.dtype, value, f"{space}    "), f"{space}}},"]
         elif isinstance(kind, Array) and isinstance(kind.element, Record):
             lines.append(f"{own}{{")
-            for one in value:
+            for one in value[: kind.shape[0]]:
                 inner = _initial(layout, kind.element.dtype, one, f"{space}        ")
                 lines += [f"{space}    {{", *inner, f"{space}    }},"]
             lines.append(f"{space}}},")

@@ -71,7 +71,7 @@ class Structured:
 
     def _loop(self, period: float, has_fourth: bool) -> str:
         block = self.project.name.upper()
-        structs = [f"typedef struct {{ {_fields(self.dtypes[topic])} }} of_{topic};" for topic in ("sample", *OUT)]
+        structs = [f"typedef struct {{ {fields_of(self.dtypes[topic])} }} of_{topic};" for topic in ("sample", *OUT)]
         given = ", ".join(f"of_{topic} *{topic}" for topic in OUT)
         lines = [
             *structs, f"static struct {block} it;",
@@ -88,7 +88,7 @@ class Structured:
         return "\n".join([*lines, "} }", ""])
 
 
-def _fields(dtype: np.dtype) -> str:
+def fields_of(dtype: np.dtype) -> str:
     kinds = {"f8": "double", "i4": "int32_t", "u4": "uint32_t", "u8": "uint64_t"}
     return " ".join(
         f"{kinds[dtype[name].base.str[1:]]} {name}" + "".join(f"[{count}]" for count in dtype[name].shape) + ";"
