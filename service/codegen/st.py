@@ -283,6 +283,9 @@ class _Body:
     def _at(self, value: Expr) -> tuple[str, int]:
         return f"{self.writer.helper('at')}(place := {self.text(value.args[0])}, count := {value.value})", _ATOM
 
+    def _within(self, value: Expr) -> tuple[str, int]:
+        return self.text(value.args[0]), _ATOM
+
     def _cast(self, value: Expr) -> tuple[str, int]:
         (of,) = value.args
         assert isinstance(value.type, Scalar)

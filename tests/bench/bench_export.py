@@ -100,7 +100,8 @@ int main(int argc, char **argv)
         rare = ((rare < 0) && (100 * (steps - seen) <= steps)) ? n : rare;
         rarest = ((rarest < 0) && (100000 * (steps - seen) <= steps)) ? n : rarest;
     }
-    (void)printf("%lld %lld %lld %lld %f\\n", (long long)median, (long long)rare, (long long)rarest, (long long)worst, rate);
+    (void)printf("%lld %lld %lld %lld %f\\n", (long long)median, (long long)rare, (long long)rarest, (long long)worst,
+                 rate);
     return 0;
 }
 """
