@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from service.codegen.program import Layout, Program
-from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If, Leave, Return
+from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If, Leave, Return, named
 from service.codegen.types import Array, Nothing, Record, Reference, Scalar, Several, Type, stored
 
 SCALARS = {Scalar.BOOL: "bool", Scalar.INT: "int64_t", Scalar.UINT: "uint64_t", Scalar.REAL: "double"}
@@ -402,7 +402,7 @@ class Writer:
             parts = [f"    {self.declared(kind, f'part_{n}')};" for n, kind in enumerate(function.returns.items)]
             lines += ["typedef struct {", *parts, f"}} {self.result(function)};", ""]
         lines += [f"/* {function.where} */", self.signature(function), "{"]
-        body = self.block(function, function.body, 1)
+        body = self.block(function, _without_first_zeros(function), 1)
         lines += [f"    {line}" for line in self._variables(function)]
         lines += [f"    (void){word(name)};" for name, _ in function.parameters if not _uses(body, word(name))]
         if body and body[-1] == "    return;":
@@ -478,6 +478,18 @@ def _products(exponent: int) -> list[str]:
             lines.append("    square = square * square;")
     del square
     return lines
+
+
+def _without_first_zeros(function: Function) -> list[Any]:
+    """Its body without zeros into variables that are zero as they are declared."""
+    kept, seen = [], set()
+    for one in function.body:
+        is_zero = isinstance(one, Assign) and one.value.is_constant and str(one.value.value) in ("0", "0.0", "False")
+        if is_zero and one.target.op == "var" and one.target.value in function.variables.keys() - seen:
+            continue
+        kept.append(one)
+        seen |= named(one)
+    return kept
 
 
 def _binds(statements: Iterable[Any]) -> list[Bind]:

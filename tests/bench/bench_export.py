@@ -12,6 +12,7 @@ import argparse
 import json
 import os
 import re
+import shutil
 import subprocess
 import tempfile
 import time
@@ -131,6 +132,7 @@ def main() -> None:
             "loops": loops(robot),
             "single": single(robot, samples, folder),
         }
+        result["clang_tidy"] = tidied(folder)
         write(result)
         if given.strucpp:
             result["structured_text"] = structured_text(robot, samples, given.strucpp, folder)
@@ -169,6 +171,8 @@ def write(result: dict[str, Any]) -> None:
     told["single_static"] = off["static_bytes"], 1, None
     for key, name in (("static", "static_bytes"), ("stack", "stack_bytes"), ("code", "code_and_constant_bytes")):
         told[key] = result[name], 1, None
+    if result.get("clang_tidy"):
+        told["clang_tidy"] = result["clang_tidy"]["findings"], f"{result['clang_tidy']['lines']} lines", None
     if "hostile" in result:
         found = result["hostile"]
         largest = f"largest torque {found['largest_torque_nm']:.0f} N m"
@@ -289,6 +293,20 @@ def _deepest(graph: str) -> int:
         return own.get(name, 0) + 8 + max((deep(other) for other in calls.get(name, ())), default=0)
 
     return max(deep(name) for name in own)
+
+
+def tidied(folder: Path) -> dict[str, int] | None:
+    """What clang-tidy says of the code in `folder`, where it is installed. Not asked: parameters of one type in a row,
+    unused ones that are marked as such, and branches that are alike, which are what the kernels say."""
+    if shutil.which("clang-tidy") is None:
+        return None
+    checks = "-*,clang-analyzer-*,clang-diagnostic-*,bugprone-*,cert-*,misc-*,performance-*,portability-*"
+    left_out = "-bugprone-easily-swappable-parameters,-misc-unused-parameters,-bugprone-branch-clone"
+    command = ["clang-tidy", f"--checks={checks},{left_out}", "deltatwin.c", "--", "-std=c99", "-Wall", "-Wextra"]
+    ran = subprocess.run([*command, "-Wconversion"], check=False, cwd=folder, capture_output=True, text=True)
+    said = set(re.findall(r"^.*(?:warning|error): .*$", ran.stdout, re.MULTILINE))
+    print("\n".join(sorted(said)))
+    return {"findings": len(said), "lines": len((folder / "deltatwin.c").read_text().splitlines())}
 
 
 def processors(instructions: int) -> dict[str, tuple[float, str]]:
