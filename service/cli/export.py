@@ -70,6 +70,8 @@ def command(
     from schemas.files import make_folder, write_text
     from schemas.robot import load_robot
 
+    if float32 and to is not Format.c:
+        raise typer.BadParameter(f"--float32: of --to c alone, not of {to.value}")
     description = load_robot(robot, effects)
     if to is Format.c:
         _code(description, out, rate, name, nominal, float32)

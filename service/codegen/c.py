@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from service.codegen.program import Layout, Program
-from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If, Leave, Return
+from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If, Leave, Return, named
 from service.codegen.types import Array, Nothing, Record, Reference, Scalar, Several, Type, stored
 
 SCALARS = {Scalar.BOOL: "bool", Scalar.INT: "int64_t", Scalar.UINT: "uint64_t", Scalar.REAL: "double"}
@@ -25,7 +25,7 @@ _RESERVED = frozenset({
     "auto", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "float",
     "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof",
     "static", "struct", "switch", "typedef", "union", "unsigned", "void", "volatile", "while", "bool", "true", "false",
-    "asm", "typeof", "linux", "unix", "at", "main",
+    "asm", "typeof", "linux", "unix", "at", "within", "main",
 })  # fmt: skip
 _BINARY = {
     "mul": ("*", 6), "div": ("/", 6), "add": ("+", 5), "sub": ("-", 5),
@@ -33,8 +33,15 @@ _BINARY = {
     "bitand": ("&", 2), "bitor": ("|", 2), "bitxor": ("^", 2), "all": ("&&", 1), "any": ("||", 1),
 }  # fmt: skip
 _ATOM, _UNARY, _LOOSE = 9, 8, 0
+UNROLLED = 4  # turns, of joints and matrices, up to which a loop is said to be written out: gcc does not at -O2
 # Beyond these a real is no int64, and the conversion is not defined in C; what it gives here is what x86 gives.
 HELPERS = {
+    "within": """static inline int64_t within(int64_t place, int64_t count)
+{
+    CHECK((place >= 0) && (place < count));
+    (void)count;
+    return place;
+}""",
     "at": """static inline int64_t at(int64_t place, int64_t count)
 {
     const int64_t found = (place < 0) ? (place + count) : place;
@@ -207,6 +214,10 @@ class Writer:
         self.helpers.add("at")
         return f"at({self.text(value.args[0])}, {value.value})", _ATOM
 
+    def _within(self, value: Expr) -> tuple[str, int]:
+        self.helpers.add("within")
+        return f"within({self.text(value.args[0])}, {value.value})", _ATOM
+
     def _cast(self, value: Expr) -> tuple[str, int]:
         assert isinstance(value.type, Scalar)
         of = value.args[0]
@@ -357,7 +368,11 @@ class Writer:
             sign, move = ">", f"{name}--" if step == -1 else f"{name} -= {-step}"
         start, stop = self.text(statement.start), self.text(statement.stop, 5)
         head = f"for (int64_t {name} = {start}; {name} {sign} {stop}; {move}) {{"
-        return [head, *self.block(function, statement.body, 1), "}"]
+        lines = [head, *self.block(function, statement.body, 1), "}"]
+        if statement.start.is_constant and statement.stop.is_constant:
+            turns = len(range(statement.start.value, statement.stop.value, step))
+            return ["UNROLLED", *lines] if turns <= UNROLLED else lines
+        return lines
 
     def _leave(self, function: Function, statement: Leave) -> list[str]:
         return [f"{statement.word};"]
@@ -387,7 +402,7 @@ class Writer:
             parts = [f"    {self.declared(kind, f'part_{n}')};" for n, kind in enumerate(function.returns.items)]
             lines += ["typedef struct {", *parts, f"}} {self.result(function)};", ""]
         lines += [f"/* {function.where} */", self.signature(function), "{"]
-        body = self.block(function, function.body, 1)
+        body = self.block(function, _without_first_zeros(function), 1)
         lines += [f"    {line}" for line in self._variables(function)]
         lines += [f"    (void){word(name)};" for name, _ in function.parameters if not _uses(body, word(name))]
         if body and body[-1] == "    return;":
@@ -463,6 +478,18 @@ def _products(exponent: int) -> list[str]:
             lines.append("    square = square * square;")
     del square
     return lines
+
+
+def _without_first_zeros(function: Function) -> list[Any]:
+    """Its body without zeros into variables that are zero as they are declared."""
+    kept, seen = [], set()
+    for one in function.body:
+        is_zero = isinstance(one, Assign) and one.value.is_constant and str(one.value.value) in ("0", "0.0", "False")
+        if is_zero and one.target.op == "var" and one.target.value in function.variables.keys() - seen:
+            continue
+        kept.append(one)
+        seen |= named(one)
+    return kept
 
 
 def _binds(statements: Iterable[Any]) -> list[Bind]:

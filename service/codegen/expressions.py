@@ -51,6 +51,7 @@ class Expressions:
     def __init__(self, program: Program, source: Source, variables: dict[str, Type]) -> None:
         self.program, self.source, self.variables = program, source, variables
         self.counters: dict[str, tuple[int, int]] = {}  # loop variables within constant bounds: first, last
+        self.rising: set[str] = set()  # loop variables that are never below zero
 
     def lower(self, node: ast.expr) -> Expr:
         """The typed tree of an expression.
@@ -138,7 +139,8 @@ class Expressions:
         return base
 
     def _place(self, node: ast.expr, count: int) -> Expr:
-        """An index into an axis of `count`; `const`, a loop variable within it, or what is to be wrapped (`at`)."""
+        """An index into an axis of `count`; `const`, a loop variable within it, one that is not below zero (`within`),
+        or what is to be wrapped (`at`)."""
         place = self.number(node)
         if place.type is not INT:
             self.source.refuse(node, "an index that is no whole number")
@@ -148,7 +150,9 @@ class Expressions:
                 self.source.refuse(node, f"beyond an axis of {count}")
             return constant(found)
         first, last = self.counters.get(place.value, (-1, -1)) if place.op == "var" else (-1, -1)
-        return place if first >= 0 and last < count else Expr("at", INT, (place,), count)
+        if first >= 0 and last < count:
+            return place
+        return Expr("within" if place.op == "var" and place.value in self.rising else "at", INT, (place,), count)
 
     def _item(self, node: ast.Subscript, base: Expr) -> Expr:
         assert isinstance(base.type, Several)

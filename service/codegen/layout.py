@@ -13,8 +13,10 @@ from service.codegen.c import nested
 from service.codegen.program import Layout
 from service.codegen.source import CodegenError
 from service.estimator import kalman, turning
+from service.estimator.branch import BRANCH
+from service.estimator.effects import MAX_EFFECTS, MEMORY
 from service.estimator.payload import state as payload
-from service.estimator.state import STATE, STEP
+from service.estimator.state import SETTINGS, STATE, STEP
 
 WIRE = ("cdr_header", "frame_id")  # of a message, which no controller has to do with
 _FOURTH = "fourth_position"
@@ -24,8 +26,9 @@ _HOMES = ("service.", "schemas.")
 def layout_of(robot: Robot, settings: np.ndarray) -> Layout:
     """settings: (1,) SETTINGS, as the estimator has them.
 
-    The lag line keeps no more samples than the look back needs. A robot without a fourth axis has no angle of it, so no
-    load is ever looked for off its axis, and what is remembered of the load's parts is remembered of its mass alone.
+    The lag line keeps no more samples than the look back needs, and there is room for the robot's own effects. A robot
+    without a fourth axis has no angle of it, so no load is ever looked for off its axis, and what is remembered of the
+    load's parts is remembered of its mass alone.
 
     Raises:
         CodegenError: a record of the service has no such fields any more.
@@ -35,11 +38,13 @@ def layout_of(robot: Robot, settings: np.ndarray) -> Layout:
     longest = lag - min(0, first)
     if longest > kalman.MAX_LAG:
         raise CodegenError(f"a look back of {longest} samples, {kalman.MAX_LAG} are remembered")
-    line = 2 * longest + 1
+    line, carried = 2 * longest + 1, max(1, int((record["effect"]["number"] >= 0).sum()))
     shapes: dict[tuple[np.dtype, str], tuple[int, ...]] = {
         (STATE, "slots"): (longest + 1,),
         (STATE, "past"): (longest + 1,),
         (STATE, "turn"): (line,),
+        (SETTINGS, "effect"): (carried,),
+        (BRANCH, "memory"): (carried, *MEMORY[1:]),
     }
     fields: dict[tuple[np.dtype, str], float] = {}
     if robot.fourth_axis is None:
@@ -51,7 +56,11 @@ def layout_of(robot: Robot, settings: np.ndarray) -> Layout:
     for dtype, name in shapes:
         _shape(dtype, name)
     hidden = frozenset((message.dtype, name) for message in TOPICS.values() for name in WIRE)
-    constants = {"MAX_LAG": (kalman.MAX_LAG, longest), "LINE": (turning.LINE, line)}
+    constants = {
+        "MAX_LAG": (kalman.MAX_LAG, longest),
+        "LINE": (turning.LINE, line),
+        "MAX_EFFECTS": (MAX_EFFECTS, carried),
+    }
     return Layout(_names(), constants, shapes, fields, hidden)
 
 

@@ -32,6 +32,8 @@ class Library:
         manifest, described = read_twin(path.parent)
         if described.model_dump() != robot.model_dump():
             raise RobotError(f"{path.parent}: exported from another description than {robot.origin}: export it again")
+        if not manifest.id:
+            raise StorageError(f"{path.parent}: holds Structured Text: export --to c into a folder of its own")
         try:
             self._library = ctypes.CDLL(str(path.resolve()))
         except OSError as error:

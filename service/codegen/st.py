@@ -19,7 +19,7 @@ from service.codegen.pou import DataType, Names, Pou, Variable
 from service.codegen.program import Layout
 from service.codegen.source import CodegenError
 from service.codegen.st_functions import FUNCTIONS
-from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If, Leave, Return
+from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If, Leave, Return, named
 from service.codegen.types import Array, Record, Reference, Scalar, Several, Type
 
 SCALARS = {Scalar.BOOL: "BOOL", Scalar.INT: "LINT", Scalar.UINT: "ULINT", Scalar.REAL: "LREAL"}
@@ -283,6 +283,9 @@ class _Body:
     def _at(self, value: Expr) -> tuple[str, int]:
         return f"{self.writer.helper('at')}(place := {self.text(value.args[0])}, count := {value.value})", _ATOM
 
+    def _within(self, value: Expr) -> tuple[str, int]:
+        return self.text(value.args[0]), _ATOM
+
     def _cast(self, value: Expr) -> tuple[str, int]:
         (of,) = value.args
         assert isinstance(value.type, Scalar)
@@ -420,7 +423,7 @@ class _Body:
     def _statement(self, statement: Any) -> list[str]:
         """Lines of one, with what runs ahead of it; once for each place where a view in it may be one of several."""
         if not isinstance(statement, If | For):
-            for name in sorted(_named(statement)):
+            for name in sorted(named(statement)):
                 which = self.views.get(name, ())
                 if len(which) > 1:
                     return self._for_each(name, which, statement)
@@ -629,22 +632,6 @@ def _choices(statements: Iterable[Any]) -> set[str]:
 
     look(statements)
     return {name for name, values in made.items() if values[0].op == "cond" or any(v != values[0] for v in values[1:])}
-
-
-def _named(statement: Any) -> set[str]:
-    """Variables in a statement's own expressions."""
-    found: set[str] = set()
-
-    def look(value: Any) -> None:
-        if isinstance(value, Expr):
-            if value.op == "var":
-                found.add(value.value)
-            for one in value.args:
-                look(one)
-
-    for part in vars(statement).values():
-        look(part)
-    return found
 
 
 def _deeper(lines: Iterable[str]) -> list[str]:

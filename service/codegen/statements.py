@@ -105,9 +105,12 @@ class Body:
             reached = range(start.value, stop.value, step.value)
             if reached:
                 self.expressions.counters[name] = min(reached), max(reached)
+        if start.is_constant and start.value >= 0 and step.value > 0:
+            self.expressions.rising.add(name)
         self.variables[name] = INT
         body = self._block(node.body)
         self.expressions.counters.pop(name, None)
+        self.expressions.rising.discard(name)
         del self.variables[name]
         return [*statements, For(name, start, stop, step.value, body)]
 

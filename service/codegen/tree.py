@@ -106,3 +106,16 @@ class Function:
     def many(self) -> bool:
         """Whether it returns values side by side."""
         return isinstance(self.returns, Several)
+
+
+def named(value: Any) -> set[str]:
+    """Variables in an expression, a statement or several, also in what is inside them; and those that it sets."""
+    if isinstance(value, Expr):
+        own = {value.value} if value.op == "var" else set()
+        return own.union(*map(named, value.args))
+    if isinstance(value, list):
+        return set().union(*map(named, value))
+    if isinstance(value, Assign | Bind | Fill | Do | If | For | Return):
+        own = {value.name} if isinstance(value, Bind | For) else set()
+        return own.union(*map(named, vars(value).values()))
+    return set()

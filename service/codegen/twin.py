@@ -22,7 +22,7 @@ from schemas.errors import RobotError
 from schemas.messages import TOPICS, HealthFlag, Message
 from schemas.robot import Robot
 from service.codegen import float32, parameters
-from service.codegen.c import Writer, nested, number, word
+from service.codegen.c import UNROLLED, Writer, nested, number, word
 from service.codegen.layout import layout_of, optional
 from service.codegen.program import Layout, Program
 from service.codegen.source import CodegenError
@@ -121,6 +121,7 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
         loadable=loadable,
         same_period=repr(SAME_PERIOD),
         id=_ID,
+        unrolled=UNROLLED,
         growth_share=_literal(parameters.growth_share(settings)),
     )
     if single:
@@ -234,7 +235,7 @@ def _initial(layout: Layout, dtype: np.dtype, record: Any, space: str) -> list[s
             lines += [f"{own}{{", *_initial(layout, kind.dtype, value, f"{space}    "), f"{space}}},"]
         elif isinstance(kind, Array) and isinstance(kind.element, Record):
             lines.append(f"{own}{{")
-            for one in value:
+            for one in value[: kind.shape[0]]:
                 inner = _initial(layout, kind.element.dtype, one, f"{space}        ")
                 lines += [f"{space}    {{", *inner, f"{space}    }},"]
             lines.append(f"{space}}},")

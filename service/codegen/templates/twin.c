@@ -8,6 +8,12 @@
 #define CHECK(condition) ((void)0)
 #endif
 
+#ifdef __GNUC__
+#define UNROLLED _Pragma("GCC unroll {{ unrolled }}")
+#else
+#define UNROLLED
+#endif
+
 {{ definitions }}
 static const {{ settings }} described = {
 {{ described }}

@@ -69,18 +69,31 @@ class Structured:
         self.library.run(ctypes.c_int64(len(given)), said, ctypes.c_int32(begin), *pointers)
         return found | {"code": code, "has_payload": has_payload}
 
+    def load_peak(self, value: float) -> None:
+        """The next cycle is to load the figures of now, but this peak torque, N m."""
+        self.library.load_peak(ctypes.c_double(value))
+
+    @property
+    def peak(self) -> float:
+        """The one in force, N m."""
+        self.library.peak.restype = ctypes.c_double
+        return self.library.peak()
+
     def _loop(self, period: float, has_fourth: bool) -> str:
         block = self.project.name.upper()
-        structs = [f"typedef struct {{ {_fields(self.dtypes[topic])} }} of_{topic};" for topic in ("sample", *OUT)]
+        structs = [f"typedef struct {{ {fields_of(self.dtypes[topic])} }} of_{topic};" for topic in ("sample", *OUT)]
         given = ", ".join(f"of_{topic} *{topic}" for topic in OUT)
         lines = [
             *structs, f"static struct {block} it;",
+            "void load_peak(double value) { it.PARAMETERS = it.PARAMETERS_NOW;",
+            "it.PARAMETERS.PEAK = value; it.LOAD = 1; }",
+            "double peak(void) { return it.PARAMETERS_NOW.PEAK; }",
             f"void run(int64_t count, double period, int32_t begin, of_sample *sample, {given}, int32_t *code, "
             "int32_t *has)", "{", "for (int64_t n = 0; n < count; n++) {",
             f"it.INIT = (n == 0) && begin; it.PERIOD_S = isnan(period) ? {period!r} : period;",
             "it.HAS_POSITION_COMMAND = it.HAS_TORQUE_COMMAND = it.ASK_FINDINGS = 1;",
             "it.HAS_FOURTH_POSITION = 1;" if has_fourth else "",
-            *_copied(self.dtypes["sample"], "it.SAMPLE.{0}", "sample[n].{1}"), f"{block}(&it);",
+            *_copied(self.dtypes["sample"], "it.SAMPLE.{0}", "sample[n].{1}"), f"{block}(&it);", "it.LOAD = 0;",
             "code[n] = it.CODE; has[n] = it.HAS_PAYLOAD;",
         ]  # fmt: skip
         for topic in OUT:
@@ -88,7 +101,7 @@ class Structured:
         return "\n".join([*lines, "} }", ""])
 
 
-def _fields(dtype: np.dtype) -> str:
+def fields_of(dtype: np.dtype) -> str:
     kinds = {"f8": "double", "i4": "int32_t", "u4": "uint32_t", "u8": "uint64_t"}
     return " ".join(
         f"{kinds[dtype[name].base.str[1:]]} {name}" + "".join(f"[{count}]" for count in dtype[name].shape) + ";"

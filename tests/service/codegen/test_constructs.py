@@ -220,6 +220,7 @@ def _in_c(folder: Path, function):
     root = program.function(function, (Record(DATA),))
     functions = [line for one in program.functions for line in writer.function(one)]
     head = ["#include <math.h>", "#include <stdbool.h>", "#include <stdint.h>", "#define CHECK(x) ((void)0)"]
+    head.append("#define UNROLLED")
     call = ["void go(t_data *d);", "void go(t_data *d)", "{", f"    {root.name}(d);", "}", ""]
     lines = [*head, *writer.records(nested(DATA)), *writer.bundles(program), *writer.used_helpers(), *functions, *call]
     (folder / "k.c").write_text("\n".join(lines))

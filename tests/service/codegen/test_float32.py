@@ -52,6 +52,13 @@ def test_nothing_in_it_is_of_double_precision(tmp_path: Path) -> None:
     assert "double" not in source
 
 
+def test_it_is_of_c_alone(tmp_path: Path) -> None:
+    told = CliRunner().invoke(app, ["export", str(ROBOT), "--to", "st", "--float32", "--out", str(tmp_path / "t")])
+    assert told.exit_code == 2
+    assert "of --to c alone, not of st" in told.output
+    assert not (tmp_path / "t").exists()
+
+
 def test_comments_names_and_whole_numbers_stay() -> None:
     text = "/* 1.5 double */ double a_1 = 2.0 * sqrt(1e-09) + rint(x2) + 3; double rint_of(double v);"
     assert in_single(text) == (

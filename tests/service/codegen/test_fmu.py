@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -122,4 +123,8 @@ def test_the_command_writes_sources_beside_the_library(robot, tmp_path: Path) ->
     assert told.exit_code == 0, told.output
     with zipfile.ZipFile(tmp_path / "r.fmu") as archive:
         names = set(archive.namelist())
+        if shutil.which("x86_64-w64-mingw32-gcc"):
+            library = archive.read("binaries/win64/deltatwin.dll")
+            assert library[:2] == b"MZ"
+            assert b"fmi2DoStep" in library
     assert {"modelDescription.xml", "sources/deltatwin.c", "binaries/linux64/deltatwin.so"} <= names

@@ -101,6 +101,31 @@ def test_before_init_at_another_cycle_and_with_what_is_no_number_every_torque_is
     assert not block.run(samples, period=PERIOD * (1 + 5e-4))["code"].any()
 
 
+@needs_compiler
+def test_figures_are_loaded_or_refused_and_those_of_before_stay(robot, project, make, tmp_path: Path) -> None:
+    block, samples = Structured(robot, PERIOD, tmp_path, project), make(0.6).samples
+    first, second, third, last = np.array_split(samples, 4)
+    block.run(first)
+    before = block.peak
+    for value in (-1.0, np.nan, np.inf, 2e6):
+        block.load_peak(value)
+        found = block.run(second[:1], begin=False)
+        assert found["code"][0] == CODES["OUT_OF_RANGE"]
+        assert found["feedforward"]["torque"].any(), "the drives keep their torque"
+        assert block.peak == before
+    block.load_peak(5.0)
+    found = block.run(third, begin=False)
+    assert not found["code"].any()
+    assert block.peak == 5.0
+    assert 0.0 < np.abs(found["feedforward"]["torque"]).max() <= 5.0
+    last["position"] = np.nan
+    last["sequence"] -= np.uint64(50)  # and time goes back
+    found = block.run(last, begin=False)
+    assert not found["code"].any()
+    assert np.isfinite(found["feedforward"]["torque"]).all()
+    assert found["feedforward"]["flags"].all()
+
+
 def test_every_name_is_one_in_the_standard(project) -> None:
     names = {one.name for one in (*project.types, *project.pous)}
     assert len({name.lower() for name in names}) == len(project.types) + len(project.pous)
