@@ -110,34 +110,35 @@ def in_figures(value: float | None) -> str:
 def headline(result: RolloutDocument) -> Headline:
     """How far the best description is from the robot, after the horizon."""
     lines, horizon = tuple(sentences(result)), f"{1e3 * result.horizon_s:.0f} ms"
-    floor, shown = result.floor.platform_mm, [robot for robot in result.robots if robot.platform_mm is not None]
+    floor, shown = result.floor.platform_mm, _simulated(result)
     if not shown:
         step = "a shorter --horizon, or a description that was identified on logs of this robot."
-        return Headline(
-            "bad", f"Every simulated robot leaves the workspace within {horizon}.", "0", "windows", step, lines
-        )
-    *others, best = shown
-    error = best.platform_mm or 0.0
-    number, of = f"{significant(error)} mm", f"rms error of the platform after {horizon}, {best.robot}"
+        said = f"Every simulated robot leaves the workspace within {horizon}."
+        return Headline("bad", said, "0", f"of {counted(result.windows, 'window')} simulated to the end", step, lines)
+    *others, (best, error) = shown
+    number, of = f"{significant(error)} mm", f"rms error of the platform after {horizon}, {best}"
     if strange(result):
-        step = f"`deltatwin identify` on logs of this robot, or check their units and what it carried; {best.robot} "
+        step = f"`deltatwin identify` on logs of this robot, or check their units and what it carried; {best} "
         step += "was made from others."
-        said = f"'{best.robot}' does not describe the robot of these logs."
+        said = f"'{best}' does not describe the robot of these logs."
         return Headline("bad", said, number, of, step, lines)
     if floor is not None and error < AT_FLOOR * floor:
-        said = f"'{best.robot}' moves as the robot does: what differs is the noise of torque and start state."
-        step = f"`deltatwin export --robot FILE --to mjcf` takes {best.robot} into a simulator."
+        said = f"'{best}' moves as the robot does: what differs is the noise of torque and start state."
+        step = f"`deltatwin export FILE --to mjcf --out robot.xml` takes {best} into a simulator."
         return Headline("good", said, number, of, step, lines)
-    others = [robot for robot in others if robot.platform_mm]
-    if others and error < others[-1].platform_mm:
-        times = significant(others[-1].platform_mm / error, 2)
-        said = (
-            f"'{best.robot}' is {times} times nearer to the robot than '{others[-1].robot}', but not within the noise."
-        )
+    if others and error < others[-1][1]:
+        other, its = others[-1]
+        said = f"'{best}' is {significant(its / error, 2)} times nearer to the robot than '{other}', "
+        said += "but not within the noise."
     else:
-        said = f"'{best.robot}' does not move as the robot does."
+        said = f"'{best}' does not move as the robot does."
     step = "`deltatwin diagnose` on these logs says which effect is missing."
     return Headline("bad", said, number, of, step, lines)
+
+
+def _simulated(result: RolloutDocument) -> list[tuple[str, float]]:
+    """Name and error of the platform, mm, of the robots that stayed in the workspace in some window."""
+    return [(robot.robot, robot.platform_mm) for robot in result.robots if robot.platform_mm is not None]
 
 
 def strange(result: RolloutDocument) -> bool:
@@ -148,7 +149,7 @@ def strange(result: RolloutDocument) -> bool:
 def sentences(result: RolloutDocument) -> list[str]:
     """What a reader should know first."""
     horizon = f"{1e3 * result.horizon_s:.0f} ms"
-    shown = [robot for robot in result.robots if robot.platform_mm is not None]
+    shown = _simulated(result)
     lines = []
     if result.over_identified is None:
         lines.append(f"{result.robots[-1].robot} was not identified on logs: whether these are of it is unknown.")
@@ -159,15 +160,14 @@ def sentences(result: RolloutDocument) -> list[str]:
             "was identified on: these are of another robot, in another unit, or it has changed since."
         )
     if len(shown) > 1:
-        first, last = shown[-2], shown[-1]
+        (first, before), (last, after) = shown[-2:]
         lines.append(
-            f"In the simulator the platform's error after {horizon} goes from {significant(first.platform_mm)} mm "
-            f"({first.robot}) to {significant(last.platform_mm)} mm ({last.robot})."
+            f"In the simulator the platform's error after {horizon} goes from {significant(before)} mm "
+            f"({first}) to {significant(after)} mm ({last})."
         )
     elif shown:
         lines.append(
-            f"In the simulator the platform is off by {significant(shown[0].platform_mm)} mm ({shown[0].robot}) "
-            f"after {horizon}."
+            f"In the simulator the platform is off by {significant(shown[0][1])} mm ({shown[0][0]}) after {horizon}."
         )
     if result.servo is not None:
         gains, speeds = (

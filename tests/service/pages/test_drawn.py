@@ -88,7 +88,7 @@ def of_diagnosis(document: Any, page: str) -> None:
         assert said["number"].strip().startswith(f"{significant(times, 2)} times the noise")
     residual = document.verdict == "partly_explained"
     assert not (residual and re.search(r"\b100 % of the gap above", text_of(page)))
-    for joint, total in enumerate(sum(np.array(values(trace["x"])) for trace in budget.values())):
+    for joint, total in enumerate(np.sum([values(trace["x"]) for trace in budget.values()], axis=0)):
         assert total == pytest.approx(document.gap.before_nm[joint] ** 2, rel=1e-3)
 
 
