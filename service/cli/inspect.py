@@ -68,7 +68,7 @@ def command(
         raise typer.Exit(1)
 
 
-def _conclude(surveys: list[dict[str, Any]], traces: list[Path], robot: Path | None, columns: Path | None) -> None:
+def _conclude(surveys: list[dict[str, Any]], traces: list[Path], robot: Path | None, columns: object) -> None:
     from schemas.words import counted
 
     usable = sum("error" not in one for one in surveys)
