@@ -60,7 +60,8 @@ def log(tmp_path: Path) -> Path:
 
 def test_convert_there_and_back(deltatwin: Run, log: Path) -> None:
     there = deltatwin("convert", log, "log.mcap")
-    assert (there.returncode, there.stdout, there.stderr) == (0, "log.mcap: 1000 samples, 3 joints\n", "")
+    said = "log.mcap: 1000 samples, 3 joints\nnext: deltatwin inspect log.mcap\n"
+    assert (there.returncode, there.stdout, there.stderr) == (0, said, "")
     assert deltatwin("convert", "log.mcap", "back.csv.gz").returncode == 0
     assert deltatwin("convert", "back.csv.gz", "back.csv").returncode == 0
     assert (log.parent / "back.csv").read_bytes() == log.read_bytes()
