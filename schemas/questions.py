@@ -23,6 +23,7 @@ class Question(Enum):
     LOAD = "load on a frame", "identify logs with and without the load, and compare their inertias"
     PLACE = "place of a tool", "its angles: deltatwin rollout"
     TREE = "URDF", "for a simulator: deltatwin export --to mjcf"
+    MJCF = "MJCF of this kind", "its parameters: deltatwin identify --json"
     ROUTE = "pick-and-place, workspace or conveyor", "its motions: multisine, slow, or a file"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from schemas.errors import RobotError
 from service.machines.machine import Dynamics, Limits, MachineModel
 from service.model.mechanism import SerialArm
 from service.model.scene import Base
+
+if TYPE_CHECKING:
+    from service.machines.files import MachineFile
 
 
 class ChainMachine(MachineModel):
@@ -70,6 +74,18 @@ class ChainMachine(MachineModel):
         if not columns.any():
             raise RobotError(f"{self.chain.name}: link {named!r} stands still: a load on it shows in no torque")
         return named, columns
+
+    def to_mjcf(self) -> MachineFile:
+        """For MuJoCo."""
+        from service.machines.chain_files import to_mjcf
+
+        return to_mjcf(self.chain)
+
+    def to_urdf(self) -> MachineFile:
+        """With identified bodies."""
+        from service.machines.chain_files import to_urdf
+
+        return to_urdf(self.chain)
 
     def frame(self, frame: str | None) -> str:
         """

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from schemas.axes import Description
 from schemas.questions import Question, refuse
 from service.model.mechanism import Mechanism, mechanism_of
 from service.model.scene import Base
+
+if TYPE_CHECKING:
+    from service.machines.files import MachineFile
 
 # (W, n) angles and speeds to mass matrices (W, n, n) and the torque (W, n) that no acceleration asks for
 Dynamics = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -76,3 +80,11 @@ class MachineModel:
     def load(self, frame: str | None) -> tuple[str, np.ndarray]:
         """The frame, by default the tool, and (10 n, 10): what a body on it adds to the weights of `Arm`."""
         refuse(self.description, Question.LOAD)
+
+    def to_mjcf(self) -> MachineFile:
+        """For MuJoCo."""
+        refuse(self.description, Question.MJCF)
+
+    def to_urdf(self) -> MachineFile:
+        """For everything that reads URDFs."""
+        refuse(self.description, Question.TREE)
