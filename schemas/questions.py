@@ -24,6 +24,7 @@ class Question(Enum):
     PLACE = "place of a tool", "its angles: deltatwin rollout"
     TREE = "URDF", "for a simulator: deltatwin export --to mjcf"
     MJCF = "MJCF of this kind", "its parameters: deltatwin identify --json"
+    RIVALS = "motion that tells rivals apart", "one that identifies best: deltatwin plan-motion --for identify"
     ROUTE = "pick-and-place, workspace or conveyor", "its motions: multisine, slow, or a file"
 
 

@@ -54,10 +54,10 @@ class ChainMachine(MachineModel):
         return at
 
     def limits(self) -> Limits:
-        """Of the URDF."""
-        found = np.array(self.chain.arm.limits)
-        endless = Limits.none(self.chain.count)
-        return Limits(found[:, 0], found[:, 1], endless.speed, endless.acceleration, endless.torque)
+        """Of the URDF; a speed or torque of zero there is none."""
+        low, high = np.array(self.chain.arm.limits).T
+        speed, effort = np.array(self.chain.arm.most).T
+        return Limits(low, high, speed, np.full(self.chain.count, np.inf), effort)
 
     def place(self, theta: np.ndarray, frame: str | None = None) -> np.ndarray:
         """Of a link of the URDF."""
