@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,11 +74,15 @@ def _table(found: JointRollout) -> Table:
     head = ["robot", *(f"joint {j}, {unit}" for j in range(1, found.deviations[0].joint.shape[1] + 1))]
     rows = []
     for one in found.deviations:
-        row = [one.name, *(f"{1e3 * value:.3g}" for value in one.joint_rms)]
-        rows.append([*row, "-" if one.tool_rms is None else f"{1e3 * one.tool_rms:.3g}"] if tool else row)
+        row = [one.name, *map(_thousandths, one.joint_rms)]
+        rows.append([*row, "-" if one.tool_rms is None else _thousandths(one.tool_rms)] if tool else row)
     head += ["tool, mm"] if tool else []
     title = f"simulated less measured after {1e3 * found.horizon:.0f} ms, rms of {found.windows} windows"
     return table(head, rows, title)
+
+
+def _thousandths(value: float) -> str:
+    return f"{1e3 * value:.3g}" if math.isfinite(value) else "ran away"
 
 
 def _said(found: JointRollout) -> list[str]:
@@ -86,13 +91,16 @@ def _said(found: JointRollout) -> list[str]:
     last = robots[-1]
     share = last.joint_rms / still.joint_rms
     worst = max(range(len(share)), key=lambda joint: share[joint])
+    least = f"{100 * min(share):.2g} to " if len(share) > 1 else ""
     lines = [
-        f"{last.name}: after {1e3 * found.horizon:.0f} ms its joints are off by {100 * min(share):.2g} to "
-        f"{100 * share[worst]:.2g} % of their way, joint {worst + 1} most."
+        f"{last.name}: after {1e3 * found.horizon:.0f} ms its joints are off by {least}{100 * share[worst]:.2g} % of "
+        f"their way, joint {worst + 1} most."
     ]
-    if share[worst] > 1.0:
+    if not last.good.any():
+        lines = []
+    elif share[worst] > 1.0:
         lines.append(f"Joint {worst + 1} is off by more than its way: sign or unit of its torque, or a load?")
-    if (one := last.tool_rms) is not None and (noise := floor.tool_rms) is not None:
+    if last.good.any() and (one := last.tool_rms) is not None and (noise := floor.tool_rms) is not None:
         lines.append(f"Its tool is off by {1e3 * one:.3g} mm; noise alone gives {1e3 * noise:.3g} mm.")
     lines += [
         f"{one.name}: runs away in {int((~one.good).sum())} of {len(one.good)} windows, which no figure counts."

@@ -9,6 +9,7 @@ import numpy as np
 
 from schemas.chain import Chain
 from schemas.errors import RobotError
+from service.machines.bodies import IdentifiedBodies, identified_bodies
 from service.machines.machine import Dynamics, Limits, MachineModel
 from service.model.mechanism import SerialArm
 from service.model.scene import Base
@@ -31,25 +32,23 @@ class ChainMachine(MachineModel):
 
     @property
     def tool(self) -> str:
-        """The frame that the description's payload sits on, or the last link of the URDF."""
+        """The frame that the description's payload sits on, or the last link of the URDF that moves with all joints."""
         payload = self.chain.payload
-        return self.chain.arm.links[-1] if payload is None else payload.frame
+        return self.mechanism.arm.tool if payload is None else payload.frame
+
+    @cached_property
+    def _bodies(self) -> IdentifiedBodies:
+        return identified_bodies(self.chain)
 
     def dynamics(self, base: Base) -> Dynamics:
-        """Composite bodies and recursive Newton-Euler instead of a regressor a column."""
-        mechanism = self.mechanism
-        told, weights = mechanism.told(base.rigid)
-        of_links = mechanism.arm.dynamics(weights)
-        names = (
-            *(f"rotor_{joint + 1}" for joint in range(mechanism.joints)),
-            *(f"inertia_{m}" for m in mechanism.shared),
-        )
-        rotors = (mechanism.rows.T * [told[name] for name in names]) @ mechanism.rows
-        load = np.array([told[f"offset_{joint + 1}"] for joint in range(mechanism.joints)])
+        """Of bodies that can be: parameters of a short log may have inertias that no motion could start from."""
+        mechanism, bodies = self.mechanism, self._bodies
+        of_links = mechanism.arm.dynamics(bodies.weights)
+        rotors = (mechanism.rows.T * bodies.found.rotors) @ mechanism.rows
 
         def at(theta: np.ndarray, theta_dot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             mass, bias = of_links(theta, theta_dot)
-            return mass + rotors, bias + load
+            return mass + rotors, bias + bodies.load
 
         return at
 
@@ -96,9 +95,3 @@ class ChainMachine(MachineModel):
         if frame is not None and frame not in links:
             raise RobotError(f"{self.chain.name}: {self.chain.urdf} has no link {frame!r}: {', '.join(links)}")
         return frame or self.tool
-
-
-def split(told: dict[str, float], joints: int) -> tuple[np.ndarray, np.ndarray]:
-    """(F,) kg m^2 of rotors, of the joints and of motors that turn with several; (n,) N m of constant load."""
-    load = np.array([told[f"offset_{joint + 1}"] for joint in range(joints)])
-    return np.array([value for name, value in told.items() if not name.startswith("offset_")]), load

@@ -18,7 +18,8 @@ from service.model.scene import Base
 
 LONGEST_STEP = 1e-3  # s
 SHARPEST = 1e-4  # rad/s or m/s over which friction turns at least
-FARTHEST = 50.0  # rad or m from its start, at which a run has run away
+FARTHEST, FASTEST = 50.0, 500.0  # rad or m from its start, rad/s or m/s, at which a run has run away
+NO_INERTIA = 1e-9  # kg m^2 or kg: a description may have a joint with none, which runs away
 
 # k, share s, runs (L,), theta (L, n), theta_dot (L, n): torque (L, n) at share s between samples k and k + 1
 Drive = Callable[[int, float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -40,6 +41,7 @@ def run(
     width = np.maximum(np.broadcast_to(base.transition, base.coulomb.shape), SHARPEST)
     steps = math.ceil(period / LONGEST_STEP - 1e-9)
     h = period / steps
+    massless = NO_INERTIA * np.eye(machine.mechanism.joints)
     theta, theta_dot = (np.array(part, float) for part in start)
     first = theta.copy()
     change = np.zeros_like(theta)
@@ -47,7 +49,9 @@ def run(
     live = np.arange(len(theta))
     for k in range(samples):
         angles[live, k], speeds[live, k] = theta[live], theta_dot[live]
-        for part in range(steps if k + 1 < samples and len(live) else 0):
+        for part in range(steps if k + 1 < samples else 0):
+            if not len(live):
+                break
             q, v = theta[live], theta_dot[live]
             middle = q + 0.5 * h * v, v + 0.5 * h * change[live]
             mass, bias = dynamics(*middle)
@@ -57,9 +61,9 @@ def run(
             # half a step of what is linear is exact to second order; what turns over within a step needs all of it
             slope = 0.5 * base.viscous + base.coulomb * (1.0 - turned**2) / width
             torque = drive(k, (part + 0.5) / steps, live, *middle) - bias - friction @ rows
-            implicit = mass + h * np.einsum("fi,wf,fj->wij", rows, slope, rows)
+            implicit = mass + massless + h * np.einsum("fi,wf,fj->wij", rows, slope, rows)
             a = np.linalg.solve(implicit, torque[..., None])[..., 0]
             theta[live], theta_dot[live], change[live] = q + h * v + 0.5 * h**2 * a, v + h * a, a
-        with np.errstate(invalid="ignore"):
-            live = live[(np.abs(theta[live] - first[live]) < FARTHEST).all(axis=1)]
+            near = np.abs(theta[live] - first[live]) < FARTHEST
+            live = live[(near & (np.abs(theta_dot[live]) < FASTEST)).all(axis=1)]
     return angles, speeds

@@ -89,6 +89,13 @@ class Arm:
             result[own] = np.array([body_of(moved @ pseudo_inertia(unit) @ moved.T) for unit in np.eye(10)]).T
         return result[self._columns]
 
+    @property
+    def tool(self) -> str:
+        """The last link of the URDF that moves with the last joint."""
+        model = self._model
+        named = {name: model.frames[model.getFrameId(name)].parentJoint for name in self._urdf.links}
+        return [name for name, joint in named.items() if joint == max(named.values())][-1]
+
     def place(self, frame: str, theta: np.ndarray) -> np.ndarray:
         """(N, 3) m of the frame of a link at (N, n) angles, in the base frame."""
         data, number = self._model.createData(), self._model.getFrameId(frame)

@@ -124,3 +124,16 @@ def test_an_identified_arm_follows_its_log(tmp_path: Path) -> None:
 def test_axes_that_were_never_identified_are_not_simulated(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="parameters to simulate"):
         compare({"a": axes(tmp_path, "")}, [], 0.2)
+
+
+def test_a_run_that_is_lost_ends_and_the_others_go_on(tmp_path: Path) -> None:
+    """An axis of almost no inertia under its load; one start is already too fast."""
+    known = axes(
+        tmp_path,
+        "[identified]\ninertia = { value = [0.4, 0.2] }\noffset = { value = [0.0, 0.0] }\n"
+        "viscous_friction = { value = [0.0, 0.0] }\ncoulomb_friction = { value = [0.0, 0.0] }\n",
+    )
+    start = np.zeros((2, 2)), np.array([[0.0, 400.0], [1.0, 1.0]])
+    theta, _ = run(machine_of(known), base_of(known), start, nothing, SAMPLES, PERIOD)
+    assert np.isnan(theta[0, -1]).all()
+    np.testing.assert_allclose(theta[1, -1], PERIOD * (SAMPLES - 1))
