@@ -19,6 +19,7 @@ class Question(Enum):
     CODE = "code for its controller", "for a simulator: deltatwin export --to mjcf"
     CLOSED_LOOP = "closed loop on the bus", "a simulated log: deltatwin simulate"
     COMMANDS = "rollout of position commands through drives", "of recorded torque: without --commands"
+    PLATFORM = "rollout of a platform", "of its joints: deltatwin rollout"
     PICKS = "picks and releases in a log", "one load all the while: deltatwin payload without --truth and --predictions"
     LOAD = "load on a frame", "identify logs with and without the load, and compare their inertias"
     PLACE = "place of a tool", "its angles: deltatwin rollout"

@@ -12,7 +12,7 @@ Source: Khalil, Gautier, Lemoine, Identification of the payload inertial paramet
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,8 +23,9 @@ from service.identification.fit import Problem, evaluate
 from service.identification.folds import Split
 from service.identification.pooled import NOT_IDENTIFIABLE
 from service.machines import machine_of
-from service.model.arm import body_of, pseudo_inertia
+from service.model.arm import about_centre, pseudo_inertia
 from service.model.description import base_errors, hypothesis_of
+from service.model.hypothesis import Hypothesis
 from service.model.mechanism import SerialArm
 from service.model.parameters import Parameters
 from service.model.scene import Recording
@@ -124,19 +125,25 @@ class _Fit:
     @classmethod
     def of(cls, robot: Description, recordings: list[Recording], band: Band, body: np.ndarray) -> _Fit:
         """Of a description's hypothesis on recordings. body: (10 n, 10)."""
-        hypothesis, sigma = hypothesis_of(robot), np.ones(recordings[0].mechanism.joints)
-        for _ in range(2):  # the second time each joint weighs by what is left of its torque
-            problem = Problem.of(recordings, band, sigma)
-            found = evaluate(problem, hypothesis)
-            columns = [
-                np.hstack([problem.select(i, _of_load(recording, hypothesis, band, body)), tangent])
-                for i, (recording, tangent) in enumerate(zip(recordings, found.tangents, strict=True))
-            ]
-            prior = _prior(robot, Parameters(hypothesis))
-            made = cls(problem, columns, found.residuals, *_blocks(problem, columns, found.residuals), prior, 1.0)
-            sigma = np.maximum(made.left(made.solved(made.grams.sum(axis=0), made.moments.sum(axis=0))), 1e-9)
-        memory = made.remembers()
-        return cls(problem, columns, found.residuals, made.grams, made.moments, prior, memory)
+        equal = cls._weighed(robot, recordings, band, body, np.ones(recordings[0].mechanism.joints))
+        sigma = equal.left(equal.solved(equal.grams.sum(axis=0), equal.moments.sum(axis=0)))
+        made = cls._weighed(robot, recordings, band, body, np.maximum(sigma, 1e-9))
+        return replace(made, memory=made.remembers())
+
+    @classmethod
+    def _weighed(
+        cls, robot: Description, recordings: list[Recording], band: Band, body: np.ndarray, sigma: np.ndarray
+    ) -> _Fit:
+        """Each joint weighing by 1 over `sigma` (n,) N m."""
+        hypothesis = hypothesis_of(robot)
+        problem = Problem.of(recordings, band, sigma)
+        found = evaluate(problem, hypothesis)
+        columns = [
+            np.hstack([problem.select(i, _of_load(recording, hypothesis, band, body)), tangent])
+            for i, (recording, tangent) in enumerate(zip(recordings, found.tangents, strict=True))
+        ]
+        prior = _prior(robot, Parameters(hypothesis))
+        return cls(problem, columns, found.residuals, *_blocks(problem, columns, found.residuals), prior, 1.0)
 
     def solved(self, gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
         """(10 + P,) load, and changes of the base parameters; what no prior lets move stands."""
@@ -165,9 +172,9 @@ class _Fit:
         without = [self.solved(whole[0] - g, whole[1] - m) for g, m in zip(self.grams, self.moments, strict=True)]
         off = np.array(without) - np.mean(without, axis=0)
         covariance = (count - 1) / count * off.T @ off + self._of_prior(whole[0])
-        shown, slopes = _shown(values[:10]), np.empty((10, 10))
+        shown, slopes = about_centre(values[:10]), np.empty((10, 10))
         for place, unit in enumerate(np.eye(10)):
-            slopes[:, place] = (_shown(values[:10] + STEP * unit) - shown) / STEP
+            slopes[:, place] = (about_centre(values[:10] + STEP * unit) - shown) / STEP
         errors = np.sqrt(np.diag(slopes @ covariance[:10, :10] @ slopes.T))
         none = np.zeros(len(values))
         return Load(
@@ -184,7 +191,7 @@ class _Fit:
         return result
 
 
-def _of_load(recording: Recording, hypothesis, band: Band, body: np.ndarray) -> np.ndarray:
+def _of_load(recording: Recording, hypothesis: Hypothesis, band: Band, body: np.ndarray) -> np.ndarray:
     """(M, n, 10) torque a unit of each parameter of the load, as the log would show it."""
     segment, mechanism = recording.segment, recording.mechanism
     assert isinstance(mechanism, SerialArm)
@@ -212,12 +219,3 @@ def _blocks(problem: Problem, columns: list[np.ndarray], residuals: list[np.ndar
             grams.append(slopes[mine].T @ slopes[mine])
             moments.append(slopes[mine].T @ residual[mine])
     return np.array(grams), np.array(moments)
-
-
-def _shown(body: np.ndarray) -> np.ndarray:
-    """(10,) mass, centre, inertia about the centre, of (10,) parameters about the frame."""
-    mass = body[0] if abs(body[0]) > 1e-9 else 1e-9
-    moved = np.eye(4)
-    moved[:3, 3] = -body[1:4] / mass
-    about = body_of(moved @ pseudo_inertia(body) @ moved.T)
-    return np.r_[body[0], body[1:4] / mass, about[4:]]

@@ -10,6 +10,7 @@ from defusedxml.ElementTree import fromstring
 
 from schemas.chain import Chain
 from service.machines.consistent import Bodies, bodies_near
+from service.model.arm import body_of, pseudo_inertia
 from service.model.description import base_errors, base_of
 from service.model.mechanism import SerialArm
 
@@ -75,8 +76,6 @@ def _carriers(chain: Chain, mechanism: SerialArm) -> tuple[str, ...]:
 
 def _described(chain: Chain, name: str) -> np.ndarray:
     """(10,) `A_LINK` about the frame of a link, as its <inertial> says."""
-    import pinocchio
-
     root = fromstring(chain.arm.text)
     link = next(one for one in root.findall("link") if one.get("name") == name)
     inertial = link.find("inertial")
@@ -86,11 +85,23 @@ def _described(chain: Chain, name: str) -> np.ndarray:
     if mass is None or inertia is None or float(mass.get("value", "0")) == 0.0:
         return np.zeros(10)
     place = np.zeros(3) if origin is None else _three(origin.get("xyz"))
-    turned = np.eye(3) if origin is None else pinocchio.rpy.rpyToMatrix(*_three(origin.get("rpy")))
+    turned = np.eye(3) if origin is None else _turned(*_three(origin.get("rpy")))
     xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "0")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     about = turned @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turned.T
-    return pinocchio.Inertia(float(mass.get("value", "0")), place, about).toDynamicParameters()
+    placed = np.eye(4)
+    placed[:3, 3] = place
+    own = np.r_[float(mass.get("value", "0")), 0.0, 0.0, 0.0, about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+    return body_of(placed @ pseudo_inertia(own) @ placed.T)
 
 
 def _three(text: str | None) -> np.ndarray:
     return np.array([float(value) for value in (text or "0 0 0").split()])
+
+
+def _turned(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """(3, 3) of a URDF's angles, rad."""
+    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(angle), np.sin(angle)) for angle in (roll, pitch, yaw))
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x

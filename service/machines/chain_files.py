@@ -17,6 +17,7 @@ from schemas.files import read_bytes
 from schemas.urdf import MAX_BYTES
 from service.machines.bodies import IdentifiedBodies, identified_bodies
 from service.machines.files import MachineFile, figures, finish
+from service.model.arm import about_centre
 from service.model.description import base_of
 from service.model.mechanism import SerialArm
 
@@ -70,21 +71,17 @@ def to_mjcf(chain: Chain) -> MachineFile:
 
 def _write_into(root: Any, chain: Chain, bodies: IdentifiedBodies) -> None:
     """Put bodies and friction into the links and joints of a URDF."""
-    import pinocchio
-
     base = base_of(chain)
     links = {link.get("name"): link for link in root.findall("link")}
     for name, body in zip(bodies.carriers, bodies.found.bodies, strict=True):
-        inertia = pinocchio.Inertia.FromDynamicParameters(body)
+        mass, x, y, z, *about = about_centre(body).tolist()
         for old in links[name].findall("inertial"):
             links[name].remove(old)
         written = ElementTree.SubElement(links[name], "inertial")
-        xyz = " ".join(f"{value:.9g}" for value in inertia.lever)
-        ElementTree.SubElement(written, "origin", {"xyz": xyz, "rpy": "0 0 0"})
-        ElementTree.SubElement(written, "mass", {"value": f"{inertia.mass:.9g}"})
-        about = inertia.inertia
-        keys = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-        ElementTree.SubElement(written, "inertia", {key: f"{about[place]:.9g}" for key, place in keys.items()})
+        ElementTree.SubElement(written, "origin", {"xyz": f"{x:.9g} {y:.9g} {z:.9g}", "rpy": "0 0 0"})
+        ElementTree.SubElement(written, "mass", {"value": f"{mass:.9g}"})
+        moments = zip(("ixx", "ixy", "iyy", "ixz", "iyz", "izz"), about, strict=True)
+        ElementTree.SubElement(written, "inertia", {key: f"{value:.9g}" for key, value in moments})
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     for number, name in enumerate(chain.joints):
         for old in joints[name].findall("dynamics"):

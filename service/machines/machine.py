@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,7 +51,7 @@ class MachineModel:
     def __init__(self, description: Description):
         self.description = description
 
-    @property
+    @cached_property
     def mechanism(self) -> Mechanism:
         """Kinematics and regressor."""
         return mechanism_of(self.description)

@@ -81,6 +81,7 @@ def multisine(
     for k, limit in ((1, limits.speed), (2, limits.acceleration)):
         share = np.minimum(1.0, limit / np.maximum(np.abs(path[k]).max(axis=0), 1e-12))
         path = [part * share for part in path]
+    needed = np.zeros((1, n))
     for _ in range(ROUNDS):
         motion = JointMotion(period, middle + path[0], path[1], path[2])
         every = slice(None, None, max(1, round(1 / (COARSE * period))))

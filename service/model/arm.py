@@ -27,6 +27,7 @@ NOTHING = 1e-6  # of the longest column: what an angle written to six digits mak
 POSES = 400  # random, that tell dependent columns
 STEP = 1e-6  # m or rad, of finite differences by a joint's place
 LEAST_MASS = 1e-3  # kg: a body of less has no centre that could carry its first moments
+NO_MASS = 1e-9  # kg
 SPEED, ACCELERATION = 3.0, 10.0  # rad/s, rad/s^2, of them
 
 
@@ -221,3 +222,11 @@ def body_of(pseudo: np.ndarray) -> np.ndarray:
     inertia = np.trace(second) * np.eye(3) - second
     xx, xy, xz, yy, yz, zz = inertia[np.triu_indices(3)]
     return np.array([pseudo[3, 3], *pseudo[:3, 3], xx, xy, yy, xz, yz, zz])
+
+
+def about_centre(body: np.ndarray) -> np.ndarray:
+    """(10,) of (10,) `A_LINK`: mass, place of its centre, and inertia about that instead of about the frame."""
+    mass = body[0] if abs(body[0]) > NO_MASS else NO_MASS
+    moved = np.eye(4)
+    moved[:3, 3] = -body[1:4] / mass
+    return np.r_[body[0], body[1:4] / mass, body_of(moved @ pseudo_inertia(body) @ moved.T)[4:]]

@@ -45,7 +45,7 @@ class Deviation:
     @property
     def good(self) -> np.ndarray:
         """(W,) windows that came to their end."""
-        return np.isfinite(self.joint).all(axis=1)
+        return np.isfinite(self.joint.sum(axis=1))
 
     @property
     def joint_rms(self) -> np.ndarray:
@@ -108,12 +108,13 @@ def compare(
     if not cuts:
         raise NoWindowError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves")
     deviations = []
-    for name, described in machines.items():
+    models = {name: machine_of(described) for name, described in machines.items()}
+    for name, model in models.items():
         progress(name)
-        machine = machine_of(described)
-        deviations.append(_joined(name, [_deviation(machine, cut, samples) for cut in cuts]))
+        deviations.append(_joined(name, [_deviation(model, cut, samples) for cut in cuts]))
     progress(FLOOR)
-    draws = [_deviation(machine, cut, samples, np.random.default_rng([SEED, k])) for k in range(DRAWS) for cut in cuts]
+    last = list(models.values())[-1]
+    draws = [_deviation(last, cut, samples, np.random.default_rng([SEED, k])) for k in range(DRAWS) for cut in cuts]
     deviations += [_joined(FLOOR, draws), _joined(STILL, [_still(cut, samples) for cut in cuts])]
     windows = sum(len(cut.starts) for cut in cuts)
     return JointRollout(tuple(deviations), windows, (samples - 1) * period, period, parts[0][1].angular)

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from drivers.trace import read_trace
 from schemas.axes import Description, load_description, save_description
+from schemas.chain import Chain
 from schemas.errors import RobotError
 from service.cli.main import app
 from service.identification.axes import identify_axes
@@ -31,6 +32,7 @@ def known(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     (folder / "arm.toml").write_text(kind.description())
     plain = load_description(folder / "arm.toml")
     logs = [read_trace(kind.record(folder / f"empty_{seed}.csv", seed), plain) for seed in (0, 1)]
+    assert isinstance(plain, Chain)
     robot = identify_axes(plain, logs).robot
     save_description(robot, folder / "identified.toml")
     return kind, load_description(folder / "identified.toml"), folder
