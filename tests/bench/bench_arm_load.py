@@ -65,8 +65,8 @@ def main() -> None:
         every += rows
         table = np.array(rows)
         print(
-            f"{kind.name}: {len(rows)} loads, mass off by {100 * np.abs(table[:, 1] / table[:, 0]).max():.2f} % at most, "
-            f"centre by {1e3 * np.abs(table[:, 3:6]).max():.2f} mm",
+            f"{kind.name}: {len(rows)} loads, mass off by {100 * np.abs(table[:, 1] / table[:, 0]).max():.2f} %, "
+            f"centre by {1e3 * np.abs(table[:, 3:6]).max():.2f} mm at most",
             flush=True,
         )
     table = np.array(every)
