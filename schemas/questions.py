@@ -25,6 +25,7 @@ class Question(Enum):
     PLACE = "place of a tool", "its angles: deltatwin rollout"
     TREE = "URDF", "for a simulator: deltatwin export --to mjcf"
     MJCF = "MJCF of this kind", "its parameters: deltatwin identify --json"
+    CALLBACK = "callback for MuJoCo", "its model alone: deltatwin export --to mjcf"
     RIVALS = "motion that tells rivals apart", "one that identifies best: deltatwin plan-motion --for identify"
     ROUTE = "pick-and-place, workspace or conveyor", "its motions: multisine, slow, or a file"
 
