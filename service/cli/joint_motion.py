@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from service.cli.output import as_json, console, table
+from service.cli.output import as_json, console, say_next, table
 from service.cli.progress import bars
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ NOISE_SHARE = 0.005  # of a joint's largest torque, where no noise is known
 
 
 def simulate_joints(
+    robot: Path,
     description: Description,
     motion: str,
     out: Path,
@@ -64,9 +65,11 @@ def simulate_joints(
         f"simulated {description.name} as it is described; tracking error {', '.join(f'{1e3 * v:.2g}' for v in off)} "
         f"{unit} rms"
     )
+    say_next("identify", out, "--robot", robot, "--out", "identified.toml")
 
 
 def plan_joints(
+    robot: Path,
     description: Description,
     out: Path,
     duration: float,
@@ -126,6 +129,7 @@ def plan_joints(
         f"{np.abs(motion.theta_dot).max():.3g} in speed, {np.abs(motion.theta_ddot).max():.3g} in acceleration, "
         f"{np.abs(torque).max():.3g} in torque"
     )
+    say_next("simulate", "--robot", robot, "--motion", out, "--out", "tried.csv")
 
 
 def _write(motion: JointMotion, torque: np.ndarray, angular: bool, out: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from service.cli.output import Table, as_json, console, table
+from service.cli.output import Table, as_json, conclude, console, read_by, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 def roll_out(
     traces: Sequence[Path],
     machines: Sequence[tuple[str, Axes | Chain]],
+    paths: Sequence[Path],
     columns: str | None,
     horizon: float,
     out: Path | None,
@@ -48,9 +49,9 @@ def roll_out(
         typer.echo(as_json("joint-rollout", document))
         return
     console().print(_table(found))
-    typer.echo("\n".join(said))
     if out is not None:
         typer.echo(f"wrote rollout.json in {out}")
+    conclude("\n".join(said), "diagnose", *traces, "--robot", paths[-1], *read_by(columns), "--out", "diagnosis")
 
 
 def _document(found: JointRollout, traces: list[str]) -> dict[str, Any]:

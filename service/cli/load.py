@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from service.cli.output import Table, as_json, console, table
+from service.cli.output import Table, as_json, conclude, console, read_by, table
 from service.cli.reading import reading
 
 if TYPE_CHECKING:
@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from service.identification.load import Load
 
 
-def weigh(traces: Sequence[Path], description: Description, columns: str | None, frame: str | None, json: bool) -> None:
+def weigh(
+    traces: Sequence[Path], robot: Path, description: Description, columns: str | None, frame: str | None, json: bool
+) -> None:
     """Estimate and print the load of each of `traces`.
 
     Raises:
@@ -41,7 +43,12 @@ def weigh(traces: Sequence[Path], description: Description, columns: str | None,
         typer.echo(as_json("payload", document))
         return
     console().print(_table(found), _left(found))
-    typer.echo(said)
+    for one in found:
+        if one.centre_told:
+            centre = ", ".join(f"{value:.4f}" for value in one.centre)
+            known = f'frame = "{one.frame}", mass_kg = {one.mass:.4f}, centre_m = [{centre}]'
+            typer.echo(f"for the description: payload = {{ {known} }}")
+    conclude(said, "rollout", *traces, "--robot", robot, *read_by(columns))
 
 
 def _table(found: Sequence[Load]) -> Table:

@@ -61,7 +61,7 @@ def command(
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one for each, in the same order")
     described = load_description(robot, effects)
     if not isinstance(described, Robot) and not truth and predictions is None:
-        weigh(traces, described, columns, frame, json)
+        weigh(traces, robot, described, columns, frame, json)
         return
     description = as_delta(described, Question.PICKS)
     if frame is not None:

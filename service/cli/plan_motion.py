@@ -91,7 +91,7 @@ def command(
     described = load_description(robot, effects)
     if not isinstance(described, Robot) and purpose is Purpose.IDENTIFY:
         most = (max_speed, max_acceleration, max_torque)
-        plan_joints(described, out, duration, rate, seed, most, assume_limits, json)
+        plan_joints(robot, described, out, duration, rate, seed, most, assume_limits, json)
         return
     description = as_delta(described, Question.RIVALS)
     limits = limits_of(description, max_speed, max_acceleration, max_torque)

@@ -54,7 +54,7 @@ def command(
     if others and not commands:
         if len(others) < len(described):
             raise DataError(f"{robot[0]}, {robot[-1]}: compare descriptions of one machine")
-        roll_out(traces, others, columns, horizon, out, json)
+        roll_out(traces, others, robot, columns, horizon, out, json)
         return
     robots = _robots({path: as_delta(one, Question.COMMANDS) for path, one in described.items()})
     if out is not None:

@@ -112,7 +112,7 @@ def command(
     described = load_description(robot)
     if not isinstance(described, Robot) and not live and (motion in OF_JOINTS or Path(motion).suffix):
         assert out is not None
-        simulate_joints(described, motion, out, duration, rate, seed, (max_speed, max_acceleration, max_torque))
+        simulate_joints(robot, described, motion, out, duration, rate, seed, (max_speed, max_acceleration, max_torque))
         return
     description = as_delta(described, Question.CLOSED_LOOP if live else Question.ROUTE)
     plant, which = make_plant(description, truth, 1.0 / rate, seed)

@@ -43,6 +43,7 @@ TABLE: dict[str, tuple[str, dict[str, str | None]]] = {
     "export --to mjcf": ("{robot} --out {out}.xml", {}),
     "export --to urdf": ("{robot} --out {out}.urdf", {"axes": "URDF"}),
     "export --to c": ("{robot} --out {out}", dict.fromkeys(KINDS, CODE)),
+    "export --to st": ("{robot} --out {out}", dict.fromkeys(KINDS, CODE)),
     "export --to fmu": ("{robot} --out {out}.fmu", dict.fromkeys(KINDS, CODE)),
     "export --to sheet": ("{robot} --out {out}.md", dict.fromkeys(KINDS, CODE)),
     "replay": ("{log} --robot {robot}", dict.fromkeys(KINDS, ONLINE)),
