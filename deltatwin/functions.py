@@ -17,9 +17,10 @@ from deltatwin.results import (
 from deltatwin.trace import Mapping as ColumnMapping
 from deltatwin.trace import Trace, as_list
 from drivers import trace as files
-from schemas.axes import Description, load_description, no_axes, save_description
+from schemas.axes import Description, load_description, save_description
 from schemas.columns import Columns
 from schemas.errors import DataError
+from schemas.questions import Question, as_delta
 from schemas.robot import Robot
 
 Traces = recorded.Trace | Sequence[recorded.Trace]
@@ -227,8 +228,7 @@ def payload(robot: Description, trace: recorded.Trace) -> PayloadResult:
     """
     from service.identification.payload import common_error, levels, payload_history
 
-    delta = no_axes(robot, "payload")
-    assert delta is not None
+    delta = as_delta(robot, Question.PICKS)
     found = payload_history(delta, trace)
     return PayloadResult(delta, trace.name, found, tuple(levels(found)), common_error(delta))
 
@@ -262,9 +262,7 @@ def rollout(
     named = dict(robots) if isinstance(robots, Mapping) else {robots.name: robots}
     given: dict[str, Robot] = {}
     for name, robot in named.items():
-        delta = no_axes(robot, "rollout")
-        assert delta is not None
-        given[name] = delta
+        given[name] = as_delta(robot, Question.PLATFORM)
     if not given:
         raise DataError("rollout: no robot given")
     refuse_another_robot(given)

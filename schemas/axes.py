@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import tomlkit
 from pydantic import Field, model_validator
@@ -65,6 +65,7 @@ class Axes(Machine):
     """n decoupled axes."""
 
     kind: Literal["axes"]  # of the machine
+    called: ClassVar[str] = "servo axes"
     axis: Annotated[list[Axis], Field(min_length=1, max_length=MAX_JOINTS)]
     identified: AxesIdentified | None = None
 
@@ -104,17 +105,6 @@ def load_description(path: str | Path, effects: Path | None = None) -> Descripti
     path = Path(path)
     kind = read_toml(path, RobotError).get("kind") if path.suffix == ".toml" else None
     return load_axes(path, effects) if str(kind) in KINDS else load_robot(path, effects)
-
-
-def no_axes(robot: Description | None, what: str) -> Robot | None:
-    """`robot`, where it is a Delta or none.
-
-    Raises:
-        RobotError: it describes axes; `what` says what for that is no use.
-    """
-    if isinstance(robot, Machine):
-        raise RobotError(f"{what}: {robot.name} describes {robot.kind}, a Delta robot is needed")
-    return robot
 
 
 def load_axes(path: str | Path, effects: Path | None = None) -> Axes | Chain:

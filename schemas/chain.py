@@ -15,7 +15,7 @@ payload = { frame = "tool0", mass_kg = 1.5, centre_m = [0.0, 0.0, 0.05] }  # wit
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -46,6 +46,7 @@ class Chain(Machine):
     """A serial arm."""
 
     kind: Literal["chain"]  # of the machine
+    called: ClassVar[str] = "an arm"
     urdf: str  # file beside this one
     joints: Annotated[Names, Field(min_length=1)]  # of the URDF, in the order of the log
     held: Names = Field([])  # joints that stood still at their zero

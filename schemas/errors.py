@@ -25,6 +25,10 @@ class RobotError(DeltatwinError):
     """A robot description is unreadable, incomplete or describes an impossible robot."""
 
 
+class UnansweredError(RobotError):
+    """A command asks what a machine of this kind does not answer."""
+
+
 class TraceError(DeltatwinError):
     """A trace cannot be read, or holds data that cannot be used for what was asked."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import tomlkit
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, PrivateAttr, model_validator
@@ -365,6 +365,7 @@ class Robot(Described):
     """A Delta robot with three actuated joints."""
 
     kind: Literal["delta"] = "delta"  # of the machine
+    called: ClassVar[str] = "a Delta robot"
     gravity_mps2: Gravity = [0.0, 0.0, -9.81]  # in the base frame: [-9.81, 0, 0] with the x axis up a wall
     geometry: Geometry
     mass: Mass

@@ -26,12 +26,13 @@ TURNS = ("revolute", "continuous")
 @dataclass(frozen=True)
 class Urdf:
     """text: the arm alone, every joint but the logged ones fixed. links: names. limits: (low, high) rad of each logged
-    joint, without end where it has none."""
+    joint, most: its speed rad/s and torque N m, without end where it has none."""
 
     path: Path
     text: str
     links: tuple[str, ...]
     limits: tuple[tuple[float, float], ...]
+    most: tuple[tuple[float, float], ...]
 
 
 def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
@@ -72,6 +73,7 @@ def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
         if name not in moving:
             raise RobotError(f"{path}: joint {name!r} is fixed; those that move: {', '.join(moving) or 'none'}")
     _massive(path, joints, links, logged)
+    most = tuple(_most(path, name, joints[name]) for name in logged)
     limits = tuple(_prepared(path, name, joints[name]) for name in logged)
     for name in held:
         joints[name].set("type", "fixed")
@@ -79,7 +81,7 @@ def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
         for part in ("visual", "collision"):
             for shape in link.findall(part):
                 link.remove(shape)
-    return Urdf(path, tostring(root, encoding="unicode"), tuple(links), limits)
+    return Urdf(path, tostring(root, encoding="unicode"), tuple(links), limits, most)
 
 
 def turning_joints(path: Path) -> list[str]:
@@ -147,6 +149,13 @@ def _prepared(path: Path, name: str, joint: Element) -> tuple[float, float]:
         return -math.inf, math.inf
     low, high = (_number(path, joint, key, "limit", f"joint {name!r}", 0.0) for key in ("lower", "upper"))
     return low, high
+
+
+def _most(path: Path, name: str, joint: Element) -> tuple[float, float]:
+    """Speed and torque of a joint; none and zero, which some writers take for none, are without end."""
+    found = (_number(path, joint, key, "limit", f"joint {name!r}", 0.0) for key in ("velocity", "effort"))
+    speed, effort = (value if value > 0 else math.inf for value in found)
+    return speed, effort
 
 
 def _number(path: Path, element: Element, key: str, child: str, where: str, default: float | None = None) -> float:

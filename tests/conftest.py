@@ -58,6 +58,7 @@ SLOW = (
     "tests/service/diagnosis/test_wave.py",
     "tests/service/estimator/test_loss.py", "tests/service/estimator/test_plants.py", "tests/service/experiment",
     "tests/service/fleet/test_fleet.py", "tests/service/identification/test_chain.py",
+    "tests/service/identification/test_load.py", "tests/service/machines/test_every_command.py",
     "tests/service/identification/test_pooled.py::test_standard_errors_cover_the_truth",
     "tests/service/pages/test_pages.py::test_a_page_is_printed_where_there_is_a_browser",
     "tests/service/test_ethercat_demo.py::test_every_claim_holds",

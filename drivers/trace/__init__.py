@@ -23,11 +23,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from drivers.trace.tables import READERS
-from schemas.axes import Description, no_axes
+from schemas.axes import Description
 from schemas.columns import CHANNELS, Columns, load_columns
 from schemas.errors import TraceError
 from schemas.files import opened, whole
 from schemas.machine import Machine
+from schemas.questions import Question, as_delta
 from schemas.trace import Trace
 
 MAPPINGS = Path(__file__).parent / "mappings"
@@ -69,12 +70,11 @@ def read_trace(path: str | Path, robot: Description | None = None, columns: Colu
 
 def _read(path: Path, robot: Description | None, columns: Columns | None) -> Trace:
     if path.name.endswith(CAPTURE_ENDINGS):
-        robot = no_axes(robot, str(path))
         if robot is None:
             raise TraceError(f"{path}: a capture is read with its robot description (--robot): layout and scaling")
         from drivers.trace.capture import read_capture
 
-        return read_capture(path, robot)
+        return read_capture(path, as_delta(robot, Question.FIELDBUS))
     if isinstance(robot, Machine):
         fallback = find_columns(robot.mapping) if robot.mapping else None
     else:

@@ -83,13 +83,13 @@ def command(
     from drivers.plant.plant import make_plant
     from replay.realtime import go_realtime
     from schemas.files import make_folder, write_text
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
     from service.cli.main import MISSED
     from service.experiment.closed_loop import CORRECTED, FEEDBACK, RIGID, Subject, ratio, variants
     from service.experiment.loop_page import HEAD, NOTE, SHORT, page, row, verdict_of_correction, verdict_of_models
     from service.experiment.pictures import write_page, write_pictures
 
-    description = load_robot(robot)
+    description = load_delta(robot, Question.CLOSED_LOOP)
     plant, which = make_plant(description, truth, 1.0 / rate, seed)
     given = () if effect is None else (draw_effect(effect, plant.described, seed),)
     which += "".join(f"; {name}: {one.in_words}" for name, one in given)
@@ -185,9 +185,9 @@ def _learn(
 
 def _load(path: Path, robot: Robot, effects: Path | None) -> Robot:
     from schemas.errors import RobotError
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
 
-    known = load_robot(path, effects)
+    known = load_delta(path, Question.CLOSED_LOOP, effects)
     if known.name != robot.name:
         raise RobotError(f"{path}: describes {known.name}, not {robot.name}")
     return known

@@ -36,15 +36,16 @@ def command(
     """
 
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace, write_trace
-    from schemas.axes import load_description, no_axes
+    from schemas.axes import load_description
     from schemas.errors import StorageError
+    from schemas.questions import Question, as_delta
 
     if target.exists() and not overwrite:
         raise StorageError(f"{target}: exists already; --overwrite replaces it")
     description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
     capture = source.name.endswith(CAPTURE_ENDINGS)
-    delta = no_axes(description, str(source)) if capture else None
+    delta = as_delta(description, Question.FIELDBUS) if description and capture else None
     if delta and target.name.endswith(".mcap"):
         from drivers.trace.capture import convert_capture  # as a stream: a capture can be larger than the memory
 

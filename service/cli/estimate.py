@@ -29,12 +29,12 @@ def command(
     from drivers.bus import check_free, open_bus
     from replay.realtime import go_realtime
     from schemas.messages import Role
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
     from service.estimator.estimator import Estimator
     from service.estimator.keep import Keeper
     from service.estimator.node import run
 
-    description = load_robot(robot, effects)
+    description = load_delta(robot, Question.ONLINE, effects)
     if description.identified is None:
         typer.echo(
             f"{robot}: no [identified] parameters: friction is zero and rho 1; run `deltatwin identify`", err=True

@@ -39,6 +39,7 @@ def command(
     """
     from schemas.axes import load_description
     from schemas.errors import TraceError
+    from schemas.machine import Machine
     from service.identification.conclusion import of_evaluation
     from service.identification.evaluation import evaluate
     from service.identification.held import told_of_held
@@ -72,6 +73,8 @@ def command(
     said, explained = of_evaluation(description, results)
     if description.identified is None:
         conclude(said, "identify", *traces, "--robot", robot, *read_by(columns), "--out", "identified.toml")
+    elif explained and isinstance(description, Machine):
+        conclude(said, "rollout", *traces, "--robot", robot, *read_by(columns))
     elif explained:
         conclude(said, "estimate", "--robot", robot)
     else:

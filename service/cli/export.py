@@ -33,9 +33,9 @@ def command(
     to: Annotated[
         Format,
         typer.Option(
-            help="mjcf: MuJoCo, the closed chain; urdf: viewers, the actuated links; c: feed-forward and payload as "
-            "C99; fmu: the same for co-simulation; st: as Structured Text and PLCopen XML; sheet: figures for a "
-            "controller's own rigid model"
+            help="mjcf: MuJoCo; urdf: of an arm all, of a Delta the actuated links, for viewers; c: feed-forward and "
+            "payload as C99; fmu: the same for co-simulation; st: as Structured Text and PLCopen XML; sheet: figures "
+            "for a controller's own rigid model"
         ),
     ] = Format.mjcf,
     effects: OwnEffects = None,
@@ -57,7 +57,12 @@ def command(
     The C code does what `deltatwin estimate` does, to the same bits, without heap; docs/how-to/controller.md says how
     to call it.
 
+    Of an arm the URDF is its own with identified masses, centres and inertias that bodies can have, and friction of
+    the joints; base parameters with standard errors come as JSON beside it. Servo axes come as MJCF.
+
     Example: deltatwin export corrected.toml --to mjcf --out robot.xml
+
+    Example: deltatwin export arm_identified.toml --to urdf --out arm_identified.urdf
 
     Example: deltatwin export corrected.toml --to c --rate 1000 --out twin/
 
@@ -67,12 +72,19 @@ def command(
     """
     import sys
 
+    from schemas.axes import load_description
     from schemas.files import make_folder, write_text
-    from schemas.robot import load_robot
+    from schemas.questions import Question, as_delta
+    from schemas.robot import Robot
+    from service.cli.machine_files import write_machine
 
     if float32 and to is not Format.c:
         raise typer.BadParameter(f"--float32: of --to c alone, not of {to.value}")
-    description = load_robot(robot, effects)
+    described = load_description(robot, effects)
+    if to in (Format.mjcf, Format.urdf) and not isinstance(described, Robot):
+        write_machine(described, to.value, out)
+        return
+    description = as_delta(described, Question.CODE)
     if to is Format.c:
         _code(description, out, rate, name, nominal, float32)
         return

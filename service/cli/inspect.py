@@ -38,8 +38,9 @@ def command(
     from drivers.trace import CAPTURE_ENDINGS, find_columns, read_trace
     from drivers.trace.capture_survey import survey_capture
     from drivers.trace.survey import survey
-    from schemas.axes import load_description, no_axes
+    from schemas.axes import load_description
     from schemas.errors import TraceError
+    from schemas.questions import Question, as_delta
 
     description = load_description(robot) if robot else None
     mapping = find_columns(columns) if columns else None
@@ -49,7 +50,7 @@ def command(
             capture = path.name.endswith(CAPTURE_ENDINGS)
             with console(stderr=True).status(f"reading {path.name}"):
                 if capture:
-                    surveys.append(survey_capture(path, no_axes(description, str(path))))
+                    surveys.append(survey_capture(path, description and as_delta(description, Question.FIELDBUS)))
                 else:
                     surveys.append(survey(read_trace(path, description, mapping)))
         except TraceError as error:

@@ -46,9 +46,9 @@ def command(
     Example: deltatwin keys --hosts cell-pc,192.168.4.20 --robot d3.toml --out keys
     """
     from drivers.security.keys import make_keys, parse_hosts
+    from schemas.axes import load_description
     from schemas.keys import check_robot_name
     from schemas.messages import Role
-    from schemas.robot import load_robot
 
     try:
         parsed = parse_hosts(hosts)
@@ -56,7 +56,7 @@ def command(
         raise typer.BadParameter(str(error), param_hint="--hosts") from None
     name = None
     if robot is not None:
-        name = load_robot(robot).name if robot.endswith(".toml") else check_robot_name(robot)
+        name = load_description(robot).name if robot.endswith(".toml") else check_robot_name(robot)
     typer.echo(summary(make_keys(out, parsed, name, Role[source.name]), out))
 
 

@@ -67,9 +67,9 @@ def command(
     """
     from drivers.ethercat.interface import check_interface
     from drivers.ethercat.master import Master, OffsetRamp, PositionRamp, follow
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
 
-    description = load_robot(robot, effects)
+    description = load_delta(robot, Question.FIELDBUS, effects)
     check_interface(interface)
 
     import numpy as np

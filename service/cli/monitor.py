@@ -44,13 +44,13 @@ def command(
     from schemas.errors import StorageError
     from schemas.files import check_folder
     from schemas.messages import Role
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
     from service.cli.progress import counting
     from service.monitor.node import Monitor, run
     from service.monitor.writer import WriterThread
     from service.stopping import stop_requested
 
-    description = load_robot(robot)
+    description = load_delta(robot, Question.ONLINE)
     name = description.name
     path = out or Path(f"{name}-{datetime.datetime.now(datetime.UTC):%Y%m%dT%H%M%SZ}.mcap")
     if path.exists():

@@ -1,4 +1,4 @@
-"""`deltatwin payload`: picks and releases in traces, with the mass of each."""
+"""`deltatwin payload`: picks and releases in traces, with the mass of each; the load of an arm."""
 
 from __future__ import annotations
 
@@ -29,8 +29,13 @@ def command(
     predictions: Annotated[
         Path | None, typer.Option(help="Folder for <trace>.csv with mass, std_dev, trusted, event after every sample")
     ] = None,
+    frame: Annotated[
+        str | None,
+        typer.Option(metavar="LINK", help="Of an arm: link of its URDF that the load sits on. Default: the last one."),
+    ] = None,
 ) -> None:
-    """Find picks and releases and estimate what was picked, as the online estimator does.
+    """Find picks and releases and estimate what was picked, as the online estimator does; of an arm the one load that
+    it carries all through each trace: mass, centre of mass and, where the motion tells it, inertia.
 
     A mass has two errors, each one standard deviation: the random one differs from mass to mass, the common one is the
     same share of all masses of this robot until a known load calibrates its torque constants (identify --carried).
@@ -39,17 +44,28 @@ def command(
     forgetting factor, on the M_Id+F of this description. The recursion as the paper has it: `deltatwin experiment`.
 
     Example: deltatwin payload pick_a.csv --robot identified.toml --truth pick_a.payloads.csv
+
+    Example: deltatwin payload gripper.csv --robot arm_identified.toml --frame tool0
     """
     from dataclasses import asdict
 
+    from schemas.axes import load_description
     from schemas.errors import DataError
-    from schemas.robot import load_robot
+    from schemas.questions import Question, as_delta
+    from schemas.robot import Robot
+    from service.cli.load import weigh
     from service.identification.conclusion import of_payload
     from service.identification.payload import common_error, levels, payload_history, read_truth, score
 
     if truth and len(truth) != len(traces):
         raise DataError(f"--truth: {len(truth)} files for {len(traces)} traces; give one for each, in the same order")
-    description = load_robot(robot, effects)
+    described = load_description(robot, effects)
+    if not isinstance(described, Robot) and not truth and predictions is None:
+        weigh(traces, robot, described, columns, frame, json)
+        return
+    description = as_delta(described, Question.PICKS)
+    if frame is not None:
+        raise DataError(f"--frame {frame}: a Delta robot carries on its platform")
     screen = console()
     scores: list[Score] = []
     seen: dict[str, list[MassLevel]] = {}

@@ -71,19 +71,29 @@ def command(
 
     Example: deltatwin plan-motion --robot r.toml --diagnosis diag --out motion.csv
 
+    Of axes and arms: for identify, within the limits of the URDF and those of the options.
+
     Example: deltatwin plan-motion --robot r.toml --for identify --out motion.csv --max-acceleration 120
     """
     import time
 
     from drivers.motion import Planner, limits_of
     from drivers.motion_file import write_motion
+    from schemas.axes import load_description
     from schemas.files import check_folder
-    from schemas.robot import load_robot
+    from schemas.questions import Question, as_delta
+    from schemas.robot import Robot
+    from service.cli.joint_motion import plan_joints
     from service.planning.plan import at_rate, evaluations, plan
     from service.planning.question import PERIOD
 
     check_folder(out.parent)
-    description = load_robot(robot, effects)
+    described = load_description(robot, effects)
+    if not isinstance(described, Robot) and purpose is Purpose.IDENTIFY:
+        most = (max_speed, max_acceleration, max_torque)
+        plan_joints(robot, described, out, duration, rate, seed, most, assume_limits, json)
+        return
+    description = as_delta(described, Question.RIVALS)
     limits = limits_of(description, max_speed, max_acceleration, max_torque)
     assumed = _assumed(description, limits, max_speed, max_acceleration, max_torque)
     _refuse(robot, description, limits, {} if assume_limits else assumed)

@@ -43,10 +43,10 @@ def command(
     from replay.player import play, schedule
     from replay.realtime import go_realtime
     from schemas.messages import Role
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
     from service.cli.progress import counting
 
-    description = load_robot(robot)
+    description = load_delta(robot, Question.ONLINE)
     recorded = read_trace(trace, description, find_columns(columns) if columns else None)
     for finding in recorded.findings:
         typer.echo(f"{trace}: {finding.message}", err=True)

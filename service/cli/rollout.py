@@ -36,15 +36,27 @@ def command(
     Each window of a log starts in the measured state; from there on the recorded torque alone drives the simulation,
     or, with --commands, the position commands alone, and the torque of the simulated drives is compared too. Compared
     with each description: the robot as drawn up (plain), and the noise floor (floor): the error that the noise of
-    torque and start state alone gives with the last one.
+    torque and start state alone gives with the last one. Of axes and arms: the joints, and the tool of an arm.
 
     Example: deltatwin rollout test_*.csv --robot identified.toml --robot corrected.toml --out rollout
     """
+    from schemas.axes import load_description
+    from schemas.errors import DataError
     from schemas.files import make_folder, write_text
+    from schemas.questions import Question, as_delta
+    from schemas.robot import Robot
+    from service.cli.joint_rollout import roll_out
     from service.rollout.document import document, headline, write_rollout
     from service.rollout.gap import PLAIN, compare
 
-    robots = _robots(robot, effects)
+    described = {str(path): load_description(path, effects) for path in robot}
+    others = [(Path(path).stem, one) for path, one in described.items() if not isinstance(one, Robot)]
+    if others and not commands:
+        if len(others) < len(described):
+            raise DataError(f"{robot[0]}, {robot[-1]}: compare descriptions of one machine")
+        roll_out(traces, others, robot, columns, horizon, out, json)
+        return
+    robots = _robots({path: as_delta(one, Question.COMMANDS) for path, one in described.items()})
     if out is not None:
         make_folder(out)
     recorded = list(reading(traces, robots[PLAIN], columns, "reading"))
@@ -63,20 +75,19 @@ def command(
     say_headline(headline(result))
 
 
-def _robots(paths: list[Path], effects: Path | None) -> dict[str, Robot]:
-    """Name -> description: the first one as it was drawn up, then each by its file.
+def _robots(described: dict[str, Robot]) -> dict[str, Robot]:
+    """Name -> description, of file -> description: the first one as it was drawn up, then each by its file.
 
     Raises:
-        RobotError: a description of axes. DataError: of another robot than the first.
+        DataError: one is of another robot than the first.
     """
-    from schemas.robot import load_robot
     from service.rollout.gap import PLAIN, plain, refuse_another_robot
 
-    described = {str(path): load_robot(path, effects) for path in paths}
     refuse_another_robot(described)
     robots: dict[str, Robot] = {PLAIN: plain(next(iter(described.values())))}
-    for path in paths:
-        robots[path.stem if path.stem not in robots else str(path)] = described[str(path)]
+    for path, one in described.items():
+        name = Path(path).stem
+        robots[name if name not in robots else path] = one
     return robots
 
 

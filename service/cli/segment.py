@@ -49,11 +49,11 @@ def command(
     from drivers.trace.mcap_file import to_trace
     from replay.realtime import go_realtime
     from schemas.files import check_folder
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
 
     if out:
         check_folder(out.parent)
-    description = load_robot(robot)
+    description = load_delta(robot, Question.FIELDBUS)
     plant, _ = make_plant(description, truth or "ideal", 1 / rate, seed)
     segment = EthercatSegment(joint_pdos(description), scales(description), plant)
     segment.switches.product = product

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from schemas.words import percent
+from service.cli.joint_motion import simulate_joints
 from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
 from service.cli.output import Table, console, in_quantiles, say_next, table
 from service.cli.progress import bars
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from schemas.robot import Robot
 
 
+OF_JOINTS = ("multisine", "slow")  # motions of axes and arms
 KINDS = ("pick", "multisine", "bound", "slow")  # of motions that `drivers.motion.Planner` plans
 
 
@@ -72,7 +74,7 @@ def command(
     insecure: Insecure = False,
     ros_domain: RosDomain = None,
 ) -> None:
-    """Simulate a closed-chain Delta (MuJoCo) with drives, friction, noise and payloads.
+    """Simulate a closed-chain Delta (MuJoCo) with drives, friction, noise and payloads; or axes and arms as identified.
 
     Writes what a controller would log, joint side, in SI units. With --live it takes the place of the robot: it
     publishes samples and the planned motion of the next cycle, and its drives add the feed-forward torque.
@@ -80,6 +82,8 @@ def command(
     Example: deltatwin simulate --robot d3-1200 --motion pick --payload 3.8 --duration 20 --out pick.csv
 
     Example: deltatwin simulate --robot d3-1200 --live --payload 1 --payload 3.8
+
+    Example: deltatwin simulate --robot arm_identified.toml --motion multisine --out arm.csv
 
     Example: deltatwin simulate --robot d3-1200 --live --later stribeck_friction@60s
     """
@@ -90,9 +94,11 @@ def command(
     from drivers.plant.later import changes
     from drivers.plant.later import later as read_later
     from drivers.plant.plant import make_plant
+    from schemas.axes import load_description
     from schemas.errors import DataError
     from schemas.files import check_folder
-    from schemas.robot import load_robot
+    from schemas.questions import Question, as_delta
+    from schemas.robot import Robot
 
     if out is None and not live:
         raise typer.BadParameter("say where to write the trace (--out), or run --live", param_hint="--out")
@@ -103,7 +109,12 @@ def command(
     for path in (out, picks):
         if path is not None:
             check_folder(path.parent)
-    description = load_robot(robot)
+    described = load_description(robot)
+    if not isinstance(described, Robot) and not live and (motion in OF_JOINTS or Path(motion).suffix):
+        assert out is not None
+        simulate_joints(robot, described, motion, out, duration, rate, seed, (max_speed, max_acceleration, max_torque))
+        return
+    description = as_delta(described, Question.CLOSED_LOOP if live else Question.ROUTE)
     plant, which = make_plant(description, truth, 1.0 / rate, seed)
     planner = Planner(description, plant.period, limits_of(description, max_speed, max_acceleration, max_torque))
     if planner.limits.torque > plant.truth.peak_torque_nm:

@@ -35,9 +35,9 @@ def command(
     from replay.clock import wait_until
     from replay.realtime import go_realtime
     from schemas.messages import Role
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
 
-    description = load_robot(robot)
+    description = load_delta(robot, Question.FIELDBUS)
     path = Path(interface)
     is_capture = path.is_file() or path.suffix in (".pcap", ".pcapng")
     source = FileSource(path, wait_until, speed) if is_capture else InterfaceSource(interface)

@@ -33,11 +33,11 @@ def command(
 
     from drivers.bus import open_bus
     from schemas.messages import Role
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
     from service.cli.live import Joints, Roles
     from service.stopping import stop_requested
 
-    name = load_robot(robot).name
+    name = load_delta(robot, Question.ONLINE).name
     stopped, screen = stop_requested(), console()
     with open_bus(name, Role.OBSERVER, zenoh_config, insecure, ros_domain) as bus:
         os.nice(NICENESS)

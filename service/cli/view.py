@@ -32,9 +32,9 @@ def command(
     Example: deltatwin view --robot d3.toml --layout d3.layout.json && deltatwin view --robot d3.toml
     """
     from schemas.files import write_text
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
 
-    description = load_robot(robot)
+    description = load_delta(robot, Question.ONLINE)
     if layout is not None:
         from drivers.view.layout import layout as layout_of
 

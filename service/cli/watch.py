@@ -48,13 +48,13 @@ def command(
     from schemas.errors import DataError
     from schemas.files import make_folder
     from schemas.messages import Role
-    from schemas.robot import load_robot
+    from schemas.questions import Question, load_delta
     from service.cli.reading import reading
     from service.stopping import stop_requested
     from service.watch.node import Examination, WatchNode, beyond_description, run
     from service.watch.watch import Patience, Watch
 
-    description = load_robot(robot, effects)
+    description = load_delta(robot, Question.ONLINE, effects)
     if description.identified is None:
         raise DataError(f"{robot}: no [identified] parameters to compare the robot with: run `deltatwin identify`")
     check_free(description.name, Role.WATCH, zenoh_config, insecure)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,7 @@ NOTHING = 1e-6  # of the longest column: what an angle written to six digits mak
 POSES = 400  # random, that tell dependent columns
 STEP = 1e-6  # m or rad, of finite differences by a joint's place
 LEAST_MASS = 1e-3  # kg: a body of less has no centre that could carry its first moments
+NO_MASS = 1e-9  # kg
 SPEED, ACCELERATION = 3.0, 10.0  # rad/s, rad/s^2, of them
 
 
@@ -76,12 +77,63 @@ class Arm:
 
     def mass_on(self, frame: str, centre: Sequence[float]) -> np.ndarray:
         """(10 n,): what a kilogram with its centre at (3,) m in the frame of a link adds to the weights."""
+        point = self._library.Inertia(1.0, np.array(centre, float), np.zeros((3, 3)))
+        return self.body_on(frame) @ point.toDynamicParameters()
+
+    def body_on(self, frame: str) -> np.ndarray:
+        """(10 n, 10): what a body of (10,) `A_LINK` about the frame of a link adds to the weights; none on the base."""
         found = self._model.frames[self._model.getFrameId(frame)]
-        bodies = [np.zeros(10) for _ in range(self._model.njoints - 1)]
+        result = np.zeros((10 * (self._model.njoints - 1), 10))
         if found.parentJoint:
-            at = found.placement.act(np.array(centre, float))
-            bodies[found.parentJoint - 1] = self._library.Inertia(1.0, at, np.zeros((3, 3))).toDynamicParameters()
-        return self._parameters(bodies)
+            own = slice(10 * (found.parentJoint - 1), 10 * found.parentJoint)
+            moved = found.placement.homogeneous
+            result[own] = np.array([body_of(moved @ pseudo_inertia(unit) @ moved.T) for unit in np.eye(10)]).T
+        return result[self._columns]
+
+    @property
+    def tool(self) -> str:
+        """The last link of the URDF that moves with the last joint."""
+        model = self._model
+        named = {name: model.frames[model.getFrameId(name)].parentJoint for name in self._urdf.links}
+        return [name for name, joint in named.items() if joint == max(named.values())][-1]
+
+    def place(self, frame: str, theta: np.ndarray) -> np.ndarray:
+        """(N, 3) m of the frame of a link at (N, n) angles, in the base frame."""
+        data, number = self._model.createData(), self._model.getFrameId(frame)
+        angles, result = np.empty(theta.shape), np.empty((len(theta), 3))
+        angles[:, self._order] = theta
+        for row, pose in enumerate(angles):
+            self._library.framesForwardKinematics(self._model, data, pose)
+            result[row] = data.oMf[number].translation
+        return result
+
+    def dynamics(self, weights: np.ndarray) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        """Mass matrices (N, n, n) kg m^2 and the torque (N, n) N m of speed and weight at (N, n) angles and speeds, of
+        links of `weights` (10 n,)."""
+        library, model, order = self._library, self._weighing(weights), self._order
+        data, block = model.createData(), np.ix_(order, order)
+
+        def at(theta: np.ndarray, theta_dot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            state = np.empty((2, *theta.shape))
+            state[:, :, order] = theta, theta_dot
+            mass, bias = np.empty((*theta.shape, theta.shape[1])), np.empty(theta.shape)
+            for row, (angle, speed) in enumerate(zip(*state, strict=True)):
+                upper = np.triu(library.crba(model, data, angle))
+                mass[row] = (upper + np.triu(upper, 1).T)[block]
+                bias[row] = library.nonLinearEffects(model, data, angle, speed)[order]
+            return mass, bias
+
+        return at
+
+    def _weighing(self, weights: np.ndarray) -> Any:
+        """The model with links of `weights` (10 n,)."""
+        model = self._model.copy()
+        bodies = np.zeros(10 * (model.njoints - 1))
+        bodies[self._columns] = weights
+        for number, body in enumerate(bodies.reshape(-1, 10), start=1):
+            mass = body[0] if abs(body[0]) > LEAST_MASS else LEAST_MASS
+            model.inertias[number] = self._library.Inertia.FromDynamicParameters(np.r_[mass, body[1:]])
+        return model
 
     def columns(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
         """(N, n, 10 n): torque along (N, n) motions, N m per unit of each weight."""
@@ -98,11 +150,7 @@ class Arm:
     ) -> np.ndarray:
         """(N, n, 6 n): torque along (N, n) motions that links of `weights` (10 n,) ask for beside that of the URDF, N m
         per m and per rad that each joint is off in the link before it, along and about its own axes there."""
-        library, model = self._library, self._model.copy()
-        bodies = np.zeros(10 * (model.njoints - 1))
-        bodies[self._columns] = weights
-        for number, body in enumerate(bodies.reshape(-1, 10), start=1):
-            model.inertias[number] = library.Inertia.FromDynamicParameters(np.r_[max(body[0], LEAST_MASS), body[1:]])
+        library, model = self._library, self._weighing(weights)
         motions = np.empty((3, *theta.shape))
         motions[:, :, self._order] = theta, theta_dot, theta_ddot
 
@@ -155,3 +203,30 @@ class Reduction:
         chosen = columns[:, kept]
         shares = np.linalg.lstsq(chosen, columns, rcond=None)[0]
         return cls(np.array(kept, int), np.where(np.abs(shares) < DEPENDENT, 0.0, shares))
+
+
+def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
+    """(4, 4) pseudo-inertia of (10,) `A_LINK`: second moments, first moments, mass. It moves as a congruence."""
+    m, x, y, z, xx, xy, yy, xz, yz, zz = parameters
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    result = np.empty((4, 4))
+    result[:3, :3] = np.trace(inertia) / 2 * np.eye(3) - inertia
+    result[:3, 3] = result[3, :3] = x, y, z
+    result[3, 3] = m
+    return result
+
+
+def body_of(pseudo: np.ndarray) -> np.ndarray:
+    """(10,) `A_LINK` of a pseudo-inertia."""
+    second = pseudo[:3, :3]
+    inertia = np.trace(second) * np.eye(3) - second
+    xx, xy, xz, yy, yz, zz = inertia[np.triu_indices(3)]
+    return np.array([pseudo[3, 3], *pseudo[:3, 3], xx, xy, yy, xz, yz, zz])
+
+
+def about_centre(body: np.ndarray) -> np.ndarray:
+    """(10,) of (10,) `A_LINK`: mass, place of its centre, and inertia about that instead of about the frame."""
+    mass = body[0] if abs(body[0]) > NO_MASS else NO_MASS
+    moved = np.eye(4)
+    moved[:3, 3] = -body[1:4] / mass
+    return np.r_[body[0], body[1:4] / mass, body_of(moved @ pseudo_inertia(body) @ moved.T)[4:]]

@@ -313,6 +313,27 @@ class SerialArm(_Servos):
             described[-len(self.arm.weights) :] = self.arm.weights
         return self._reduction.shares @ described
 
+    def told(self, coefficients: np.ndarray) -> tuple[dict[str, float], np.ndarray]:
+        """Rotors and constant loads by name, and the links' weights (10 n,) that `coefficients` are found of; what
+        these leave open stays as described."""
+        candidates = np.zeros(len(self._candidates))
+        if self.asked:
+            candidates[-len(self.arm.weights) :] = self.arm.weights
+        reduction = self._reduction
+        candidates[reduction.kept] += coefficients - reduction.shares @ candidates
+        values = dict(zip(self._candidates, candidates.tolist(), strict=True))
+        weights = self.known
+        if self.asked:
+            weights = weights + candidates[-len(self.arm.weights) :]
+        elif self.payload is not None:
+            weights = weights + values.pop("payload", 0.0) * self.payload
+        return {name: value for name, value in values.items() if name not in self.arm.names}, weights
+
+    @property
+    def shares(self) -> np.ndarray:
+        """(k, p): what rotors, constant loads and links' weights, as in `told`, are of the coefficients."""
+        return self._reduction.shares
+
     def misplaced(
         self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
     ) -> np.ndarray:
@@ -321,15 +342,7 @@ class SerialArm(_Servos):
         What they leave open of the links stays as described. It makes a difference that coefficients do not make up for
         only where a joint is turned so that motion would tell more of the links.
         """
-        weights = self.known
-        if self.asked:
-            candidates = np.concatenate([np.zeros(len(self._candidates) - len(self.arm.weights)), self.arm.weights])
-            reduction = self._reduction
-            candidates[reduction.kept] += coefficients - reduction.shares @ candidates
-            weights = weights + candidates[-len(self.arm.weights) :]
-        elif self.payload is not None:
-            weights = weights + coefficients[list(self.coefficients).index("payload")] * self.payload
-        return self.arm.misplaced(theta, theta_dot, theta_ddot, weights)
+        return self.arm.misplaced(theta, theta_dot, theta_ddot, self.told(coefficients)[1])
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, n) motions."""

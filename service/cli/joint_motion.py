@@ -1,0 +1,153 @@
+"""What `simulate` and `plan-motion` do with axes and arms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from service.cli.output import as_json, console, say_next, table
+from service.cli.progress import bars
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from schemas.axes import Description
+    from service.machines.motion import JointMotion
+
+TRIES = 40  # motions that are compared
+DEFAULTS = {"--max-speed": 1.0, "--max-acceleration": 5.0}  # of a simulated machine, rad or m
+NOISE_SHARE = 0.005  # of a joint's largest torque, where no noise is known
+
+
+def simulate_joints(
+    robot: Path,
+    description: Description,
+    motion: str,
+    out: Path,
+    duration: float,
+    rate: float,
+    seed: int,
+    limits: tuple[float | None, float | None, float | None],
+) -> None:
+    """`simulate` of a multisine, a slow sweep or a file. limits: speed, acceleration, torque of the options.
+
+    Raises:
+        DataError: the motion is out of limits. StorageError: the log cannot be written.
+    """
+    import numpy as np
+
+    from drivers.trace import write_trace
+    from schemas.trace import Trace
+    from service.machines import machine_of
+    from service.machines.motion import limits_of, multisine
+    from service.machines.simulated import simulate
+    from service.model.description import base_of
+
+    machine = machine_of(description)
+    tight, missing = limits_of(machine, *limits)
+    given = dict(zip(("--max-speed", "--max-acceleration", "--max-torque"), limits, strict=True))
+    given |= {name: DEFAULTS[name] for name in missing if name in DEFAULTS}
+    tight, _ = limits_of(machine, *given.values())
+    if motion in ("multisine", "slow"):
+        rng = np.random.default_rng([seed, 1])
+        path = multisine(machine, base_of(description), tight, duration, 1.0 / rate, rng, motion == "slow")
+    else:
+        path = _read(Path(motion), description, 1.0 / rate)
+    log = simulate(machine, path, np.random.default_rng(seed))
+    trace = Trace(out, log.time, log.position, log.torque, position_command=log.command, angular=description.angular)
+    write_trace(trace, out, description.name)
+    off = np.sqrt(np.mean((log.position - log.command) ** 2, axis=0))
+    unit = "mrad" if description.angular else "mm"
+    typer.echo(f"{out}: {len(trace)} samples at {rate:.6g} Hz, {path.time[-1]:.3f} s")
+    typer.echo(
+        f"simulated {description.name} as it is described; tracking error {', '.join(f'{1e3 * v:.2g}' for v in off)} "
+        f"{unit} rms"
+    )
+    say_next("identify", out, "--robot", robot, "--out", "identified.toml")
+
+
+def plan_joints(
+    robot: Path,
+    description: Description,
+    out: Path,
+    duration: float,
+    rate: float,
+    seed: int,
+    limits: tuple[float | None, float | None, float | None],
+    assume: bool,
+    json: bool,
+) -> None:
+    """`plan-motion --for identify`.
+
+    Raises:
+        DataError: a limit is not known. StorageError: the motion cannot be written.
+    """
+    import numpy as np
+
+    from schemas.errors import DataError
+    from service.machines import machine_of
+    from service.machines.motion import limits_of, most_telling, torque_of
+    from service.model.description import base_of, in_units_of
+    from service.model.parameters import base_parameters
+
+    machine = machine_of(description)
+    tight, missing = limits_of(machine, *limits)
+    asked = [name for name in missing if name in DEFAULTS]
+    if asked and not assume:
+        told = ", ".join(f"{name} ({DEFAULTS[name]:g} assumed)" for name in asked)
+        raise DataError(
+            f"{description.name}: how far may it be driven? no limit is given of {told}: say the option; "
+            "--assume-limits takes these"
+        )
+    given = dict(zip(("--max-speed", "--max-acceleration", "--max-torque"), limits, strict=True))
+    tight, _ = limits_of(machine, *(given | {name: DEFAULTS[name] for name in asked}).values())
+    base = base_of(description)
+    with bars() as progress:
+        task = progress.add_task("planning", total=TRIES)
+        found = most_telling(machine, base, tight, duration, 1.0 / rate, seed, TRIES, lambda: progress.advance(task))
+    motion, errors = found
+    torque = torque_of(machine, base, motion.theta, motion.theta_dot, motion.theta_ddot)
+    noise = NOISE_SHARE * float(np.abs(torque).max())
+    _write(motion, torque, description.angular, out)
+    names = [(one.name, in_units_of(description, one.unit)) for one in base_parameters(machine.mechanism)]
+    if json:
+        figures = {"motion": str(out), "duration_s": float(motion.time[-1]), "noise_nm": noise}
+        known = {name: float(noise * error) for (name, _), error in zip(names, errors, strict=True)}
+        typer.echo(as_json("plan-motion", figures | {"std_errors": known, "assumed": asked}))
+        return
+    rows = [
+        (name, f"{noise * error:.2g}" if np.isfinite(error) else "cannot be told", unit)
+        for (name, unit), error in zip(names, errors, strict=True)
+    ]
+    console().print(table(("parameter", "standard error", "unit"), rows, f"after this run, by noise of {noise:.2g}"))
+    if asked:
+        typer.echo(f"assumed, nobody has given it: {', '.join(asked)}: check before a machine runs this")
+    typer.echo(
+        f"best of {TRIES}: {out}, {motion.time[-1]:.1f} s at {rate:g} Hz, up to "
+        f"{np.abs(motion.theta_dot).max():.3g} in speed, {np.abs(motion.theta_ddot).max():.3g} in acceleration, "
+        f"{np.abs(torque).max():.3g} in torque"
+    )
+    say_next("simulate", "--robot", robot, "--motion", out, "--out", "tried.csv")
+
+
+def _write(motion: JointMotion, torque: np.ndarray, angular: bool, out: Path) -> None:
+    from drivers.trace import write_trace
+    from schemas.trace import Trace
+
+    write_trace(Trace(out, motion.time, motion.theta, torque, angular=angular), out)
+
+
+def _read(path: Path, description: Description, period: float) -> JointMotion:
+    """The motion of a file at a period of its own, its speed and acceleration by a spline."""
+    import numpy as np
+    from scipy.interpolate import make_interp_spline
+
+    from drivers.trace import read_trace
+    from service.machines.motion import JointMotion
+
+    trace = read_trace(path, description)
+    time = np.arange(trace.time[0], trace.time[-1], period)
+    spline = make_interp_spline(trace.time, trace.position, k=5)
+    return JointMotion(period, spline(time), spline(time, 1), spline(time, 2))

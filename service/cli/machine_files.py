@@ -1,0 +1,40 @@
+"""What `export` writes of axes and arms."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from schemas.axes import Description
+
+
+def write_machine(description: Description, to: str, out: Path) -> None:
+    """Write the MJCF or URDF of a machine, with its parameters and their errors as JSON beside it.
+
+    Raises:
+        UnansweredError: the machine has no such file. RobotError: figures that no body can have.
+    """
+    from schemas.files import make_folder, write_text
+    from service.machines import machine_of
+
+    machine = machine_of(description)
+    made = machine.to_urdf() if to == "urdf" else machine.to_mjcf()
+    make_folder(out.parent)
+    beside = out.with_name(f"{out.stem}_parameters.json")
+    write_text(out, made.text)
+    write_text(beside, made.figures)
+    print(f"wrote {out}")
+    print(
+        f"wrote {beside}: base parameters with standard errors, rotor inertias, constant loads, friction's transition"
+    )
+    for line in made.said:
+        print(line)
+    if description.identified is None:
+        print(
+            f"{description.name}: never identified: these are the described figures; run deltatwin identify",
+            file=sys.stderr,
+        )
+    for name, why in made.left_out.items():
+        print(f"{name} is left out: {why}", file=sys.stderr)
