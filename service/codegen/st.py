@@ -225,7 +225,8 @@ class _Body:
         which = self.views[value.value]
         if len(which) > 1:
             raise CodegenError(f"{self.made.where}: {value.value} may be one of two views in a test or a loop's bounds")
-        return self.places[value.value][which[0]], _ATOM
+        (only,) = which
+        return self.places[value.value][only], _ATOM
 
     def _field(self, value: Expr) -> tuple[str, int]:
         return self._read(value)
@@ -259,7 +260,7 @@ class _Body:
         """The type that a number is stored as, where that is not what it is worth."""
         if not isinstance(value.type, Scalar):
             return ""
-        holder = value.args[0].type if value.args else None
+        holder = next((one.type for one in value.args), None)
         if value.op == "field" and isinstance(holder, Record):
             code = holder.dtype[value.value].base.str[1:]
         elif value.op == "index" and isinstance(holder, Array) and isinstance(holder.element, str):

