@@ -78,7 +78,6 @@ def command(
     import time
 
     from drivers.motion import Planner, limits_of
-    from drivers.motion_file import write_motion
     from schemas.axes import load_description
     from schemas.files import check_folder
     from schemas.questions import Question, as_delta
@@ -105,13 +104,16 @@ def command(
         motion = plan(planner, question, duration, lambda: progress.advance(task), seed)
     spent = time.perf_counter() - begin
     sent = at_rate(motion, 1.0 / rate)
-    planner.period = sent.period
-    planner.check(sent, str(out))
-    write_motion(sent, _driven(known, description, carried, sent, limits.torque), planner, out)
+    _write(out, planner, sent, _driven(known, description, carried, sent, limits.torque))
     lines, result = _shown(question, question.shown(motion, whole=True))
     if json:
-        run = {"motion": str(out), "duration_s": sent.duration, "planned_in_s": round(spent, 1)}
-        run |= {"assumed_limits": {key: value for key, (_, value, _) in assumed.items()}}
+        taken = {key: value for key, (_, value, _) in assumed.items()}
+        run = {
+            "motion": str(out),
+            "duration_s": sent.duration,
+            "planned_in_s": round(spent, 1),
+            "assumed_limits": taken,
+        }
         typer.echo(as_json("plan-motion", run | result))
         return
     typer.echo("\n".join(lines))
@@ -177,6 +179,18 @@ def _driven(
             f"plan with less than --max-torque {most:.4g}"
         )
     return torque
+
+
+def _write(out: Path, planner: Planner, sent: Trajectory, torque: np.ndarray) -> None:
+    """
+    Raises:
+        DataError, PoseError: at the controller's rate it keeps no limit, or leaves what the arms reach.
+    """
+    from drivers.motion_file import write_motion
+
+    planner.period = sent.period
+    planner.check(sent, str(out))
+    write_motion(sent, torque, planner, out)
 
 
 def _shown(question: Apart | Figures, shown: Any) -> tuple[list[str], dict[str, Any]]:
