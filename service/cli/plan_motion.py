@@ -108,13 +108,8 @@ def command(
     lines, result = _shown(question, question.shown(motion, whole=True))
     if json:
         taken = {key: value for key, (_, value, _) in assumed.items()}
-        run = {
-            "motion": str(out),
-            "duration_s": sent.duration,
-            "planned_in_s": round(spent, 1),
-            "assumed_limits": taken,
-        }
-        typer.echo(as_json("plan-motion", run | result))
+        run = {"motion": str(out), "duration_s": sent.duration, "planned_in_s": round(spent, 1)}
+        typer.echo(as_json("plan-motion", run | {"assumed_limits": taken} | result))
         return
     typer.echo("\n".join(lines))
     if assumed:
