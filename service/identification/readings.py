@@ -137,8 +137,8 @@ class Candidates:
         if robot is not None and robot.linear:
             return [{"unit": unit}] if unit else [{"unit": "mm" if self._farthest() > 10 else "m"}]
         others = [] if stated.position_unit else [one for one in ("rad", "deg") if one != unit]
-        if unit is None and robot is not None:
-            others.append("turns")
+        if unit is None and isinstance(robot, Axes):
+            others.append("turns")  # nothing else that is known of an axis tells them from radians
         elif unit is not None:
             others = others if robot is not None and unit in ("rad", "deg") else []
         units = [unit] if unit else []
