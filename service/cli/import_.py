@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.options import AsJson, robot_file
-from service.cli.output import as_json, console, say
+from service.cli.output import as_json, console, say, say_next
 from service.cli.output import table as printed
 
 if TYPE_CHECKING:
@@ -119,8 +119,7 @@ def command(
         return
     for log, count in zip(logs, samples, strict=True):
         typer.echo(f"{log}: {count} samples, {len(proposal.columns['position'])} joints; mapping in {mapping}")
-    options = f"--robot {robot}" if robot else "--robot ROBOT.toml"
-    typer.echo(f"next: deltatwin diagnose {' '.join(map(str, logs))} {options} --out diagnosis")
+    say_next("diagnose", *logs, "--robot", robot or "ROBOT.toml", "--out", "diagnosis")
 
 
 def _ask(proposal: Proposal) -> None:

@@ -70,12 +70,15 @@ def command(
 
 
 def _conclude(surveys: list[dict[str, Any]], traces: list[Path], robot: Path | None, columns: object) -> None:
+    from drivers.trace import CAPTURE_ENDINGS
     from schemas.words import counted
 
     usable = sum("error" not in one for one in surveys)
     clean = sum("error" not in one and not one["findings"] for one in surveys)
     said = f"{usable} of {counted(len(surveys), 'file')} usable, {clean} without a finding."
-    if not usable:
+    if not usable and traces[0].name.endswith(CAPTURE_ENDINGS):
+        typer.echo(said)  # no command makes anything of it
+    elif not usable:
         conclude(said, "import", traces[0], *(("--robot", robot) if robot else ()))
     elif robot:
         conclude(said, "identify", *traces, "--robot", robot, *read_by(columns), "--out", "identified.toml")

@@ -67,58 +67,64 @@ def command(
 
     Inside the workspace of the description and within its [limits] of speed, acceleration and torque, or those of the
     options, empty, from rest to rest. A limit that is in neither is asked for. What the run shows is over the noise of
-    the torque: whatever else the robot does besides the rivals comes on top.
+    the torque: whatever else the robot does besides the rivals comes on top. Of axes and arms: for identify, within
+    the limits of the URDF and those of the options.
 
     Example: deltatwin plan-motion --robot r.toml --diagnosis diag --out motion.csv
 
-    Of axes and arms: for identify, within the limits of the URDF and those of the options.
-
     Example: deltatwin plan-motion --robot r.toml --for identify --out motion.csv --max-acceleration 120
     """
-    import time
-
     from drivers.motion import Planner, limits_of
-    from drivers.motion_file import write_motion
     from schemas.axes import load_description
     from schemas.files import check_folder
     from schemas.questions import Question, as_delta
     from schemas.robot import Robot
     from service.cli.joint_motion import plan_joints
-    from service.planning.plan import at_rate, evaluations, plan
+    from service.planning.plan import at_rate
     from service.planning.question import PERIOD
 
     check_folder(out.parent)
     described = load_description(robot, effects)
+    most = (max_speed, max_acceleration, max_torque)
     if not isinstance(described, Robot) and purpose is Purpose.IDENTIFY:
-        most = (max_speed, max_acceleration, max_torque)
         plan_joints(robot, described, out, duration, rate, seed, most, assume_limits, json)
         return
     description = as_delta(described, Question.RIVALS)
-    limits = limits_of(description, max_speed, max_acceleration, max_torque)
-    assumed = _assumed(description, limits, max_speed, max_acceleration, max_torque)
+    limits = limits_of(description, *most)
+    assumed = _assumed(description, limits, *most)
     _refuse(robot, description, limits, {} if assume_limits else assumed)
     planner = Planner(description, PERIOD, limits)
     known, question, carried = _question(purpose, description, diagnosis, effects, limits.torque)
+    motion, spent = _searched(planner, question, duration, seed)
+    sent = at_rate(motion, 1.0 / rate)
+    _write(out, planner, sent, _driven(known, description, carried, sent, limits.torque))
+    lines, result = _shown(question, question.shown(motion, whole=True))
+    if json:
+        taken = {key: value for key, (_, value, _) in assumed.items()}
+        run = {"motion": str(out), "duration_s": sent.duration, "planned_in_s": round(spent, 1)}
+        typer.echo(as_json("plan-motion", run | {"assumed_limits": taken} | result))
+        return
+    lines += [*_assumed_lines(assumed), f"planned in {spent:.0f} s: {out}, {_used(sent, planner)}"]
+    typer.echo("\n".join(lines))
+    say_next("simulate", "--robot", robot, "--motion", out, "--out", "tried.csv")
+
+
+def _searched(planner: Planner, question: Apart | Figures, duration: float, seed: int) -> tuple[Trajectory, float]:
+    """The motion that shows most, and the s that finding it took."""
+    import time
+
+    from service.planning.plan import evaluations, plan
+
     begin = time.perf_counter()
     with bars() as progress:
         task = progress.add_task("planning", total=evaluations(duration))
         motion = plan(planner, question, duration, lambda: progress.advance(task), seed)
-    spent = time.perf_counter() - begin
-    sent = at_rate(motion, 1.0 / rate)
-    planner.period = sent.period
-    planner.check(sent, str(out))
-    write_motion(sent, _driven(known, description, carried, sent, limits.torque), planner, out)
-    lines, result = _shown(question, question.shown(motion, whole=True))
-    if json:
-        run = {"motion": str(out), "duration_s": sent.duration, "planned_in_s": round(spent, 1)}
-        run |= {"assumed_limits": {key: value for key, (_, value, _) in assumed.items()}}
-        typer.echo(as_json("plan-motion", run | result))
-        return
-    typer.echo("\n".join(lines))
-    if assumed:
-        typer.echo(f"assumed, nobody has given it: the limit of {_listed(assumed)}: check before a robot runs this")
-    typer.echo(f"planned in {spent:.0f} s: {out}, {_used(sent, planner)}")
-    say_next("simulate", "--robot", robot, "--motion", out, "--out", "tried.csv")
+    return motion, time.perf_counter() - begin
+
+
+def _assumed_lines(assumed: dict[str, tuple[str, float, str]]) -> list[str]:
+    line = f"assumed, nobody has given it: the limit of {_listed(assumed)}: check before a robot runs this"
+    return [line] if assumed else []
 
 
 def _refuse(
@@ -177,6 +183,18 @@ def _driven(
             f"plan with less than --max-torque {most:.4g}"
         )
     return torque
+
+
+def _write(out: Path, planner: Planner, sent: Trajectory, torque: np.ndarray) -> None:
+    """
+    Raises:
+        DataError, PoseError: at the controller's rate it keeps no limit, or leaves what the arms reach.
+    """
+    from drivers.motion_file import write_motion
+
+    planner.period = sent.period
+    planner.check(sent, str(out))
+    write_motion(sent, torque, planner, out)
 
 
 def _shown(question: Apart | Figures, shown: Any) -> tuple[list[str], dict[str, Any]]:

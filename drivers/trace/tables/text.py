@@ -45,6 +45,8 @@ def read(path: Path, layout: Mapping[str, object] | None = None) -> Table:
     if head[0].strip() == CODESYS_CSV:
         return read_codesys(path, raw.decode(encoding, "replace"))
     found = dict(layout) if layout else _layout(head, path) | ({"encoding": encoding} if encoding != "utf-8" else {})
+    if not layout and "thousands" not in found and (mark := _later_thousands(raw, found)):
+        found["thousands"] = mark
     columns = Columns.model_validate(
         {key: value for key, value in found.items() if key != "date"} | {"position": "-", "torque": "--"}
     )
@@ -204,6 +206,20 @@ def _thousands(lines: list[str], separator: str, decimal: str) -> str | None:
     marked = [field for field in fields if _plain(field, separator, decimal) != field]
     marks = [mark for mark in THOUSANDS if mark not in (separator, decimal)]
     return next((mark for mark in marks if any(mark in field for field in marked)), None)
+
+
+def _later_thousands(raw: bytes, found: Mapping[str, Any]) -> str | None:
+    """The mark between groups of three digits, where the first number that has one stands further down."""
+    point, begin = re.escape(found["decimal"].encode()), 0
+    for _ in range(found.get("data_line", found["header_line"] + 1) - 1):
+        begin = raw.find(b"\n", begin) + 1
+    for mark in THOUSANDS:
+        first = raw.find(mark.encode(), begin)
+        if mark not in (found["separator"], found["decimal"]) and first >= 0:
+            form = rb"(?<![\d.,' ])\d{1,3}(?:%b\d{3})+%b\d" % (re.escape(mark.encode()), point)
+            if re.compile(form).search(raw, max(first - 3, begin)):
+                return mark
+    return None
 
 
 def _flag_or_date(field: str) -> bool:

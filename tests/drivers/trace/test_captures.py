@@ -270,7 +270,7 @@ def test_inspect_of_a_capture_without_a_frame_is_an_error(tmp_path: Path, writte
     (tmp_path / "a.pcapng").write_bytes(header + written)
     result = CliRunner().invoke(app, ["inspect", str(tmp_path / "a.pcapng")])
 
-    assert (result.exit_code, result.stdout) == (1, "")
+    assert (result.exit_code, result.stdout) == (1, "0 of 1 file usable, 0 without a finding.\n")
     assert result.stderr == f"deltatwin: {tmp_path / 'a.pcapng'}: {says}\n"
 
 

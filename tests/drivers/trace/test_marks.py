@@ -39,6 +39,14 @@ def test_marks_between_thousands(tmp_path: Path, cells: tuple[str, ...], marks: 
     np.testing.assert_array_equal(again.columns["q"], table.columns["q"])
 
 
+def test_the_first_mark_may_stand_far_down(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t;q\n" + "".join(f"0.{k:04};{900.5 + k - (800 if k < 800 else 0):,.7f}\n" for k in range(900)))
+    table = read_table(path)
+    assert table.layout["thousands"] == ","
+    np.testing.assert_allclose(table.columns["q"], np.where(np.arange(900) < 800, 100.5, 900.5) + np.arange(900))
+
+
 def test_a_space_that_does_not_break_is_one(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("t;q\n" + "".join(f"0,0{k}0;1\u202f234\u00a0567,5\n" for k in range(9)))
