@@ -194,7 +194,7 @@ def test_it_says_plainly_what_is_worse_and_what_to_do_then() -> None:
         "Tried on loads simulated along fit_a, which the fit has seen.",
     ]
     assert bad[0].startswith("With the corrected description the estimator does worse than with the identified one: it")
-    assert bad[1:] == ["Tried on loads simulated along fit_a, kept out of the fit.", KEEP]
+    assert bad[1:] == ["Tried on loads simulated along fit_a, held out of the fit.", KEEP]
     soft = sentences_of(trial(figures(right=0), changes=0))
     assert "feeds forward a torque that is off by" in soft[0]
     assert "cannot be simulated on a log. Give logs with known loads (--loaded)." in soft[1]
@@ -269,8 +269,8 @@ def test_diagnose_says_what_its_correction_is_worth(tmp_path: Path) -> None:
         told = sentences_of(found)
         assert told[0] in done.stdout
         page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-        box = page.partition('<section class="verdict">')[2].partition("</section>")[0]
-        assert told[0] in re.sub(r"\s+", " ", box)
+        unfolded = page.partition("<body")[2].partition("<details")[0]
+        assert told[0] in re.sub(r"\s+", " ", unfolded)
         assert (tmp_path / "out" / "corrected.toml").read_text(encoding="utf-8").startswith(NOTE)
     schema = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))["online"]
     assert list(schema) == list(OnlineTrial.model_fields)
