@@ -21,7 +21,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 DATA = REPOSITORY / "tests" / "data"
 # What watches the clock, on interfaces, sockets and roles: one after the other when tests run on several workers.
 ON_THE_CLOCK = (
-    *(f"tests/drivers/ethercat/test_{name}.py" for name in ("faults", "master", "passed_over", "segment", "tap")),
+    *(f"tests/drivers/ethercat/test_{name}" for name in ("faults", "master", "passed_over", "segment", "tap")),
     *(f"tests/drivers/test_{name}.py" for name in ("bus", "health", "motion", "ros", "security")),
     "tests/drivers/plant/test_live.py", "tests/replay", "tests/service/test_", "tests/service/monitor",
     "tests/service/cli/test_demo.py", "tests/service/cli/test_replay.py",
