@@ -167,7 +167,7 @@ def test_what_does_not_fit_is_one_line(emps: Diagnosed, data: Path, tmp_path: Pa
     ):
         result = run(app, [str(argument) for argument in arguments])
         assert result.exit_code == 1
-        told = str(result.exception) if error else result.output
+        told = str(result.exception) if error else result.stderr
         assert error is None or isinstance(result.exception, error)
         assert re.search(words, told)
         assert "\n" not in told.strip()

@@ -81,7 +81,7 @@ def test_two_robots_mixed(write: Write, diagnosed) -> None:
     )
     assert found["effects"] == []
     assert found["verdict"] == "unexplained"
-    assert "The data cannot separate" in text
+    assert "the data cannot separate" in text
 
 
 def test_grossly_wrong_geometry(write: Write, diagnosed, tmp_path: Path) -> None:
