@@ -43,13 +43,15 @@ MODULES = ["service.cli.master", "service.cli.tap", "service.cli.estimate", "ser
            "zenoh", "numba", "scipy.signal", "service.feedforward", "drivers.plant.motion"]  # fmt: skip
 
 
-def _inside(name: str, log: str, arguments: list[str]) -> None:
-    """Run one command of this program in a network namespace; its words go to `log`.
+def _inside(name: str, runtime: str, log: str, arguments: list[str]) -> None:
+    """Run one command of this program in a network namespace; its words go to `log`. runtime: folder of its sockets,
+    which is not that of the server that this comes from where another module's tests started it.
 
     As ordinary work: what has to be prompt says so itself, and planning or compiling before that at real-time priority
     would have the kernel hold all of them up for 50 ms a second.
     """
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.environ["XDG_RUNTIME_DIR"] = runtime
     with open(f"/run/netns/{name}") as handle:
         if ctypes.CDLL(None, use_errno=True).setns(handle.fileno(), 0x40000000) != 0:
             raise OSError(ctypes.get_errno(), "setns")
@@ -69,7 +71,9 @@ class Process:
         self._log = wire.folder / f"{name}-{time.monotonic_ns()}.log"
         context = multiprocessing.get_context("forkserver")
         self.process: ForkServerProcess = context.Process(
-            target=_inside, args=(wire.space.name, str(self._log), [name, *arguments]), daemon=True
+            target=_inside,
+            args=(wire.space.name, os.environ["XDG_RUNTIME_DIR"], str(self._log), [name, *arguments]),
+            daemon=True,
         )
         self.process.start()
 
@@ -263,7 +267,7 @@ def wire(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Wire]:
         runtime = tmp_path_factory.mktemp("r")
         patch.setenv("XDG_RUNTIME_DIR", str(runtime))
         multiprocessing.set_forkserver_preload(MODULES)
-        forkserver.ensure_running()  # with that folder, and as ordinary work: it imports seconds of modules
+        forkserver.ensure_running()  # as ordinary work: it imports seconds of modules
         stack.enter_context(prompt())
         space = stack.enter_context(rig.namespace("faults", middle=(MID_NEAR, MID_FAR)))
         bus = stack.enter_context(open_bus("rig", Role.OBSERVER))
