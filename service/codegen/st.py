@@ -225,8 +225,7 @@ class _Body:
         which = self.views[value.value]
         if len(which) > 1:
             raise CodegenError(f"{self.made.where}: {value.value} may be one of two views in a test or a loop's bounds")
-        (only,) = which
-        return self.places[value.value][only], _ATOM
+        return self.places[value.value][next(iter(which))], _ATOM
 
     def _field(self, value: Expr) -> tuple[str, int]:
         return self._read(value)
