@@ -24,6 +24,7 @@ NO_FRAME = b"\x01\x00\x00\x00\x00\x00\x00\x00"  # the empty text in CDR, and wha
 
 # What most sources do not have, and what a recording of an earlier version does not.
 OPTIONAL = {"fourth_position", "random_std_dev", "common_std_dev", "position_offset"}
+FARTHEST_AHEAD = 0.1  # rad, of any `position_offset`: gears that yield further are broken
 
 _TIME, _HEADER = "builtin_interfaces/Time", "std_msgs/Header"
 NESTED = {_HEADER: f"{_TIME} stamp\nstring frame_id\n", _TIME: "int32 sec\nuint32 nanosec\n"}

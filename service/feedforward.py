@@ -16,7 +16,9 @@ from drivers.bus import Bus
 from drivers.ethercat.setpoints import Answer, Setpoints
 from schemas.messages import NANOSECONDS, REFERENCE, FeedforwardSource, SampleFlag, set_stamp, stamp_ns
 from schemas.robot import Robot
-from service.estimator.state import settings
+from service.model.description import terms_of
+from service.model.elastic import leads
+from service.model.hypothesis import inside_of
 
 LEAD = 4  # cycles that a motion is published ahead of its command: tap, estimator and Zenoh have that long at any rate
 DRIFT = 2  # cycles that the numbering of the samples may be off before it is adjusted; the estimator takes 1 to 8 ahead
@@ -29,9 +31,9 @@ def nothing(sample: np.ndarray, setpoints: Setpoints, number: int) -> Answer | N
     return Answer(np.zeros(3), np.zeros(3))
 
 
-def goes_ahead(robot: Robot, period: float) -> bool:
+def goes_ahead(robot: Robot) -> bool:
     """Whether an estimator of `robot` says how far motors go before planned positions."""
-    return bool(settings(robot, period, 1)["leads"][0])
+    return leads(inside_of(terms_of(robot)).two_masses)
 
 
 class Steps(Protocol):

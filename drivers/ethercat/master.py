@@ -28,7 +28,7 @@ from drivers.ethercat.interface import check_interface, claim
 from drivers.ethercat.pdo import DIGITAL_OUTPUTS, GRIPPER, Pdo, joint_pdos
 from drivers.ethercat.setpoints import Answer, Setpoints
 from schemas.errors import BusError
-from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag, set_stamp
+from schemas.messages import FARTHEST_AHEAD, NANOSECONDS, SAMPLE, SampleFlag, set_stamp
 from schemas.robot import Robot
 
 BRING_UP_TIME = 2.0  # s in which drives that do not answer, or not in full, are asked again: frames get lost
@@ -39,8 +39,7 @@ STILL_CYCLES = 10  # without motion in which a quick stop is over
 ENABLE_TIME = 2.0  # s for all drives to get into operation
 RECEIVE_SHARE = 0.8  # of a cycle to wait for the frame to come back
 SILENCE = 0.02  # s, SOEM's longest wait for an answer: what has not come by then is not on its way
-FARTHEST = 0.1  # rad, of motors before planned positions: gears that yield further are broken
-AHEAD_SPEED = 1.0  # rad/s, at which they get there: a torque of 5000 N m/s on a gear of 5000 N m/rad
+AHEAD_SPEED = 1.0  # rad/s, of motors that get ahead of a plan: torque of 5000 N m/s on a gear of 5000 N m/rad
 _LATE_FRAMES = 1024  # read at once at most
 _LEAST_TRIES = 3  # before a bus that says another thing each time is given up
 
@@ -134,7 +133,7 @@ class PositionRamp:
 
     def __init__(self, fade: float, period: float) -> None:
         """`fade`: s from the farthest to none. `period`: s."""
-        self._step, self._fall = AHEAD_SPEED * period, FARTHEST * period / fade
+        self._step, self._fall = AHEAD_SPEED * period, FARTHEST_AHEAD * period / fade
         self.ahead = np.zeros(3)
 
     def step(self, offset: np.ndarray | None) -> np.ndarray:
@@ -142,7 +141,7 @@ class PositionRamp:
         if offset is None or not np.isfinite(offset).all():
             self.ahead = self.ahead - np.clip(self.ahead, -self._fall, self._fall)
         else:
-            wanted = np.clip(offset, -FARTHEST, FARTHEST)
+            wanted = np.clip(offset, -FARTHEST_AHEAD, FARTHEST_AHEAD)
             self.ahead = self.ahead + np.clip(wanted - self.ahead, -self._step, self._step)
         return self.ahead
 

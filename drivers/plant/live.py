@@ -23,13 +23,12 @@ from drivers.inbox import Inbox
 from drivers.motion import Trajectory
 from drivers.plant.plant import Plant
 from drivers.plant.simulate import Course
-from schemas.messages import NANOSECONDS, REFERENCE, SAMPLE, HealthFlag, StopReason, set_stamp
+from schemas.messages import FARTHEST_AHEAD, NANOSECONDS, REFERENCE, SAMPLE, HealthFlag, StopReason, set_stamp
 from schemas.trace import Trace
 from service.model import kinematics
 
 STALE_CYCLES = 3
-FARTHEST = 0.1  # rad, that motors go before the planned positions at most: gears that yield so far are broken
-RETURN_SPEED = 0.2  # rad/s, at which they come back
+RETURN_SPEED = 0.2  # rad/s, at which motors come back that went before the planned positions
 LEAD_NS = 20_000_000  # from the call to the first deadline
 REMEMBERED = 300_000  # cycles kept of a run that goes on: the newest five minutes at 1 kHz, 48 MB
 _CYCLE = np.dtype(
@@ -73,7 +72,8 @@ class FeedforwardIntake:
         records, _ = self._inbox.take()
         for record in records:
             target, torque = int(record["target_sequence"]), np.array(record["torque"])
-            offset = np.clip(np.nan_to_num(record["position_offset"]), -FARTHEST, FARTHEST)  # NaN: none is said
+            said = np.nan_to_num(record["position_offset"])  # NaN: none is said
+            offset = np.clip(said, -FARTHEST_AHEAD, FARTHEST_AHEAD)
             self.received += 1
             # the far future is another run's
             if np.isfinite(torque).all() and cycle - STALE_CYCLES <= target <= cycle + 1000:

@@ -89,7 +89,7 @@ def command(
     from service.stopping import stop_requested
 
     period = 1 / rate
-    twists = feedforward != OFF and goes_ahead(description, period)
+    twists = feedforward != OFF and goes_ahead(description)
     peak, slope = bounds_of(description)
     planner = Planner(description, period)
     if motion is None:

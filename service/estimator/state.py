@@ -17,7 +17,7 @@ from service.estimator.payload import state as payload
 from service.estimator.unsure import mass_error
 from service.model.description import base_of, terms_of
 from service.model.dynamics import REST_SPEED, TERMS
-from service.model.elastic import GEARS, gears_of
+from service.model.elastic import GEARS, gears_of, leads
 from service.model.hypothesis import inside_of
 from service.model.kinematics import POSE
 from service.model.nominal import MODEL, lengthened, pack, record_of
@@ -201,7 +201,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     figures = inside_of(terms).two_masses
     record["geared"] = bool(figures)
     record["gears"] = gears_of(pack(robot), base_of(described).rigid, figures)
-    record["leads"] = bool(figures) and not record["gears"]["half"].any()
+    record["leads"] = leads(figures)
     record["scale"] = scale
     record["gear_ratio"] = robot.drive.gear_ratio
     record["variance"] = payload.sample_variance(noise, left_over)

@@ -312,8 +312,9 @@ def elastic_motion(
 
 
 def gears_of(model: DeltaModel, rigid: np.ndarray, figures: Mapping[int, tuple[float, ...]]) -> np.ndarray:
-    """(1,) GEARS record. figures: joint -> natural frequency, Hz, of the link against held motors, its damping ratio,
-    and the share of the joint's inertia that turns with the motor; inertias are those with all joints at `MIDDLE`.
+    """(1,) GEARS record. figures: joint -> half the lost motion, rad; natural frequency, Hz, of the link against held
+    motors, its damping ratio, and the share of the joint's inertia that turns with the motor. Inertias are those with
+    all joints at `MIDDLE`.
 
     Raises:
         PoseError: the robot does not get there.
@@ -329,6 +330,12 @@ def gears_of(model: DeltaModel, rigid: np.ndarray, figures: Mapping[int, tuple[f
         gears["stiffness"][0, joint], gears["damping"][0, joint] = stiffness, damping
     gears["fastest"] = _fastest(mass, gears)
     return gears
+
+
+def leads(figures: Mapping[int, tuple[float, ...]]) -> bool:
+    """Whether planned motion is that of the links, and motors go ahead of it: gears of `figures`, as of `gears_of`,
+    yield, and none is loose."""
+    return bool(figures) and not any(half for half, *_ in figures.values())
 
 
 def _middle(model: DeltaModel, rigid: np.ndarray) -> np.ndarray:

@@ -25,7 +25,6 @@ from drivers.ethercat.cia402 import Scale
 from drivers.ethercat.master import (
     AHEAD_SPEED,
     BRING_UP_TIME,
-    FARTHEST,
     FAULTY_TIME,
     SILENCE,
     Feedforward,
@@ -42,7 +41,7 @@ from drivers.trace import read_trace
 from replay.clock import wait_until
 from schemas.errors import BusError
 from schemas.kernels import kernel
-from schemas.messages import SAMPLE, Gripper, SampleFlag
+from schemas.messages import FARTHEST_AHEAD, SAMPLE, Gripper, SampleFlag
 from schemas.robot import Robot, load_robot
 from tests.drivers.ethercat import rig
 
@@ -166,7 +165,7 @@ def test_motors_go_ahead_of_the_plan_where_the_drives_map_it(space: rig.Namespac
         segment.stop()
     np.testing.assert_allclose(ahead["position_command"][-1], plain["position_command"][-1], atol=1e-6)
     gone = (ahead["position"] - plain["position"][-1])[-20:].mean(axis=0)
-    np.testing.assert_allclose(gone, [0.02, -0.01, FARTHEST], atol=2e-3)
+    np.testing.assert_allclose(gone, [0.02, -0.01, FARTHEST_AHEAD], atol=2e-3)
     assert np.abs(np.diff(ahead["position"], axis=0)).max() < 4 * np.abs(np.diff(plain["position"], axis=0)).max()
 
 
@@ -445,11 +444,11 @@ def test_motors_get_ahead_of_a_plan_at_a_bounded_speed_and_come_back_in_the_decl
     ramp = PositionRamp(FADE, 1e-3)
     steps = [ramp.step(np.array([0.5, -0.002, 0.0])).copy() for _ in range(150)]
     np.testing.assert_allclose(np.diff(steps, axis=0).max(), AHEAD_SPEED * 1e-3)
-    np.testing.assert_allclose(steps[-1], [FARTHEST, -0.002, 0.0])
+    np.testing.assert_allclose(steps[-1], [FARTHEST_AHEAD, -0.002, 0.0])
     for senseless in (None, np.array([0.0, np.nan, 0.0])):
         ramp.step(senseless)
     left = [ramp.step(None).copy() for _ in range(round(FADE / 1e-3))]
-    assert np.abs(np.diff(left, axis=0)).max() < 1.01 * FARTHEST * 1e-3 / FADE
+    assert np.abs(np.diff(left, axis=0)).max() < 1.01 * FARTHEST_AHEAD * 1e-3 / FADE
     np.testing.assert_array_equal(left[-1], np.zeros(3))
 
 
