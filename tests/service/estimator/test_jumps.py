@@ -14,7 +14,11 @@ from service.estimator.estimator import Estimator
 from service.model.dynamics import torque_terms
 from service.model.nominal import pack
 
-RATES = [100, 125, 200, 250, 300, 333, 500, 1000, 4000, 8000]  # Hz
+QUICK = (100, 300, 1000)
+RATES = [  # Hz
+    pytest.param(rate, marks=() if rate in QUICK else pytest.mark.slow)
+    for rate in (100, 125, 200, 250, 300, 333, 500, 1000, 4000, 8000)
+]
 FLAGGED = SampleFlag.JUMP | SampleFlag.COMMAND_JUMP | SampleFlag.GAP_BEFORE
 HERE = np.array([0.3, 0.5, 0.2])
 SEAM = np.array([0.091, -0.374, 0.278])  # rad, of the demo log in a loop
