@@ -41,10 +41,6 @@ def command(
     from schemas.files import make_folder
     from schemas.messages import Role
     from schemas.robot import load_robot
-    from service.cli.live import Joints
-    from service.monitor.readback import read_recording
-    from service.monitor.report import picture
-    from service.pages import write_page
     from service.supervisor import Supervisor
 
     screen = console(stderr=True)
@@ -58,6 +54,12 @@ def command(
                 crew.start(lambda: Role.MONITOR in bus.alive, "monitor", "--robot", ROBOT, "--out", recording),
                 crew.start(lambda: Role.ESTIMATOR in bus.alive, "estimate", "--robot", ROBOT),
             ]
+            # While they start.
+            from service.cli.live import Joints
+            from service.monitor.readback import read_recording
+            from service.monitor.report import picture
+            from service.pages import write_page
+
             for role in roles:
                 role.wait_ready()
         live = Joints(bus)

@@ -111,12 +111,12 @@ class Estimator:
     def warm_up(self) -> None:
         """Compile `plan` and `step`, without touching the state, so that the first live sample is not seconds late.
 
-        Where nothing is compiled yet, a second process takes the payload's part, a third of it: Numba compiles one
+        Where nothing is compiled yet, a second process takes the part that looks back, half of it: Numba compiles one
         function at a time, and this process finds what the other one left in the cache.
         """
         fresh = state.fresh(self._steps["settings"])
         beside = None if _is_compiled() else subprocess.Popen(
-            [sys.executable, "-c", f"from {__name__} import compile_payload; compile_payload({os.getpid()})"],
+            [sys.executable, "-c", f"from {__name__} import compile_look_back; compile_look_back({os.getpid()})"],
             env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
@@ -133,20 +133,21 @@ class Estimator:
                 beside.wait()
 
 
-def compile_payload(asking: int) -> None:
-    """Compile what `look_back` spends most on, and leave it in the cache. Ends with the process `asking`, in whatever
-    way that does."""
+def compile_look_back(asking: int) -> None:
+    """Compile `look_back` and leave it in the cache, the payload first: what the rest shares with `step`, the process
+    `asking` has left there by then. Ends with that process, in whatever way it does."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         if os.getppid() != asking:  # it ended while this one was starting
             return
-    step = np.zeros(1, state.STEP)[0]
-    payload_kernel.compile(tuple(numba.typeof(step[part]["payload"]) for part in ("settings", "state")))
+    steps = np.zeros(1, state.STEP)
+    payload_kernel.compile(tuple(numba.typeof(steps[0][part]["payload"]) for part in ("settings", "state")))
+    look_back_kernel.compile((numba.typeof(steps),))
 
 
 def _is_compiled() -> bool:
-    folder = payload_kernel.stats.cache_path
-    return folder is None or any(Path(folder).glob("step.payload_kernel-*.nbi"))
+    folder = look_back_kernel.stats.cache_path
+    return folder is None or any(Path(folder).glob("step.look_back_kernel-*.nbi"))
 
 
 def rate_of(samples: np.ndarray) -> Rate:

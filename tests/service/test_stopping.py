@@ -197,7 +197,7 @@ Estimator(load_robot(ROBOT), 1e-3).warm_up()
     try:
         give_up = time.monotonic() + 120
         while not any(
-            "compile_payload" in " ".join(child.cmdline()) for child in psutil.Process(asking.pid).children()
+            "compile_look_back" in " ".join(child.cmdline()) for child in psutil.Process(asking.pid).children()
         ):
             assert asking.poll() is None
             assert time.monotonic() < give_up
