@@ -222,8 +222,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            path = nodeid.split("::", 1)[0]
-            return "clock" if path.startswith(ON_THE_CLOCK) else path
+            return "clock" if nodeid.startswith(ON_THE_CLOCK) else nodeid.split("::", 1)[0]
 
     return Scheduling(config, log)
 
