@@ -1,6 +1,6 @@
 """Decoding speed and memory of captures, beside dpkt's bare reading of the same file, in turns in one run.
 
-    python -m tests.bench.bench_capture CAPTURE ROBOT [--megabytes 1000] [--rounds 3]
+    python -m tests.bench.bench_capture CAPTURE ROBOT [--megabytes 1000] [--rounds 3] [--store]
 
 CAPTURE (pcap) is repeated with rising stamps until the file is that large; each reading runs in a process of its own.
 Example: uv run python -m tests.bench.bench_capture ../shared/captures/own_three_drives_4khz.pcap \\
@@ -19,6 +19,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+
+from docs.making.figures import store
 
 
 def repeat(source: Path, target: Path, size: int) -> None:
@@ -97,6 +99,7 @@ def main() -> None:
     parser.add_argument("robot", type=Path)
     parser.add_argument("--megabytes", type=int, default=1000)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--store", action="store_true", help="put the figures into results/speed.json")
     parser.add_argument("--reading", nargs=2)
     arguments = parser.parse_args()
     if arguments.reading:
@@ -114,12 +117,18 @@ def main() -> None:
                     [*command, "--reading", name, str(large)], check=True, capture_output=True, text=True
                 )
                 found.append(np.array(done.stdout.split(), float))
-        for name, found in figures.items():
-            frames, wall, processor, memory = np.median(found, axis=0)
+        medians = {name: np.median(found, axis=0) for name, found in figures.items()}
+        for name, (frames, wall, processor, memory) in medians.items():
             print(
                 f"{name:10s} {frames:.0f} frames: {frames / wall:9.0f} frames/s, {frames / processor:9.0f} a processor "
                 f"second, peak memory {memory / 1024:.0f} MiB"
             )
+    if arguments.store:
+        measured = {}
+        for key, name in (("capture_samples", "samples"), ("capture_mcap", "convert")):
+            frames, wall, _, memory = medians[name]
+            measured[key] = (round(float(frames / wall), -3), int(frames), f"peak memory {memory / 1024:.0f} MiB")
+        print(f"kept in {store('speed', measured)}")
 
 
 if __name__ == "__main__":

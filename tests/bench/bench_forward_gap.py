@@ -48,7 +48,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--case", action="append", help="only these")
-    parser.add_argument("--keep", action="store_true", help="put the figures into results/rollout.json")
+    parser.add_argument("--store", action="store_true", help="put the figures into results/rollout.json")
     arguments = parser.parse_args()
     lifted, over_floor, free = [], [], []
     for key in json.loads((arguments.folder / "key.json").read_text()):
@@ -65,7 +65,7 @@ def main() -> None:
     if lifted:
         print(f"corrected over identified, median of {len(lifted)}: {np.median(lifted):.2f} (bound {BOUND:g})")
     print(f"corrected over floor, median of {len(over_floor)}: {np.median(over_floor):.2f} (bound {FLOOR_BOUND:g})")
-    if arguments.keep:
+    if arguments.store:
         medians = {"corrected_identified": lifted, "corrected_floor": over_floor, "gap_free": free}
         found = {key: (round(float(np.median(one)), 2), len(one), None) for key, one in medians.items() if one}
         print(f"kept in {store('rollout', found)}")

@@ -32,7 +32,7 @@ def main() -> None:
     arguments.add_argument("--messages", type=int, default=1_000_000)
     arguments.add_argument("--rate", type=float, default=20_000.0, help="messages a second while it disturbs")
     arguments.add_argument("--seed", type=int, default=0)
-    arguments.add_argument("--keep", action="store_true", help="put the figures into results/bus.json")
+    arguments.add_argument("--store", action="store_true", help="put the figures into results/bus.json")
     given = arguments.parse_args()
     sent = failures = 0
     with tempfile.TemporaryDirectory(prefix="dt-") as name, ExitStack() as stack:
@@ -61,7 +61,7 @@ def main() -> None:
         f"{sent} messages in {seconds:.0f} s, {sent / seconds:.0f} a second, {failures} rounds with something wrong; "
         f"counted: {counted}"
     )
-    if given.keep:
+    if given.store:
         print(f"kept in {store('bus', {'hostile_bus': (failures + len(wrong), sent, None)})}")
     sys.exit(bool(failures or wrong))
 

@@ -25,7 +25,7 @@ def main() -> None:
     arguments.add_argument("--samples", type=int, default=10_000_000)
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--states", action="store_true", help="a robot with every kind of state")
-    arguments.add_argument("--keep", action="store_true", help="put the figures into results/bus.json")
+    arguments.add_argument("--store", action="store_true", help="put the figures into results/bus.json")
     given = arguments.parse_args()
     robot = with_states(load_robot(ROBOT)) if given.states else load_robot(ROBOT)
     good = read_trace(LOG, robot).samples()[1200:1600]  # an empty move
@@ -35,7 +35,7 @@ def main() -> None:
         count += strike(robot, good, random, rounds=100, left=0.2 if given.states else 0.05)
         print(f"\r{count} samples, {time.monotonic() - begin:.0f} s", end="", flush=True)
     print(": nothing out of its bounds")
-    if given.keep:
+    if given.store:
         print(f"kept in {store('bus', {'hostile_step': (0, count, 'with states' if given.states else None)})}")
 
 

@@ -5,7 +5,7 @@ from 0.15 s after each change of the mass, events within 0.4 s of one. Where the
 the mass to 50 g, for friction at rest is anything within Coulomb's: `moving` is `in_time` of the other changes.
 
 uv run python -m tests.bench.bench_payload --robots d3-1200 rl5-1450-6kg 901 --seed 1
-uv run python -m tests.bench.bench_payload --only shaft_friction slow --no-commands
+uv run python -m tests.bench.bench_payload --only shaft_friction slow --no-commands --store
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -21,6 +21,7 @@ from itertools import pairwise
 import numpy as np
 from joblib import Parallel, delayed
 
+from docs.making.figures import store
 from drivers.motion import Payload, Planner, Trajectory
 from drivers.plant.cases import PERIOD, random_case
 from drivers.plant.effects import EFFECTS, PlantEffect
@@ -231,6 +232,32 @@ def one(robot: str, name: str, seed: int, seconds: float, commands: Sequence[boo
     return rows
 
 
+def figures(rows: Sequence[dict]) -> dict[str, tuple[str, str, str | None]]:
+    """Of all rows of one scenario, for `results/payload.json`: ranges over robots, with and without commands."""
+    judged = [row for row in rows if "error" not in row]
+    count = f"{len({row['robot'] for row in rows})} robots, {len(judged)} logs"
+    if not judged:
+        return {}
+    changes, missed = (sum(row[name] for row in judged) for name in ("changes", "missed"))
+    rms = f"rms of the error {_range(1e3 * row['rms'] for row in judged)} g"
+    found = {
+        "right": (_range(100 * row["moving"] for row in judged), count, rms),
+        "trusted": (_range(100 * row["trusted"] for row in judged), count, None),
+        "missed": (f"{missed} of {changes}", count, None),
+        "false": (_range((row["false"] for row in judged), 1), count, None),
+    }
+    return {f"{rows[0]['scenario']}_{what}": figure for what, figure in found.items()}
+
+
+def _range(values: Iterable[float], digits: int = 0) -> str:
+    """From the least to the greatest, of those that there are."""
+    there = [value for value in values if value == value]
+    if not there:
+        return "none to be judged"
+    low, high = (f"{one:.{digits}f}" for one in (min(there), max(there)))
+    return low if low == high else f"{low} to {high}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", nargs="+", default=["d3-1200", "rl5-1450-6kg", "901"], help="names, or seeds")
@@ -239,14 +266,19 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=24.0, help="of picks a log")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--commands", action=argparse.BooleanOptionalAction, default=None, help="default: both")
+    parser.add_argument("--store", action="store_true", help="put the figures into results/payload.json")
     asked = parser.parse_args()
     commands = (True, False) if asked.commands is None else (asked.commands,)
     calls = (
         delayed(one)(robot, name, asked.seed, asked.seconds, commands) for name in asked.only for robot in asked.robots
     )
+    found: dict[str, list[dict]] = {}
     for rows in Parallel(asked.jobs, return_as="generator")(calls):
-        for row in rows or ():
+        for row in rows:
+            found.setdefault(row["scenario"], []).append(row)
             print(json.dumps({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}), flush=True)
+    if asked.store:
+        print(f"kept in {store('payload', {k: v for rows in found.values() for k, v in figures(rows).items()})}")
 
 
 if __name__ == "__main__":

@@ -116,7 +116,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=30, help="open cases to come to")
     parser.add_argument("--seed", type=int, default=1, help="of the first case")
     parser.add_argument("--seconds", type=float, default=7200.0, help="no new case after this time")
-    parser.add_argument("--keep", action="store_true", help="put the figures into results/plan_motion.json")
+    parser.add_argument("--store", action="store_true", help="put the figures into results/plan_motion.json")
     arguments = parser.parse_args()
     begin, right, spent, tried = time.perf_counter(), [], [], 0
     while len(right) < arguments.cases and time.perf_counter() - begin < arguments.seconds:
@@ -144,7 +144,7 @@ def main() -> None:
             f"{len(right)} open cases of {tried}: right with the planned run {planned:.0%} (bound {BOUND:.0%}), with a "
             f"random one {random:.0%}; planning up to {max(spent):.0f} s"
         )
-        if arguments.keep:
+        if arguments.store:
             count, (mine, other) = len(right), np.sum(right, axis=0).tolist()
             kept = {"planned_right": (mine, count, None), "random_right": (other, count, None)}
             kept["time"] = (f"{min(spent):.0f} to {max(spent):.0f}", count, None)

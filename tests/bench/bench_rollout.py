@@ -54,12 +54,12 @@ def speed(robot: Robot) -> float:
 def main() -> None:
     """Print both and what is asked."""
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--keep", action="store_true", help="put the figures into results/rollout.json")
+    arguments.add_argument("--store", action="store_true", help="put the figures into results/rollout.json")
     given, rates = arguments.parse_args(), {}
     for name, key, robot in (("base model", "rate_base", identified()), ("whole catalogue", "rate_all", whole())):
         rates[key] = speed(robot)
         print(f"{name}: {rates[key]:.0f} times real time at {1 / PERIOD:.0f} Hz (bound {BOUND:g})")
-    if given.keep:
+    if given.store:
         print(f"kept in {store('rollout', {key: (round(rate), 1, None) for key, rate in rates.items()})}")
 
 

@@ -47,7 +47,7 @@ def with_states(robot: Robot) -> Robot:
     return robot.model_copy(update={"effect": entries})
 
 
-def main(keep: bool) -> None:
+def main(stored: bool) -> None:
     robot = load_robot(ROBOT)
     samples = np.tile(read_trace(LOG, robot).samples(), LOOPS)
     samples["sequence"] = np.arange(len(samples))
@@ -98,7 +98,7 @@ def main(keep: bool) -> None:
         process(robot, samples)
         rates.append(len(samples) / (time.perf_counter() - begin))
     print(f"process replay from memory: median {np.median(rates):.0f} samples/s of 5 runs of {len(samples)}")
-    if keep:
+    if stored:
         print(f"kept in {store('speed', _figures(taken, rates))}")
 
 
@@ -116,5 +116,5 @@ def _figures(taken: dict[str, np.ndarray], rates: list[float]) -> dict[str, tupl
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--keep", action="store_true", help="put the figures into results/speed.json")
-    main(parser.parse_args().keep)
+    parser.add_argument("--store", action="store_true", help="put the figures into results/speed.json")
+    main(parser.parse_args().store)

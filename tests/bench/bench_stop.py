@@ -168,7 +168,7 @@ def main() -> None:
     arguments.add_argument("--jobs", type=int, default=3, help="at once")
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--roles", nargs="+", choices=ROLES, default=list(ROLES))
-    arguments.add_argument("--keep", action="store_true", help="put the figures into results/stop.json")
+    arguments.add_argument("--store", action="store_true", help="put the figures into results/stop.json")
     given = arguments.parse_args()
     for number in ENDING:  # in the background of a shell or under `nohup` all that is started here would ignore them
         signal.signal(number, signal.default_int_handler)
@@ -210,7 +210,7 @@ def main() -> None:
         print(f"{role:<16} {sum(ends.counts.values()):>5} starts, longest end {max(ends.took):6.2f} s; {counts}")
     bad = sum(len(ends.said) for ends in found.values())
     print(f"{sum(sum(ends.counts.values()) for ends in found.values())} starts, {bad} did not end well")
-    if given.keep:
+    if given.store:
         print(f"kept in {store('stop', _figures(found))}")
     sys.exit(3 if bad else 0)
 

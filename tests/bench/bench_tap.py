@@ -1,6 +1,6 @@
 """Latency of the tap beside a bare AF_PACKET read of the same frames, at the same time, on a veth pair.
 
-    sudo python -m tests.bench.bench_tap [--cycles 40000] [--rates 1000 4000]
+    sudo python -m tests.bench.bench_tap [--cycles 40000] [--rates 1000 4000] [--store]
 
 Four processes under SCHED_FIFO: a master that sends every cycle twice (out and back), a reader that only receives, the
 tap, and a subscriber of its samples. Latencies count from the kernel's stamp of the returned frame (CLOCK_REALTIME).
@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from docs.making.figures import store
 from drivers.bus import open_bus
 from drivers.ethercat.tap import FRAME_BYTES, InterfaceSource, Tap
 from drivers.health import Health
@@ -125,6 +126,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cycles", type=int, default=40_000)
     parser.add_argument("--rates", type=float, nargs="+", default=[1000, 4000])
+    parser.add_argument("--store", action="store_true", help="put the figures of the last rate into results/bus.json")
     parser.add_argument("--role")
     arguments = parser.parse_args()
     if arguments.role == "master":
@@ -134,6 +136,7 @@ def main() -> None:
         ROLES[arguments.role](arguments.cycles)
         return
     need("ip", root=True)
+    said, over = {}, ""
     with tempfile.TemporaryDirectory(prefix="dt-") as folder, namespace("bench") as space:
         os.environ["XDG_RUNTIME_DIR"] = folder
         environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
@@ -160,7 +163,16 @@ def main() -> None:
             for role, figures in said.items():
                 print(f"  {role}: {json.dumps(figures)}")
             parts = zip(said["tap"]["published"], said["bare"]["bare"], strict=True)
-            print("  tap over bare: " + ", ".join(f"{tap / bare:.2f}" for tap, bare in parts))
+            over = ", ".join(f"{tap / bare:.2f}" for tap, bare in parts)
+            print(f"  tap over bare: {over}")
+    if arguments.store:
+        heard = said["subscriber"]
+        notes = f"over a bare read, median, p99, p99.9, max: {over}"
+        measured = {
+            "tap_lost": (arguments.cycles - heard["received"], arguments.cycles, None),
+            "tap_publish": (round(said["tap"]["published"][0]), arguments.cycles, notes),
+        }
+        print(f"kept in {store('bus', measured)}")
 
 
 if __name__ == "__main__":

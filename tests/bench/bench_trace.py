@@ -23,7 +23,7 @@ REPEATS = 7
 FILE_ORDER = "mcap library alone, file order"
 
 
-def main(count: int, keep: bool) -> None:
+def main(count: int, stored: bool) -> None:
     """Print samples a second, median of interleaved runs, and the ratio to reading with the mcap library alone."""
     rng, robot = np.random.default_rng(0), load_robot(ROBOT)
     time_s = np.arange(count) / 4000
@@ -66,15 +66,15 @@ def main(count: int, keep: bool) -> None:
         print(f"{name:40s} {count / median:12.0f} samples/s   {alone / median:6.2f} x library   n={len(seconds)}")
     ours, theirs = (np.median(taken[name]) for name in ("mcap -> process replay, estimator behind", FILE_ORDER))
     print(f"process replay from MCAP over {FILE_ORDER}: {theirs / ours:.2f}, bound 1.0")
-    if keep:
+    if stored:
         read = theirs / np.median(taken["mcap -> sample records"])
-        kept = {"mcap_read": (round(read, 1), count, None), "replay_mcap": (round(theirs / ours, 2), count, None)}
-        print(f"kept in {store('speed', kept)}")
+        figures = {"mcap_read": (round(read, 1), count, None), "replay_mcap": (round(theirs / ours, 2), count, None)}
+        print(f"kept in {store('speed', figures)}")
 
 
 if __name__ == "__main__":
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("samples", type=int, nargs="?", default=240_000)
-    arguments.add_argument("--keep", action="store_true", help="put the figures into results/speed.json")
+    arguments.add_argument("--store", action="store_true", help="put the figures into results/speed.json")
     given = arguments.parse_args()
-    main(given.samples, given.keep)
+    main(given.samples, given.store)

@@ -194,7 +194,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="*", type=int, default=(1, 2, 3))
     parser.add_argument("--minutes", type=float, default=60.0, help="of unchanged motion")
     parser.add_argument("--gripper", action=argparse.BooleanOptionalAction, default=True, help="known on the bus")
-    parser.add_argument("--keep", action="store_true", help="put the figures into results/watch.json")
+    parser.add_argument("--store", action="store_true", help="put the figures into results/watch.json")
     given = parser.parse_args()
     kept: dict[str, tuple[int, int, str | None]] = {}
     node.NICENESS = 0  # beside other work it would not have its turn; what counts is the processor's time
@@ -208,7 +208,7 @@ def main() -> None:
             f"unchanged, {given.minutes:g} min: {alarms} false alarms (bound 0), watched at {speed:.0f} times real time"
         )
         kept["false_hour"] = (alarms, 1, f"{given.minutes:g} min, {'with' if given.gripper else 'without'} gripper")
-    if given.keep:
+    if given.store:
         print(f"kept in {store('watch', kept)}")
 
 

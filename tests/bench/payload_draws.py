@@ -242,7 +242,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=ORDER, default=[], metavar="NAME", help="scenarios or effects")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--commands", action=argparse.BooleanOptionalAction, default=True)
-    parser.add_argument("--keep", action="store_true", help="put the figures into results/online.json")
+    parser.add_argument("--store", action="store_true", help="put the figures into results/online.json")
     parser.add_argument("--json", type=Path, help="file for a row a log and description")
     asked = parser.parse_args()
     if asked.what == "draw":
@@ -252,7 +252,7 @@ def main() -> None:
         return
     rows = [row for one in kept(asked.folder, asked.only, asked.robots) for row in score(one, asked.commands)]
     print(table(rows))
-    if asked.keep:
+    if asked.store:
         print(f"kept in {store('online', figures(rows))}")
     if asked.json:
         asked.json.write_text(json.dumps(rows, indent=1))

@@ -4,6 +4,7 @@
     python -m tests.bench.soak --minutes 10 --rate 8000 --pin     # player and estimator on one processor each
     python -m tests.bench.soak --minutes 3 --rate 1000 --view     # beside `view` and a client that takes all it shows
     python -m tests.bench.soak --minutes 3 --rate 1000 --watch    # beside `watch`, which finds a cogging
+    python -m tests.bench.soak --minutes 3 --rate 1000 --top      # beside `top` on a terminal, twenty times a second
 
 A row a minute, and at the end (or at Ctrl-C) the table as markdown, with what the recording holds of what was sent.
 Lateness is the player's, latency the estimator's, from a sample's arrival to the sending of its answer; both are
@@ -16,14 +17,17 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
 import multiprocessing
 import os
+import pty
 import re
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from dataclasses import dataclass, replace
 from multiprocessing.sharedctypes import Synchronized
@@ -35,6 +39,7 @@ from scipy.interpolate import CubicSpline
 from tornado.httpclient import HTTPRequest
 from tornado.websocket import websocket_connect
 
+from docs.making.figures import store
 from drivers.bus import Bus, open_bus
 from drivers.trace import read_trace, write_trace
 from replay.demo import LOG, PAYLOADS, ROBOT
@@ -110,9 +115,13 @@ class Soak:
         self._at = time.monotonic()
         self._counted = {"lost": 0, "late": 0}
         self._shown = multiprocessing.get_context("spawn").Value("q", 0)
+        self.lost = 0  # samples since the start
+        self.answered: list[float] = []  # s, the estimator's median latency as it says it each second
 
-    def start(self, rate: float, view: bool, watch: bool) -> None:
-        """Monitor and estimator, and when they are there the player, with `view` and its client or `watch` beside."""
+    def start(self, rate: float, beside: str | None) -> None:
+        """Monitor and estimator, and when they are there the player, with what is to run beside them: `view` and its
+        client, `watch`, or `top`."""
+        view, watch = beside == "view", beside == "watch"
         robot = ["--robot", self._folder / "robot.toml"]
         self._launch("monitor", "monitor", *robot, "--out", self._folder / "run.mcap")
         self._launch("estimator", "estimate", *robot)
@@ -136,6 +145,8 @@ class Soak:
                 target=look, args=(found[0], self._shown), daemon=True
             )
             client.start()
+        if beside == "top":
+            threading.Thread(target=self._show_top, args=(robot,), daemon=True).start()
         played = self._folder / ("cogging.mcap" if watch else "log.mcap")
         self._launch("player", "replay", played, *robot, "--loop", "0", "--rate", str(rate))
         self._at = time.monotonic()
@@ -146,12 +157,26 @@ class Soak:
         with (self._folder / f"{name}.txt").open("w") as out:
             self.processes[name] = subprocess.Popen([*place, COMMAND, *map(str, arguments)], stdout=out, stderr=out)
 
+    def _show_top(self, robot: list[object]) -> None:
+        """`top` on a terminal of its own, whose pictures (each begins with the cursor sent home) are counted."""
+        here, there = pty.openpty()
+        command = [COMMAND, "top", *map(str, robot)]
+        self.processes["top"] = subprocess.Popen(
+            command, stdin=there, stdout=there, stderr=there, env=os.environ | {"TERM": "xterm"}
+        )
+        os.close(there)
+        with contextlib.suppress(OSError):  # `top` has ended
+            while data := os.read(here, 65536):
+                self._shown.value += data.count(b"\x1b[H")
+        os.close(here)
+
     def listen(self) -> None:
         """Take what was said; a role that has died ends the run."""
         self._said.append(self._health.take()[0])
         for name, process in self.processes.items():
             if process.poll() is not None:
-                said = (self._folder / f"{name}.txt").read_text()
+                log = self._folder / f"{name}.txt"
+                said = log.read_text() if log.exists() else ""
                 raise SystemExit(f"soak: {name} ended with {process.returncode}: {said[-2000:]}")
 
     def row(self, minute: float) -> list[str]:
@@ -173,19 +198,22 @@ class Soak:
             "late": int(self._last["player"]["late"]) if "player" in self._last else 0,
         }
         cells += [str(counts[what] - self._counted[what]) for what in counts]
+        self.lost = counts["lost"]
         self._counted = counts
         for name in ("player", "estimator"):
             timed = by_role[name][by_role[name]["latency_max"] > 0]
             if len(timed):
                 values = np.median(timed["latency_median"]), timed["latency_p99"].max(), timed["latency_max"].max()
                 cells.append(" / ".join(f"{value * 1e6:.1f}" for value in values))
+                if name == "estimator":
+                    self.answered.extend(timed["latency_median"])
             else:
                 cells.append("")
         return cells
 
     def stop(self) -> str:
         """End the roles one after the other; what was sent and what of it is in the file."""
-        for name in ("player", "estimator", "monitor", "view", "watch"):
+        for name in ("player", "estimator", "monitor", "view", "watch", "top"):
             process = self.processes.get(name)
             if process is not None and process.poll() is None:
                 process.send_signal(signal.SIGINT)
@@ -208,6 +236,7 @@ class Soak:
             f"sent {said[1]} samples; the recording ({size:.2f} GB) holds "
             + ", ".join(f"{count} {topic}" for topic, count in sorted(held.items(), key=lambda item: -item[1]))
             + (f"; the view's client took {self._shown.value} messages" if "view" in self.processes else "")
+            + (f"; top drew {self._shown.value} pictures" if "top" in self.processes else "")
             + (f"\n\n{(self._folder / 'watch.txt').read_text()}" if "watch" in self.processes else "")
         )
 
@@ -239,7 +268,10 @@ def main() -> None:
     beside = arguments.add_mutually_exclusive_group()  # one of them, as this is the other one on the bus
     beside.add_argument("--view", action="store_true", help="beside a view and a client that takes all it shows")
     beside.add_argument("--watch", action="store_true", help="beside a watch")
+    beside.add_argument("--top", action="store_true", help="beside a top")
+    arguments.add_argument("--store", metavar="KEY", help="put samples lost into results/bus.json, under that key")
     given = arguments.parse_args()
+    beside_them = next((name for name in ("view", "watch", "top") if getattr(given, name)), None)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     rows: list[list[str]] = []
@@ -252,7 +284,7 @@ def main() -> None:
         with open_bus("soak", Role.OBSERVER if given.watch else Role.WATCH) as bus:  # a view is the observer
             soak = Soak(folder, bus, processors)
             try:
-                soak.start(given.rate, given.view, given.watch)
+                soak.start(given.rate, beside_them)
                 begin = time.monotonic()
                 print(line(HEADINGS), line(["---"] * len(HEADINGS)), sep="\n", flush=True)
                 while time.monotonic() - begin < 60 * given.minutes:
@@ -269,6 +301,11 @@ def main() -> None:
                 found = soak.stop()
     print(f"\nsoak at {given.rate:g} Hz:\n", line(HEADINGS), line(["---"] * len(HEADINGS)), *map(line, rows), sep="\n")
     print(f"\n{found}")
+    if given.store:
+        sent = re.search(r"sent (\d+)", found)
+        assert sent, found
+        note = f"time to the answer, median of a second: {1e6 * np.median(soak.answered):.0f} µs"
+        print(f"kept in {store('bus', {given.store: (soak.lost, int(sent[1]), note)})}")
 
 
 if __name__ == "__main__":
