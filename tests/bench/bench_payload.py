@@ -274,7 +274,7 @@ def main() -> None:
     )
     found: dict[str, list[dict]] = {}
     for rows in Parallel(asked.jobs, return_as="generator")(calls):
-        for row in rows:
+        for row in rows or ():
             found.setdefault(row["scenario"], []).append(row)
             print(json.dumps({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}), flush=True)
     if asked.store:
