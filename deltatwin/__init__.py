@@ -38,6 +38,8 @@ if TYPE_CHECKING:
         DiagnosisResult,
         EvaluationResult,
         IdentificationResult,
+        JointRolloutResult,
+        LoadResult,
         PayloadResult,
         RolloutResult,
     )
@@ -51,6 +53,8 @@ __all__ = [
     "DiagnosisResult",
     "EvaluationResult",
     "IdentificationResult",
+    "JointRolloutResult",
+    "LoadResult",
     "PayloadResult",
     "PoseError",
     "RobotError",

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, overload
 
 import schemas.trace as recorded
 from deltatwin.results import (
     DiagnosisResult,
     EvaluationResult,
     IdentificationResult,
+    JointRolloutResult,
+    LoadResult,
     PayloadResult,
     RolloutResult,
 )
 from deltatwin.trace import Mapping as ColumnMapping
 from deltatwin.trace import Trace, as_list
 from drivers import trace as files
-from schemas.axes import Description, load_description, save_description
+from schemas.axes import Axes, Description, load_description, save_description
+from schemas.chain import Chain
 from schemas.columns import Columns
 from schemas.errors import DataError
 from schemas.questions import Question, as_delta
@@ -206,19 +209,28 @@ def evaluate(robot: Description, traces: Traces) -> EvaluationResult:
     return EvaluationResult(robot, tuple(compare(robot, trace) for trace in as_list(traces)))
 
 
-def payload(robot: Description, trace: recorded.Trace) -> PayloadResult:
-    """Picks and releases in a log, and the mass that was picked, as the online estimator finds them.
+@overload
+def payload(robot: Robot, trace: recorded.Trace) -> PayloadResult: ...
+@overload
+def payload(robot: Axes | Chain, trace: recorded.Trace, frame: str | None = None) -> LoadResult: ...
+@overload
+def payload(robot: Description, trace: recorded.Trace, frame: str | None = None) -> PayloadResult | LoadResult: ...
+def payload(robot: Description, trace: recorded.Trace, frame: str | None = None) -> PayloadResult | LoadResult:
+    """What the robot carries: of a Delta picks and releases as the online estimator finds them, of an arm the load that
+    it carries all through the log.
 
     Args:
-        robot: an identified Delta robot.
+        robot: an identified Delta robot or arm.
         trace: the log.
+        frame: of an arm, the link of its URDF that the load sits on; the last one by default.
 
     Returns:
-        The mass in kg after every sample with its standard deviation, and each level with its event.
+        Of a Delta the mass in kg after every sample with its standard deviation, and each level with its event. Of an
+        arm mass in kg, centre of mass in m and inertia in kg m^2, with standard errors.
 
     Raises:
-        DataError: the robot was never identified, or the stamps do not rise. RobotError: no Delta.
-        TraceError: the log is unusable.
+        DataError: the robot was never identified, the stamps do not rise, or too little motion.
+        RobotError: a machine that carries nothing (servo axes), or no such link. TraceError: the log is unusable.
 
     Example:
         >>> import deltatwin as dt
@@ -226,47 +238,85 @@ def payload(robot: Description, trace: recorded.Trace) -> PayloadResult:
         >>> len(picked.mass) == len(picked.time)
         True
     """
+    if not isinstance(robot, Robot):
+        from service.identification.load import load_on
+
+        return LoadResult(robot, load_on(robot, trace, frame))
     from service.identification.payload import common_error, levels, payload_history
 
-    delta = as_delta(robot, Question.PICKS)
-    found = payload_history(delta, trace)
-    return PayloadResult(delta, trace.name, found, tuple(levels(found)), common_error(delta))
+    if frame is not None:
+        raise DataError(f"frame {frame!r}: a Delta robot carries on its platform")
+    found = payload_history(robot, trace)
+    return PayloadResult(robot, trace.name, found, tuple(levels(found)), common_error(robot))
 
 
+@overload
+def rollout(
+    robots: Robot | Mapping[str, Robot],
+    traces: Traces,
+    *,
+    horizon: float = 0.2,
+    commands: bool = False,
+    progress: Callable[[str], None] = ...,
+) -> RolloutResult: ...
+@overload
+def rollout(
+    robots: Axes | Chain | Mapping[str, Axes] | Mapping[str, Chain],
+    traces: Traces,
+    *,
+    horizon: float = 0.2,
+    progress: Callable[[str], None] = ...,
+) -> JointRolloutResult: ...
+@overload
 def rollout(
     robots: Description | Mapping[str, Description],
     traces: Traces,
     *,
     horizon: float = 0.2,
     commands: bool = False,
+    progress: Callable[[str], None] = ...,
+) -> RolloutResult | JointRolloutResult: ...
+def rollout(
+    robots: Description | Mapping[str, Description] | Mapping[str, Robot] | Mapping[str, Axes] | Mapping[str, Chain],
+    traces: Traces,
+    *,
+    horizon: float = 0.2,
+    commands: bool = False,
     progress: Callable[[str], None] = lambda _: None,
-) -> RolloutResult:
-    """Simulate the robot under the recorded torque and compare its motion with the measured one.
+) -> RolloutResult | JointRolloutResult:
+    """Simulate the machine under the recorded torque and compare its motion with the measured one.
 
     Args:
-        robots: an identified or corrected Delta, or several by name to compare, the best last.
+        robots: an identified or corrected machine, or several by name to compare, the best last.
         traces: the logs, cut into windows.
         horizon: length of a window, s.
-        commands: put the recorded position commands in instead, through the drives.
+        commands: put the recorded position commands in instead, through the drives; of a Delta.
         progress: told what is at hand.
 
     Returns:
-        Rms error after the horizon in mrad and mm, of each robot, of the plain one, and of noise alone.
+        Rms error after the horizon, of each machine, of the plain one, and of noise alone: mrad and mm of a Delta, rad
+        (m for linear axes) of axes and arms.
 
     Raises:
-        DataError: no window of that length, other robots, or the sign of a torque is wrong. RobotError: no Delta.
+        DataError: no window of that length, other robots, or the sign of a torque is wrong.
+        RobotError: commands of a machine that is no Delta.
     """
+    named: dict[str, Description] = dict(robots) if isinstance(robots, Mapping) else {robots.name: robots}
+    if not named:
+        raise DataError("rollout: no robot given")
+    logs = as_list(traces)
+    others = [(name, one) for name, one in named.items() if not isinstance(one, Robot)]
+    if others and not commands:
+        from service.rollout import joints
+
+        if len(others) < len(named):
+            raise DataError(f"{', '.join(named)}: compare descriptions of one machine")
+        return JointRolloutResult(joints.compare(joints.named(others), logs, horizon, progress))
     from service.rollout.document import document
     from service.rollout.gap import PLAIN, compare, plain, refuse_another_robot
 
-    named = dict(robots) if isinstance(robots, Mapping) else {robots.name: robots}
-    given: dict[str, Robot] = {}
-    for name, robot in named.items():
-        given[name] = as_delta(robot, Question.PLATFORM)
-    if not given:
-        raise DataError("rollout: no robot given")
+    given = {name: as_delta(one, Question.COMMANDS if commands else Question.PLATFORM) for name, one in named.items()}
     refuse_another_robot(given)
     compared = {PLAIN: plain(next(iter(given.values()))), **given}
-    logs = as_list(traces)
     found = compare(compared, logs, horizon, commands, progress)
     return RolloutResult(document(found, compared, [log.name for log in logs]))

@@ -14,7 +14,13 @@ from service.pages import LOG_AXIS, under_buttons
 from service.pages.palette import JOINTS, Colour, faint
 
 if TYPE_CHECKING:
-    from deltatwin.results import EvaluationResult, IdentificationResult, PayloadResult
+    from deltatwin.results import (
+        EvaluationResult,
+        IdentificationResult,
+        JointRolloutResult,
+        LoadResult,
+        PayloadResult,
+    )
     from deltatwin.trace import Trace
 
 EVENTS = {PayloadEvent.PICK: Colour.PICK, PayloadEvent.RELEASE: Colour.RELEASE}
@@ -99,4 +105,33 @@ def of_payload(result: PayloadResult) -> go.Figure:
     top = float(np.nanmax(found.mass, initial=0.0))
     figure.update_yaxes(title_text="mass, kg", range=[-0.1 * top - 0.1, 1.2 * top + 0.2])
     figure.update_xaxes(title_text=f"time in {result.trace}, s")
+    return figure.update_layout(height=340)
+
+
+def of_load(result: LoadResult) -> go.Figure:
+    """Rms residual of each joint without the load and with it."""
+    one = result.load
+    joints = [f"joint {joint + 1}" for joint in range(len(one.before))]
+    figure = go.Figure()
+    figure.add_bar(x=joints, y=one.before, name="without the load", marker_color=Colour.BEFORE)
+    figure.add_bar(x=joints, y=one.after, name="with it", marker_color=Colour.AFTER)
+    figure.update_yaxes(title_text=f"residual, rms, {in_units_of(result.robot, 'N m')}", **LOG_AXIS)
+    return figure.update_layout(barmode="group", height=320)
+
+
+def of_joint_rollout(result: JointRolloutResult) -> go.Figure:
+    """Rms error of one joint over the horizon, a line a machine: of the joint that the last machine misses most."""
+    found = result.found
+    *machines, floor, _ = found.deviations
+    joint = int(np.nanargmax(np.nan_to_num(machines[-1].growth[-1])))
+    unit = "mrad" if found.angular else "mm"
+    figure = go.Figure()
+    for one in (*machines, floor):
+        colour = Colour.NOISE if one is floor else Colour.AFTER if one is machines[-1] else Colour.BEFORE
+        figure.add_scatter(
+            x=1e3 * found.period * np.arange(len(one.growth)), y=1e3 * one.growth[:, joint], name=one.name,
+            line={"width": 1.5, "color": colour},
+        )  # fmt: skip
+    figure.update_xaxes(title_text="time since the start of a window, ms")
+    figure.update_yaxes(title_text=f"joint {joint + 1}, simulated less measured, rms, {unit}")
     return figure.update_layout(height=340)

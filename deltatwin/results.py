@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from service.diagnosis.findings import Findings
     from service.identification.calibration import CalibratedFigure
     from service.identification.evaluation import Evaluation
+    from service.identification.load import Load
     from service.identification.payload import CommonError, MassLevel, PayloadHistory
     from service.identification.pooled import Plain
+    from service.rollout.joints import JointRollout
 
 MOST_ROWS = 12  # of a table in a notebook
 
@@ -350,4 +352,104 @@ class RolloutResult(Result):
         return head, [
             (one.robot, in_figures(one.platform_mm), ", ".join(map(in_figures, one.joint_mrad)))
             for one in (*self.document.robots, self.document.floor)
+        ]
+
+
+@dataclass(frozen=True, repr=False)
+class LoadResult(Result):
+    """The load that an arm carried all through a log.
+
+    Attributes:
+        robot: the identified arm.
+        load: `.mass` kg, `.centre` (3,) m in the axes of the link `.frame`, `.inertia` (6,) kg m^2 about the centre,
+            each with its standard error `.mass_error`, ...; `.seen`, `.centre_told`, `.inertia_told`: whether the
+            motion is enough for it.
+    """
+
+    robot: Description
+    load: Load
+
+    @property
+    def conclusion(self) -> str:
+        from service.identification.conclusion import of_load
+
+        return of_load(self.load)
+
+    def to_frame(self) -> pl.DataFrame:
+        """A row per parameter: name, value, std_error, unit, separable (whether the motion is enough for it)."""
+        from service.identification.load import AXES
+
+        one = self.load
+        rows = [("mass", one.mass, one.mass_error, "kg", one.seen)]
+        rows += [
+            (f"centre {axis}", value, error, "m", one.centre_told)
+            for axis, value, error in zip("xyz", one.centre, one.centre_error, strict=True)
+        ]
+        rows += [
+            (f"inertia {axis}", value, error, "kg m^2", one.inertia_told)
+            for axis, value, error in zip(AXES, one.inertia, one.inertia_error, strict=True)
+        ]
+        return _frame([
+            {"name": name, "value": float(value), "std_error": float(error), "unit": unit, "separable": separable}
+            for name, value, error, unit, separable in rows
+        ])  # fmt: skip
+
+    def plot(self) -> go.Figure:
+        """Residual torque of each joint without the load and with it."""
+        from deltatwin.plots import of_load
+
+        return of_load(self)
+
+    def _title(self) -> str:
+        return f"load of {self.robot.name} in {self.load.trace}"
+
+    def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
+        head = ("figure", "value", "std. error", "unit", "separable")
+        return head, [
+            (one["name"], f"{one['value']:.4g}", f"{one['std_error']:.2g}", one["unit"],
+             "yes" if one["separable"] else "no")
+            for one in self.to_frame().iter_rows(named=True)
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True, repr=False)
+class JointRolloutResult(Result):
+    """The gap of axes or an arm as motion.
+
+    Attributes:
+        found: `.deviations`, of each machine, of noise alone (`floor`) and of standing still; `.horizon` s; `.windows`.
+    """
+
+    found: JointRollout
+
+    @property
+    def conclusion(self) -> str:
+        from service.rollout.joints import sentences
+
+        return " ".join(sentences(self.found))
+
+    def to_frame(self) -> pl.DataFrame:
+        """A row per machine, and one each of noise alone and of standing still: rms after the horizon, rad (m for
+        linear axes) of each joint and m of an arm's tool."""
+        return _frame(
+            [
+                {"robot": one.name, "tool_m": one.tool_rms, "ran_away": int((~one.good).sum())}
+                | {f"joint_{joint + 1}": float(value) for joint, value in enumerate(one.joint_rms)}
+                for one in self.found.deviations
+            ]
+        )
+
+    def plot(self) -> go.Figure:
+        """How the error of the joint that is worst at the end grows over the horizon."""
+        from deltatwin.plots import of_joint_rollout
+
+        return of_joint_rollout(self)
+
+    def _title(self) -> str:
+        return f"{_count(self.found.windows, 'window')} of {1e3 * self.found.horizon:.0f} ms"
+
+    def _rows(self) -> tuple[Sequence[str], list[Sequence[str]]]:
+        unit = "mrad" if self.found.angular else "mm"
+        return ("robot", f"joints, {unit}"), [
+            (one.name, ", ".join(f"{1e3 * value:.3g}" for value in one.joint_rms)) for one in self.found.deviations
         ]

@@ -27,12 +27,13 @@ def weigh(
     """
     import typer
 
+    from service.identification.conclusion import of_load
     from service.identification.load import AXES, load_on
     from service.machines import machine_of
 
     machine_of(description).load(frame)  # before any log is read
     found = [load_on(description, trace, frame) for trace in reading(traces, description, columns, "weighing")]
-    said = "\n".join(_conclusion(one) for one in found)
+    said = "\n".join(of_load(one) for one in found)
     if json:
         told = [
             asdict(one) | {"seen": one.seen, "centre_told": one.centre_told, "inertia_told": one.inertia_told}
@@ -76,19 +77,3 @@ def _left(found: Sequence[Load]) -> Table:
     head = ("log", *(f"joint {joint}" for joint in range(1, len(found[0].before) + 1)))
     rows = [(one.trace, *(f"{b:.3g}, {a:.3g}" for b, a in zip(one.before, one.after, strict=True))) for one in found]
     return table(head, rows, "torque left without the load, with it, rms N m while moving", figures=slice(1, None))
-
-
-def _conclusion(one: Load) -> str:
-    """What a log comes to, in a sentence, and what to do where something cannot be told."""
-    if not one.seen:
-        return (
-            f"{one.trace}: no load is told on {one.frame}: {one.mass:.3f} ± {one.mass_error:.3f} kg; if it carries "
-            "one, log motion of joints that lift it"
-        )
-    said = f"{one.trace}: {one.mass:.3f} ± {one.mass_error:.3f} kg on {one.frame}"
-    if not one.centre_told:
-        return f"{said}; its centre cannot be told: turn the last joints with a level axis, too"
-    said += f", centre within {1e3 * one.centre_error.max():.1f} mm"
-    if not one.inertia_told:
-        return f"{said}; its inertia cannot be told: turn the last joints faster"
-    return f"{said}, inertia within {1e3 * one.inertia_error.max():.2g} g m^2"

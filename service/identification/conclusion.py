@@ -6,6 +6,7 @@ The measure of a gap is the noise of the torque in the analysis band: a model th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from service.identification.payload import CommonError, MassLevel
 from service.identification.pooled import Plain
 from service.model.description import in_units_of
 from service.model.signals import ANALYSIS_HZ
+
+if TYPE_CHECKING:
+    from service.identification.load import Load
 
 AS_IDENTIFIED = (
     2.0  # times what a model left of the logs that it was identified on, from which these logs are unlike them
@@ -106,3 +110,19 @@ def _rms(values: np.ndarray) -> np.ndarray:
 def _each(values: np.ndarray) -> str:
     told = ["-" if np.isnan(value) else f"{value:.2g}" for value in values]
     return told[0] if len(told) == 1 else f"{', '.join(told[:-1])} and {told[-1]}"
+
+
+def of_load(one: Load) -> str:
+    """What a log comes to, in a sentence, and what to do where something cannot be told."""
+    if not one.seen:
+        return (
+            f"{one.trace}: no load is told on {one.frame}: {one.mass:.3f} ± {one.mass_error:.3f} kg; if it carries "
+            "one, log motion of joints that lift it"
+        )
+    said = f"{one.trace}: {one.mass:.3f} ± {one.mass_error:.3f} kg on {one.frame}"
+    if not one.centre_told:
+        return f"{said}; its centre cannot be told: turn the last joints with a level axis, too"
+    said += f", centre within {1e3 * one.centre_error.max():.1f} mm"
+    if not one.inertia_told:
+        return f"{said}; its inertia cannot be told: turn the last joints faster"
+    return f"{said}, inertia within {1e3 * one.inertia_error.max():.2g} g m^2"

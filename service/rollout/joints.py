@@ -211,3 +211,28 @@ def named(machines: Sequence[tuple[str, Axes | Chain]]) -> dict[str, Axes | Chai
             raise DataError(f"{name}: describes other joints than {first}: compare descriptions of one machine")
         result[name] = machine
     return result
+
+
+def sentences(found: JointRollout) -> list[str]:
+    """What a reader should know first."""
+    *robots, floor, still = found.deviations
+    last = robots[-1]
+    share = last.joint_rms / still.joint_rms
+    worst = max(range(len(share)), key=lambda joint: share[joint])
+    least = f"{100 * min(share):.2g} to " if len(share) > 1 else ""
+    lines = [
+        f"{last.name}: after {1e3 * found.horizon:.0f} ms its joints are off by {least}{100 * share[worst]:.2g} % of "
+        f"their way, joint {worst + 1} most."
+    ]
+    if not last.good.any():
+        lines = []
+    elif share[worst] > 1.0:
+        lines.append(f"Joint {worst + 1} is off by more than its way: sign or unit of its torque, or a load?")
+    if last.good.any() and (one := last.tool_rms) is not None and (noise := floor.tool_rms) is not None:
+        lines.append(f"Its tool is off by {1e3 * one:.3g} mm; noise alone gives {1e3 * noise:.3g} mm.")
+    lines += [
+        f"{one.name}: runs away in {int((~one.good).sum())} of {len(one.good)} windows, which no figure counts."
+        for one in robots
+        if not one.good.all()
+    ]
+    return lines
