@@ -16,29 +16,29 @@ from service.pages.palette import Colour
 BOUNDS = {
     "right_first": ("right effect first (single, findable)", "≥ 0.97"),
     "right_joint": ("right joint", "≥ 1.0"),
-    "extra_per_case": ("effects named that are not there, a case", "≤ 0.03"),
-    "null_clean": ("gap-free logs called within noise", "≥ 0.99"),
-    "unknown_said": ("out of catalogue: said so", "≥ 0.90"),
+    "extra_per_case": ("effects falsely named per case", "≤ 0.03"),
+    "null_clean": ("gap-free logs reported as within noise", "≥ 0.99"),
+    "unknown_said": ("cause outside the catalogue: reported as such", "≥ 0.90"),
     "pair_both": ("both of a pair named", "≥ 0.90"),
-    "after_over_floor_median": ("gap after over noise floor, median", "≤ 1.3"),
-    "claim_error_median": ("claimed against measured shrink, median", "≤ 0.015"),
-    "claim_error_p90": ("claimed against measured shrink, 90 %", "≤ 0.06"),
+    "after_over_floor_median": ("gap after correction over noise floor, median", "≤ 1.3"),
+    "claim_error_median": ("difference of claimed and measured shrink, median", "≤ 0.015"),
+    "claim_error_p90": ("difference of claimed and measured shrink, 90 %", "≤ 0.06"),
     "three_f1": ("three effects: mean F1 of the names", "≥ 0.90"),
     "three_first": ("three effects: first name true", "≥ 0.95"),
-    "three_extra": ("three effects: named and not there, a case", "≤ 0.15"),
-    "outside_f1": ("two effects and one outside: mean F1 of what is in the catalogue", "≥ 0.75"),
-    "outside_said": ("two effects and one outside: said to be unexplained in part", "≥ 0.95"),
-    "outside_extra": ("two effects and one outside: named and not there, a case", "≤ 0.2"),
+    "three_extra": ("three effects: falsely named per case", "≤ 0.15"),
+    "outside_f1": ("two effects and one outside the catalogue: mean F1 of the two", "≥ 0.75"),
+    "outside_said": ("two effects and one outside the catalogue: reported as partly unexplained", "≥ 0.95"),
+    "outside_extra": ("two effects and one outside the catalogue: falsely named per case", "≤ 0.2"),
     "description_right": ("wrong description: named as such, or nothing named", "≥ 0.95"),
-    "description_extra": ("wrong description: named and not there, a case", "≤ 0.05"),
-    "production_told": ("production logs: first name true, or the truth among its rivals", "≥ 0.95"),
+    "description_extra": ("wrong description: falsely named per case", "≤ 0.05"),
+    "production_told": ("production logs: first name true, or the true one among its alternatives", "≥ 0.95"),
     "production_first": ("production logs: first name true", "≥ 0.80"),
     "scope_first": ("recorded by a scope: first name true", "≥ 0.90"),
     "scope_explained": ("recorded by a scope: explained", "≥ 0.80"),
-    "calibration": ("names given with 90 to 100 % that are true", "≥ 0.90"),
-    "seconds_median": ("seconds a case, median", "≤ 6"),
+    "calibration": ("true share of the names with a probability of 90 to 100 %", "≥ 0.90"),
+    "seconds_median": ("seconds per case, median", "≤ 6"),
 }
-OF_SPEED = {"seconds_median"}  # of a first case kernels are compiled
+OF_SPEED = {"seconds_median"}  # the first case also compiles the kernels
 LIFTS = ((0.0, 1.1), (1.1, 1.5), (1.5, 2.5), (2.5, 5.0), (5.0, float("inf")))
 
 
@@ -68,12 +68,16 @@ def headline(summary: dict[str, Any]) -> Headline:
         cases += f", {summary['failed']} of which failed"
     number = f"{len(held) - len(late)} of {len(held)}"
     if not held:
-        return Headline("open", "No case to judge by.", number, cases, "run it with more --cases.")
+        return Headline("open", "There is no case to judge.", number, cases, "run it with more --cases.")
     if not late:
-        said = "The diagnosis keeps every bound for which there were cases."
-        return Headline("good", said, number, cases, "more --cases, or another --seed, narrow the figures.")
+        said = "The diagnosis meets every bound for which there were cases."
+        return Headline(
+            "good", said, number, cases, "more --cases narrow the intervals; another --seed repeats the test."
+        )
     said = f"The diagnosis misses {counted(len(late), 'bound')}: {'; '.join(late)}."
-    return Headline("bad", said, number, cases, "open a case whose row differs from its truth, and diagnose its logs.")
+    return Headline(
+        "bad", said, number, cases, "find a case whose answer differs from the truth, and diagnose its logs."
+    )
 
 
 def missed(summary: dict[str, Any]) -> list[str]:

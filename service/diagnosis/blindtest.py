@@ -104,7 +104,7 @@ def unseal(out: Path) -> list[dict[str, Any]]:
     """
     content = (out / "sealed_key.json").read_bytes()
     if hashlib.sha256(content).hexdigest() not in (out / "commitment.txt").read_text(encoding="utf-8"):
-        raise DataError(f"{out / 'sealed_key.json'}: changed since its hash was written down")
+        raise DataError(f"{out / 'sealed_key.json'}: changed after its hash was written")
     return json.loads(content)["cases"]
 
 
@@ -116,8 +116,8 @@ def refused(keys: list[dict[str, Any]]) -> list[str]:
     for key in keys:
         if key["refused"]:
             what = f"{key['case']} ({', '.join(key['effects']) or 'no effect'})"
-            end = "drawn once more" if "kind" in key else "given up"
-            lines.append(f"{what}: drawn in vain {len(key['refused'])} times, then {end}; {key['refused'][-1]}")
+            end = "then another draw was used" if "kind" in key else "then the case was given up"
+            lines.append(f"{what}: {len(key['refused'])} draws refused, {end}; {key['refused'][-1]}")
     return lines
 
 

@@ -85,7 +85,7 @@ def diagnose(
     regressors = Regressors(problem, split, effects if scope.enough else (), start)
 
     selection = search(regressors, progress, scope.allows, more_orders)
-    progress("checking on data left out")
+    progress("checking on held-out data")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     coloured = bool((floor.coloured | floor.unknown).any())
     limit = (WITHIN_COLOURED if coloured else WITHIN_NOISE) * _floor(problem, reversal)
@@ -210,7 +210,7 @@ def _given(robot: Description, baseline: Description | None) -> tuple[Term, ...]
         return known
     for key in ("kind", "axis", "geometry", "mass"):
         if getattr(baseline, key, None) != getattr(robot, key, None):
-            raise RobotError(f"baseline {baseline.name}: its {key} is not that of robot {robot.name}")
+            raise RobotError(f"baseline {baseline.name}: its [{key}] differs from that of robot {robot.name}")
     taken = {term.effect.name for term in known}
     return known + tuple(term for term in hypothesis_of(baseline).terms if term.effect.name not in taken)
 

@@ -14,16 +14,16 @@ from service.pages import Headline
 from service.pages.palette import Colour
 
 NOTE = (
-    "rms tracking error, and the worst of any joint; the platform by the encoders, and in truth with what gears bend "
-    "and play; times smaller than with feedback alone; cycles helped by feed-forward, those of them with one that was "
-    "for an earlier cycle, and cycles that began late"
+    "Rms tracking error of each joint, and the largest error of any joint. Platform: error by the encoders; in truth: "
+    "with elasticity and backlash of the gears. Times smaller: than with feedback alone. Helped: cycles with "
+    "feed-forward; held: of these, cycles with a feed-forward for an earlier cycle; late: cycles that began late."
 )
 HEAD = (
     "fed with", "joint 1, mrad", "joint 2, mrad", "joint 3, mrad", "all, mrad", "platform, mm", "in truth, mm",
     "worst, mrad", "times smaller", "helped", "held", "late",
 )  # fmt: skip
 SHORT = (0, 4, 5, 6, 8, 9, 10, 11)  # columns of HEAD that a terminal has room for
-AGAIN = "Stop what else runs on this computer, or take a lower --rate, and run it again."
+AGAIN = "Stop other programs on this computer, or give a lower --rate, and run it again."
 
 
 def row(run: Tracking, reference: Tracking) -> tuple[str, ...]:
@@ -53,7 +53,7 @@ def verdict_of_models(runs: Sequence[Tracking]) -> Headline:
         _tone(found),
         _compared(f"With tau_FF ({best.name}) the platform follows", found, "with feedback alone"),
         *_number(found, "feedback alone"),
-        "`deltatwin closed-loop --effect joint_elasticity` for a robot that its description does not know.",
+        "`deltatwin closed-loop --effect joint_elasticity` simulates a robot that its description does not match.",
         (_errors(alone, best),),
     )
 
@@ -67,11 +67,13 @@ def verdict_of_correction(runs: Sequence[Tracking], named: str, left_out: Sequen
     found = ratio(rigid, corrected)
     lines = [_errors(alone, rigid, corrected), f"The correction: {named}."]
     if left_out:
-        lines.append(f"The online model does not carry {', '.join(left_out)}: the feed-forward goes without it.")
+        lines.append(f"The online model does not contain {', '.join(left_out)}: the feed-forward leaves it out.")
     if found.high < 1.0:
-        step = f"`deltatwin estimate --robot {folder}/corrected.toml` feeds this forward."
+        step = f"`deltatwin estimate --robot {folder}/corrected.toml` gives this feed-forward."
     elif found.low > 1.0:
-        step = f"keep `deltatwin estimate --robot {folder}/identified.toml`: the correction does harm here."
+        step = (
+            f"keep `deltatwin estimate --robot {folder}/identified.toml`: the correction makes the tracking worse here."
+        )
     else:
         step = "a longer --duration narrows the interval."
     said = _compared("With the correction the platform follows", found, "with the rigid model")
@@ -107,16 +109,21 @@ def page(
         "platform error / mm",
         tuple(Line(run.name, run.time, run.astray * 1e3, colour_of(run.name), "thin") for run in shown),
     )
-    first = Figure("closed_loop_platform", "Platform error over time", "In truth: gears bend and play.", (platform,))
+    first = Figure(
+        "closed_loop_platform",
+        "Platform error over time",
+        "In truth: with elasticity and backlash of the gears.",
+        (platform,),
+    )
     loads = ", ".join(f"{mass:g} kg" for mass in masses)
     return Page(
         f"Closed loop: {robot}",
         headline,
         first,
         (
-            f"Everything here is simulated: the robot is a rigid-body plant (MuJoCo; {which}) in real time, the "
-            f"estimator a process of its own; they talk over Zenoh. The motion, pick-and-place with {loads}, and the "
-            "noise are the same in every run; what the drives are fed differs.",
+            f"Everything here is simulated. The robot is a rigid-body plant (MuJoCo; {which}) in real time. The "
+            "estimator is a process of its own; the two communicate over Zenoh. The motion (pick-and-place with "
+            f"{loads}) and the noise are the same in every run; only the feed-forward differs.",
         ),
         (
             PageTable("Tracking error", HEAD, tuple(row(run, runs[0]) for run in runs), NOTE),
@@ -141,7 +148,7 @@ def _spoilt(runs: Sequence[Tracking]) -> Headline | None:
         for run in spoilt
     )
     worst = max(run.late / len(run.time) for run in spoilt)
-    said = "These figures do not count: the computer was too slow."
+    said = "These results are not valid: the computer was too slow."
     return Headline("open", said, percent(worst, 1), "of the cycles of the worst run began late", AGAIN, lines)
 
 
@@ -160,7 +167,7 @@ def _compared(what: str, found: Ratio, than: str) -> str:
         return f"{what} {significant(1 / found.value, 2)} times as well as {than}."
     if found.low > 1.0:
         return f"{what} worse than {than}: {significant(found.value, 2)} times the error."
-    return f"{what} as well as {than}: no difference that this run can show."
+    return f"{what} as well as {than}: this run shows no difference."
 
 
 def _errors(*runs: Tracking) -> str:

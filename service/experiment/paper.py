@@ -161,13 +161,13 @@ def page(found: PaperResult, which: str) -> Page:
         (
             "Every measurement here is simulated; “real” in a title is the simulated robot's measured torque. The "
             f"robot is a rigid-body plant (MuJoCo: arms, two rods a forearm, platform, servo drives; {which}) of the "
-            "SIPRO D3-1200's size; its maker's figures are not public, so geometry and masses are ours.",
-            "Chosen to resemble the published figures: links heavier than drawn (so that M_KH underestimates the "
-            "weight, ρ2 above 1), unknown rotors and gears, friction, a torque offset on joint 1, and unmodelled "
-            "friction that M_Id+F leaves over. Stribeck friction and a torque filter were left out. What "
-            "identification and payload estimation make of it was not chosen.",
+            "SIPRO D3-1200's size; its maker's data are not public, so geometry and masses are our choice.",
+            "The robot was chosen to resemble the published values: links heavier than drawn (so that M_KH "
+            "underestimates the weight, ρ2 above 1), unknown rotors and gears, friction, a torque offset on joint 1, "
+            "and friction that M_Id+F does not model. Stribeck friction and a torque filter were left out. The results "
+            "of identification and payload estimation were not tuned.",
             "Published: Gray-Box Model Identification and Payload Estimation for Delta Robots, IFAC 2020; only the "
-            "figures of its Table 1 are known to us. Signs follow our frame: a joint turns down in the positive sense, "
+            "values of its Table 1 are known to us. Signs follow our frame: a positive angle turns a joint downwards, "
             "so a weight that a model underestimates shows as a negative mean.",
         ),
         (
@@ -181,10 +181,10 @@ def page(found: PaperResult, which: str) -> Page:
             WEIGHING,
             Section(
                 "Beyond the paper",
-                "Ours: the same method with both sides low-passed alike and joints at rest left out, one pooled fit "
-                "with friction and the forearm's exact inertia, and another payload estimator. The paper's recursion "
-                "stands on its own model and on ours, with and without samples at rest: what the model gives, and what "
-                "the algorithm gives.",
+                "Our additions: the same method with both sides through the same low-pass and without joints at rest; "
+                "one pooled fit with friction and the forearm's exact inertia; another payload estimator. The paper's "
+                "recursion is run on its own model and on ours, with and without samples at rest: this separates the "
+                "contribution of the model from that of the algorithm.",
             ),
             _methods(found),
             _weighed(found),
@@ -209,7 +209,7 @@ def headline(found: PaperResult) -> Headline:
         percent(1 - last / first),
         f"smaller standard deviation of the error over υ_F, {significant(first)} → {significant(last)} N m "
         f"(M_KH → {FRICTION})",
-        "`deltatwin experiment --logs` writes the logs; `deltatwin diagnose` names what friction leaves unexplained.",
+        "`deltatwin experiment --logs` writes the logs; `deltatwin diagnose` names causes of the residual.",
     )
 
 

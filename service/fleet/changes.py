@@ -48,10 +48,10 @@ def _risen(days: Sequence[DayResult]) -> list[Change]:
     ]
     return [
         Change(
-            kind="risen", name="", title="the gap to what it was has risen, the cause is unknown", since=begin[0].day,
-            not_on=measured[on[0] - 1][0].day, last=last[0].day, gone=on[-1] < len(measured) - 1, days=len(on),
-            of=len(measured) - on[0], first=[grown[0]], now=[grown[1]],
-            means="`deltatwin diagnose` shows where it lies; record motion that tells more.",
+            kind="risen", name="", title="the gap to the reference day has risen, the cause is unknown",
+            since=begin[0].day, not_on=measured[on[0] - 1][0].day, last=last[0].day, gone=on[-1] < len(measured) - 1,
+            days=len(on), of=len(measured) - on[0], first=[grown[0]], now=[grown[1]],
+            means="`deltatwin diagnose` shows where it lies; record motion that excites all joints.",
         )
     ]  # fmt: skip
 
@@ -86,7 +86,7 @@ def _change(kind: ChangeKind, name: str, on: tuple[int, ...], joints: list[int],
         prefix = next((prefix for prefix in FRICTION if name.startswith(prefix)), None)
         title, means = (
             words(name),
-            "The reference's value no longer holds; warm and cold gears differ, too.",
+            "The value of the reference day no longer holds. Warm and cold gears differ, too.",
         )
         if prefix:
             title, joint = FRICTION[prefix], name.removeprefix(prefix)

@@ -39,7 +39,9 @@ from service.model.effects import catalogue
 from service.model.nominal import pack
 
 MOST_OF_A_DAY = 64 * MIB  # bytes of a day's result
-NOT_PLACED = "no date in its name or its stamps, while other logs of this robot have one: when was it?"
+NOT_PLACED = (
+    "neither its name nor its stamps have a date, while other logs of this robot have one: when was it recorded?"
+)
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ def _identified(robot: Member, settings: Settings) -> tuple[Path, str | None]:
             continue
         write_text(note, json.dumps(state | {"identified": _digest([path])}))
         return path, day
-    raise DataError(f"{robot.name}: could be identified on no day; {first}")
+    raise DataError(f"{robot.name}: could not be identified on any day; {first}")
 
 
 def _judge(robot: Member, day: str, known: RobotHistory, settings: Settings) -> None:

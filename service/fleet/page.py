@@ -38,11 +38,11 @@ def headline(fleet: Fleet, folder: Path) -> Headline:
     robots, number = counted(len(fleet.robots), "robot"), f"{judged} of {counted(len(days), 'robot day')}"
     of = "judged"
     if not judged:
-        step = "see below why; record motion in which all joints move and reverse."
-        return Headline("open", f"Of {robots} none could be judged.", number, of, step)
+        step = "the reasons are below; record motion in which all joints move and reverse."
+        return Headline("open", f"None of {robots} could be judged.", number, of, step)
     there = [(robot, change) for robot, change in found(fleet) if not change.gone]
     if not there:
-        return Headline("good", f"Of {robots} none has changed.", number, of, "nothing; judge the next day's logs.")
+        return Headline("good", f"None of {robots} has changed.", number, of, "nothing; judge the next day's logs.")
     changed = list(dict.fromkeys(robot for robot, _ in there))
     robot, first = there[0]
     where = f" in {named_joints(first.joints)}" if first.joints else ""
@@ -61,7 +61,7 @@ def found(fleet: Fleet) -> list[tuple[str, Change]]:
 
 def when(change: Change) -> str:
     """Since when, in words."""
-    earlier = f" (not on {change.not_on})" if change.not_on else ", the first day judged, or before"
+    earlier = f" (not on {change.not_on})" if change.not_on else ", the first judged day, or earlier"
     return change.since + earlier
 
 

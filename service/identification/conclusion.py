@@ -47,13 +47,13 @@ def of_evaluation(robot: Description, results: Sequence[Evaluation]) -> tuple[st
     """The conclusion of an evaluation, and whether the fullest model explains the logs; the stretches that stand far
     above the rest are left out."""
     if robot.identified is None:
-        return f"{robot.name}: never identified: only the textbook model can be compared.", False
+        return f"{robot.name} was never identified: only the textbook model can be compared.", False
     name, moments = list(pooled_by_model(results, "calm").items())[-1]
     unit = in_units_of(robot, "N m")
     left = f"The model '{name}' leaves {_each(moments.rms)} {unit} rms"
     noise = _noise(robot, results)
     if noise is None:
-        return f"{left}; the description does not say how much of it is noise.", True
+        return f"{left}; the description does not contain the noise level to compare it with.", True
     ratio = moments.rms / noise
     events = any(result.events for result in results)
     said = _over_noise(ratio, f"The model '{name}'", "these logs outside the events" if events else "these logs")
@@ -62,8 +62,8 @@ def of_evaluation(robot: Description, results: Sequence[Evaluation]) -> tuple[st
         then = moments.rms / np.hypot(error.value, noise)
         if np.nanmax(then, initial=0.0) > AS_IDENTIFIED:
             said += (
-                f" That is {_each(then)} times what it left of the logs it was identified on: the robot has changed "
-                "since, carries something, or these logs are in other units."
+                f" That is {_each(then)} times its residual on the logs it was identified on: the robot has changed "
+                "since, carries a payload, or these logs are in other units."
             )
     return said, explains(ratio)
 
@@ -89,7 +89,8 @@ def _over_noise(ratio: np.ndarray, model: str, logs: str) -> str:
     said = f"{model} leaves {_each(ratio)} times the noise of the torque on {logs} ({joints})"
     if explains(ratio):
         return f"{said}: it explains them."
-    return f"{said}: it does not explain them. A wrong geometry, mass or unit, a payload, or an unmodelled effect."
+    causes = "a wrong geometry, mass or unit, a payload, an unmodelled effect"
+    return f"{said}: it does not explain them. Possible causes: {causes}."
 
 
 def _noise(robot: Description, results: Sequence[Evaluation]) -> np.ndarray | None:

@@ -112,19 +112,19 @@ def headline(result: RolloutDocument) -> Headline:
     lines, horizon = tuple(sentences(result)), f"{1e3 * result.horizon_s:.0f} ms"
     floor, shown = result.floor.platform_mm, _simulated(result)
     if not shown:
-        step = "a shorter --horizon, or a description that was identified on logs of this robot."
+        step = "give a shorter --horizon, or a description that was identified on logs of this robot."
         said = f"Every simulated robot leaves the workspace within {horizon}."
         return Headline("bad", said, "0", f"of {counted(result.windows, 'window')} simulated to the end", step, lines)
     *others, (best, error) = shown
     number, of = f"{significant(error)} mm", f"rms error of the platform after {horizon}, {best}"
     if strange(result):
-        step = f"`deltatwin identify` on logs of this robot, or check their units and what it carried; {best} "
-        step += "was made from others."
+        step = "run `deltatwin identify` on logs of this robot, or check the logs' units and the payload; "
+        step += f"{best} was identified on other logs."
         said = f"'{best}' does not describe the robot of these logs."
         return Headline("bad", said, number, of, step, lines)
     if floor is not None and error < AT_FLOOR * floor:
-        said = f"'{best}' moves as the robot does: what differs is the noise of torque and start state."
-        step = f"`deltatwin export FILE --to mjcf --out robot.xml` takes {best} into a simulator."
+        said = f"'{best}' moves as the robot does: the difference is within the noise of torque and start state."
+        step = f"`deltatwin export FILE --to mjcf --out robot.xml` writes {best} for a simulator."
         return Headline("good", said, number, of, step, lines)
     if others and error < others[-1][1]:
         other, its = others[-1]
@@ -152,12 +152,12 @@ def sentences(result: RolloutDocument) -> list[str]:
     shown = _simulated(result)
     lines = []
     if result.over_identified is None:
-        lines.append(f"{result.robots[-1].robot} was not identified on logs: whether these are of it is unknown.")
+        lines.append(f"{result.robots[-1].robot} was not identified on logs: these logs may be of another robot.")
     elif strange(result):
         times = ", ".join("-" if over is None else significant(over) for over in result.over_identified)
         lines.append(
-            f"{result.robots[-1].robot} leaves {times} times as much torque unexplained, by joint, as in the logs it "
-            "was identified on: these are of another robot, in another unit, or it has changed since."
+            f"{result.robots[-1].robot} leaves {times} times as much torque unexplained, by joint, as on the logs it "
+            "was identified on: these logs are of another robot or in another unit, or the robot has changed since."
         )
     if len(shown) > 1:
         (first, before), (last, after) = shown[-2:]
@@ -175,43 +175,44 @@ def sentences(result: RolloutDocument) -> list[str]:
             for values in (result.servo.position_gain_ps, result.servo.velocity_gain_nms)
         )
         lines.append(
-            f"Commands went in, through drives of position gain {gains} 1/s, velocity gain {speeds} N m s/rad."
+            f"Position commands drive the simulation, through drives with a position gain of {gains} 1/s and a "
+            f"velocity gain of {speeds} N m s/rad."
         )
     if result.floor.platform_mm is not None:
         lines.append(
             f"Torque noise and start state alone give {significant(result.floor.platform_mm)} mm; "
-            f"the platform goes {significant(result.path_mm)} mm in that time."
+            f"the platform moves {significant(result.path_mm)} mm in that time."
         )
     masses = [mass for mass in result.payload_kg if mass]
     if masses:
         least, most = f"{min(masses):.3g}", f"{max(masses):.3g}"
         span = least if least == most else f"{least} to {most}"
         lines.append(
-            f"In {len(masses)} of {counted(result.windows, 'window')} {span} kg are attached to every simulated robot: "
-            "the payload as estimated with the last description."
+            f"In {len(masses)} of {counted(result.windows, 'window')} every simulated robot carries {span} kg: "
+            "the payload estimated with the last description."
         )
     if len(masses) == result.windows:
-        lines.append("It is never empty: a tool whose mass the description lacks would look the same.")
+        lines.append("No window is without payload: a tool that the description lacks would look the same.")
     if result.untold_s:
-        lines.append(f"{significant(result.untold_s)} s are left out in which the data do not show what is carried.")
+        lines.append(f"{significant(result.untold_s)} s are left out, as the data do not show the payload there.")
     if result.interruptions:
         shown = result.interruptions[:NAMED]
         where = ", ".join(f"{one.trace} at {one.from_s:.3f} to {one.until_s:.3f} s" for one in shown)
         more = f" and {len(result.interruptions) - NAMED} more" if len(result.interruptions) > NAMED else ""
         lines.append(
-            "No window spans what interrupts a log, which costs "
-            f"{counted(result.windows_lost, 'window')}: {where}{more}."
+            f"No window spans an interruption of a log, which costs {counted(result.windows_lost, 'window')}: "
+            f"{where}{more}."
         )
     for robot in result.robots:
         if robot.ran_away:
             lines.append(
-                f"{robot.robot}: leaves the workspace in {robot.ran_away} of "
-                f"{counted(result.windows, 'window')}, which no figure includes."
+                f"{robot.robot} leaves the workspace in {robot.ran_away} of "
+                f"{counted(result.windows, 'window')}: these are not in any value here."
             )
         elif robot.platform_mm is not None and robot.platform_mm > result.path_mm:
-            lines.append(f"{robot.robot}: no better than a robot that stands still.")
+            lines.append(f"{robot.robot} predicts the motion no better than a robot at rest.")
         if robot.left_out:
-            lines.append(f"{robot.robot}: the simulation does without {', '.join(robot.left_out)}.")
+            lines.append(f"{robot.robot}: the simulation leaves out {', '.join(robot.left_out)}.")
     return lines
 
 

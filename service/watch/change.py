@@ -23,11 +23,14 @@ class FrictionLevel(Effect):
     """Dry or viscous friction other than it was. As a property of the robot it is the base model's; as a change it is
     the commonest of all."""
 
-    coulomb: Amplitude = Amplitude("N m", "dry friction, now less before")
-    viscous: Amplitude = Amplitude("N m s/rad", "viscous friction, now less before")
+    coulomb: Amplitude = Amplitude("N m", "dry friction, now minus before")
+    viscous: Amplitude = Amplitude("N m s/rad", "viscous friction, now minus before")
     name = "friction_level"
     title = "Dry or viscous friction has changed"
-    means = "Lubrication, temperature, a seal or a preload: look at the gear of this joint; identify anew if it stays."
+    means = (
+        "Lubrication, temperature, a seal or a preload: check the gear of this joint; identify again if the change "
+        "persists."
+    )
     dissipates = True
     settles = "the same path at three speeds"
 

@@ -106,12 +106,12 @@ def in_words(finding: WatchFinding) -> str:
     verdict, effects = finding.diagnosis.verdict, finding.diagnosis.effects
     if effects:
         after, left = (float(np.hypot.reduce(values)) for values in (finding.after_nm, finding.left_nm))
-        rest = "" if verdict == "explained" else ", part of it stays unexplained"
-        return f"{rise}: {'; '.join(map(_effect, effects))}; takes {after:.3g} N m to {left:.3g}{rest}"
+        rest = "" if verdict == "explained" else ", part of it remains unexplained"
+        return f"{rise}: {'; '.join(map(_effect, effects))}; reduces it from {after:.3g} N m to {left:.3g}{rest}"
     if verdict == "within_noise":
-        return f"{rise}, but within the noise of what was looked at"
+        return f"{rise}, but within the noise of the stretch examined"
     said = [caution.code.replace("_", " ") for caution in finding.diagnosis.cannot_tell]
-    return f"{rise}: nothing in the catalogue explains it{f' ({said[0]})' if said else ''}"
+    return f"{rise}: no effect of the catalogue explains it{f' ({said[0]})' if said else ''}"
 
 
 def _when(seconds: float) -> str:

@@ -99,11 +99,11 @@ class WatchNode:
             self._say(f"level learnt: {_figures(gap['gap'])} N m rms")
             doubt = beyond_description(self._watch)
             if doubt:
-                self._say(f"{doubt}: diagnose a log of now")
+                self._say(f"{doubt}: run `deltatwin diagnose` on a new log")
         elif self._state in raised and before not in raised:
             self._say(f"gap has risen: {_figures(gap['ratio'])} times its level by joint")
         elif before in raised and self._state == WatchState.WATCHING:
-            self._say("gap is back to its level")
+            self._say("gap is back at its level")
 
     def _examine(self) -> None:
         if self._examination is None:
@@ -144,7 +144,11 @@ class WatchNode:
 def beyond_description(watch: Watch) -> str:
     """What to say where the level that was learnt is above what the description left when it was made, else nothing."""
     over = watch.beyond_description
-    return f"that is {_figures(over)} times what the description left when it was made" if (over > RISEN).any() else ""
+    return (
+        f"that is {_figures(over)} times the residual of the description when it was made"
+        if (over > RISEN).any()
+        else ""
+    )
 
 
 def _figures(values: np.ndarray) -> str:

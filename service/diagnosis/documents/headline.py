@@ -12,10 +12,10 @@ from service.diagnosis.documents.text import ADVICE, NO_NAMES, answer, unasked
 from service.pages import Headline
 
 AGREE = "Model and robot agree: the gap is within the noise of the torque signal."
-NONE = "No cause is confirmed: there is structure in the gap that no effect of the catalogue explains."
-ASKED = "No effect can be asked for on these data."
+NONE = "No cause is confirmed: no effect of the catalogue explains the structure in the gap."
+ASKED = "No effect can be diagnosed from these data."
 TRY = (
-    "check the cause on the machine. `deltatwin evaluate LOG --robot {corrected}` tries the correction on a log that "
+    "check the cause on the machine. `deltatwin evaluate LOG --robot {corrected}` tests the correction on a log that "
     "was not used here."
 )
 
@@ -30,7 +30,7 @@ def headline(document: Diagnosis, folder: Path = Path()) -> Headline:
         rest = "explains the gap" if document.verdict == "explained" else "explains part of the gap"
         levels = (gap.work_before_nm, gap.work_after_nm) if gap.slow_runs else (gap.before_nm, gap.after_nm)
         goes = f"{' → '.join(significant(_rms(level)) for level in levels)} {gap.unit} rms; noise {significant(noise)}"
-        goes += "; slow sweeps apart" if gap.slow_runs else ""
+        goes += "; without slow sweeps" if gap.slow_runs else ""
         shrinks = "smaller" if gap.shrink >= 0 else "larger"
         return Headline(
             "bad", f"{names}: {rest if len(document.effects) == 1 else rest.replace('explains', 'explain')}.",

@@ -13,21 +13,21 @@ Standing = Literal["better", "same", "worse"]
 ONE_CHANGE = 1  # of the load: a difference of so much is chance
 ALIKE = 1.05  # ratio of two errors of feed-forward up to which they are the same
 KEEP = (
-    "Keep the identified description for `estimate`; the corrected one is for `evaluate`, `rollout`, `export` and "
+    "Keep the identified description for `estimate`; use the corrected one for `evaluate`, `rollout`, `export` and "
     "`plan-motion`."
 )
 BEGINS = {
-    "better": "With the corrected description the estimator does better: it",
-    "same": "With the corrected description the estimator does as well as with the identified one: it",
-    "worse": "With the corrected description the estimator does worse than with the identified one: it",
+    "better": "The estimator works better with the corrected description: it",
+    "same": "The estimator works as well with the corrected description as with the identified one: it",
+    "worse": "The estimator works worse with the corrected description than with the identified one: it",
 }
 NOTE = "# Online: "  # every line of the advice begins with it, so that the next diagnosis finds and replaces it
 WIDTH = 120  # characters
 
 
 def standing(identified: OnlineFigures, corrected: OnlineFigures, changes: int) -> Standing:
-    """How the corrected description does beside the identified one. What weighs more decides: the mass, then events
-    that are none, then how long the mass is trusted, then the feed-forward."""
+    """How the estimator does with the corrected description, compared with the identified one. The first of these
+    that differs decides: the mass, false events, how long the mass is trusted, the feed-forward."""
     trusted = (corrected.trusted - identified.trusted) * changes
     before, after = identified.feedforward_nm, corrected.feedforward_nm
     if abs(corrected.right - identified.right) > ONE_CHANGE:
@@ -47,18 +47,18 @@ def sentences_of(trial: OnlineTrial) -> list[str]:
     """What the trial says, with the advice that follows."""
     if trial.reason == "not_carried":
         names = ", ".join(map(words, trial.left_out))
-        return [f"What the correction is worth online is not said: the online model does not carry {names}.", KEEP]
+        return [f"The correction was not tried in the estimator: the online model does not contain {names}.", KEEP]
     known, better = trial.identified, trial.corrected
     if known is None or better is None:
-        return ["What the correction is worth online is not said: no log has two rests in which a load could change."]
+        return ["The correction was not tried in the estimator: no log has two rests in which a load could change."]
     found = standing(known, better, trial.changes)
     over, was = (significant(one.feedforward_over_noise, 2) for one in (better, known))
-    off = f"off by {over} times the noise ({was})"
+    off = f"off by {over} times the noise (identified: {was})"
     if not trial.changes:
         return [
-            f"{BEGINS[found]} feeds forward a torque that is {off}.",
-            "Its masses are not tried: behind gears that yield a pick makes the links swing, which cannot be simulated "
-            "on a log. Give logs with known loads (--loaded).",
+            f"{BEGINS[found]} gives a feed-forward torque that is {off}.",
+            "Its payload estimates were not tried: with elastic gears a pick makes the links swing, which cannot be "
+            "simulated on a log. Give logs with known loads (--loaded).",
             *([KEEP] if found == "worse" else []),
         ]
     said = (
@@ -69,7 +69,7 @@ def sentences_of(trial: OnlineTrial) -> list[str]:
     )
     where = ", ".join(trial.traces)
     source = f"loads simulated along {where}" if trial.simulated else f"the loads of {where}"
-    seen = "held out of the fit" if trial.held_out else "which the fit has seen"
+    seen = "held out of the fit" if trial.held_out else "which were also used for the fit"
     return [said, f"Tried on {source}, {seen}.", *([KEEP] if found == "worse" else [])]
 
 

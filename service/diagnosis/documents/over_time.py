@@ -134,7 +134,7 @@ def gap_over_time(findings: Findings) -> go.Figure:
             tickvals=[starts[name] for name in shown], ticktext=[_short(name) for name in shown], gridcolor="#8c959f",
             range=[-0.01 * total, total],
         )  # fmt: skip
-        figure.update_xaxes(title_text="log, each from its beginning; its own time under the pointer", row=n, col=1)
+        figure.update_xaxes(title_text="logs one after another; the pointer shows the time within a log", row=n, col=1)
     else:
         figure.update_xaxes(title_text=f"time in {next(iter(starts))}, s", row=n, col=1)
     figure.update_layout(under_buttons(ROW_HEIGHT * n + 90))

@@ -35,8 +35,8 @@ def write_report(findings: Findings, document: Diagnosis, path: Path) -> None:
     plots = {
         "Gap over time, before and after": gap_over_time(findings),
         **of_document(document),
-        "Over angle and speed": _maps(findings),
-        "Over the workspace": _workspace(findings),
+        "Residual over angle and speed": _maps(findings),
+        "Residual over the workspace": _workspace(findings),
         "Spectrum of the residual (grey: above the analysis band)": _spectrum(findings),
     }
     write_diagnosis(document, worst_second(findings), plots, path)
@@ -46,8 +46,8 @@ def of_document(document: Diagnosis) -> dict[str, go.Figure | None]:
     """What is drawn of the document alone, by title."""
     return {
         "Gap of each joint": levels(document),
-        "What the gap is made of": _budget(document),
-        "Where it lies": _regimes(document),
+        "Composition of the gap": _budget(document),
+        "Where the gap lies": _regimes(document),
         "Candidates, and whether the checks accepted them": _ranking(document),
     }
 

@@ -25,80 +25,83 @@ from service.identification.loops import gains_in_words
 VERDICTS = {
     "within_noise": "The gap between model and robot is within the noise of the torque signal.",
     "explained": "The named effects explain the gap: the residual is within the noise of the torque signal.",
-    "hardly": "The gap was hardly above the noise of the torque signal; with the named effects it is within it.",
-    "partly_explained": "The named effects explain part of the gap; the residual has structure that none explains.",
+    "hardly": "The gap was hardly above the noise of the torque signal; with the named effects it is within the noise.",
+    "partly_explained": "The named effects explain part of the gap; the residual still has structure.",
     "unexplained": "There is structure in the gap, and no effect in the catalogue explains it.",
 }  # fmt: skip
-HELD_OUT = "fitted and chosen without them, among effects that a search on all suggested"
-# code of a caution -> what cannot be told
+HELD_OUT = "not used to fit or to choose; the candidates come from a search on all data"
+# code of a caution -> what the data do not show
 CAUTIONS = {
-    "too_little_motion": "The data cannot separate the effects: no joint moves for 3 s in all.",
+    "too_little_motion": "The data cannot separate the effects: no joint moves for 3 s in total.",
     "joints_at_rest": "{Joints} hardly move{s}: the data cannot separate effects of the whole robot from those of "
     "{joints}.",
-    "one_way": "{Joints} move{s} one way only: the data cannot separate friction there from a constant torque.",
-    "one_run": "There is one run only: the held-out data are stretches of the same run.",
-    "beyond_any_robot": "It would take {effect} beyond any robot's: the data cannot separate the effects.",
+    "one_way": "{Joints} move{s} in one direction only: the data cannot separate friction there from a constant "
+    "torque.",
+    "one_run": "There is only one run: the held-out data are stretches of the same run.",
+    "beyond_any_robot": "{Effect} would have to be larger than on any real robot: the data cannot separate the "
+    "effects.",
     "several_arms": "Several arms at once would have to be far from the described geometry: the data cannot "
     "separate the effects.",
-    "one_cause": "{Effect} would have to sit on {joints} at once, each with another value, and leaves far "
-    "more than noise: one cause on the platform looks like that.",
-    "runs_differ": "Each run fits alone, but not all together: the data cannot separate the effects.",
+    "one_cause": "{Effect} would have to be on {joints} at once with different values, and the residual would still "
+    "be far above the noise. A single cause on the platform looks like that.",
+    "runs_differ": "The model fits each run alone, but not all runs together: the data cannot separate the effects.",
     "much_is_left": "The residual is {share} of the torque itself, more than effects of the catalogue "
     "would leave: the data cannot separate them.",
-    "much_beside": "The residual is {share} of the torque itself: besides the named effects something is wrong or "
-    "not in the catalogue. The named effects shrink the gap of each held-out log, and are separable from any load, "
-    "inertia and friction that depend on the angle alone.",
-    "other_joints": "The base model is wrong first: {share} of the gap in joint {first} follows the motion of "
-    "joint {last}, which it does not contain. No effect is named on a wrong base.",
-    "sine_of_angle": "The base model is wrong first: {share} of the gap in joint {first} depends on its angle, "
-    "as a weight, a counterbalance or a wrong gear ratio makes it. No effect is named on a wrong base.",
-    "degrees": "The torque of {joints} depends on its angle as that of {effect} does, and as a weight's if the "
-    "position is in degrees and was taken for radians: the data cannot separate them. No effect is named on a wrong "
-    "base.",
-    "gravity": "The base model is wrong first: gravity of another direction or size explains {share} of the "
-    "gap, as well as effects do. No effect is named on a wrong base.",
-    "closed_loop": "The torque of {joints} is the controller's answer to its position error ({gains} N m per "
-    "rad, or N per m, without lag): it was not measured. A delay or filter of the torque, the torque constant, and "
-    "what lies between command and shaft (back-EMF looks like viscous friction) cannot be known from it.",
-    "torque_held": "The torque is updated every {held:.3g} ms only and repeated in between: the repeated samples were "
-    "left out, as they are late.",
-    "noise_coloured": "The noise of {joints} is coloured: there is more of it in the band than white noise of "
-    "its level would have. The noise floor is read from its colour, to about 20 %.",
+    "much_beside": "The residual is {share} of the torque itself: besides the named effects, something is wrong or "
+    "is not in the catalogue. The named effects shrink the gap of each held-out log. The data separate them from "
+    "any load, inertia and friction that depend on the angle alone.",
+    "other_joints": "The base model has to be corrected first: {share} of the gap in joint {first} follows the motion "
+    "of joint {last}, which the model of joint {first} does not contain. No effect is named on a wrong base model.",
+    "sine_of_angle": "The base model has to be corrected first: {share} of the gap in joint {first} depends on its "
+    "angle, as with a weight, a counterbalance or a wrong gear ratio. No effect is named on a wrong base model.",
+    "degrees": "The torque of {joints} depends on its angle as {effect} would make it. It would also do so if the "
+    "axis bears a weight and its position is in degrees, not in radians: the data cannot separate the two. No effect "
+    "is named on a wrong base model.",
+    "gravity": "The base model has to be corrected first: gravity of another direction or size explains {share} of "
+    "the gap, as well as effects do. No effect is named on a wrong base model.",
+    "closed_loop": "The torque of {joints} was not measured: it is the controller's response to its position error "
+    "({gains} N m per rad, or N per m, without lag). Such a torque does not show its own delay or filter, the torque "
+    "constant, or anything between command and shaft (back-EMF looks like viscous friction).",
+    "torque_held": "The torque is updated only every {held:.3g} ms and repeated in between: the repeated samples are "
+    "late and were left out.",
+    "noise_coloured": "The noise of {joints} is coloured: there is more noise in the band than its level would mean "
+    "for white noise. The noise floor is estimated from its spectrum, to about 20 %.",
     "noise_unknown": "The torque of {joints} shows no noise of its own (smoothed or computed?): its noise floor "
-    "is not known; 1 % of the torque is taken for it.",
-    "at_limit": "The nearest effect is {effect}{where}, but with {quantity} at the limit of its range: not accepted.",
-    "drives": "The nearest effect is {effect}{where}, but as friction that would drive the joint: not accepted.",
-    "by_weight": "The nearest effect is {effect}{where}, over so little of a turn that friction which grows with the "
-    "weight looks like it: the data cannot separate them.",
-    "does_not_fall": "The nearest effect is {effect}{where}, but with it friction would not fall as the speed grows: "
-    "it levels off, or depends on the speed in another way that is not in the catalogue.",
+    "is unknown and taken as 1 % of the torque.",
+    "at_limit": "The nearest effect is {effect}{where}, but its {quantity} is at the limit of its range: not accepted.",
+    "drives": "The nearest effect is {effect}{where}, but this friction would drive the joint: not accepted.",
+    "by_weight": "The nearest effect is {effect}{where}, but the joint turns so little that friction which grows with "
+    "the weight looks the same: the data cannot separate them.",
+    "does_not_fall": "The nearest effect is {effect}{where}, but the fitted friction does not fall as the speed "
+    "grows: it levels off, or depends on the speed in a way that is not in the catalogue.",
     "left_open": "{Effect}{where} fits, but none of its parameters differs from zero: not accepted.",
-    "any_shape": "{Effect}{where} fits, but with {quantity} anywhere in its range: the data do not determine it, not "
-    "accepted.",
+    "any_shape": "{Effect}{where} fits equally well with any {quantity} in its range: the data do not determine it, "
+    "not accepted.",
     "no_shrink": "{Effect}{where} fits, but it does not shrink the gap on held-out data ({share}): not accepted.",
-    "no_shrink_on": "{Effect}{where} fits, but it does not shrink the gap on {run}, held out of everything "
-    "({share}): not accepted.",
-    "varies": "{Effect}{where} fits, but {run} alone gives a value {share} off that of all runs together: the cause "
-    "is something else, not accepted.",
-    "rivalled": "{Effect}{where} fits, but so do others in its place: the data cannot separate them, not accepted.",
+    "no_shrink_on": "{Effect}{where} fits, but it does not shrink the gap on the held-out log {run} ({share}): "
+    "not accepted.",
+    "varies": "{Effect}{where} fits, but its value from {run} alone differs by {share} from that of all runs "
+    "together: the cause is something else, not accepted.",
+    "rivalled": "{Effect}{where} fits, but so do other effects in its place: the data cannot separate them, not "
+    "accepted.",
     "not_its_own": "{Effect}{where} fits, but the residual projects {share} as much onto the same torque at other "
-    "times or in other places and runs: the cause is something else, not accepted.",
+    "times, in other places or in other runs: the cause is something else, not accepted.",
     "no_line": "{Effect}{where} fits, but the residual projects {share} as much onto ripples of neighbouring "
-    "orders: the cause lies in one place and does not repeat with the turns of the motor, not accepted.",
-    "misplaced": "The URDF is wrong first: with {joints} elsewhere, or otherwise turned, in the link before, "
-    "{share} of the residual goes.",
-    "set_aside": "In {share} of the motion{where} something is at work that is not in the catalogue; the named effects "
-    "rest on the remaining motion.",
-    "by_place": "Something that is not in the catalogue pulls at the platform wherever it is; the named effects were "
-    "found given any torque that depends on the platform's place. Springs, offsets and weights cannot be separated.",
-    "by_scale": "{share} of the residual is proportional to the torque itself, by another factor in each log, which "
-    "changes as a log goes on: the torque constants drift (do the motors get warm?). Torque scales, and their aliases, "
-    "cannot be separated from it.",
-    "comes_again": "Something that is not in the catalogue pulls at the platform again every {pitch:.0f} mm of its way "
-    "(a toothed belt, a rack?); the named effects were found given that.",
+    "orders: the cause is at one place and does not repeat with the turns of the motor, not accepted.",
+    "misplaced": "The URDF has to be corrected first: another position or orientation of {joints} on the link before "
+    "explains {share} of the residual.",
+    "set_aside": "In {share} of the motion{where} there is an unmodelled disturbance. That motion was masked: the "
+    "named effects were found in the rest.",
+    "by_place": "An unmodelled disturbance pulls at the platform everywhere. The named effects were found given any "
+    "torque that depends on the platform's position: springs, offsets and weights cannot be separated from it.",
+    "by_scale": "{share} of the residual is proportional to the torque itself, with a factor that differs between "
+    "logs and changes within a log: the torque constants drift (do the motors get warm?). Torque scales and their "
+    "aliases cannot be separated from this.",
+    "comes_again": "An unmodelled disturbance pulls at the platform every {pitch:.0f} mm of its path (a toothed belt, "
+    "a rack?). The named effects were found given this disturbance.",
 }
-BESIDE = {"set_aside", "by_place", "comes_again"}  # what is named was told beside something else
-# with these no effect is told from others
+BESIDE = {"set_aside", "by_place", "comes_again"}  # effects are named given an unmodelled disturbance
+# with these the data separate no effect from another
 NO_NAMES = {
     "too_little_motion", "joints_at_rest", "beyond_any_robot", "several_arms", "runs_differ", "much_is_left",
     "one_cause", "other_joints", "sine_of_angle", "gravity", "degrees",
@@ -108,44 +111,44 @@ ADVICE = {
     "record_all_joints": "Record runs in which all joints move.",
     "record_reversals": "Record runs with reversals.",
     "check_description": "Check the description (lengths, gravity, gear ratio, order and sign of joints).",
-    "check_runs": "Check that all runs are of one robot with one tool, in one state.",
+    "check_runs": "Check that all runs are of the same robot with the same tool, in the same condition.",
     "check_base": "Check the base model: kind, gravity, gear ratio, coupling of joints, order and sign of columns.",
-    "record_more": "Record more of the motion that shows it, and say what else changed between the runs.",
-    "measure_torque": "Log the drive's measured current beside the command.",
-    "look_there": "Look where and when the residual is largest, see below.",
-    "log_warm": "Log the motors' temperature, or record once more when they have become warm.",
+    "record_more": "Record more motion of the kind that shows the gap, and note what else changed between the runs.",
+    "measure_torque": "Log the drive's measured current as well as the command.",
+    "look_there": "See below where and when the residual is largest.",
+    "log_warm": "Log the motors' temperature, or record again when they are warm.",
     "log_quicker": "Let the drive send its torque with every sample.",
-    "say_degrees": 'Say the unit of the position in the mapping (unit = "deg"), or gravity = false in the '
-    "description where the axis bears no weight.",
-    "measure_noise": "Log the torque unfiltered, or a stretch at rest with the drives on.",
+    "say_degrees": 'State the unit of the position in the mapping (unit = "deg"), or gravity = false in the '
+    "description if the axis bears no weight.",
+    "measure_noise": "Log the torque unfiltered, or log a stretch at rest with the drives on.",
 }
 # parameter of the base model, without its joint -> what it is
 BASE = {
-    "rho_1": "ρ1, on the inertia",
-    "rho_2": "ρ2, on gravity",
-    "forearm_inertia_kg": "a forearm's mass, in its inertia",
+    "rho_1": "ρ1, factor on the inertia",
+    "rho_2": "ρ2, factor on gravity",
+    "forearm_inertia_kg": "mass of a forearm as it acts on the inertia",
     "f_v": "viscous friction",
     "f_c": "Coulomb friction",
-    "transition": "speed over which Coulomb friction turns over",
+    "transition": "speed range over which Coulomb friction changes sign",
     "offset": "constant load",
-    "gravity_sin": "weight, by the sine of the angle",
-    "gravity_cos": "weight, by the cosine of the angle",
+    "gravity_sin": "weight, sine of the angle",
+    "gravity_cos": "weight, cosine of the angle",
 }
 ONLINE = {
-    "present_sample": "carried by the online model, from the present sample",
-    "settings": "carried by the online model, in its settings",
-    "state": "carried by the online model, as a state from sample to sample",
-    "report": "carried by the online model, between the torque that acts and the one that is reported",
-    "no_online_form": "offline only: the online model does without it",
+    "present_sample": "in the online model, computed from the present sample",
+    "settings": "in the online model, in its settings",
+    "state": "in the online model, as a state kept from sample to sample",
+    "report": "in the online model, between the true and the reported torque",
+    "no_online_form": "offline only: the online model does not contain it",
 }
 PLANNED = (
-    "deltatwin plan-motion --robot FILE --diagnosis FOLDER --out motion.csv makes the run that separates the effects "
-    "that came into question here."
+    "deltatwin plan-motion --robot FILE --diagnosis FOLDER --out motion.csv plans the run that separates the candidate "
+    "effects."
 )
 MOST_TOLD = 6  # events
-MOST_NEAR = 3  # candidates told where none is named
+MOST_NEAR = 3  # candidates listed where none is named
 HARDLY = 0.1  # shrink below which there was hardly a gap
-WORSE = 1.05  # gap on data left out, after over before, from which the correction is said to do harm
+WORSE = 1.05  # gap on held-out data, after over before, from which the correction is said to do harm
 Z95 = 1.96
 LEAST_CONCENTRATED = 0.2  # of the gap in one regime
 
@@ -187,7 +190,7 @@ def answer(document: Diagnosis) -> Answer:
         Cause(
             _placed(effect.name, effect.joints).capitalize(),
             effect.title,
-            f"{percent(effect.probability)} probable, by bootstrap over blocks of the data.{_confusable(effect)}",
+            f"Probability {percent(effect.probability)}, by bootstrap over blocks of the data.{_confusable(effect)}",
             how_much(effect),
             effect.means,
         )
@@ -277,7 +280,7 @@ def unasked(document: Diagnosis) -> list[str]:
 def _why_it_grows(document: Diagnosis) -> str:
     """The gap on data left out."""
     if document.effects and BESIDE & {one.code for one in document.cannot_tell}:
-        return "most of it is not in the catalogue; given that, the named effects shrink it"
+        return "most of it is not in the catalogue; given the unmodelled part, the named effects shrink it"
     return "the fit to the other runs does not generalise"
 
 
@@ -294,9 +297,9 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
         gap, apart = document.gap.model_dump(include=set(Shrunk.model_fields)), ""
         if document.gap.slow_runs:
             gap |= {"before_nm": document.gap.work_before_nm, "after_nm": document.gap.work_after_nm}
-            apart = f", slow sweeps apart ({', '.join(document.gap.slow_runs)})"
+            apart = f", without slow sweeps ({', '.join(document.gap.slow_runs)})"
         shrunk = Shrunk.model_validate(gap)
-        line = f"On held-out {left_out} ({HELD_OUT}){apart}, the gap goes {_goes(shrunk, document.gap.unit)}"
+        line = f"On held-out {left_out} ({HELD_OUT}){apart} the gap goes {_goes(shrunk, document.gap.unit)}"
         grows = _rms(shrunk.after_nm) > _rms(shrunk.before_nm)
         effects.append(line + (f": {_why_it_grows(document)}." if grows else "."))
     if not document.effects and document.verdict == "unexplained":
@@ -304,7 +307,7 @@ def paragraphs(document: Diagnosis, figures: bool = True) -> list[list[str]]:
     tests = [line for test in document.tests for line in _unseen(test, document.gap.unit)]
     remaining = _remaining(document) if document.verdict in ("unexplained", "partly_explained") else []
     advice = [caution(one) for one in document.cannot_tell if caution(one) not in verdict] + _settling(document)
-    given = [f"{name.replace('_', ' ')} is in the description already." for name in document.given]
+    given = [f"The description already contains {name.replace('_', ' ')}." for name in document.given]
     online = _online(document) if figures else []
     groups = [verdict, _joints(document), effects, _moved(document), tests, online, remaining, advice + given]
     return [group for group in groups if group]
@@ -340,7 +343,7 @@ def _joints(document: Diagnosis) -> list[str]:
         joint = entry.joint
         before, floor = gap.before_nm[joint - 1], gap.noise_floor_nm[joint - 1]
         if not entry.rows or not floor:
-            lines.append(f"Joint {joint} hardly moves: nothing is said about it.")
+            lines.append(f"Joint {joint} hardly moves: no statement about it is possible.")
             continue
         line = f"Joint {joint}: {significant(before)} {gap.unit} between model and robot, "
         line += f"{before / floor:.1f} times the noise."
@@ -362,7 +365,7 @@ def _nearest(document: Diagnosis) -> list[str]:
     if not near:
         return []
     told = ", ".join(f"{_placed(one.name, one.joints)} ({percent(one.shrink)})" for one in near)
-    return [f"Nearest of the catalogue, with how far each shrinks the gap on held-out data: {told}."]
+    return [f"Nearest effects of the catalogue, with the shrink of the gap on held-out data: {told}."]
 
 
 def _placed(name: str, joints: list[int]) -> str:
@@ -398,14 +401,14 @@ def _rms(values: list[float]) -> float:
 
 def _concentrated(regime: Regime) -> str:
     if regime.share < LEAST_CONCENTRATED:
-        return "It is spread over all of the motion."
-    return f"{percent(regime.share)} of it: {regime.regime} ({percent(regime.of_time)} of the time)."
+        return "It is spread over the whole motion."
+    return f"{percent(regime.share)} of it occurs here: {regime.regime} ({percent(regime.of_time)} of the time)."
 
 
 def _effect(effect: NamedEffect, document: Diagnosis, figures: bool) -> str:
-    line = f"Most likely {_placed(effect.name, effect.joints)} ({percent(effect.probability)})"
+    line = f"Most likely cause: {_placed(effect.name, effect.joints)} (probability {percent(effect.probability)})"
     line += f": {'; '.join(_figures(effect))}." if figures else "."
-    line += f" It makes up {share_of_gap(effect, document)} of the gap above the noise."
+    line += f" It explains {share_of_gap(effect, document)} of the gap above the noise."
     return line + _confusable(effect)
 
 
@@ -430,9 +433,11 @@ def _value(estimate: Estimate) -> str:
 
 
 def _unseen(test: Unseen, unit: str) -> list[str]:
-    lines = [f"On {test.trace}, held out of everything, the gap goes {_goes(test.whole, unit)}."]
+    lines = [f"On the test log {test.trace}, used for nothing else, the gap goes {_goes(test.whole, unit)}."]
     if test.outside is not None:
-        lines[0] += f" Outside events ({percent(test.outside_share)} of the motion): {_goes(test.outside, unit)}."
+        lines[0] += (
+            f" Outside the events ({percent(test.outside_share)} of the motion) it goes {_goes(test.outside, unit)}."
+        )
         lines.append(_bursts(sorted(test.bursts, key=lambda burst: -burst.over_noise), test.rhythm_s))
     if test.simulated is not None:
         lines.append(_forward(test.simulated))
@@ -446,8 +451,8 @@ def _forward(found: Simulated) -> str:
     )
     without = f" without {', '.join(name.replace('_', ' ') for name in found.left_out)}" if found.left_out else ""
     return (
-        f"In the simulator{without}, under the recorded torque the platform's error after {found.horizon_s:.2g} s goes "
-        f"from {before} to {after}; noise alone gives {floor}."
+        f"In the simulator{without}, driven by the recorded torque, the platform's error after {found.horizon_s:.2g} s "
+        f"goes from {before} to {after}; noise alone gives {floor}."
     )
 
 
@@ -460,11 +465,11 @@ def _goes(shrunk: Shrunk, unit: str) -> str:
 
 
 def _bursts(events: list[Burst], rhythm: float | None) -> str:
-    many = "1 stretch stands out" if len(events) == 1 else f"{len(events)} stretches stand out"
+    many = "1 stretch is" if len(events) == 1 else f"{len(events)} stretches are"
     beat = f", most of them every {rhythm:.3g} s" if rhythm is not None else ""
     times = ", ".join(f"{e.run} {e.from_s:.2f} to {e.to_s:.2f} s" for e in events[:MOST_TOLD])
     more = ", ..." if len(events) > MOST_TOLD else ""
-    return f"{many} far above the rest, as events do{beat}; strongest first: {times}{more}."
+    return f"{many} far above the rest of the residual (events){beat}; strongest first: {times}{more}."
 
 
 def _remaining(document: Diagnosis) -> list[str]:
@@ -484,5 +489,7 @@ def _remaining(document: Diagnosis) -> list[str]:
         lines.append(_bursts(document.where.bursts, document.where.bursts_rhythm_s))
     if document.where.worst_runs:
         worst = document.where.worst_runs[0]
-        lines.append(f"It is worst in {worst.run} ({worst.after_over_noise:.1f} times the noise): look there first.")
+        lines.append(
+            f"The residual is largest in {worst.run} ({worst.after_over_noise:.1f} times the noise): look there first."
+        )
     return lines

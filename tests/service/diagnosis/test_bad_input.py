@@ -70,7 +70,7 @@ def test_a_single_joint_moving(write: Write, diagnosed) -> None:
     assert found["effects"] == []
     assert "Joints 1 and 3 hardly move:" in text
     assert "Record runs in which all joints move" in text
-    assert "Joint 1 hardly moves: nothing is said about it." in text
+    assert "Joint 1 hardly moves: no statement about it is possible." in text
 
 
 def test_two_robots_mixed(write: Write, diagnosed) -> None:
@@ -115,7 +115,7 @@ def test_a_log_already_corrected(write: Write, diagnosed, tmp_path: Path) -> Non
         again, text = diagnosed(*logs, **options, out=tmp_path / "again")
         assert again["effects"] == []
         assert again["verdict"] == "within_noise"
-        assert "stribeck friction is in the description already" in text
+        assert "The description already contains stribeck friction." in text
         assert again["gap"]["shrink"] == pytest.approx(0.0, abs=0.05)
 
     identified = tmp_path / "identified.toml"

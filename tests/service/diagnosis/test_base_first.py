@@ -99,7 +99,7 @@ def test_friction_that_levels_off_is_no_stribeck_friction():
     found = told(axes(), more(lambda v: 2.0 * np.arctan(v / 0.08)), ("stribeck_friction",))
     assert found.effects == []
     assert ("does_not_fall", [2]) in [(one.code, one.joints) for one in found.cannot_tell]
-    assert "would not fall as the speed grows" in " ".join(sentences(found))
+    assert "the fitted friction does not fall as the speed grows" in " ".join(sentences(found))
     falls = told(axes(), more(lambda v: direction(v) * np.exp(-((v / 0.2) ** 2))), ("stribeck_friction",))
     assert [(effect.name, effect.joints) for effect in falls.effects] == [("stribeck_friction", [2])]
 
@@ -109,7 +109,7 @@ def test_friction_over_a_part_of_a_turn_is_no_tight_spot_where_a_weight_may_caus
     found = told(axes(), runs, ("position_dependent_friction",))
     assert found.effects == []
     assert ("by_weight", [2]) in [(one.code, one.joints) for one in found.cannot_tell]
-    assert "friction which grows with the weight looks like it" in " ".join(sentences(found))
+    assert "friction which grows with the weight looks the same" in " ".join(sentences(found))
 
 
 def test_a_tight_spot_at_one_end_of_the_travel_is_no_doing_of_the_weight():
@@ -154,7 +154,7 @@ def test_torque_that_answers_the_position_error_is_a_closed_loop():
     loops = [one for one in found.cannot_tell if one.code == "closed_loop"]
     assert [one.joints for one in loops] == [[1], [2]]
     assert [one.gain for one in loops] == pytest.approx([40.0, 40.0], rel=0.01)
-    assert "cannot be known" in " ".join(sentences(found))
+    assert "was not measured" in " ".join(sentences(found))
 
 
 def test_torque_that_the_base_model_tells_better_than_the_position_error_was_measured():

@@ -50,13 +50,13 @@ def test_the_box_says_what_where_how_much_and_what_to_do(findings):
     assert said.causes[0].title == "More friction at low speed (sticking)"
     assert said.causes[0].how_much[0].startswith("breakaway friction above the Coulomb level, joint 1 = ")
     assert said.causes[0].how_much[0].endswith(" N m")
-    assert said.causes[0].surety == "100 % probable, by bootstrap over blocks of the data."
+    assert said.causes[0].surety == "Probability 100 %, by bootstrap over blocks of the data."
     assert said.check == []
     first, *others = found.effects
     open_ = first.model_copy(update={"probability": 0.8, "confusable_with": ["backlash"]})
     said_open = answer(found.model_copy(update={"effects": [open_, *others]}))
     assert said_open.causes[0].surety == (
-        "80 % probable, by bootstrap over blocks of the data. The data cannot separate it from backlash."
+        "Probability 80 %, by bootstrap over blocks of the data. The data cannot separate it from backlash."
     )
     assert said_open.check == ["To be sure, record a slow sweep with reversals, 0.005 to 1 rad/s.", PLANNED]
     assert "relubricate" in said.causes[0].means
@@ -73,7 +73,7 @@ def test_the_box_says_what_where_how_much_and_what_to_do(findings):
 def test_a_page_says_the_figures_in_its_box_and_not_again_below(findings):
     found = document.document(findings)
     terminal, page = ([line for group in paragraphs(found, figures) for line in group] for figures in (True, False))
-    start = "Most likely stribeck friction in joints 1, 2 and 3 ("
+    start = "Most likely cause: stribeck friction in joints 1, 2 and 3 (probability "
     (said,), (below,) = ([line for line in lines if line.startswith(start)] for lines in (terminal, page))
     assert "breakaway friction above the Coulomb level, joint 1 = " in said
     assert "breakaway" not in below

@@ -188,19 +188,21 @@ def trial(after: OnlineFigures, held_out: bool = False, changes: int = 10) -> On
 def test_it_says_plainly_what_is_worse_and_what_to_do_then() -> None:
     good, bad = sentences_of(trial(figures(right=9))), sentences_of(trial(figures(right=1), held_out=True))
     assert good == [
-        "With the corrected description the estimator does better: it has the mass right 150 ms after 9 of 10 changes "
+        "The estimator works better with the corrected description: it has the mass right 150 ms after 9 of 10 changes "
         "of the load (identified: 5), trusts it 50 % of the time (50 %), reports 1 false events (1), and its "
-        "feed-forward is off by 10 times the noise (10).",
-        "Tried on loads simulated along fit_a, which the fit has seen.",
+        "feed-forward is off by 10 times the noise (identified: 10).",
+        "Tried on loads simulated along fit_a, which were also used for the fit.",
     ]
-    assert bad[0].startswith("With the corrected description the estimator does worse than with the identified one: it")
+    assert bad[0].startswith(
+        "The estimator works worse with the corrected description than with the identified one: it"
+    )
     assert bad[1:] == ["Tried on loads simulated along fit_a, held out of the fit.", KEEP]
     soft = sentences_of(trial(figures(right=0), changes=0))
-    assert "feeds forward a torque that is off by" in soft[0]
+    assert "gives a feed-forward torque that is off by" in soft[0]
     assert "cannot be simulated on a log. Give logs with known loads (--loaded)." in soft[1]
     silent = sentences_of(OnlineTrial(reason="not_carried", left_out=["joint_elasticity"]))
     assert silent == [
-        "What the correction is worth online is not said: the online model does not carry joint elasticity.", KEEP,
+        "The correction was not tried in the estimator: the online model does not contain joint elasticity.", KEEP,
     ]  # fmt: skip
     (unasked,) = sentences_of(OnlineTrial(reason="no_rest"))
     assert "no log has two rests" in unasked
@@ -254,7 +256,7 @@ def test_diagnose_says_what_its_correction_is_worth(tmp_path: Path) -> None:
     rows = "".join(f"{pick.begin},{min(pick.end, 99)},{pick.mass}\n" for pick in picks)
     (tmp_path / "loads.csv").write_text("from_s,until_s,mass_kg\n" + rows, encoding="utf-8")
     refused = CliRunner().invoke(app, [*command, "--loaded", str(tmp_path / "carrying.csv")])
-    assert "--loads: 0 files for 1 logs (--loaded); give one a log" in str(refused.exception)
+    assert "--loads: 0 files for 1 logs (--loaded); give one per log" in str(refused.exception)
     for more, traces, held_out in (
         ([], ["log_1"], False),
         (["--loaded", str(tmp_path / "carrying.csv"), "--loads", str(tmp_path / "loads.csv")], ["carrying"], True),

@@ -37,24 +37,22 @@ def document(**changed: Any) -> Diagnosis:
 def test_a_named_effect_is_told_in_one_line() -> None:
     (line, gap), *_ = text.paragraphs(document())[2:]
     assert line == (
-        "Most likely cogging in joint 2 (80 %): amplitude of a ripple = 5.0 ± 0.7 N m. It makes up 64 % of the gap "
-        "above the noise. The data cannot separate it from backlash or torque scale."
+        "Most likely cause: cogging in joint 2 (probability 80 %): amplitude of a ripple = 5.0 ± 0.7 N m. It explains "
+        "64 % of the gap above the noise. The data cannot separate it from backlash or torque scale."
     )
     # rms of 3 and 1, of 1.5 and 1
-    assert gap == (
-        f"On held-out runs ({text.HELD_OUT}), the gap goes from 2.24 to 1.27 N m, a shrink of 43 % [40, 46]."
-    )
+    assert gap == (f"On held-out runs ({text.HELD_OUT}) the gap goes from 2.24 to 1.27 N m, a shrink of 43 % [40, 46].")
     two = document(traces=["a", "b"], gap=document().gap.model_dump() | {"after_nm": [4.0, 1.0]})
     assert text.paragraphs(two)[2][1].startswith(
-        "On held-out stretches (fitted and chosen without them, among effects that a search"
+        "On held-out stretches (not used to fit or to choose; the candidates come from a search"
     )
     assert text.paragraphs(two)[2][1].endswith("does not generalise.")
     aside = two.model_copy(update={"cannot_tell": [Caution(code="by_place", advice="look_there")]})
-    assert text.paragraphs(aside)[2][1].endswith("not in the catalogue; given that, the named effects shrink it.")
+    assert text.paragraphs(aside)[2][1].endswith("given the unmodelled part, the named effects shrink it.")
     work = {"slow_runs": ["b", "c"], "work_before_nm": [4.0, 0.0], "work_after_nm": [2.0, 0.0]}
     line = text.paragraphs(document(gap=document().gap.model_dump() | work))[2][1]
     assert (
-        f"On held-out runs ({text.HELD_OUT}), slow sweeps apart (b, c), the gap goes from 2.83 to 1.41 N m, a shrink "
+        f"On held-out runs ({text.HELD_OUT}), without slow sweeps (b, c) the gap goes from 2.83 to 1.41 N m, a shrink "
         "of 43 % [40, 46]." in line
     )
     for after, said in ((3.1, False), (3.3, True)):  # of 3 N m: 3 % more, 9 % more
@@ -110,7 +108,8 @@ def test_digits_are_those_that_the_interval_leaves(value: float, half: float, to
 
 def test_each_joint_is_told_against_its_noise() -> None:
     assert text.paragraphs(document())[1] == [
-        "Joint 1: 3 N m between model and robot, 3.0 times the noise. 60 % of it: load above 3 N m (33 % of the time).",
+        "Joint 1: 3 N m between model and robot, 3.0 times the noise. 60 % of it occurs here: load above 3 N m (33 % "
+        "of the time).",
         "Joint 2: 1 N m between model and robot, 1.1 times the noise.",
     ]
     still = document().where.model_dump()
@@ -118,8 +117,8 @@ def test_each_joint_is_told_against_its_noise() -> None:
     still["joints"][0]["before"] = [REGIMES[0] | {"share": 0.19}]
     still["joints"].reverse()
     lines = text.paragraphs(document(where=still))[1]
-    assert lines[0] == "Joint 2 hardly moves: nothing is said about it."
-    assert lines[1].endswith("It is spread over all of the motion.")
+    assert lines[0] == "Joint 2 hardly moves: no statement about it is possible."
+    assert lines[1].endswith("It is spread over the whole motion.")
 
 
 def test_what_remains_is_told_where_it_lies() -> None:
@@ -128,13 +127,13 @@ def test_what_remains_is_told_where_it_lies() -> None:
     follows = [{"joint": 1, "what": "motion", "other": 2, "share": 0.3},
                {"joint": 2, "what": "position_error", "other": None, "share": 0.2}]  # fmt: skip
     assert text.paragraphs(document(where=where, follows=follows))[3] == [
-        "Unexplained in joint 1: 1.5 times the noise. 60 % of it: load above 3 N m (33 % of the time). 70 % of it lies "
-        "at 3 to 10 Hz.",
+        "Unexplained in joint 1: 1.5 times the noise. 60 % of it occurs here: load above 3 N m (33 % of the time). "
+        "70 % of it lies at 3 to 10 Hz.",
         "30 % of the residual in joint 1 follows the motion of joint 2.",
         "20 % of the residual in joint 2 follows the position error.",
-        "7 stretches stand out far above the rest, as events do, most of them every 0.8 s; strongest first: "
+        "7 stretches are far above the rest of the residual (events), most of them every 0.8 s; strongest first: "
         + ", ".join(["b 1.25 to 1.50 s"] * 6) + ", ....",
-        "It is worst in b (1.5 times the noise): look there first.",
+        "The residual is largest in b (1.5 times the noise): look there first.",
     ]  # fmt: skip
 
 
@@ -144,7 +143,7 @@ def test_what_came_nearest_is_told_where_nothing_is_named() -> None:
                                            ("backlash", [3], 0.04), ("hose_spring", [], 0.01))]  # fmt: skip
     found = text.sentences(document(effects=[], verdict="unexplained", ranking=ranked))
     assert (
-        "Nearest of the catalogue, with how far each shrinks the gap on held-out data: cogging (5 %), backlash in "
+        "Nearest effects of the catalogue, with the shrink of the gap on held-out data: cogging (5 %), backlash in "
         "joint 3 (4 %), arm mass in joint 1 (2 %)."
     ) in found
     assert text.VERDICTS["unexplained"] in found
@@ -157,11 +156,13 @@ def test_what_came_nearest_is_told_where_nothing_is_named() -> None:
 
 def test_what_cannot_be_told_names_joints_and_what_to_do() -> None:
     found = text.caution(Caution(code="other_joints", joints=[2, 3], share=0.41, advice="check_base"))
-    assert found.startswith("The base model is wrong first: 41 % of the gap in joint 2 follows the motion of joint 3,")
+    assert found.startswith(
+        "The base model has to be corrected first: 41 % of the gap in joint 2 follows the motion of joint 3,"
+    )
     assert found.endswith(text.ADVICE["check_base"])
     limit = Caution(code="at_limit", joints=[1], effect="joint_spring", quantity="rest_angle", advice="check_base")
     assert text.caution(limit).startswith(
-        "The nearest effect is joint spring in joint 1, but with rest angle at the limit"
+        "The nearest effect is joint spring in joint 1, but its rest angle is at the limit"
     )
 
 
@@ -170,14 +171,14 @@ def test_there_are_words_for_all_that_cannot_be_told_and_for_every_advice() -> N
     assert set(text.ADVICE) == set(get_args(Advice))
     beside = document(cannot_tell=[Caution(code="by_place", advice="look_there")])
     assert (
-        "Something that is not in the catalogue pulls at the platform wherever it is; the named effects were found "
-        "given any torque that depends on the platform's place. Springs, offsets and weights cannot be separated. "
-        "Look where and when the residual is largest, see below."
+        "An unmodelled disturbance pulls at the platform everywhere. The named effects were found given any torque "
+        "that depends on the platform's position: springs, offsets and weights cannot be separated from it. See below "
+        "where and when the residual is largest."
     ) in text.sentences(beside)
     belt = text.caution(Caution(code="comes_again", pitch_m=0.0643, advice="look_there"))
-    assert "pulls at the platform again every 64 mm of its way" in belt
+    assert "pulls at the platform every 64 mm of its path" in belt
     held = text.caution(Caution(code="torque_held", held_s=0.004, advice="log_quicker"))
-    assert held.startswith("The torque is updated every 4 ms only and repeated in between")
+    assert held.startswith("The torque is updated only every 4 ms and repeated in between")
 
 
 def test_a_gap_hardly_above_the_noise_is_called_that() -> None:
@@ -199,25 +200,29 @@ def test_logs_kept_out_the_baseline_and_the_simulator_are_told() -> None:
     moved = {"rho_1": {"before": 1.0, "before_error": 0.0, "after": 1.25, "after_error": 0.05, "unit": ""}}
     lines = text.sentences(document(tests=[test], moved=moved, given=["tool_mass"]))
     gap = "from 2 to 1 N m, a shrink of 50 % [40, 60]."
-    assert f"On t, held out of everything, the gap goes {gap} Outside events (80 % of the motion): {gap}" in lines
     assert (
-        "2 stretches stand out far above the rest, as events do; strongest first: t 0.50 to 2.00 s, t 1.00 to 2.00 s."
+        f"On the test log t, used for nothing else, the gap goes {gap} Outside the events (80 % of the motion) it goes "
+        f"{gap}"
     ) in lines
-    assert "ρ1, on the inertia: 1 -> 1.25 ± 0.098" in lines
-    assert lines[-1] == "tool mass is in the description already."
     assert (
-        "In the simulator without torque delay, under the recorded torque the platform's error after 0.5 s goes from "
-        "beyond the workspace to 2.5 mm; noise alone gives 0.5 mm."
+        "2 stretches are far above the rest of the residual (events); strongest first: t 0.50 to 2.00 s, t 1.00 to "
+        "2.00 s."
+    ) in lines
+    assert "ρ1, factor on the inertia: 1 -> 1.25 ± 0.098" in lines
+    assert lines[-1] == "The description already contains tool mass."
+    assert (
+        "In the simulator without torque delay, driven by the recorded torque, the platform's error after 0.5 s goes "
+        "from beyond the workspace to 2.5 mm; noise alone gives 0.5 mm."
     ) in lines
 
 
 @pytest.mark.parametrize(
     ("key", "said"),
     [
-        ("rho_2", "ρ2, on gravity"),
+        ("rho_2", "ρ2, factor on gravity"),
         ("f_v_2", "viscous friction, joint 2"),
         ("f_c_motor_6", "Coulomb friction, motor 6"),
-        ("gravity_sin_1", "weight, by the sine of the angle, joint 1"),
+        ("gravity_sin_1", "weight, sine of the angle, joint 1"),
         ("rotor_4", "rotor 4"),
     ],
 )

@@ -191,13 +191,13 @@ class TestVerdict:
         ("error", "late", "answer", "step"),
         [
             (5e-4, 0, "With the correction the platform follows 2 times as well as with the rigid model.",
-             "`deltatwin estimate --robot out/corrected.toml` feeds this forward."),
+             "`deltatwin estimate --robot out/corrected.toml` gives this feed-forward."),
             (2e-3, 0, "With the correction the platform follows worse than with the rigid model: 2 times the error.",
-             "keep `deltatwin estimate --robot out/identified.toml`: the correction does harm here."),
-            (1e-3, 0, "With the correction the platform follows as well as with the rigid model: no difference that "
-             "this run can show.", "a longer --duration narrows the interval."),
-            (5e-4, 700, "These figures do not count: the computer was too slow.",
-             "Stop what else runs on this computer, or take a lower --rate, and run it again."),
+             "keep `deltatwin estimate --robot out/identified.toml`: the correction makes the tracking worse here."),
+            (1e-3, 0, "With the correction the platform follows as well as with the rigid model: this run shows no "
+             "difference.", "a longer --duration narrows the interval."),
+            (5e-4, 700, "These results are not valid: the computer was too slow.",
+             "Stop other programs on this computer, or give a lower --rate, and run it again."),
         ],
     )  # fmt: skip
     def test_it_says_what_the_correction_is_worth_and_what_to_do(

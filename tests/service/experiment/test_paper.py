@@ -138,7 +138,7 @@ def test_report_holds_tables_and_figures_in_the_papers_order(found: PaperResult,
     assert (seen["errors"], seen["over"]) == ([], [])
     text = (tmp_path / "experiment.html").read_text(encoding="utf-8")
     assert "Every measurement here is simulated" in text
-    assert "Chosen to resemble the published figures" in text
+    assert "chosen to resemble the published values" in text
     assert text.count('class="plot-data"') >= 10
     shaded = sum(str(plot).count("'fillcolor': '#999999'") for plot in plots_of(text))
     assert shaded == len(found.scores) * (3 + 2 + 2), "figures 7 and 8 and ours are shaded"

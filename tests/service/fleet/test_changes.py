@@ -65,7 +65,7 @@ def test_a_gap_that_has_risen_without_a_cause_is_told() -> None:
     days = [day(1), day(2, gap_nm=1.9), day(3, gap_nm=25.0, **lame), day(4, gap_nm=25.0), day(5, gap_nm=30.0, **lame)]
     (change,) = changes(days)
     assert change.kind == "risen"
-    assert change.title == "the gap to what it was has risen, the cause is unknown"
+    assert change.title == "the gap to the reference day has risen, the cause is unknown"
     assert told([change]) == [("", [], "day 3", "day 2", "day 5", False, 3, 3)]
     assert change.now == ["30 times that of day 1, 30 → 0.1 N m (300 % of the torque)"]
     assert [one.kind for one in changes([day(1), day(2, effect("backlash", 1), gap_nm=25.0)])] == ["effect"]

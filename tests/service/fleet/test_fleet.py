@@ -151,7 +151,9 @@ def test_a_robot_that_cannot_be_identified_is_told(logs: Path, tmp_path: Path) -
     (bad / "2026-01-30.csv").write_text("")
     result = fleet_of(tmp_path, logs / "bench.toml")
     told = {robot.robot: robot for robot in result.robots}
-    assert "could be identified on no day; 2026-01-30: none of its 1 logs can be read; " in (told["bad"].error or "")
+    assert "could not be identified on any day; 2026-01-30: none of its 1 logs can be read; " in (
+        told["bad"].error or ""
+    )
     assert "2026-01-30.csv: empty file" in (told["bad"].error or "")
     assert [day.verdict for day in told["good"].days] == ["within_noise"]
 

@@ -46,5 +46,5 @@ def test_the_headline_follows_the_figures(tmp_path: Path) -> None:
     write_page(Fleet(schema="deltatwin.fleet/1", made=made, robots=robots), tmp_path / "fleet.html")
     text = (tmp_path / "fleet.html").read_text(encoding="utf-8")
     assert "Nothing has changed" not in text
-    assert "cell: the gap to what it was has risen, the cause is unknown" in text
+    assert "cell: the gap to the reference day has risen, the cause is unknown" in text
     assert "Since 2026-01-31" in text

@@ -51,7 +51,7 @@ def test_a_right_description_explains_its_logs_and_a_wrong_geometry_does_not(
         for said, verdict in (of_fit(found.fit), of_evaluation(found.robot, [evaluate(found.robot, other)])):
             assert verdict is explained, said
             assert ("it explains them." in said) is explained
-            assert ("it does not explain them. A wrong geometry" in said) is not explained
+            assert ("it does not explain them. Possible causes: a wrong geometry" in said) is not explained
             assert max(ratios(said)) < 1.25 if explained else max(ratios(said)) > 4
 
 
@@ -64,7 +64,7 @@ def test_the_ratio_is_of_noise_in_the_band(robot: Robot, logs: list[Trace], reco
         noise = np.sqrt(times**2 - 1) * 0.3 * rng.standard_normal(log.torque.shape)
         said, _ = of_evaluation(found.robot, [evaluate(found.robot, replace(log, torque=log.torque + noise))])
         assert ratios(said) == pytest.approx([times] * 3, rel=0.2), said
-        assert ("times what it left of the logs it was identified on" in said) is (times > 2)
+        assert ("times its residual on the logs it was identified on" in said) is (times > 2)
 
 
 def test_a_robot_that_was_never_identified_is_told_so(robot: Robot, logs: list[Trace]) -> None:

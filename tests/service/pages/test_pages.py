@@ -101,9 +101,9 @@ def rollout(path: Path) -> None:
     )  # fmt: skip
     write_rollout(document, path)
     text = path.read_text(encoding="utf-8")
-    assert "under the recorded position commands alone" in text
+    assert "driven by the recorded position commands alone" in text
     assert "<td>1, 2, 3</td>" in text
-    assert "In 1 of 60 windows 1.2 kg are attached to every simulated robot" in text
+    assert "In 1 of 60 windows every simulated robot carries 1.2 kg" in text
     assert "corrected leaves 4, -, 1 times as much torque unexplained" in text
 
 

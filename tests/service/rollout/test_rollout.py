@@ -149,10 +149,10 @@ def test_a_log_of_another_robot_is_told(tmp_path: Path) -> None:
     heavier = ROBOT.mass.model_copy(update={"active_link": 1.2 * ROBOT.mass.active_link})
     words = said(identified().model_copy(update={"mass": heavier}), known=known)[0]
     assert words.startswith("known leaves ")
-    assert "these are of another robot, in another unit, or it has changed since. In the simulator" in words
+    assert "in another unit, or the robot has changed since. In the simulator" in words
     words, none = said(identified(), known=identified())
     assert none == []
-    assert "known was not identified on logs: whether these are of it is unknown." in words
+    assert "known was not identified on logs: these logs may be of another robot." in words
 
 
 def test_what_figures_do_not_say_of_a_robot_is_told(tmp_path: Path) -> None:

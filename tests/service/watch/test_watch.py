@@ -269,7 +269,7 @@ def test_a_reference_whose_torque_is_turned_round_is_told(sign: int) -> None:
     run, one = motion(20.0), Watch(described)
     one.learn(log(run, sign * run.torque), PAYLOAD.empty(0))
     one.settle()
-    assert ("times what the description left" in beyond_description(one)) == (sign < 0)
+    assert ("times the residual of the description" in beyond_description(one)) == (sign < 0)
 
 
 def test_stamps_of_another_clock_and_a_clock_that_begins_anew() -> None:
