@@ -64,7 +64,7 @@ SLOW = (
     "tests/service/pages/test_pages.py::test_a_page_is_printed_where_there_is_a_browser",
     "tests/service/test_ethercat_demo.py::test_every_claim_holds",
     "tests/service/test_ethercat_demo.py::test_a_cycle_that_differs", "tests/service/test_hostile.py",
-    "tests/test_wheel.py",
+    "tests/test_second_plant.py", "tests/test_wheel.py",
 )  # fmt: skip
 
 
