@@ -132,8 +132,8 @@ def test_a_delayed_report_is_the_torque_of_before() -> None:
     world = drawn(np.random.default_rng(2))
     asked = np.cumsum(np.ones((100, 3)), axis=0)
     late = reported(asked, world.report._replace(delay=2.5 * CYCLE_S, offset=np.array([1.0, 0.0, 0.0])))
-    np.testing.assert_allclose((asked - late)[10:, 1], 2.5)
-    np.testing.assert_allclose((asked - late)[10:, 0], 1.5)
+    np.testing.assert_allclose((asked - late)[10:, 1], 3.0)  # 2.5 cycles, and half a cycle's mean
+    np.testing.assert_allclose((asked - late)[10:, 0], 2.0)
 
 
 def test_a_case_is_logs_that_we_read_a_description_and_the_truth(tmp_path: Path) -> None:

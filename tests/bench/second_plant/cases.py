@@ -9,7 +9,7 @@ A family and a seed say all; the same seed gives the same files.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,8 @@ FAMILIES = (
     "none", "single", "pair", "three", "disturbed", "description", "production", "scope", "gap_free", "outside",
 )  # fmt: skip
 BAND_HZ = 40.0  # in which gaps are compared
+FINE_HZ = 2000.0  # at which it is computed how far a gap stands out
+SMOOTH_HZ = 120.0  # below which the motion is taken for that
 MOST_RADPS2 = 220.0  # of the joints, in the paths
 SLOWEST_RADPS = 0.02  # below, a joint counts as resting
 SEVERAL = {"pair": 2, "three": 3, "disturbed": 2, "none": 0, "gap_free": 0, "outside": 0}  # effects; else one
@@ -154,16 +156,18 @@ def as_controller(case: Case) -> Plant:
     )
 
 
-def lift(case: Case, logs: list[Log]) -> float:
+def lift(case: Case, runs: list[Run]) -> float:
     """How far the gap that the best base model leaves stands above the noise, rms over rms below `BAND_HZ`.
 
-    The base model (two factors on the rigid body, forearms as rods, friction a joint) is fitted to the logs without
-    noise, by least squares.
+    The base model (two factors on the rigid body, forearms as rods, friction a joint) is fitted by least squares to
+    what the drives said, without noise and sampled finely.
     """
+    fine = replace(case.recorder, rate_hz=FINE_HZ)
+    logs = [clean(fine, case.world.report, one.begin, one.angle, one.asked) for one in runs]
     described = as_described(case.world.description)._replace(coulomb=np.ones(3), viscous=np.ones(3), rotor=np.zeros(3))
     rows, right = [], []
     for log in logs:
-        block, torque, moving = _columns(described, log, case.recorder.rate_hz)
+        block, torque, moving = _columns(described, log, FINE_HZ)
         keep = np.abs(moving.rate) > SLOWEST_RADPS
         keep[: len(keep) // 40] = keep[-(len(keep) // 40) :] = False
         rows.append(block[keep])
@@ -187,7 +191,7 @@ def noise_in_band(recorder: Recorder) -> float:
 
 def _columns(plant: Plant, log: Log, rate_hz: float) -> tuple[np.ndarray, np.ndarray, Moving]:
     """Base regressors (n, 3, 9) and torque (n, 3) of a log, both below `BAND_HZ`, and its motion."""
-    smooth = butter(4, min(100.0, 0.4 * rate_hz), fs=rate_hz, output="sos")
+    smooth = butter(4, SMOOTH_HZ, fs=rate_hz, output="sos")
     band = butter(4, BAND_HZ, fs=rate_hz, output="sos")
     moving = along(plant, placed(plant, sosfiltfilt(smooth, log.angle, axis=0)), 1 / rate_hz)
     with_rods = parts(plant, moving)
@@ -231,16 +235,15 @@ def make(family: str, seed: int, folder: Path) -> dict[str, Any]:
     """
     case = draw(family, seed)
     rng = np.random.default_rng([FAMILIES.index(family), seed, 2])
-    pure = []
-    for each in moved(case):
+    runs = moved(case)
+    for each in runs:
         log = clean(case.recorder, case.world.report, each.begin, each.angle, each.asked)
-        pure.append(log)
         write(recorded(rng, case.recorder, log, each.reference, each.forward), folder / f"{each.name}.csv")
     (folder / "robot.toml").write_text(tomlkit.dumps({"name": "second", **case.world.description}))
     truth = {
         "family": family, "seed": seed, "effects": case.world.named, "disturbances": case.world.disturbed,
         "misdescribed": case.world.misdescribed, "work": case.work, "recorder": asdict(case.recorder),
-        "noise_in_band_nm": noise_in_band(case.recorder), "lift": lift(case, pure),
+        "noise_in_band_nm": noise_in_band(case.recorder), "lift": lift(case, runs),
     }  # fmt: skip
     (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
     return truth

@@ -69,8 +69,10 @@ def coloured(rng: np.random.Generator, recorder: Recorder, rows: int) -> np.ndar
 
 
 def reported(asked: np.ndarray, report: Report) -> np.ndarray:
-    """What the drives report of the torque (n, 3) asked of them each cycle."""
-    torque = asked + report.crossed * np.roll(asked, -1, axis=1)
+    """What the drives report of the torque (n, 3) asked of them each cycle, which they hold until the next: at the
+    instant of a cycle that of before and that from now on, half each."""
+    acting = (np.concatenate([asked[:1], asked[:-1]]) + asked) / 2
+    torque = acting + report.crossed * np.roll(acting, -1, axis=1)
     if report.filter_hz:
         keeps = np.exp(-2 * np.pi * report.filter_hz * CYCLE_S)
         start = keeps * torque[:1]
