@@ -79,7 +79,8 @@ SLOW = (
     "tests/service/test_ethercat_demo.py::test_every_claim_holds",
     "tests/service/test_ethercat_demo.py::test_a_cycle_that_differs", "tests/service/test_hostile.py",
     "tests/service/test_stopping.py::test_a_role_ends_well_whenever",
-    "tests/service/test_supervisor.py::test_what_is_left", "tests/service/watch/test_node.py", "tests/test_wheel.py",
+    "tests/service/test_supervisor.py::test_what_is_left", "tests/service/watch/test_node.py",
+    "tests/test_second_plant.py", "tests/test_wheel.py",
 )  # fmt: skip
 
 
