@@ -30,8 +30,11 @@ ON_THE_CLOCK = (
     "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[first-demo",
 )  # fmt: skip
 
-# What does another thing for root, beside `../shared` or with wireshark and a browser.
-BY_RIGHTS = ("tests/drivers/ethercat", "tests/service/cli", "tests/service/pages", "tests/test_")
+# What does another thing for root, or with wireshark and a browser. What skips without them is asked again anyway.
+BY_RIGHTS = (
+    *(f"tests/service/cli/test_{name}" for name in ("disk", "doctor", "first_day", "traces")),
+    "tests/service/pages", "tests/test_wheel.py",
+)  # fmt: skip
 
 # What takes most of the time, computing or waiting: `.ci/run` runs it, `uv run pytest` does without. Of all that moves
 # a robot (master, estimator, bounds, identification, diagnosis, commands) other tests are in the quick set.
