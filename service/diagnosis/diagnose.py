@@ -13,7 +13,15 @@ from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis.evidence import by_angle, statistics
 from service.diagnosis.evidence.aside import Quiet
-from service.diagnosis.evidence.cautions import base_doubts, degrees_doubted, doubts_of, faults_of, limits_of, noise_of
+from service.diagnosis.evidence.cautions import (
+    SearchScope,
+    base_doubts,
+    degrees_doubted,
+    doubts_of,
+    faults_of,
+    limits_of,
+    noise_of,
+)
 from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.evidence.follows import follows
 from service.diagnosis.evidence.unseen import kept_out
@@ -27,6 +35,7 @@ from service.identification import pooled
 from service.identification.fit import WITHIN_COLOURED, Problem, evaluate, fit
 from service.identification.folds import Split
 from service.identification.loops import loops_of, position_errors
+from service.identification.noise import Floor
 from service.identification.units import refuse_wrong_angles
 from service.model.description import hypothesis_of
 from service.model.effects.base import Effect
@@ -70,21 +79,14 @@ def diagnose(
     if not any(recording.segment.moving.any() for recording in recordings):
         raise DataError(f"{traces[0].path}: no joint moves")
     pooled.refuse_dead_torque(recordings)
-    progress("fitting the base model")
-    problem, floor = pooled.problem_of(recordings)
-    fitted = pooled.fit(problem, floor.sample, robot).fitted
-    split = Split.fair(problem, fitted)
-    plain = score(fitted, split)
-    refuse_wrong_angles(problem, ", ".join(trace.path.name for trace in traces), plain.fitted)
     given = _given(robot, baseline)
-    start = plain.hypothesis.carrying(given)
-    if given:
-        plain = score(fit(problem, start), split)
-    scope = limits_of(problem, loops_of(problem, position_errors(recordings, traces), plain.residuals))
-
-    regressors = Regressors(problem, split, effects if scope.enough else (), start)
-
-    selection = search(regressors, progress, scope.allows, more_orders)
+    searched = _searched(robot, traces, pooled.problem_of(recordings), effects, given, progress)
+    best = searched.selection.best.hypothesis
+    again = pooled.floor_in_band(searched.problem, searched.floor, best)
+    if not np.array_equal(again[1].band, searched.floor.band):
+        searched = _searched(robot, traces, again, effects, given, progress)
+    problem, floor, split, plain = searched.problem, searched.floor, searched.split, searched.plain
+    scope, regressors, selection = searched.scope, searched.regressors, searched.selection
     progress("checking on held-out data")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     coloured = bool((floor.coloured | floor.unknown).any())
@@ -134,6 +136,40 @@ def diagnose(
         robot, problem, split, plain, reference, selection, given, gap, after, floor.sample, reversal, errors, verdict,
         limit, [*noise_of(floor), *scope.cautions, *cautions], followed(selection.best), baseline,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """What a search starts from, and what it finds."""
+
+    problem: Problem
+    floor: Floor
+    split: Split
+    plain: Scored
+    scope: SearchScope
+    regressors: Regressors
+    selection: Selection
+
+
+def _searched(
+    robot: Description, traces: Sequence[Trace], noise: tuple[Problem, Floor], effects: Sequence[Effect],
+    given: tuple[Term, ...], progress: Callable[[str], None],
+) -> _Searched:  # fmt: skip
+    """The base model and the search beside it, in units of this noise."""
+    progress("fitting the base model")
+    problem, floor = noise
+    fitted = pooled.fit(problem, floor.sample, robot).fitted
+    split = Split.fair(problem, fitted)
+    plain = score(fitted, split)
+    refuse_wrong_angles(problem, ", ".join(trace.path.name for trace in traces), plain.fitted)
+    start = plain.hypothesis.carrying(given)
+    if given:
+        plain = score(fit(problem, start), split)
+    errors = position_errors(problem.recordings, traces)
+    scope = limits_of(problem, loops_of(problem, errors, plain.residuals))
+    regressors = Regressors(problem, split, effects if scope.enough else (), start)
+    selection = search(regressors, progress, scope.allows, more_orders)
+    return _Searched(problem, floor, split, plain, scope, regressors, selection)
 
 
 def _past_fault(

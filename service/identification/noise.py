@@ -12,6 +12,7 @@ from service.model.scene import Recording
 from service.model.signals import NOISE_HZ, Band
 
 WINDOW = 128  # samples
+RESOLVED = 16  # bins of the analysis band, in the windows in which noise is read inside it
 CLIP = 3.0  # standard deviations of a window's variance
 BANDS = 5  # between the analysis band and half the sample rate, in which the colour is read
 COLOURED = 1.25  # rms of the lowest of these over the highest: white noise on robots of all kinds stays below 1.1
@@ -55,6 +56,22 @@ def floor(recordings: Sequence[Recording], residuals: Sequence[np.ndarray], band
     return Floor(np.maximum(sample, 1e-9), np.maximum(rms, 1e-9), coloured & ~unknown, unknown)
 
 
+def refined(recordings: Sequence[Recording], residuals: Sequence[np.ndarray], known: Floor, band: Band) -> Floor:
+    """The floor read inside the analysis band, of joints whose level there was extrapolated or guessed.
+
+    residuals: (N, n) N m of the best model that there is. In the windows in which it leaves least that is noise, and
+    what of it is not makes the floor too high: it is believed up to `MEMORY` times the density just above the band,
+    which is what noise of first order may rise by. Less than was guessed says no more than the guess.
+    """
+    length = round(RESOLVED / (band.cutoff_hz * band.period))
+    inside = _levels(recordings, residuals, [(2 * band.cutoff_hz / RESOLVED, band.cutoff_hz)], length)[:, 0]
+    above = _profile(recordings, residuals, band)[:, 0]
+    level = inside * band.white_share**0.5
+    read = (known.coloured | (known.unknown & (level > known.band))) & (inside < MEMORY**0.5 * above)
+    level = np.where(read, level, known.band)
+    return Floor(known.sample, level, known.coloured | read, known.unknown & ~read)
+
+
 def white_noise(recordings: Sequence[Recording], residuals: Sequence[np.ndarray] | None = None) -> np.ndarray:
     """(n,) N m rms a sample, from the band above `NOISE_HZ`, where a robot does not move.
 
@@ -77,20 +94,21 @@ def _edges(band: Band) -> np.ndarray:
 
 
 def _levels(
-    recordings: Sequence[Recording], signals: Sequence[np.ndarray], bands: Sequence[tuple[float, float]]
-) -> np.ndarray:
+    recordings: Sequence[Recording], signals: Sequence[np.ndarray], bands: Sequence[tuple[float, float]],
+    window: int = WINDOW,
+) -> np.ndarray:  # fmt: skip
     """(n, bands) rms a sample in each band of frequencies, Hz, of the windows that agree with the quietest."""
     powers, frequency = [], np.zeros(0)
     for recording, values in zip(recordings, signals, strict=True):
-        count = len(values) // WINDOW
+        count = len(values) // window
         if not count:
             continue
-        windows = values[: count * WINDOW].reshape(count, WINDOW, -1)
-        taper = np.hanning(WINDOW)[:, None]
+        windows = values[: count * window].reshape(count, window, -1)
+        taper = np.hanning(window)[:, None]
         # the mean out of each window, so that what leaks from below does not count
         windows = windows - windows.mean(axis=1, keepdims=True)
         powers.append(np.abs(np.fft.rfft(windows * taper, axis=1)) ** 2 / np.sum(taper**2))
-        frequency = np.fft.rfftfreq(WINDOW, recording.segment.period)
+        frequency = np.fft.rfftfreq(window, recording.segment.period)
     if not powers:
         return np.zeros((signals[0].shape[1], len(bands)))
     power, result = np.concatenate(powers), []

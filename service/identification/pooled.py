@@ -26,7 +26,7 @@ from schemas.robot import Robot
 from service.identification import fit as solver
 from service.identification.fit import Problem
 from service.identification.folds import Split, block_loss, held_out
-from service.identification.noise import Floor, floor, white_noise
+from service.identification.noise import Floor, floor, refined, white_noise
 from service.model.hypothesis import Hypothesis
 from service.model.parameters import Parameters, Quantity, base_parameters
 from service.model.ripple import standing_out
@@ -147,6 +147,14 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:
     if wider.cutoff_hz > band.cutoff_hz:
         problem = Problem.of(recordings, wider, problem.sigma)
     found = floor(recordings, left, problem.band)
+    return replace(problem, sigma=found.band, filtered=bool(found.coloured.any())), found
+
+
+def floor_in_band(problem: Problem, known: Floor, best: Hypothesis) -> tuple[Problem, Floor]:
+    """The problem in units of a noise floor that is read inside the band, from the residual of the `best` model; where
+    the floor was read from white noise above it, as it is."""
+    left = [scene.segment.torque - predict(scene, best) for scene in problem.scenes(best)]
+    found = refined(problem.recordings, left, known, problem.band)
     return replace(problem, sigma=found.band, filtered=bool(found.coloured.any())), found
 
 
