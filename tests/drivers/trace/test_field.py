@@ -58,7 +58,7 @@ def test_joints_go_by_name(field: Path, tmp_path: Path) -> None:
 
 def test_only_a_driver_that_is_known_for_currents_is_doubted(field: Path, tmp_path: Path) -> None:
     *_, said = imported(field / "bag_compressed" / "msg_bag", field / "bag_compressed" / "robot.toml", tmp_path)
-    assert "torques are N m by the definition of the message, which not every driver keeps to" in said
+    assert "torques are N m by the definition of the message, which not every driver follows" in said
     assert "check: torques" not in said
 
 
