@@ -253,4 +253,4 @@ def index() -> str:
         "[Add an effect of your own](../../how-to/add-an-effect.md).\n\n"
     )
     rows = [[f"[`{effect.name}`]({effect.name}.md)", cell(effect.in_words)] for effect in CATALOGUE]
-    return head + table(["Effect", "In words"], rows)
+    return head + table(["Effect", "Meaning"], rows)

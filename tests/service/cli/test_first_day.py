@@ -165,7 +165,7 @@ def test_what_the_bus_refuses_is_refused_before_anything_that_takes_long(
 def test_a_move_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     arguments = ["simulate", "--robot", "d3-1200", "--duration", "3", "--max-speed", "0.3", "--out", "a.csv"]
     done = CliRunner().invoke(app, arguments)
-    assert "at this speed, the motion is to take 3 s" in str(done.exception)
+    assert "at this speed, longer than the motion of 3 s" in str(done.exception)
 
 
 def test_ethercat_demo_refuses_a_short_run_at_once() -> None:

@@ -223,7 +223,7 @@ def test_another_sample_rate_needs_two_readings(bench, make, capsys):
     slower["sequence"] += 50
 
     def anew(change="changed from 0.001 s to 0.002 s"):
-        return f"{change}; starting anew" in capsys.readouterr().err
+        return f"{change}; starting again" in capsys.readouterr().err
 
     bench.report()
     bench.take(slower[:16])

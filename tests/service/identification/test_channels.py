@@ -247,7 +247,7 @@ def test_joints_go_by_the_names_of_the_description(names: str, position: str, to
     found = guess(table(names), 3, CALLED)
     assert list(found.position) == [position.format(joint) for joint in CALLED]
     assert list(found.torque) == [torque.format(joint) for joint in CALLED]
-    assert found.order[0].startswith("joints by the names of the description: 1 is ")
+    assert found.order[0].startswith("joints are assigned by the names of the description: 1 is ")
     assert not found.doubts
 
 
@@ -268,12 +268,13 @@ def test_where_the_description_has_no_names_torques_go_with_positions_and_the_or
     found = guess(table("t,elbow pos,lift pos,lift trq,elbow trq"), 2)
     assert (list(found.position), list(found.torque)) == (["elbow pos", "lift pos"], ["elbow trq", "lift trq"])
     assert found.order == [
-        "joints are assigned by their order in the file: 1 is 'elbow pos', 2 is 'lift pos'; the description has no names for them"
+        "joints are assigned by their order in the file: 1 is 'elbow pos', 2 is 'lift pos'; the description has no "
+        "names for them"
     ]
     found = guess(table("t,a pos,b pos,a trq,b trq"), 2, ("elbow", "lift"))
-    assert "the description calls them elbow, lift, the columns do not" in found.doubts[0]
+    assert "the description has elbow, lift, the columns do not" in found.doubts[0]
     found = guess(table("t,pos 2,pos 1,trq 2,trq 1"), 2, ("elbow", "lift"))
-    assert "joints by the numbers in the names: 1 is 'pos 1'" in found.order[0]
+    assert "joints are assigned by the numbers in the names: 1 is 'pos 1'" in found.order[0]
 
 
 @pytest.mark.parametrize(

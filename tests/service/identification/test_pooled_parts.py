@@ -385,7 +385,9 @@ def test_logs_of_several_rates_are_refused_by_name(monkeypatch: pytest.MonkeyPat
         with pytest.raises(StopIteration):
             pooled.problem_of(recordings)
     else:
-        with pytest.raises(DataError, match=r"b: 1\.02 ms between samples, a has 1 ms: give logs of one rate"):
+        with pytest.raises(
+            DataError, match=r"b: 1\.02 ms between samples, a has 1 ms: give logs with the same sample rate"
+        ):
             pooled.problem_of(recordings)
 
 

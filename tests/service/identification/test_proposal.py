@@ -125,7 +125,7 @@ def test_torque_with_stamps_of_its_own_is_read_at_those_of_the_positions(geared:
     own = replace(made, columns=columns, time_of=dict.fromkeys(("tau1", "tau2", "tau3"), "clock"))
     found = propose(own, geared, Stated())
     assert entries(found, "torque") == [{"unit": "N m", "side": "motor", "time": "clock"}] * 3
-    assert not any("not certain" in doubt or "cannot be told" in doubt for doubt in found.doubts)
+    assert not any("uncertain" in doubt or "determine" in doubt for doubt in found.doubts)
 
 
 def test_a_constant_that_is_told_is_taken(geared: Robot, log: Trace) -> None:
@@ -168,7 +168,7 @@ def test_increments_take_a_number_that_has_to_be_said(geared: Robot, log: Trace)
     made = written(log)
     counts = {n: np.round(v * 65536 / (2 * np.pi) * GEAR) if n[0] == "q" else v for n, v in made.columns.items()}
     made = Table(made.path, made.kind, counts)
-    with pytest.raises(DataError, match=r"positions are increments; .* say --counts-per-rev"):
+    with pytest.raises(DataError, match=r"positions are increments: .* Give --counts-per-rev"):
         propose(made, geared, Stated())
     found = propose(made, geared, Stated(counts_per_rev=65536.0))
     assert entries(found, "position") == [{"unit": "counts", "counts_per_rev": 65536.0, "side": "motor"}] * 3
@@ -184,7 +184,7 @@ def test_increments_take_a_number_that_has_to_be_said(geared: Robot, log: Trace)
             r"it is unclear which 3 columns are the positions; give --position NAME,.*columns: t, q1, q2",
         ),
         (("tau1", "tau2", "tau3"), Stated(), "no torque was recorded: no column is a torque .*--torque NAME"),
-        (("tau2", "tau3"), Stated(), "which 3 columns are the torques cannot be told"),
+        (("tau2", "tau3"), Stated(), "it is unclear which 3 columns are the torques"),
         (("t",), Stated(), "no column of time stamps: give --rate HZ, or --time NAME"),
         ((), Stated(time="T"), "no column 'T'; it has: t, q1"),
         ((), Stated(torque=["tau1", "tau2", "x"]), "no column 'x'; it has"),
@@ -499,7 +499,7 @@ def test_few_increments_are_no_radians() -> None:
     made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
     turning = Axes.model_validate({"name": "axis", "kind": "axes", "axis": [{}]})
     counts = replace(made, columns={**made.columns, "pos": np.round(300 * made.columns["pos"])})
-    with pytest.raises(DataError, match=r"positions are increments; how many make a turn"):
+    with pytest.raises(DataError, match=r"positions are increments: how many per turn"):
         propose(counts, turning, Stated())
 
 
@@ -530,7 +530,7 @@ def test_turns_that_nothing_tells_from_radians_are_to_be_checked() -> None:
     found = propose(
         replace(made, columns={**made.columns, "pos": made.columns["pos"] / (2 * np.pi)}), turning, Stated()
     )
-    assert any("read as" in line and "it cannot be told" in line for line in found.doubts), found.reasons
+    assert any("this is ambiguous" in line for line in found.doubts), found.reasons
 
 
 def test_runs_whose_stamps_are_in_other_units_are_not_one_mapping() -> None:

@@ -226,7 +226,7 @@ def test_what_cannot_be_planned_is_said_in_a_line(short: None, tmp_path: Path) -
     folder_of(tmp_path, [STRIBECK, VISCOUS])
     heavier = KNOWN.model_copy(update={"mass": load_robot("d3-1200").mass})
     save_robot(heavier, tmp_path / "corrected.toml")
-    assert "its [mass] is not that of robot 'known'" in refused()
+    assert "its [mass] differs from that of robot 'known'" in refused()
     (tmp_path / "diagnosis.json").write_text("{}")
     assert "not written by `deltatwin diagnose`" in refused()
 
