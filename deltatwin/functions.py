@@ -303,7 +303,7 @@ def rollout(
     """
     named: dict[str, Description] = dict(robots) if isinstance(robots, Mapping) else {robots.name: robots}
     if not named:
-        raise DataError("rollout: no robot given")
+        raise DataError("rollout: no robot is given")
     logs = as_list(traces)
     others = [(name, one) for name, one in named.items() if not isinstance(one, Robot)]
     if others and not commands:

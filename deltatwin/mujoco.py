@@ -70,12 +70,12 @@ def attach(model: mujoco.MjModel, robot: Description) -> Iterator[Any]:
     """
     delta = as_delta(robot, Question.CALLBACK)
     if mujoco.get_mjcb_control() is not None:
-        raise DataError(f"{robot.name}: MuJoCo's control callback is taken")
+        raise DataError(f"{robot.name}: MuJoCo's control callback is already in use")
     made = to_mjcf(delta)
     if made.left_out:
         raise DataError(f"{robot.name}: " + "; ".join(f"{name}: {why}" for name, why in made.left_out.items()))
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        raise DataError(f"{robot.name}: effects that remember count steps: take another integrator than RK4")
+        raise DataError(f"{robot.name}: effects with a state need one call per step: use another integrator than RK4")
     scope: dict[str, Any] = {}
     if made.callback is not None:
         exec(made.callback, scope)  # the text that `export` writes

@@ -133,5 +133,5 @@ def of_joint_rollout(result: JointRolloutResult) -> go.Figure:
             line={"width": 1.5, "color": colour},
         )  # fmt: skip
     figure.update_xaxes(title_text="time since the start of a window, ms")
-    figure.update_yaxes(title_text=f"joint {joint + 1}, simulated less measured, rms, {unit}")
+    figure.update_yaxes(title_text=f"joint {joint + 1}, simulated minus measured, rms, {unit}")
     return figure.update_layout(height=340)

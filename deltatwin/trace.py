@@ -127,7 +127,7 @@ class Trace(recorded.Trace):
         mapping = columns if columns is None or isinstance(columns, Columns) else find_columns(columns)
         mapping = mapping or own_columns(names, robot)
         if mapping is None:
-            raise TraceError(f"{name}: no column position_1_rad; say with `columns` what is what: {', '.join(names)}")
+            raise TraceError(f"{name}: no column position_1_rad; assign the columns with `columns`: {', '.join(names)}")
         wanted = plan(names, mapping, Path(name))
         used = sorted({*wanted.times, *wanted.values})
         cells = {str(index): _numbers(names[index], frame[frame.columns[index]], name) for index in used}
@@ -165,7 +165,7 @@ def _clock(time: Any, name: str) -> tuple[np.ndarray, int]:
     """(N,) s, and the bus time in ns that they count from."""
     stamps = np.asarray(time)
     if stamps.ndim != 1:
-        raise TraceError(f"{name}: time has {stamps.ndim} dimensions, (N,) is needed")
+        raise TraceError(f"{name}: time has {stamps.ndim} dimensions; the shape must be (N,)")
     if np.issubdtype(stamps.dtype, np.datetime64) and len(stamps):
         since = stamps.astype("datetime64[ns]").astype(np.int64)
         return (since - since[0]) / NANOSECONDS, int(since[0])
@@ -177,7 +177,7 @@ def _array(key: str, values: Any, rows: int, name: str) -> np.ndarray:
     found = _numbers(key, values, name)
     found = found[:, None] if found.ndim == 1 else found
     if found.ndim != 2 or len(found) != rows:
-        raise TraceError(f"{name}: {key} has the shape {found.shape}, time has {rows} samples")
+        raise TraceError(f"{name}: {key} has shape {found.shape}, but time has {rows} samples")
     return found
 
 
@@ -185,7 +185,7 @@ def _numbers(key: str, values: Any, name: str) -> np.ndarray:
     try:
         return np.array(values, np.float64)
     except (TypeError, ValueError) as error:
-        raise TraceError(f"{name}: {key} holds no numbers: {error}") from None
+        raise TraceError(f"{name}: {key} does not contain numbers: {error}") from None
 
 
 def as_list(traces: recorded.Trace | Sequence[recorded.Trace]) -> list[recorded.Trace]:

@@ -116,7 +116,9 @@ class Planner:
             move = self._gate(here, there, rng.uniform(0.3, 0.7) * height, speed * rng.uniform(0.5, 1.0))
             length = len(move.position) * self.period
             if clock + length > duration and len(parts) == 1:
-                raise DataError(f"one move takes {length:.3g} s at this speed, the motion is to take {duration:g} s")
+                raise DataError(
+                    f"one move takes {length:.3g} s at this speed, longer than the motion of {duration:g} s"
+                )
             if clock + length + 2 * GRIP + REST_AFTER > duration and len(parts) > 1:
                 break
             pick = clock + GRIP / 2
@@ -261,7 +263,7 @@ class Planner:
             # torque and acceleration go with the square of the time; a little less than full, so that it settles
             length *= math.sqrt(over / 0.985)
             if length > LONGEST_MOVE:
-                raise DataError(f"a move from here to there takes more than {LONGEST_MOVE:g} s within these limits")
+                raise DataError(f"a single move takes more than {LONGEST_MOVE:g} s within these limits")
             path = self._gate_in(start, end, lift, length)
         return path
 
@@ -387,7 +389,7 @@ def find_workspace(geometry: DeltaModel) -> Workspace:
     radii = np.linspace(0.02, 1.0, 99) * geometry.passive_length.min()
     fits = [radius for radius in radii if comfortable(radius)]
     if not fits:
-        raise DataError(f"no workspace: no comfortable pose between z = {bottom:.3f} m and {top:.3f} m")
+        raise DataError(f"no workspace: no pose within the limits between z = {bottom:.3f} m and {top:.3f} m")
     return Workspace(float(fits[-1]), top, bottom)
 
 

@@ -45,11 +45,11 @@ def read_motion(path: Path, robot: Robot, planner: Planner) -> Trajectory:
     if trace.flags.any():
         row = int(np.flatnonzero(trace.flags)[0])
         said = trace.findings[0].message if trace.findings else "flagged"
-        raise DataError(f"{path}: row {row + 1}: a motion to run has no faults: {said}")
+        raise DataError(f"{path}: row {row + 1}: a motion must not contain faults: {said}")
     count = int((trace.time[-1] - trace.time[0]) / planner.period + 1e-6)
     time = np.minimum(trace.time[0] + np.arange(count + 1) * planner.period, trace.time[-1])
     if len(trace) < 6 or count < 2:
-        raise DataError(f"{path}: {len(trace)} rows make no motion")
+        raise DataError(f"{path}: {len(trace)} rows are too few for a motion")
     motion = resampled(trace.time, trace.position, time, planner.period)
     planner.check(motion, str(path))
     return motion

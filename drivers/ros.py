@@ -18,7 +18,7 @@ from schemas.messages import TOPICS, Role
 from schemas.ros2 import type_hash
 
 ROUTER = "tcp/127.0.0.1:7447"  # where `ros2 run rmw_zenoh_cpp rmw_zenohd` listens
-NOTE = "speaks ROS 2 on loopback: any process of this host may speak for any role"
+NOTE = "uses ROS 2 topics on loopback: any process on this host can send as any role"
 QUALITY = "::,10:,:,:,,"  # reliable, volatile, the last ten: the default of ROS 2
 PUBLISHES, SUBSCRIBES = "MP", "MS"
 _ATTACHMENT = struct.Struct("<qqB16s")  # sequence, ns since 1970, length of the identity, identity of the publisher

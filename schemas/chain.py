@@ -66,7 +66,7 @@ class Chain(Machine):
             raise ValueError(f"gear_ratio: {len(self.gear_ratio)} values for {self.count} joints")
         if self.payload is not None and self.payload.mass_kg is None and self.masses == "identified":
             raise ValueError(
-                'payload: its mass cannot be told from that of the link it sits on: give mass_kg, or masses = "known"'
+                'payload: its mass is not separable from that of its link: give mass_kg, or masses = "known"'
             )
         self._check(self.identified)
         return self

@@ -39,8 +39,8 @@ def implausible_rate(period: float) -> str | None:
         return None
     units = {unit: per_second / period for unit, per_second in TIME_UNITS.items() if unit in ("ms", "us", "ns")}
     fits = [f"{unit} ({rate:.6g} Hz)" for unit, rate in units.items() if RATES_HZ[0] <= rate <= RATES_HZ[1]]
-    meant = f"; are its stamps in {' or '.join(fits)}? deltatwin import, or time.unit in its columns" if fits else ""
-    return f"{1 / period:.6g} samples a second by its stamps, read as s{meant}"
+    meant = f"; are they in {' or '.join(fits)}? Use deltatwin import, or set time.unit in its columns" if fits else ""
+    return f"{1 / period:.6g} samples per second by its time stamps, read as s{meant}"
 
 
 class TimeColumn(TomlTable):
@@ -57,10 +57,10 @@ class TimeColumn(TomlTable):
     def _counted(self) -> TimeColumn:
         if self.backwards and self.rate_hz is None:
             raise ValueError(
-                "backwards is for a table without stamps, with rate_hz: stamps say themselves what was first"
+                "backwards is only for a table without time stamps, with rate_hz: stamps give the order themselves"
             )
         if self.date is not None and self.unit != "datetime":
-            raise ValueError(f"date {self.date!r} with unit {self.unit!r}: it goes with 'datetime' only")
+            raise ValueError(f"date {self.date!r} with unit {self.unit!r}: give it with 'datetime' only")
         return self
 
 
@@ -154,7 +154,7 @@ class RowFilter(TomlTable):
     @property
     def left_out(self) -> str:
         """What is said of rows that do not count."""
-        return f"have not {self.equals:g}" if self.unlike is None else f"have {self.unlike:g}"
+        return f"do not have {self.equals:g}" if self.unlike is None else f"have {self.unlike:g}"
 
     def counts(self, values: np.ndarray) -> np.ndarray:
         """Which rows of the column, (N,), count."""

@@ -40,7 +40,7 @@ def _cache_folder() -> Path:
             folder.mkdir(parents=True, exist_ok=True)
             if os.access(folder, os.W_OK | os.X_OK):
                 return folder
-    neither = f"compiled kernels can be kept neither in {_HERE} nor in {home}"
+    neither = f"compiled kernels can be stored neither in {_HERE} nor in {home}"
     with suppress(OSError):
         own = Path(tempfile.gettempdir()) / f"deltatwin-{os.getuid()}"
         own.mkdir(mode=0o700, exist_ok=True)
@@ -48,14 +48,14 @@ def _cache_folder() -> Path:
         if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077:
             if not folder.exists():
                 folder.mkdir()
-                print(f"{neither}: they are kept in {own}", file=sys.stderr)
+                print(f"{neither}: they are stored in {own}", file=sys.stderr)
             return folder
     try:
         folder = Path(tempfile.mkdtemp(prefix="deltatwin-"))
     except OSError as error:
         raise SystemExit(f"{neither} nor in a temporary folder ({error}); set NUMBA_CACHE_DIR to a folder") from error
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    print(f"{neither}: they are compiled for this run alone", file=sys.stderr)
+    print(f"{neither}: they are compiled for this run only", file=sys.stderr)
     return folder
 
 

@@ -43,14 +43,18 @@ class _Kept(IndexDataCacheFile):
             for path in (self._index_path, *self._codes()):
                 with suppress(OSError):
                     os.unlink(path)
-            _say(f"{self._cache_path}: compiled kernels are damaged ({error or type(error).__name__}): made anew")
+            why = error or type(error).__name__
+            _say(f"{self._cache_path}: compiled kernels are damaged ({why}): they are compiled again")
             return None
 
     def save(self, key: Any, data: Any) -> None:
         try:
             super().save(key, data)
         except OSError as error:
-            _say(f"{self._cache_path}: compiled kernels cannot be kept ({error.strerror}): made for this run alone")
+            _say(
+                f"{self._cache_path}: compiled kernels cannot be stored ({error.strerror}): they are compiled for this "
+                "run only"
+            )
 
     def _load_data(self, name: str) -> Any:
         with open(self._data_path(name), "rb") as file:

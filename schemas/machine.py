@@ -61,6 +61,6 @@ class Machine(Described):
         check_joints(identified, self.effect, count)
         if self.coupling is not None:
             if [len(row) for row in self.coupling] != [count] * count:
-                raise ValueError(f"coupling: {count} rows of {count} numbers are needed, a motor each")
+                raise ValueError(f"coupling: {count} rows of {count} numbers are needed, one row per motor")
             if np.linalg.cond(self.motors) > MOST_COUPLED:
-                raise ValueError(f"coupling: {self.coupling}: the motors do not tell where every joint is")
+                raise ValueError(f"coupling: {self.coupling}: the motor angles do not determine every joint angle")

@@ -12,22 +12,28 @@ from schemas.robot import Robot
 
 
 class Question(Enum):
-    """In words, and what to run instead."""
+    """A question that only some kinds of machine answer: its words, and what to run instead."""
 
     ONLINE = "feed-forward torque and payload sample by sample", "on a log: deltatwin evaluate"
-    FIELDBUS = "decoding and driving of EtherCAT drives", "its log from elsewhere: deltatwin import"
-    CODE = "code for its controller", "for a simulator: deltatwin export --to mjcf"
-    CLOSED_LOOP = "closed loop on the bus", "a simulated log: deltatwin simulate"
-    COMMANDS = "rollout of position commands through drives", "of recorded torque: without --commands"
-    PLATFORM = "rollout of a platform", "of its joints: deltatwin rollout"
-    PICKS = "picks and releases in a log", "one load all the while: deltatwin payload without --truth and --predictions"
-    LOAD = "load on a frame", "identify logs with and without the load, and compare their inertias"
-    PLACE = "place of a tool", "its angles: deltatwin rollout"
+    FIELDBUS = "decoding and driving of EtherCAT drives", "for a log from elsewhere: deltatwin import"
+    CODE = "code for a controller", "for a simulator: deltatwin export --to mjcf"
+    CLOSED_LOOP = "closed loop on the bus", "for a simulated log: deltatwin simulate"
+    COMMANDS = "rollout of position commands through drives", "for recorded torque: without --commands"
+    PLATFORM = "rollout of a platform", "for its joints: deltatwin rollout"
+    PICKS = (
+        "detection of picks and releases",
+        "for one load throughout: deltatwin payload without --truth and --predictions",
+    )
+    LOAD = "load on a frame", "identify logs with and without the load, and compare the inertias"
+    PLACE = "position of a tool", "for its angles: deltatwin rollout"
     TREE = "URDF", "for a simulator: deltatwin export --to mjcf"
-    MJCF = "MJCF of this kind", "its parameters: deltatwin identify --json"
-    CALLBACK = "callback for MuJoCo", "its model alone: deltatwin export --to mjcf"
-    RIVALS = "motion that tells rivals apart", "one that identifies best: deltatwin plan-motion --for identify"
-    ROUTE = "pick-and-place, workspace or conveyor", "its motions: multisine, slow, or a file"
+    MJCF = "MJCF export of this kind", "for its parameters: deltatwin identify --json"
+    CALLBACK = "callback for MuJoCo", "for the model alone: deltatwin export --to mjcf"
+    RIVALS = (
+        "motion that separates alternative models",
+        "for the best identification: deltatwin plan-motion --for identify",
+    )
+    ROUTE = "pick-and-place, workspace or conveyor", "possible motions: multisine, slow, or a file"
 
 
 def refuse(description: Description, question: Question) -> NoReturn:
@@ -36,7 +42,7 @@ def refuse(description: Description, question: Question) -> NoReturn:
         UnansweredError: always.
     """
     asked, instead = question.value
-    raise UnansweredError(f"{description.name}: there is no {asked} for {description.called}; {instead}")
+    raise UnansweredError(f"{description.name}: {asked} is not available for {description.called}; {instead}")
 
 
 def as_delta(description: Description, question: Question) -> Robot:

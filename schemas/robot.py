@@ -27,7 +27,7 @@ def _vector(value: Any) -> Any:
 
 def _pulling(value: list[float]) -> list[float]:
     if not any(value):
-        raise ValueError(f"must pull somewhere (got {value})")
+        raise ValueError(f"must have a direction (got {value})")
     return value
 
 
@@ -59,7 +59,7 @@ class Geometry(TomlTable):
                 f"base_radius - platform_radius + active_link_length = {reach:.4g} m"
             )
         if self.joint_range_rad[0] >= self.joint_range_rad[1]:
-            raise ValueError(f"joint_range_rad {self.joint_range_rad}: the lower limit comes first")
+            raise ValueError(f"joint_range_rad {self.joint_range_rad}: give the lower limit first")
         angles = sorted(a % 360 for a in self.arm_angles_deg)
         gaps = [b - a for a, b in zip(angles, [*angles[1:], angles[0] + 360], strict=True)]
         if min(gaps) < 10 or max(gaps) >= 180:
@@ -148,13 +148,13 @@ class JointDrive(TomlTable):
     @model_validator(mode="after")
     def _addressed(self) -> JointDrive:
         if self.velocity_unit_counts_per_s and self.velocity_unit_rpm:
-            raise ValueError("velocity_unit_counts_per_s and velocity_unit_rpm: one of them, not both")
+            raise ValueError("velocity_unit_counts_per_s and velocity_unit_rpm: give one of them, not both")
         for name, entries, address in (
             ("outputs", self.outputs, self.outputs_address),
             ("inputs", self.inputs, self.inputs_address),
         ):
             if bool(entries) != (address is not None):
-                raise ValueError(f"{name} and {name}_address belong together")
+                raise ValueError(f"{name} and {name}_address must be given together")
         return self
 
 
@@ -184,7 +184,7 @@ class Drive(TomlTable):
             raise ValueError(f"joint: two drives have one station address: {stations}")
         places = [joint.place for joint in self.joint]
         if any(places) and (None in places or len(set(places)) != len(places)):
-            raise ValueError(f"joint: place: {places}: all drives have one of their own, or none has")
+            raise ValueError(f"joint: place: {places}: give a different one for all drives, or none")
         return self
 
 
@@ -413,7 +413,7 @@ def robot_file(name: str | Path) -> Path:
     if len(path.parts) == 1 and shipped.is_file():
         return shipped
     known = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
-    raise RobotError(f"{path}: no such robot description; by name there are: {known}")
+    raise RobotError(f"{path}: no such robot description; bundled ones are: {known}")
 
 
 def load_robot(path: str | Path, effects: Path | None = None) -> Robot:

@@ -37,7 +37,7 @@ def read_toml(path: Path, error: type[DeltatwinError]) -> dict[str, Any]:
         error: the file cannot be read, is longer than `MAX_BYTES`, not text, not TOML, or nested beyond `MAX_DEPTH`.
     """
     raw = read_bytes(path, MAX_BYTES, error)
-    too_deep = f"{path}: tables or lists more than {MAX_DEPTH} deep in each other"
+    too_deep = f"{path}: tables or lists nested more than {MAX_DEPTH} deep"
     try:
         text = raw.decode("utf-8")
         if _LONG_KEY.search(_QUOTED.sub("s", text)):  # tomllib takes time by the square of its length

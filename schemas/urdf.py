@@ -48,7 +48,7 @@ def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
     for name, joint in joints.items():
         for end in ("parent", "child"):
             if _text(path, joint, "link", end) not in links:
-                raise RobotError(f"{path}: joint {name!r}: its {end} {_text(path, joint, 'link', end)!r} is no link")
+                raise RobotError(f"{path}: joint {name!r}: its {end} {_text(path, joint, 'link', end)!r} is not a link")
     moving = [name for name, joint in joints.items() if joint.get("type") != "fixed"]
     for name in (*logged, *held):
         if name not in joints:
@@ -56,19 +56,21 @@ def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
     for name in moving:
         kind, follows = joints[name].get("type"), joints[name].find("mimic")
         if kind in ("floating", "planar"):
-            raise RobotError(f"{path}: joint {name!r} is {kind}: an arm stands on something, make it fixed")
+            raise RobotError(f"{path}: joint {name!r} is {kind}: the arm's base must be fixed")
         if name in logged and follows is not None:
             raise RobotError(
-                f"{path}: joint {name!r} follows {follows.get('joint')!r} (mimic), it has no torque of its own: leave "
+                f"{path}: joint {name!r} follows {follows.get('joint')!r} (mimic) and has no torque of its own: leave "
                 "it out of `joints`"
             )
         if name in logged and kind not in TURNS:
-            raise RobotError(f"{path}: joint {name!r} is {kind}; joints that turn are known")
+            raise RobotError(f"{path}: joint {name!r} is {kind}; only joints that turn are supported")
     if loose := [name for name in moving if name not in logged and name not in held]:
         named = ", ".join(map(repr, loose))
-        alone = f"joint {named} moves too: name it in `joints`, in the order of the log, or in `held` where it stood"
-        many = f"joints {named} move too: name them in `joints`, in the order of the log, or in `held` where they stood"
-        raise RobotError(f"{path}: {alone if len(loose) == 1 else many} still at zero")
+        verb, it, was = ("moves", "it", "it was") if len(loose) == 1 else ("move", "them", "they were")
+        raise RobotError(
+            f"{path}: joint{'s' * (len(loose) > 1)} {named} {verb}, too: name {it} in `joints`, in the order of the "
+            f"log, or in `held` if {was} at rest at zero"
+        )
     for name in logged:
         if name not in moving:
             raise RobotError(f"{path}: joint {name!r} is fixed; those that move: {', '.join(moving) or 'none'}")

@@ -65,7 +65,7 @@ def demonstrate(out: Path, rate: float, duration: float, product: float, say: Ca
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="deltatwin-"))
         crew = stack.enter_context(Supervisor(out, folder))
-        say("segment, tap and capture start")
+        say("starting segment, tap and capture")
         truth = str(TRUTHS / f"{MODEL}.toml")
         segment = crew.start(
             "segment: 3 drives", "segment", SEGMENT_END, "--robot", str(robot), "--truth", truth, "--rate", str(rate),
@@ -84,7 +84,7 @@ def demonstrate(out: Path, rate: float, duration: float, product: float, say: Ca
         crew.run("master", MASTER_END, "--robot", str(robot), "--feedforward", "off", *common)
         _let_catch_up(out / "wire.pcapng", before)
         monitor.stop()
-        say("the robot is identified from what the tap heard")
+        say("identifying the robot from the samples of the tap")
         crew.run("identify", str(out / "first.mcap"), "--robot", str(robot), "--out", str(identified))
         estimator = crew.start("estimating for", "estimate", "--robot", str(identified))
         monitor = _monitor(crew, robot, out / "second.mcap")
@@ -96,7 +96,7 @@ def demonstrate(out: Path, rate: float, duration: float, product: float, say: Ca
         missing = _let_catch_up(out / "wire.pcapng", before)
         for process in (tap, capture, estimator, monitor, segment):
             process.stop()
-        say("the capture is converted offline")
+        say("converting the capture offline")
         crew.run("convert", str(out / "wire.pcapng"), "--robot", str(robot), str(out / "offline.mcap"))
     return compare(out, product, missing)
 
@@ -169,8 +169,8 @@ def _same_as_own(name: str, heard: np.ndarray, own: np.ndarray, run: slice, robo
     return Check(
         f"{name}: the plant's own trace, {INPUT_DELAY_CYCLES} cycle later",
         f"{known.sum()} cycles in operation; off by {position:.3f} counts, {torque:.3f} per mille "
-        f"({others:.0f} counts a cycle earlier or later); {len(missing)} missing, {untold} of them untold",
-        "0.501 counts and per mille; 0 untold",
+        f"({others:.0f} counts a cycle earlier or later); {len(missing)} missing, {untold} of them unexplained",
+        "0.501 counts and per mille; 0 unexplained",
         bool(position <= 0.501 and torque <= 0.501 < others and untold == 0 and known.sum() > len(missing)),
     )
 
@@ -221,7 +221,7 @@ def _tracking(own: np.ndarray, runs: tuple[slice, slice]) -> Check:
         errors.append((own["position_command"][run] - own["position"][run])[used])
     before, after = (1e3 * float(np.sqrt((error**2).mean())) for error in errors)
     return Check(
-        "tracking error falls with tau_FF",
+        "tracking error is smaller with tau_FF",
         f"{before:.3f} to {after:.3f} mrad rms, though the second run carries the product",
         "to half or less",
         after <= before / 2,

@@ -75,12 +75,12 @@ def _system() -> list[Check]:
     cores = os.cpu_count() or 1
     preempts = Path("/sys/kernel/realtime").exists() or "PREEMPT_RT" in platform.version()
     return [
-        Check("Linux", linux, kernel, "everything on the bus and on EtherCAT; files are read anywhere",
+        Check("Linux", linux, kernel, "all commands on the bus and on EtherCAT; commands on files run anywhere",
               "" if linux else "a Linux host for the live roles"),
-        Check("real-time kernel", preempts if linux else None, "PREEMPT_RT" if preempts else "an ordinary one",
-              "bounded latency beside other work; 1 kHz runs without",
-              "" if preempts else "a kernel with PREEMPT_RT, as Debian's package linux-image-rt-amd64"),
-        Check("processors", cores >= 2, str(cores), "the live roles beside each other: two",
+        Check("real-time kernel", preempts if linux else None, "PREEMPT_RT" if preempts else "a standard kernel",
+              "bounded latency under other load; 1 kHz also runs without it",
+              "" if preempts else "a kernel with PREEMPT_RT, such as Debian's package linux-image-rt-amd64"),
+        Check("processors", cores >= 2, str(cores), "running the live roles at the same time: two processors",
               "" if cores >= 2 else "a machine with two processors or more"),
     ]  # fmt: skip
 
@@ -92,7 +92,7 @@ def _rights() -> list[Check]:
     return [
         Check("real-time priority", fifo, "SCHED_FIFO granted" if fifo else "SCHED_FIFO refused",
               "live roles: without it their timing is best effort", "" if fifo else limits.format("rtprio", 99)),
-        Check("memory lock", lock, _memory_limit(), "live roles: no page has to be fetched in a cycle",
+        Check("memory lock", lock, _memory_limit(), "live roles: without it a page fault can delay a cycle",
               "" if lock else limits.format("memlock", "unlimited")),
         Check("raw Ethernet", raw, "CAP_NET_RAW" if raw else "no CAP_NET_RAW", "tap, master, segment",
               "" if raw else "sudo, or the capability CAP_NET_RAW for the process"),
@@ -106,13 +106,13 @@ def _programs() -> list[Check]:
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     return [
-        Check("wireshark (dumpcap)", bool(dumpcap), _says(dumpcap), "ethercat-demo, which captures its wire",
+        Check("wireshark (dumpcap)", bool(dumpcap), _says(dumpcap), "ethercat-demo, to capture its wire",
               "" if dumpcap else "Debian, Ubuntu: apt install wireshark-common"),
         Check("ip", bool(ip), _says(ip, "-V"), "ethercat-demo, and interfaces for tap and master",
               "" if ip else "Debian, Ubuntu: apt install iproute2"),
         Check("browser", bool(browser), _says(browser), "diagnose --pdf; pages open in any browser",
               "" if browser else "Debian: apt install chromium"),
-        Check("C compiler", bool(compiler), _says(compiler), "compiling what is exported as C, nothing else",
+        Check("C compiler", bool(compiler), _says(compiler), "compiling exported C code only",
               "" if compiler else "Debian, Ubuntu: apt install gcc"),
     ]  # fmt: skip
 
@@ -136,12 +136,12 @@ def _places(folder: Path) -> list[Check]:
     fits = len(os.fsencode(runtime)) + LONGEST_SOCKET <= SOCKET_PATH
     free = shutil.disk_usage(folder).free
     return [
-        Check("compiled kernels", compiled, "kept" if compiled else "none yet", "a start in less than half a minute",
-              "" if compiled else "any first command compiles and keeps them, as `deltatwin demo`"),
+        Check("compiled kernels", compiled, "kept" if compiled else "none yet", "starting in less than half a minute",
+              "" if compiled else "the first command compiles and keeps them, for example `deltatwin demo`"),
         Check("local sockets", fits, "path short enough" if fits else "path too long", "the bus on one host",
-              "" if fits else "XDG_RUNTIME_DIR of a shorter path"),
+              "" if fits else "set XDG_RUNTIME_DIR to a shorter path"),
         Check("disk", free > 1 << 30, f"{free / (1 << 30):.0f} GiB free", "recordings: 1 GiB is an hour at 1 kHz",
-              "" if free > 1 << 30 else "room, or `monitor --out` on another disk"),
+              "" if free > 1 << 30 else "free some space, or use `monitor --out` on another disk"),
     ]  # fmt: skip
 
 
@@ -193,7 +193,7 @@ def _child(call: str) -> bool | None:
 def _says(program: str | None, option: str = "--version") -> str:
     """Name and version of a program, as it tells it."""
     if program is None:
-        return "not on the path"
+        return "not on PATH"
     try:
         done = subprocess.run([program, option], capture_output=True, text=True, timeout=PROGRAM_S, check=False)
     except (OSError, subprocess.TimeoutExpired):

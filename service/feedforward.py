@@ -178,12 +178,12 @@ class OverBus:
     def summary(self) -> str:
         """How much of what came was used."""
         if not self.received:
-            return "tau_FF: none came over Zenoh; is `deltatwin estimate` running, and a tap that feeds it?"
+            return "tau_FF: none was received over Zenoh; are `deltatwin estimate` and a tap running?"
         refused = self.refused
         return (
             f"tau_FF over Zenoh: fresh in {self._used} cycles, none in {self._unanswered} after the first; of "
-            f"{self.received} answers {refused['invalid']} not finite or beyond {self._peak:g} N m, "
-            f"{refused['repeated']} repeated, {refused['rejected']} to no question of the last {FRESH_CYCLES} cycles"
+            f"{self.received} answers {refused['invalid']} were not finite or beyond {self._peak:g} N m, "
+            f"{refused['repeated']} repeated, {refused['rejected']} answered none of the last {FRESH_CYCLES} requests"
         )
 
 

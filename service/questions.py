@@ -48,10 +48,10 @@ DELTA = (
     Question("geometry.base_radius", "from the centre of the base to a motor's axis", "m"),
     Question("geometry.platform_radius", "from the centre of the platform to the joint of a forearm", "m"),
     Question("mass.active_link", "mass of one upper arm", "kg"),
-    Question("mass.passive_link", "mass of one forearm, both rods together", "kg"),
+    Question("mass.passive_link", "mass of one forearm (both rods)", "kg"),
     Question("mass.platform", "mass of the platform with its gripper, without a product", "kg"),
-    Question("drive.gear_ratio", "turns of the motor for one turn of the joint", default="1"),
-    Question("limits.max_payload_kg", "greatest payload", "kg", "6"),
+    Question("drive.gear_ratio", "motor turns per turn of the joint", default="1"),
+    Question("limits.max_payload_kg", "largest payload", "kg", "6"),
 )
 
 
@@ -68,7 +68,7 @@ def for_axes(count: int) -> tuple[Question, ...]:
         key, it = f"axis.{axis + 1}", f"axis {axis + 1}"
         asked += [
             Question(f"{key}.unit", f"{it} turns (rad) or is linear (m)", default="rad", text=True),
-            Question(f"{key}.gear_ratio", f"{it}: turns of the motor for one of the axis", default="1"),
+            Question(f"{key}.gear_ratio", f"{it}: motor turns per turn of the axis", default="1"),
             Question(f"{key}.gravity", f"{it} bears a weight that changes with its angle", default="true"),
         ]
     return tuple(asked)
@@ -82,11 +82,11 @@ def for_urdf(urdf: Path) -> tuple[Question, ...]:
     """
     joints = turning_joints(urdf)
     if not joints:
-        raise RobotError(f"{urdf}: no joint of it turns and has a torque of its own")
+        raise RobotError(f"{urdf}: no joint of it turns and has its own torque")
     return (
         Question("name", "name of the arm", default=urdf.stem.replace("_", "-"), text=True),
-        Question("joints", "joints in the order of the log, with commas", default=",".join(joints), text=True),
-        Question("gear_ratio", "turns of the motor for one turn of a joint", default="1"),
+        Question("joints", "joints in the order of the log, separated by commas", default=",".join(joints), text=True),
+        Question("gear_ratio", "motor turns per turn of a joint", default="1"),
     )
 
 
@@ -130,7 +130,7 @@ def _arm(questions: Sequence[Question], answers: Mapping[str, str], urdf: str) -
         'kind = "chain"\n'
         f"urdf = {json.dumps(urdf)}  # beside this file\n"
         f"joints = {json.dumps(joints)}  # in the order of the log\n"
-        f"gear_ratio = {_value(ratio, answers['gear_ratio'])}  # {ratio.comment}; or one a joint, in brackets\n"
+        f"gear_ratio = {_value(ratio, answers['gear_ratio'])}  # {ratio.comment}; or a list, one per joint\n"
     )
 
 

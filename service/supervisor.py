@@ -112,7 +112,7 @@ class Process:
     def last_words(self) -> str:
         """The last line it said."""
         lines = self.log.read_text().strip().splitlines()
-        return lines[-1].removeprefix("deltatwin: ") if lines else "it said nothing"
+        return lines[-1].removeprefix("deltatwin: ") if lines else "it printed nothing"
 
 
 class Supervisor:

@@ -57,7 +57,7 @@ def _row(parameter: Any, context: click.Context) -> list[str]:
 
 def index() -> str:
     """All commands with what each is for."""
-    text = ["# Commands\n", "Made from `deltatwin --help`. Every command takes `--help`; most take `--json`.\n"]
+    text = ["# Commands\n", "Generated from `deltatwin --help`. Every command takes `--help`; most take `--json`.\n"]
     for title, names in groups().items():
         text.append(f"## {title}\n")
         text.append(table(["Command", "What it does"], ([f"[`{n}`]({n}.md)", cell(summaries()[n])] for n in names)))
@@ -67,14 +67,14 @@ def index() -> str:
 def exit_codes() -> str:
     """Exit codes of every command."""
     rows = [
-        ["`0`", "The command did what it was to do."],
+        ["`0`", "The command succeeded."],
         ["`1`", "A known error. One line on stderr names file, key or row, and value."],
         ["`2`", "Wrong usage: an unknown option, a missing argument, a value out of its range."],
         [
             f"`{MISSED}`",
             "Everything ran, but a stated bound does not hold (`blindtest`, `ethercat-demo` and the like).",
         ],
-        [f"`{INTERRUPTED}`", "Ended by Ctrl-C, SIGTERM or a closed terminal. Files written so far are whole."],
+        [f"`{INTERRUPTED}`", "Ended by Ctrl-C, SIGTERM or a closed terminal. Files written so far are complete."],
     ]
     text = "# Exit codes\n\nResults go to stdout, progress and errors to stderr. All commands have these codes.\n\n"
     return text + table(["Code", "Meaning"], rows)

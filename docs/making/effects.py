@@ -213,15 +213,15 @@ def _confused(effect: Effect) -> str:
     text = ""
     if effect.same:
         links = ", ".join(f"[{name}]({name}.md)" for name in sorted(effect.same))
-        text += f"No motion separates it from {links}; their sum is what can be told.\n\n"
+        text += f"No motion separates it from {links}; only their sum is identifiable.\n\n"
     found = aliases(effect)
     if not found:
         return text + (
-            "On a fast multisine and a slow sweep together no other effect of the catalogue has a torque like it.\n"
+            "On a fast multisine and a slow sweep together, no other effect of the catalogue has a similar torque.\n"
         )
     text += (
-        "On a fast multisine and a slow sweep together, once the base parameters have explained what they can, these "
-        "effects produce the torque most like it (cosine of the angle between the two torques; at 1 the motions "
+        "On a fast multisine and a slow sweep together, after projection onto the base parameters, these "
+        "effects have the most similar torque (cosine of the angle between the two torques; at 1 the motions "
         "cannot separate them):\n\n"
     )
     return text + table(["Effect", "Cosine"], ([f"[{name}]({name}.md)", f"{cosine:.2f}"] for name, cosine in found))
@@ -230,11 +230,11 @@ def _confused(effect: Effect) -> str:
 def _place(effect: Effect) -> str:
     said = []
     if effect.per_joint:
-        said.append("It sits on single joints" + ("." if effect.own_joint else ", and other joints feel it too."))
+        said.append("It acts on single joints" + ("." if effect.own_joint else ", and it also acts on other joints."))
     else:
-        said.append("It concerns the robot as a whole.")
+        said.append("It acts on the robot as a whole.")
     if effect.measured:
-        said.append("It alters the reported torque, not the torque that acts.")
+        said.append("It changes the reported torque, not the true torque.")
     if effect.dissipates:
         said.append("It is friction: together with the base model it always takes energy out of the motion.")
     if effect.directional:
@@ -253,4 +253,4 @@ def index() -> str:
         "[Add an effect of your own](../../how-to/add-an-effect.md).\n\n"
     )
     rows = [[f"[`{effect.name}`]({effect.name}.md)", cell(effect.in_words)] for effect in CATALOGUE]
-    return head + table(["Effect", "In words"], rows)
+    return head + table(["Effect", "Meaning"], rows)

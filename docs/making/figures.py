@@ -127,7 +127,7 @@ def page(name: str) -> str:
     text = f"# {bench.title}\n\n{bench.about}\n\n" + table(
         ["What", "Measured", "Bound", "Count", "Interval, notes"], rows
     )
-    text += "\nMeasured anew by\n\n```console\n" + "\n".join(f"$ {command}" for command in bench.run) + "\n```\n"
+    text += "\nTo measure it again:\n\n```console\n" + "\n".join(f"$ {command}" for command in bench.run) + "\n```\n"
     text += f"\nSource: `results/{name}.json`.\n\n"
     return text + table(["Date", "Commit", "Machine"], ([date, f"`{commit}`", cell(m)] for date, commit, m in origins))
 
@@ -135,10 +135,10 @@ def page(name: str) -> str:
 def index() -> str:
     """All benches."""
     text = (
-        "# Measured\n\nWhat was measured, with counts, bounds and the commit. Unless said otherwise on simulated "
-        "robots: no public log of a real Delta with torque is known to us. The machine is shared, so rates are given "
-        "as ratios to what ran beside them in the same run.\n\n"
+        "# Measured\n\nAll measured values, with counts, bounds and the commit. Unless stated otherwise, they are "
+        "from simulated robots: we know of no public log of a real Delta with torque. The machine is shared, so rates "
+        "are given as ratios to a reference in the same run.\n\n"
     )
     return text + table(
-        ["Page", "What"], ([f"[{bench.title}]({name}.md)", cell(bench.about)] for name, bench in benches().items())
+        ["Page", "Content"], ([f"[{bench.title}]({name}.md)", cell(bench.about)] for name, bench in benches().items())
     )

@@ -35,7 +35,7 @@ def page(topic: str) -> str:
         ", ".join(role.name.lower() for role in roles) for roles in (writers(topic, Role.TAP), readers(topic))
     )
     if topic == "sample":
-        write = "tap, player or robot: one of them"
+        write = "one of tap, player and robot"
     dtype = message.dtype
     rows = []
     for field in _matches(_FIELD, message.text):
@@ -68,7 +68,7 @@ def index() -> str:
         [f"[`{topic}`]({topic}.md)", code(message.schema_name), cell(message.text.splitlines()[0].lstrip("# "))]
         for topic, message in TOPICS.items()
     ]
-    return text + table(["Topic", "Type", "What it says"], rows)
+    return text + table(["Topic", "Type", "Meaning"], rows)
 
 
 def flags() -> str:

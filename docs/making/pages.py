@@ -14,17 +14,17 @@ from service.model.effects import CATALOGUE
 
 FILES = {
     "robot": (Robot, "Delta robot description", "The TOML file of `--robot` for a Delta robot."),
-    "axes": (Axes, "Description of axes", 'The TOML file of `--robot` for drives that are no Delta, `kind = "axes"`.'),
+    "axes": (Axes, "Description of axes", 'The TOML file of `--robot` for separate axes, `kind = "axes"`.'),
     "arm": (Chain, "Arm description", 'The TOML file of `--robot` for a serial arm by its URDF, `kind = "chain"`.'),
     "columns": (
         Columns, "Column mapping",
-        "How the columns of a foreign table are read: `[columns]` in a robot description, or a file of its own for "
+        "How the columns of a foreign table are read: `[columns]` in a robot description, or a separate file for "
         "`--columns`. `deltatwin import` writes one.",
     ),
     "truth": (
         PlantTruth, "Simulated robot",
-        "What the simulated robot really is, for `deltatwin simulate --truth FILE`. What is left out is as the robot "
-        "description says.",
+        "True parameters of the simulated robot, for `deltatwin simulate --truth FILE`. Missing keys are as in the robot "
+        "description.",
     ),
     "diagnosis": (Diagnosis, "diagnosis.json", "What `deltatwin diagnose` writes for other programs."),
 }  # fmt: skip

@@ -27,7 +27,7 @@ def page() -> str:
     errors = [name for name in package.__all__ if name.endswith("Error")]
     classes = [name for name in package.__all__ if name not in functions and name not in errors]
     text = (
-        "# Python\n\n`import deltatwin`: what is listed here keeps its meaning from one minor version to the next. "
+        "# Python\n\n`import deltatwin`: everything listed here keeps its meaning from one minor version to the next. "
         "How to use it: [Use it from Python](../how-to/from-python.md).\n"
     )
     for title, names in (("Functions", functions), ("Classes", classes), ("Errors", errors)):

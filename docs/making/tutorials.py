@@ -86,7 +86,7 @@ def run(path: Path, folder: Path, pictures: Path | None = None) -> str:
         elif block.kind == "text":
             for line in block.body.splitlines():
                 if _plain(line) not in _plain(said):
-                    raise TutorialError(f"{path.name}: {line!r} does not stand in what the command said:\n{said}")
+                    raise TutorialError(f"{path.name}: {line!r} is not in the output of the command:\n{said}")
         elif pictures is not None:
             _photograph(work / block.body, pictures / block.name)
     return everything
@@ -125,7 +125,7 @@ def main() -> None:
     """Run those that are named, or all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("names", nargs="*", help="tutorials; default: all")
-    parser.add_argument("--pictures", action="store_true", help="make their pictures anew")
+    parser.add_argument("--pictures", action="store_true", help="make their pictures again")
     asked = parser.parse_args()
     for path in sorted(TUTORIALS.glob("*.md")):
         if path.stem in asked.names or not asked.names:

@@ -343,11 +343,11 @@ class Capture:
                 self.bytes_read += used
                 at += used
             if why == _DAMAGED:
-                self.findings.append(f"damaged at byte {self.bytes_read}: behind frame {self.frames} comes no packet")
+                self.findings.append(f"damaged at byte {self.bytes_read}: no packet follows frame {self.frames}")
                 return
             held -= at
             buffer[:held] = buffer[at : at + held].copy()
             if held == len(buffer):  # one block longer than the buffer
                 buffer = np.concatenate([buffer, np.empty_like(buffer)])
         if held:
-            self.findings.append(f"cut short: the file ends {held} bytes into what follows frame {self.frames}")
+            self.findings.append(f"cut short: the file ends {held} bytes after frame {self.frames}")

@@ -70,7 +70,7 @@ def parse_object(entry: str, key: str) -> tuple[int, int]:
     known = OBJECTS[index].itemsize * 8 if index in OBJECTS else 0
     bits = bits or known
     if index < 0 or bits < 0 or (not name and bits == 0):
-        raise RobotError(f'{key}: {entry!r} is no object: write "0x6064", "0x2010:16" or ":8"')
+        raise RobotError(f'{key}: {entry!r} is not an object: write "0x6064", "0x2010:16" or ":8"')
     if bits == 0:
         raise RobotError(f'{key}: the size of {entry} is not known: write "{name}:bits"')
     if known and bits != known:

@@ -131,7 +131,9 @@ def _judge_speed(name: str, scale: Scale, speed: np.ndarray, units: np.ndarray) 
         return []
     told = units[moving] * scale.radians_per_s_per_unit
     if not told.any():
-        return [f"{name}: 0x606C stays 0 while the joint moves: it is not served by the drive, or mapped elsewhere"]
+        return [
+            f"{name}: 0x606C stays 0 while the joint moves: the drive does not supply it, or it is mapped elsewhere"
+        ]
     ratio = float(told @ speed[moving] / (told @ told))
     if abs(ratio - 1) <= SPEED_TOLERANCE:
         return []
@@ -167,13 +169,13 @@ def _judge_torque(
     found = []
     if inertia < -CLEAR_SIGMAS * sigma and inertia**2 * energy > CLEAR_SHARE * spread:
         found.append(
-            f"{name}: the torque falls where the joint accelerates ({inertia:.3g} N m per rad/s^2, an inertia is "
+            f"{name}: the torque falls when the joint accelerates ({inertia:.3g} N m per rad/s^2, but an inertia is "
             "positive): torque_sign or sign is declared wrong"
         )
     load = float(np.mean(torque - inertia * own))
     if hangs and load > GRAVITY_SHARE * float(np.sqrt(np.mean(torque**2))) and np.mean(np.cos(angle)) > 0.2:
         found.append(
-            f"{name}: on average the drive pushes the arm down with {load:.3g} N m, where gravity has to be held: "
-            "sign is declared wrong, unless a spring or a counterweight carries the arm"
+            f"{name}: on average the drive pushes the arm down with {load:.3g} N m, although it has to hold it against "
+            "gravity: sign is declared wrong, unless a spring or a counterweight carries the arm"
         )
     return found

@@ -101,7 +101,7 @@ def slave_objects(network: Network, station: int | None, key: str) -> SlaveObjec
     """
     if station not in network.slaves:
         known = ", ".join(map(str, network.slaves)) or "none"
-        raise RobotError(f"{key}: {station} is no slave of {network.path} (stations in decimal: {known})")
+        raise RobotError(f"{key}: {station} is not a slave of {network.path} (stations in decimal: {known})")
     return network.slaves[station]
 
 

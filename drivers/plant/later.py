@@ -43,13 +43,13 @@ def later(text: str, truth: PlantTruth, seed: int) -> Later:
     """
     found = _LATER.match(text)
     if found is None:
-        raise DataError(f"--later {text!r}: want NAME@SECONDS or NAME=VALUE@SECONDS, as stribeck_friction@60s")
+        raise DataError(f"--later {text!r}: give NAME@SECONDS or NAME=VALUE@SECONDS, such as stribeck_friction@60s")
     name = found["name"]
     if name not in EFFECTS:
         raise DataError(f"--later {text!r}: unknown effect {name!r}; known: {', '.join(EFFECTS)}")
     at = _number(text, found["at"])
     if at <= 0:
-        raise DataError(f"--later {text!r}: {at:g} s: the time has to be above zero")
+        raise DataError(f"--later {text!r}: {at:g} s: the time must be above zero")
     effect = EFFECTS[name].draw(np.random.default_rng([seed, 2]), truth, 1.0)
     if found["value"] is not None:
         effect = _sized(effect, _number(text, found["value"]))

@@ -60,10 +60,10 @@ def check(config: zenoh.Config, path: Path, robot: str, role: Role, insecure: bo
     open_door = next(_open_doors(config), None)
     if open_door and not insecure:
         raise BusError(
-            f"{path}: {open_door}: whoever reaches it could move the robot; "
-            "make keys with `deltatwin keys`, or say --insecure"
+            f"{path}: {open_door}: anyone who can reach it could move the robot; "
+            "make keys with `deltatwin keys`, or give --insecure"
         )
-    notes = [f"{path}: {open_door}: whoever reaches it can speak for any role (--insecure)"] if open_door else []
+    notes = [f"{path}: {open_door}: anyone who can reach it can send as any role (--insecure)"] if open_door else []
     tls = json.loads(config.get_json(_TLS))
     for file in dict.fromkeys(Path(tls[name]) for name in _FILES if tls[name] and name.endswith("certificate")):
         notes += _check_certificate(file, robot, role)

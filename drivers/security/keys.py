@@ -88,7 +88,7 @@ def parse_hosts(text: str) -> list[Host]:
     """
     hosts = [_host(part.strip()) for part in text.split(",")]
     if len({(host.name, host.first_port + role) for host in hosts for role in Role}) < len(hosts) * len(Role):
-        raise ValueError(f"{text!r}: hosts twice, or ports of one host closer than {len(Role)}")
+        raise ValueError(f"{text!r}: a host is given twice, or two ports of one host are closer than {len(Role)}")
     return hosts
 
 
@@ -294,7 +294,7 @@ def _folder(path: Path) -> None:
         path.mkdir(mode=0o700, parents=True)
     except FileExistsError:
         if path.is_symlink() or not path.is_dir():
-            raise StorageError(f"{path}: not a folder: keys go nowhere else") from None
+            raise StorageError(f"{path}: not a folder: keys are written only to a folder") from None
         if os.name == "posix" and stat.S_IMODE(path.stat().st_mode) & (stat.S_IWGRP | stat.S_IWOTH):
             raise StorageError(f"{path}: others may write in it: chmod go-w, or another folder") from None
 

@@ -95,10 +95,10 @@ def _read(path: Path, robot: Description | None, columns: Columns | None) -> Tra
                 from drivers.trace.tables.bag_files import parts_of
 
                 parts_of(path)
-            raise TraceError(f"{path}: what its columns mean has to be said first: deltatwin import {path.name}")
+            raise TraceError(f"{path}: the meaning of its columns is not known: first run deltatwin import {path.name}")
         return _foreign(path, robot, mapping)
     endings = ", ".join((".csv", ".csv.gz", *TABLE_ENDINGS, ".pcap", ".pcapng"))
-    raise TraceError(f"{path}: unknown kind of trace, its name should end in one of {endings}")
+    raise TraceError(f"{path}: unknown kind of trace: its name must end in one of {endings}")
 
 
 def _is_codesys(path: Path) -> bool:
@@ -132,9 +132,7 @@ def find_columns(name: str | Path) -> Columns:
     """
     shipped = {path.stem: path for path in MAPPINGS.glob("*.toml")}
     if not Path(name).exists() and str(name) not in shipped:
-        raise TraceError(
-            f"{name}: no such mapping file, nor one of those that come along: {', '.join(sorted(shipped))}"
-        )
+        raise TraceError(f"{name}: no such mapping file; bundled ones are: {', '.join(sorted(shipped))}")
     return load_columns(shipped.get(str(name), Path(name)))
 
 
@@ -159,4 +157,4 @@ def write_trace(
 
             write_csv(trace, partial)
         else:
-            raise TraceError(f"{path}: unknown kind of trace, its name should end in .csv, .csv.gz or .mcap")
+            raise TraceError(f"{path}: unknown kind of trace: its name must end in .csv, .csv.gz or .mcap")

@@ -74,7 +74,7 @@ def plan(names: Sequence[str], columns: Columns, path: Path) -> Plan:
             line = f"line {columns.header_line}" if columns.header_line else "the file"
             raise TraceError(
                 f"{path}: column {name!r} is {'there twice' if count else 'missing'}; {line} has: {listed} "
-                f"(other names and units: deltatwin import, or --columns)"
+                f"(for other names and units: deltatwin import, or --columns)"
             )
         return names.index(name)
 
@@ -263,7 +263,7 @@ def _bring(
     known = np.isfinite(own)
     own, raw = own[known], raw[known]
     if len(own) < 2 or np.any(np.diff(own) <= 0):
-        raise TraceError(f"{path}: {channel.label}: its own time stamps do not rise, it cannot be brought to another's")
+        raise TraceError(f"{path}: {channel.label}: its own time stamps do not rise, so it cannot be resampled")
     if channel.column.between == "hold":
         values = raw[np.clip(np.searchsorted(own, time, side="right") - 1, 0, None)]
     else:

@@ -81,7 +81,7 @@ class CaptureReader:
             (count("drive_faults"), "cycles with a drive in fault"),
             (count("not_enabled") - count("drive_faults"), "cycles with a drive not in operation"),
             (0 if bunched else count("lost"), "cycles lost"),
-            (count("pauses"), "pauses in which the master sent nothing"),
+            (count("pauses"), "pauses in which the master sent no frames"),
             (count("incomplete"), "cycles of which a part is missing, left out"),
             (self._flagged[FrameFlag.DAMAGED], "frames left out that the analyzer marked as damaged"),
             (self._flagged[FrameFlag.SNAPPED], "frames snapped by the capture"),
@@ -138,7 +138,7 @@ class CaptureReader:
             )
         ]
         about = f" of {', '.join(missing)}" if missing else ""
-        return f"the inputs{about} that the robot description maps never came whole; on the bus: {seen}{damage}"
+        return f"the inputs{about} that the robot description maps were never complete; on the bus: {seen}{damage}"
 
 
 def read_capture(path: Path, robot: Robot) -> Trace:
@@ -165,7 +165,9 @@ def _of_bunches(trace: Trace) -> tuple[Finding, ...]:
     by_stamps = np.uint32(SampleFlag.GAP_BEFORE | SampleFlag.JUMP | SampleFlag.REPEATED)
     flagged = np.count_nonzero(trace.flags & by_stamps)
     kept = tuple(f for f in trace.findings if f.flag and not f.flag & by_stamps)
-    line = f"stamps of bunches tell no speed: {flagged} of {len(trace)} cycles are flagged, and left out of every fit"
+    line = (
+        f"bunched stamps do not give a speed: {flagged} of {len(trace)} cycles are flagged, and left out of every fit"
+    )
     return (*kept, Finding.note(line)) if flagged else kept
 
 

@@ -96,7 +96,7 @@ def _sample_topic(
         raise TraceError(f"{path}: no /deltatwin/<robot>/sample topic (topics: {topics}){hint}")
     names = [name for name in found if robot and robot_key(name) == robot_key(robot.name)]
     if len(found) > 1 and not names:
-        raise TraceError(f"{path}: samples of several robots ({', '.join(sorted(found))}): say which with --robot")
+        raise TraceError(f"{path}: samples of several robots ({', '.join(sorted(found))}): give --robot")
     channel = found[names[0]] if names else next(iter(found.values()))
     schema = schemas.get(channel.schema_id)
     text = schema.data.decode("utf-8", "replace") if schema else ""

@@ -65,7 +65,7 @@ def read_summary(stream: IO[bytes], path: Path) -> Summary | None:
         StorageError: not an MCAP file, cut off, or a summary beyond `MAX_SUMMARY_BYTES`.
     """
     if stream.read(len(MAGIC)) != MAGIC:
-        raise StorageError(f"{path}: no MCAP file, it does not start like one")
+        raise StorageError(f"{path}: not an MCAP file: it does not start like one")
     size = stream.seek(0, io.SEEK_END)
     stream.seek(max(size - _FOOTER_BYTES, 0))
     footer = stream.read()

@@ -130,7 +130,7 @@ def _commanded(trace: Trace) -> Iterator[Finding]:
         return
     for joint, (torque, command) in enumerate(zip(trace.torque.T, trace.torque_command.T, strict=True), start=1):
         if np.ptp(torque) > 0 and np.array_equal(torque, command):
-            message = f"torque of joint {joint} is its torque_command to the last digit: it was not measured"
+            message = f"torque of joint {joint} equals its torque_command to the last digit: it was not measured"
             yield Finding.note(message)
 
 

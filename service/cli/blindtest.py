@@ -25,18 +25,18 @@ class Family(StrEnum):
 
 def command(
     out: Annotated[
-        Path, typer.Option(help="Folder for cases, key, answers and blindtest.html; one that was interrupted goes on")
+        Path, typer.Option(help="Folder for cases, key, answers and blindtest.html; an interrupted test continues")
     ],
     cases: Annotated[int, typer.Option(min=1, help="Number of cases")] = 100,
     family: Annotated[
         list[Family] | None,
         typer.Option(
-            help="known: single effects, pairs, gap-free, out of the catalogue; three: at once; outside: two and one "
-            "out of the catalogue; description: wrong in a quantity; production: pick-and-place alone; scope: what "
-            "scopes make of a signal. May be repeated; default: all, as many cases each"
+            help="known: single effects, pairs, no gap, outside the catalogue; three: three at once; outside: two and "
+            "one outside the catalogue; description: one wrong quantity; production: pick-and-place only; scope: "
+            "sampled and stamped as scopes do. May be repeated; default: all, with equally many cases"
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of robots, motions, effects and severities")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of robots, motions, effects and severities")] = 1,
     jobs: Jobs = 2,
     backend: OnBackend = Backend.LOKY,
     scheduler: Scheduler = None,
@@ -44,8 +44,8 @@ def command(
 ) -> None:
     """Simulate robots with hidden faults, diagnose them from their logs alone, then open the key and compare.
 
-    Every answer is stored at once: after Ctrl-C the same command continues where it stopped. Exit code 3 if a bound is
-    missed.
+    Each answer is stored immediately: after Ctrl-C the same command continues where it stopped. Exit code 3 if a bound
+    is missed.
 
     Example: deltatwin blindtest --cases 100 --family known --seed 1 --out blind
 

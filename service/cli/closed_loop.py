@@ -35,42 +35,48 @@ class Known(NamedTuple):
 
 
 def command(
-    robot: Annotated[Path, robot_file(", or one that comes along.")] = Path("d3-1200"),
+    robot: Annotated[Path, robot_file(", or the name of a bundled one.")] = Path("d3-1200"),
     out: Annotated[Path, typer.Option(help="Folder for page, pictures and figures as JSON.")] = Path("closed-loop"),
     identified: Annotated[
         Path | None,
-        typer.Option(metavar="FILE|NAME", help="What `identify` wrote. Default: identify on simulated logs first."),
+        typer.Option(
+            metavar="FILE|NAME", help="Description from `identify`. Default: identify on simulated logs first."
+        ),
     ] = None,
     effect: Annotated[
         str | None,
         typer.Option(
             metavar="NAME[:SEVERITY]",
-            help="Give the robot this effect of the catalogue, drawn from --seed at a severity (1: a fault of a small "
-            "Delta), and compare the rigid tau_FF with that of the corrected description.",
+            help="Give the robot this effect of the catalogue, with parameters drawn from --seed at a severity (1: a "
+            "fault of a small Delta). Compare the rigid tau_FF with that of the corrected description.",
         ),
     ] = None,
     corrected: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="What `diagnose` wrote. Default, with --effect: diagnose simulated logs."),
+        typer.Option(
+            metavar="FILE", help="Description from `diagnose`. Default, with --effect: diagnose simulated logs."
+        ),
     ] = None,
     truth: Annotated[
         str | None,
-        typer.Option(metavar="FILE", help="What the robot really is (TOML), or `ideal`. Default: as `simulate`."),
+        typer.Option(
+            metavar="FILE", help="True parameters of the robot (TOML), or `ideal`. Default: as for `simulate`."
+        ),
     ] = None,
     payload: Annotated[
         list[float] | None, typer.Option(min=0.0, help="Masses to carry (kg). Default: 1 and 3.8.")
     ] = None,
     duration: Annotated[float, typer.Option(min=3.0, help="Length of each run (s).")] = 10.0,
-    rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz).")] = 1000.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of motion, noise and effect.")] = 0,
+    rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles per second (Hz).")] = 1000.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of motion, noise and effect.")] = 0,
     effects: OwnEffects = None,
     json: AsJson = False,
 ) -> None:
     """Run a live simulated robot and the estimator over Zenoh and measure the tracking error: with feedback alone, with
-    the feed-forward torque of every model, with the payload in it, and with the estimator lost half way.
+    the feed-forward torque of every model, with the payload included, and with the estimator ended half way.
 
-    With --effect or --corrected: with feedback alone, the rigid and the corrected feed-forward, on a robot that has the
-    effect. Ends with 3 where too many cycles were late for the figures to count.
+    With --effect or --corrected: feedback alone, the rigid and the corrected feed-forward, on a robot that has the
+    effect. Exit code 3 if too many cycles were late for a valid result.
 
     Example: deltatwin closed-loop --robot d3-1200 --payload 1 --payload 3.8 --out closed-loop
 

@@ -20,17 +20,17 @@ def command(
             help="Recorded trace (.csv, .csv.gz, .mcap) or EtherCAT capture (.pcap, .pcapng; with --robot).",
         ),
     ],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending says the format.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending selects the format.")],
     robot: Annotated[Path | None, robot_file(": joint range, gear ratio, columns table, topic.")] = None,
     columns: ColumnsFrom = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it is there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
 ) -> None:
     """Write a trace as .csv, .csv.gz (joint side, SI, every digit) or .mcap (ROS 2 messages, opens in Foxglove).
 
-    Rows are kept as recorded; what is wrong with them is said here and flagged in the MCAP. OUT appears when it is
+    Rows are kept as recorded; faults in them are reported here and flagged in the MCAP. OUT appears when it is
     complete.
 
-    A capture takes layout and scaling of its drives from --robot; its findings say what contradicts them.
+    For a capture, --robot gives the layout and scaling of the drives; contradictions to them are reported.
 
     Example: deltatwin convert scope_export.csv pick.mcap --robot d3.toml --columns twincat.toml
     """

@@ -25,8 +25,8 @@ def command(
 ) -> None:
     """Replay a bundled Delta log in real time through player, estimator and monitor, each a process of its own.
 
-    Shows a live table for 10 s, then errors of each model, payload against truth, latency and loss. Leaves demo.mcap
-    (opens in Foxglove and PlotJuggler) and demo.html in the folder. A robot has one observer: end its `view` first.
+    Shows a live table for 10 s, then errors of each model, payload against truth, latency and loss. Writes demo.mcap
+    (for Foxglove and PlotJuggler) and demo.html to the folder. A robot has one observer: end its `view` first.
 
     Example: deltatwin demo --out /tmp/demo
     """
@@ -136,7 +136,7 @@ def _headline(results: dict[str, Any]) -> Headline:
         f"{counted(lost, 'sample') if lost else 'no sample'} lost.",
         percent(1 - full / book),
         f"smaller torque error, {significant(book)} → {significant(full)} N m rms (M_KH → full model with payload)",
-        "`deltatwin init` describes your robot, `deltatwin import LOG --robot FILE` reads its logs.",
+        "describe your robot with `deltatwin init`, read its logs with `deltatwin import LOG --robot FILE`.",
     )
 
 

@@ -20,14 +20,14 @@ def command(
     baseline: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE|NAME", help="Identified description whose gap is the one before; default: identify anew"
+            metavar="FILE|NAME", help="Identified description for the gap before; default: identify from these logs"
         ),
     ] = None,
     effects: OwnEffects = None,
     json: AsJson = False,
     test: Annotated[
         list[Path] | None,
-        typer.Option(metavar="TRACE", help="Log to try the correction on, used for nothing else; may be repeated"),
+        typer.Option(metavar="TRACE", help="Log to test the correction on, used for nothing else; may be repeated"),
     ] = None,
     loaded: Annotated[
         list[Path] | None,
@@ -35,18 +35,20 @@ def command(
     ] = None,
     loads: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="What was carried there: CSV with from_s,until_s,mass_kg; one for each log"),
+        typer.Option(
+            metavar="FILE", help="Known loads of a --loaded log: CSV with from_s,until_s,mass_kg; one per log"
+        ),
     ] = None,
     pdf: Annotated[
-        bool, typer.Option("--pdf", help="Print the report too (report.pdf), by Chromium or Chrome")
+        bool, typer.Option("--pdf", help="Also print the report to report.pdf, with Chromium or Chrome")
     ] = False,
 ) -> None:
-    """Say where torque and model differ, which effect explains it, and how far the gap shrinks on held-out logs.
+    """Show where torque and model differ, which effect explains it, and how far the gap shrinks on held-out logs.
 
     --robot may also describe axes (kind = "axes") or an arm by its URDF (kind = "chain"). Effects that --robot or
-    --baseline already contain are not searched. --test separates events, stretches far above the rest, from the
-    residual elsewhere. For a Delta the result also says what the correction is worth to the estimator: mass, false
-    events and feed-forward before and after.
+    --baseline already contain are not searched. --test reports events (stretches far above the rest of the residual)
+    separately. For a Delta the result also compares the estimator with and without the correction: mass, false events
+    and feed-forward.
 
     Example: deltatwin diagnose fit_*.csv --robot robot.toml --out diagnosis --test other_day.csv
 
@@ -69,7 +71,7 @@ def command(
     if pdf:
         browser()  # that there is one, before anything that takes long
     if len(loaded or []) != len(loads or []):
-        raise DataError(f"--loads: {len(loads or [])} files for {len(loaded or [])} logs (--loaded); give one a log")
+        raise DataError(f"--loads: {len(loads or [])} files for {len(loaded or [])} logs (--loaded); give one per log")
     make_folder(out)
     known = catalogue(effects)
     description = load_description(robot, effects)
@@ -80,7 +82,7 @@ def command(
     picks = [read_truth(path) for path in loads or []]
     with console(stderr=True).status("starting") as status:
         findings = diagnose(description, recorded, known, status.update, reference, tests)
-        status.update("trying the estimator with it")
+        status.update("trying the corrected description in the estimator")
         tried = online_trial(findings, recorded, tests, list(zip(carriers, picks, strict=True)))
         status.update("writing the report")
         named = filter(None, (baseline, effects, columns and Path(columns)))
@@ -93,7 +95,7 @@ def command(
             write_text(target, noted(target.read_text(encoding="utf-8"), tried))
         write_report(findings, result, out / "report.html")
         if pdf:
-            status.update("printing it")
+            status.update("printing the report")
             print_page(out / "report.html", out / "report.pdf")
     if json:
         typer.echo(result.model_dump_json(indent=1, by_alias=True))

@@ -16,14 +16,16 @@ SIGNS = {True: "[green]yes[/green]", False: "[yellow]no[/yellow]", None: "?"}
 def command(
     bundle: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write all of it and all versions to a file to add to a bug report"),
+        typer.Option(
+            metavar="FILE", help="Also write the result and all versions to a file, to attach to a bug report"
+        ),
     ] = None,
     json: AsJson = False,
 ) -> None:
-    """Look at real time, rights, programs and optional packages; nothing is changed.
+    """Check real time, permissions, programs and optional packages; change nothing.
 
-    The bundle is a text (JSON) to read before it is sent: versions and kind of machine, no names of host or user, no
-    environment, no logs. Exit code 0 whatever is missing.
+    The bundle is JSON text; read it before you send it. It holds versions and the kind of machine, no names of host or
+    user, no environment, no logs. The exit code is 0 whatever is missing.
 
     Example: deltatwin doctor --bundle machine.json
     """

@@ -11,13 +11,13 @@ from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, ro
 
 
 def command(
-    robot: Annotated[Path, robot_file(", best one that `identify` wrote.")],
+    robot: Annotated[Path, robot_file("; best from `identify`.")],
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
     ros_domain: RosDomain = None,
     effects: OwnEffects = None,
     keep: Annotated[
-        Path | None, typer.Option(help="File that keeps what was learnt of friction over a restart", metavar="FILE")
+        Path | None, typer.Option(help="File that keeps the learnt friction over a restart", metavar="FILE")
     ] = None,
 ) -> None:
     """Answer every sample on the bus with feed-forward torque, payload mass and model errors, until Ctrl-C.

@@ -12,19 +12,21 @@ from service.cli.output import as_json, console, say_next, table
 
 
 def command(
-    out: Annotated[Path, typer.Option(help="Folder for everything that is recorded.")] = Path("ethercat-demo"),
-    rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second (Hz).")] = 1000.0,
+    out: Annotated[Path, typer.Option(help="Folder for all recordings.")] = Path("ethercat-demo"),
+    rate: Annotated[float, typer.Option(min=1.0, help="Cycles per second (Hz).")] = 1000.0,
     duration: Annotated[float, typer.Option(min=10.0, help="Length of each of two pick-and-place runs (s).")] = 12.0,
-    product: Annotated[float, typer.Option(min=0.1, help="What the gripper lifts in the second run (kg).")] = 1.5,
+    product: Annotated[
+        float, typer.Option(min=0.1, help="Product that the gripper lifts in the second run (kg).")
+    ] = 1.5,
     json: AsJson = False,
 ) -> None:
-    """Simulated drives and robot, master, passive tap, capture, estimator and monitor on one wire.
+    """Run simulated drives and robot, master, passive tap, capture, estimator and monitor on one wire.
 
     Needs root, `ip` (package iproute2) and `dumpcap` (package wireshark-common), which captures the wire.
 
-    First run: empty gripper, no feed-forward; the robot is identified from what the tap heard. Second run: the same
-    motion with products, tau_FF from the estimator over Zenoh. Then every claim is checked against the simulated
-    robot's own account of the runs. Exit code 3 when one does not hold.
+    First run: empty gripper, no feed-forward; the robot is identified from the samples of the tap. Second run: the same
+    motion with products, tau_FF from the estimator over Zenoh. Then every claim is checked against the recording that
+    the simulated robot made itself. Exit code 3 if a claim does not hold.
 
     Example: sudo deltatwin ethercat-demo --out demo
     """

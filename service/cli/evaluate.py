@@ -17,23 +17,23 @@ if TYPE_CHECKING:
     from service.identification.evaluation import Evaluation, Moments
 
 
-MOST_EVENTS = 4  # told
+MOST_EVENTS = 4  # listed
 
 
 def command(
     traces: Annotated[list[Path], typer.Argument(help="Traces: .csv, .csv.gz or .mcap", metavar="TRACE")],
-    robot: Annotated[Path, robot_file(", plain, identified or corrected; or of axes")],
+    robot: Annotated[Path, robot_file(", plain, identified or corrected; also of axes")],
     effects: OwnEffects = None,
     columns: ColumnsFrom = None,
     json: AsJson = False,
     predictions: Annotated[
-        Path | None, typer.Option(help="Folder for the fullest model's torque, one CSV a trace, every row")
+        Path | None, typer.Option(help="Folder for the torque of the fullest model: one CSV per trace, all rows")
     ] = None,
 ) -> None:
-    """Mean and standard deviation of measured minus predicted torque for each model.
+    """Show mean and standard deviation of measured minus predicted torque for each model.
 
-    Offline: the motion is smoothed in both directions; joints at rest are left out. Stretches far above the rest are
-    named, and the fullest model shown without them too.
+    Offline: the motion is smoothed in both directions; joints at rest are left out. Events (stretches far above the
+    rest of the residual) are listed, and the fullest model is also shown without them.
 
     Example: deltatwin evaluate test_*.csv --robot identified.toml --predictions predicted/
     """
@@ -149,7 +149,7 @@ def _table(results: list[Evaluation], unit: str) -> Table:
         for name, moments in shown.items()
     ]
     head = ("model", *(f"joint {joint + 1}: mean, std" for joint in range(len(rows[0]) - 1)))
-    title = f"torque - model, {unit}, below {ANALYSIS_HZ:g} Hz while moving, {counted(len(results), 'trace')}"
+    title = f"torque minus model, {unit}, below {ANALYSIS_HZ:g} Hz while moving, {counted(len(results), 'trace')}"
     return table(head, rows, title)
 
 
@@ -162,6 +162,6 @@ def _events(result: Evaluation, unit: str) -> str:
     strongest = sorted(result.events, key=lambda event: -event.level)[:MOST_EVENTS]
     told = "; ".join(f"joint {e.joint + 1} {e.start:.2f} to {e.end:.2f} s ({e.level:.3g} {unit})" for e in strongest)
     return (
-        f"{result.trace.path}: {len(result.events)} events stand far above the rest ({100 * share:.0f} % of the motion)"
-        f"{keeping}; strongest {told}"
+        f"{result.trace.path}: {len(result.events)} events far above the rest of the residual ("
+        f"{100 * share:.0f} % of the motion){keeping}; strongest: {told}"
     )

@@ -16,22 +16,22 @@ def command(
     out: Annotated[Path, typer.Option(help="Folder for page, pictures, logs and identified.toml.")] = Path(
         "experiment"
     ),
-    trajectories: Annotated[int, typer.Option(min=4, help="Identification trajectories.")] = 12,
-    duration: Annotated[float, typer.Option(min=3.0, help="Length of each (s).")] = 10.0,
+    trajectories: Annotated[int, typer.Option(min=4, help="Number of identification trajectories.")] = 12,
+    duration: Annotated[float, typer.Option(min=3.0, help="Length of each trajectory (s).")] = 10.0,
     payload: Annotated[float, typer.Option(min=0.1, help="Mass to pick and place (kg).")] = 3.8,
-    rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz).")] = 1000.0,
+    rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles per second (Hz).")] = 1000.0,
     forgetting: Annotated[
-        float, typer.Option(min=0.5, max=1.0, help="Forgetting factor of the paper's recursion, a millisecond.")
+        float, typer.Option(min=0.5, max=1.0, help="Forgetting factor of the paper's recursion, per millisecond.")
     ] = 0.99,
-    seed: Annotated[int, typer.Option(min=0, help="Of motions and noise.")] = 0,
-    logs: Annotated[bool, typer.Option("--logs", help="Write the simulated logs as CSV too.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of motions and noise.")] = 0,
+    logs: Annotated[bool, typer.Option("--logs", help="Also write the simulated logs as CSV.")] = False,
     json: AsJson = False,
 ) -> None:
     """Repeat the paper's experiment on a simulated robot of the D3-1200's size, and compare with the published values.
 
     Twelve identification trajectories, a stress motion near the bounds of the workspace (υ_F) and a pick-and-place run
-    with 3.8 kg (υ_P): tables 1 and 2 and figures 2 to 9, with the paper's numbers beside them, and in a section of its
-    own what goes beyond the paper; as one interactive page, as PNG and as PDF. Every measurement in it is simulated.
+    with 3.8 kg (υ_P). The result is tables 1 and 2 and figures 2 to 9 next to the paper's values, with a separate
+    section beyond the paper, as one interactive page, as PNG and as PDF. Every measurement in it is simulated.
 
     Example: deltatwin experiment --out experiment
     """

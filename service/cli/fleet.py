@@ -21,8 +21,8 @@ def command(
     logs: Annotated[
         list[Path], typer.Argument(help="Folders of logs, or logs: .csv, .csv.gz, .mcap, .pcapng", metavar="LOGS")
     ],
-    out: Annotated[Path, typer.Option(help="Folder for fleet.html, fleet.json and a folder a robot")],
-    robot: Annotated[Path | None, robot_file(" of robots that have no robot.toml of their own")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for fleet.html, fleet.json and a folder per robot")],
+    robot: Annotated[Path | None, robot_file(" for robots without their own robot.toml")] = None,
     columns: ColumnsFrom = None,
     effects: OwnEffects = None,
     jobs: Jobs = 2,
@@ -30,13 +30,13 @@ def command(
     scheduler: Scheduler = None,
     json: AsJson = False,
 ) -> None:
-    """Judge every robot day after day against what it was on its first day, and say what has changed since when.
+    """Compare every robot, day by day, with its first day, and report what has changed and since when.
 
-    A robot is a folder: with a robot.toml, else the first one whose name has no date; recordings of several robots in
-    one folder are separated by the names in them. Days come from dates in names (2026-01-31) or from stamps.
-    The first day is identified and the others are diagnosed against it; a robot.toml with [identified] is taken as it
-    is. Carry the same load on all days, best none. Every day is kept as it comes: the same command goes on where it
-    stopped, and works out only what is new.
+    A robot is a folder: one with a robot.toml, else the first one whose name has no date. Recordings of several robots
+    in one folder are separated by the robot names in them. Days come from dates in names (2026-01-31) or from stamps.
+    The first day is identified and the others are diagnosed against it; a robot.toml with [identified] is used as it
+    is. Carry the same load on all days, best none. Each day is stored when it is done: the same command continues
+    where it stopped and computes only new days.
 
     Example: deltatwin fleet logs/ --robot d3-1200 --out fleet     # logs/cell_3/2026-01-31/pick.csv
     """
@@ -44,7 +44,7 @@ def command(
     from schemas.files import make_folder, write_text
 
     with bars() as progress:
-        task = progress.add_task("looking at the logs", total=None)
+        task = progress.add_task("surveying the logs", total=None)
         from drivers.trace import find_columns
         from schemas.axes import load_description
         from service.diagnosis.workers import backend as workers
@@ -83,9 +83,9 @@ def command(
 def _table(fleet: Fleet) -> Table:
     from service.fleet.page import found, when
 
-    head, rows = ("robot", "what", "joint", "since", "last on", "days", "how much"), []
+    head, rows = ("robot", "change", "joint", "since", "last on", "days", "amount"), []
     for robot, change in found(fleet):
-        joints, last = ", ".join(map(str, change.joints)), change.last if change.gone else "still there"
+        joints, last = ", ".join(map(str, change.joints)), change.last if change.gone else "still seen"
         days = f"{change.days} of {change.of}"
         rows.append((robot, change.title, joints, when(change), last, days, "; ".join(change.now[:MOST_TOLD])))
     for one in fleet.robots:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from service.identification.calibration import CalibratedFigure
     from service.identification.pooled import ParameterEstimate, Plain
 
-CHANGED = {True: "put right", False: "left as described"}
+CHANGED = {True: "corrected", False: "left as described"}
 
 
 def command(
@@ -35,13 +35,13 @@ def command(
         list[str] | None,
         typer.Option(
             metavar="KG:TRACE",
-            help="Log of a known load carried throughout, as 3.0:log.csv; fixes torque constants and platform mass",
+            help="Known load carried throughout a log: 3.0:log.csv (kg). Calibrates torque constants and platform mass",
         ),
     ] = None,
     json: AsJson = False,
     columns: ColumnsFrom = None,
 ) -> None:
-    """Identify inertia, gravity, forearm and friction, with standard errors and a verdict for each.
+    """Identify inertia, gravity, forearm mass and friction, with a standard error and a verdict for each.
 
     Example: deltatwin identify fit_*.csv --robot robot.toml --out identified.toml --carried 3.0:loaded.csv
     """
@@ -92,12 +92,12 @@ def _load(text: str) -> tuple[float, Path]:
             raise ValueError
         return float(mass), Path(path)
     except ValueError:
-        raise typer.BadParameter(f"--carried {text}: write mass in kg and trace, as 3.0:log.csv") from None
+        raise typer.BadParameter(f"--carried {text}: give mass in kg and trace, such as 3.0:log.csv") from None
 
 
 def _calibrated(figures: Sequence[CalibratedFigure]) -> Table:
     rows = [(one.name, *_figures(one.value, one.std_error), one.unit, CHANGED[one.changed]) for one in figures]
-    return table(("", "value", "std. error", "unit", ""), rows, "by the known load", figures=slice(1, 3))
+    return table(("", "value", "std. error", "unit", ""), rows, "calibrated by the known load", figures=slice(1, 3))
 
 
 def _parameters(estimates: Sequence[ParameterEstimate], robot: Description) -> Table:
@@ -108,7 +108,7 @@ def _parameters(estimates: Sequence[ParameterEstimate], robot: Description) -> T
         for one in estimates
     ]
     return table(
-        ("parameter", "value", "std. error", "unit", "verdict", "why"), rows, "identified", figures=slice(1, 3)
+        ("parameter", "value", "std. error", "unit", "verdict", "reason"), rows, "identified", figures=slice(1, 3)
     )
 
 

@@ -24,43 +24,43 @@ _Files = Annotated[
         metavar="FILE",
         help="TwinCAT Scope, CODESYS, KUKA (.dat), tables with or without a header, JSON, .mat, .npy, .npz, bags of "
         "ROS and Foxglove (rosbag2, its folder, .bag, .mcap). Several files with the same columns are runs of one "
-        "machine, and get one mapping; others are taken side by side.",
+        "machine and share one mapping; files with different columns are joined into one log.",
     ),
 ]
-_Robot = Annotated[Path | None, robot_file(": signs and gear side are tried.")]
+_Robot = Annotated[Path | None, robot_file(", to find signs and gear side.")]
 _Out = Annotated[
     Path | None,
     typer.Option(
-        help="Log to write. Default: the first file's name, .mcap (.csv if not three joints). "
-        "Of several runs: a folder."
+        help="Log to write; for several runs, a folder. Default: the first file's name with .mcap (.csv if there are "
+        "not three joints)."
     ),
 ]
-_Yes = Annotated[bool, typer.Option("--yes", help="Take the proposal without asking.")]
-_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")]
-_Time = Annotated[str | None, typer.Option(help="Column of the stamps.")]
-_Rate = Annotated[float | None, typer.Option(min=0.1, help="Rows a second (Hz), where no column has stamps.")]
-_Position = Annotated[str | None, typer.Option(help="Columns of the positions, with commas, joint 1 first.")]
-_Torque = Annotated[str | None, typer.Option(help="Columns of the torques or currents, with commas.")]
+_Yes = Annotated[bool, typer.Option("--yes", help="Accept the proposal without asking.")]
+_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")]
+_Time = Annotated[str | None, typer.Option(help="Column of the time stamps.")]
+_Rate = Annotated[float | None, typer.Option(min=0.1, help="Rows per second (Hz), if no column has time stamps.")]
+_Position = Annotated[str | None, typer.Option(help="Columns of the positions, separated by commas, joint 1 first.")]
+_Torque = Annotated[str | None, typer.Option(help="Columns of the torques or currents, separated by commas.")]
 _PositionUnit = Annotated[str | None, typer.Option(help="rad, mrad, deg, turns, counts, m, cm, mm or um.")]
-_CountsPerRev = Annotated[float | None, typer.Option(min=1.0, help="Increments a turn of the encoder.")]
-_CountsPerM = Annotated[
-    float | None, typer.Option(min=1.0, help="Increments a metre, of an axis that goes along a line.")
-]
+_CountsPerRev = Annotated[float | None, typer.Option(min=1.0, help="Increments per turn of the encoder.")]
+_CountsPerM = Annotated[float | None, typer.Option(min=1.0, help="Increments per metre, for linear axes.")]
 _TorqueUnit = Annotated[
     str | None,
     typer.Option(
         help="'N m', 'mN m', N, ..., 'percent RATED', 'permille RATED', 'A CONSTANT' or 'V CONSTANT' (N m, N m/A, "
-        "N m/V); of joints that differ 'A 0.2,0.2,0.1'."
+        "N m/V); one constant per joint: 'A 0.2,0.2,0.1'."
     ),
 ]
 _TorqueTimes = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Column to multiply the torques with, such as a voltage.")
+    str | None, typer.Option(metavar="NAME", help="Column by which the torques are multiplied, such as a voltage.")
 ]
-_Where = Annotated[str | None, typer.Option(metavar="NAME[=VALUE]", help="Rows that count: VALUE (1) in this column.")]
+_Where = Annotated[
+    str | None, typer.Option(metavar="NAME[=VALUE]", help="Use only rows with VALUE (default 1) in this column.")
+]
 _Sign = Annotated[
-    str | None, typer.Option(help="Sign of each torque, with commas, joint 1 first: 1,-1,1; or one for all.")
+    str | None, typer.Option(help="Sign of each torque, separated by commas, joint 1 first: 1,-1,1; or one for all.")
 ]
-_Topic = Annotated[str | None, typer.Option(help="Topic of the joint states, where a bag has several.")]
+_Topic = Annotated[str | None, typer.Option(help="Topic of the joint states, if a bag has several.")]
 
 
 def command(
@@ -85,10 +85,11 @@ def command(
 ) -> None:
     """List the channels of foreign logs, propose how to read them, and write the mapping and the log.
 
-    Unit, clock, sign and side of the gear come from what the file says, else from what makes the torque fit the
-    motion (with --robot). What cannot be told is said, and asked where this is a terminal. Nothing is repaired.
+    Unit, clock, sign and side of the gear are taken from the file; what the file does not say is found by fitting the
+    torque to the motion (with --robot). What remains ambiguous is reported, and asked in a terminal. Nothing is
+    repaired.
 
-    Writes OUT and, beside it, OUT's name with .columns.toml: the mapping, for --columns or to correct by hand.
+    Writes OUT and, next to it, the mapping (OUT's name with .columns.toml), for --columns or to correct by hand.
 
     Example: deltatwin import scope.csv --robot robot.toml --yes
 
@@ -130,9 +131,9 @@ def _ask(proposal: Proposal) -> None:
     import sys
 
     if not sys.stdin.isatty():
-        raise typer.BadParameter("no terminal to ask on; --yes takes the proposal", param_hint="--yes")
-    if not typer.confirm("take it?", default=not proposal.doubts, err=True):
-        typer.echo("nothing written; say otherwise with --position, --torque, --time, --torque-unit ...", err=True)
+        raise typer.BadParameter("no terminal to ask; --yes accepts the proposal", param_hint="--yes")
+    if not typer.confirm("accept it?", default=not proposal.doubts, err=True):
+        typer.echo("nothing written; correct it with --position, --torque, --time, --torque-unit ...", err=True)
         raise typer.Exit(1)
 
 
@@ -170,13 +171,13 @@ def _runs(files: list[Path], stated: Stated, topic: str | None) -> list[Table]:
 
     for path in files:
         if path.name.endswith(CAPTURE_ENDINGS):
-            raise TraceError(f"{path}: a capture needs no import: every command reads it with its --robot")
+            raise TraceError(f"{path}: a capture needs no import: every command reads it with --robot")
     tables = [read_table(path, {"topic": topic} if topic else None) for path in files]
     if are_runs(tables, stated.position, stated.torque):
         return tables
     for path in files:
         if path.parent.resolve() != files[0].parent.resolve():
-            raise TraceError(f"{path}: not in the folder of {files[0]}; files side by side stand beside each other")
+            raise TraceError(f"{path}: not in the folder of {files[0]}; files of one log must be in the same folder")
     return [joined(tables, clocks_of(tables, stated.time))]
 
 
@@ -193,7 +194,7 @@ def _targets(files: list[Path], proposal: Proposal, out: Path | None, overwrite:
     ending = ".mcap" if len(proposal.columns["position"]) == 3 else ".csv"
     several = len(files) > 1
     if several and out is not None and (out.is_file() or out.name.endswith((".mcap", *CSV_ENDINGS))):
-        raise typer.BadParameter(f"{out}: {len(files)} runs are read: name a folder", param_hint="--out")
+        raise typer.BadParameter(f"{out}: {len(files)} runs are read: give a folder", param_hint="--out")
     logs = []
     for path in files:
         told_apart = "" if ending == ".mcap" != path.suffix or (several and out) else ".imported"
@@ -205,11 +206,11 @@ def _targets(files: list[Path], proposal: Proposal, out: Path | None, overwrite:
     for path in (*logs, mapping):
         check_folder(path.parent)
         if path.resolve() in (file.resolve() for file in files):
-            raise StorageError(f"{path}: is what is read; --out names another file")
+            raise StorageError(f"{path}: is an input file; give another one with --out")
         if path.exists() and not overwrite:
-            raise StorageError(f"{path}: exists already; --overwrite replaces it, --out names another")
+            raise StorageError(f"{path}: exists already; replace it with --overwrite, or give another one with --out")
     if len({path.resolve() for path in logs}) < len(logs):
-        raise StorageError(f"{out}: two of the runs have one name: import them one by one")
+        raise StorageError(f"{out}: two of the runs have the same name: import them one by one")
     return logs, mapping
 
 
@@ -255,14 +256,14 @@ def _row_filter(text: str) -> tuple[str, float]:
     try:
         return name.strip(), float(value or 1)
     except ValueError:
-        raise typer.BadParameter(f"{text!r}: the value is no number", param_hint="--where") from None
+        raise typer.BadParameter(f"{text!r}: the value is not a number", param_hint="--where") from None
 
 
 def _signs(text: str) -> list[int]:
     signs = {"1": 1, "+1": 1, "+": 1, "-1": -1, "-": -1}
     given = [part.strip() for part in text.split(",")]
     if any(part not in signs for part in given):
-        raise typer.BadParameter(f"{text!r}: 1 or -1 a joint, with commas", param_hint="--sign")
+        raise typer.BadParameter(f"{text!r}: give 1 or -1 per joint, separated by commas", param_hint="--sign")
     return [signs[part] for part in given]
 
 
@@ -302,7 +303,7 @@ def _show(table: Table, proposal: Proposal) -> None:
         low, high = ("-" if row[key] is None else f"{row[key]:.5g}" for key in ("min", "max"))
         rate = f"{row['rate_hz']:.6g} Hz"
         rows.append((escape(row["channel"]), escape(row["unit"]), low, high, rate, row["taken_for"]))
-    head = ("channel", "unit said", "min", "max", "rate", "taken for")
+    head = ("channel", "stated unit", "min", "max", "rate", "used as")
     console().print(printed(head, rows, figures=slice(2, 5)), highlight=False)
     for reason in proposal.reasons:
         say(f"  {escape(reason)}")

@@ -22,13 +22,15 @@ def command(
     axes: Annotated[int | None, typer.Option(metavar="N", help="Number of servo axes, instead of a Delta")] = None,
     answer: Annotated[
         list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="An answer, as geometry.base_radius=0.2; asked for where it is missing"),
+        typer.Option(
+            metavar="KEY=VALUE", help="An answer, such as geometry.base_radius=0.2; missing answers are asked for"
+        ),
     ] = None,
 ) -> None:
-    """Ask for what a description needs and write it, each figure with its unit and meaning.
+    """Ask for the values of a description and write it, each value with its unit and meaning.
 
-    Lengths and masses as drawn or measured are enough to begin with: `identify` finds what they really are. Where there
-    is nobody to ask (no terminal), every answer without a default has to be given.
+    Lengths and masses from the drawing are enough to begin with: `identify` corrects the masses from logs. Without a
+    terminal, every answer that has no default must be given with --answer.
 
     Example: deltatwin init --out robot.toml
 

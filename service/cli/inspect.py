@@ -28,10 +28,10 @@ def command(
 ) -> None:
     """Show rate, jitter, gaps, repeats and ranges of each channel, and what is missing or wrong.
 
-    A capture: slaves, cycle time and its jitter, working-counter faults, lost cycles, state changes, mapping; with
-    --robot also the objects of its drives and what contradicts their declared scaling.
+    Of a capture: slaves, cycle time and its jitter, working-counter faults, lost cycles, state changes, mapping; with
+    --robot also the objects of the drives and contradictions to their declared scaling.
 
-    Exit code 1 if a trace is unusable; the others are shown all the same.
+    Exit code 1 if a trace is unusable; the other traces are still shown.
 
     Example: deltatwin inspect pick_a.csv pick_b.mcap --robot d3.toml
     """

@@ -98,8 +98,7 @@ def plan_joints(
     if asked and not assume:
         told = ", ".join(f"{name} ({DEFAULTS[name]:g} assumed)" for name in asked)
         raise DataError(
-            f"{description.name}: how far may it be driven? no limit is given of {told}: say the option; "
-            "--assume-limits takes these"
+            f"{description.name}: no limit is given for {told}: give it as an option; --assume-limits uses these values"
         )
     given = dict(zip(("--max-speed", "--max-acceleration", "--max-torque"), limits, strict=True))
     tight, _ = limits_of(machine, *(given | {name: DEFAULTS[name] for name in asked}).values())
@@ -118,12 +117,12 @@ def plan_joints(
         typer.echo(as_json("plan-motion", figures | {"std_errors": known, "assumed": asked}))
         return
     rows = [
-        (name, f"{noise * error:.2g}" if np.isfinite(error) else "cannot be told", unit)
+        (name, f"{noise * error:.2g}" if np.isfinite(error) else "not identifiable", unit)
         for (name, unit), error in zip(names, errors, strict=True)
     ]
-    console().print(table(("parameter", "standard error", "unit"), rows, f"after this run, by noise of {noise:.2g}"))
+    console().print(table(("parameter", "standard error", "unit"), rows, f"after this run, for noise of {noise:.2g}"))
     if asked:
-        typer.echo(f"assumed, nobody has given it: {', '.join(asked)}: check before a machine runs this")
+        typer.echo(f"assumed, as not given: {', '.join(asked)}: check before a machine runs this")
     typer.echo(
         f"best of {TRIES}: {out}, {motion.time[-1]:.1f} s at {rate:g} Hz, up to "
         f"{np.abs(motion.theta_dot).max():.3g} in speed, {np.abs(motion.theta_ddot).max():.3g} in acceleration, "

@@ -78,7 +78,7 @@ def _table(found: JointRollout) -> Table:
         row = [one.name, *map(_thousandths, one.joint_rms)]
         rows.append([*row, "-" if one.tool_rms is None else _thousandths(one.tool_rms)] if tool else row)
     head += ["tool, mm"] if tool else []
-    title = f"simulated less measured after {1e3 * found.horizon:.0f} ms, rms of {found.windows} windows"
+    title = f"simulated minus measured after {1e3 * found.horizon:.0f} ms, rms of {found.windows} windows"
     return table(head, rows, title)
 
 

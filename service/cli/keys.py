@@ -23,9 +23,11 @@ class SampleSource(StrEnum):
 def command(
     hosts: Annotated[
         str,
-        typer.Option(help="Hosts the roles may run on: names or addresses, with commas; a first port after a colon."),
+        typer.Option(
+            help="Hosts the roles may run on: names or addresses, separated by commas; a first port after a colon."
+        ),
     ],
-    out: Annotated[Path, typer.Option(help="Folder to write; a CA that is in it is kept and signs the new keys.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; a CA already in it is kept and signs the new keys.")],
     robot: Annotated[
         str | None,
         typer.Option(
@@ -38,10 +40,10 @@ def command(
 ) -> None:
     """Make keys, certificates and Zenoh configurations: roles on several hosts trust each other and nobody else.
 
-    Writes a folder for each host with, for each role, a certificate and a configuration for --zenoh-config: TLS with
-    certificates on both sides, nothing searched for or announced, everything denied but what the role needs. Only the
-    estimator writes feedforward, payload and error; only the source writes samples. Copy a host's folder to that host,
-    keep ca.key where it is. Run it again to renew, to add hosts or to change the source, and copy all folders again.
+    Writes a folder per host with a certificate and a configuration for --zenoh-config for each role: TLS with
+    certificates on both sides, no discovery, no access beyond what the role needs. Only the estimator writes
+    feedforward, payload and error; only the source writes samples. Copy each folder to its host; leave ca.key where it
+    is. To renew, to add hosts or to change the source, run the command again and copy all folders again.
 
     Example: deltatwin keys --hosts cell-pc,192.168.4.20 --robot d3.toml --out keys
     """

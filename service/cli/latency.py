@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 def command(
-    rate: Annotated[float, typer.Option(min=1.0, help="Samples a second (Hz).")] = 4000.0,
-    count: Annotated[int, typer.Option(min=1000, help="Samples to each of estimator and echo.")] = 40_000,
+    rate: Annotated[float, typer.Option(min=1.0, help="Samples per second (Hz).")] = 4000.0,
+    count: Annotated[int, typer.Option(min=1000, help="Number of samples, each to estimator and echo.")] = 40_000,
     json: AsJson = False,
 ) -> None:
-    """Measure one estimator step, and the round trip from sample to feed-forward over Zenoh, and that of a bare echo.
+    """Measure one estimator step, the round trip from sample to feed-forward over Zenoh, and that of a bare echo.
 
-    Runs the real estimator process on the demo log. The ratios to the echo are what the estimator costs; the absolute
+    Runs the real estimator process on the demo log. The ratio to the echo is the cost of the estimator; the absolute
     times depend on this machine and its load.
 
     Example: deltatwin latency --rate 1000 --count 10000
@@ -41,8 +41,8 @@ def command(
         trips = take_turns({"echo": _echo, "estimator": _estimator}, samples, rate, count, show)
     found, rows = _round_trips(trips)
     if not json:
-        own = ["estimator step, bytes in to bytes out", *_figures(quantiles(step)), str(len(step)), ""]
-        headings = ("what", *QUANTILES, "count", "lost")
+        own = ["estimator step, from input bytes to output bytes", *_figures(quantiles(step)), str(len(step)), ""]
+        headings = ("", *QUANTILES, "count", "lost")
         console().print(table(headings, [own, *rows], f"latency at {rate:g} Hz, µs"))
         return
     document = {

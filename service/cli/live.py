@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from drivers.bus import Bus
 
 JOINTS = ("sample", "feedforward", "payload", "error")
-MOST_EVENTS = 4  # told
+MOST_EVENTS = 4  # listed
 WINDOW_NS = 1_000_000_000  # of what the errors are an rms of
 
 
@@ -85,7 +85,7 @@ class Roles:
         """A row a role that is here, or said that it has ended."""
         for record in self._inbox.take()[0]:
             self._newest[int(record["role"])] = record
-        head = ("role", "state", "messages in, out", "lost", "latency, median, p99, max", "what it says")
+        head = ("role", "state", "messages in, out", "lost", "latency, median, p99, max", "status")
         return table(head, list(self._rows()), figures=slice(2, 5))
 
     def _rows(self) -> Iterator[tuple[str, ...]]:
@@ -96,7 +96,7 @@ class Roles:
             said: Any = self._newest.get(number)
             name = Role(number).name.lower()
             if said is None:
-                yield name, "here", "", "", "", "nothing yet"
+                yield name, "alive", "", "", "", "no health message yet"
                 continue
             flags = HealthFlag(int(said["flags"]))
             ended = bool(flags & HealthFlag.STOPPED)
@@ -105,5 +105,5 @@ class Roles:
             latency = [f"{1e6 * said[key]:.0f}" for key in ("latency_median", "latency_p99", "latency_max")]
             yield (
                 name, state, f"{said['received']}, {said['published']}", str(said["lost"]),
-                f"{', '.join(latency)} µs" if said["latency_max"] > 0 else "", ", ".join(told) or "well",
+                f"{', '.join(latency)} µs" if said["latency_max"] > 0 else "", ", ".join(told) or "ok",
             )  # fmt: skip

@@ -59,10 +59,10 @@ def _table(found: Sequence[Load]) -> Table:
             one.trace,
             one.frame,
             f"{one.mass:.3f} ± {one.mass_error:.3f}",
-            _vector(1e3 * one.centre, 1e3 * one.centre_error) if one.centre_told else "cannot be told",
+            _vector(1e3 * one.centre, 1e3 * one.centre_error) if one.centre_told else "not identifiable",
             _vector(1e3 * one.inertia[[0, 2, 5]], 1e3 * one.inertia_error[[0, 2, 5]])
             if one.inertia_told
-            else "cannot be told",
+            else "not identifiable",
         )
         for one in found
     ]
@@ -76,4 +76,4 @@ def _vector(values: np.ndarray, errors: np.ndarray) -> str:
 def _left(found: Sequence[Load]) -> Table:
     head = ("log", *(f"joint {joint}" for joint in range(1, len(found[0].before) + 1)))
     rows = [(one.trace, *(f"{b:.3g}, {a:.3g}" for b, a in zip(one.before, one.after, strict=True))) for one in found]
-    return table(head, rows, "torque left without the load, with it, rms N m while moving", figures=slice(1, None))
+    return table(head, rows, "residual torque without, with the load, rms N m while moving", figures=slice(1, None))

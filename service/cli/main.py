@@ -185,7 +185,7 @@ def _run() -> None:
             raise
         _end(f"{what} needs Linux: this system has no {missing}")
     except MemoryError:
-        _end("out of memory; a shorter log, or a machine with more")
+        _end("out of memory; give a shorter log, or use a machine with more memory")
 
 
 def _end(said: str) -> NoReturn:

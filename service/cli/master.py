@@ -35,14 +35,14 @@ def command(
             "`deltatwin export --to c` wrote, in that folder.",
         ),
     ] = CYCLE,
-    rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second (Hz).")] = 1000.0,
+    rate: Annotated[float, typer.Option(min=1.0, help="Cycles per second (Hz).")] = 1000.0,
     motion: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Motion to run instead of the pick-and-place, as `plan-motion` writes it."),
     ] = None,
     duration: Annotated[float, typer.Option(min=1.0, help="Length of the pick-and-place (s).")] = 30.0,
     speed: Annotated[float, typer.Option(min=0.05, max=1.0, help="Share of the acceleration limits to use.")] = 0.5,
-    carry: Annotated[bool, typer.Option(help="Grip a product on every way there (digital output 0x60FE).")] = True,
+    carry: Annotated[bool, typer.Option(help="Grip a product on every outward move (digital output 0x60FE).")] = True,
     seed: Annotated[int, typer.Option(help="Seed of the pick-and-place.")] = 0,
     max_torque: Annotated[
         float | None, typer.Option(min=0.0, help="Largest torque offset (N m, joint side), below the rated torque.")
@@ -54,12 +54,12 @@ def command(
 ) -> None:
     """Bring three CiA 402 drives into operation, run a pick-and-place or a motion from a file and stop them again.
 
-    Cyclic synchronous position mode; tau_FF goes out as torque offset 0x60B2 in the drive's unit, within the peak and
-    slope of the description's `limits`, and fades to zero within their torque_fade_s where nothing fresh comes. Where
-    gears yield and the drives map 0x60B0, position offset, motors go ahead of the planned joints by the twist. Over
-    the bus the planned motion goes out as `reference`, and only answers to it count. `health` is published in every
-    mode. Ctrl-C stops the drives. A motion from a file is refused where it breaks a limit of speed, acceleration,
-    torque, joint range or workspace, or does not start and end at rest; it carries nothing.
+    Cyclic synchronous position mode. tau_FF is sent as torque offset 0x60B2 in the drive's unit, within the peak and
+    slope of the description's `limits`; without a new value it fades to zero within torque_fade_s. With elastic gears
+    and drives that map position offset 0x60B0, the motors lead the planned joints by the twist of the gears. Over the
+    bus the planned motion is published as `reference`, and only answers to it are used. `health` is published in every
+    mode. Ctrl-C stops the drives. A motion from a file is refused if it breaks a limit of speed, acceleration, torque,
+    joint range or workspace, or does not start and end at rest; no product is gripped in it.
 
     Example: deltatwin master eth1 --robot d3.toml --duration 60
 
@@ -116,7 +116,7 @@ def command(
         except BusError as error:
             if feedforward == BUS or zenoh_config is not None or isinstance(error, RoleTakenError):
                 raise  # two masters would fight for the drives
-            typer.echo(f"master: {error}; runs on, its health is not heard", err=True)
+            typer.echo(f"master: {error}; it continues without publishing its health", err=True)
         if feedforward == BUS and bus:
             torque = OverBus(bus, peak, period)
         done, interrupted = 0, False
@@ -130,7 +130,10 @@ def command(
                 f"drives in operation on {interface} for {len(plan) * period:.1f} s; Ctrl-C stops them", err=True
             )
             if twists and not master.goes_ahead:
-                typer.echo("gears yield, but not all drives map 0x60B0: motors do not go ahead of the plan", err=True)
+                typer.echo(
+                    "the gears are elastic, but not all drives map 0x60B0: the motors do not lead the plan",
+                    err=True,
+                )
             with Report(health, master, offset, torque.counts if torque else None) as tell:
                 for done, _ in enumerate(follow(master, plan, torque or nothing, offset, ahead), start=1):
                     sent[done - 1] = master.sent_ns
@@ -155,7 +158,7 @@ def _steps(feedforward: str, robot: Robot, period: float) -> Steps:
         return Estimator(robot, period)
     path = Path(feedforward)
     if not path.is_file():
-        raise typer.BadParameter(f"{feedforward!r}: neither cycle, bus, off nor a library that is there")
+        raise typer.BadParameter(f"{feedforward!r}: not cycle, bus, off or the path of an existing library")
     from service.codegen.library import Library
 
     return Library(path, robot, period)
@@ -170,7 +173,7 @@ def summary(done: int, planned: int, counts: Counts, sent: np.ndarray) -> str:
         f"{counts.missed} missed"
     )
     if counts.clock:
-        text += f", {counts.clock} with a clock that cannot be right"
+        text += f", {counts.clock} with an implausible clock"
     if done < 2:
         return text
     times = np.diff(sent)

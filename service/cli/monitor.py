@@ -31,8 +31,8 @@ def command(
 ) -> None:
     """Record samples, feed-forward, payload, errors and health to an MCAP file until Ctrl-C.
 
-    Publishes once a second how many messages came, were lost or came twice, and how long a feed-forward took. If the
-    disk fails it reports that and continues to count.
+    Once a second it publishes the number of received, lost and repeated messages and the latency of the feed-forward.
+    If the disk fails, it reports that and continues to count.
 
     Example: deltatwin monitor --robot d3.toml --out run.mcap
     """
@@ -86,7 +86,7 @@ class _Silence:
         self._say_at = None
         others = [role for role in self._running() if not role.startswith(f"{self._robot}.")]
         if not self._received["sample"]:
-            heard = f"; on this host run {', '.join(others)}" if others else ""
+            heard = f"; running on this host: {', '.join(others)}" if others else ""
             typer.echo(f"monitor: no samples of {self._robot} yet{heard}", err=True)
 
 
@@ -105,6 +105,6 @@ def summary(monitor: Monitor) -> str:
             f"{counts.restarts:>9}"
         )
     lost = monitor.tally.thinned_lost
-    lines.append(f"lost of {', '.join(THINNED)} together: {'cannot be told' if lost is None else lost}")
+    lines.append(f"lost of {', '.join(THINNED)} together: {'unknown' if lost is None else lost}")
     lines.append(f"rejected payloads {monitor.rejected}")
     return "\n".join(lines)

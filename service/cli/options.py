@@ -30,10 +30,10 @@ OwnEffects = Annotated[
 # of every command that goes on the bus
 ZenohConfig = Annotated[
     Path | None,
-    typer.Option(help="Zenoh configuration instead of local sockets; across hosts one that `deltatwin keys` made."),
+    typer.Option(help="Zenoh configuration, instead of local sockets; across hosts: one made by `deltatwin keys`."),
 ]
 Insecure = Annotated[
-    bool, typer.Option("--insecure", help="Take a --zenoh-config with which anybody on the network may speak.")
+    bool, typer.Option("--insecure", help="Accept a --zenoh-config with which anybody on the network may send.")
 ]
 RosDomain = Annotated[
     int | None,
@@ -41,7 +41,7 @@ RosDomain = Annotated[
         metavar="N",
         min=0,
         max=232,
-        help="Speak as ROS 2 nodes with rmw_zenoh do, in this ROS_DOMAIN_ID, by this host's router; every role alike.",
+        help="Use topics as ROS 2's rmw_zenoh does, in this ROS_DOMAIN_ID, over this host's router. Same for all roles",
     ),
 ]
 
@@ -60,6 +60,6 @@ Scheduler = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Dask scheduler, tcp://host:port, whose workers see the same folders; default: this host",
+        help="Dask scheduler, tcp://host:port; its workers must see the same folders. Default: this host",
     ),
 ]

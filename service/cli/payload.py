@@ -24,24 +24,27 @@ def command(
     json: AsJson = False,
     truth: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE", help="What was really picked: CSV with from_s,until_s,mass_kg, for each trace"),
+        typer.Option(metavar="FILE", help="True payloads: CSV with from_s,until_s,mass_kg, one per trace"),
     ] = None,
     predictions: Annotated[
-        Path | None, typer.Option(help="Folder for <trace>.csv with mass, std_dev, trusted, event after every sample")
+        Path | None, typer.Option(help="Folder for <trace>.csv: mass, std_dev, trusted and event after every sample")
     ] = None,
     frame: Annotated[
         str | None,
-        typer.Option(metavar="LINK", help="Of an arm: link of its URDF that the load sits on. Default: the last one."),
+        typer.Option(metavar="LINK", help="For an arm: link of the URDF that carries the load. Default: the last one."),
     ] = None,
 ) -> None:
-    """Find picks and releases and estimate what was picked, as the online estimator does; of an arm the one load that
-    it carries all through each trace: mass, centre of mass and, where the motion tells it, inertia.
+    """Find picks and releases and estimate the payload, as the online estimator does.
 
-    A mass has two errors, each one standard deviation: the random one differs from mass to mass, the common one is the
-    same share of all masses of this robot until a known load calibrates its torque constants (identify --carried).
+    For an arm: estimate the one load that it carries throughout each trace: mass, centre of mass and, if the motion
+    shows it, inertia.
 
-    With --truth: how soon and how accurately each mass was found, and the same for the paper's recursion with a fixed
-    forgetting factor, on the M_Id+F of this description. The recursion as the paper has it: `deltatwin experiment`.
+    A mass has two errors, each one standard deviation. The random error differs from mass to mass. The common error is
+    the same share of all masses of this robot until a known load calibrates its torque constants (identify --carried).
+
+    With --truth: how soon and how accurately each mass was found, compared with the paper's recursion with a fixed
+    forgetting factor on the M_Id+F of this description. For the recursion on the paper's own model: `deltatwin
+    experiment`.
 
     Example: deltatwin payload pick_a.csv --robot identified.toml --truth pick_a.payloads.csv
 
@@ -113,7 +116,7 @@ def _write(found: PayloadHistory, path: Path) -> None:
 
 def _said(common: CommonError) -> str:
     if common.calibrated:
-        return f"common error: {percent(common.share, 1)} of every mass, one standard deviation, by a known load"
+        return f"common error: {percent(common.share, 1)} of every mass, one standard deviation, after a known load"
     return (
         f"common error: {percent(common.share, 1)} of every mass, one standard deviation: no known load has calibrated "
         "the torque constants of this robot. To remove it: deltatwin identify ... --carried 3.0:loaded.csv"
@@ -121,9 +124,9 @@ def _said(common: CommonError) -> str:
 
 
 def _found(name: str, seen: list[MassLevel]) -> Table:
-    head = ("seen at, s", "until, s", "what", "mass, kg", "random, kg", "common, kg", "trusted")
+    head = ("seen at, s", "until, s", "event", "mass, kg", "random, kg", "common, kg", "trusted")
     rows = [
-        (f"{one.begin:.3f}", f"{one.end:.3f}", one.event.name.lower() if one.event else "changed unseen",
+        (f"{one.begin:.3f}", f"{one.end:.3f}", one.event.name.lower() if one.event else "change not seen",
          f"{one.mass:.3f}", f"± {one.random_std_dev:.3f}", f"± {one.common_std_dev:.3f}", percent(one.trusted))
         for one in seen
     ]  # fmt: skip
@@ -142,7 +145,12 @@ def _scored(scores: list[Score]) -> list[Table]:
         for s in scores
     ]  # fmt: skip
     found = np.array([(s.settled, s.settled_recursion) for s in scores]) <= 0.15
-    summary = [("found within 150 ms (5 % or 50 g, and staying)", *(percent(share) for share in found.mean(axis=0)))]
+    summary = [
+        (
+            "found within 150 ms (within 5 % or 50 g until the release)",
+            *(percent(share) for share in found.mean(axis=0)),
+        )
+    ]
     heavy = [s for s in scores if s.truth.mass >= 1.0]
     if heavy:
         off = np.array([np.abs(np.array([s.mass, s.mass_recursion]) / s.truth.mass - 1) for s in heavy])

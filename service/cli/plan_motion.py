@@ -34,18 +34,18 @@ class Purpose(enum.StrEnum):
 
 
 _Robot = Annotated[Path, robot_file(", with its limits")]
-_Out = Annotated[Path, typer.Option(help="Motion to write (.csv): what `simulate`, `master` and `replay` run")]
+_Out = Annotated[Path, typer.Option(help="Motion to write (.csv), for `simulate`, `master` and `replay`")]
 _Diagnosis = Annotated[Path | None, typer.Option(help="Folder that `diagnose` wrote")]
-_For = Annotated[Purpose, typer.Option("--for", help="diagnose: tell its rivals apart; identify: base parameters.")]
+_For = Annotated[
+    Purpose, typer.Option("--for", help="diagnose: separate its alternative models; identify: base parameters.")
+]
 _Duration = Annotated[float, typer.Option(min=5.0, max=15.0, help="Length of the run (s)")]
-_Rate = Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz)")]
-_Seed = Annotated[int, typer.Option(min=0, help="Of the search: same seed, same motion")]
+_Rate = Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles per second (Hz)")]
+_Seed = Annotated[int, typer.Option(min=0, help="Seed of the search: the same seed gives the same motion")]
 _Speed = Annotated[float | None, typer.Option(min=0.01, help="Joint speed limit (rad/s)")]
 _Acceleration = Annotated[float | None, typer.Option(min=0.1, help="Joint acceleration limit (rad/s^2)")]
 _Torque = Annotated[float | None, typer.Option(min=0.1, help="Joint torque limit, without friction (N m)")]
-_Assume = Annotated[
-    bool, typer.Option("--assume-limits", help="Take limits that nobody has given from the robot's size.")
-]
+_Assume = Annotated[bool, typer.Option("--assume-limits", help="Derive missing limits from the robot's size.")]
 
 
 def command(
@@ -63,12 +63,12 @@ def command(
     effects: OwnEffects = None,
     json: AsJson = False,
 ) -> None:
-    """Plan the run that settles what these logs left open, and say what it is expected to show.
+    """Plan the run that separates the causes these logs could not separate, and show how well it will do so.
 
-    Inside the workspace of the description and within its [limits] of speed, acceleration and torque, or those of the
-    options, empty, from rest to rest. A limit that is in neither is asked for. What the run shows is over the noise of
-    the torque: whatever else the robot does besides the rivals comes on top. Of axes and arms: for identify, within
-    the limits of the URDF and those of the options.
+    The motion stays in the workspace of the description and within the limits of speed, acceleration and torque in its
+    [limits] or in the options; it is for the empty robot and starts and ends at rest. A limit given in neither place is
+    an error. The expected separation counts the noise of the torque only, no other deviation of the robot. For axes and
+    arms: with --for identify, within the limits of the URDF and of the options.
 
     Example: deltatwin plan-motion --robot r.toml --diagnosis diag --out motion.csv
 
@@ -123,7 +123,7 @@ def _searched(planner: Planner, question: Apart | Figures, duration: float, seed
 
 
 def _assumed_lines(assumed: dict[str, tuple[str, float, str]]) -> list[str]:
-    line = f"assumed, nobody has given it: the limit of {_listed(assumed)}: check before a robot runs this"
+    line = f"assumed, as not given: the limit of {_listed(assumed)}: check before a robot runs this"
     return [line] if assumed else []
 
 
@@ -138,8 +138,8 @@ def _refuse(
 
     if open_ones:
         raise DataError(
-            f"{path}: how far may the robot be driven? no limit is given of {_listed(open_ones)}: write it in "
-            "[limits], or say the option; --assume-limits takes these"
+            f"{path}: no limit is given for {_listed(open_ones)}: write it in [limits], or give it as an option; "
+            "--assume-limits uses these values"
         )
     if limits.speed > (most := robot.limits.joint_speed_radps):
         raise DataError(f"--max-speed {limits.speed:g} rad/s: limits.joint_speed_radps of {robot.name} is {most:g}")
@@ -156,7 +156,7 @@ def _question(
     if purpose is Purpose.IDENTIFY:
         return robot, _figures(robot, torque), robot.effect
     if diagnosis is None:
-        raise typer.BadParameter("say which diagnosis left something open, or --for identify", param_hint="--diagnosis")
+        raise typer.BadParameter("give the folder of a diagnosis, or --for identify", param_hint="--diagnosis")
     known, found = _diagnosed(diagnosis, robot, effects)
     return known, _apart(known, found, diagnosis), found.rivals[0].effects
 
@@ -179,8 +179,8 @@ def _driven(
     peak = bounds_of(robot).peak_nm
     if np.abs(torque).max() > peak:
         raise DataError(
-            f"with its friction the motion would take {np.abs(torque).max():.4g} N m, the drives give {peak:.4g} N m: "
-            f"plan with less than --max-torque {most:.4g}"
+            f"with friction the motion needs {np.abs(torque).max():.4g} N m, the drives give {peak:.4g} N m: plan with "
+            f"less than --max-torque {most:.4g}"
         )
     return torque
 
@@ -206,7 +206,7 @@ def _shown(question: Apart | Figures, shown: Any) -> tuple[list[str], dict[str, 
         return _told(pairs), {"pairs": [vars(pair) for pair in pairs]}
     learned = question.learned(shown)
     sigma = ", ".join(f"{s:.2g}" for s in question.view.sigma)
-    lines = [f"After this run, by torque noise of {sigma} N m in the band:"]
+    lines = [f"After this run, for torque noise of {sigma} N m in the band:"]
     lines += [f"  {name} ± {error:.2g} {unit}".rstrip() for name, (error, unit) in learned.items()]
     return lines, {"std_errors": {name: error for name, (error, _) in learned.items()}}
 
@@ -247,13 +247,13 @@ def _diagnosed(folder: Path, robot: Robot, effects: Path | None) -> tuple[Robot,
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "file"
-        raise DataError(f"{path}: {where}: {first['msg']}: not what diagnose writes") from error
+        raise DataError(f"{path}: {where}: {first['msg']}: not written by `deltatwin diagnose`") from error
     if found.robot != robot.name:
         raise DataError(f"{path}: a diagnosis of robot {found.robot!r}, not of {robot.name!r}")
     corrected = load_robot(folder / "corrected.toml", effects)
     for key in ("geometry", "mass", "drive"):
         if getattr(corrected, key) != getattr(robot, key):
-            raise DataError(f"{folder / 'corrected.toml'}: its [{key}] is not that of robot {robot.name!r}")
+            raise DataError(f"{folder / 'corrected.toml'}: its [{key}] differs from that of robot {robot.name!r}")
     return corrected, found
 
 
@@ -272,8 +272,8 @@ def _apart(known: Robot, found: Diagnosis, folder: Path) -> Apart:
     question = Apart(View.of(known, np.array(found.gap.noise_floor_nm), found.gap.band_hz), rivals)
     if not question.pairs:
         raise DataError(
-            f"{folder}: nothing came into question that a motion could tell apart "
-            f"({len(rivals)} candidate{'' if len(rivals) == 1 else 's'}); --for identify plans a run all the same"
+            f"{folder}: there are no alternative models that a motion could separate "
+            f"({len(rivals)} candidate{'' if len(rivals) == 1 else 's'}); --for identify plans a run without them"
         )
     return question
 
@@ -297,9 +297,10 @@ def _told(pairs: list[Pair]) -> list[str]:
         if pair.told
     ]
     more = len(told) - MOST_TOLD
-    lines = told[:MOST_TOLD] + ([f"... and {more} more pairs by more."] if more > 0 else [])
+    lines = told[:MOST_TOLD] + ([f"... and {more} more pairs by more than that."] if more > 0 else [])
     return lines + [
-        f"No run within these limits was found to tell {pair.one} from {pair.other} ({pair.errors:.1f})."
+        f"No run within these limits was found that separates {pair.one} from {pair.other} ({pair.errors:.1f} standard "
+        "errors)."
         for pair in pairs
         if not pair.told
     ]

@@ -19,12 +19,13 @@ def command(
     robot: Annotated[Path, robot_file("; its name is the robot on the bus.")],
     columns: ColumnsFrom = None,
     rate: Annotated[
-        float | None, typer.Option(min=1e-3, help="Samples a second, evenly (Hz). Default: the recorded times.")
+        float | None,
+        typer.Option(min=1e-3, help="Samples per second, evenly spaced (Hz). Default: the recorded times."),
     ] = None,
-    speed: Annotated[float, typer.Option(min=1e-3, help="Times faster than that.")] = 1.0,
-    loop: Annotated[int, typer.Option(min=0, help="Times to play it; 0: until Ctrl-C.")] = 1,
-    start: Annotated[float, typer.Option(min=0.0, help="First sample, after the trace's first (s).")] = 0.0,
-    stop: Annotated[float | None, typer.Option(min=0.0, help="Last sample, after the trace's first (s).")] = None,
+    speed: Annotated[float, typer.Option(min=1e-3, help="Speed-up factor.")] = 1.0,
+    loop: Annotated[int, typer.Option(min=0, help="Number of times to play; 0: until Ctrl-C.")] = 1,
+    start: Annotated[float, typer.Option(min=0.0, help="Start, after the trace's first sample (s).")] = 0.0,
+    stop: Annotated[float | None, typer.Option(min=0.0, help="End, after the trace's first sample (s).")] = None,
     wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for subscribers before the start (s).")] = 2.0,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
@@ -32,8 +33,8 @@ def command(
 ) -> None:
     """Play a recorded trace over Zenoh at the controller's rate.
 
-    No sample is dropped or reordered; how late they went out is measured and reported at the end. Stamps are those of
-    the trace, rising on over loops.
+    No sample is dropped or reordered; the lateness of the samples is reported at the end. Stamps are those of the
+    trace and continue to rise over loops.
 
     Example: deltatwin replay pick.csv --robot d3.toml --loop 0
     """
@@ -56,9 +57,7 @@ def command(
         with open_bus(description.name, Role.PLAYER, zenoh_config, insecure, ros_domain) as bus:
             publisher = bus.publisher("sample")
             if not publisher.wait_until_heard(wait):
-                typer.echo(
-                    f"nobody subscribes to the samples of {description.name} yet; playing all the same", err=True
-                )
+                typer.echo(f"nobody subscribes to the samples of {description.name} yet; playing anyway", err=True)
             with Health(bus, standing) as health:
                 played = play(plan, publisher.put, health, show)
     typer.echo(summary(played, plan.period_ns))

@@ -23,7 +23,8 @@ def command(
     commands: Annotated[
         bool,
         typer.Option(
-            "--commands", help="Put the recorded position commands in, through [servo] or the drives that the logs show"
+            "--commands",
+            help="Drive the simulation by recorded position commands, through [servo] or drives found from the logs",
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for rollout.json and rollout.html")] = None,
@@ -31,12 +32,13 @@ def command(
     columns: ColumnsFrom = None,
     json: AsJson = False,
 ) -> None:
-    """Simulate the robot under the recorded torque and say how far its motion is from the measured one.
+    """Simulate the robot under the recorded torque and show how far its motion is from the measured one.
 
-    Each window of a log starts in the measured state; from there on the recorded torque alone drives the simulation,
-    or, with --commands, the position commands alone, and the torque of the simulated drives is compared too. Compared
-    with each description: the robot as drawn up (plain), and the noise floor (floor): the error that the noise of
-    torque and start state alone gives with the last one. Of axes and arms: the joints, and the tool of an arm.
+    Each window of a log starts in the measured state; from there the recorded torque alone drives the simulation. With
+    --commands the position commands alone drive it, and the torque of the simulated drives is compared, too. Each
+    description is compared with the robot as drawn (plain) and with the noise floor (floor): the error from the noise
+    of torque and start state alone, simulated with the last description. For axes and arms the joints are compared,
+    for an arm also its tool.
 
     Example: deltatwin rollout test_*.csv --robot identified.toml --robot corrected.toml --out rollout
     """
@@ -100,7 +102,7 @@ def _table(result: RolloutDocument) -> Table:
     for robot in (*result.robots, result.floor):
         torque = [", ".join(map(in_figures, robot.torque_nm))] if robot.torque_nm else []
         rows.append((robot.robot, *map(in_figures, robot.joint_mrad), in_figures(robot.platform_mm), *torque))
-    title = f"simulated less measured after {1e3 * result.horizon_s:.0f} ms, rms of {result.windows} windows"
+    title = f"simulated minus measured after {1e3 * result.horizon_s:.0f} ms, rms of {result.windows} windows"
     return table(head, rows, title)
 
 

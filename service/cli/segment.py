@@ -23,18 +23,23 @@ def command(
     ],
     robot: Annotated[Path, robot_file(" with its drives and their process data.")],
     truth: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="What the simulated robot really is, where it differs (TOML).")
+        Path | None,
+        typer.Option(metavar="FILE", help="True parameters of the simulated robot where they differ (TOML)."),
     ] = None,
-    rate: Annotated[float, typer.Option(min=1.0, help="Cycles a second that the master will run at (Hz).")] = 1000.0,
-    product: Annotated[float, typer.Option(min=0.0, help="Mass that the gripper lifts when told to (kg).")] = 0.0,
+    rate: Annotated[float, typer.Option(min=1.0, help="Cycles per second of the master (Hz).")] = 1000.0,
+    product: Annotated[
+        float, typer.Option(min=0.0, help="Mass that the gripper lifts when it is switched on (kg).")
+    ] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the sensors' noise.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Write the robot's own account of the run here (.mcap).")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Recording of the run by the simulated robot itself (.mcap).")
+    ] = None,
 ) -> None:
-    """Be an EtherCAT segment of three CiA 402 drives that move a simulated Delta robot.
+    """Simulate an EtherCAT segment of three CiA 402 drives that move a simulated Delta robot.
 
     Any master can bring it into operation. Lines on standard input cause faults: `break N` cuts the cable before drive
-    N, `silence N` makes drive N miss the process data (the working counter falls short), `trip N` puts drive N into
-    fault, `mend` undoes the first two; `product KG` sets the mass of what is gripped.
+    N, `silence N` makes drive N miss the process data (the working counter is too low), `trip N` puts drive N into
+    fault, `mend` undoes the first two; `product KG` sets the mass of the product.
 
     Example: ip link add bus0 type veth peer name seg0; ip link set bus0 up; ip link set seg0 up;
     deltatwin segment seg0 --robot d3.toml
@@ -117,7 +122,7 @@ def throw(switches: Switches, line: str) -> None:
         switches.product = max(0.0, float(number))
         return
     if name not in ("break", "silence", "trip") or number not in ("1", "2", "3"):
-        raise ValueError(f"{line.strip()!r}: say break, silence or trip and a drive 1..3, mend, or product and a mass")
+        raise ValueError(f"{line.strip()!r}: give break, silence or trip and a drive 1..3; mend; or product and a mass")
     drive = int(number)
     if name == "break":
         switches.broken_before = drive

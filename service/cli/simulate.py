@@ -27,7 +27,7 @@ KINDS = ("pick", "multisine", "bound", "slow")  # of motions that `drivers.motio
 
 
 def command(
-    robot: Annotated[Path, robot_file(", or one that comes along: d3-1200.")],
+    robot: Annotated[Path, robot_file(", or the name of a bundled one: d3-1200.")],
     motion: Annotated[
         str,
         typer.Option(
@@ -38,11 +38,12 @@ def command(
     ] = "pick",
     out: Annotated[Path | None, typer.Option(help="Trace to write (.csv, .csv.gz, .mcap).")] = None,
     picks: Annotated[
-        Path | None, typer.Option(help="CSV to write of what was carried when, as `payload` takes it.")
+        Path | None,
+        typer.Option(help="CSV to write of the payloads and their times, as --truth of `payload` reads it."),
     ] = None,
     duration: Annotated[float, typer.Option(min=0.5, help="Length of the motion (s).")] = 10.0,
-    rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles a second (Hz).")] = 1000.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of motion and noise: same seed, same trace.")] = 0,
+    rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles per second (Hz).")] = 1000.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of motion and noise: the same seed gives the same trace.")] = 0,
     payload: Annotated[
         list[float] | None, typer.Option(min=0.0, help="Mass to carry in `pick` (kg); give several to mix them.")
     ] = None,
@@ -61,7 +62,7 @@ def command(
     live: Annotated[
         bool, typer.Option("--live", help="Run in real time on Zenoh, taking feed-forward torque.")
     ] = False,
-    loop: Annotated[int, typer.Option(min=0, help="Live: times to run the motion; 0: until Ctrl-C.")] = 0,
+    loop: Annotated[int, typer.Option(min=0, help="Live: number of times to run the motion; 0: until Ctrl-C.")] = 0,
     later: Annotated[
         list[str] | None,
         typer.Option(
@@ -76,8 +77,8 @@ def command(
 ) -> None:
     """Simulate a closed-chain Delta (MuJoCo) with drives, friction, noise and payloads; or axes and arms as identified.
 
-    Writes what a controller would log, joint side, in SI units. With --live it takes the place of the robot: it
-    publishes samples and the planned motion of the next cycle, and its drives add the feed-forward torque.
+    Writes the log of a controller, joint side, in SI units. With --live it replaces the robot: it publishes samples and
+    the planned motion of the next cycle, and its drives add the feed-forward torque.
 
     Example: deltatwin simulate --robot d3-1200 --motion pick --payload 3.8 --duration 20 --out pick.csv
 
@@ -101,9 +102,9 @@ def command(
     from schemas.robot import Robot
 
     if out is None and not live:
-        raise typer.BadParameter("say where to write the trace (--out), or run --live", param_hint="--out")
+        raise typer.BadParameter("give the file for the trace (--out), or run --live", param_hint="--out")
     if motion not in KINDS and not Path(motion).suffix:
-        raise typer.BadParameter(f"{motion!r} is none of {', '.join(KINDS)} and no file", param_hint="--motion")
+        raise typer.BadParameter(f"{motion!r} is neither a file nor one of {', '.join(KINDS)}", param_hint="--motion")
     if payload and motion != "pick":
         raise typer.BadParameter(f"only `pick` carries a payload, not `{motion}`", param_hint="--payload")
     for path in (out, picks):
@@ -207,7 +208,7 @@ def _live(
     from schemas.messages import Role
     from service.cli.progress import counting
 
-    typer.echo(f"live {robot.name}: `deltatwin top --robot FILE` shows its mass, torque and health meanwhile", err=True)
+    typer.echo(f"live {robot.name}: `deltatwin top --robot FILE` shows its payload, torque and health", err=True)
     with counting(f"live {robot.name}", len(motion) * loops) as show:
         standing = go_realtime("simulate")
         with open_bus(robot.name, Role.ROBOT, zenoh_config, insecure, ros_domain) as bus:
@@ -241,10 +242,10 @@ def _joints(run: LiveRun) -> Table:
     rows = [
         told("tracking error, mrad rms", 1e3 * rms(trace.position - trace.position_command), ".3f"),
         told("torque, N m rms", rms(trace.torque), ".2f"),
-        told("torque, N m, largest", np.abs(trace.torque).max(axis=0), ".2f"),
+        told("largest torque, N m", np.abs(trace.torque).max(axis=0), ".2f"),
         told("feed-forward, N m rms", rms(run.feedforward[known]), ".2f"),
     ]
-    kept = "" if run.cycles == len(trace) else f", the newest {len(trace)} cycles"
+    kept = "" if run.cycles == len(trace) else f", last {len(trace)} cycles"
     return table(("", "joint 1", "joint 2", "joint 3"), rows, f"live, as measured{kept}")
 
 

@@ -12,20 +12,23 @@ from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
 
 def command(
     interface: Annotated[
-        str, typer.Argument(metavar="INTERFACE", help="Network interface on the bus, or a capture to play as if live.")
+        str,
+        typer.Argument(
+            metavar="INTERFACE", help="Network interface on the bus, or a capture to play as if it were live."
+        ),
     ],
     robot: Annotated[Path, robot_file(": name, scaling and mapping of its drives.")],
     count: Annotated[int, typer.Option(min=0, help="Samples to publish; 0: until Ctrl-C.")] = 0,
-    speed: Annotated[float, typer.Option(min=1e-3, help="Of a capture: times faster than recorded.")] = 1.0,
+    speed: Annotated[float, typer.Option(min=1e-3, help="For a capture: speed-up factor.")] = 1.0,
     wait: Annotated[float, typer.Option(min=0.0, help="Longest wait for a subscriber before the start (s).")] = 1.0,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
     ros_domain: RosDomain = None,
 ) -> None:
-    """Listen to an EtherCAT bus and publish a sample a cycle over Zenoh; never sends a frame.
+    """Listen to an EtherCAT bus and publish one sample per cycle over Zenoh; never send a frame.
 
-    The interface hangs on a network analyzer or a mirror port, or is the master's own. Working-counter faults, lost
-    cycles and drive states go to the health messages and to stderr. Reading an interface takes CAP_NET_RAW.
+    The interface is connected to a network analyzer or a mirror port, or is the master's own. Working-counter faults,
+    lost cycles and drive states go to the health messages and to stderr. Reading an interface needs CAP_NET_RAW.
 
     Example: deltatwin tap eth1 --robot d3.toml
     """

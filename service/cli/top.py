@@ -19,9 +19,9 @@ def command(
     insecure: Insecure = False,
     ros_domain: RosDomain = None,
 ) -> None:
-    """Show what runs on the bus until Ctrl-C, twenty times a second; into a pipe once a second.
+    """Show the state of all roles on the bus until Ctrl-C, twenty times per second; into a pipe once per second.
 
-    Steers nothing and runs below the priority of all roles. A robot has one observer: end its `view` first.
+    It only listens, and runs at a lower priority than all roles. A robot has one observer: end its `view` first.
 
     Example: deltatwin top --robot identified.toml
     """

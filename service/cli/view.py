@@ -13,11 +13,11 @@ from service.cli.options import Insecure, RosDomain, ZenohConfig, robot_file
 def command(
     robot: Annotated[Path, robot_file("; its name is the robot on the bus.")],
     host: Annotated[
-        str, typer.Option(help="Address to listen on; 0.0.0.0 lets every host in, unchecked.")
+        str, typer.Option(help="Address to listen on; 0.0.0.0 admits every host without a check.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 takes a free one.")] = 8765,
     layout: Annotated[
-        Path | None, typer.Option(help="Write the Foxglove layout of this robot here (.json) and end.")
+        Path | None, typer.Option(help="Write the Foxglove layout of this robot to this file (.json) and end.")
     ] = None,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
@@ -26,8 +26,8 @@ def command(
     """Serve the bus to Foxglove: torques, model errors, payload, health, and the robot in three dimensions.
 
     In Foxglove: Open connection, Foxglove WebSocket, ws://127.0.0.1:8765; then import the layout. Recordings of
-    `monitor` open with the same layout. At most 200 messages of a topic a second are passed on, and all picks and
-    releases.
+    `monitor` open with the same layout. At most 200 messages per second and topic are passed on, but every pick and
+    release.
 
     Example: deltatwin view --robot d3.toml --layout d3.layout.json && deltatwin view --robot d3.toml
     """

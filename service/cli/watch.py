@@ -23,18 +23,18 @@ def command(
             "Default: the level is that of the first motion on the bus.",
         ),
     ] = None,
-    learn: Annotated[float, typer.Option(min=2.0, help="Motion that the level is learnt from (s).")] = 30.0,
+    learn: Annotated[float, typer.Option(min=2.0, help="Length of motion from which the level is learnt (s).")] = 30.0,
     after: Annotated[float, typer.Option(min=6.0, help="Time from a rise to its diagnosis (s).")] = 28.0,
     effects: OwnEffects = None,
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
 ) -> None:
-    """Compare what the robot does with its description once a second, until Ctrl-C, and publish it as `gap`.
+    """Compare the robot with its description once a second, until Ctrl-C, and publish the difference as `gap`.
 
-    The gap is compared with its level in motion of the same kind; motion that was never seen is learnt and raises no
-    alarm. Stretches with a payload are left out, as gripper or estimator report it. When the gap rises and stays, the
-    motion since then is diagnosed against the motion before, in a process of the lowest priority. What has changed,
-    since when, where and how much is published as `finding`, printed, and stored with the motion that shows it.
+    The gap is compared with its level in motion of the same kind; motion of a new kind is learnt and raises no alarm.
+    Stretches with a payload, as reported by gripper or estimator, are left out. When the gap rises and stays high, the
+    motion since then is diagnosed against the motion before, in a process of the lowest priority. The result (what has
+    changed, since when, where and how much) is published as `finding`, printed, and stored with the motion.
 
     Example: deltatwin watch --robot corrected.toml --out findings
 
@@ -65,15 +65,15 @@ def command(
         watch.learn(trace, process(description, trace.samples()).payload)
     if reference and watch.learnt < learn:
         typer.echo(
-            f"watch: {watch.learnt:.1f} s of free motion in the reference, {learn:g} s make a level: motion of other "
-            "kinds is learnt from the bus and raises no alarm",
+            f"watch: {watch.learnt:.1f} s of free motion in the reference, {learn:g} s are needed for a level; motion "
+            "of other kinds is learnt from the bus and raises no alarm",
             err=True,
         )
     watch.settle()
     if reference and (doubt := beyond_description(watch)):
         typer.echo(
-            f"watch: level learnt from the reference; {doubt}: of another robot, the torque's sign or unit, or changed "
-            "by then",
+            f"watch: level learnt from the reference; {doubt}: is it a log of another robot, or with another sign or "
+            "unit of the torque, or had the robot changed by then?",
             err=True,
         )
     stopped = stop_requested()

@@ -246,7 +246,7 @@ def _given(robot: Description, baseline: Description | None) -> tuple[Term, ...]
         return known
     for key in ("kind", "axis", "geometry", "mass"):
         if getattr(baseline, key, None) != getattr(robot, key, None):
-            raise RobotError(f"baseline {baseline.name}: its [{key}] differs from that of robot {robot.name}")
+            raise RobotError(f"baseline {baseline.name}: its {key} differs from that of robot {robot.name}")
     taken = {term.effect.name for term in known}
     return known + tuple(term for term in hypothesis_of(baseline).terms if term.effect.name not in taken)
 

@@ -101,7 +101,7 @@ def pack_effects(terms: Sequence[Term]) -> np.ndarray:
     records["number"] = -1
     kept = [term for term in terms if term.effect.name in _FORMS]
     if len(kept) > MAX_EFFECTS:
-        raise RobotError(f"effect: {len(kept)} tables, the online model has room for {MAX_EFFECTS}")
+        raise RobotError(f"effect: {len(kept)} tables, the online model holds at most {MAX_EFFECTS}")
     for record, term in zip(records, kept, strict=False):
         record["number"] = _NUMBER[term.effect.name]
         record["nonlinear"][: len(term.nonlinear)] = term.nonlinear

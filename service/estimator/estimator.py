@@ -167,7 +167,9 @@ def rate_of(samples: np.ndarray) -> Rate:
     if period <= 0:
         raise DataError(f"no sample period: the stamps of the first {len(first)} samples do not rise")
     if period < SHORTEST_PERIOD:
-        raise DataError(f"sample period {period * 1e6:g} us: no drive is faster than {SHORTEST_PERIOD * 1e6:g} us")
+        raise DataError(
+            f"sample period {period * 1e6:g} us: too short, no drive is faster than {SHORTEST_PERIOD * 1e6:g} us"
+        )
     if period > LONGEST_PERIOD:
-        raise DataError(f"sample period {period:g} s: no controller is slower than {LONGEST_PERIOD:g} s")
+        raise DataError(f"sample period {period:g} s: too long, no controller is slower than {LONGEST_PERIOD:g} s")
     return Rate(period, stride)

@@ -75,7 +75,7 @@ class Keeper:
         """Let `estimator`, which has heard nothing, begin with what was kept. Returns what there is to say of it."""
         kept, self._kept = self._kept, None
         if kept is None:
-            return f"{self._path}: friction learnt will be kept here"
+            return f"{self._path}: learnt friction will be kept here"
         if kept.stride != estimator.stride or abs(kept.period_s / estimator.period - 1) > SAME_PERIOD:
             return (
                 f"{self._path}: period_s {kept.period_s:g}, stride {kept.stride}, but samples come every "
@@ -88,7 +88,7 @@ class Keeper:
             np.array(kept.information), np.array(kept.moment), self._drift, left
         )
         friction["earlier_information"], friction["earlier_moment"] = friction["information"], friction["moment"]
-        return f"{self._path}: friction as learnt {age.total_seconds() / 60:.0f} min ago, counted {left:.0%}"
+        return f"{self._path}: friction as learnt {age.total_seconds() / 60:.0f} min ago, used with weight {left:.0%}"
 
     def note(self, estimator: Estimator) -> None:
         """Write the file if that is due, beside the estimator, not in its way."""
@@ -148,13 +148,13 @@ def _read(path: Path, name: str, digest: str) -> _Kept:
     if not isinstance(values, dict):
         raise StorageError(f"{path}: not what `estimate --keep` wrote: {type(values).__name__}, not an object")
     kept = validate(_Kept, values, path, StorageError)
-    again = "give another file, or remove it to begin anew"
+    again = "give another file, or remove it to start again"
     if kept.robot != name:
         raise StorageError(f"{path}: robot: kept for {kept.robot!r}, this is {name!r}; {again}")
     if kept.description != digest:
         raise StorageError(f"{path}: description: kept for another description or identification of {name!r}; {again}")
     if kept.written_at > datetime.now(UTC) + CLOCK_ERROR:
-        raise StorageError(f"{path}: written_at: {kept.written_at.isoformat()} is still to come; {again}")
+        raise StorageError(f"{path}: written_at: {kept.written_at.isoformat()} is in the future; {again}")
     information = np.array(kept.information)
     size = np.abs(information).max()
     if (information - information.T).max() > SYMMETRY * size:

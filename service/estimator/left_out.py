@@ -20,7 +20,7 @@ from service.model.torque import added
 
 # The motion that a torque is told along: joints swing within the angles of `bounds`, each at a pace of its own.
 SECONDS, SWINGS_HZ = 2.0, np.array([1.1, 1.6, 2.1])
-NO_FORM = "it has no form for one sample at a time"
+NO_FORM = "it has no form that works sample by sample"
 
 
 def left_out(robot: Robot, period: float) -> dict[str, str]:

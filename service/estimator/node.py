@@ -101,7 +101,7 @@ class EstimatorNode:
         self._estimator = Estimator(self._robot, *rate)
         without = left_out(self._robot, rate.period)
         for name, why in without.items():
-            print(f"estimate: the online model does without {name}: {why}", file=sys.stderr)
+            print(f"estimate: the online model leaves out {name}: {why}", file=sys.stderr)
         self._found = HealthFlag.EFFECT_LEFT_OUT if without else HealthFlag(0)
         self._set_flags()
         if self._keeper is not None:
@@ -166,7 +166,7 @@ class EstimatorNode:
             self._recent.clear()
             return
         print(
-            f"estimate: sample period changed from {estimator.period:g} s to {found.period:g} s; starting anew",
+            f"estimate: sample period changed from {estimator.period:g} s to {found.period:g} s; starting again",
             file=sys.stderr,
         )
         self._start(found)

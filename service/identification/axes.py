@@ -10,6 +10,7 @@ from schemas.axes import Axes
 from schemas.chain import Chain
 from schemas.errors import DataError
 from schemas.trace import Trace
+from schemas.words import percent
 from service.identification import checks
 from service.identification.folds import BLOCK, Split, block_loss, held_out
 from service.identification.held import held_s, told_of_held
@@ -46,7 +47,7 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
     if np.max(seconds) < least:
         names = ", ".join(trace.path.name for trace in traces)
         raise DataError(
-            f"{names}: too little motion, {np.max(seconds):.1f} s of an axis, at least {least:.0f} s needed"
+            f"{names}: too little motion, at most {np.max(seconds):.1f} s per axis; at least {least:.0f} s are needed"
         )
     fit = fit_to(axes, recordings, [trace.path.name for trace in traces])
     held = told_of_held({trace.path.name: held_s(parts) for trace, parts in zip(traces, logs, strict=True)})
@@ -65,8 +66,8 @@ def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
     name, warnings = traces[log].path.name, []
     if share.max() > checks.HOPELESS:
         warnings.append(
-            f"{name}: the model leaves {100 * share.max():.0f} % of the torque of axis {axis + 1} unexplained; wrong "
-            "units, joints in another order, gear, coupling? `deltatwin diagnose` tells more"
+            f"{name}: the model leaves {100 * share.max():.0f} % of the torque of axis {axis + 1} unexplained. Are "
+            "units, order of joints, gear ratio and coupling right? `deltatwin diagnose` shows more"
         )
     else:
         warnings += _much_left(fit)
@@ -75,12 +76,12 @@ def _warnings(fit: Plain, traces: Sequence[Trace]) -> list[str]:
     if together > checks.FOREIGN_LEFT**2 * noise and together - alone > checks.FOREIGN_TOGETHER * (together - noise):
         worst = int(np.argmax(np.sum(fit.residual**2 - fit.alone**2, axis=1)))
         warnings.append(
-            f"the logs fit one by one and not together, {traces[worst].path.name} least of all "
-            f"({np.sqrt(alone / together):.0%} is left of what is left together): of two robots, or two loads?"
+            f"the model fits each log alone, but not all together; {traces[worst].path.name} differs most (fitted "
+            f"alone, the residual is {percent(np.sqrt(alone / together))} of that together): two robots, or two loads?"
         )
     warnings += _described_better(fit)
     if len(traces) == 1:
-        warnings.append(f"{name}: a single trajectory cannot be held out, nothing shows how far the fit carries")
+        warnings.append(f"{name}: a single trajectory cannot be held out: nothing shows how well the fit generalises")
     return warnings
 
 
@@ -90,7 +91,10 @@ def _much_left(fit: Plain) -> list[str]:
     told = [f"{100 * share[axis]:.0f} % of the torque of axis {axis + 1}" for axis in np.flatnonzero(share > MUCH)]
     if not told:
         return []
-    return [f"the model leaves {', '.join(told)}: joints in another order, gear, coupling? `deltatwin diagnose` tells"]
+    return [
+        f"the model leaves {', '.join(told)} unexplained. Are order of joints, gear ratio and coupling right? "
+        "`deltatwin diagnose` shows more"
+    ]
 
 
 def _described_better(fit: Plain) -> list[str]:
@@ -106,6 +110,6 @@ def _described_better(fit: Plain) -> list[str]:
     if left[1] > CLEARLY * left[0]:
         return []
     return [
-        f"stretches left out are told better by the masses of the URDF ({left[1]:.1%} of the torque is left) than by "
-        f'those found ({left[0]:.1%}): masses = "known" keeps them, or log more motion'
+        f"on held-out stretches the masses of the URDF leave {percent(left[1], 1)} of the torque unexplained, the "
+        f'identified ones {percent(left[0], 1)}: keep the first with masses = "known", or log more motion'
     ]

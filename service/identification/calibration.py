@@ -103,7 +103,9 @@ def calibrate(robot: Robot, empty: Sequence[Trace], carried: Sequence[tuple[floa
     model = pack(robot)
     for mass, trace in carried:
         if not 0.0 < mass <= robot.limits.max_payload_kg:
-            raise DataError(f"{trace.path}: {mass:g} kg carried: more than 0, at most {robot.limits.max_payload_kg:g}")
+            raise DataError(
+                f"{trace.path}: {mass:g} kg carried: must be above 0, at most {robot.limits.max_payload_kg:g}"
+            )
     loads = np.array([0.0] * len(empty) + [mass for mass, _ in carried])
     logs = [summarise(model, trace) for trace in [*empty, *(trace for _, trace in carried)]]
     masses = (model.moving_mass + loads) / model.moving_mass
@@ -126,8 +128,8 @@ def calibrate(robot: Robot, empty: Sequence[Trace], carried: Sequence[tuple[floa
     ]
     if described + change <= 0.0:
         raise DataError(
-            f"{', '.join(str(trace.path) for _, trace in carried)}: a platform of {described + change:.2f} kg is none; "
-            "is the load what it is said to be?"
+            f"{', '.join(str(trace.path) for _, trace in carried)}: a platform of {described + change:.2f} kg is "
+            "impossible; is the stated load right?"
         )
     mass = robot.mass.model_copy(update={"platform": digits(described + change)})
     return Calibration(
@@ -231,7 +233,7 @@ def _check(
         if share > SUSPECT:
             raise DataError(
                 f"{log.name}: with {load:g} kg on the platform the model leaves {100 * share:.0f} % of the torque "
-                "unexplained; does that hang there in the whole log?"
+                "unexplained; is that payload carried in the whole log?"
             )
     scale = values[_SCALE]
     far = np.abs(scale - 1.0) > BEYOND + Z * errors[_SCALE]
@@ -239,8 +241,8 @@ def _check(
         joint = int(np.argmax(far))
         names = ", ".join(f"{log.name} ({load:g} kg)" for log, load in zip(logs, loads, strict=True))
         raise DataError(
-            f"{names}: joint {joint + 1} would report {scale[joint]:.2f} times the true torque, as no torque constant "
-            "is off; is the load what it is said to be?"
+            f"{names}: joint {joint + 1} would report {scale[joint]:.2f} times the true torque, more than any torque "
+            "constant is off; is the stated load right?"
         )
 
 
@@ -265,18 +267,18 @@ def _warnings(values: np.ndarray, errors: np.ndarray, off: np.ndarray, described
         scale, error = values[joint], errors[joint]
         if off[joint]:
             warnings.append(
-                f"joint {joint + 1}: the drive reports {scale:.3f} +- {error:.3f} times the true torque, by the known "
-                "load: check torque constant, rated torque and gear ratio; until then the description carries it as "
+                f"joint {joint + 1}: by the known load, the drive reports {scale:.3f} +- {error:.3f} times the true "
+                "torque: check torque constant, rated torque and gear ratio; the description contains the factor as "
                 "torque_scale"
             )
         elif error >= TOLD:
             warnings.append(
-                f"joint {joint + 1}: the known load leaves its torque constant open by {100 * error:.0f} %: left as "
-                "declared; a heavier load or faster moves tell"
+                f"joint {joint + 1}: the known load determines its torque constant only to {100 * error:.0f} %: left "
+                "as declared; use a heavier load or faster moves"
             )
     if off[_MASS]:
         warnings.append(
             f"mass.platform: {described + values[_MASS]:.3f} +- {errors[_MASS]:.3f} kg by the known load, "
-            f"{described:g} kg described: put right"
+            f"{described:g} kg described: corrected"
         )
     return warnings

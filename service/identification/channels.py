@@ -93,8 +93,8 @@ def guess(table: Table, joints: int | None, called: Sequence[str] = ()) -> Chann
     roles = _roles([name for name in table.columns if name not in clocks], table)
     named = _named_channels(table, roles, called)
     if named.get("position") and (named.get("torque") or named.get("torque_command")):
-        order = [f"joints by the names of the description: {_numbered(named['position'])}"]
-        return Channels(time, **named, reasons=["columns are told by their names"], order=order)
+        order = [f"joints are assigned by the names of the description: {_numbered(named['position'])}"]
+        return Channels(time, **named, reasons=["columns are recognised by their names"], order=order)
     names = [name for name in roles if _moves(table.columns[name])]
     found: dict[str, list[str]] = {}
     for told in (names, list(roles)):  # a joint that rests all through is one where without it they do not go together
@@ -103,7 +103,7 @@ def guess(table: Table, joints: int | None, called: Sequence[str] = ()) -> Chann
             break
     else:
         found = {role: [name for name in names if roles[name] == role] for role in CHANNELS}
-    reasons, doubts = ["columns are told by their names"], list[str]()
+    reasons, doubts = ["columns are recognised by their names"], list[str]()
     wanted = joints or len(found["torque"] or found["torque_command"])
     found = {role: _measured(columns, wanted) for role, columns in found.items()}
     if not (found["position"] and (found["torque"] or found["torque_command"])):
@@ -111,7 +111,7 @@ def guess(table: Table, joints: int | None, called: Sequence[str] = ()) -> Chann
         if by_shape:
             found |= dict(zip(("position", "torque"), by_shape, strict=True))
             reasons = []
-            doubts = ["names say nothing: the smoother columns are taken for positions, the rougher for torques"]
+            doubts = ["the names give no hint: the smoother columns are taken as positions, the rougher as torques"]
     ordered = {role: _by_joint(columns) for role, columns in found.items()} | {r: c for r, c in named.items() if c}
     ordered |= {role: _as_ordered(columns, ordered["position"]) for role, columns in ordered.items()}
     count = joints or len(ordered["position"])
@@ -201,17 +201,17 @@ def _told_order(
         return [], []
     if partly:
         torques = ordered["torque"] or ordered["torque_command"]
-        line = f"joints by their names for one of both: positions {_numbered(positions)}; torques {_numbered(torques)}"
+        line = f"only positions or torques have names: positions {_numbered(positions)}; torques {_numbered(torques)}"
         return [], [f"{line}; the description calls them {', '.join(called)}"]
     paths = [table.paths.get(name, "") for name in positions]
-    known = f"; the file calls them {', '.join(paths)}" if all(paths) else ""
+    known = f"; the file has {', '.join(paths)}" if all(paths) else ""
     if known and called:
-        return [], [f"joints by their place in the file{known}; the description calls them {', '.join(called)}"]
+        return [], [f"joints are assigned by their order in the file{known}; the description has {', '.join(called)}"]
     if _numbers_of(positions) is not None:
-        return [f"joints by the numbers in the names: {_numbered(positions)}{known}"], []
-    line = f"joints by their place in the file: {_numbered(positions)}{known}"
+        return [f"joints are assigned by the numbers in the names: {_numbered(positions)}{known}"], []
+    line = f"joints are assigned by their order in the file: {_numbered(positions)}{known}"
     if called:
-        return [], [f"{line}; the description calls them {', '.join(called)}, the columns do not"]
+        return [], [f"{line}; the description has {', '.join(called)}, the columns do not"]
     return [f"{line}; the description has no names for them"], []
 
 
@@ -244,7 +244,7 @@ def clocks_of(tables: Sequence[Table], time: str | None) -> list[str | None]:
     clocks[0] = time if time in tables[0].columns else clocks[0]
     units = {f"{t.path.name}: {time_unit(t, clock)[0]}" for t, clock in zip(tables, clocks, strict=True) if clock}
     if len({unit.rpartition(" ")[2] for unit in units}) > 1:
-        raise DataError(f"stamps of several units ({', '.join(sorted(units))}): write them in one")
+        raise DataError(f"stamps of several units ({', '.join(sorted(units))}): write all in one unit")
     return clocks
 
 
@@ -263,7 +263,9 @@ def time_unit(table: Table, name: str) -> tuple[str, bool]:
     if said := next((unit for text in texts if (unit := unit_of(text, CLOCK_UNITS))), None):
         return said, True
     if other := unknown_unit(table, name) or next(filter(is_another, texts), None):
-        raise DataError(f"{table.path}: stamps in {name!r} are in {other!r}: s, ms, us, ns are read, or --rate HZ")
+        raise DataError(
+            f"{table.path}: stamps in {name!r} are in {other!r}: only s, ms, us and ns are read; or give --rate HZ"
+        )
     for unit in ("ns", "us", "ms", "s"):
         if unit in tokens(name.replace("µ", "u")):
             return unit, True
@@ -391,7 +393,7 @@ def no_torque(table: Table, columns: Sequence[str]) -> str | None:
     clocks = {_time(table), *table.time_of.values()}
     roles = {name: _role(name, table) for name in table.columns if name not in clocks}
     may_be = [name for name, role in roles.items() if role is None or role.startswith("torque")]
-    return None if may_be else f"none of its columns is one by name and unit ({', '.join(list(roles)[:20])})"
+    return None if may_be else f"no column is a torque by name or unit ({', '.join(list(roles)[:20])})"
 
 
 def calls_itself_torque(name: str) -> bool:

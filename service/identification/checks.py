@@ -71,7 +71,7 @@ def _refuse_copies(logs: Sequence[NormalEquations]) -> None:
     for later, log in enumerate(logs):
         for earlier in logs[:later]:
             if log.gram.shape == earlier.gram.shape and np.array_equal(log.gram, earlier.gram):
-                raise DataError(f"{log.name}: the same motion and torque as {earlier.name}, give it once")
+                raise DataError(f"{log.name}: the same motion and torque as {earlier.name}; give it only once")
 
 
 class TorqueReading(NamedTuple):
@@ -139,7 +139,7 @@ def _reading(gram: np.ndarray, gear_ratio: float) -> str:
         faults.append(f"the torque of {named_joints(turned)} has the wrong sign")
     if scale != 1.0:
         faults.append(f"the torque is not multiplied by the gear ratio {gear_ratio:g}")
-    shares = f"as given the model leaves {100 * given:.0f} % of it unexplained, put right {100 * best:.1f} %"
+    shares = f"as given the model leaves {100 * given:.0f} % of it unexplained, corrected {100 * best:.1f} %"
     return f"{' and '.join(faults)}: {shares}"
 
 
@@ -200,7 +200,7 @@ def check_fit(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -
         if held[worst] > max(FOREIGN * typical, 2 * SUSPECT):
             name, joint = logs[worst].name, int(np.argmax(fit.held_out[worst] / fit.torque[worst]))
             stands_out = (
-                f"{name}: does not go with the other logs, the fit to those leaves {100 * held[worst]:.0f} % of its "
+                f"{name}: does not match the other logs: the fit to those leaves {100 * held[worst]:.0f} % of its "
                 f"torque unexplained (of theirs {100 * typical:.1f} %), most on joint {joint + 1}"
             )
             hint = hints.pop(name, "")
@@ -208,14 +208,16 @@ def check_fit(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -
                 raise DataError(f"{stands_out}; {hint}")
             if held[worst] > FOREIGN_SHARE:
                 raise DataError(stands_out)
-            warnings.append(f"{stands_out}; a motion that wakes what the model lacks? `deltatwin diagnose` tells")
+            warnings.append(
+                f"{stands_out}; does this motion excite an unmodelled effect? `deltatwin diagnose` shows more"
+            )
     if share.max() > HOPELESS:
         worst = int(np.argmax(share))
         raise DataError(
             f"{logs[worst].name}: the model leaves {100 * share[worst]:.0f} % of the torque unexplained; "
-            "wrong robot description, units, or joints?"
+            "are robot description, units and joints right?"
         )
-    warnings += [f"{name}: {hint} Identify on empty motion" for name, hint in hints.items()]
+    warnings += [f"{name}: {hint} Identify on motion without payload" for name, hint in hints.items()]
     return warnings + _sameness(logs)
 
 
@@ -233,7 +235,7 @@ def _loads(logs: Sequence[NormalEquations], fit: Plain, moving_mass: float) -> d
         (np.abs(mean) > PAYLOAD) & (np.abs(mean) > FOREIGN * np.median(np.abs(mean))) & (np.abs(mean) > STEADY * rms)
     )
     return {
-        log.name: f"it asks for {mean[t]:+.2f} kg on the platform on average: a payload?"
+        log.name: f"its torque fits {mean[t]:+.2f} kg more on the platform: a payload?"
         for t, log in enumerate(logs)
         if loaded[t]
     }
@@ -277,12 +279,12 @@ def _masses(
 
 def _sameness(logs: Sequence[NormalEquations]) -> list[str]:
     if len(logs) == 1:
-        return [f"{logs[0].name}: a single trajectory cannot be held out, nothing shows how far the fit carries"]
+        return [f"{logs[0].name}: a single trajectory cannot be held out: nothing shows how well the fit generalises"]
     left = information(np.stack([t.gram.sum(axis=0) for t in logs]))
     scale = np.sqrt(np.einsum("pp->p", left.sum(axis=0)))
     scale = np.where(scale > 0, scale, 1.0)
     scaled = (left / scale[:, None] / scale).reshape(len(left), -1)
     unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
     if (unit @ unit.T).min() > ALIKE:
-        return ["the trajectories are too similar: held-out residuals only say how well this one motion repeats"]
+        return ["the trajectories are too similar: held-out residuals only show how well this one motion repeats"]
     return []

@@ -114,16 +114,16 @@ def _each(values: np.ndarray) -> str:
 
 
 def of_load(one: Load) -> str:
-    """What a log comes to, in a sentence, and what to do where something cannot be told."""
+    """The result of a log in a sentence, and what to do if a quantity is not identifiable."""
     if not one.seen:
         return (
-            f"{one.trace}: no load is told on {one.frame}: {one.mass:.3f} ± {one.mass_error:.3f} kg; if it carries "
+            f"{one.trace}: no load was found on {one.frame}: {one.mass:.3f} ± {one.mass_error:.3f} kg; if there is "
             "one, log motion of joints that lift it"
         )
     said = f"{one.trace}: {one.mass:.3f} ± {one.mass_error:.3f} kg on {one.frame}"
     if not one.centre_told:
-        return f"{said}; its centre cannot be told: turn the last joints with a level axis, too"
+        return f"{said}; its centre is not identifiable: also turn the last joints with their axis level"
     said += f", centre within {1e3 * one.centre_error.max():.1f} mm"
     if not one.inertia_told:
-        return f"{said}; its inertia cannot be told: turn the last joints faster"
+        return f"{said}; its inertia is not identifiable: turn the last joints faster"
     return f"{said}, inertia within {1e3 * one.inertia_error.max():.2g} g m^2"

@@ -21,7 +21,7 @@ def told_of_held(held: Mapping[str, float]) -> list[str]:
         if seconds:
             logs.setdefault(f"{1e3 * seconds:.3g}", []).append(name)
     return [
-        f"{', '.join(names)}: the torque comes anew every {every} ms only and stands still between; it is taken as it "
-        "is, and so late: log it as it comes; `deltatwin diagnose` leaves out the samples between"
+        f"{', '.join(names)}: the torque is updated only every {every} ms and repeated in between. It is used as it "
+        "is, and so late: log it with every sample; `deltatwin diagnose` leaves out the repeated samples"
         for every, names in logs.items()
     ]

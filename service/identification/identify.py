@@ -75,14 +75,14 @@ def written(
     identified = identified_of(robot, figures, base, verdicts).model_copy(update=more)
     if robot.effect:
         names = ", ".join(dict.fromkeys(effect.name for effect in robot.effect))
-        said = f"{names}: found on an earlier identification, left out of this one; `diagnose` says what still is there"
-        constants = ", `identify --carried` how far torque constants are off" if isinstance(robot, Robot) else ""
+        said = f"{names}: from an earlier diagnosis, left out here; `diagnose` finds the effects that remain"
+        constants = ", `identify --carried` calibrates torque constants" if isinstance(robot, Robot) else ""
         warnings = [*warnings, said + constants]
     if abs(base.timing) >= AT_LIMIT * fit.problem.apart * fit.problem.recordings[0].segment.period:
         older, newer = ("torque", "position") if base.timing > 0 else ("position", "torque")
         said = (
-            f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}, {fit.problem.apart} of a sample, "
-            "the most that is fitted: it may be more, or something else that looks like it; `deltatwin diagnose` tells"
+            f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}, {fit.problem.apart} of a sample. "
+            "This is the fit's limit: the delay may be larger, or another effect; `deltatwin diagnose` shows more"
         )
         warnings = [*warnings, said]
     return Identification(robot.model_copy(update={"identified": identified, "effect": []}), fit, tuple(warnings))

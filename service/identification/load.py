@@ -95,14 +95,16 @@ def load_on(robot: Description, trace: Trace, frame: str | None = None) -> Load:
     mechanism = machine.mechanism
     assert isinstance(mechanism, SerialArm)
     if robot.identified is None:
-        raise DataError(f"robot {robot.name}: no [identified] parameters: run `deltatwin identify` on its empty logs")
+        raise DataError(
+            f"robot {robot.name}: no [identified] parameters: run `deltatwin identify` on its logs without payload"
+        )
     (parts,) = segments_of([trace])
     recordings = [Recording(thin(part), mechanism, 0, trace.name) for part in parts]
     period = one_period([(one.name, one.segment) for one in recordings])
     band = Band.of(period, resolved_hz([one.segment for one in recordings]))
     fitted = _Fit.of(robot, recordings, band, body)
     if len(fitted.grams) < SCARCE:
-        raise DataError(f"{trace.path}: too little motion to weigh by: {len(fitted.grams)} half seconds")
+        raise DataError(f"{trace.path}: too little motion to estimate the payload: {len(fitted.grams) / 2:g} s")
     return fitted.load(trace.name, named)
 
 

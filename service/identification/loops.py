@@ -93,8 +93,8 @@ def gains_in_words(low: float, high: float) -> str:
 def told(loops: dict[int, tuple[float, float]]) -> list[str]:
     """What to say of them."""
     return [
-        f"the torque of joint {joint + 1} is the controller's answer to its position error "
-        f"({gains_in_words(*gains)} N m per rad, or N per m, without lag), not measured: the figures show the "
-        "controller as well; log the drive's measured current"
+        f"the torque of joint {joint + 1} was not measured: it is the controller's response to its position error "
+        f"({gains_in_words(*gains)} N m per rad, or N per m, without lag). The parameters include the controller; "
+        "log the drive's measured current"
         for joint, gains in sorted(loops.items())
     ]

@@ -181,11 +181,11 @@ def edges(logs: Sequence[NormalEquations]) -> list[str]:
         for name, value in zip(("rho_1", "rho_2"), found, strict=True):
             if value > HIGHEST:
                 warnings.append(
-                    f"{log.name}: {name} = {value:.3g} lies beyond the grid's edge of {HIGHEST:g}, which was widened; "
+                    f"{log.name}: {name} = {value:.3g} is beyond the grid's limit of {HIGHEST:g}, which was widened; "
                     "are the masses in the description right?"
                 )
             elif value <= 0.0:
                 warnings.append(
-                    f"{log.name}: {name} lies at the grid's lower edge, 0: this motion asks for less than nothing of it"
+                    f"{log.name}: {name} is at the grid's lower limit, 0: the best fit to this log would be negative"
                 )
     return warnings

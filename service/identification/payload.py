@@ -120,7 +120,9 @@ def weighed(robot: Robot, trace: Trace) -> Weighed:
         DataError: its stamps do not rise, or the robot was never identified.
     """
     if robot.identified is None:
-        raise DataError(f"{robot.name} was never identified, so nothing can be weighed: deltatwin identify ... first")
+        raise DataError(
+            f"{robot.name} was never identified, so no payload can be estimated: first run `deltatwin identify`"
+        )
     samples = trace.samples()
     return as_known(samples, process(robot, samples).payload)
 
@@ -312,8 +314,8 @@ def read_truth(path: Path) -> list[Pick]:
         try:
             pick = Pick(float(row["from_s"]), float(row["until_s"]), float(row["mass_kg"]))
         except (KeyError, TypeError, ValueError) as error:
-            raise TraceError(f"{path}:{line}: wanted from_s, until_s, mass_kg as numbers, got {row}") from error
+            raise TraceError(f"{path}:{line}: expected from_s, until_s, mass_kg as numbers, got {row}") from error
         if not all(map(math.isfinite, (pick.begin, pick.end, pick.mass))):
-            raise TraceError(f"{path}:{line}: wanted from_s, until_s, mass_kg as numbers, got {row}")
+            raise TraceError(f"{path}:{line}: expected from_s, until_s, mass_kg as numbers, got {row}")
         result.append(pick)
     return result

@@ -304,10 +304,13 @@ def _told(problem: Problem, fitted: solver.Fit, known: Sequence[Quantity], nomin
     held = np.array([reasons.get(parameter.name, "").endswith("never moves") for parameter in known])
     held |= np.diag(whole[0]) == 0
     if (wanted := fitted.hypothesis.base.wanted) is not None:
-        reasons |= {known[index].name: "data left out do as well without" for index in np.flatnonzero(~wanted).tolist()}
+        reasons |= {
+            known[index].name: "held-out data are predicted as well without it"
+            for index in np.flatnonzero(~wanted).tolist()
+        }
     while (tolerance := _tolerance(whole[0], held)).min() < COLLINEAR:
         worst = int(np.argmin(tolerance))
-        reasons.setdefault(known[worst].name, "the other parameters explain it as well on these logs")
+        reasons.setdefault(known[worst].name, "on these logs the other parameters explain it as well")
         held[worst] = True
     while True:
         values, error = _solve(*whole, held, assumed), _jackknife(left, right, held, assumed)
@@ -317,10 +320,10 @@ def _told(problem: Problem, fitted: solver.Fit, known: Sequence[Quantity], nomin
         below = ~held & (values < low)
         if vague.any():
             worst = int(np.argmax(np.where(vague, relative, 0.0)))
-            reasons[known[worst].name] = f"these logs leave it open by {100 * relative[worst]:.0f} %"
+            reasons[known[worst].name] = f"these logs determine it only to {100 * relative[worst]:.0f} %"
         elif below.any():
             worst = int(np.argmax(np.where(below, (low - values) / np.maximum(error, 1e-300), 0.0)))
-            reasons[known[worst].name] = "these logs ask for less of it than there can be"
+            reasons[known[worst].name] = "the best fit to these logs is below its physical limit"
             assumed[worst] = low[worst]
         else:
             return _Told(values, error, relative, held, assumed, reasons)
@@ -441,9 +444,9 @@ def _estimate(
         return ParameterEstimate(name, unit, value, 0.0, "not identifiable", f"{reason}; {value:g} assumed")
     if reason or relative > NOT_IDENTIFIABLE:
         return ParameterEstimate(
-            name, unit, value, error, "not identifiable", reason or f"open by {100 * relative:.0f} %"
+            name, unit, value, error, "not identifiable", reason or f"determined only to {100 * relative:.0f} %"
         )
     if relative > WEAK:
-        why = f"open by {100 * relative:.0f} %: more of the motion that shows it"
+        why = f"determined only to {100 * relative:.0f} %: log more motion that excites it"
         return ParameterEstimate(name, unit, value, error, "weak", why)
     return ParameterEstimate(name, unit, value, error, "identifiable")

@@ -77,11 +77,11 @@ def propose(table: Table | Sequence[Table], robot: Description | None, stated: S
             measured = getattr(channels, role.removesuffix("_command"))
             meant = _as_measured(runs[0], names, measured, entry, units, robot.gear_ratios[0] if robot else 1.0)
             if meant is None:
-                doubts.append(f"{_listed(names)} are in another unit than what was measured: left out")
+                doubts.append(f"{_listed(names)} have another unit than the measured values: left out")
                 channels = replace(channels, **{role: ()})
                 continue
             if meant is not entry:
-                reasons.append(f"{_listed(names)} are {named(meant)}: so they go as far as what was measured")
+                reasons.append(f"{_listed(names)} are {named(meant)}: so their range matches the measured values")
                 entry = meant
         if names:
             columns[role] = [
@@ -131,29 +131,31 @@ def _reading(
     count = len(channels.position)
     for what, given in (("--sign", stated.sign), ("--torque-unit", stated.torque_unit and stated.torque_unit[1])):
         if isinstance(given, Sequence) and len(given) not in (1, count):
-            raise DataError(f"{runs[0].path}: {what} has {len(given)} numbers, there are {count} joints")
+            raise DataError(f"{runs[0].path}: {what} has {len(given)} numbers for {count} joints")
     own = [1] * count if stated.sign is None else [int(sign) for sign in stated.sign] * (count // len(stated.sign))
     candidates = Candidates(runs, channels, robot, rate, stated)
     positions, (torque, told) = candidates.positions(reasons, doubts), candidates.torque(reasons, doubts)
     if robot is None:
         found = Reading(positions[0], torque, None, [1] * count, [1] * count)
-        found.doubts.append("without --robot signs and the side of the gear cannot be checked")
+        found.doubts.append("signs and the side of the gear cannot be checked without --robot")
         if len(positions) > 1:
-            found.doubts.append(f"positions taken as {named(positions[0])}: nothing says so")
+            found.doubts.append(f"positions are assumed to be {named(positions[0])}: the file does not say")
     else:
         unit = stated.position_unit or said_unit(runs[0], channels.position[0], POSITION_UNITS)
         logs = [_run(run, channels, own, stated.rate_hz) for run in runs]
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # numbers of no machine are no evidence
             found = judge(robot, logs, positions, torque, (unit is not None, told))
         if robot.linear and unit is None:
-            found.doubts.append(f"positions taken as {positions[0]['unit']}, by their range")
+            found.doubts.append(f"positions are assumed to be {positions[0]['unit']}, by their range")
     reasons += found.reasons
     if None in found.torque.values():
-        raise DataError(f"{runs[0].path}: torques are {found.torque['unit']}: how many N m each? say --torque-unit")
+        raise DataError(
+            f"{runs[0].path}: torques are {found.torque['unit']}: how many N m per unit? give it with --torque-unit"
+        )
     signs = [int(a * b) for a, b in zip(own, found.torque_signs, strict=True)]
     if stated.sign is not None and signs != own:
         reasons[:] = [line for line in reasons if "other sign" not in line]
-        doubts.append("the motion speaks against the signs that --sign gives")
+        doubts.append("the signs given by --sign contradict the motion")
         signs = own
     doubts += found.doubts
     return replace(found, torque_signs=signs)
@@ -180,8 +182,8 @@ def _told_once(channels: Channels, doubts: list[str]) -> Channels:
     """The channels without a command that stands for what was measured."""
     if channels.torque_command and not channels.torque:
         doubts.append(
-            f"{_listed(channels.torque_command)} are commands, and no torque was measured: what the controller asked "
-            "for stands in for it, with the controller's lag"
+            f"no torque was measured: the commands {_listed(channels.torque_command)} are used instead, with the "
+            "controller's lag"
         )
         return replace(channels, torque=channels.torque_command, torque_command=())
     twice = {
@@ -221,20 +223,20 @@ def _check(table: Table, channels: Channels, stated: Stated, joints: int | None)
             if name not in table.columns:
                 raise DataError(f"{table.path}: no column {name!r}; it has: {listed}")
         if role == "torque" and (why := no_torque(table, names)):
-            raise DataError(f"{table.path}: no torque was recorded: {why}; if one is all the same: --torque NAME")
+            raise DataError(f"{table.path}: no torque was recorded: {why}; if a column is a torque: --torque NAME")
         if not names or (joints and len(names) != joints):
             which = "column is the" if joints == 1 else f"{joints} columns are the" if joints else "columns are the"
             many, what = ("", "NAME") if joints == 1 else ("s", "NAME,NAME,...")
             raise DataError(
-                f"{table.path}: which {which} {role}{many} cannot be told; say --{role} {what} (columns: {listed})"
+                f"{table.path}: it is unclear which {which} {role}{many}; give --{role} {what} (columns: {listed})"
             )
     if len(channels.position) != len(channels.torque):
         raise DataError(
             f"{table.path}: {len(channels.position)} positions ({', '.join(channels.position)}) with "
-            f"{len(channels.torque)} torques ({', '.join(channels.torque)}); say --position and --torque"
+            f"{len(channels.torque)} torques ({', '.join(channels.torque)}); give --position and --torque"
         )
     if channels.time is None and stated.rate_hz is None:
-        raise DataError(f"{table.path}: no column of stamps: say --rate HZ, or --time NAME (columns: {listed})")
+        raise DataError(f"{table.path}: no column of time stamps: give --rate HZ, or --time NAME (columns: {listed})")
     if channels.time is not None and channels.time not in table.columns:
         raise DataError(f"{table.path}: no column {channels.time!r}; it has: {listed}")
     for name in (stated.where and stated.where[0], stated.torque_times):
@@ -253,10 +255,8 @@ def _refuse_rates(table: Table, channels: Channels, doubts: list[str]) -> None:
         if said_unit(table, name, TORQUE_UNITS) is None and is_rate(table, name, at, clock):
             line = f"{name!r} is the speed or acceleration of {at!r}"
             if not calls_itself_torque(name):
-                raise DataError(
-                    f"{table.path}: no torque was recorded: {line}; if it is one all the same: --torque NAME"
-                )
-            doubts.append(f"{line}, though it is called a torque")
+                raise DataError(f"{table.path}: no torque was recorded: {line}; if it is a torque: --torque NAME")
+            doubts.append(f"{line}, although its name says torque")
 
 
 def _stretch(table: Table, name: str, equals: float) -> Table:
@@ -286,7 +286,7 @@ def _readings(
             readings[name] = {key: value for key, value in keys.items() if value is not None}
             meant[name] = signed(meant[name], bits) * (1.0 if keys["times"] is None else meant[keys["times"]])
         if bits:
-            reasons.append(f"{_listed(names)} are of {bits} bits without their sign: {2**bits - 1} stands for -1")
+            reasons.append(f"{_listed(names)} are {bits}-bit numbers read without sign: {2**bits - 1} means -1")
     return replace(table, columns=meant), readings
 
 
@@ -313,7 +313,7 @@ def _time(
     clock = table.time_of.get(channels.position[0], channels.time)
     rate = rate_hz(table, clock)
     line = f"stamps in {channels.time!r} are {unit}: {rate:.6g} Hz"
-    (reasons if said or unit == "datetime" else doubts).append(line if said else f"{line}, by the rate alone")
+    (reasons if said or unit == "datetime" else doubts).append(line if said else f"{line}, judged by the rate alone")
     name = clock.rsplit(" (", 1)[0] if table.kind.startswith("TwinCAT") else clock
     return {"name": name, "unit": unit}, rate
 
@@ -330,7 +330,7 @@ def _refuse_other_clocks(runs: Sequence[Table], channels: Channels) -> None:
         if (other := time_unit(run, channels.time)[0]) != first:
             raise DataError(
                 f"{run.path}: stamps in {channels.time!r} are {other}, those of {runs[0].path.name} {first}: import it "
-                "alone"
+                "separately"
             )
 
 

@@ -48,8 +48,8 @@ BEYOND_LIMITS = 1.2  # times the span of a URDF's limits
 FEW = 8  # different whole numbers: more, and nothing but these, are increments
 OFTEN_WRONG = 0.25, 0.5, 2.0, 4.0  # times that a gear ratio or a number of increments is wrong
 UR_JOINT = "shoulder_pan_joint"
-UR_CURRENTS = ": that of Universal Robots publishes currents as effort; --torque-unit 'A CONSTANT,CONSTANT,...'"
-WHENCE = "by the masses of the description; the data sheet is better: --torque-unit"
+UR_CURRENTS = ": the driver of Universal Robots publishes currents as effort; --torque-unit 'A CONSTANT,CONSTANT,...'"
+WHENCE = "by the masses of the description; better give it from the data sheet: --torque-unit"
 
 
 @dataclass(frozen=True)
@@ -144,20 +144,20 @@ class Candidates:
         units = [unit] if unit else []
         every = [entry for one in (*units, *others) for entry in self._sides({"unit": one})]
         if stated.position_unit:
-            reasons.append(f"positions are {unit}: told")
+            reasons.append(f"positions are {unit}: given by the user")
             return every
         if unit in ("rad", "turns") and self._integers():
             raise DataError(
-                f"{self._table.path}: positions are said to be {unit}, and are whole numbers: increments? say "
-                "--position-unit counts and --counts-per-rev, or --position-unit"
+                f"{self._table.path}: the file says that positions are {unit}, but they are whole numbers: increments? "
+                "Give --position-unit counts and --counts-per-rev, or another --position-unit"
             )
         possible = [e for e in every if self._plausible(scale_of(e, self._gear))] or every[:1]
         if unit is not None and unit == possible[0]["unit"]:
-            reasons.append(f"positions are {unit}: it stands there")
+            reasons.append(f"positions are {unit}: the file says so")
         elif unit is not None:
             doubts.append(
-                f"positions taken as {named(possible[0])}, though the file says {unit}: no joint goes so far, or so "
-                "fast; --position-unit says it"
+                f"positions are assumed to be {named(possible[0])}, although the file says {unit}: no joint moves that "
+                "far or that fast; otherwise give --position-unit"
             )
         return possible
 
@@ -173,7 +173,7 @@ class Candidates:
             return [stated] * len(names)
         for name in names:
             if other := unknown_unit(self._table, name):
-                raise DataError(f"{self._table.path}: {name!r} is in {other!r}, no unit that is known: say {option}")
+                raise DataError(f"{self._table.path}: {name!r} is in {other!r}, an unknown unit: give {option}")
         return [said_unit(self._table, name, known) for name in names]
 
     def _mixed(self, said: list[str | None], reasons: list[str]) -> list[dict[str, Any]]:
@@ -184,8 +184,8 @@ class Candidates:
         """
         if None in said or "counts" in said:
             listed = ", ".join(f"{n}: {u or 'none'}" for n, u in zip(self._channels.position, said, strict=True))
-            raise DataError(f"{self._table.path}: positions in several units ({listed}): say --position-unit")
-        reasons.append(f"positions are {', '.join(map(str, said))}: it stands there")
+            raise DataError(f"{self._table.path}: positions have several units ({listed}): give --position-unit")
+        reasons.append(f"positions are {', '.join(map(str, said))}: the file says so")
         return self._sides({"unit": said})
 
     def _increments(self, reasons: list[str]) -> list[dict[str, Any]]:
@@ -193,18 +193,18 @@ class Candidates:
         if stated.counts_per_m is not None or (robot is not None and robot.linear):
             if stated.counts_per_m is None:
                 raise DataError(
-                    f"{self._table.path}: positions are increments, of an axis in m; how many make a metre? say "
+                    f"{self._table.path}: positions are increments of an axis in m: how many per metre? Give "
                     "--counts-per-m, or --position-unit"
                 )
-            reasons.append(f"positions are increments, {stated.counts_per_m:g} a metre")
+            reasons.append(f"positions are increments, {stated.counts_per_m:g} per metre")
             return [{"unit": "counts", "counts_per_m": stated.counts_per_m}]
         per_turn = stated.counts_per_rev or _counts(robot)
         if per_turn is None:
             raise DataError(
-                f"{self._table.path}: positions are increments; how many make a turn of the encoder's shaft? "
-                "say --counts-per-rev, or --position-unit"
+                f"{self._table.path}: positions are increments: how many per turn of the encoder? Give "
+                "--counts-per-rev, or --position-unit"
             )
-        reasons.append(f"positions are increments, {per_turn:g} a turn")
+        reasons.append(f"positions are increments, {per_turn:g} per turn")
         return self._sides({"unit": "counts", "counts_per_rev": per_turn})
 
     def _farthest(self) -> float:
@@ -258,22 +258,22 @@ class Candidates:
             said = self._said(names, TORQUE_UNITS, None, "--torque-unit")
             if len(set(said)) > 1:
                 listed = ", ".join(f"{name}: {one or 'none'}" for name, one in zip(names, said, strict=True))
-                raise DataError(f"{self._table.path}: torques in several units ({listed}): say --torque-unit")
+                raise DataError(f"{self._table.path}: torques have several units ({listed}): give --torque-unit")
             unit = said[0]
             if unit is not None and self._table.kind.startswith("bag"):
-                line = f"torques are {unit} by the definition of the message, which not every driver keeps to"
+                line = f"torques are {unit} by the definition of the message, which not every driver follows"
                 currents = any(UR_JOINT in name for name in names)
                 (doubts if currents else reasons).append(line + UR_CURRENTS * currents)
             elif unit is not None:
-                reasons.append(f"torques are {unit}: it stands there")
+                reasons.append(f"torques are {unit}: the file says so")
             elif all(WORDS["current"] & set(tokens(name)) for name in names):
                 unit = "A"
-                reasons.append("torques are currents by their names, taken as A")
+                reasons.append("torques are currents by their names, assumed in A")
         told = unit is not None
         if unit is None:
             unit = "N" if self._robot and self._robot.linear else "N m"
             if not isinstance(self._robot, Robot):
-                doubts.append(f"torques taken as {unit}: nothing says so")
+                doubts.append(f"torques are assumed to be {unit}: the file does not say")
         entry: dict[str, Any] = {"unit": unit}
         if unit in SHARES:
             entry["rated"] = factor or _rated(self._robot)
@@ -281,9 +281,9 @@ class Candidates:
             entry["constant"] = factor
         missing = next((key for key in ("rated", "constant") if key in entry and entry[key] is None), None)
         if missing and not isinstance(self._robot, Robot):
-            what = "rated torque" if missing == "rated" else "N m a unit"
+            what = "rated torque" if missing == "rated" else "torque per unit"
             raise DataError(
-                f"{self._table.path}: torques are {unit}; the {what} is not known: say --torque-unit '{unit} NUMBER'"
+                f"{self._table.path}: torques are {unit}; the {what} is unknown: give --torque-unit '{unit} NUMBER'"
             )
         return entry, told
 
@@ -350,7 +350,7 @@ def judge(
     choice = choose(tried)
     best = found[choice.taken]
     if len(positions) == 1 and best.position.get("side") == "motor" and best.left is not None:
-        best.reasons.append("positions are the motor's: no joint turns so far")
+        best.reasons.append("positions are of the motor: no joint turns that far")
     if choice.second is not None:
         _tell_choice(best, found[choice.second], choice, told[0], named(positions[0]))
     if isinstance(robot, Chain):
@@ -362,17 +362,17 @@ def judge(
 def _tell_choice(best: Reading, second: Reading, choice: _Choice, told: bool, recorded: str) -> None:
     line = f"positions are {named(best.position)}"
     shares = (
-        f"{_percent(best.share)} of the torque is left on rows left out, read as {named(second.position)} "
+        f"{_percent(best.share)} of the torque remains unexplained on held-out rows, as {named(second.position)} "
         f"{_percent(second.share)}"
     )
     if best.left is None and second.left is None:
-        best.doubts.append(f"{line}, as recorded: nothing in this log tells {named(second.position)} from it")
+        best.doubts.append(f"{line}, as recorded: this log cannot separate it from {named(second.position)}")
     elif choice.taken and told:
-        best.doubts.append(f"{line}, though the file says {recorded}: {shares} ({said(choice.odds)} times likelier)")
+        best.doubts.append(f"{line}, although the file says {recorded}: {shares} ({said(choice.odds)} times likelier)")
     elif choice.sure:
         best.reasons.append(f"{line}: {shares} ({said(choice.odds)} times likelier)")
     elif not told or named(second.position).split()[0] == recorded.split()[0]:
-        best.doubts.append(f"{line}{'' if choice.taken else ', as recorded'}, and it cannot be told: {shares}")
+        best.doubts.append(f"{line}{'' if choice.taken else ', as recorded'}, but this is ambiguous: {shares}")
 
 
 def _percent(share: float) -> str:
@@ -390,18 +390,18 @@ def _of_machine(
     try:
         sums = machine_sums(robot, _at_joints(robot, runs, position, torque, reading.signs))
     except RobotError as error:  # an arm without the library that knows what it weighs
-        reading.doubts.append(f"units and signs are not checked: {error}")
+        reading.doubts.append(f"units and signs were not checked: {error}")
         return reading
     if sums is None:
-        reading.doubts.append("hardly anything moves: signs cannot be told from this log")
+        reading.doubts.append("hardly any joint moves: this log does not determine the signs")
         return reading
     signs, odds = _torque_signs(sums, count)
     _tell_signs(reading, odds)
     one = sums.torque_of_masses(signs)
     if one is not None and not 1 / SAME <= one <= SAME:
         reading.doubts.append(
-            f"by the masses of the URDF one unit of torque is {one:.3g} N m of the joint: unit, constant, or the "
-            "motor's side?"
+            f"by the masses of the URDF one unit of torque is {one:.3g} N m at the joint: is the unit or the constant "
+            "wrong, or is it the motor's torque?"
         )
     return replace(reading, left=sums.left(signs), torque_signs=signs)
 
@@ -450,12 +450,12 @@ def _of_arm(robot: Chain, runs: Sequence[Run], best: Reading) -> Reading:
     if -1 in flips:
         which = named_joints([joint + 1 for joint in range(robot.count) if flips[joint] < 0])
         line = (
-            f"with the other sign of the position of {which} {_percent(left.overall)} of the torque is left, as "
-            f"recorded {_percent(recorded.overall)} ({said(log_odds(left, recorded))} times likelier)"
+            f"with the other sign of the position of {which}, {_percent(left.overall)} of the torque remains "
+            f"unexplained, as recorded {_percent(recorded.overall)} ({said(log_odds(left, recorded))} times likelier)"
         )
         if recorded.overall > SUSPECT:
             doubts = [line for line in doubts if "sign of the torque" not in line and "by the masses" not in line]
-            doubts.append(f"{line}: so it is taken")
+            doubts.append(f"{line}: the other sign is used")
             reasons = [line for line in best.reasons if "pushes against" not in line]
             turned = [joint + 1 for joint in range(robot.count) if signs[joint] < 0]
             reasons += [f"the torque of {named_joints(turned)} has the other sign"] if turned else []
@@ -464,8 +464,8 @@ def _of_arm(robot: Chain, runs: Sequence[Run], best: Reading) -> Reading:
             doubts.append(f"{line}: left as recorded")
     if best.share > POOR:
         doubts.append(
-            f"the equations of {robot.name} leave {_percent(best.share)} of the torque: are sign, order and zero of "
-            "the positions right, and does the URDF describe this arm?"
+            f"the equations of {robot.name} leave {_percent(best.share)} of the torque unexplained: are sign, order "
+            "and zero of the positions right, and does the URDF describe this arm?"
         )
     return replace(best, doubts=doubts)
 
@@ -491,15 +491,15 @@ def _tell_signs(reading: Reading, odds: np.ndarray) -> None:
     open_ones = [joint + 1 for joint in np.flatnonzero(np.abs(odds) < SURE).tolist()]
     for joint in np.flatnonzero(odds <= -SURE).tolist():
         reading.reasons.append(
-            f"axis {joint + 1}: the torque pushes against the motion: the other sign ({said(odds[joint])} times "
-            "likelier)"
+            f"axis {joint + 1}: as recorded, the torque pushes against the motion: the other sign is used "
+            f"({said(odds[joint])} times likelier)"
         )
     if open_ones:
         most = said(float(odds[np.array(open_ones) - 1].min()))
         likelier = f"; the other is {most} times likelier" if odds[np.array(open_ones) - 1].min() < 0 else ""
         reading.doubts.append(
-            f"sign of the torque of {named_joints(open_ones)}: neither inertia nor friction shows enough of itself to "
-            f"tell it{likelier}; left as recorded, --sign says it"
+            f"sign of the torque of {named_joints(open_ones)}: inertia and friction are too small in this log to "
+            f"determine it{likelier}; left as recorded, set it with --sign"
         )
 
 
@@ -517,23 +517,25 @@ def _of_delta(
     reading = Reading(position, torque, None, AS_GIVEN, AS_GIVEN)
     if not ranked:
         reading.doubts.append(
-            f"read as {named(position)} the positions are no poses of {robot.name}, or hardly move: zero or geometry?"
+            f"read as {named(position)} the positions are not poses of {robot.name}, or hardly change: is the zero or "
+            "the geometry wrong?"
         )
         return reading
     given = next((fit for fit in ranked if tuple(fit.signs) == AS_GIVEN), None)
     ordered = ranked if given is None else [given, *(fit for fit in ranked if fit is not given)]
     choice = choose([fit.left for fit in ordered])
     fit = ordered[choice.taken]
-    line = f"with these readings the robot's equations leave {_percent(fit.share)} of the torque"
+    line = f"read like this, the robot's equations leave {_percent(fit.share)} of the torque unexplained"
     if fit.share > HOPELESS:
-        reading.doubts.append(f"{line}: signs and gear side cannot be told from this log")
+        reading.doubts.append(f"{line}: this log does not determine signs and gear side")
         return Reading(position, torque, fit.left, AS_GIVEN, AS_GIVEN, [], reading.doubts)
     if choice.sure:
         reading.reasons.append(line)
     else:
         assert choice.second is not None
         reading.doubts.append(
-            f"{line}, with other signs of the positions {_percent(ordered[choice.second].share)}: signs are not certain"
+            f"{line}, with other signs of the positions {_percent(ordered[choice.second].share)}: the signs are "
+            "uncertain"
         )
     return _scaled(reading, robot, fit, known, told)
 
@@ -544,7 +546,7 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
     gear, reads, torque = robot.drive.gear_ratio, fit.torque, dict(reading.torque)
     if reads.order != (0, 1, 2):
         order = ", ".join(str(k + 1) for k in reads.order)
-        doubts.append(f"the torques fit better in the order {order}: cables swapped? --torque says it otherwise")
+        doubts.append(f"the torques fit better in the order {order}: are cables swapped? Set the order with --torque")
         return Reading(reading.position, torque, fit.left, AS_GIVEN, AS_GIVEN, reasons, doubts)
     for what, which in (("torque", reads.signs), ("position", fit.signs)):
         turned = named_joints([j + 1 for j in range(3) if which[j] < 0])
@@ -558,16 +560,17 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
         worth = float(f"{reads.scale * per:.4g}")
         torque = {key: worth if value is None else value for key, value in unknown.items()}
         what = "unit of torque" if known else torque["unit"]
-        doubts.append(f"one {what} taken as {reads.scale:.4g} N m, {WHENCE}")
+        doubts.append(f"one {what} is assumed to be {reads.scale:.4g} N m, {WHENCE}")
     elif side != 1.0:
         torque["side"] = "motor"
-        line = f"torques are the motor's: times the gear of {gear:g} they fit"
+        line = f"torques are of the motor: they fit when multiplied by the gear ratio {gear:g}"
         sure = fits and gear >= NO_ACCIDENT
-        (reasons if sure else doubts).append(line if sure else f"{line}; so would torques in another unit")
+        (reasons if sure else doubts).append(line if sure else f"{line}; torques in another unit would, too")
     if side is not None and not (told and fits):
-        why = "; the fit goes with it" if fits else f", and by the masses one would be {fit.by_masses / side:.3g} N m"
-        why = ", and the fit is poor" if fit.share >= SUSPECT else why
-        said_so = f"torques taken as N m: nothing says so{why}" if not told else f"torques are said to be N m{why}"
+        why = "; the fit confirms it" if fits else f"; by the masses one unit would be {fit.by_masses / side:.3g} N m"
+        why = "; the fit is poor" if fit.share >= SUSPECT else why
+        by = f"torques are assumed to be N m, the file does not say{why}"
+        said_so = f"torques are N m by the file{why}" if told else by
         if not told or fit.share < SUSPECT:
             (reasons if fits else doubts).append(said_so)
     signs = [int(sign) for sign in reads.signs]
@@ -588,7 +591,7 @@ def _doubt_gear(robot: Robot | Axes, runs: Sequence[Run], best: Reading, torque:
         )
         if there.left is not None and log_odds(there.left, best.left) >= SURE:
             best.doubts.append(
-                f"with {times:g} times the gear ratio, or increments a turn, {_percent(there.share)} of the torque "
-                f"would be left, not {_percent(best.share)}: are they right?"
+                f"with {times:g} times the gear ratio or increments per turn, {_percent(there.share)} of the torque "
+                f"would remain unexplained instead of {_percent(best.share)}: are they right?"
             )
             return

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from schemas.errors import DataError
+from schemas.words import percent
 from service.identification import fit as solver
 from service.identification.fit import Fit, Problem
 from service.identification.pooled import start
@@ -47,8 +48,8 @@ def refuse_wrong_angles(problem: Problem, files: str, fitted: Fit) -> None:
     if degrees < min(CLEAR * radians, FAIRLY**2 * torque):
         share = (degrees / radians) ** 0.5
         raise DataError(
-            f"{files}: {tells}the torque fits positions in degrees, not in rad ({share:.0%} is "
-            'left of what is left in rad): say unit = "deg" in the mapping'
+            f"{files}: {tells}the torque fits positions in degrees, not in rad (residual "
+            f'{percent(share)} of that in rad): state unit = "deg" in the mapping'
         )
 
 

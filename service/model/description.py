@@ -58,10 +58,10 @@ def terms_of(robot: Description) -> tuple[Term, ...]:
 def _term(entry_: EffectEntry, effects: dict[str, Effect], robot: Description) -> Term:
     effect, at = effects.get(entry_.name), f"robot {robot.name}: effect {entry_.name}"
     if effect is None:
-        hint = f"nor in {robot.effects_file}" if robot.effects_file else "give the file that has it with --effects"
+        hint = f"nor in {robot.effects_file}" if robot.effects_file else "give the file that defines it with --effects"
         raise RobotError(f"{at}: not in the catalogue; {hint}")
     if any(joint > robot.count for joint in entry_.joints):
-        raise RobotError(f"{at}: joints {entry_.joints}, there are 1 to {robot.count}")
+        raise RobotError(f"{at}: joints {entry_.joints}: the joints are 1 to {robot.count}")
     joints = tuple(joint - 1 for joint in entry_.joints) if effect.per_joint else ()
     blank = Term.blank(effect, joints, (0.0,) * len(effect.nonlinear))
     keys = [parameter.name for parameter in parameters_of(blank)]
@@ -132,7 +132,9 @@ def _rigid(machine: Axes | Chain, mechanism: Mechanism) -> np.ndarray:
                 raise RobotError(f"robot {machine.name}: identified.rigid: {name!r} is missing")
         for name in found:
             if name not in mechanism.coefficients and machine.masses == "identified":
-                raise RobotError(f"robot {machine.name}: identified.rigid: {machine.urdf} has no {name!r} to be told")
+                raise RobotError(
+                    f"robot {machine.name}: identified.rigid: {name!r} is not a parameter of {machine.urdf}"
+                )
         return np.array([found[name].value for name in mechanism.coefficients])
     known = machine.identified
     assert known is not None

@@ -302,7 +302,7 @@ def one_period(parts: Sequence[tuple[str, Segment]]) -> float:
     for name, segment in parts:
         if abs(segment.period / period - 1.0) > SAME_RATE:
             times = f"{1e3 * segment.period:.3g} ms between samples, {first} has {1e3 * period:.3g} ms"
-            raise DataError(f"{name}: {times}: give logs of one rate")
+            raise DataError(f"{name}: {times}: give logs with the same sample rate")
     return period
 
 
@@ -367,7 +367,7 @@ def segments(trace: Trace, polled: bool = False) -> list[Segment]:
     if not result:
         longest = max(len(part) for part in every) * period
         raise TraceError(
-            f"{trace.path}: longest part without a fault lasts {longest:.3g} s, at least {4 * EDGE:g} s are needed"
+            f"{trace.path}: the longest part without a fault lasts {longest:.3g} s; at least {4 * EDGE:g} s are needed"
         )
     return result
 
@@ -381,8 +381,8 @@ def _check_scale(trace: Trace, period: float, usable_rows: int, torque: np.ndarr
     steps = np.diff(trace.time)
     if period > LONGEST_STEP * np.median(steps[steps > 0]):
         raise TraceError(
-            f"{trace.path}: {usable_rows} of {len(trace)} rows are usable, hardly two of them one behind the other: no "
-            "motion of a machine (deltatwin inspect says what is wrong with the others)"
+            f"{trace.path}: {usable_rows} of {len(trace)} rows are usable, but hardly any two in succession: this is "
+            "not the motion of a machine (deltatwin inspect shows what is wrong with the other rows)"
         )
     if note := implausible_rate(period):
         raise TraceError(f"{trace.path}: {note}")

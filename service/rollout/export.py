@@ -72,7 +72,7 @@ def to_mjcf(robot: Robot) -> Export:
     platform = model.moving_mass - 1.5 * forearm + float(amount("tool_mass", "delta_m")[0])
     if platform <= 0 or (inertia <= 0).any():
         raise RobotError(
-            f"robot {robot.name}: no bodies have these figures: platform {platform:.3g} kg, active links "
+            f"robot {robot.name}: these values are physically impossible: platform {platform:.3g} kg, active links "
             f"{', '.join(f'{value:.3g}' for value in inertia)} kg m^2 about their joints"
         )
     gears = gears_of(model, base.rigid, inside.two_masses)[0]
@@ -80,7 +80,7 @@ def to_mjcf(robot: Robot) -> Export:
     drawn = np.maximum(robot.mass.active_link + more, 1e-3)
     link = np.where(motor > 0, inertia - motor, np.minimum(inertia, drawn * length**2 / 3))
     if (link <= 0).any():
-        raise RobotError(f"robot {robot.name}: so much of a joint's inertia on the motor leaves none for its link")
+        raise RobotError(f"robot {robot.name}: the motor has all of a joint's inertia: none remains for the link")
     mass = np.maximum(drawn, 2 * moment**2 / link)  # turning about a fixed axis, only moment and inertia are felt
     truth = PlantTruth.nominal(changed).model_copy(
         update={
@@ -193,7 +193,7 @@ def _add_shapes(spec: mujoco.MjSpec, truth: PlantTruth) -> None:
             )
 
 
-_HEAD = '''"""What MuJoCo has no word for in robot {name}. Made by `deltatwin export`.
+_HEAD = '''"""Effects of robot {name} that MuJoCo cannot express. Written by `deltatwin export`.
 
     effects = Effects(model)
     while ...:
@@ -262,7 +262,7 @@ class Effects:
 _MEASUREMENT = '''
 
 class Measurement:
-    """What a log shows of this robot."""
+    """Turns true values into those that a log shows."""
 
     def __init__(self, model):
         self.step = model.opt.timestep
@@ -347,13 +347,13 @@ def _callback(result: Export, robot: Robot, terms: tuple[Term, ...], inside: Ins
                 f"({name}, SimpleNamespace(amplitude={figures!r}, nonlinear={term.nonlinear!r}))"
             )
         elif name == "torque_delay" and term.nonlinear[0] < 0:
-            result.left_out[name] = "a log shows the torque before it is there: shift what you compare with by it"
+            result.left_out[name] = "the log shows the torque early: shift the data that you compare with by this time"
             continue
         elif name in _TORQUE_SHOWN or name == "encoder_eccentricity":
             torque += _TORQUE_SHOWN.get(name, "").format(**dict(zip(effect.nonlinear, term.nonlinear, strict=True)))
             result.measured.append(name)
         elif name != "presliding_friction":
-            result.left_out[name] = "neither MuJoCo nor the callback has a form for it"
+            result.left_out[name] = "neither MuJoCo nor the callback can express it"
             continue
         result.by_callback.append(name)
     if result.by_callback:

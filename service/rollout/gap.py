@@ -249,7 +249,7 @@ def refuse_another_robot(robots: dict[str, Robot]) -> None:
     for name, robot in robots.items():
         for key in ("geometry", "mass", "drive"):
             if getattr(robot, key) != getattr(given, key):
-                raise DataError(f"{name}: its [{key}] is not that of {first}: compare descriptions of one robot")
+                raise DataError(f"{name}: its [{key}] differs from that of {first}: compare descriptions of one robot")
 
 
 def cut_up(robots: dict[str, Robot], traces: Sequence[Trace], horizon: float = HORIZON) -> Cuts:
@@ -279,7 +279,7 @@ def cut_up(robots: dict[str, Robot], traces: Sequence[Trace], horizon: float = H
         interruptions += of_trace
         lost += fewer
     if not result:
-        why = f" and it can be told what is carried (not for {untold:.3g} s)" if untold else ""
+        why = f" and the payload is known (unknown for {untold:.3g} s)" if untold else ""
         raise NoWindowError(f"{traces[0].path}: no window of {horizon:g} s between faults in which a joint moves{why}")
     seconds = float(sum(len(trace) * period for trace in traces))
     return Cuts(result, period, horizon, untold, seconds, interruptions, lost)
@@ -439,8 +439,8 @@ def check_sign(robot: Robot, cuts: Cuts, found: Rollout) -> None:
     if best is not None:
         joints = named_joints([joint + 1 for joint in range(3) if best[joint] < 0])
         raise DataError(
-            f"{parts[0][0].path}: the simulated robot runs away ({_far(deviation)}), with the torque of {joints} "
-            f"turned round it does not (off by {error:.3g} mm): the sign of that torque is wrong"
+            f"{parts[0][0].path}: the sign of the torque of {joints} is wrong: the simulated robot runs away "
+            f"({_far(deviation)}), with the other sign it does not (off by {error:.3g} mm)"
         )
 
 

@@ -222,16 +222,16 @@ def sentences(found: JointRollout) -> list[str]:
     least = f"{100 * min(share):.2g} to " if len(share) > 1 else ""
     lines = [
         f"{last.name}: after {1e3 * found.horizon:.0f} ms its joints are off by {least}{100 * share[worst]:.2g} % of "
-        f"their way, joint {worst + 1} most."
+        f"their travel, joint {worst + 1} most."
     ]
     if not last.good.any():
         lines = []
     elif share[worst] > 1.0:
-        lines.append(f"Joint {worst + 1} is off by more than its way: sign or unit of its torque, or a load?")
+        lines.append(f"Joint {worst + 1} is off by more than its travel: wrong sign or unit of its torque, or a load?")
     if last.good.any() and (one := last.tool_rms) is not None and (noise := floor.tool_rms) is not None:
         lines.append(f"Its tool is off by {1e3 * one:.3g} mm; noise alone gives {1e3 * noise:.3g} mm.")
     lines += [
-        f"{one.name}: runs away in {int((~one.good).sum())} of {len(one.good)} windows, which no figure counts."
+        f"{one.name}: runs away in {int((~one.good).sum())} of {len(one.good)} windows: no value here includes these."
         for one in robots
         if not one.good.all()
     ]

@@ -17,6 +17,7 @@ import numpy as np
 from schemas.errors import DataError
 from schemas.robot import Servo
 from schemas.trace import Trace
+from schemas.words import percent
 from service.model.signals import Band, Segment
 from service.rollout.kernel import DriveGains
 from service.rollout.robot import SeenStretch
@@ -44,7 +45,7 @@ def commands_of(trace: Trace, segment: Segment) -> np.ndarray:
     """
     command = trace.position_command
     if command is None:
-        raise DataError(f"{trace.path}: holds no position commands")
+        raise DataError(f"{trace.path}: contains no position commands")
     command = command[segment.rows]
     if not np.isfinite(command).all():
         row, joint = np.argwhere(~np.isfinite(command))[0]
@@ -78,7 +79,7 @@ def identified(parts: Sequence[tuple[Trace, Segment, SeenStretch]]) -> Servo:
         if not (left < MOST_LEFT and damping > 0 and stiffness > 0):
             raise DataError(
                 f"{parts[0][0].path}: the torque of joint {joint + 1} does not follow the position error of its drive "
-                f"({left:.0%} is left): describe the drives in [servo]"
+                f"(residual {percent(left)}): describe the drives in [servo]"
             )
         mean, product = stiffness / damping / 2, max(integral, 0.0) / damping
         root = np.sqrt(max(mean**2 - product, 0.0))

@@ -61,7 +61,7 @@ ABOUT = {"position": ("position", "increments"), "torque": ("torque", "force", "
 OUTCOMES = "right", "asked", "refused", "said", "silent", "crash"
 TEXT_FORMS = "csv", "semicolon", "comma_decimal", "tab", "space", "gz"
 MOST_ASKED = 4  # times that a user answers
-ORDER = "joints by their place"
+ORDER = "joints are assigned by their order"
 
 
 def judge(case: Case, folder: Path) -> tuple[str, str]:
@@ -115,18 +115,18 @@ def answers_to(case: Case, table: Table, lines: str) -> dict[str, Any]:
     if (
         "increments" in lines
         or "--position-unit" in lines
-        or "positions taken as" in lines
-        or "cannot be told" in lines
+        or "positions are assumed to be" in lines
+        or "this is ambiguous" in lines
     ):
         option = "counts_per_rev" if case.position == "counts" else "position_unit"
         found[option] = answer_of(case, option)
-    if "--torque-unit" in lines or "torques taken as" in lines or "taken as" in lines:
+    if "--torque-unit" in lines or "assumed to be" in lines:
         found["torque_unit"] = answer_of(case, "torque_unit")
     if "--sign" in lines:
         found["sign"] = answer_of(case, "sign")
     if "--rate" in lines:
         found["rate_hz"] = answer_of(case, "rate_hz")
-    if (ORDER in lines or "cannot be told; say --" in lines) and case.names != "none":
+    if (ORDER in lines or "it is unclear which" in lines) and case.names != "none":
         for role, spelled in zip(("position", "torque"), zip(*names_of(case), strict=True), strict=True):
             columns = [next((c for c in table.columns if _plain(name) in _plain(c)), "") for name in spelled]
             if all(columns):

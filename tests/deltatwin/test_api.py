@@ -157,7 +157,9 @@ def test_a_foreign_frame_takes_a_mapping(tmp_path: Path) -> None:
     mapping.write_text(
         'joints = 1\ntime = { name = "t", unit = "ms" }\nposition = { name = "phi", unit = "deg" }\ntorque = "M"\n'
     )
-    with pytest.raises(dt.TraceError, match="frame: no column position_1_rad; say with `columns` what is what: t, phi"):
+    with pytest.raises(
+        dt.TraceError, match="frame: no column position_1_rad; assign the columns with `columns`: t, phi"
+    ):
         dt.Trace.from_dataframe(frame)
     found = dt.Trace.from_dataframe(frame, columns=mapping)
     np.testing.assert_allclose(found.position[:, 0], np.sin(time), atol=1e-12)

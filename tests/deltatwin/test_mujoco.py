@@ -53,7 +53,7 @@ def test_attached_it_goes_where_the_exported_file_takes_it() -> None:
 def test_what_cannot_be_attached_is_said(tmp_path: Path) -> None:
     robot = identified(effect("stribeck_friction"))
     model = model_of(robot)
-    with attach(model, robot), pytest.raises(DataError, match="callback is taken"), attach(model, robot):
+    with attach(model, robot), pytest.raises(DataError, match="callback is already in use"), attach(model, robot):
         pass
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     with pytest.raises(DataError, match="RK4"), attach(model, robot):

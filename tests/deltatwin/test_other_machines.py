@@ -51,7 +51,7 @@ def test_the_motion_of_an_arm(arm: tuple[dt.Description, Path]) -> None:
         assert table["identified"][f"joint_{joint}"] < 0.2 * table["stands still"][f"joint_{joint}"]
     names = [line.name for line in found.plot().data]
     assert names == ["plain", "identified", "floor"]
-    assert "% of their way" in found.conclusion
+    assert "% of their travel" in found.conclusion
     with pytest.raises(dt.RobotError):
         dt.rollout(robot, log, commands=True)
 

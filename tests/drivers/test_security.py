@@ -340,7 +340,7 @@ def test_what_stays_on_the_host_needs_no_keys(tmp_path: Path) -> None:
 def test_insecure_is_taken_and_said(bus_folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     path = write(tmp_path / "user.json5", listen={"endpoints": [f"tcp/0.0.0.0:{free_ports()}"]})
     with open_bus("bench", Role.PLAYER, path, insecure=True):
-        assert "can speak for any role (--insecure)" in capfd.readouterr().err
+        assert "can send as any role (--insecure)" in capfd.readouterr().err
 
 
 def test_command_line_refuses_and_names_the_way_out(bus_folder: Path, tmp_path: Path, bench_robot: Path) -> None:
@@ -417,7 +417,7 @@ def test_a_folder_that_is_there_stays_and_planted_links_lead_nowhere(tmp_path: P
     elsewhere.mkdir()
     host = out / hosts[0].folder
     host.symlink_to(elsewhere)
-    with pytest.raises(StorageError, match="not a folder: keys go nowhere else"):
+    with pytest.raises(StorageError, match="not a folder: keys are written only to a folder"):
         make_keys(out, hosts)
     assert list(elsewhere.iterdir()) == []
     host.unlink()

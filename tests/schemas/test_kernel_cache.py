@@ -76,7 +76,7 @@ def test_a_temporary_folder_that_others_could_write_is_not_used(tmp_path, homele
         own.chmod(0o777)
     answer, said = run(tmp_path, **homeless)
     assert (answer, len(said.splitlines())) == ("1", 1)
-    assert "this run alone" in said
+    assert "this run only" in said
     assert not list(tmp_path.rglob("*.nbc"))
     assert [path.name for path in (tmp_path / "t").iterdir()] == [own.name]
 
@@ -141,7 +141,7 @@ def test_where_the_disk_is_full_kernels_are_made_for_this_run_alone(ours):
     assert done.stdout.strip() == "1", done.stderr
     said = [line for line in done.stderr.splitlines() if "compiled kernels" in line]  # a library may warn beside it
     assert len(said) == 1, done.stderr
-    assert "compiled kernels cannot be kept (File too large): made for this run alone" in said[0]
+    assert "compiled kernels cannot be stored (File too large): they are compiled for this run only" in said[0]
     assert run(ours) == ("1", "")
 
 

@@ -77,7 +77,7 @@ ONE, TWO = (f"\n[identified]\ntorque_noise_nm = {{value = {v}}}\n#" for v in ([1
         ("9.81", "inf", r"gravity_mps2: .*\(got inf\)"),
         ("9.81", "-9.81", r"gravity_mps2: .*greater than 0.*\(got -9\.81\)"),
         ("9.81", "[0, 9.81]", r"gravity_mps2: .*at least 3 items.*\(got \[0, 9\.81\]\)"),
-        ("9.81", "[0, 0, 0.0]", r"gravity_mps2: must pull somewhere"),
+        ("9.81", "[0, 0, 0.0]", r"gravity_mps2: must have a direction"),
         ("9.81", "true", r"gravity_mps2: .*list.*\(got True\)"),
         ("platform = 1.4", "platform = 0", r"mass\.platform: .*greater than 0.*\(got 0\)"),
         ("active_link = 2.6", "active_link = -2.6", r"mass\.active_link: .*greater than or equal to 0.*\(got -2\.6\)"),

@@ -14,8 +14,8 @@ GAP_PERIODS = 1.5  # a step of the stamps above this many cycles has lost cycles
 _PERIOD_AFTER = 16  # cycles before the cycle time is known
 BUNCHED_SHARE = 0.2  # of the steps below a tenth of the mean step: stamps of bunches; catching up gives single ones
 BUNCHED = (
-    "stamps come in bunches: the network card collects interrupts; the cycle time is that of their number, and which "
-    "cycles are missing cannot be told (switch that off: ethtool -C INTERFACE rx-usecs 0)"
+    "stamps come in bunches, as the network card coalesces interrupts: the cycle time is computed from the number of "
+    "frames, and missing cycles cannot be located (to switch it off: ethtool -C INTERFACE rx-usecs 0)"
 )
 _CATCH_UP = 64  # cycles after a gap in which late ones can turn out not to be lost
 

@@ -107,5 +107,7 @@ def draw_effect(text: str, truth: PlantTruth, seed: int) -> tuple[str, PlantEffe
     except ValueError:
         severity = math.nan
     if not (math.isfinite(severity) and severity > 0):
-        raise DataError(f"--effect {text!r}: severity {size!r} is not a number above zero; as joint_elasticity:0.5")
+        raise DataError(
+            f"--effect {text!r}: severity {size!r} is not a number above zero; give for example joint_elasticity:0.5"
+        )
     return name, CATALOGUE[name].draw(np.random.default_rng([seed, 2]), truth, severity)

@@ -58,12 +58,12 @@ def parts_of(bag: Path) -> list[Path]:
     if (bag / METADATA).exists():
         listed = [bag / Path(name.replace("\\", "/")).name for name in _listed(bag / METADATA)]
         if missing := [path.name for path in listed if not path.exists()]:
-            raise TraceError(f"{bag / METADATA}: lists {', '.join(missing)}, which is not beside it")
+            raise TraceError(f"{bag / METADATA}: lists {', '.join(missing)}, which is not next to it")
         if listed:
             return listed
     parts = sorted((path for path in bag.iterdir() if path.name.endswith(ENDINGS)), key=_numbered)
     if not parts:
-        raise TraceError(f"{bag}: a folder without .db3, .mcap or .bag, no rosbag: name the logs in it")
+        raise TraceError(f"{bag}: a folder without .db3, .mcap or .bag is not a rosbag: give the logs in it")
     return parts
 
 

@@ -42,7 +42,7 @@ def read(path: Path) -> Table:
     except (ValueError, RecursionError) as error:
         raise TraceError(f"{path}: not JSON: {error}") from error
     if _deeper_than(MAX_DEPTH, document):
-        raise TraceError(f"{path}: lists or objects more than {MAX_DEPTH} deep in each other")
+        raise TraceError(f"{path}: lists or objects nested more than {MAX_DEPTH} deep")
     lists = _lists(document)
     if not lists:
         raise TraceError(f"{path}: no list of records, and no lists of numbers, in this JSON")

@@ -49,7 +49,7 @@ def read(path: Path, topic: str | None = None) -> Table:
             columns[own], units[own] = values, unit
             if len(groups) > 1:
                 time_of[own] = clock
-    kind = "bag of joint states" + (", stamped by the recorder: the messages are not" if unstamped else "")
+    kind = "bag of joint states" + (", with the recorder's stamps: the messages have none" if unstamped else "")
     kind += f", {len(groups)} publishers" if len(groups) > 1 else ""
     layout = {"topic": topic} if topic else {}
     return Table(path, kind, padded(columns), units, time_of, int(stamps[0]), layout)
@@ -97,7 +97,7 @@ def _chooser(topic: str | None) -> Choose:
             return found[0]
         if found:
             raise TraceError(
-                f"{path}: {len(found)} topics of {TYPES[0]}: {', '.join(sorted(found))}; say which: --topic"
+                f"{path}: {len(found)} topics of {TYPES[0]}: {', '.join(sorted(found))}; give one with --topic"
             )
         raise TraceError(f"{path}: no topic of {TYPES[0]}, or {FOXGLOVE}; topics: {listed}")
 

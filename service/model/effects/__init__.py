@@ -1,4 +1,4 @@
-"""The effect catalogue: one file and one line an effect, and the user's own."""
+"""The effect catalogue: one file and one line per effect, and the user's own."""
 
 from __future__ import annotations
 

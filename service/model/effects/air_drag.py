@@ -2,7 +2,7 @@
 
 Physics: drag of a large tool or a suction cup's sheet: F = c v |v|.
 Implementation: one regressor.
-Limitations: grows with speed squared; slow motion says nothing about it.
+Limitations: grows with speed squared; slow motion does not show it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class AirDrag(WholeDelta):
     name = "air_drag"
     title = "Air drag of the platform"
     means = (
-        "The air resists fast moves. A property of the machine: take it over into the model; check for covers "
+        "The air resists fast moves. This is a property of the machine: include it in the model; check for covers "
         "or hoses that catch air."
     )
     online = staticmethod(_online)

@@ -1,8 +1,8 @@
-"""A joint's angle is scaled wrong.
+"""A joint's angle has a wrong scale.
 
-Physics: the true angle is 1 + epsilon times the measured one: another gear ratio or resolution than was entered.
+Physics: the true angle is 1 + epsilon times the measured one: gear ratio or resolution differs from the value entered.
 Implementation: that share of angle, speed and acceleration, through the slopes of the rigid torque.
-Limitations: first order in epsilon; on few angles it is a zero that is off.
+Limitations: first order in epsilon; over a small range of angles it mimics a wrong zero.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def _encoder(effect, gear_ratio, i, motion):
 class AngleScale(Effect):
     epsilon: Amplitude = Amplitude("", "true over measured angle, minus one", low=-1.0)
     name = "angle_scale"
-    title = "The measured angle is scaled wrong"
+    title = "The measured angle has a wrong scale"
     means = "Check gear ratio and encoder resolution of this joint in drive, description and column mapping."
     own_joint = False
     kinds = frozenset({"delta"})

@@ -2,8 +2,8 @@
 
 Physics: a uniform link of mass dm adds dm l1^2/3 theta_ddot - dm g . d/2, d = dJ'/dtheta: where the robot hangs level
 -dm g l1/2 cos theta.
-Implementation: one regressor a joint.
-Limitations: the same on all joints is in rho_1 and rho_2 of the base model and leaves no gap.
+Implementation: one regressor per joint.
+Limitations: the same on all joints is absorbed by rho_1 and rho_2 of the base model and leaves no gap.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ def _online(effect, now, i):
 
 @dataclass(frozen=True)
 class ArmMass(Effect):
-    delta_m: Amplitude = Amplitude("kg", "mass of this active link above the others'")
+    delta_m: Amplitude = Amplitude("kg", "mass of this active link minus that of the others")
     name = "arm_mass"
     title = "One arm is heavier or lighter than the others"
     means = (
-        "Weigh this arm or look for what is mounted on it (cable, sensor, another spare part), then correct "
-        "the description."
+        "Weigh this arm, or check what is mounted on it (cable, sensor, a different spare part). Then correct the "
+        "description."
     )
     online = staticmethod(_online)
     kinds = frozenset({"delta"})

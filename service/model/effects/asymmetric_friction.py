@@ -1,8 +1,9 @@
 """Coulomb and viscous levels differ between the two directions.
 
-Physics: one flank of a gear, one side of a screw rubs more; T = delta_c + delta_v |v| beside the symmetric part.
-Implementation: two regressors a joint; the friction forward is f + delta, backward f - delta.
-Limitations: delta_c alone is a constant torque offset, and no motion tells the two apart.
+Physics: one flank of a gear or one side of a screw rubs more; T = delta_c + delta_v |v| on top of
+the symmetric part.
+Implementation: two regressors per joint; the friction forward is f + delta, backward f - delta.
+Limitations: delta_c alone is an alias of a constant torque offset; no motion separates the two.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ class AsymmetricFriction(Effect):
     name = "asymmetric_friction"
     title = "Friction differs between the two directions"
     means = (
-        "Look at the preload and the seal of this joint's gear, and at a brake that drags. A constant offset "
-        "of the torque sensor or drive looks the same: compare at rest with the brake closed."
+        "Check the preload and the seal of this joint's gear, and whether a brake drags. A constant offset of the "
+        "torque sensor or drive looks the same: compare at rest with the brake closed."
     )
     same = frozenset({"torque_offset"})
     directional = True

@@ -2,7 +2,7 @@
 
 Physics: its plane is turned about the base's axis, at base and platform alike.
 Implementation: as in `geometry`.
-Limitations: all arms turned alike are a turned base, which no torque shows where gravity is along the axis.
+Limitations: all arms turned by the same angle are a turned base, which no torque shows if gravity is along the axis.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from service.model.effects.geometry import GeometryError
 class AzimuthError(GeometryError):
     error: Amplitude = Amplitude("rad", "true minus described azimuth")
     name = "azimuth_error"
-    title = "An arm is mounted at another angle round the base"
+    title = "An arm is mounted at a different angle round the base"
     means = "Measure the angles between the arms round the base's axis and correct the description."
     part = "azimuth"
     beyond_together = 0.1

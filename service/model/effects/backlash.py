@@ -31,8 +31,8 @@ class Backlash(Transmission):
     name = "backlash"
     title = "Lost motion in the gear (backlash)"
     means = (
-        "Wear or lost preload of the gear, or a loose coupling or clamp: check play by hand with the drive "
-        "on, readjust or replace. Until then keep braking torque from changing sign where accuracy counts."
+        "The gear is worn or has lost its preload, or a coupling or clamp is loose: check the play by hand with the "
+        "drive on; readjust or replace. Until then, avoid a sign change of the torque where accuracy counts."
     )
     directional = True
     settles = "moves whose braking torque exceeds gravity, so that the transmitted torque changes sign"

@@ -1,8 +1,8 @@
 """A joint's axis is nearer to the centre, or farther from it, than described.
 
-Physics: base radius less platform radius is what the closed chain knows.
+Physics: the closed chain depends on base radius minus platform radius only.
 Implementation: as in `geometry`.
-Limitations: base and platform radius are not told apart, neither here nor in any torque.
+Limitations: no torque separates base radius and platform radius.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from service.model.effects.geometry import GeometryError
 
 @dataclass(frozen=True)
 class BaseRadiusError(GeometryError):
-    error: Amplitude = Amplitude("m", "true minus described base radius, less that of the platform radius")
+    error: Amplitude = Amplitude("m", "true minus described value of base radius minus platform radius")
     name = "base_radius_error"
     title = "Base or platform radius differs from the description"
     means = (
-        "Measure at this arm how far the joint's axis is from the base's centre and the ball joints' from the "
-        "platform's (torque shows the difference of the two alone), and correct the description."
+        "Measure at this arm the distance of the joint's axis from the centre of the base, and of the ball joints from "
+        "the centre of the platform (torque shows only the difference of the two). Correct the description."
     )
     part = "radius"
     share_of = "passive_length"

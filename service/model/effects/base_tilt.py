@@ -1,9 +1,9 @@
 """The base is not level.
 
-Physics: gravity leans by two small angles, on every mass.
-Implementation: torque per rad, linear in the angles, with rho_2 on the active links; masses that other effects add feel
-it as a product at the operating point.
-Limitations: small angles; a turn about gravity's own direction does nothing.
+Physics: gravity is tilted by two small angles, for every mass.
+Implementation: torque per rad, linear in the angles, with rho_2 on the active links; its product with masses that other
+effects add is taken at the operating point.
+Limitations: small angles; a rotation about the direction of gravity has no effect.
 """
 
 from __future__ import annotations

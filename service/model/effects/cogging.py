@@ -2,8 +2,8 @@
 
 Physics: magnets and slots, or the teeth of a gear: T = a cos(n N theta) + b sin(n N theta), N the gear ratio.
 Implementation: order n per motor turn, amplitude and phase as the two coefficients.
-Limitations: above half the sample rate it is folded; fast motion moves it above the analysis band, which follows it
-where it stands out of what the model leaves.
+Limitations: above half the sample rate it is aliased. Fast motion moves it above the analysis band; the band is
+extended where the ripple exceeds the residual of the model.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Cogging(Effect):
     name = "cogging"
     title = "Torque ripple over the motor turn (cogging)"
     means = (
-        "Pole or slot ripple of the motor or a current sensor out of adjustment: redo the drive's current "
+        "Pole or slot ripple of the motor, or a current sensor out of adjustment: repeat the drive's current "
         "calibration, or let the drive compensate these orders."
     )
     repeats = True

@@ -1,8 +1,8 @@
-"""The torque that acts lags the one that is reported: what a log holds is what the drive was asked for.
+"""The true torque lags the reported one: the log contains the torque command.
 
 Physics: a current loop or amplifier of first order, y' = 2 pi f (u - y), of which u is reported and y moves the robot.
-Implementation: `torque_filter` turned round.
-Limitations: above a few hundred Hz it is a torque reported 1 / (2 pi f) too early.
+Implementation: the inverse of `torque_filter`.
+Limitations: above a few hundred Hz it mimics a torque that is reported 1 / (2 pi f) too early.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class DriveLag(TorqueFilter):
     name = "drive_lag"
     title = "The drive follows its torque command late"
     means = (
-        "The log holds what the drive was asked for, not what it did: log the measured current. If that lags too, "
-        "the current loop is tuned too softly, or a filter of the command is set too low."
+        "The log contains the torque command, not the actual torque: log the measured current. If that lags, too, the "
+        "current loop is tuned too softly, or the cut-off of a command filter is too low."
     )
 
     def read_out(self, readout: Readout, nonlinear: tuple[float, ...]) -> None:

@@ -35,10 +35,10 @@ class EncoderEccentricity(Effect):
     sine: Amplitude = Amplitude("rad", "sine part, true minus measured angle, joint side")
     order: Nonlinear = Nonlinear("", "periods a motor turn", (1, 2, 3, 4), 0.5, 20.0)
     name = "encoder_eccentricity"
-    title = "The encoder runs out of centre"
+    title = "The encoder is mounted off-centre"
     means = (
-        "The measured angle wobbles over a turn: check how the encoder disc or magnet is seated, recalibrate "
-        "or replace it."
+        "The measured angle has a periodic error over a turn: check how the encoder disc or magnet is seated; "
+        "recalibrate or replace it."
     )
     beyond = 0.03  # rad: a magnet half a millimetre off a ring of 17 mm
     own_joint = False

@@ -2,7 +2,7 @@
 
 Physics: the platform is elsewhere and tilts its path; every joint feels it.
 Implementation: as in `geometry`; the forearm's mass stays.
-Limitations: the same on all arms is mostly another height of the platform.
+Limitations: the same error on all arms is mostly a different height of the platform.
 """
 
 from __future__ import annotations

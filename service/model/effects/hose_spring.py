@@ -25,12 +25,12 @@ def _online(effect, now, i):
 @dataclass(frozen=True)
 class HoseSpring(WholeDelta):
     k: Amplitude = Amplitude("N/m", "stiffness", low=0.0)
-    force_x: Amplitude = Amplitude("N", "force on the hose along x, were the platform at the base's origin")
-    force_y: Amplitude = Amplitude("N", "force on the hose along y, were the platform at the base's origin")
-    force_z: Amplitude = Amplitude("N", "force on the hose along z, were the platform at the base's origin")
+    force_x: Amplitude = Amplitude("N", "force along x, extrapolated to a platform at the origin")
+    force_y: Amplitude = Amplitude("N", "force along y, extrapolated to a platform at the origin")
+    force_z: Amplitude = Amplitude("N", "force along z, extrapolated to a platform at the origin")
     name = "hose_spring"
     title = "A hose or cable pulls at the platform"
-    means = "Give the hose more slack or guide it otherwise; if it must stay, take it over into the model."
+    means = "Give the hose more slack or guide it otherwise; if it must stay, include it in the model."
     online = staticmethod(_online)
     settles = "slow sweeps to the edges of the workspace"
 

@@ -3,7 +3,7 @@
 Physics: the link lags by torque / stiffness; what the motor measures is not where the link is.
 Implementation: the link is integrated behind the recorded motor motion (spring and damper), and the rigid torque
 corrected by its relative motion; base friction stays on the motor side. First order only for the search.
-Limitations: linear spring; stiffness far above the analysis band is a slight shift in time.
+Limitations: linear spring; a natural frequency far above the analysis band mimics a small shift in time.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ class JointElasticity(Transmission):
         "", "share of the joint's inertia on the motor side", (0.13, 0.35), 0.02, 0.9, minor=True
     )
     name = "joint_elasticity"
-    title = "The drive train yields (elastic gear or coupling)"
+    title = "The drive train is elastic (gear, belt or coupling)"
     means = (
-        "Check clamps, coupling and belt tension; if the stiffness is by design, use smoother acceleration or "
-        "take it over into the model."
+        "Check clamps, coupling and belt tension. If the stiffness is by design, use smoother acceleration or include "
+        "it in the model."
     )
     settles = "fast moves with jumps in acceleration"
 

@@ -2,7 +2,7 @@
 
 Physics: the true angle is the measured one plus a constant.
 Implementation: as in `geometry`.
-Limitations: mostly a shift of this joint's gravity torque, and close to a spring or an offset on few angles.
+Limitations: mostly a shift of this joint's gravity torque; over few angles it mimics a spring or an offset.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from service.model.effects.geometry import GeometryError
 class JointOffset(GeometryError):
     error: Amplitude = Amplitude("rad", "true minus measured angle")
     name = "joint_offset"
-    title = "The joint's zero is off"
+    title = "The joint's zero is wrong"
     means = "Home this joint again against its mark or gauge and enter the new zero."
     part = "offset"
     beyond_together = 0.05

@@ -1,8 +1,8 @@
 """A spring on a joint.
 
 Physics: T = k (theta - theta_0): a balancer, a stiff cable.
-Implementation: k and the constant -k theta_0 as two regressors a joint.
-Limitations: over a small range of angles it is a constant.
+Implementation: k and the constant -k theta_0 as two regressors per joint.
+Limitations: over a small range of angles it mimics a constant torque.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class JointSpring(Effect):
     k: Amplitude = Amplitude("N m/rad", "stiffness", low=0.0)
     preload: Amplitude = Amplitude("N m", "torque at angle zero")
     name = "joint_spring"
-    title = "Something springs back at the joint"
+    title = "A spring acts on the joint"
     means = "A balancing spring, a stiff cable or a rubber stop: enter it in the model, or free the cable."
     directional = True
     online = staticmethod(_online)

@@ -2,7 +2,7 @@
 
 Physics: the platform is elsewhere, levers and inertia change: every joint feels it.
 Implementation: as in `geometry`; the link's mass stays.
-Limitations: the same on all arms hides in rho_1, rho_2 to a large part.
+Limitations: the same error on all arms is largely absorbed by rho_1 and rho_2.
 """
 
 from __future__ import annotations

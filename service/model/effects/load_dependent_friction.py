@@ -1,10 +1,10 @@
 """Gear friction that grows with the torque through it.
 
-Physics: tooth friction is proportional to the tooth force; T = mu |load| sign v. What accelerates the rotor does not
-pass the teeth: behind a high gear it is the weight that loads them.
+Physics: tooth friction is proportional to the tooth force; T = mu |load| sign v. The torque that accelerates the rotor
+does not pass through the teeth: with a high gear ratio, mainly the weight loads them.
 Implementation: load is the rigid-body torque of the base model at the operating point; of single axes and arms, whose
 rotors are not described, less a share of what acceleration takes.
-Limitations: at a nearly constant load (gravity only) it is Coulomb friction.
+Limitations: at a nearly constant load (gravity only) it mimics Coulomb friction.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ def _online(effect, now, i):
 
 @dataclass(frozen=True)
 class LoadDependentFriction(Effect):
-    mu: Amplitude = Amplitude("", "friction torque per torque through the gear", low=0.0)
+    mu: Amplitude = Amplitude("", "friction torque per transmitted torque", low=0.0)
     motor_share: Nonlinear = Nonlinear(
-        "", "share of what acceleration takes that is spent before the gear", (0.0, 0.25, 0.5, 0.75, 1.0), 0.0, 1.0,
+        "", "share of the acceleration torque on the motor side of the gear", (0.0, 0.25, 0.5, 0.75, 1.0), 0.0, 1.0,
         fixed=True,
     )  # fmt: skip
     name = "load_dependent_friction"
     title = "Gear friction grows with load"
     means = (
-        "The gear loses part of the torque that it carries: check its oil and efficiency class; take it over "
-        "into the model."
+        "The gear loses part of the torque that it transmits: check its oil and efficiency class; include the friction "
+        "in the model."
     )
     dissipates = True
     directional = True

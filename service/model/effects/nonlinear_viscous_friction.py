@@ -1,8 +1,8 @@
 """Viscous friction that is not linear in speed.
 
-Physics: shear thinning, churning and turbulence; T = f |v|^p sign v beside the linear part.
+Physics: shear thinning, churning and turbulence; T = f |v|^p sign v in addition to the linear part.
 Implementation: p shared by the joints and refined; p = 1 is the base model and left out.
-Limitations: a small range of speeds leaves p open.
+Limitations: a small range of speeds does not determine p.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class NonlinearViscousFriction(Effect):
     p: Nonlinear = Nonlinear("", "exponent of speed", (0.35, 0.6, 1.5, 2.0, 3.0), 0.2, 4.0)
     name = "nonlinear_viscous_friction"
     title = "Friction is not proportional to speed"
-    means = "Mostly grease or seals: check the kind and amount of grease; take it over into the model."
+    means = "Mostly grease or seals: check the kind and amount of grease; include it in the model."
     dissipates = True
     directional = True
     online = staticmethod(_online)

@@ -2,7 +2,7 @@
 
 Physics: a bent shaft or a worn tooth: T = (a cos n theta + b sin n theta) sign v.
 Implementation: order n per joint angle, amplitude and phase as the two coefficients a and b.
-Limitations: one sine; a narrow rough spot is not one.
+Limitations: one sine only; a narrow rough spot is not modelled.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class PositionDependentFriction(Effect):
     order: Nonlinear = Nonlinear("", "periods a turn of the joint", (1, 2, 3, 4, 5, 6, 8, 10, 12), 0.5, 40.0)
     name = "position_dependent_friction"
     title = "Friction varies over the joint's angle"
-    means = "A tight spot: look for a bent shaft, a misaligned or worn gear, or a cable that rubs at these angles."
+    means = "A tight spot: check for a bent shaft, a misaligned or worn gear, or a cable that rubs at these angles."
     dissipates = True
     directional = True
     online = staticmethod(_online)

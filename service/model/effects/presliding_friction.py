@@ -3,8 +3,8 @@
 Physics: bristles bend before they slip; Dahl: dF/dtheta = sigma_0 (1 - F sign v / f_c), sigma_0 = f_c / distance.
 Implementation: the Dahl state is integrated along the recorded motion; its difference from sign v is the
 regressor, so an amplitude equal to f_c replaces all Coulomb friction. distance shared by the joints.
-Limitations: within the resolution of the encoder it is a jump; no velocity-dependent damping of the bristles. What
-builds up over more than 0.2 rad is no contact: a cable that creeps looks like that.
+Limitations: below the resolution of the encoder it is a jump; no velocity-dependent damping of the bristles. Friction
+that builds up over more than 0.2 rad is not a contact: a creeping cable looks like that.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class PreslidingFriction(Effect):
     name = "presliding_friction"
     title = "Friction builds up over a small distance"
     means = (
-        "Bearings, seals and grease yield before they slip: normal for the gear; take it over into the model "
-        "where small reversals matter."
+        "Bearings, seals and grease deform before they slip. This is normal for a gear: include it in the model if "
+        "small reversals matter."
     )
     directional = True
     online = staticmethod(_online)

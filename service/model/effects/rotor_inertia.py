@@ -1,8 +1,8 @@
 """Reflected rotor or gear inertia of one drive.
 
 Physics: T = delta_i theta_ddot, no gravity.
-Implementation: one regressor a joint.
-Limitations: the same on all joints is rho_1 of the base model and leaves no gap.
+Implementation: one regressor per joint.
+Limitations: the same on all joints is absorbed by rho_1 of the base model and leaves no gap.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ def _online(effect, now, i):
 
 @dataclass(frozen=True)
 class RotorInertia(Effect):
-    delta_i: Amplitude = Amplitude("kg m^2", "inertia of this joint above the others', joint side", low=0.0)
+    delta_i: Amplitude = Amplitude("kg m^2", "inertia of this joint minus that of the others, joint side", low=0.0)
     name = "rotor_inertia"
     title = "One drive has more inertia than the others"
     means = (
-        "Check motor and gear type of this joint (another spare part, a brake or a coupling mounted) and "
-        "correct the description."
+        "Check motor and gear type of this joint (a different spare part, an added brake or coupling) and correct the "
+        "description."
     )
     online = staticmethod(_online)
-    settles = "fast moves of this joint beside slow ones over the same angles"
+    settles = "fast and slow moves of this joint over the same angles"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""

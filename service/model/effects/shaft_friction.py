@@ -4,7 +4,7 @@ Physics: the shaft's halves slide in each other as the platform comes and goes: 
 speed l_dot of its length, d sign(l_dot) + f l_dot.
 Implementation: the shaft runs from the middle of the base to that of the platform, l_dot = p v / |p|; the dry part
 turns over `SMOOTH`.
-Limitations: a shaft that hangs elsewhere, and friction in its universal joints, are left out. Its mass: `tool_mass`.
+Limitations: a shaft mounted elsewhere and friction in its universal joints are not modelled. For its mass: `tool_mass`.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class ShaftFriction(WholeDelta):
     name = "shaft_friction"
     title = "Friction along the fourth axis' shaft"
     means = (
-        "Clean and grease the telescopic shaft, check that it is straight; where there is none, check what else "
-        "slides between base and platform."
+        "Clean and grease the telescopic shaft and check that it is straight. If there is none, check what else slides "
+        "between base and platform."
     )
     online = staticmethod(_online)
     settles = "straight moves up and down at several speeds"

@@ -1,8 +1,8 @@
 """Extra breakaway friction that dies out with speed.
 
 Physics: at low speed the lubricant film does not carry; T = f_s exp(-(v / v_s)^2) sign v (Stribeck; Armstrong).
-Implementation: one regressor a joint, v_s shared by the joints and refined with all other parameters.
-Limitations: with no motion slower than v_s it is Coulomb friction; with none faster, a lower viscous friction.
+Implementation: one regressor per joint, v_s shared by the joints and refined with all other parameters.
+Limitations: without motion slower than v_s it mimics Coulomb friction; without faster motion, a lower viscous friction.
 """
 
 from __future__ import annotations

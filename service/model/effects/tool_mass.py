@@ -2,7 +2,7 @@
 
 Physics: T = dm J' (p_ddot - g).
 Implementation: the payload term of the model.
-Limitations: with one tool all the time part of it hides in rho_1 and rho_2.
+Limitations: with the same tool in all logs, rho_1 and rho_2 absorb part of it.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ def _online(effect, now, i):
 
 @dataclass(frozen=True)
 class ToolMass(WholeDelta):
-    delta_m: Amplitude = Amplitude("kg", "mass at the platform beyond the description")
+    delta_m: Amplitude = Amplitude("kg", "mass at the platform minus the described mass")
     name = "tool_mass"
     title = "The tool's mass differs from the description"
-    means = "Weigh tool, gripper and what hangs on it, then correct the mass in the description."
+    means = "Weigh tool, gripper and everything mounted on them, then correct the mass in the description."
     online = staticmethod(_online)
     settles = "the same path with and without a known mass"
 

@@ -1,8 +1,8 @@
 """Torque and position are not sampled at the same instant.
 
-Physics: the two travel different ways through drive and bus.
-Implementation: the whole prediction is shifted, fractions of a sample too. A quarter of a sample
-or less is the timing within one sample, which the base model has.
+Physics: the two take different paths through drive and bus.
+Implementation: the whole prediction is shifted, also by fractions of a sample. A quarter of a sample
+or less is the timing within one sample, which is part of the base model.
 Limitations: torque sampled *before* position is the same effect with the opposite sign.
 """
 
@@ -20,13 +20,13 @@ from service.model.signals import delayed
 @dataclass(frozen=True)
 class TorqueDelay(Effect):
     delay: Nonlinear = Nonlinear(
-        "s", "by which torque is later than position", (-0.003, -0.0015, 0.0008, 0.0015, 0.003, 0.006), -0.02, 0.02
+        "s", "time by which torque is later than position", (-0.003, -0.0015, 0.0008, 0.0015, 0.003, 0.006), -0.02, 0.02
     )
     name = "torque_delay"
-    title = "Torque and position are not of the same instant"
+    title = "Torque and position are not sampled at the same time"
     means = (
-        "A matter of the log, not of the machine: correct the delay of the torque channel in drive or recorder. "
-        "Torque that comes first is what the drive was asked for: log the measured current."
+        "This is a fault of the log, not of the machine: correct the delay of the torque channel in drive or recorder. "
+        "If torque comes first, it is the command: log the measured current."
     )
     takes_timing = True
     per_joint = False

@@ -2,7 +2,7 @@
 
 Physics: a first-order filter in the drive, y' = 2 pi f (u - y).
 Implementation: `lagging` of the whole prediction.
-Limitations: above a few hundred Hz it is a delay of 1 / (2 pi f).
+Limitations: above a few hundred Hz it mimics a delay of 1 / (2 pi f).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class TorqueFilter(Effect):
     name = "torque_filter"
     title = "The drive reports a smoothed torque"
     means = (
-        "A matter of the log, not of the machine: set the filter of the reported torque shorter, or log the "
+        "This is a fault of the log, not of the machine: shorten the filter of the reported torque, or log the "
         "unfiltered current."
     )
     per_joint = False

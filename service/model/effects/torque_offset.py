@@ -1,8 +1,8 @@
 """A constant torque error of a joint.
 
 Physics: a current sensor's zero, an analogue offset.
-Implementation: one constant a joint.
-Limitations: not told apart from Coulomb friction that differs between the directions.
+Implementation: one constant per joint.
+Limitations: not separable from Coulomb friction that differs between the directions.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class TorqueOffset(Effect):
     same = frozenset({"asymmetric_friction"})
     directional = True
     online = staticmethod(_online)
-    settles = "nothing while the joint moves: compare with the brake closed and the drive on"
+    settles = "a rest with the brake closed and the drive on (no motion separates the two)"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""

@@ -1,8 +1,8 @@
-"""Torque constant or gear ratio off.
+"""Wrong torque constant or gear ratio.
 
-Physics: what is reported is 1 + epsilon times the true torque of a joint.
+Physics: the reported torque is 1 + epsilon times the true torque of a joint.
 Implementation: scales the whole prediction of the joint.
-Limitations: on all joints alike only the known masses tell it from mass.
+Limitations: the same scale on all joints is separable from a mass error only by known masses.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from service.model.scene import Scene
 class TorqueScale(Effect):
     epsilon: Amplitude = Amplitude("", "reported over true torque, minus one", low=-1.0)
     name = "torque_scale"
-    title = "The reported torque is scaled wrong"
+    title = "The reported torque has a wrong scale"
     means = "Check torque constant, rated torque and gear ratio of this joint in drive and column mapping."
     beyond = 0.5
     measured = True

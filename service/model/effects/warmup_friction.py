@@ -1,8 +1,8 @@
 """Viscous friction falls as the gear warms.
 
-Physics: oil thins with temperature; T = f exp(-t / tau) v beside the level of the warm gear.
+Physics: oil thins with temperature; T = f exp(-t / tau) v in addition to the level of the warm gear.
 Implementation: t is the clock of the log, taken as time since power-on; tau shared by the joints.
-Limitations: logs that all start warm, or on clocks of their own, do not show it.
+Limitations: logs that all start warm, or that have separate clocks, do not show it.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ def _online(effect, now, i):
 
 @dataclass(frozen=True)
 class WarmupFriction(Effect):
-    f: Amplitude = Amplitude("N m s/rad", "viscous friction of the cold gear above the warm one", low=0.0)
+    f: Amplitude = Amplitude("N m s/rad", "viscous friction of the cold gear minus that of the warm gear", low=0.0)
     tau: Nonlinear = Nonlinear("s", "time constant of the warm-up", (3.0, 8.0, 20.0, 50.0, 150.0, 600.0), 1.0, 3600.0)
     name = "warmup_friction"
     title = "Friction falls while the gear warms up"
-    means = "Cold grease: run the machine warm before accurate work, or use a grease for lower temperature."
+    means = "Cold grease: warm the machine up before accurate work, or use a grease for lower temperatures."
     dissipates = True
     online = staticmethod(_online)
-    settles = "one path, cold and after half an hour of running, on one clock"
+    settles = "the same path, cold and after half an hour of running, with continuous time stamps"
 
     def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
         """(N, 1)."""

@@ -189,7 +189,7 @@ def test_a_damaged_record_ends_the_reading_and_says_where(tmp_path: Path) -> Non
     capture = Capture(path)
 
     assert sum(len(frames) for frames in capture.blocks()) == 1
-    assert capture.findings == [f"damaged at byte {at}: behind frame 1 comes no packet"]
+    assert capture.findings == [f"damaged at byte {at}: no packet follows frame 1"]
 
 
 def test_more_frames_than_one_block_holds_come_out_in_order(tmp_path: Path) -> None:

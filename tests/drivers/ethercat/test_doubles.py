@@ -118,5 +118,5 @@ def test_stamps_of_a_card_that_collects_interrupts(tmp_path: Path, spread: int) 
         return
     told = " ".join(finding.message for finding in read_capture(path, robot()).findings)
     assert "ms missing: before" not in told
-    assert "samples a second" not in told
+    assert "samples per second" not in told
     assert f"of {COUNT} cycles are flagged" in told

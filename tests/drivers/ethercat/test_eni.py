@@ -81,7 +81,7 @@ def test_a_master_maps_by_the_eni_what_it_maps_by_the_declaration(tmp_path: Path
         return [(rx.entries, tx.entries) for rx, tx in joint_pdos(description)]
 
     assert entries_of(with_eni(tmp_path, ENI)) == entries_of(robot())
-    with pytest.raises(RobotError, match=r"drive\.joint\.0\.station: 4097 is no slave of .*machine\.xml"):
+    with pytest.raises(RobotError, match=r"drive\.joint\.0\.station: 4097 is not a slave of .*machine\.xml"):
         joint_pdos(with_eni(tmp_path, "<EtherCATConfig><Config/></EtherCATConfig>"))
 
 
@@ -145,7 +145,7 @@ BOMB = (
         (b"\xff\xfe\x00broken", "not XML"),
         ('<?xml version="1.0" encoding="nonsense"?><a/>', "not XML"),
         ("<EtherCATInfo/>", "no ENI: its root is <EtherCATInfo>"),
-        ("<EtherCATConfig><Config/></EtherCATConfig>", "4097 is no slave"),
+        ("<EtherCATConfig><Config/></EtherCATConfig>", "4097 is not a slave"),
         (ENI.replace(">4097<", ">four<"), "PhysAddr>: 'four' is not a whole number"),
         (ENI.replace(">4097<", "><"), "has no <PhysAddr>"),
         (ENI.replace("<BitLen>32</BitLen>", ""), "no <BitLen>"),

@@ -78,4 +78,4 @@ def test_a_library_for_another_cycle_ends_before_the_first_frame(wire: Wire, lib
     assert "made for a sample every 4000 us, not 1000 us" in master.said.splitlines()[-1]
     missing = wire.start("master", table.rig.NEAR, "--robot", wire.robot, "--feedforward", "nowhere.so")
     assert missing.ends(table.READY) == 2
-    assert "neither cycle, bus, off nor a library" in missing.said.replace("\n", " ")
+    assert "not cycle, bus, off or the path of an existing library" in missing.said.replace("\n", " ")

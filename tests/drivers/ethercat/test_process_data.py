@@ -409,7 +409,7 @@ def test_every_twincat_cycle_that_is_seen_twice_is_one_sample(data: Path) -> Non
     [
         ({"inputs": ["0x6064"]}, r"drive\.joint\.0\.inputs: 0x6077 is not mapped"),
         ({"inputs": ["0x6064", "0x2010"]}, "write .0x2010:bits"),
-        ({"inputs": ["6064;"]}, "no object"),
+        ({"inputs": ["6064;"]}, "is not an object"),
         ({"inputs": ["0x6064:16"]}, "32 bits in CiA 402"),
         ({"inputs": [":4", "0x6064", "0x6077"]}, "bit 4 of a byte"),
         ({"inputs": [], "inputs_address": None}, "missing key"),

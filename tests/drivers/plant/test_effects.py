@@ -344,7 +344,7 @@ def test_an_effect_is_drawn_by_name_at_a_severity(truth: PlantTruth) -> None:
         ("jelly", "--effect 'jelly': unknown effect 'jelly'; known: stribeck_friction, "),
         ("magnet", "unknown effect 'magnet'"),  # no diagnosis can name it
         ("backlash:", "severity '' is not a number above zero"),
-        ("backlash:strong", "severity 'strong' is not a number above zero; as joint_elasticity:0.5"),
+        ("backlash:strong", "severity 'strong' is not a number above zero; give for example joint_elasticity:0.5"),
         ("backlash:0", "severity '0' is not a number above zero"),
         ("backlash:nan", "severity 'nan' is not a number above zero"),
     ],

@@ -66,10 +66,10 @@ def test_what_came_stays_when_more_comes(robot: Robot) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("stribeck_friction", "want NAME@SECONDS"),
+        ("stribeck_friction", "give NAME@SECONDS"),
         ("gremlins@60s", "unknown effect 'gremlins'"),
         ("backlash@soon", "'soon' is not a number"),
-        ("backlash@-1s", "has to be above zero"),
+        ("backlash@-1s", "must be above zero"),
         ("backlash=nan@60", "'nan' is not a number"),
     ],
 )

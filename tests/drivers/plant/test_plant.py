@@ -201,7 +201,7 @@ def test_shipped_robots_and_truths_load() -> None:
         truth = shipped_truth(robot)
         assert truth is not None
         make_effects(load_truth(truth, robot).effect, str(truth))
-    with pytest.raises(RobotError, match="by name there are: d3-1200"):
+    with pytest.raises(RobotError, match="bundled ones are: d3-1200"):
         robot_file("d3-1300")
 
 

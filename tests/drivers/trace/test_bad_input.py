@@ -235,7 +235,7 @@ def test_time_that_does_not_rise(own_csv: Path) -> None:
         ("a.csv.gz", gzip.compress(b"time_s\n0\n" * 1000, mtime=0)[:-20], "broken gzip file"),
         ("a.mcap", b"", "not a whole MCAP file"),
         ("a.mcap", b"\x7fELF" * 100, "not a whole MCAP file"),
-        ("a.docx", b"x", "unknown kind of trace, its name should end in"),
+        ("a.docx", b"x", "unknown kind of trace: its name must end in"),
     ],
 )
 def test_unusable_files(tmp_path: Path, name: str, content: bytes, message: str) -> None:
@@ -298,7 +298,7 @@ def test_mcap_with_foreign_messages(own_csv: Path, tmp_path: Path) -> None:
 def test_mcap_of_two_robots_needs_a_name(own_csv: Path, tmp_path: Path, robot_text: str) -> None:
     good, path = payloads(own_csv), tmp_path / "a.mcap"
     write_messages(path, {"/deltatwin/d3/sample": good, "/deltatwin/d_4/sample": good[:50]})
-    with pytest.raises(TraceError, match=r"samples of several robots \(d3, d_4\): say which with --robot"):
+    with pytest.raises(TraceError, match=r"samples of several robots \(d3, d_4\): give --robot"):
         read_trace(path)
     (tmp_path / "r.toml").write_text(robot_text.replace('"d3"', '"d-4"'))
     assert len(read_trace(path, load_robot(tmp_path / "r.toml"))) == 50
@@ -338,5 +338,7 @@ def test_samples_of_an_axis_that_is_no_delta(data: Path) -> None:
 
 
 def test_a_folder_that_holds_no_recording_is_told_as_one(tmp_path: Path) -> None:
-    with pytest.raises(TraceError, match=r"a folder without \.db3, \.mcap or \.bag, no rosbag: name the logs in it"):
+    with pytest.raises(
+        TraceError, match=r"a folder without \.db3, \.mcap or \.bag is not a rosbag: give the logs in it"
+    ):
         read_trace(tmp_path)

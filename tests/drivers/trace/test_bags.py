@@ -105,7 +105,7 @@ def test_parts_without_metadata_go_by_numbers_and_missing_ones_are_named(tmp_pat
         mcap(tmp_path / f"bag_{k}.mcap", states(2))
     assert [path.name for path in parts_of(tmp_path)] == [f"bag_{k}.mcap" for k in (0, 1, 2, 10)]
     metadata(tmp_path, ["bag_0.mcap", "bag_7.mcap"])
-    with pytest.raises(TraceError, match=r"metadata\.yaml: lists bag_7\.mcap, which is not beside it"):
+    with pytest.raises(TraceError, match=r"metadata\.yaml: lists bag_7\.mcap, which is not next to it"):
         read_table(tmp_path)
     for text in ("a: [", "just words", "rosbag2_bagfile_information: [1]", "&a [*a]", "\x01"):
         (tmp_path / "metadata.yaml").write_text(text)
@@ -187,7 +187,9 @@ def test_each_of_several_publishers_has_its_own_joints_and_stamps(tmp_path: Path
 
 def test_of_several_topics_the_user_says_which(tmp_path: Path) -> None:
     path = mcap(tmp_path / "log.mcap", states(), ("/left/joint_states", "/right/joint_states"))
-    with pytest.raises(TraceError, match=r"2 topics .*: /left/joint_states, /right/joint_states; say which: --topic"):
+    with pytest.raises(
+        TraceError, match=r"2 topics .*: /left/joint_states, /right/joint_states; give one with --topic"
+    ):
         read_table(path)
     table = read_table(path, {"topic": "/right/joint_states"})
     assert (len(table), table.layout) == (20, {"topic": "/right/joint_states"})
@@ -202,7 +204,7 @@ def test_efforts_that_some_messages_lack_are_missing_and_stamps_that_all_lack_ar
     assert np.flatnonzero(np.isnan(table.columns["pan.effort"])).tolist() == [3]
     table = read_table(mcap(tmp_path / "log.mcap", [(k, state(k, stamped=False)) for k in range(20)]))
     np.testing.assert_allclose(np.diff(table.columns["time"]), 0.004, atol=1e-9)
-    assert "stamped by the recorder" in table.kind
+    assert "with the recorder's stamps" in table.kind
     assert "pan.effort" not in read_table(mcap(tmp_path / "log.mcap", [(0, state(0, effort=False))])).columns
 
 

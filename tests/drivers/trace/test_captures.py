@@ -100,7 +100,7 @@ def test_a_right_declaration_is_not_contradicted(capture: Path) -> None:
     [
         (0, {"counts_per_turn": 1 << 19}, ["2 times", "0x606C"]),  # half the counts a turn: twice the angle
         (1, {"velocity_unit_rpm": 0.1}, ["times as fast", "0x606C"]),
-        (2, {"torque_sign": -1}, ["falls where the joint accelerates"]),
+        (2, {"torque_sign": -1}, ["falls when the joint accelerates"]),
         (1, {"sign": -1}, ["pushes the arm down"]),
     ],
 )
@@ -123,7 +123,7 @@ def test_the_tap_reports_a_wrong_declaration_while_the_robot_runs(
     with open_bus(description.name, Role.TAP) as bus:
         health = Health(bus)
         tap.run(lambda _: None, health)
-    contradicted = [line for line in said if "falls where the joint accelerates" in line]
+    contradicted = [line for line in said if "falls when the joint accelerates" in line]
 
     assert [line[:7] for line in contradicted] == ([] if torque_sign == 1 else ["joint 3"])
     assert bool(health.flags & HealthFlag.WRONG_DECLARATION) is (torque_sign == -1)
@@ -261,7 +261,7 @@ def test_faults_of_the_bus_are_counted_and_flagged(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("written", "says"),
     [
-        (b"\xff" * 500, "no frames; damaged at byte 28: behind frame 0 comes no packet"),
+        (b"\xff" * 500, "no frames; damaged at byte 28: no packet follows frame 0"),
         (b"", "no frames"),
     ],
 )

@@ -51,14 +51,14 @@ def test_joints_go_by_name(field: Path, tmp_path: Path) -> None:
     names = [entry.name for entry in load_columns(tmp_path / "log.columns.toml").channel("torque")]
     assert names == ["shoulder_pan_joint.effort", "shoulder_lift_joint.effort", "elbow_joint.effort"]
     assert np.ptp(position[:, 0]) == pytest.approx(1.324 + 1.3177, abs=1e-3)  # of the pan joint, by the README's table
-    assert "joints by the names of the description: 1 is 'shoulder_pan_joint.position'" in said
+    assert "joints are assigned by the names of the description: 1 is 'shoulder_pan_joint.position'" in said
     assert "check: torques are N m by the definition of the message" in said  # a UR's driver publishes currents
     assert "--torque-unit 'A CONSTANT" in said
 
 
 def test_only_a_driver_that_is_known_for_currents_is_doubted(field: Path, tmp_path: Path) -> None:
     *_, said = imported(field / "bag_compressed" / "msg_bag", field / "bag_compressed" / "robot.toml", tmp_path)
-    assert "torques are N m by the definition of the message, which not every driver keeps to" in said
+    assert "torques are N m by the definition of the message, which not every driver follows" in said
     assert "check: torques" not in said
 
 
@@ -120,8 +120,11 @@ def test_a_frame_captured_twice_is_one(field: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("time_unit/ms.csv", r"1 samples a second by its stamps, read as s; are its stamps in ms \(1000 Hz\)"),
-        ("noise_only/rand.csv", "rows are usable, hardly two of them one behind the other: no motion of a machine"),
+        ("time_unit/ms.csv", r"1 samples per second by its time stamps, read as s; are they in ms \(1000 Hz\)"),
+        (
+            "noise_only/rand.csv",
+            "rows are usable, but hardly any two in succession: this is not the motion of a machine",
+        ),
     ],
 )
 def test_what_no_machine_wrote_is_one_line(field: Path, name: str, says: str, command: str, tmp_path: Path) -> None:
@@ -155,7 +158,7 @@ def test_magnitudes_of_no_machine_are_one_line(tmp_path: Path, scale: float, col
 
 def test_inspect_says_that_a_rate_is_none(field: Path) -> None:
     done = CliRunner().invoke(app, ["inspect", str(field / "time_unit" / "ms.csv")], catch_exceptions=False)
-    assert "are its stamps in ms (1000 Hz)" in " ".join(done.output.split())
+    assert "are they in ms (1000 Hz)" in " ".join(done.output.split())
     assert "nothing wrong found" not in done.output
 
 

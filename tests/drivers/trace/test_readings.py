@@ -89,7 +89,10 @@ def test_a_map_of_one_value_a_count_is_a_slow_turn(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        (COLUMNS.replace('"t"', '{ name = "t", backwards = true }'), "backwards is for a table without stamps"),
+        (
+            COLUMNS.replace('"t"', '{ name = "t", backwards = true }'),
+            "backwards is only for a table without time stamps",
+        ),
         (COLUMNS + 'where = { name = "t", equals = 1, unlike = 0 }\n', "equals 1 and unlike 0: give one of them"),
     ],
 )
@@ -106,7 +109,9 @@ def test_torque_that_is_a_command(tmp_path: Path) -> None:
     rows = [[*line.split(","), "0.5", *line.split(",")[5:]] for line in lines]
     log.write_text("\n".join([header, *(",".join(row) for row in rows)]) + "\n")
     told = [finding.message for finding in read_trace(log, load_axes(arm.write(tmp_path))).findings]
-    assert told == [f"torque of joint {j} is its torque_command to the last digit: it was not measured" for j in (2, 3)]
+    assert told == [
+        f"torque of joint {j} equals its torque_command to the last digit: it was not measured" for j in (2, 3)
+    ]
 
 
 def test_a_log_that_the_urdf_does_not_fit(tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ def test_what_is_missing_comes_with_what_for_and_how(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     for said in (
         "wireshark (dumpcap): Debian, Ubuntu: apt install wireshark-common", "ip: Debian, Ubuntu: apt install iproute2",
-        "browser: Debian: apt install chromium", "local sockets: XDG_RUNTIME_DIR of a shorter path",
+        "browser: Debian: apt install chromium", "local sockets: set XDG_RUNTIME_DIR to a shorter path",
     ):  # fmt: skip
         assert said in done.stdout
     checks = examine()

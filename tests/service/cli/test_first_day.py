@@ -122,7 +122,7 @@ def test_convert_does_not_overwrite_silently(tmp_path: Path, own: Path) -> None:
 
 def test_payload_of_a_robot_that_was_never_identified(own: Path) -> None:
     done = CliRunner().invoke(app, ["payload", str(own), "--robot", "d3-1200"])
-    assert "d3-1200 was never identified, so nothing can be weighed" in str(done.exception)
+    assert "d3-1200 was never identified, so no payload can be estimated" in str(done.exception)
 
 
 def test_results_as_json(tmp_path: Path, own: Path) -> None:
@@ -165,7 +165,7 @@ def test_what_the_bus_refuses_is_refused_before_anything_that_takes_long(
 def test_a_move_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     arguments = ["simulate", "--robot", "d3-1200", "--duration", "3", "--max-speed", "0.3", "--out", "a.csv"]
     done = CliRunner().invoke(app, arguments)
-    assert "at this speed, the motion is to take 3 s" in str(done.exception)
+    assert "at this speed, longer than the motion of 3 s" in str(done.exception)
 
 
 def test_ethercat_demo_refuses_a_short_run_at_once() -> None:
@@ -205,7 +205,7 @@ def test_a_monitor_of_the_wrong_robot_says_who_is_here(bus_folder: Path, bench_r
             lines.append(monitor.stderr.readline())
         monitor.terminate()
         monitor.communicate(timeout=30)
-    assert "monitor: no samples of bench yet; on this host run d3-1200.player" in lines[-1]
+    assert "monitor: no samples of bench yet; running on this host: d3-1200.player" in lines[-1]
 
 
 def test_demo_gives_a_sign_of_life_before_anything_heavy_is_loaded() -> None:

@@ -193,7 +193,7 @@ def test_sixteen_bits_without_sign_rows_that_count_and_a_product(tmp_path: Path,
     text(tmp_path / "log.csv", data, ",", ",".join([*NAMES, "ready", "u"]) + "\n")
     options = ["--torque-unit", "V 0.05", "--torque-times", "u", "--where", "ready=1", "--yes"]
     said = imported(tmp_path / "log.csv", "--robot", "d3-1200", *options)
-    assert "'tau1', 'tau2', 'tau3' are of 16 bits without their sign: 65535 stands for -1" in said
+    assert "'tau1', 'tau2', 'tau3' are 16-bit numbers read without sign: 65535 means -1" in said
     assert "500 of 4000 rows have not 1 in column 'ready'" in said
     back = read_trace(tmp_path / "log.mcap")
     assert len(back) == 3500
@@ -205,7 +205,7 @@ def test_sixteen_bits_without_sign_rows_that_count_and_a_product(tmp_path: Path,
 def test_what_cannot_be_told_is_asked_for(tmp_path: Path, log: Trace) -> None:
     text(tmp_path / "log.csv", block(log)[:, 1:], ",", "a,b,c,d,e,f\n")
     done = CliRunner().invoke(app, ["import", str(tmp_path / "log.csv"), "--robot", "d3-1200", "--yes"])
-    assert "say --rate HZ, or --time NAME (columns: a, b, c, d, e, f)" in str(done.exception)
+    assert "give --rate HZ, or --time NAME (columns: a, b, c, d, e, f)" in str(done.exception)
     counts = np.round(log.position * 65536 / 2 / np.pi)
     text(tmp_path / "inc.csv", np.column_stack([log.time, counts, log.torque]), ",", ",".join(NAMES) + "\n")
     done = CliRunner().invoke(app, ["import", str(tmp_path / "inc.csv"), "--robot", "d3-1200", "--yes"])
@@ -217,7 +217,7 @@ def test_nothing_is_replaced_or_taken_without_a_word(tmp_path: Path, log: Trace)
     path = npy(tmp_path, log)
     asked = CliRunner().invoke(app, ["import", str(path), "--robot", "d3-1200"])
     assert asked.exit_code == 2
-    assert "--yes takes the proposal" in asked.output
+    assert "--yes accepts the proposal" in asked.output
     imported(path, "--robot", "d3-1200", "--yes")
     before = (tmp_path / "log.mcap").read_bytes()
     again = CliRunner().invoke(app, ["import", str(path), "--robot", "d3-1200", "--yes"])
@@ -301,7 +301,7 @@ def test_runs_of_one_machine_are_judged_together_and_get_one_mapping(tmp_path: P
     names = ["run1.csv", "run2.csv", "run3.csv"]
     torque = [servo(tmp_path / name, k, sign, 0.5, 4.0 if k == 2 else 0.9) for k, name in enumerate(names)]
     alone = imported(tmp_path / "run1.csv", "--robot", tmp_path / "motor.toml", "--yes", "--out", tmp_path / "a.csv")
-    assert ("left as recorded, --sign says it" in alone) or ("hardly anything moves" in alone)
+    assert ("left as recorded, set it with --sign" in alone) or ("hardly any joint moves" in alone)
     out = tmp_path / "runs"
     said = imported(*(tmp_path / name for name in names), "--robot", tmp_path / "motor.toml", "--yes", "--out", out)
     assert ("the other sign" in said) == (sign < 0)
@@ -316,10 +316,10 @@ def test_a_sign_that_is_said_is_taken_and_what_speaks_against_it_is_said(tmp_pat
     torque = servo(tmp_path / "run.csv", 1, 1.0, 0.5)
     options = ["--robot", tmp_path / "motor.toml", "--yes", "--out", tmp_path / "log.csv", "--overwrite"]
     said = imported(tmp_path / "run.csv", *options, "--sign", "-1")
-    assert "check: the motion speaks against the signs that --sign gives" in said
+    assert "check: the signs given by --sign contradict the motion" in said
     np.testing.assert_allclose(read_trace(tmp_path / "log.csv").torque[:, 0], -torque, atol=1e-6)
-    assert "speaks against" not in imported(tmp_path / "run.csv", *options, "--sign", "1")
-    for wrong, message in (("1,1", "--sign has 2 numbers, there are 1 joints"), ("up", "1 or -1 a joint")):
+    assert "contradict" not in imported(tmp_path / "run.csv", *options, "--sign", "1")
+    for wrong, message in (("1,1", "--sign has 2 numbers for 1 joints"), ("up", "1 or -1 per joint")):
         done = CliRunner().invoke(app, ["import", str(tmp_path / "run.csv"), *map(str, options), "--sign", wrong])
         assert message in f"{done.exception} {' '.join(done.output.split())}"
 

@@ -40,7 +40,7 @@ def test_a_delta_is_what_was_answered(tmp_path: Path) -> None:
         table, _, name = key.rpartition(".")
         assert str(getattr(getattr(robot, table) if table else robot, name)).removesuffix(".0") == value
     text = (tmp_path / "robot.toml").read_text()
-    assert all(question.comment in text for question in DELTA), "each figure with its unit and meaning"
+    assert all(question.comment in text for question in DELTA), "each value with its unit and meaning"
     with pytest.raises(StorageError, match="exists already"):
         init(tmp_path / "robot.toml", ANSWERS)
 

@@ -162,7 +162,7 @@ def test_what_does_not_fit_is_one_line(emps: Diagnosed, data: Path, tmp_path: Pa
         (
             ["diagnose", emps.log, "--robot", emps.robot, "--out", tmp_path, "--baseline", delta / "robot.toml"],
             RobotError,
-            "baseline .*: its kind is not that of robot emps",
+            "baseline .*: its kind differs from that of robot emps",
         ),
     ):
         result = run(app, [str(argument) for argument in arguments])

@@ -134,7 +134,7 @@ def test_a_baseline_of_another_robot_is_one_line(write: Write, tmp_path: Path) -
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 1
     assert isinstance(result.exception, DeltatwinError)
-    assert str(result.exception) == "baseline bench: its mass is not that of robot bench"
+    assert str(result.exception) == "baseline bench: its mass differs from that of robot bench"
 
 
 def test_an_effect_of_ones_own_is_found(write: Write, diagnosed, tmp_path: Path) -> None:

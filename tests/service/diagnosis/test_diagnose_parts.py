@@ -135,12 +135,12 @@ def test_a_baseline_of_another_robot_is_refused_by_what_is_not_the_same(key: str
     part = getattr(ROBOT, key)
     first = next(iter(type(part).model_fields))
     changed = ROBOT.model_copy(update={key: part.model_copy(update={first: 1.1 * getattr(part, first)}), "name": "b"})
-    with pytest.raises(RobotError, match=f"^baseline b: its {key} is not that of robot known$"):
+    with pytest.raises(RobotError, match=f"^baseline b: its {key} differs from that of robot known$"):
         diagnose._given(ROBOT, changed)
     arm = Axes.model_validate({"name": "arm", "kind": "axes", "axis": [{}, {}]})
-    with pytest.raises(RobotError, match=r"^baseline arm: its kind is not that of robot known$"):
+    with pytest.raises(RobotError, match=r"^baseline arm: its kind differs from that of robot known$"):
         diagnose._given(ROBOT, arm)
-    with pytest.raises(RobotError, match=r"^baseline other: its axis is not that of robot arm$"):
+    with pytest.raises(RobotError, match=r"^baseline other: its axis differs from that of robot arm$"):
         diagnose._given(arm, Axes.model_validate({"name": "other", "kind": "axes", "axis": [{}]}))
 
 

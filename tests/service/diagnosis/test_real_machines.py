@@ -194,7 +194,7 @@ def test_an_arm_by_its_urdf_has_the_friction_that_is_published(data: Path, tmp_p
     assert found.coulomb_friction.value[1:5] == pytest.approx([8.26, 6.34, 2.48, 3.03], rel=0.05)
     assert found.motor_coulomb_friction.value[5] == pytest.approx(1.95, rel=0.05)
     assert found.rigid["inertia_motor_6"].value == pytest.approx(0.0096, abs=0.0033)
-    assert "told better by the masses of the URDF" in " ".join(result.output.split()), (
+    assert "on held-out stretches the masses of the URDF" in " ".join(result.output.split()), (
         "7 s are too little for 61 masses"
     )
 

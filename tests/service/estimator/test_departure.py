@@ -330,7 +330,7 @@ def test_an_hour_leaves_a_third_of_what_was_learnt(robot, kept):
     information = np.diag([0.0, *range(1, COUNT)]).astype(float)
     change(path, written_at=ago(hours=1), information=information.tolist(), moment=[0.0, *[2.0] * (COUNT - 1)])
     estimator = Estimator(robot, PERIOD)
-    assert "60 min ago, counted 37%" in Keeper(path, robot).begin(estimator)
+    assert "60 min ago, used with weight 37%" in Keeper(path, robot).begin(estimator)
     found = robot.identified
     prior = departure.drift(np.array(found.viscous_friction_nms.value), np.array(found.coulomb_friction_nm.value))
     left = departure.aged(information, np.array([0.0, *[2.0] * (COUNT - 1)]), prior, np.exp(-1.0))
@@ -344,7 +344,7 @@ def test_clocks_may_differ_by_a_minute(robot, kept):
     change(path, written_at=ago(seconds=-50))
     assert "counted 100%" in Keeper(path, robot).begin(Estimator(robot, PERIOD))
     change(path, written_at=ago(seconds=-90))
-    with pytest.raises(StorageError, match="still to come"):
+    with pytest.raises(StorageError, match="in the future"):
         Keeper(path, robot)
 
 

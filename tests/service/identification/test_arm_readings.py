@@ -72,7 +72,7 @@ def test_a_unit_a_joint(robot: Description, log: np.ndarray) -> None:
     assert [entry["unit"] for entry in found.columns["position"]] == ["rad", "deg", "mrad"]
     made = table(log, log[:, 1:4], log[:, 4:])
     some = {name.replace("j2 torque [Nm]", "j2 torque [%]"): values for name, values in made.columns.items()}
-    with pytest.raises(DataError, match=r"torques in several units \(.*j2 torque \[%\]: percent.*say --torque-unit"):
+    with pytest.raises(DataError, match=r"torques have several units \(.*j2 torque \[%\]: percent.*give --torque-unit"):
         propose(Table(made.path, made.kind, some), robot, Stated())
 
 
@@ -81,7 +81,9 @@ def test_degrees_that_no_joint_could_turn_as_radians_are_not_called_radians(
 ) -> None:
     found = propose(table(log, np.degrees(log[:, 1:4]), log[:, 4:]), robot, Stated())
     assert [entry["unit"] for entry in found.columns["position"]] == ["deg"] * 3
-    assert any("positions taken as deg of the joint, though the file says rad" in line for line in found.doubts)
+    assert any(
+        "positions are assumed to be deg of the joint, alalthough the file says rad" in line for line in found.doubts
+    )
     assert not any("positions are rad" in line for line in found.reasons)
 
 
@@ -94,5 +96,5 @@ def test_a_reading_that_fits_is_not_ruled_out_by_one_that_fits_better(robot: Des
 
 
 def test_increments_under_a_header_that_says_radians(robot: Description, log: np.ndarray) -> None:
-    with pytest.raises(DataError, match="positions are said to be rad, and are whole numbers: increments"):
+    with pytest.raises(DataError, match="the file says that positions are rad, but they are whole numbers: increments"):
         propose(table(log, np.round(log[:, 1:4] * 65536 / 6.2832), log[:, 4:]), robot, Stated())

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from schemas.axes import Axes, load_axes
 from schemas.errors import DataError, RobotError
+from schemas.words import percent
 from service.cli.main import app
 from service.identification import axes
 from tests.service.sines import sines
@@ -35,6 +36,7 @@ SIN, COS = 3.0, -1.2
 VISCOUS, COULOMB, WIDTH = (0.8, 0.5, 0.1), (1.5, 1.0, 0.2), 0.25
 MOTOR_INERTIA, MOTOR_VISCOUS, MOTOR_COULOMB = 0.02, 0.3, 0.9
 NOISE = 0.02
+TOGETHER = "the model fits each log alone, but not all together"
 
 
 def motion(seed: int) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -141,7 +143,7 @@ def test_evaluate_and_diagnose_take_what_was_found(bench: Path, found: Axes, tmp
     ("line", "words"),
     [
         ("coupling = [[1, 0], [0, 1], [0, 1]]", "coupling: 3 rows of 3 numbers are needed"),
-        ("coupling = [[1, 0, 0], [0, 1, 1], [0, 1, 1]]", "the motors do not tell where every joint is"),
+        ("coupling = [[1, 0, 0], [0, 1, 1], [0, 1, 1]]", "the motor angles do not determine every joint angle"),
         ('axis = [{ unit = "m", gravity = true }]', "a linear axis has a constant weight"),
     ],
 )
@@ -157,9 +159,9 @@ def test_what_cannot_be_is_one_line(tmp_path: Path, line: str, words: str) -> No
 @pytest.mark.parametrize(
     ("noise", "alone", "worst", "told"),
     [
-        (0.5, 1.5, 0.49, ["the logs fit one by one and not together, a.csv least of all (44%"]),
-        (0.5, 1.5, 0.51, ["b.csv: the model leaves 51 % of the torque of axis 1", "the logs fit one by one"]),
-        (1.2, 1.85, 0.49, ["the logs fit one by one and not together, b.csv least of all (54%"]),
+        (0.5, 1.5, 0.49, [f"{TOGETHER}; a.csv differs most (fitted alone, the residual is 44 %"]),
+        (0.5, 1.5, 0.51, ["b.csv: the model leaves 51 % of the torque of axis 1", "the model fits each log alone"]),
+        (1.2, 1.85, 0.49, [f"{TOGETHER}; b.csv differs most (fitted alone, the residual is 54 %"]),
         (1.2, 2.25, 0.49, []),  # 70 % of what is above the noise
         (1.7, 1.5, 0.49, []),  # hardly twice the noise
         (0.5, 1.95, 0.49, []),  # alone they leave much of it too
@@ -211,7 +213,9 @@ def test_two_blocks_a_parameter_and_axis_are_enough(monkeypatch, seconds, enough
         assert [(one.trace, one.name) for one in recordings] == [(0, "a"), (1, "b")]
         assert names == ["a.csv", "b.csv"]
     else:
-        with pytest.raises(DataError, match=r"^a\.csv, b\.csv: too little motion, 3\.9 s of an axis, at least 4 s"):
+        with pytest.raises(
+            DataError, match=r"^a\.csv, b\.csv: too little motion, at most 3\.9 s per axis; at least 4 s"
+        ):
             axes.identify_axes(made, logs)
 
 
@@ -247,9 +251,9 @@ def test_the_masses_of_a_description_are_told_to_be_better_where_they_are(monkey
     assert asked == [([1, 2], [2.0, 3.0])]
     assert len(found) == better
     if better:
-        share = 100 * np.sqrt((3 + described) / 400)
-        assert found[0].startswith("stretches left out are told better by the masses of the URDF")
-        assert f"({share:.1f}% of the torque is left) than by those found (10.0%)" in found[0]
+        share = np.sqrt((3 + described) / 400)
+        assert found[0].startswith("on held-out stretches the masses of the URDF")
+        assert f"leave {percent(share, 1)} of the torque unexplained, the identified ones 10.0 %" in found[0]
 
 
 def test_a_single_log_is_said_to_be_one(monkeypatch):

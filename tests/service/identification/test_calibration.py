@@ -91,7 +91,7 @@ def test_the_description_carries_what_was_found(robot: Robot, found: tuple[Calib
 
     again = identify(description, logs)
     assert again.robot.effect == []
-    assert any(warning.startswith("torque_scale: found on an earlier identification") for warning in again.warnings)
+    assert any(warning.startswith("torque_scale: from an earlier diagnosis") for warning in again.warnings)
 
 
 def test_masses_have_in_common_what_the_known_load_leaves_open(
@@ -159,7 +159,7 @@ def test_a_load_too_light_to_tell_changes_nothing(robot: Robot) -> None:
     empty, loaded = logs(robot, 0.0, (1.05, 1.05, 1.05), load=0.005)
     calibration = calibrate(robot, empty, [(0.005, loaded)])
     assert calibration.scale.tolist() == [1.0, 1.0, 1.0]
-    assert len([line for line in calibration.warnings if "leaves its torque constant open" in line]) == 3
+    assert len([line for line in calibration.warnings if "determines its torque constant only" in line]) == 3
 
 
 @pytest.mark.parametrize(

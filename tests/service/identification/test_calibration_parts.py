@@ -57,7 +57,7 @@ def test_a_scale_is_put_right_where_it_stands_out(
     assert (made.effect is not None) is right
     (line,) = made.warnings or [""]
     assert line.startswith(
-        "joint 2: the drive reports" if right else "joint 2: the known load leaves" if error > 0.03 else ""
+        "joint 2: the drive reports" if right else "joint 2: the known load determines" if error > 0.03 else ""
     )
     assert bool(line) is (right or error > 0.03)
 
@@ -79,7 +79,7 @@ def test_a_platform_is_put_right_where_it_stands_out(
 
 
 def test_a_platform_of_nothing_is_refused(monkeypatch: pytest.MonkeyPatch, robot: Robot) -> None:
-    with pytest.raises(DataError, match=r"a\.csv: a platform of -0\.01 kg is none; is the load what"):
+    with pytest.raises(DataError, match=r"a\.csv: a platform of -0\.01 kg is impossible; is the stated"):
         put_right(monkeypatch, robot, (1.0, 1.0, 1.0, -1.31), (0.001,) * 4)
     put_right(monkeypatch, robot, (1.0, 1.0, 1.0, -1.29), (0.001,) * 4)
 

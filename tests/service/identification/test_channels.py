@@ -81,7 +81,7 @@ def test_names_tell_what_a_column_is(names: str, position: str, torque: str, com
         return
     assert ",".join(found.torque) == torque
     assert [",".join(found.position_command), ",".join(found.torque_command)] == list(commands)
-    assert found.reasons == ["columns are told by their names"]
+    assert found.reasons == ["columns are recognised by their names"]
 
 
 @pytest.mark.parametrize(("joints", "position"), [(3, "q1,q2,q3"), (2, "q1,q2"), (None, "q1,q2")])
@@ -216,7 +216,7 @@ def test_each_of_several_files_has_its_own_stamps() -> None:
     assert clocks_of(tables, None) == ["time [ms]", None, "t [ms]"]
     assert clocks_of(tables, "other") == ["time [ms]", None, "t [ms]"]
     assert clocks_of([*tables[:1], tables[1]], "count") == ["count", None]
-    with pytest.raises(DataError, match=r"stamps of several units \(a\.csv: ms, d\.csv: s\): write them in one"):
+    with pytest.raises(DataError, match=r"stamps of several units \(a\.csv: ms, d\.csv: s\): write all in one unit"):
         clocks_of([tables[0], Table(Path("d.csv"), "text", {"t [s]": STAMPS})], None)
 
 
@@ -247,7 +247,7 @@ def test_joints_go_by_the_names_of_the_description(names: str, position: str, to
     found = guess(table(names), 3, CALLED)
     assert list(found.position) == [position.format(joint) for joint in CALLED]
     assert list(found.torque) == [torque.format(joint) for joint in CALLED]
-    assert found.order[0].startswith("joints by the names of the description: 1 is ")
+    assert found.order[0].startswith("joints are assigned by the names of the description: 1 is ")
     assert not found.doubts
 
 
@@ -268,12 +268,13 @@ def test_where_the_description_has_no_names_torques_go_with_positions_and_the_or
     found = guess(table("t,elbow pos,lift pos,lift trq,elbow trq"), 2)
     assert (list(found.position), list(found.torque)) == (["elbow pos", "lift pos"], ["elbow trq", "lift trq"])
     assert found.order == [
-        "joints by their place in the file: 1 is 'elbow pos', 2 is 'lift pos'; the description has no names for them"
+        "joints are assigned by their order in the file: 1 is 'elbow pos', 2 is 'lift pos'; the description has no "
+        "names for them"
     ]
     found = guess(table("t,a pos,b pos,a trq,b trq"), 2, ("elbow", "lift"))
-    assert "the description calls them elbow, lift, the columns do not" in found.doubts[0]
+    assert "the description has elbow, lift, the columns do not" in found.doubts[0]
     found = guess(table("t,pos 2,pos 1,trq 2,trq 1"), 2, ("elbow", "lift"))
-    assert "joints by the numbers in the names: 1 is 'pos 1'" in found.order[0]
+    assert "joints are assigned by the numbers in the names: 1 is 'pos 1'" in found.order[0]
 
 
 @pytest.mark.parametrize(
@@ -293,7 +294,7 @@ def test_what_says_that_it_is_something_else_is_no_torque(names: str, units: dic
     made = Table(Path("log.csv"), "text", columns | {"time": STAMPS}, units)
     found = guess(made, None)
     assert list(found.torque) == []
-    assert "none of its columns is one" in str(no_torque(made, found.torque))
+    assert "no column is a torque by name or unit" in str(no_torque(made, found.torque))
 
 
 def test_a_torque_that_never_changes_was_not_recorded() -> None:
@@ -336,7 +337,9 @@ def test_a_unit_with_a_prefix_is_not_the_unit_without(text: str, position: str |
 @pytest.mark.parametrize("text", ["min", "h", "100ns", "cycles"])
 def test_stamps_in_a_unit_that_is_not_read_are_refused(text: str) -> None:
     made = Table(Path("a.csv"), "text", {f"time [{text}]": STAMPS})
-    with pytest.raises(DataError, match=rf"stamps in 'time \[{text}\]' are in '{text}': s, ms, us, ns are read"):
+    with pytest.raises(
+        DataError, match=rf"stamps in 'time \[{text}\]' are in '{text}': only s, ms, us and ns are read"
+    ):
         time_unit(made, f"time [{text}]")
 
 
@@ -399,9 +402,9 @@ def test_names_of_one_of_both_are_kept_to_and_the_other_is_to_be_checked() -> No
     found = guess(table(names), 3, CALLED)
     assert list(found.position) == [f"{joint} pos" for joint in CALLED]
     assert list(found.torque) == ["tau1", "tau2", "tau3"]
-    assert "names for one of both" in found.doubts[0]
+    assert "only positions or torques have names" in found.doubts[0]
     made = table("t,position0,position1,effort0,effort1")
     paths = {"position0": "zed", "position1": "alpha", "effort0": "zed", "effort1": "alpha"}
     made = Table(made.path, made.kind, made.columns, paths=paths)
     assert list(guess(made, 2, ("alpha", "zed")).position) == ["position1", "position0"]
-    assert "the file calls them zed, alpha" in guess(made, 2, ("x", "y")).doubts[0]
+    assert "the file has zed, alpha" in guess(made, 2, ("x", "y")).doubts[0]

@@ -52,9 +52,17 @@ OUT = "b: does not go with the other logs, the fit to those leaves"
 @pytest.mark.parametrize(
     ("held", "others", "says"),
     [
-        (0.21, 0.01, f"{OUT} 21 % of its torque unexplained (of theirs 1.0 %), most on joint 3; a motion that wakes"),
+        (
+            0.21,
+            0.01,
+            f"{OUT} 21 % of its torque unexplained (of theirs 1.0 %), most on joint 3; does this motion excite",
+        ),
         (0.19, 0.01, "alike"),
-        (0.31, 0.10, f"{OUT} 31 % of its torque unexplained (of theirs 10.0 %), most on joint 3; a motion that wakes"),
+        (
+            0.31,
+            0.10,
+            f"{OUT} 31 % of its torque unexplained (of theirs 10.0 %), most on joint 3; does this motion excite",
+        ),
         (0.29, 0.10, "alike"),
         (0.39, 0.10, f"{OUT} 39 %"),
     ],
@@ -75,13 +83,13 @@ def test_a_log_that_others_do_not_explain_or_that_no_fit_does_is_refused(monkeyp
     with pytest.raises(DataError, match=r"^b: does not go .* 21 % .*; a load$"):
         told(monkeypatch, 0.21, 0.01, hint="a load")
     warning, alike = told(monkeypatch, 0.21, 0.01, hint="a load", taken=0.49)
-    assert re.match("b: does not go .* 21 % .* a motion that wakes what the model lacks", warning)
+    assert re.match("b: does not match .* 21 % .* does this motion excite an unmodelled effect", warning)
     assert "load" not in warning + alike
     with pytest.raises(DataError, match=r"^b: does not go .* 41 % .* most on joint 3$"):
         told(monkeypatch, 0.41, 0.1, hint="a load", taken=0.49)
-    assert told(monkeypatch, 0.19, 0.01, hint="a load.") == ["b: a load. Identify on empty motion", "alike"]
+    assert told(monkeypatch, 0.19, 0.01, hint="a load.") == ["b: a load. Identify on motion without payload", "alike"]
     assert told(monkeypatch, 0.1, 0.1, share=0.49) == ["alike"]
-    with pytest.raises(DataError, match=r"^b: the model leaves 51 % of the torque unexplained; wrong robot"):
+    with pytest.raises(DataError, match=r"^b: the model leaves 51 % of the torque unexplained; are robot"):
         told(monkeypatch, 0.1, 0.1, share=0.51)
 
 
@@ -115,7 +123,7 @@ def test_a_log_is_loaded_that_steadily_asks_for_more_than_the_others(
     if spread:  # rms of 2 s, -s, -s is s sqrt 2
         by_log["b"] = mass, spread / 2**0.5
     found = checks._loads(logs, fit, 2.0)
-    assert found == ({"b": f"it asks for {mass:+.2f} kg on the platform on average: a payload?"} if loaded else {})
+    assert found == ({"b": f"it asks for {mass:+.2f} kg more on the platform: a payload?"} if loaded else {})
 
 
 def test_what_a_payload_would_take_is_a_mass_a_block_by_weight_and_inertia() -> None:
@@ -253,7 +261,7 @@ def test_how_else_a_torque_makes_sense_is_said(
     if told:
         assert (tuple(reading.order), tuple(reading.signs), reading.scale) == (order, signs, scale)
         left, right = (100 * share for share in (checks._left(gram, *checks._AS_GIVEN), reading.share))
-        assert said.endswith(f"leaves {left:.0f} % of it unexplained, put right {right:.1f} %")
+        assert said.endswith(f"leaves {left:.0f} % of it unexplained, corrected {right:.1f} %")
     else:
         assert reading[1:] == checks._AS_GIVEN
 

@@ -70,7 +70,7 @@ def test_the_ratio_is_of_noise_in_the_band(robot: Robot, logs: list[Trace], reco
 def test_a_robot_that_was_never_identified_is_told_so(robot: Robot, logs: list[Trace]) -> None:
     plain = robot.model_copy(update={"identified": None})
     said, explained = of_evaluation(plain, [evaluate(plain, logs[0])])
-    assert said == "known: never identified: only the textbook model can be compared."
+    assert said == "known was never identified: only the textbook model can be compared."
     assert not explained
 
 

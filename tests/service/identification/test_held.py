@@ -45,10 +45,10 @@ def quick(trace: Trace, every: int) -> Trace:
     ("logs", "said"),
     [
         ({"a": 0.0, "b": 0.0}, []),
-        ({"a": 0.004, "b": 0.0}, ["a: the torque comes anew every 4 ms"]),
+        ({"a": 0.004, "b": 0.0}, ["a: the torque is updated only every 4 ms"]),
         (
             {"a": 0.004, "b": 0.0039999, "c": 0.008},
-            ["a, b: the torque comes anew every 4 ms", "c: the torque comes anew every 8 ms"],
+            ["a, b: the torque is updated only every 4 ms", "c: the torque is updated only every 8 ms"],
         ),
     ],
 )

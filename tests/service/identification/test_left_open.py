@@ -45,7 +45,7 @@ def test_frictions_that_always_turn_together_are_not_told_apart() -> None:
     for name, whole in (("f_v", 0.5), ("f_c", 1.5)):
         own, motor = known[f"{name}_2"], known[f"{name}_motor_2"]
         (open_,) = (one for one in (own, motor) if one.verdict == "not identifiable")
-        assert open_.reason == "the other parameters explain it as well on these logs; 0 assumed"
+        assert open_.reason == "on these logs the other parameters explain it as well; 0 assumed"
         assert own.value + motor.value == pytest.approx(whole, rel=0.02)
     assert known["f_v_1"].reason.startswith("joint 1 never moves")
 
@@ -101,4 +101,4 @@ def test_effects_of_an_earlier_identification_are_left_out_and_said_to_be() -> N
     log = Trace(Path("log.csv"), TIME, angle[:, None], (0.2 * acceleration + 0.5 * speed)[:, None])
     found = identify_axes(axes, [log])
     assert found.robot.effect == []
-    assert any(line.startswith("cogging: found on an earlier identification") for line in found.warnings)
+    assert any(line.startswith("cogging: from an earlier diagnosis") for line in found.warnings)

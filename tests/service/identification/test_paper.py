@@ -93,7 +93,7 @@ def test_a_grid_whose_edge_is_hit_is_widened_and_says_so(robot: Robot, record: R
 def test_a_motion_that_asks_for_less_than_no_inertia_is_named(robot: Robot, record: Record) -> None:
     trajectory = summarise(pack(robot), record(4, Truth(rho_1=-0.5)))
     (warning,) = paper.edges([trajectory])
-    assert warning.startswith("log_4.csv: rho_1 lies at the grid's lower edge, 0")
+    assert warning.startswith("log_4.csv: rho_1 is at the grid's lower limit, 0")
 
 
 def test_a_verdict_is_weak_at_best_where_trajectories_disagree_or_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:

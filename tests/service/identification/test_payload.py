@@ -310,7 +310,7 @@ def test_a_truth_file_is_read_and_one_that_is_none_is_named_with_its_line(tmp_pa
     with pytest.raises(TraceError, match=r"truth.csv:3: wanted"):
         read_truth(path)
     path.write_text("from_s,until_s,mass_kg\n0.1,0.5,heavy\n")
-    with pytest.raises(TraceError, match=r"truth.csv:2: wanted from_s, until_s, mass_kg as numbers"):
+    with pytest.raises(TraceError, match=r"truth.csv:2: expected from_s, until_s, mass_kg as numbers"):
         read_truth(path)
 
 
@@ -349,7 +349,7 @@ def test_the_command_tells_two_errors_of_every_mass_and_how_to_remove_the_common
     command = ["payload", str(tmp_path / "loaded.csv"), "--robot", str(tmp_path / "known.toml")]
     assert known.identified is not None
     calibrated = known.identified.model_copy(update={"torque_constant_error": 0.004})
-    for update, share, said in (({}, 0.035, "--carried"), ({"identified": calibrated}, 0.004, "by a known load")):
+    for update, share, said in (({}, 0.035, "--carried"), ({"identified": calibrated}, 0.004, "after a known load")):
         save_robot(known.model_copy(update=update), tmp_path / "known.toml")
         done = CliRunner().invoke(app, [*command, "--predictions", str(tmp_path / "told")])
         assert done.exit_code == 0, done.output

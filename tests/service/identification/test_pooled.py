@@ -48,7 +48,7 @@ def late(robot: Robot, record: Record, torque: int, position: int, memory: float
 
 def test_a_timing_at_its_limit_is_said(robot: Robot, record: Record) -> None:
     (said,) = (line for line in late(robot, record, 3, 0).warnings if "older than" in line)
-    assert said.startswith("the torque is 0.25 ms older than the position, 0.25 of a sample, the most that is fitted")
+    assert said.startswith("the torque is 0.25 ms older than the position, 0.25 of a sample. This is the fit's limit")
     (said,) = (line for line in late(robot, record, 0, 3).warnings if "older than" in line)
     assert said.startswith("the position is 0.25 ms older than the torque")
 
@@ -67,7 +67,7 @@ def test_torque_whose_noise_has_a_memory_went_through_a_filter_and_is_later(robo
     assert found.robot.identified is not None
     assert found.robot.identified.torque_timing_s == pytest.approx(4e-4, abs=2e-5)
     (said,) = (line for line in late(robot, record, 4, 0, memory=3e-3).warnings if "older than" in line)
-    assert said.startswith("the torque is 0.5 ms older than the position, 0.5 of a sample, the most that is fitted")
+    assert said.startswith("the torque is 0.5 ms older than the position, 0.5 of a sample. This is the fit's limit")
 
 
 def test_standard_errors_cover_the_truth(robot: Robot, record: Record) -> None:

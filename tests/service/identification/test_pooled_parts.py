@@ -147,7 +147,7 @@ def test_what_would_be_less_than_there_can_be_stands_at_its_least(
     for place in less:
         estimate = result.estimates[place]
         assert (estimate.value, estimate.std_error, estimate.verdict) == (0.0, 0.0, "not identifiable")
-        assert estimate.reason == "these logs ask for less of it than there can be; 0 assumed"
+        assert estimate.reason == "the best fit to these logs is below its physical limit; 0 assumed"
 
 
 def test_what_data_left_out_do_not_want_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,7 +158,7 @@ def test_what_data_left_out_do_not_want_is_none(monkeypatch: pytest.MonkeyPatch)
     np.testing.assert_allclose(result.values[rest], solved([c[:, rest] for c in columns], target), rtol=1e-6)
     for estimate in result.estimates[4:6]:
         assert (estimate.value, estimate.verdict) == (0.0, "not identifiable")
-        assert estimate.reason == "data left out do as well without; 0 assumed"
+        assert estimate.reason == "held-out data are predicted as well without it; 0 assumed"
 
 
 def test_what_slow_logs_leave_open_of_a_delta_stands_as_described(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,8 +170,8 @@ def test_what_slow_logs_leave_open_of_a_delta_stands_as_described(monkeypatch: p
     result = pooled.fit(made, np.ones(3), ROBOT)
     held = np.flatnonzero([estimate.std_error == 0.0 for estimate in result.estimates])
     assert held.tolist() == [0, 2, 3, 4]
-    assert [result.estimates[k].reason[:26] for k in held] == ["these logs leave it open b"] * 2 + [
-        "these logs ask for less of"
+    assert [result.estimates[k].reason[:26] for k in held] == ["these logs determine it only t"] * 2 + [
+        "the best fit to these logs"
     ] * 2
     assert result.values[held].tolist() == [1.0, ROBOT.mass.passive_link, 0.0, 0.0]
     columns = [tangent[:, :9] for tangent in fitted.tangents]
@@ -192,7 +192,10 @@ def test_a_delta_whose_forearms_would_weigh_less_than_nothing_has_none(monkeypat
     fitted = evaluate(made, Hypothesis(BASE, timed=False))
     monkeypatch.setattr(pooled, "_base", lambda problem: fitted)
     estimate = pooled.fit(made, np.ones(3), ROBOT).estimates[2]
-    assert (estimate.value, estimate.reason) == (0.0, "these logs ask for less of it than there can be; 0 assumed")
+    assert (estimate.value, estimate.reason) == (
+        0.0,
+        "the best fit to these logs is below its physical limit; 0 assumed",
+    )
 
 
 def test_of_parameters_that_do_not_show_none_are_told_and_of_two_alike_one_is_held() -> None:
@@ -225,8 +228,8 @@ def test_of_parameters_that_do_not_show_none_are_told_and_of_two_alike_one_is_he
         (True, "joint 2 never moves", 0.0, "not identifiable", "joint 2 never moves; 2.5 assumed"),
         (False, "joint 2 never reverses", 0.01, "not identifiable", "joint 2 never reverses"),
         (False, "", 0.51, "not identifiable", "open by 51 %"),
-        (False, "", 0.49, "weak", "open by 49 %: more of the motion that shows it"),
-        (False, "", 0.11, "weak", "open by 11 %: more of the motion that shows it"),
+        (False, "", 0.49, "weak", "determined only to 49 %: log more motion that excites it"),
+        (False, "", 0.11, "weak", "determined only to 11 %: log more motion that excites it"),
         (False, "", 0.09, "identifiable", ""),
     ],
 )
@@ -382,7 +385,9 @@ def test_logs_of_several_rates_are_refused_by_name(monkeypatch: pytest.MonkeyPat
         with pytest.raises(StopIteration):
             pooled.problem_of(recordings)
     else:
-        with pytest.raises(DataError, match=r"b: 1\.02 ms between samples, a has 1 ms: give logs of one rate"):
+        with pytest.raises(
+            DataError, match=r"b: 1\.02 ms between samples, a has 1 ms: give logs with the same sample rate"
+        ):
             pooled.problem_of(recordings)
 
 

@@ -75,7 +75,7 @@ def test_units_and_side_of_the_positions(geared: Robot, log: Trace, degrees: boo
     assert entries(found, "position") == [unit] * 3
     assert entries(found, "torque") == [{"unit": "N m"}] * 3
     assert found.columns["time"] == {"name": "t", "unit": "s"}
-    assert ("positions are deg: it stands there" in found.reasons) == says
+    assert ("positions are deg: the file says so" in found.reasons) == says
 
 
 @pytest.mark.parametrize("turn", [(1, -1, -1)])
@@ -92,7 +92,7 @@ def test_signs(geared: Robot, log: Trace, where: str, turn: tuple[float, ...]) -
 def test_the_motors_torque_is_told_by_the_gear(geared: Robot, log: Trace) -> None:
     found = propose(written(log, torque=1 / GEAR), geared, Stated())
     assert entries(found, "torque") == [{"unit": "N m", "side": "motor"}] * 3
-    assert "torques are the motor's: times the gear of 25 they fit" in found.reasons
+    assert "torques are of the motor: they fit when multiplied by the gear ratio 25" in found.reasons
 
 
 @pytest.mark.parametrize(("unit", "per"), [("N m", 1.0), ("A", 1.0), ("permille", 1000.0)])
@@ -125,7 +125,7 @@ def test_torque_with_stamps_of_its_own_is_read_at_those_of_the_positions(geared:
     own = replace(made, columns=columns, time_of=dict.fromkeys(("tau1", "tau2", "tau3"), "clock"))
     found = propose(own, geared, Stated())
     assert entries(found, "torque") == [{"unit": "N m", "side": "motor", "time": "clock"}] * 3
-    assert not any("not certain" in doubt or "cannot be told" in doubt for doubt in found.doubts)
+    assert not any("uncertain" in doubt or "determine" in doubt for doubt in found.doubts)
 
 
 def test_a_constant_that_is_told_is_taken(geared: Robot, log: Trace) -> None:
@@ -149,7 +149,7 @@ def test_of_noise_nothing_can_be_told(geared: Robot, log: Trace) -> None:
         name: v if name[0] != "t" or name == "t" else random.normal(0, 9, len(v)) for name, v in made.columns.items()
     }
     found = propose(Table(made.path, made.kind, noise), geared, Stated())
-    assert any("signs and gear side cannot be told from this log" in doubt for doubt in found.doubts)
+    assert any("this log does not determine signs and gear side" in doubt for doubt in found.doubts)
     assert entries(found, "torque") == [{"unit": "N m"}] * 3
 
 
@@ -159,8 +159,8 @@ def test_a_joint_that_rests_leaves_nothing_to_tell(geared: Robot, log: Trace) ->
     still = {name: np.full(len(v), 0.4) if name == "q3" else v for name, v in made.columns.items()}
     stated = Stated(position=["q1", "q2", "q3"])
     found = propose(Table(made.path, made.kind, still), geared, stated)
-    assert any("are no poses of known, or hardly move: zero or geometry?" in doubt for doubt in found.doubts)
-    with pytest.raises(DataError, match=r"torques are A: how many N m each\? say --torque-unit"):
+    assert any("are not poses of known, or hardly change: is the zero" in doubt for doubt in found.doubts)
+    with pytest.raises(DataError, match=r"torques are A: how many N m per unit\? give it with --torque-unit"):
         propose(Table(made.path, made.kind, still), geared, Stated(position=stated.position, torque_unit=("A", None)))
 
 
@@ -168,7 +168,7 @@ def test_increments_take_a_number_that_has_to_be_said(geared: Robot, log: Trace)
     made = written(log)
     counts = {n: np.round(v * 65536 / (2 * np.pi) * GEAR) if n[0] == "q" else v for n, v in made.columns.items()}
     made = Table(made.path, made.kind, counts)
-    with pytest.raises(DataError, match=r"positions are increments; .* say --counts-per-rev"):
+    with pytest.raises(DataError, match=r"positions are increments: .* Give --counts-per-rev"):
         propose(made, geared, Stated())
     found = propose(made, geared, Stated(counts_per_rev=65536.0))
     assert entries(found, "position") == [{"unit": "counts", "counts_per_rev": 65536.0, "side": "motor"}] * 3
@@ -181,11 +181,11 @@ def test_increments_take_a_number_that_has_to_be_said(geared: Robot, log: Trace)
         (
             ("q3",),
             Stated(),
-            r"which 3 columns are the positions cannot be told; say --position NAME,.*columns: t, q1, q2",
+            r"it is unclear which 3 columns are the positions; give --position NAME,.*columns: t, q1, q2",
         ),
-        (("tau1", "tau2", "tau3"), Stated(), "no torque was recorded: none of its columns is one .*--torque NAME"),
-        (("tau2", "tau3"), Stated(), "which 3 columns are the torques cannot be told"),
-        (("t",), Stated(), "no column of stamps: say --rate HZ, or --time NAME"),
+        (("tau1", "tau2", "tau3"), Stated(), "no torque was recorded: no column is a torque .*--torque NAME"),
+        (("tau2", "tau3"), Stated(), "it is unclear which 3 columns are the torques"),
+        (("t",), Stated(), "no column of time stamps: give --rate HZ, or --time NAME"),
         ((), Stated(time="T"), "no column 'T'; it has: t, q1"),
         ((), Stated(torque=["tau1", "tau2", "x"]), "no column 'x'; it has"),
     ],
@@ -206,12 +206,14 @@ def test_what_is_told_is_not_guessed(geared: Robot, log: Trace) -> None:
     assert found.columns["time"] == {"rate_hz": 1000.0}
     assert [entry["name"] for entry in found.columns["position"]] == ["q3", "q2", "q1"]
     assert "positions are rad: told" in found.reasons
-    assert "columns are told by their names" not in found.reasons
-    assert "without --robot signs and the side of the gear cannot be checked" in found.doubts
-    assert "torques taken as N m: nothing says so" in found.doubts
-    with pytest.raises(DataError, match=r"2 positions .* with 3 torques .*; say --position and --torque"):
+    assert "columns are recognised by their names" not in found.reasons
+    assert "signs and the side of the gear cannot be checked without --robot" in found.doubts
+    assert "torques are assumed to be N m, the file does not say" in found.doubts
+    with pytest.raises(DataError, match=r"2 positions .* with 3 torques .*; give --position and --torque"):
         propose(written(log), None, Stated(position=["q1", "q2"], torque=stated.torque))
-    with pytest.raises(DataError, match=r"torques are A; the N m a unit is not known: say --torque-unit 'A NUMBER'"):
+    with pytest.raises(
+        DataError, match=r"torques are A; the torque per unit is unknown: give --torque-unit 'A NUMBER'"
+    ):
         propose(written(log), None, Stated(torque_unit=("A", None)))
 
 
@@ -247,7 +249,7 @@ def test_an_axis_takes_force_to_accelerate_and_against_friction(force: Callable[
 
 def test_a_force_that_shows_nothing_is_doubted() -> None:
     found = propose(slide(lambda x, v, a: np.sin(80e-3 * np.arange(len(x)))), AXIS, Stated())
-    assert any("neither inertia nor friction shows enough of itself" in doubt for doubt in found.doubts)
+    assert any("inertia and friction are too small in this log" in doubt for doubt in found.doubts)
 
 
 @pytest.mark.parametrize(("scale", "unit"), [(1.0, "m"), (1000.0, "mm")])
@@ -255,7 +257,7 @@ def test_a_linear_axis_is_in_metres_or_millimetres_by_its_range(scale: float, un
     found = propose(slide(lambda x, v, a: 95 * a, scale), AXIS, Stated())
     assert entries(found, "position") == [{"unit": unit}]
     assert entries(found, "torque") == [{"unit": "N"}]
-    assert f"positions taken as {unit}, by their range" in found.doubts
+    assert f"positions are assumed to be {unit}, by their range" in found.doubts
 
 
 @pytest.mark.parametrize(
@@ -298,7 +300,7 @@ def test_a_torque_command_in_another_unit_than_the_torque_is_left_out() -> None:
 def test_increments_of_a_linear_axis_are_so_many_a_metre(tmp_path: Path) -> None:
     made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
     counts = replace(made, columns={**made.columns, "pos": np.round(1e6 * made.columns["pos"])})
-    with pytest.raises(DataError, match=r"slide\.csv: .* increments, of an axis in m; .* say --counts-per-m, or"):
+    with pytest.raises(DataError, match=r"slide\.csv: .* increments of an axis in m: .* Give --counts-per-m, or"):
         propose(counts, AXIS, Stated())
     found = propose(counts, AXIS, Stated(counts_per_m=1e6))
     assert found.columns["position"] == [{"name": "pos", "unit": "counts", "counts_per_m": 1e6}]
@@ -336,7 +338,7 @@ def test_a_byte_that_lost_its_sign_is_told() -> None:
     force = np.round(100 * made.columns["force"] / np.abs(made.columns["force"]).max())
     found = propose(replace(made, columns={**made.columns, "force": force % 256}), AXIS, Stated())
     assert entries(found, "torque") == [{"unit": "N", "bits": 8}]
-    assert "'force' are of 8 bits without their sign: 255 stands for -1" in found.reasons
+    assert "'force' are 8-bit numbers read without sign: 255 means -1" in found.reasons
 
 
 def test_where_one_joint_lost_its_sign_all_did(geared: Robot, log: Trace) -> None:
@@ -347,7 +349,7 @@ def test_where_one_joint_lost_its_sign_all_did(geared: Robot, log: Trace) -> Non
     columns = {**made.columns, **{f"tau{j + 1}": counts[:, j] % 65536 for j in range(3)}}
     found = propose(replace(made, columns=columns), geared, Stated(torque_unit=("A", 0.001)))
     assert [entry["bits"] for entry in entries(found, "torque")] == [16, 16, 16]
-    assert "'tau1', 'tau2', 'tau3' are of 16 bits without their sign: 65535 stands for -1" in found.reasons
+    assert "'tau1', 'tau2', 'tau3' are 16-bit numbers read without sign: 65535 means -1" in found.reasons
 
 
 def units(values: np.ndarray, rate: float = 1.0, robot: Robot | None = None) -> readings.Candidates:
@@ -436,7 +438,7 @@ def test_of_several_ways_to_read_positions_it_is_said_how_well_each_fits(geared:
     (line,) = (one for one in found.reasons if one.startswith("positions are rad of the joint"))
     assert float(re.findall(r"\(([0-9.e+]+) times likelier\)", line)[0]) > 1000
     assert float(re.findall(r"([0-9.e+-]+) % of the torque is left on rows left out", line)[0]) < 5.0
-    assert any(one.startswith("torques taken as N m: nothing says so") for one in found.reasons)
+    assert any(one.startswith("torques are assumed to be N m, the file does not say") for one in found.reasons)
 
 
 def test_the_rows_that_count_are_told_with_the_columns(geared: Robot, log: Trace) -> None:
@@ -457,7 +459,7 @@ def test_torques_are_read_with_their_sign_and_times_what_is_said() -> None:
     np.testing.assert_array_equal(table.columns["y"], 0.25 * rounded)
     np.testing.assert_array_equal(table.columns["z"], rounded)
     assert keys == {"y": {"bits": 16, "times": "k"}, "z": {}}
-    assert reasons == ["'y' are of 16 bits without their sign: 65535 stands for -1"]
+    assert reasons == ["'y' are 16-bit numbers read without sign: 65535 means -1"]
 
 
 def test_of_a_second_no_sign_is_told() -> None:
@@ -473,14 +475,14 @@ def test_degrees_under_a_header_that_says_radians_are_degrees_and_doubted(geared
     """Not the motor's radians, which go as far."""
     found = propose(written(log, 180 / np.pi, names=("q{} [rad]", "tau{} [Nm]")), geared, Stated())
     assert entries(found, "position") == [{"unit": "deg"}] * 3
-    assert any("positions are deg of the joint, though the file says rad" in doubt for doubt in found.doubts)
+    assert any("positions are deg of the joint, although the file says rad" in doubt for doubt in found.doubts)
 
 
 def test_a_gear_ratio_of_twice_the_true_one_is_doubted(geared: Robot, log: Trace) -> None:
     twice = geared.model_copy(update={"drive": Drive(gear_ratio=2 * GEAR)})
     for robot, told in ((twice, True), (geared, False)):
         found = propose(written(log, GEAR, names=("q{} [rad]", "tau{} [Nm]")), robot, Stated())
-        assert any("times the gear ratio, or increments a turn" in doubt for doubt in found.doubts) is told
+        assert any("times the gear ratio or increments per turn" in doubt for doubt in found.doubts) is told
 
 
 def test_half_of_the_torque_is_not_blamed_on_the_gear(robot: Robot, log: Trace) -> None:
@@ -489,7 +491,7 @@ def test_half_of_the_torque_is_not_blamed_on_the_gear(robot: Robot, log: Trace) 
         described = robot.model_copy(update={"drive": Drive(gear_ratio=gear)})
         found = propose(written(log, torque=0.5, names=("q{} [rad]", "tau{} [Nm]")), described, Stated())
         assert any("torque" in doubt for doubt in found.doubts), (gear, found.reasons)
-        assert not any("torques are the motor's" in reason for reason in found.reasons)
+        assert not any("torques are of the motor" in reason for reason in found.reasons)
 
 
 def test_few_increments_are_no_radians() -> None:
@@ -497,7 +499,7 @@ def test_few_increments_are_no_radians() -> None:
     made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
     turning = Axes.model_validate({"name": "axis", "kind": "axes", "axis": [{}]})
     counts = replace(made, columns={**made.columns, "pos": np.round(300 * made.columns["pos"])})
-    with pytest.raises(DataError, match=r"positions are increments; how many make a turn"):
+    with pytest.raises(DataError, match=r"positions are increments: how many per turn"):
         propose(counts, turning, Stated())
 
 
@@ -528,11 +530,11 @@ def test_turns_that_nothing_tells_from_radians_are_to_be_checked() -> None:
     found = propose(
         replace(made, columns={**made.columns, "pos": made.columns["pos"] / (2 * np.pi)}), turning, Stated()
     )
-    assert any("read as" in line and "it cannot be told" in line for line in found.doubts), found.reasons
+    assert any("this is ambiguous" in line for line in found.doubts), found.reasons
 
 
 def test_runs_whose_stamps_are_in_other_units_are_not_one_mapping() -> None:
     made = slide(lambda x, v, a: 95 * a + 20 * np.sign(v))
     other = replace(made, path=Path("other.csv"), columns={**made.columns, "t": 1e3 * made.columns["t"]})
-    with pytest.raises(DataError, match=r"other.csv: stamps in 't' are ms, those of slide.csv s: import it alone"):
+    with pytest.raises(DataError, match=r"other.csv: stamps in 't' are ms, those of slide.csv s: import it separately"):
         propose([made, other], AXIS, Stated(position_unit="m"))

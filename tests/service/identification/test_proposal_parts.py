@@ -77,7 +77,7 @@ def test_positions_that_are_no_poses_are_told_and_nothing_is_changed(
     found = read(monkeypatch, geared)
     assert (found.share, found.signs, found.torque) == (np.inf, UP, {"unit": "N m"})
     (doubt,) = found.doubts
-    assert doubt.startswith("read as deg of the joint the positions are no poses of known, or hardly move")
+    assert doubt.startswith("read as deg of the joint the positions are not poses of known, or hardly change")
     assert found.reasons == []
 
 
@@ -88,9 +88,9 @@ def test_where_half_of_the_torque_is_left_nothing_is_told(
     found = read(monkeypatch, geared, fitting(share, signs=(1, -1, 1), turned=(-1, 1, -1)))
     assert found.share == share
     assert (found.signs, found.torque_signs) == ((UP, UP) if hopeless else ((1, -1, 1), [-1, 1, -1]))
-    line = f"with these readings the robot's equations leave {100 * share:.2g} % of the torque"
+    line = f"read like this, the robot's equations leave {100 * share:.2g} % of the torque"
     if hopeless:
-        assert found.doubts == [f"{line}: signs and gear side cannot be told from this log"]
+        assert found.doubts == [f"{line}: this log does not determine signs and gear side"]
         assert found.reasons == []
     else:
         assert found.reasons == [
@@ -105,8 +105,8 @@ def test_signs_are_certain_where_others_are_a_thousand_times_less_likely(
 ) -> None:
     """Of twenty pieces the square has to be twice as much, 1000^(1/10); the third and further do not matter."""
     found = read(monkeypatch, geared, fitting(0.3), fitting(second, signs=(1, -1, 1)), fitting(0.9, signs=(1, 1, -1)))
-    line = "with these readings the robot's equations leave 30 % of the torque"
-    doubt = f"{line}, with other signs of the positions {100 * second:.2g} %: signs are not certain"
+    line = "read like this, the robot's equations leave 30 % of the torque"
+    doubt = f"{line}, with other signs of the positions {100 * second:.2g} %: the signs are uncertain"
     assert (found.reasons, found.doubts) == (([line], []) if certain else ([], [doubt]))
 
 
@@ -123,7 +123,7 @@ def test_torques_in_another_order_are_told_and_left(
     found = read(monkeypatch, geared, fitting(0.05, 5.0, (1, -1, 1), order=order, turned=(-1, 1, 1)))
     said = ", ".join(str(k + 1) for k in order)
     assert found.doubts == [
-        f"the torques fit better in the order {said}: cables swapped? --torque says it otherwise"
+        f"the torques fit better in the order {said}: are cables swapped? Set the order with --torque"
     ]  # fmt: skip
     assert (found.signs, found.torque_signs, found.torque) == (UP, UP, {"unit": "N m"})
 
@@ -144,7 +144,9 @@ def test_a_scale_near_one_or_the_gear_is_that(
     assert found.torque == (read_as or {"unit": "A", "constant": float(f"{scale:.4g}")})
     if read_as:
         assert found.doubts == []
-        assert ("torques are the motor's: times the gear of 25 they fit" in found.reasons) == ("side" in read_as)
+        assert ("torques are of the motor: they fit when multiplied by the gear ratio 25" in found.reasons) == (
+            "side" in read_as
+        )
     else:
         assert found.doubts == [f"one unit of torque taken as {scale:.4g} N m, {readings.WHENCE}"]
 
@@ -167,17 +169,17 @@ def test_a_unit_without_its_constant_gets_it_by_the_masses(
     found = read(monkeypatch, geared, fitting(0.05, 1.1), torque=torque)
     assert found.torque == read_as
     known = None not in torque.values()
-    assert found.doubts == ([] if known else [f"one {torque['unit']} taken as 1.1 N m, {readings.WHENCE}"])
+    assert found.doubts == ([] if known else [f"one {torque['unit']} is assumed to be 1.1 N m, {readings.WHENCE}"])
 
 
 @pytest.mark.parametrize(
     ("share", "scale", "by_masses", "why"),
     [
-        (0.09, 1.0, 1.24, "; the fit goes with it"), (0.09, 1.0, 1 / 1.24, "; the fit goes with it"),
-        (0.09, 1.0, 1.26, ", and by the masses one would be 1.26 N m"),
-        (0.09, 1.0, 1 / 1.26, ", and by the masses one would be 0.794 N m"),
-        (0.09, GEAR, 2.0 * GEAR, ", and by the masses one would be 2 N m"),
-        (0.11, 1.0, 1.0, ", and the fit is poor"),
+        (0.09, 1.0, 1.24, "; the fit confirms it"), (0.09, 1.0, 1 / 1.24, "; the fit confirms it"),
+        (0.09, 1.0, 1.26, "; by the masses one unit would be 1.26 N m"),
+        (0.09, 1.0, 1 / 1.26, "; by the masses one unit would be 0.794 N m"),
+        (0.09, GEAR, 2.0 * GEAR, "; by the masses one unit would be 2 N m"),
+        (0.11, 1.0, 1.0, "; the fit is poor"),
     ],
 )  # fmt: skip
 def test_newton_metres_that_nobody_said_are_sure_where_the_fit_goes_with_them(
@@ -185,13 +187,13 @@ def test_newton_metres_that_nobody_said_are_sure_where_the_fit_goes_with_them(
 ) -> None:
     ranked = fitting(share, scale, by_masses=by_masses)
     found = read(monkeypatch, geared, ranked, told=False)
-    line = f"torques taken as N m: nothing says so{why}"
-    sure = why.startswith(";")
+    line = f"torques are assumed to be N m, the file does not say{why}"
+    sure = why == "; the fit confirms it"
     assert (line in found.reasons, line in found.doubts) == (sure, not sure)
     told = read(monkeypatch, geared, ranked)
-    said = f"torques are said to be N m{why}"  # and a poor fit says nothing against what stands there
+    said = f"torques are N m by the file{why}"  # and a poor fit says nothing against what stands there
     assert (said in told.doubts) is (not sure and share < 0.1)
-    assert not any(one.startswith("torques taken") for one in [*told.reasons, *told.doubts])
+    assert not any(one.startswith("torques are assumed") for one in [*told.reasons, *told.doubts])
 
 
 def fits_of(
@@ -319,7 +321,7 @@ def test_an_axis_sign_is_told_beside_its_weight_and_each_axis_for_itself() -> No
     hum = np.sin(0.3 * np.arange(4000))
     signs, said = signs_of(lambda x, v, a: hum, weighed(-0.5, 0.0))
     assert signs == [1, -1]
-    assert said[-1].startswith("sign of the torque of joint 1: neither inertia nor friction shows enough")
+    assert said[-1].startswith("sign of the torque of joint 1: inertia and friction are too small")
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.2, True), (0.02, False)])
@@ -364,14 +366,14 @@ def test_positions_that_no_joint_turns_are_said_to_be_the_motors(
     far = {name: farthest * np.sin(values) if name[0] == "q" else values for name, values in made.columns.items()}
     described = robot.model_copy(update={"drive": Drive(gear_ratio=gear)})
     found = propose(Table(made.path, made.kind, far), described, Stated(position_unit="deg"))
-    assert ("positions are the motor's: no joint turns so far" in found.reasons) is said
+    assert ("positions are of the motor: no joint turns that far" in found.reasons) is said
 
 
 @pytest.mark.parametrize(
     ("unit", "name", "entry", "reason"),
     [
-        (None, "torque [%]", {"unit": "percent", "rated": 12.0}, "torques are percent: it stands there"),
-        (None, "torque [Nm]", {"unit": "N m"}, "torques are N m: it stands there"),
+        (None, "torque [%]", {"unit": "percent", "rated": 12.0}, "torques are percent: the file says so"),
+        (None, "torque [Nm]", {"unit": "N m"}, "torques are N m: the file says so"),
         (("percent", 5.0), "torque [Nm]", {"unit": "percent", "rated": 5.0}, None),
         (("permille", None), "torque", {"unit": "permille", "rated": 12.0}, None),
         (("V", 0.3), "torque", {"unit": "V", "constant": 0.3}, None),
@@ -392,7 +394,7 @@ def test_a_torques_unit_stands_there_or_is_told_and_its_drive_says_what_is_rated
 
 
 def test_a_rated_torque_that_nobody_knows_is_asked_for() -> None:
-    with pytest.raises(DataError, match=r"torques are percent; the rated torque is not known: say --torque-unit 'perc"):
+    with pytest.raises(DataError, match=r"torques are percent; the rated torque is unknown: give --torque-unit 'perc"):
         propose(swings(lambda x, v, a: a, lambda x, v, a: a), TURNING, Stated(torque_unit=("percent", None)))
 
 
@@ -477,4 +479,4 @@ def test_an_arm_whose_masses_no_library_knows_is_read_as_recorded(monkeypatch: p
     monkeypatch.setattr(readings, "machine_sums", missing)
     found = propose(swings(lambda x, v, a: -5.0 * a, lambda x, v, a: 5.0 * a), TURNING, Stated())
     assert not any("sign" in entry for entry in found.columns["torque"])
-    assert "units and signs are not checked: Pinocchio is not installed" in found.doubts
+    assert "units and signs were not checked: Pinocchio is not installed" in found.doubts

@@ -36,7 +36,10 @@ TABLE: dict[str, tuple[str, dict[str, str | None]]] = {
     "rollout --commands": ("{log} --robot {robot}", dict.fromkeys(KINDS, "position commands through drives")),
     "fleet": ("{days} --robot {plain} --out {out}", {}),
     "plan-motion --for identify": ("--robot {robot} --out {out}.csv --assume-limits", {}),
-    "plan-motion": ("--robot {robot} --out {out}.csv --diagnosis {days}", dict.fromkeys(KINDS, "tells rivals apart")),
+    "plan-motion": (
+        "--robot {robot} --out {out}.csv --diagnosis {days}",
+        dict.fromkeys(KINDS, "separates alternative models"),
+    ),
     "simulate": ("--robot {robot} --motion multisine --duration 4 --out {out}.csv", {}),
     "simulate --motion pick": ("--robot {robot} --out {out}.csv", dict.fromkeys(KINDS, "pick-and-place")),
     "simulate --live": ("--robot {robot}", dict.fromkeys(KINDS, "closed loop on the bus")),

@@ -87,7 +87,7 @@ def test_plan_motion_asks_for_limits_and_its_motion_can_be_simulated(tmp_path: P
     words = ["plan-motion", "--robot", str(tmp_path / "a.toml"), "--for", "identify", "--duration", "5"]
     words += ["--out", str(tmp_path / "m.csv")]
     refused = CliRunner().invoke(app, words)
-    assert "no limit is given of --max-speed (1 assumed), --max-acceleration" in str(refused.exception)
+    assert "no limit is given for --max-speed (1 assumed), --max-acceleration" in str(refused.exception)
     told = json.loads(run(words[0], *words[1:], "--max-speed", 2, "--max-acceleration", 9, "--json"))
     assert told["assumed"] == []
     assert set(told["std_errors"]) >= {"inertia_1", "gravity_sin_1", "f_c_2"}

@@ -150,5 +150,5 @@ def test_logs_of_one_recorder_come_to_one_clock() -> None:
     found = {e.name: e.value for e in identify_axes(axes, [fine, coarse]).fit.estimates}
     assert found["inertia_1"] == pytest.approx(INERTIA, rel=0.02)
     other = trace(2 * stamps[0], 2 * stamps[0])
-    with pytest.raises(DataError, match="give logs of one rate"):
+    with pytest.raises(DataError, match="give logs with the same sample rate"):
         identify_axes(axes, [fine, other])

@@ -226,9 +226,9 @@ def test_what_cannot_be_planned_is_said_in_a_line(short: None, tmp_path: Path) -
     folder_of(tmp_path, [STRIBECK, VISCOUS])
     heavier = KNOWN.model_copy(update={"mass": load_robot("d3-1200").mass})
     save_robot(heavier, tmp_path / "corrected.toml")
-    assert "its [mass] is not that of robot 'known'" in refused()
+    assert "its [mass] differs from that of robot 'known'" in refused()
     (tmp_path / "diagnosis.json").write_text("{}")
-    assert "not what diagnose writes" in refused()
+    assert "not written by `deltatwin diagnose`" in refused()
 
 
 def test_limits_that_nobody_has_given_are_asked_for_or_said(short: None, tmp_path: Path) -> None:
@@ -236,12 +236,12 @@ def test_limits_that_nobody_has_given_are_asked_for_or_said(short: None, tmp_pat
     done = CliRunner().invoke(app, arguments)
     assert isinstance(done.exception, DataError), done.output
     said = str(done.exception)
-    assert said.startswith(f"{tmp_path / 'robot.toml'}: how far may the robot be driven?")
+    assert said.startswith(f"{tmp_path / 'robot.toml'}: no limit is given for ")
     for option in ("--max-speed", "--max-acceleration", "--max-torque", "--assume-limits"):
         assert option in said
     assert not (tmp_path / "m.csv").exists()
     done = CliRunner().invoke(app, [*arguments, "--assume-limits"])
-    assert "assumed, nobody has given it: the limit of joint_speed_radps (--max-speed): 10 rad/s" in done.output
+    assert "assumed, as not given: the limit of joint_speed_radps (--max-speed): 10 rad/s" in done.output
     given = ROBOT.limits.model_copy(update={"joint_acceleration_radps2": 90.0, "joint_speed_radps": 5.0})
     save_robot(ROBOT.model_copy(update={"limits": given}), tmp_path / "robot.toml")
     done = CliRunner().invoke(app, [*arguments, "--max-torque", "60"])

@@ -146,7 +146,7 @@ def test_the_command_writes_model_and_callback_and_says_what_is_left_out(tmp_pat
     assert told.exit_code == 0, told.output
     assert "call Effects before every step for stribeck_friction\n" in told.output
     assert "Measurement gives what a log shows: torque_filter\n" in told.output
-    assert "torque_delay is left out: a log shows the torque before it is there" in told.output
+    assert "torque_delay is left out: the log shows the torque early" in told.output
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
     assert [model.joint(f"arm{i}").name for i in range(3)] == ["arm0", "arm1", "arm2"]
     data = mujoco.MjData(model)
@@ -200,5 +200,5 @@ def test_figures_that_no_body_can_have_are_told(tmp_path: Path) -> None:
     )
     save_robot(heavy, tmp_path / "r.toml")
     told = CliRunner().invoke(app, ["export", str(tmp_path / "r.toml"), "--out", str(tmp_path / "r.xml")])
-    assert "no bodies have these figures" in str(told.exception)
+    assert "these values are physically impossible" in str(told.exception)
     assert not (tmp_path / "r.xml").exists()

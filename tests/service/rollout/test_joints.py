@@ -118,7 +118,7 @@ def test_an_identified_arm_follows_its_log(tmp_path: Path) -> None:
     assert (flipped.deviations[0].joint_rms > 3 * identified.joint_rms).all()
     result = CliRunner().invoke(app, ["rollout", str(tmp_path / "2.csv"), "--robot", str(tmp_path / "small.toml")])
     assert result.exit_code == 0, result.output
-    assert "% of their way" in result.output
+    assert "% of their travel" in result.output
 
 
 def test_axes_that_were_never_identified_are_not_simulated(tmp_path: Path) -> None:

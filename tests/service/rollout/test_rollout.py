@@ -89,8 +89,8 @@ def test_a_torque_of_the_wrong_sign_is_named(
     save_robot(identified(), tmp_path / "r.toml")
     told = runner.invoke(app, ["rollout", str(path), "--robot", str(tmp_path / "r.toml"), *commands])
     assert isinstance(told.exception, DataError)
-    assert f"{path}: the simulated robot runs away" in str(told.exception)
-    assert f"with the torque of {said} turned round it does not" in str(told.exception)
+    assert f"{path}: the sign of the torque of " in str(told.exception)
+    assert f"the sign of the torque of {said} is wrong: the simulated robot runs away" in str(told.exception)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_a_torque_of_the_wrong_sign_is_named(
 def test_whichever_torque_is_turned_round_the_rest_is_as_it_should_be(tmp_path: Path, turned: tuple[int, ...]) -> None:
     robots = {"known": identified()}
     cuts = cut_up(robots, [read_trace(log(tmp_path, identified(), turned), ROBOT)])
-    with pytest.raises(DataError, match=f"torque of {named_joints([j + 1 for j in turned])} turned round it") as told:
+    with pytest.raises(DataError, match=f"torque of {named_joints([j + 1 for j in turned])} is wrong") as told:
         check_sign(identified(), cuts, rollout(robots, cuts))
     off = re.search(r"does not \(off by ([\d.]+) mm\)", str(told.value))
     assert off is not None
@@ -142,7 +142,7 @@ def test_a_log_of_another_robot_is_told(tmp_path: Path) -> None:
 
     words, own = said(identified(), plain=plain(ROBOT), known=known)
     assert "another robot" not in words
-    assert "is unknown" not in words
+    assert "not identified on logs" not in words
     usual = np.hypot(NOISE * Band.of(PERIOD).white_share ** 0.5, 0.05)
     pushed = said(identified(effect("torque_offset")), known=known)[1]
     np.testing.assert_allclose(np.square(pushed) - np.square(own), [0.0, 0.0, (1.3 / usual) ** 2], rtol=0.05, atol=0.1)
@@ -162,7 +162,10 @@ def test_what_figures_do_not_say_of_a_robot_is_told(tmp_path: Path) -> None:
     def said(**changed: object) -> list[str]:
         return sentences(result.model_copy(update={"robots": [result.robots[0].model_copy(update=changed)]}))
 
-    still, away = "known: no better than a robot that stands still.", "known: leaves the workspace in 2 of 13 windows"
+    still, away = (
+        "known predicts the motion no better than a robot at rest.",
+        "known leaves the workspace in 2 of 13 windows",
+    )
     for changed, told in (
         ({}, False),
         ({"platform_mm": result.path_mm}, False),
@@ -172,8 +175,8 @@ def test_what_figures_do_not_say_of_a_robot_is_told(tmp_path: Path) -> None:
     ):
         assert (still in said(**changed)) == told, changed
         assert any(line.startswith(away) for line in said(**changed)) == ("ran_away" in changed)
-    assert "known: the simulation does without thunder, lightning." in said(left_out=["thunder", "lightning"])
-    assert not any("does without" in line for line in said())
+    assert "known: the simulation leaves out thunder, lightning." in said(left_out=["thunder", "lightning"])
+    assert not any("leaves out" in line for line in said())
 
 
 def test_what_cannot_be_simulated_is_told_in_one_line(tmp_path: Path) -> None:
@@ -191,5 +194,5 @@ def test_what_cannot_be_simulated_is_told_in_one_line(tmp_path: Path) -> None:
     mine = ["--robot", str(tmp_path / "r.toml")]
     assert "horizon of 9 s: must be 0.01 to 5 s" in said(*mine, "--horizon", "9")
     assert "log.csv: no window of 1 s between faults" in said(*mine, "--horizon", "1")
-    assert "other.toml: its [mass] is not that of" in said(*mine, "--robot", str(tmp_path / "other.toml"))
+    assert "other.toml: its [mass] differs from that of" in said(*mine, "--robot", str(tmp_path / "other.toml"))
     assert "log.csv: 3 axes, a is described with 1" in said("--robot", str(tmp_path / "axes.toml"))

@@ -85,7 +85,7 @@ def test_described_drives_are_taken_as_they_are(trace: Trace) -> None:
 
 def test_a_log_without_commands_or_whose_torque_does_not_follow_them_is_refused(trace: Trace) -> None:
     robots = {"known": known()}
-    with pytest.raises(DataError, match="log: holds no position commands"):
+    with pytest.raises(DataError, match="log: contains no position commands"):
         rollout(robots, cut_up(robots, [replace(trace, position_command=None)]), commands=True)
     assert trace.position_command is not None
     holed = trace.position_command.copy()
