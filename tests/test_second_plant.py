@@ -9,6 +9,7 @@ import pytest
 
 from drivers.trace import read_trace
 from schemas.robot import load_robot
+from service.model.effects import CATALOGUE
 from tests.bench.second_plant.cases import at_rest, draw, make, motions, placed
 from tests.bench.second_plant.closed_chain import ANGLE_RATE, CYCLE_S, MOTOR_RATE, SPEED, Plant, energy, run
 from tests.bench.second_plant.faults import DISTURBANCES, EFFECTS, afflicted, disturbed, may_join
@@ -110,6 +111,12 @@ def test_each_changes_the_plant_or_the_report_and_is_noted(kind: str) -> None:
 def differs(one: World, other: World) -> bool:
     pairs = [*zip(one.plant, other.plant, strict=True), *zip(one.report, other.report, strict=True)]
     return any(not np.array_equal(np.asarray(a), np.asarray(b)) for a, b in pairs)
+
+
+def test_its_effects_are_those_of_the_catalogue_and_its_disturbances_are_not() -> None:
+    names = {effect.name for effect in CATALOGUE}
+    assert set(EFFECTS) <= names
+    assert not names.intersection(DISTURBANCES)
 
 
 def test_effects_that_hide_each_other_are_not_drawn_together() -> None:
