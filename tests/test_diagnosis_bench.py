@@ -44,6 +44,7 @@ def test_what_corrects_a_wrong_description_counts_neither_way() -> None:
     assert scores.first_right(one)
     assert scores.false_names(one) == 1
     assert scores.false_names(answer(["backlash"], {"tool_mass": 1.0})) == 1
+    assert scores.first_right(answer(["tool_mass"], {"tool_mass": 1.0}, misdescribed=["platform"]))
 
 
 @pytest.mark.parametrize(

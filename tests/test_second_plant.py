@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import deltatwin
 from drivers.trace import read_trace
-from schemas.robot import load_robot
+from schemas.robot import Identified, load_robot
+from service.model.effects import CATALOGUE
 from tests.bench.second_plant.cases import at_rest, draw, make, motions, placed
 from tests.bench.second_plant.closed_chain import ANGLE_RATE, CYCLE_S, MOTOR_RATE, SPEED, Plant, energy, run
 from tests.bench.second_plant.faults import DISTURBANCES, EFFECTS, afflicted, disturbed, may_join
@@ -112,6 +114,12 @@ def differs(one: World, other: World) -> bool:
     return any(not np.array_equal(np.asarray(a), np.asarray(b)) for a, b in pairs)
 
 
+def test_its_effects_are_those_of_the_catalogue_and_its_disturbances_are_not() -> None:
+    names = {effect.name for effect in CATALOGUE}
+    assert set(EFFECTS) <= names
+    assert not names.intersection(DISTURBANCES)
+
+
 def test_effects_that_hide_each_other_are_not_drawn_together() -> None:
     assert may_join(["tool_mass", "backlash"])
     assert not may_join(["tool_mass", "tool_mass"])
@@ -136,16 +144,24 @@ def test_a_delayed_report_is_the_torque_of_before() -> None:
     np.testing.assert_allclose((asked - late)[10:, 0], 2.0)
 
 
-def test_a_case_is_logs_that_we_read_a_description_and_the_truth(tmp_path: Path) -> None:
-    truth = make("gap_free", 1, tmp_path)
+def test_a_case_is_what_identification_finds_the_robot_in(tmp_path: Path) -> None:
+    """Identification shares no code with the plant."""
+    truth, plant = make("gap_free", 1, tmp_path), draw("gap_free", 1).world.plant
     robot = load_robot(tmp_path / "robot.toml")
     names = {path.name for path in tmp_path.iterdir()}
-    logs = {f"{name}_work.csv" for name in ("fit_a", "fit_b", "fit_c", "test_a", "test_b")}
-    assert names == {"robot.toml", "truth.json", *logs}
+    files = {f"{name}_work.csv" for name in ("fit_a", "fit_b", "fit_c", "test_a", "test_b")}
+    assert names == {"robot.toml", "truth.json", *files}
     trace = read_trace(tmp_path / "fit_b_work.csv", robot)
     assert not trace.findings
     assert truth["effects"] == {}
-    assert 1.0 <= truth["lift"] < 1.1  # nothing is wrong, so the base model leaves noise
+    assert 1.0 <= truth["lift"] < 1.02  # nothing is wrong, so the base model leaves noise
+    found = deltatwin.identify(
+        robot, [read_trace(path, robot) for path in sorted(tmp_path.glob("fit_*.csv"))]
+    ).robot.identified
+    assert isinstance(found, Identified)
+    assert found.forearm_inertia_kg.value == pytest.approx(plant.forearm_mass[0], rel=0.03)
+    np.testing.assert_allclose(found.coulomb_friction_nm.value, plant.coulomb, rtol=0.03)
+    np.testing.assert_allclose(found.viscous_friction_nms.value, plant.viscous, rtol=0.05)
 
 
 def test_a_seed_is_one_case_and_another_is_another() -> None:

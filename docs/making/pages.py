@@ -23,8 +23,8 @@ FILES = {
     ),
     "truth": (
         PlantTruth, "Simulated robot",
-        "True parameters of the simulated robot, for `deltatwin simulate --truth FILE`. Missing keys are as in the robot "
-        "description.",
+        "True parameters of the simulated robot, for `deltatwin simulate --truth FILE`. Missing keys are as in the "
+        "robot description.",
     ),
     "diagnosis": (Diagnosis, "diagnosis.json", "What `deltatwin diagnose` writes for other programs."),
 }  # fmt: skip

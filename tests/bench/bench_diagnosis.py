@@ -39,6 +39,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from docs.making.figures import store
 from schemas.errors import DeltatwinError, TraceError
+from service.stopping import terminate_as_interrupt
 from tests.bench import diagnosis_scores as scores
 from tests.bench.diagnosis_scores import Answer, Measured
 from tests.bench.second_plant.cases import BAND_HZ, FAMILIES, make
@@ -263,6 +264,7 @@ def main() -> None:
     arguments.add_argument("--jobs", type=int, default=2)
     arguments.add_argument("--store", action="store_true", help="put the figures into results/diagnosis.json")
     given = arguments.parse_args()
+    terminate_as_interrupt()
     if given.store and given.which != "report":
         arguments.error("--store: figures of the set report alone are stored")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for the processes that are started, as the program does
