@@ -18,7 +18,15 @@ from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If
 from service.codegen.types import Array, Nothing, Record, Reference, Scalar, Several, Type, stored
 
 SCALARS = {Scalar.BOOL: "bool", Scalar.INT: "int64_t", Scalar.UINT: "uint64_t", Scalar.REAL: "double"}
-STORED = {"f8": "double", "i8": "int64_t", "u8": "uint64_t", "i4": "int32_t", "u4": "uint32_t", "u1": "uint8_t"}
+STORED = {
+    "f8": "double",
+    "f4": "float",
+    "i8": "int64_t",
+    "u8": "uint64_t",
+    "i4": "int32_t",
+    "u4": "uint32_t",
+    "u1": "uint8_t",
+}
 ZERO = {Scalar.BOOL: "false", Scalar.INT: "0", Scalar.UINT: "0U", Scalar.REAL: "0.0"}
 # of C99, of its headers that are included, and what GNU C knows beside
 _RESERVED = frozenset({

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from typing import Any
 
-from service.codegen.expressions import INT, REAL, Expressions, constant
+from service.codegen.expressions import INT, REAL, SINGLE, Expressions, constant
 from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If, Leave, Return
 from service.codegen.types import Array, Nothing, Reference, Scalar, Several, Type, unified
 
@@ -86,7 +86,10 @@ class Body:
         self.function.returns = found
 
     def _if(self, node: ast.If) -> list[Any]:
-        return [If(self.expressions.as_test(node.test), self._block(node.body), self._block(node.orelse))]
+        test = self.expressions.as_test(node.test)
+        if test.is_constant:  # a robot's layout decides
+            return self._block(node.body if test.value else node.orelse)
+        return [If(test, self._block(node.body), self._block(node.orelse))]
 
     def _for(self, node: ast.For) -> list[Any]:
         call = node.iter
@@ -180,7 +183,11 @@ class Body:
 
     def _augassign(self, node: ast.AugAssign) -> list[Any]:
         load = ast.copy_location(_loaded(node.target), node.target)
-        before, by = self.expressions.number(load), self.expressions.number(node.value)
+        before, by = self.expressions.place(load), self.expressions.number(node.value)
+        if before.type is SINGLE and by.type is REAL:  # Numba counts in the wider of the two
+            before = Expr("cast", REAL, (before,))
+        if before.type is SINGLE or not isinstance(before.type, Scalar):
+            self.source.refuse(node, f"{before.type} changed by {by.type}")
         return self._store(node, node.target, self.expressions.operate(node, type(node.op), before, by))
 
     def _store(self, node: ast.stmt, target: ast.expr, value: Expr) -> list[Any]:
@@ -190,14 +197,15 @@ class Body:
             return self._set(node, target.id, value)
         if isinstance(target, ast.Subscript) and any(isinstance(one, ast.Slice) for one in ast.walk(target.slice)):
             return [self._sliced(target, value)]
-        place = self.expressions.lower(target)
+        place = self.expressions.place(target)
         if isinstance(place.type, Array) and isinstance(value.type, Scalar):
             return [self._fill(node, place, value)]
         if not isinstance(place.type, Scalar):
             self.source.refuse(node, "stored into what is no number")
         if place.type is INT and value.type is REAL:
             self.source.refuse(node, "a real stored as a whole number")
-        return [Assign(place, self.expressions.cast(node, value, place.type))]
+        wanted = REAL if place.type is SINGLE else place.type  # which the back end makes narrow as it stores
+        return [Assign(place, self.expressions.cast(node, value, wanted))]
 
     def _set(self, node: ast.stmt, name: str, value: Expr) -> list[Any]:
         before = self.variables.get(name)
