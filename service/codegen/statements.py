@@ -19,6 +19,9 @@ class Body:
         self.expressions, self.function = expressions, function
         self.source, self.variables = expressions.source, expressions.variables
         self._parameters = {name for name, _ in function.parameters}
+        self._names = [one for one in ast.walk(self.source.tree) if isinstance(one, ast.Name)]
+        loops = [one for one in ast.walk(self.source.tree) if isinstance(one, ast.For)]
+        self._inside = {loop: {id(one) for one in ast.walk(loop)} for loop in loops}
         self._temporaries = 0
 
     def lower(self) -> None:
@@ -121,8 +124,7 @@ class Body:
         """The name of the loop's variable, which nothing else may set, nor read behind the loop."""
         assert isinstance(node.target, ast.Name)
         name = node.target.id
-        inside = {id(one) for one in ast.walk(node)}
-        others = [one for one in ast.walk(self.source.tree) if isinstance(one, ast.Name) and one.id == name]
+        inside, others = self._inside[node], [one for one in self._names if one.id == name]
         if name == "_" and all(isinstance(one.ctx, ast.Store) for one in others):
             self._temporaries += 1
             return f"turn_{self._temporaries}"
@@ -133,12 +135,9 @@ class Body:
         return name
 
     def _of_another_loop(self, name: ast.Name) -> bool:
-        loops = (one for one in ast.walk(self.source.tree) if isinstance(one, ast.For))
         return any(
-            isinstance(loop.target, ast.Name)
-            and loop.target.id == name.id
-            and any(one is name for one in ast.walk(loop))
-            for loop in loops
+            isinstance(loop.target, ast.Name) and loop.target.id == name.id and id(name) in inside
+            for loop, inside in self._inside.items()
         )
 
     def _once(self, value: Expr, statements: list[Any]) -> Expr:
@@ -186,7 +185,7 @@ class Body:
         before, by = self.expressions.place(load), self.expressions.number(node.value)
         if before.type is SINGLE and by.type is REAL:  # Numba counts in the wider of the two
             before = Expr("cast", REAL, (before,))
-        if before.type is SINGLE or not isinstance(before.type, Scalar):
+        if not isinstance(before.type, Scalar) or before.type is SINGLE:
             self.source.refuse(node, f"{before.type} changed by {by.type}")
         return self._store(node, node.target, self.expressions.operate(node, type(node.op), before, by))
 

@@ -257,6 +257,55 @@ def _in_c(folder: Path, function):
 
 
 @kernel
+def _raised(row):
+    row[0] += 1.0
+
+
+@kernel
+def _read_alone(row, inner):
+    part = inner.values
+    first = part[0]
+    return row[0] + first[1]
+
+
+@kernel
+def _stored_behind_names(inner, other):
+    one = inner.values
+    first = one[1]
+    _raised(first)
+    two = other.values if inner.many > 0 else inner.values
+    return two[0, 0]
+
+
+@kernel
+def _many_ways(d):
+    d.real[0] = _read_alone(d.x, d.inner[0])
+    d.real[1] = _stored_behind_names(d.inner[1], d.inner[2])
+    pair = Pair(d.inner[0].values[0], 2.0)
+    d.real[2] = _inside(pair, d.inner[1])[0]
+
+
+@needs_compiler
+def test_what_is_read_alone_is_constant_in_c(tmp_path: Path) -> None:
+    program = Program(LAYOUT)
+    program.function(_many_ways, (Record(DATA),))
+    made = {one.name.removeprefix("test_constructs_"): one for one in program.functions}
+    assert {name: one.writes & {given for given, _ in one.parameters} for name, one in made.items()} == {
+        "read_alone": set(), "raised": {"row"}, "stored_behind_names": {"inner", "other"}, "inside": {"inner"},
+        "many_ways": {"d"},
+    }  # fmt: skip
+    writer = Writer(LAYOUT, "t")
+    said = {name: writer.signature(one) for name, one in made.items()}
+    assert "(const double *row, const t_inner *inner)" in said["read_alone"]
+    assert "(const t_pair *pair, t_inner *inner)" in said["inside"]
+    assert "(double *row)" in said["raised"]
+    wanted, found = data(), data()
+    _in_c(tmp_path, _many_ways)(ctypes.c_void_p(found.ctypes.data))
+    _many_ways(wanted[0])
+    assert found.tobytes() == wanted.tobytes()
+
+
+@kernel
 def _while(d):
     while d.n[0] > 0:
         d.n[0] -= 1
