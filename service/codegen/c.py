@@ -14,11 +14,20 @@ from typing import Any
 import numpy as np
 
 from service.codegen.program import Layout, Program
+from service.codegen.stores import may_be_constant
 from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If, Leave, Return, named
 from service.codegen.types import Array, Nothing, Record, Reference, Scalar, Several, Type, stored
 
 SCALARS = {Scalar.BOOL: "bool", Scalar.INT: "int64_t", Scalar.UINT: "uint64_t", Scalar.REAL: "double"}
-STORED = {"f8": "double", "i8": "int64_t", "u8": "uint64_t", "i4": "int32_t", "u4": "uint32_t", "u1": "uint8_t"}
+STORED = {
+    "f8": "double",
+    "f4": "float",
+    "i8": "int64_t",
+    "u8": "uint64_t",
+    "i4": "int32_t",
+    "u4": "uint32_t",
+    "u1": "uint8_t",
+}
 ZERO = {Scalar.BOOL: "false", Scalar.INT: "0", Scalar.UINT: "0U", Scalar.REAL: "0.0"}
 # of C99, of its headers that are included, and what GNU C knows beside
 _RESERVED = frozenset({
@@ -124,8 +133,10 @@ class Writer:
     def element(self, element: str | Record) -> str:
         return self.record(element.dtype) if isinstance(element, Record) else STORED[element]
 
-    def declared(self, kind: Type, name: str) -> str:
-        """A variable, parameter or field of a view; views are pointers."""
+    def declared(self, kind: Type, name: str, read_only: bool = False) -> str:
+        """A variable, parameter or field of a view; views are pointers. read_only: nothing is stored through it."""
+        if read_only:
+            return f"const {self.declared(kind, name)}"
         if isinstance(kind, Scalar):
             return f"{SCALARS[kind]} {name}"
         if isinstance(kind, Record):
@@ -343,8 +354,10 @@ class Writer:
             first = statement.first if n + 1 == len(array.type.shape) else 0
             lines.append("    " * n + f"for (int64_t axis_{n} = {first}; axis_{n} < {count}; axis_{n}++) {{")
             places += f"[axis_{n}]"
-        depth = len(array.type.shape)
-        lines.append("    " * depth + f"{self.text(array, _ATOM)}{places} = {self.text(statement.value)};")
+        depth, value = len(array.type.shape), self.text(statement.value, _UNARY)
+        kept_as = STORED[array.type.element] if isinstance(array.type.element, str) else ""
+        value = value if kept_as in ("double", "int64_t") else f"({kept_as}){value}"
+        lines.append("    " * depth + f"{self.text(array, _ATOM)}{places} = {value};")
         return lines + ["    " * n + "}" for n in reversed(range(depth))]
 
     def _do(self, function: Function, statement: Do) -> list[str]:
@@ -392,7 +405,12 @@ class Writer:
             kind = self.result(function)
         else:
             kind = SCALARS[function.returns] if isinstance(function.returns, Scalar) else "void"
-        given = ", ".join(self.declared(kind, word(name)) for name, kind in function.parameters)
+        given = ", ".join(
+            f"const {self.declared(kind, word(name))}"
+            if isinstance(kind, Several)  # what is side by side is read alone, whatever its pointers point to
+            else self.declared(kind, word(name), may_be_constant(kind) and name not in function.writes)
+            for name, kind in function.parameters
+        )
         return f"static {kind} {function.name}({given or 'void'})"
 
     def function(self, function: Function) -> list[str]:
@@ -416,7 +434,7 @@ class Writer:
             if isinstance(kind, Scalar):
                 lines.append(f"{SCALARS[kind]} {own} = {ZERO[kind]};")
             elif isinstance(kind, Reference):
-                lines.append(f"{self.declared(kind, own)} = 0;")
+                lines.append(f"{self.declared(kind, own, name not in function.writes)} = 0;")
             elif isinstance(kind, Several) and made[name].op == "call":
                 lines.append(f"{self.result(made[name].value)} {own};")
             elif isinstance(kind, Several) and kind.names:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import enum
 import math
+import operator
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from service.codegen.types import Array, Nothing, Record, Reference, Scalar, Sev
 if TYPE_CHECKING:
     from service.codegen.program import Program
 
-BOOL, INT, UINT, REAL = Scalar.BOOL, Scalar.INT, Scalar.UINT, Scalar.REAL
+BOOL, INT, UINT, REAL, SINGLE = Scalar.BOOL, Scalar.INT, Scalar.UINT, Scalar.REAL, Scalar.SINGLE
 _ARITHMETIC = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.FloorDiv: "floordiv", ast.Mod: "mod"}
 _BITS = {ast.BitAnd: "bitand", ast.BitOr: "bitor", ast.BitXor: "bitxor"}
 _COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
@@ -59,6 +60,15 @@ class Expressions:
         Raises:
             CodegenError: it uses what is not known.
         """
+        found = self.place(node)
+        if found.type is SINGLE:
+            self.source.refuse(
+                node, "a number in single precision: Numba counts on in it, where C does not; np.float64"
+            )
+        return found
+
+    def place(self, node: ast.expr) -> Expr:
+        """The same of what is stored to or widened, which may be of single precision."""
         method = getattr(self, f"_{type(node).__name__.lower()}", None)
         if method is None:
             self.source.refuse(node, f"a {type(node).__name__} is not known")
@@ -182,27 +192,27 @@ class Expressions:
     def _binop(self, node: ast.BinOp) -> Expr:
         return self.operate(node, type(node.op), self.number(node.left), self.number(node.right))
 
-    def operate(self, node: ast.AST, operator: type, left: Expr, right: Expr) -> Expr:
-        """`left operator right`, as Numba types it."""
-        if operator is ast.Pow:
+    def operate(self, node: ast.AST, sign: type, left: Expr, right: Expr) -> Expr:
+        """`left sign right`, as Numba types it."""
+        if sign is ast.Pow:
             return self._power(node, left, right)
-        if operator is ast.Div:
+        if sign is ast.Div:
             if UINT in (left.type, right.type):
                 self.source.refuse(node, "a division of unsigned numbers")
             return Expr("div", REAL, (self.cast(node, left, REAL), self.cast(node, right, REAL)))
-        if operator in _BITS:
+        if sign in _BITS:
             if left.type is BOOL and right.type is BOOL:
-                return Expr(_BITS[operator], BOOL, (left, right))
+                return Expr(_BITS[sign], BOOL, (left, right))
             if REAL in (left.type, right.type):
                 self.source.refuse(node, "bits of a real")
-            return self._whole(node, _BITS[operator], left, right)
-        if operator not in _ARITHMETIC:
-            self.source.refuse(node, f"{operator.__name__} is not known")
+            return self._whole(node, _BITS[sign], left, right)
+        if sign not in _ARITHMETIC:
+            self.source.refuse(node, f"{sign.__name__} is not known")
         if REAL in (left.type, right.type):
-            if operator in (ast.FloorDiv, ast.Mod):
+            if sign in (ast.FloorDiv, ast.Mod):
                 self.source.refuse(node, "a rest of reals is not known")
-            return Expr(_ARITHMETIC[operator], REAL, (self.cast(node, left, REAL), self.cast(node, right, REAL)))
-        return self._whole(node, _ARITHMETIC[operator], left, right)
+            return Expr(_ARITHMETIC[sign], REAL, (self.cast(node, left, REAL), self.cast(node, right, REAL)))
+        return self._whole(node, _ARITHMETIC[sign], left, right)
 
     def _whole(self, node: ast.AST, name: str, left: Expr, right: Expr) -> Expr:
         if UINT in (left.type, right.type):
@@ -230,10 +240,10 @@ class Expressions:
     def _compare(self, node: ast.Compare) -> Expr:
         operands = [self.number(one) for one in (node.left, *node.comparators)]
         tests = []
-        for n, operator in enumerate(node.ops):
-            if type(operator) not in _COMPARISONS:
-                self.source.refuse(node, f"{type(operator).__name__} is not known")
-            tests.append(self._comparison(node, _COMPARISONS[type(operator)], operands[n], operands[n + 1]))
+        for n, sign in enumerate(node.ops):
+            if type(sign) not in _COMPARISONS:
+                self.source.refuse(node, f"{type(sign).__name__} is not known")
+            tests.append(self._comparison(node, _COMPARISONS[type(sign)], operands[n], operands[n + 1]))
         if len(tests) > 1 and any(_calls(operand) for operand in operands[1:-1]):
             self.source.refuse(node, "a call between two comparisons")
         return tests[0] if len(tests) == 1 else Expr("all", BOOL, tuple(tests))
@@ -246,13 +256,21 @@ class Expressions:
                 self.source.refuse(node, "signed and unsigned compared")
         else:
             left, right = self.cast(node, left, INT), self.cast(node, right, INT)
+        if left.is_constant and right.is_constant:
+            return constant(getattr(operator, name)(left.value, right.value))
         return Expr(name, BOOL, (left, right))
 
     def _boolop(self, node: ast.BoolOp) -> Expr:
         tests = tuple(self.number(value) for value in node.values)
         if any(test.type is not BOOL for test in tests):
             self.source.refuse(node, "`and` or `or` of what is no truth value")
-        return Expr("all" if isinstance(node.op, ast.And) else "any", BOOL, tests)
+        decides = isinstance(node.op, ast.Or)  # a test that comes out so
+        if any(test.is_constant and test.value == decides for test in tests) and not any(map(_calls, tests)):
+            return constant(decides)
+        open_ones = tuple(test for test in tests if not test.is_constant or test.value == decides)
+        if len(open_ones) < 2:
+            return open_ones[0] if open_ones else constant(not decides)
+        return Expr("any" if decides else "all", BOOL, open_ones)
 
     def _ifexp(self, node: ast.IfExp) -> Expr:
         test, chosen = self.as_test(node.test), [self.lower(node.body), self.lower(node.orelse)]
@@ -265,6 +283,8 @@ class Expressions:
             kinds, chosen = {REAL}, [self.cast(node, one, REAL) for one in chosen]
         if len(kinds) > 1 or isinstance(chosen[0].type, Several | Nothing):
             self.source.refuse(node, "a choice between types")
+        if test.is_constant:
+            return chosen[0] if test.value else chosen[1]
         return Expr("cond", chosen[0].type, (test, *chosen))
 
     def _call(self, node: ast.Call) -> Expr:
@@ -278,7 +298,7 @@ class Expressions:
             return self._bundle(node, function)
         if node.keywords or any(isinstance(one, ast.Starred) for one in node.args):
             self.source.refuse(node, "named arguments of a function")
-        arguments = [self.lower(one) for one in node.args]
+        arguments = [self.place(one) if function is np.float64 else self.lower(one) for one in node.args]
         return self._builtin(node, function, arguments)
 
     def _kernel(self, node: ast.Call, function: CPUDispatcher) -> Expr:
@@ -337,7 +357,7 @@ class Expressions:
         if function is bool:
             return value if value.type is BOOL else Expr("ne", BOOL, (value, self.cast(node, constant(0), value.type)))
         if function in (float, np.float64):
-            return self.cast(node, value, REAL)
+            return Expr("cast", REAL, (value,)) if value.type is SINGLE else self.cast(node, value, REAL)
         if value.type is UINT:
             return Expr("cast", INT, (value,))
         if value.type is REAL:

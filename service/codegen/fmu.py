@@ -140,6 +140,8 @@ def variables(robot: Robot, period: float) -> list[Variable]:
     for name, place, unit, meaning, start in inputs:
         for i in range(3):
             add(f"{name}_{i + 1}", "input", "continuous", f"{place}[{i}]", unit, meaning, start=start)
+    if robot.fourth_axis is not None:
+        add("fourth_position", "input", "continuous", "sample.fourth_position", "rad", "angle of the fourth axis")
     for name, meaning in (("gripper", "0 unknown, 1 open, 2 closed"), ("flags", "known faults of the sample, bits")):
         add(name, "input", "discrete", f"sample.{name}", "", meaning, is_real=False)
     settings = state.settings(robot, period, 1)

@@ -27,18 +27,18 @@ def layout_of(robot: Robot, settings: np.ndarray) -> Layout:
     """settings: (1,) SETTINGS, as the estimator has them.
 
     The lag line keeps no more samples than the look back needs, and there is room for the robot's own effects. A robot
-    without a fourth axis has no angle of it, so no load is ever looked for off its axis, and what is remembered of the
-    load's parts is remembered of its mass alone.
+    without a fourth axis has no angle of it, so no load is ever looked for off its axis, and nothing is remembered of
+    that; one with a fourth axis has its own store of what friction does.
 
     Raises:
         CodegenError: a record of the service has no such fields any more.
     """
-    (record,) = settings
-    lag, first = int(record["motion"]["lag"]), int(record["readout"]["first"]) if record["readout"]["active"] else 0
+    (given,) = settings
+    lag, first = int(given["motion"]["lag"]), int(given["readout"]["first"]) if given["readout"]["active"] else 0
     longest = lag - min(0, first)
     if longest > kalman.MAX_LAG:
         raise CodegenError(f"a look back of {longest} samples, {kalman.MAX_LAG} are remembered")
-    line, carried = 2 * longest + 1, max(1, int((record["effect"]["number"] >= 0).sum()))
+    line, carried = 2 * longest + 1, max(1, int((given["effect"]["number"] >= 0).sum()))
     shapes: dict[tuple[np.dtype, str], tuple[int, ...]] = {
         (STATE, "slots"): (longest + 1,),
         (STATE, "past"): (longest + 1,),
@@ -46,13 +46,15 @@ def layout_of(robot: Robot, settings: np.ndarray) -> Layout:
         (SETTINGS, "effect"): (carried,),
         (BRANCH, "memory"): (carried, *MEMORY[1:]),
     }
-    fields: dict[tuple[np.dtype, str], float] = {}
-    if robot.fourth_axis is None:
+    turns = robot.fourth_axis is not None
+    fields: dict[tuple[np.dtype, str], float] = {
+        (one, "turns"): int(turns) for one in (payload.STATE, payload.SETTINGS)
+    }
+    if not turns:
         fields[TOPICS["sample"].dtype, _FOURTH] = np.nan
-        for name in ("bin_information", "bin_moment", "bin_drag"):
-            shape = _shape(payload.STATE, name)
-            loads = 2 if name == "bin_information" else 1
-            shapes[payload.STATE, name] = (shape[0], *(1,) * loads, *shape[1 + loads :])
+        shapes[STATE, "turn"] = (1,)
+    unused = ("bin_drag",) if turns else ("swing_information", "swing_moment", "swing_drag")
+    shapes |= {(payload.STATE, name): (1, *_shape(payload.STATE, name)[1:]) for name in unused}
     for dtype, name in shapes:
         _shape(dtype, name)
     hidden = frozenset((message.dtype, name) for message in TOPICS.values() for name in WIRE)

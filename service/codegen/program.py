@@ -12,6 +12,7 @@ from numba.core.registry import CPUDispatcher
 from service.codegen.expressions import Expressions
 from service.codegen.source import CodegenError, source_of
 from service.codegen.statements import Body
+from service.codegen.stores import stored_through
 from service.codegen.tree import Function
 from service.codegen.types import Nothing, Reference, Several, Type, stored
 
@@ -84,6 +85,7 @@ class Program:
         parameters = list(zip(source.parameters, arguments, strict=True))
         made = Function("", source.where, _about(source.tree), parameters, Nothing())
         Body(Expressions(self, source, dict(parameters)), made).lower()
+        made.writes = stored_through(made)
         count = self._names[source.name] = self._names.get(source.name, 0) + 1
         made.name = source.name if count == 1 else f"{source.name}_{count}"
         self.functions.append(made)

@@ -23,7 +23,7 @@ from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If
 from service.codegen.types import Array, Record, Reference, Scalar, Several, Type
 
 SCALARS = {Scalar.BOOL: "BOOL", Scalar.INT: "LINT", Scalar.UINT: "ULINT", Scalar.REAL: "LREAL"}
-STORED = {"f8": "LREAL", "i8": "LINT", "u8": "ULINT", "i4": "DINT", "u4": "UDINT", "u1": "USINT"}
+STORED = {"f8": "LREAL", "f4": "REAL", "i8": "LINT", "u8": "ULINT", "i4": "DINT", "u4": "UDINT", "u1": "USINT"}
 _BINARY = {
     "mul": ("*", 6), "div": ("/", 6), "add": ("+", 5), "sub": ("-", 5),
     "lt": ("<", 4), "le": ("<=", 4), "gt": (">", 4), "ge": (">=", 4), "eq": ("=", 3), "ne": ("<>", 3),
@@ -289,10 +289,13 @@ class _Body:
     def _cast(self, value: Expr) -> tuple[str, int]:
         (of,) = value.args
         assert isinstance(value.type, Scalar)
-        assert isinstance(of.type, Scalar)
         narrow = self._narrow(of)
         inner = self.place(of) if narrow else self.text(of)
-        return f"{narrow or SCALARS[of.type]}_TO_{SCALARS[value.type]}({inner})", _ATOM
+        return f"{narrow or self._kind(of)}_TO_{SCALARS[value.type]}({inner})", _ATOM
+
+    def _kind(self, value: Expr) -> str:
+        assert isinstance(value.type, Scalar)
+        return SCALARS[value.type]
 
     def _neg(self, value: Expr) -> tuple[str, int]:
         return f"(-{self.text(value.args[0], _ATOM)})", _ATOM
@@ -459,7 +462,7 @@ class _Body:
         if value.op == "cond" and target.op == "var" and not narrow:
             return self._chosen(self.names(target.value), value)
         text = self.text(value)
-        return [f"{self.place(target)} := {f'LINT_TO_{narrow}({text})' if narrow else text};"]
+        return [f"{self.place(target)} := {f'{self._kind(value)}_TO_{narrow}({text})' if narrow else text};"]
 
     def _bind_lines(self, statement: Bind) -> list[str]:
         name, value = statement.name, statement.value
@@ -500,7 +503,7 @@ class _Body:
         assert isinstance(array.type, Array)
         place, value = self.place(array, "filled"), self.text(statement.value)
         if isinstance(array.type.element, str) and array.type.element not in ("f8", "i8"):
-            value = f"LINT_TO_{STORED[array.type.element]}({value})"
+            value = f"{self._kind(statement.value)}_TO_{STORED[array.type.element]}({value})"
         return _looped(place, array.type.shape, value, self, statement.first)
 
     def _do_lines(self, statement: Do) -> list[str]:

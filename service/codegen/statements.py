@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from typing import Any
 
-from service.codegen.expressions import INT, REAL, Expressions, constant
+from service.codegen.expressions import INT, REAL, SINGLE, Expressions, constant
 from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If, Leave, Return
 from service.codegen.types import Array, Nothing, Reference, Scalar, Several, Type, unified
 
@@ -19,6 +19,9 @@ class Body:
         self.expressions, self.function = expressions, function
         self.source, self.variables = expressions.source, expressions.variables
         self._parameters = {name for name, _ in function.parameters}
+        self._names = [one for one in ast.walk(self.source.tree) if isinstance(one, ast.Name)]
+        loops = [one for one in ast.walk(self.source.tree) if isinstance(one, ast.For)]
+        self._inside = {loop: {id(one) for one in ast.walk(loop)} for loop in loops}
         self._temporaries = 0
 
     def lower(self) -> None:
@@ -86,7 +89,10 @@ class Body:
         self.function.returns = found
 
     def _if(self, node: ast.If) -> list[Any]:
-        return [If(self.expressions.as_test(node.test), self._block(node.body), self._block(node.orelse))]
+        test = self.expressions.as_test(node.test)
+        if test.is_constant:  # a robot's layout decides
+            return self._block(node.body if test.value else node.orelse)
+        return [If(test, self._block(node.body), self._block(node.orelse))]
 
     def _for(self, node: ast.For) -> list[Any]:
         call = node.iter
@@ -118,8 +124,7 @@ class Body:
         """The name of the loop's variable, which nothing else may set, nor read behind the loop."""
         assert isinstance(node.target, ast.Name)
         name = node.target.id
-        inside = {id(one) for one in ast.walk(node)}
-        others = [one for one in ast.walk(self.source.tree) if isinstance(one, ast.Name) and one.id == name]
+        inside, others = self._inside[node], [one for one in self._names if one.id == name]
         if name == "_" and all(isinstance(one.ctx, ast.Store) for one in others):
             self._temporaries += 1
             return f"turn_{self._temporaries}"
@@ -130,12 +135,9 @@ class Body:
         return name
 
     def _of_another_loop(self, name: ast.Name) -> bool:
-        loops = (one for one in ast.walk(self.source.tree) if isinstance(one, ast.For))
         return any(
-            isinstance(loop.target, ast.Name)
-            and loop.target.id == name.id
-            and any(one is name for one in ast.walk(loop))
-            for loop in loops
+            isinstance(loop.target, ast.Name) and loop.target.id == name.id and id(name) in inside
+            for loop, inside in self._inside.items()
         )
 
     def _once(self, value: Expr, statements: list[Any]) -> Expr:
@@ -180,7 +182,11 @@ class Body:
 
     def _augassign(self, node: ast.AugAssign) -> list[Any]:
         load = ast.copy_location(_loaded(node.target), node.target)
-        before, by = self.expressions.number(load), self.expressions.number(node.value)
+        before, by = self.expressions.place(load), self.expressions.number(node.value)
+        if before.type is SINGLE and by.type is REAL:  # Numba counts in the wider of the two
+            before = Expr("cast", REAL, (before,))
+        if not isinstance(before.type, Scalar) or before.type is SINGLE:
+            self.source.refuse(node, f"{before.type} changed by {by.type}")
         return self._store(node, node.target, self.expressions.operate(node, type(node.op), before, by))
 
     def _store(self, node: ast.stmt, target: ast.expr, value: Expr) -> list[Any]:
@@ -190,14 +196,15 @@ class Body:
             return self._set(node, target.id, value)
         if isinstance(target, ast.Subscript) and any(isinstance(one, ast.Slice) for one in ast.walk(target.slice)):
             return [self._sliced(target, value)]
-        place = self.expressions.lower(target)
+        place = self.expressions.place(target)
         if isinstance(place.type, Array) and isinstance(value.type, Scalar):
             return [self._fill(node, place, value)]
         if not isinstance(place.type, Scalar):
             self.source.refuse(node, "stored into what is no number")
         if place.type is INT and value.type is REAL:
             self.source.refuse(node, "a real stored as a whole number")
-        return [Assign(place, self.expressions.cast(node, value, place.type))]
+        wanted = REAL if place.type is SINGLE else place.type  # which the back end makes narrow as it stores
+        return [Assign(place, self.expressions.cast(node, value, wanted))]
 
     def _set(self, node: ast.stmt, name: str, value: Expr) -> list[Any]:
         before = self.variables.get(name)

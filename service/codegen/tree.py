@@ -91,7 +91,7 @@ class Leave:
 
 @dataclass
 class Function:
-    """One kernel for one set of argument types. writes: the parameters through which it stores."""
+    """One kernel for one set of argument types. writes: the parameters and variables through which it stores."""
 
     name: str
     where: str

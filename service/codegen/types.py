@@ -15,6 +15,7 @@ class Scalar(enum.Enum):
     INT = "int64"
     UINT = "uint64"
     REAL = "float64"
+    SINGLE = "float32"  # as it is stored: a kernel makes it REAL before it counts with it
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,8 @@ Reference = Record | Array
 
 def read_as(code: str) -> Scalar:
     """What a number stored as `code` is worth."""
-    if code == "u8":
-        return Scalar.UINT
+    if code in ("u8", "f4"):
+        return Scalar.UINT if code == "u8" else Scalar.SINGLE
     return Scalar.INT if code[0] in "iu" else Scalar.REAL
 
 

@@ -208,7 +208,9 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["drive_torque"] = commanded.settings(noise, is_commanded, period)
     prior = departure.drift(record["viscous"][0], record["coulomb"][0])
     limit, variance = robot.limits.max_payload_kg, record["variance"][0]
-    record["payload"] = payload.settings(period, prior, limit, left_over, variance, calibrated, mass_error(described))
+    record["payload"] = payload.settings(
+        period, prior, limit, left_over, variance, calibrated, mass_error(described), robot.fourth_axis is not None
+    )
     record["friction_drift"] = robot.limits.friction_drift
     record["scale_drift"] = robot.limits.torque_scale_drift
     record["left_out"] = bool(without)
@@ -221,6 +223,7 @@ def fresh(record: np.ndarray) -> np.ndarray:
     step["settings"] = record
     step["feedforward"], step["payload"], step["error"] = FEEDFORWARD.empty(), PAYLOAD.empty(), MODEL_ERROR.empty()
     step["friction"] = FRICTION.empty()
-    payload.start(step["state"]["payload"], record["payload"]["prior"][0])
+    weighing = record["payload"][0]
+    payload.start(step["state"]["payload"], weighing["prior"], bool(weighing["turns"]))
     step["state"]["source"] = FeedforwardSource.NONE
     return step

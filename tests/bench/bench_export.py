@@ -300,7 +300,8 @@ def tidied(folder: Path) -> dict[str, int] | None:
     unused ones that are marked as such, and branches that are alike, which are what the kernels say."""
     if shutil.which("clang-tidy") is None:
         return None
-    checks = "-*,clang-analyzer-*,clang-diagnostic-*,bugprone-*,cert-*,misc-*,performance-*,portability-*"
+    checks = "-*,clang-analyzer-*,clang-diagnostic-*,bugprone-*,cert-*,misc-*,performance-*,portability-*,"
+    checks += "readability-non-const-parameter"
     left_out = "-bugprone-easily-swappable-parameters,-misc-unused-parameters,-bugprone-branch-clone"
     command = ["clang-tidy", f"--checks={checks},{left_out}", "deltatwin.c", "--", "-std=c99", "-Wall", "-Wextra"]
     ran = subprocess.run([*command, "-Wconversion"], check=False, cwd=folder, capture_output=True, text=True)
@@ -385,7 +386,7 @@ def hostile(robot: Robot, folder: Path, count: int, seed: int) -> dict[str, Any]
     good, made, largest, programs = read_trace(LOG, robot).samples()[1200:1600], 0, 0.0, []
     for group in ("none", "gears", "loose", "friction"):
         (own := folder / f"hostile_{group}").mkdir()
-        programs.append(Sanitized(with_effects(robot, GROUPS.get(group, ())), PERIOD, own))
+        programs.append(Sanitized(with_effects(robot, GROUPS.get(group, ())), PERIOD, own, "-O1"))
     while made < count:
         samples = streams(good, min(count // len(programs), PART), seed + made)
         for program in programs:

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from schemas.kernels import kernel
 from service.estimator import departure
-from service.estimator.payload.loads import corrected_moment, invert, prior_of
-from service.estimator.payload.state import PRIOR_STD, SMALLEST_CHANGE, WINDOW
+from service.estimator.payload.loads import bin_drag, corrected_moment, invert, pair, prior_of
+from service.estimator.payload.state import LOADS, PRIOR_STD, SMALLEST_CHANGE, WINDOW
 
 # Squared, normalised difference at which a change is believed: with some thousand onsets looked at a second, and model
 # errors that are not white, 5 sigma would alarm every minute.
@@ -36,21 +38,24 @@ def find_change(state):
     state.hidden = 0.0
     for p in range(active):
         since_moment[p] = 0.0
-        state.pull[p] = corrected_moment(state, state.moment, state.drag, p)
+        state.pull[p] = corrected_moment(state, state.moment[p], state.drag[p])
         for q in range(active):
             since[p, q] = prior_of(p) if p == q and p > 0 else 0.0
         for a in range(departure.COUNT):
             since_drag[p, a] = 0.0
     index = state.head
     for n in range(state.filled):
-        for p in range(active):
-            since_moment[p] += corrected_moment(state, state.bin_moment[index], state.bin_drag[index], p)
-            before_moment[p] = state.pull[p] - since_moment[p]
-            for q in range(active):
-                since[p, q] += state.bin_information[index, p, q]
-                before[p, q] = state.information[p, q] - since[p, q] + (prior_of(p) if p == q and p > 0 else 0.0)
-            for a in range(departure.COUNT):
-                since_drag[p, a] += state.bin_drag[index, p, a]
+        pulled = state.bin_moment[index]
+        for a in range(departure.COUNT):
+            dragged = bin_drag(state, index, a)
+            since_drag[0, a] += dragged
+            pulled -= dragged * state.departure.delta[a]
+        since_moment[0] += pulled
+        before_moment[0] = state.pull[0] - since_moment[0]
+        since[0, 0] += state.bin_information[index]
+        before[0, 0] = state.information[0, 0] - since[0, 0]
+        if active > 1:
+            _look_at_offsets(state, index)
         index = index - 1 if index > 0 else WINDOW - 1
         if n + 1 < SHORTEST or since[0, 0] <= 0.0 or before[0, 0] <= 0.0:
             continue
@@ -71,6 +76,34 @@ def find_change(state):
         state.hidden = 0.0
         _start_anew(state, best_count)
     return best_count
+
+
+@kernel
+def _look_at_offsets(state, index):
+    """Take what the bin says of the load's offset into the sums since an onset."""
+    since, before = state.since_information, state.before_information
+    _add_shared(state, index, since)
+    for p in range(LOADS):
+        for q in range(LOADS):
+            if p > 0 or q > 0:
+                before[p, q] = state.information[p, q] - since[p, q] + (prior_of(p) if p == q else 0.0)
+    for p in range(1, LOADS):
+        pulled = np.float64(state.swing_moment[index, p - 1])
+        for a in range(departure.COUNT):
+            dragged = np.float64(state.swing_drag[index, p, a])
+            state.since_drag[p, a] += dragged
+            pulled -= dragged * state.departure.delta[a]
+        state.since_moment[p] += pulled
+        state.before_moment[p] = state.pull[p] - state.since_moment[p]
+
+
+@kernel
+def _add_shared(state, index, information):
+    """Add what the bin says of the offset, and of it together with the mass."""
+    for q in range(1, LOADS):
+        for p in range(q + 1):
+            information[p, q] += np.float64(state.swing_information[index, pair(p, q)])
+            information[q, p] = information[p, q]
 
 
 @kernel
@@ -131,12 +164,16 @@ def _start_anew(state, bins):
     index = state.head
     for _ in range(bins):
         state.told += state.bin_told[index]
-        for p in range(active):
-            state.moment[p] += state.bin_moment[index, p]
-            for q in range(active):
-                state.information[p, q] += state.bin_information[index, p, q]
-            for a in range(departure.COUNT):
-                state.drag[p, a] += state.bin_drag[index, p, a]
+        state.moment[0] += state.bin_moment[index]
+        state.information[0, 0] += state.bin_information[index]
+        for a in range(departure.COUNT):
+            state.drag[0, a] += bin_drag(state, index, a)
+        if active > 1:
+            _add_shared(state, index, state.information)
+            for p in range(1, LOADS):
+                state.moment[p] += np.float64(state.swing_moment[index, p - 1])
+                for a in range(departure.COUNT):
+                    state.drag[p, a] += np.float64(state.swing_drag[index, p, a])
         index = index - 1 if index > 0 else WINDOW - 1
     state.filled = bins
     state.raw_information = state.information[0, 0] * state.inflation

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from schemas.kernels import kernel
 from service.estimator import departure
 from service.estimator.payload.state import OFFSET_STD, PRIOR_STD
@@ -29,11 +31,23 @@ def invert(information, active, inverse):
 
 
 @kernel
-def corrected_moment(state, moment, drag, load):
-    """moment of `load`, what friction did to it taken off."""
-    left = moment[load]
+def pair(one, other):
+    """Where a bin has what two loads share, `one` no later than `other`, not both the mass."""
+    return other * (other + 1) // 2 + one - 1
+
+
+@kernel
+def bin_drag(state, index, at):
+    """What friction's part `at` does to the mass's moment in a bin."""
+    return np.float64(state.swing_drag[index, 0, at]) if state.turns != 0 else state.bin_drag[index, at]
+
+
+@kernel
+def corrected_moment(state, moment, drag):
+    """A load's moment, what friction did to it taken off. drag: (COUNT,)."""
+    left = moment
     for a in range(departure.COUNT):
-        left -= drag[load, a] * state.departure.delta[a]
+        left -= drag[a] * state.departure.delta[a]
     return left
 
 
@@ -48,10 +62,7 @@ def begin_whole(state):
 @kernel
 def weigh_whole(state):
     """The mass, kg, by all that told it since the last change."""
-    left = state.whole_moment
-    for a in range(departure.COUNT):
-        left -= state.whole_drag[a] * state.departure.delta[a]
-    return left / state.whole_information
+    return corrected_moment(state, state.whole_moment, state.whole_drag) / state.whole_information
 
 
 @kernel
@@ -60,7 +71,7 @@ def locate(state):
     active, inverse, found = state.active, state.inverse, state.found
     invert(state.information, active, inverse)
     for p in range(active):
-        state.pull[p] = corrected_moment(state, state.moment, state.drag, p)
+        state.pull[p] = corrected_moment(state, state.moment[p], state.drag[p])
     for p in range(active):
         found[p] = 0.0
         for q in range(active):

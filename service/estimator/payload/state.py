@@ -39,6 +39,7 @@ LEAST_TIME = 0.02  # s
 # these standard deviations. Without a known load nothing shows by how much all masses are off.
 UNCALIBRATED = 0.035
 LOADS = 3  # m and, where the fourth axis turns, the m d_1 and m d_2 of `turning`
+PAIRS = LOADS * (LOADS + 1) // 2 - 1  # of loads that share information, the mass with itself apart
 # One standard deviation of m d: 4 kg at 50 mm.
 OFFSET_STD = 0.2  # kg m
 WEIGHT, RESIDUAL, COLUMN = range(3)  # of a joint's sums over a block
@@ -51,10 +52,15 @@ STATE = np.dtype(
         ("whole_information", "f8"),  # kg^-2, the same three of the mass since the last change, none of it forgotten
         ("whole_moment", "f8"),  # for what the model lacks
         ("whole_drag", "f8", departure.COUNT),
-        ("bin_information", "f8", (WINDOW, LOADS, LOADS)),
-        ("bin_moment", "f8", (WINDOW, LOADS)),
-        ("bin_drag", "f8", (WINDOW, LOADS, departure.COUNT)),
+        ("bin_information", "f8", WINDOW),  # of the mass
+        ("bin_moment", "f8", WINDOW),
+        ("bin_drag", "f8", (WINDOW, departure.COUNT)),  # of a robot without a fourth axis
         ("bin_told", "f8", WINDOW),
+        # in single precision, since a controller has little memory: of the offsets too, while the fourth axis turns
+        ("swing_information", "f4", (WINDOW, PAIRS)),  # by `pair`
+        ("swing_moment", "f4", (WINDOW, LOADS - 1)),
+        ("swing_drag", "f4", (WINDOW, LOADS, departure.COUNT)),  # of the mass: of a robot with a fourth axis
+        ("turns", "i8"),  # whether the robot has one
         ("told", "f8"),  # samples that the information is from
         ("active", "i8"),  # loads to be found: the mass alone, or all where the fourth axis turns
         ("turning", "i8"),  # samples for which they still are
@@ -154,6 +160,7 @@ SETTINGS = np.dtype(
         ("max_payload", "f8"),  # kg
         ("common_share", "f8"),  # of a mass, standard deviation of what the torque constants put all masses off by
         ("unsure", "f8"),  # kg^2, variance of a mass for what is not known of the effects
+        ("turns", "i8"),  # whether the robot has a fourth axis
     ],
     align=True,
 )
@@ -177,11 +184,12 @@ def settings(
     variance: np.ndarray,
     torque_constant_error: float | None = None,
     unsure: float = 0.0,
+    turns: bool = False,
 ) -> np.ndarray:
     """One SETTINGS record. period: s. prior: (COUNT,) of departure. max_payload: kg. model_error: (3,) N m rms that the
     model left where it was identified. variance: (3,) (N m)^2, as `sample_variance`. torque_constant_error: standard
     error of the torque constants as a share, None where nobody calibrated them. unsure: kg, standard deviation of a
-    mass for what is not known of the effects."""
+    mass for what is not known of the effects. turns: whether the robot has a fourth axis."""
     record = np.zeros((), SETTINGS)
     for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME)):
         record[name] = max(1, round(time / period))
@@ -196,13 +204,14 @@ def settings(
     )
     record["prior"], record["period"], record["max_payload"] = prior, period, max_payload
     record["common_share"] = UNCALIBRATED if torque_constant_error is None else torque_constant_error
-    record["unsure"] = unsure**2
+    record["unsure"], record["turns"] = unsure**2, turns
     return record
 
 
-def start(state: np.ndarray, prior: np.ndarray) -> None:
-    """An empty gripper, nothing known; prior: (COUNT,) of departure."""
+def start(state: np.ndarray, prior: np.ndarray, turns: bool = False) -> None:
+    """An empty gripper, nothing known; prior: (COUNT,) of departure. turns: whether the robot has a fourth axis."""
     state[:] = np.zeros((), STATE)
+    state["turns"] = turns
     state["information"][..., range(LOADS), range(LOADS)] = [PRIOR_STD**-2, OFFSET_STD**-2, OFFSET_STD**-2]
     state["active"] = state["filled"] = 1
     state["untold"] = LEAST_TIME

@@ -10,7 +10,7 @@ from schemas.kernels import kernel
 from schemas.messages import Gripper
 from service.estimator import departure, slow
 from service.estimator.payload.change import find_change
-from service.estimator.payload.loads import begin_whole, corrected_moment, prior_of
+from service.estimator.payload.loads import begin_whole, corrected_moment, pair, prior_of
 from service.estimator.payload.rest import jolt_kernel, moved_kernel, rest_kernel
 from service.estimator.payload.scatter import part_blocks, scatter_kernel
 from service.estimator.payload.state import LEAST_TIME, LOADS, MEMORY_TIME, PRIOR_STD, STILL_TIME, TELLING_TIME, WINDOW
@@ -25,7 +25,7 @@ OFFSET_MEMORY = 5.0  # memory times after which nothing is left of what a turn s
 @kernel
 def payload_kernel(settings, state):
     """Take the sample in state.column, residual, weight, shape. Filled: mass, std_dev, trusted. Returns an event."""
-    column, residual, weight, shape, head = state.column, state.residual, state.weight, state.shape, state.head
+    column, weight, head = state.column, state.weight, state.head
     state.changed = 0
     if state.gripper != state.gripper_before:
         _grip(state)
@@ -37,27 +37,9 @@ def payload_kernel(settings, state):
     for i in range(3):
         raw += weight[i] * column[i, 0] * column[i, 0]
         weight[i] /= state.inflation if state.creeps[i] == 0 else max(state.inflation, state.breakaway)
+    _gather_information(settings, state)
     for p in range(state.active):
-        prior = prior_of(p)
-        for q in range(state.active):
-            own = prior if p == q else 0.0
-            gained = 0.0
-            for i in range(3):
-                gained += weight[i] * column[i, p] * column[i, q]
-            state.information[p, q] = own + (state.information[p, q] - own) * settings.forgetting + gained
-            state.bin_information[head, p, q] += gained
-        for a in range(departure.COUNT):
-            state.drag[p, a] *= settings.forgetting
-        gained = 0.0
-        for i in range(3):
-            pull = weight[i] * column[i, p]
-            gained += pull * residual[i]
-            for a in range(departure.PARTS):
-                at = departure.place(i, a)
-                state.drag[p, at] += pull * shape[i, a]
-                state.bin_drag[head, p, at] += pull * shape[i, a]
-        state.moment[p] = state.moment[p] * settings.forgetting + gained
-        state.bin_moment[head, p] += gained
+        _gather_moment(settings, state, p)
     state.raw_information = prior_of(0) + (state.raw_information - prior_of(0)) * settings.forgetting + raw
     _gather_whole(settings, state)
     told = raw > 0.0
@@ -76,6 +58,46 @@ def payload_kernel(settings, state):
         if state.active > 1 or state.bin_told[head] > 0.0:  # a doubt that rest does not settle is not to run out in it
             _close_bin(settings, state)
     return conclude(settings, state)
+
+
+@kernel
+def _gather_information(settings, state):
+    """What the sample says of the loads, into all that is remembered and into the bin."""
+    column, weight = state.column, state.weight
+    for p in range(state.active):
+        for q in range(state.active):
+            own = prior_of(p) if p == q else 0.0
+            gained = 0.0
+            for i in range(3):
+                gained += weight[i] * column[i, p] * column[i, q]
+            state.information[p, q] = own + (state.information[p, q] - own) * settings.forgetting + gained
+            if q == 0 and p == 0:
+                state.bin_information[state.head] += gained
+            elif p <= q:
+                state.swing_information[state.head, pair(p, q)] += gained
+
+
+@kernel
+def _gather_moment(settings, state, load):
+    """The same of the moment of `load`, and of what friction does to it."""
+    head, gained = state.head, 0.0
+    for a in range(departure.COUNT):
+        state.drag[load, a] *= settings.forgetting
+    for i in range(3):
+        pull = state.weight[i] * state.column[i, load]
+        gained += pull * state.residual[i]
+        for a in range(departure.PARTS):
+            at, dragged = departure.place(i, a), pull * state.shape[i, a]
+            state.drag[load, at] += dragged
+            if load == 0 and state.turns == 0:
+                state.bin_drag[head, at] += dragged
+            else:
+                state.swing_drag[head, load, at] += dragged
+    state.moment[load] = state.moment[load] * settings.forgetting + gained
+    if load == 0:
+        state.bin_moment[head] += gained
+    else:
+        state.swing_moment[head, load - 1] += gained
 
 
 @kernel
@@ -115,8 +137,13 @@ def _close_bin(settings, state):
 def _empty_bin(state, index):
     state.bin_information[index] = 0.0
     state.bin_moment[index] = 0.0
-    state.bin_drag[index] = 0.0
     state.bin_told[index] = 0.0
+    if state.turns == 0:
+        state.bin_drag[index] = 0.0
+    if state.turns != 0 or state.active > 1:
+        state.swing_information[index] = 0.0
+        state.swing_moment[index] = 0.0
+        state.swing_drag[index] = 0.0
 
 
 @kernel
@@ -137,11 +164,14 @@ def _forget_beyond_bias(state):
         state.drag[0, a] *= keep
     index = state.head
     for _ in range(state.filled):
-        state.bin_information[index, 0, 0] *= keep
-        state.bin_moment[index, 0] *= keep
+        state.bin_information[index] *= keep
+        state.bin_moment[index] *= keep
         state.bin_told[index] *= keep
         for a in range(departure.COUNT):
-            state.bin_drag[index, 0, a] *= keep
+            if state.turns == 0:
+                state.bin_drag[index, a] *= keep
+            else:
+                state.swing_drag[index, 0, a] *= keep
         index = index - 1 if index > 0 else WINDOW - 1
 
 
@@ -188,7 +218,7 @@ def _weigh_at_rest(settings, state, fast):
     if mass < -margin or mass > settings.max_payload + margin:
         rest.step = 0.0
         return
-    state.moment[0] += state.information[0, 0] * mass - corrected_moment(state, state.moment, state.drag, 0)
+    state.moment[0] += state.information[0, 0] * mass - corrected_moment(state, state.moment[0], state.drag[0])
     loosen_kernel(state, rest.variance)
     state.still = 0.0
     state.untold = LEAST_TIME

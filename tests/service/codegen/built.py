@@ -18,7 +18,7 @@ from service.estimator import state
 from service.estimator.estimator import Estimator
 
 COMPILER = shutil.which("gcc")
-FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-ffp-contract=off"]
+FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wcast-qual", "-pedantic", "-Werror", "-ffp-contract=off"]
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no gcc on this machine")
 TOPICS_OUT = ("feedforward", "payload", "error")
 LOOP = """

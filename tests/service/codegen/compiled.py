@@ -11,11 +11,11 @@ from service.cli.main import app
 from tests.service.codegen.built import COMPILER
 
 
-def compiled(robot: Path, folder: Path, rate: float, *more: str) -> Path:
+def compiled(robot: Path, folder: Path, rate: float, *more: str, optimised: str = "-O2") -> Path:
     """The library of what `deltatwin export --to c` writes."""
     arguments = ["export", str(robot), "--to", "c", "--rate", f"{rate:g}", "--out", str(folder), *more]
     told = CliRunner().invoke(app, arguments)
     assert told.exit_code == 0, f"{told.output} {told.exception}"
-    path, flags = folder / "libtwin.so", ["-O2", "-std=c99", "-ffp-contract=off", "-fPIC", "-shared"]
+    path, flags = folder / "libtwin.so", [optimised, "-std=c99", "-ffp-contract=off", "-fPIC", "-shared"]
     subprocess.run([COMPILER or "gcc", *flags, str(folder / "deltatwin.c"), "-o", str(path), "-lm"], check=True)
     return path

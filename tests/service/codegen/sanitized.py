@@ -57,14 +57,14 @@ int main(void)
 
 
 class Sanitized:
-    """A twin of `robot`, compiled in `folder`."""
+    """A twin of `robot`, compiled in `folder`. optimised: for many samples."""
 
-    def __init__(self, robot: Robot, period: float, folder: Path) -> None:
+    def __init__(self, robot: Robot, period: float, folder: Path, optimised: str = "-O0") -> None:
         twin = to_c(robot, period, nominal=True)
         for name, text in (("deltatwin.h", twin.header), ("deltatwin.c", twin.source), ("main.c", PROGRAM)):
             (folder / name).write_text(text)
         self._program = folder / "main"
-        sanitize = [SANITIZERS, "-fno-sanitize-recover=all", "-g", "-O1"]
+        sanitize = [SANITIZERS, "-fno-sanitize-recover=all", optimised]
         made = subprocess.run(
             [COMPILER or "gcc", *FLAGS, *sanitize, str(folder / "main.c"), "-o", str(self._program), "-lm"],
             capture_output=True, text=True, check=False,

@@ -26,7 +26,7 @@ from service.estimator import state
 from tests.service.codegen.built import COMPILER, converted, pointer
 
 TYPES = {
-    "LREAL": "double", "BOOL": "uint8_t", "LINT": "int64_t", "ULINT": "uint64_t", "DINT": "int32_t",
+    "LREAL": "double", "REAL": "float", "BOOL": "uint8_t", "LINT": "int64_t", "ULINT": "uint64_t", "DINT": "int32_t",
     "UDINT": "uint32_t", "USINT": "uint8_t", "LWORD": "uint64_t",
 }  # fmt: skip
 OPERATORS = {"=": "==", "<>": "!=", "AND": "&", "OR": "|", "XOR": "^"}
@@ -295,7 +295,7 @@ class Translated:
             if name in LIBRARY:
                 return f"{LIBRARY[name]}({', '.join(texts)})"
             of, _, to = name.partition("_TO_")
-            rounded = f"round({texts[0]})" if of == "LREAL" else f"({texts[0]})"
+            rounded = f"round({texts[0]})" if of == "LREAL" and to != "REAL" else f"({texts[0]})"
             return f"(({TYPES[to]}){rounded})"
         given = {self._said(_field(one, "name")): self._text(_field(one, "value")) for one in arguments}
         wanted = [(section, own) for section, own, _ in self._pous[name] if section != "own"]

@@ -28,12 +28,12 @@ INNER = np.dtype([("values", "f8", (2, 3)), ("many", "i8")], align=True)
 DATA = np.dtype(
     [
         ("x", "f8", 8), ("n", "i8", 8), ("u", "u8", 2), ("small", "u4", 2), ("signed", "i4", 2), ("inner", INNER, 3),
-        ("real", "f8", 24), ("whole", "i8", 24),
+        ("real", "f8", 24), ("whole", "i8", 24), ("single", "f4", 4),
     ],
     align=True,
 )  # fmt: skip
 LAYOUT = Layout({INNER: "inner", DATA: "data"})
-SHARE = 0.2
+SHARE, THREE = 0.2, 3
 
 
 class Pair(NamedTuple):
@@ -99,6 +99,29 @@ def _narrow(d):
     d.real[0] = d.signed[0] + d.small[1] * 1e-9
     d.small[1] |= 5
     d.whole[2] = ~d.small[1] & 0xFF ^ 3
+
+
+@kernel
+def _in_single_precision(d):
+    d.single[0] = d.x[5] * 1e-3  # rounded as it is stored
+    d.single[1] += d.x[5]
+    d.single[1] *= 0.1
+    d.real[0] = np.float64(d.single[0]) * d.x[5] + np.float64(d.single[1])
+    d.single[2:] = 1.0
+    d.single[3] = np.float64(d.single[3]) / 3.0 if d.n[0] == 1 else 0.0
+
+
+@kernel
+def _decided_beforehand(d):
+    if THREE == 3 and d.n[0] > 0 and not THREE < 1:
+        d.whole[0] = 1 if THREE > 2 else 7
+    if THREE == 2 or d.n[1] == 0:
+        d.whole[1] = 1
+    if THREE == 2:
+        d.whole[2] = 1
+    elif THREE == 3 or d.n[1] == 0:
+        d.whole[3] = 1
+    d.real[0] = 1.0 if THREE >= 3 else d.n[1]
 
 
 @kernel
@@ -189,6 +212,7 @@ def _functions(d):
 
 KNOWN = [
     _rests, _from_the_end, _extremes, _rounded, _powers, _serial_numbers, _narrow, _chosen, _loops, _views, _functions,
+    _in_single_precision, _decided_beforehand,
 ]  # fmt: skip
 
 
@@ -230,6 +254,55 @@ def _in_c(folder: Path, function):
     )  # fmt: skip
     assert made.returncode == 0, made.stderr
     return ctypes.CDLL(str(folder / "k.so")).go
+
+
+@kernel
+def _raised(row):
+    row[0] += 1.0
+
+
+@kernel
+def _read_alone(row, inner):
+    part = inner.values
+    first = part[0]
+    return row[0] + first[1]
+
+
+@kernel
+def _stored_behind_names(inner, other):
+    one = inner.values
+    first = one[1]
+    _raised(first)
+    two = other.values if inner.many > 0 else inner.values
+    return two[0, 0]
+
+
+@kernel
+def _many_ways(d):
+    d.real[0] = _read_alone(d.x, d.inner[0])
+    d.real[1] = _stored_behind_names(d.inner[1], d.inner[2])
+    pair = Pair(d.inner[0].values[0], 2.0)
+    d.real[2] = _inside(pair, d.inner[1])[0]
+
+
+@needs_compiler
+def test_what_is_read_alone_is_constant_in_c(tmp_path: Path) -> None:
+    program = Program(LAYOUT)
+    program.function(_many_ways, (Record(DATA),))
+    made = {one.name.removeprefix("test_constructs_"): one for one in program.functions}
+    assert {name: one.writes & {given for given, _ in one.parameters} for name, one in made.items()} == {
+        "read_alone": set(), "raised": {"row"}, "stored_behind_names": {"inner", "other"}, "inside": {"inner"},
+        "many_ways": {"d"},
+    }  # fmt: skip
+    writer = Writer(LAYOUT, "t")
+    said = {name: writer.signature(one) for name, one in made.items()}
+    assert "(const double *row, const t_inner *inner)" in said["read_alone"]
+    assert "(const t_pair *pair, t_inner *inner)" in said["inside"]
+    assert "(double *row)" in said["raised"]
+    wanted, found = data(), data()
+    _in_c(tmp_path, _many_ways)(ctypes.c_void_p(found.ctypes.data))
+    _many_ways(wanted[0])
+    assert found.tobytes() == wanted.tobytes()
 
 
 @kernel
@@ -310,6 +383,22 @@ def _one_way_without_value(d):
 
 
 @kernel
+def _single_counted_with(d):
+    d.x[0] = d.single[0] * 2.0
+
+
+@kernel
+def _single_with_whole(d):
+    d.single[0] += d.n[0]
+
+
+@kernel
+def _single_kept(d):
+    x = d.single[0]
+    d.x[0] = x
+
+
+@kernel
 def _made_inside_a_call(d):
     d.x[0] = _inside(Pair(d.inner[0].values[0], 2.0), d.inner[1])[0]
 
@@ -317,6 +406,7 @@ def _made_inside_a_call(d):
 REFUSED = [
     _while, _list, _unknown_function, _signed_with_unsigned, _beyond, _no_field, _two_types, _behind_its_loop,
     _calls_itself, _real_into_whole, _slice_to, _allocates, _rest_of_reals, _one_way_without_value, _made_inside_a_call,
+    _single_counted_with, _single_with_whole, _single_kept,
 ]  # fmt: skip
 
 

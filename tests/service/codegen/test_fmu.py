@@ -17,15 +17,13 @@ from typer.testing import CliRunner
 
 from drivers.trace import read_trace
 from replay.demo import LOG, ROBOT
-from schemas.messages import set_stamp
-from schemas.robot import load_robot, save_robot
+from schemas.messages import Gripper, SampleFlag, set_stamp
+from schemas.robot import FourthAxis, Robot, load_robot, save_robot
 from service.cli.main import app
-from service.codegen.fmu import write_fmu
 from service.estimator.estimator import Estimator
-from tests.known import PERIOD, robot
+from tests.known import PERIOD
 from tests.service.codegen.built import needs_compiler
 
-__all__ = ["robot"]
 pytestmark = needs_compiler
 STEPS = 2500  # through the first pick
 
@@ -55,6 +53,10 @@ class Unit:
         references, given = [self.references[name] for name in values], [float(value) for value in values.values()]
         (self.unit.setFloat64 if self.is_3 else self.unit.setReal)(references, given)
 
+    def set_whole(self, values: dict[str, int]) -> None:
+        references, given = [self.references[name] for name in values], [int(value) for value in values.values()]
+        (self.unit.setInt32 if self.is_3 else self.unit.setInteger)(references, given)
+
     def get(self, *names: str) -> list[float]:
         return (self.unit.getFloat64 if self.is_3 else self.unit.getReal)([self.references[name] for name in names])
 
@@ -73,36 +75,67 @@ def joints(name: str) -> list[str]:
     return [f"{name}_{number}" for number in (1, 2, 3)]
 
 
+@pytest.fixture(scope="module")
+def described() -> Robot:
+    return load_robot(ROBOT).model_copy(update={"fourth_axis": FourthAxis(shaft_mass_kg=0.2)})
+
+
+@pytest.fixture(scope="module")
+def paths(described, tmp_path_factory) -> dict[int, Path]:
+    """The FMU by version of the standard, as the command writes it."""
+    folder = tmp_path_factory.mktemp("fmu")
+    save_robot(described, folder / "r.toml")
+    for fmi in (2, 3):
+        options = ["--to", "fmu", "--fmi", str(fmi), "--nominal", "--out", str(folder / f"{fmi}.fmu")]
+        told = CliRunner().invoke(app, ["export", str(folder / "r.toml"), *options])
+        assert told.exit_code == 0, told.output
+    return {fmi: folder / f"{fmi}.fmu" for fmi in (2, 3)}
+
+
+def faulty(samples: np.ndarray) -> np.ndarray:
+    """With what an FMU can be told of faults, a gripper that is heard, and a fourth axis that turns."""
+    made = samples.copy()
+    made["fourth_position"] = np.sin(4e-3 * np.arange(len(made)))
+    made["position"][400:403], made["torque"][500, 1] = np.nan, np.inf
+    made["position"][600] += 0.4
+    made["position_command"][700:740], made["position_command"][800:805, 2] = np.nan, 9.0
+    made["flags"][900:904], made["flags"][1000:1100] = SampleFlag.BUS_FAULT, SampleFlag.BUS_FAULT
+    made["torque"][1200, 0] = 1e7
+    made["gripper"][1400:1600], made["gripper"][1600:] = Gripper.OPEN, Gripper.CLOSED
+    return made
+
+
 @pytest.mark.parametrize("fmi", [3, 2])
-def test_the_demo_log_comes_out_as_in_the_service(tmp_path: Path, fmi: Any) -> None:
-    robot = load_robot(ROBOT)
-    write_fmu(robot, PERIOD, fmi, tmp_path / "twin.fmu", "twin")
-    assert validate_fmu(str(tmp_path / "twin.fmu")) == []
-    samples = read_trace(LOG, robot).samples()[:STEPS]
+def test_the_demo_log_with_faults_comes_out_as_in_the_service(described, paths, tmp_path: Path, fmi: Any) -> None:
+    assert validate_fmu(str(paths[fmi])) == []
+    samples = faulty(read_trace(LOG, described).samples()[:STEPS])
     samples["sequence"], samples["torque_command"] = np.arange(STEPS), np.nan
     set_stamp(samples, np.arange(STEPS) * 1_000_000)
-    wanted = Estimator(robot, PERIOD).run(samples)
-    unit = Unit(tmp_path / "twin.fmu", fmi, tmp_path / "unpacked")
+    wanted = Estimator(described, PERIOD).run(samples)
+    unit = Unit(paths[fmi], fmi, tmp_path / "unpacked")
     unit.begin()
     torque, mass, sources = np.zeros((STEPS, 3)), np.zeros(STEPS), set()
     for k, sample in enumerate(samples):
-        unit.set(dict(zip(joints("position"), sample["position"], strict=True)))
-        unit.set(dict(zip(joints("torque"), sample["torque"], strict=True)))
-        unit.set(dict(zip(joints("position_command"), sample["position_command"], strict=True)))
+        for name in ("position", "torque", "position_command"):
+            unit.set(dict(zip(joints(name), sample[name], strict=True)))
+        unit.set({"fourth_position": sample["fourth_position"]})
+        unit.set_whole({"gripper": sample["gripper"], "flags": sample["flags"]})
         unit.step(k * PERIOD)
         torque[k], (mass[k],) = unit.get(*joints("feedforward")), unit.get("mass")
         sources.add(unit.whole("source"))
     unit.end()
     np.testing.assert_array_equal(torque, wanted.feedforward["torque"])
     assert mass[-1] == wanted.payload["mass"][-1]
-    assert mass[-1] != 0.0
-    assert sources >= {1, 3}
+    assert set(mass) == {0.0, *wanted.payload["mass"]}
+    assert mass.max() > 0.5
+    assert sources == {0, 1, 3}
 
 
-def test_parameters_are_taken_and_checked_and_the_step_is_the_one_it_was_made_for(robot, tmp_path: Path) -> None:
-    write_fmu(robot, PERIOD, 3, tmp_path / "twin.fmu", "twin")
-    unit = Unit(tmp_path / "twin.fmu", 3, tmp_path / "unpacked")
-    assert unit.get("coulomb_2") == [robot.identified.coulomb_friction_nm.value[1]]
+def test_parameters_are_taken_and_checked_and_the_step_is_the_one_it_was_made_for(
+    described, paths, tmp_path: Path
+) -> None:
+    unit = Unit(paths[3], 3, tmp_path / "unpacked")
+    assert unit.get("coulomb_2") == [described.identified.coulomb_friction_nm.value[1]]
     with pytest.raises(Exception, match="fmi3ExitInitializationMode"):
         unit.begin(peak=-1.0)
     unit.unit.reset()
@@ -116,12 +149,17 @@ def test_parameters_are_taken_and_checked_and_the_step_is_the_one_it_was_made_fo
     unit.end()
 
 
-def test_the_command_writes_sources_beside_the_library(robot, tmp_path: Path) -> None:
-    save_robot(robot, tmp_path / "r.toml")
-    options = ["--to", "fmu", "--fmi", "2", "--rate", "500", "--out", str(tmp_path / "r.fmu")]
-    told = CliRunner().invoke(app, ["export", str(tmp_path / "r.toml"), *options])
-    assert told.exit_code == 0, told.output
-    with zipfile.ZipFile(tmp_path / "r.fmu") as archive:
+def test_what_was_never_identified_is_refused(described, tmp_path: Path) -> None:
+    save_robot(described.model_copy(update={"identified": None}), tmp_path / "r.toml")
+    told = CliRunner().invoke(
+        app, ["export", str(tmp_path / "r.toml"), "--to", "fmu", "--out", str(tmp_path / "r.fmu")]
+    )
+    assert "r.toml: identified: not there" in str(told.exception)
+    assert not (tmp_path / "r.fmu").exists()
+
+
+def test_the_command_writes_sources_beside_the_library(paths) -> None:
+    with zipfile.ZipFile(paths[2]) as archive:
         names = set(archive.namelist())
         if shutil.which("x86_64-w64-mingw32-gcc"):
             library = archive.read("binaries/win64/deltatwin.dll")

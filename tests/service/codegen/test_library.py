@@ -34,7 +34,7 @@ def described(robot, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def library(described, tmp_path_factory) -> Path:
-    return compiled(described.folder / "r.toml", tmp_path_factory.mktemp("twin"), 1 / PERIOD)
+    return compiled(described.folder / "r.toml", tmp_path_factory.mktemp("twin"), 1 / PERIOD, optimised="-O0")
 
 
 def test_in_the_cycle_it_answers_as_the_estimator_to_the_bit(described, library, make) -> None:
@@ -58,17 +58,17 @@ def test_code_of_another_cycle_robot_or_file_is_refused(described, library, robo
         Library(library, described, PERIOD / 2)
     with pytest.raises(RobotError, match=r"exported from another description than .*: export it again"):
         Library(library, robot, PERIOD)
-    other = compiled(described.folder / "r.toml", tmp_path / "other", 1 / PERIOD, "--name", "deltatwin", "--nominal")
+    other = compiled(described.folder / "r.toml", tmp_path / "other", 1 / PERIOD, "--nominal", optimised="-O0")
     source = other.with_name("deltatwin.c")
     source.write_text(source.read_text().replace("1e-09", "2e-09"))
     with pytest.raises(StorageError, match=r"deltatwin\.c was changed since it was exported"):
         Library(other, described, PERIOD)
     text = tmp_path / "other" / "libtext.so"
-    compiled(described.folder / "r.toml", tmp_path / "other", 1 / PERIOD)
+    compiled(described.folder / "r.toml", tmp_path / "other", 1 / PERIOD, optimised="-O0")
     text.write_text("no library")
     with pytest.raises(StorageError, match=r"libtext\.so: no library that this machine can load"):
         Library(text, described, PERIOD)
-    compiled(described.folder / "r.toml", tmp_path / "slow", 100.0)
+    compiled(described.folder / "r.toml", tmp_path / "slow", 100.0, optimised="-O0")
     stale = tmp_path / "other" / "libstale.so"
     stale.write_bytes((tmp_path / "slow" / "libtwin.so").read_bytes())
     with pytest.raises(StorageError, match=r"libstale\.so: compiled from other code than"):
@@ -78,7 +78,7 @@ def test_code_of_another_cycle_robot_or_file_is_refused(described, library, robo
 
 
 def test_in_single_precision_it_is_near(described, make, tmp_path: Path) -> None:
-    path = compiled(described.folder / "r.toml", tmp_path / "single", 1 / PERIOD, "--float32")
+    path = compiled(described.folder / "r.toml", tmp_path / "single", 1 / PERIOD, "--float32", optimised="-O0")
     samples = make(0.5).samples
     one, other = Library(path, described, PERIOD), Estimator(described, PERIOD)
     for n in range(len(samples)):

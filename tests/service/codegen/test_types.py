@@ -51,7 +51,7 @@ def kind_of(one: types.Type) -> str:
     if isinstance(one, types.Integer):
         return "uint64" if one is types.uint64 else "int64"
     if isinstance(one, types.Float):
-        return "float64"
+        return "float64" if one.bitwidth == 64 else "float32"
     return "record" if isinstance(one, types.Record) else "array" if isinstance(one, types.Array) else "other"
 
 

@@ -10,12 +10,13 @@ from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, SMALLE
 from tests.service.estimator.test_departure import PRIOR as DRIFT
 
 OFFSETS = np.diag([0.0, OFFSET_STD**-2, OFFSET_STD**-2])  # what is known of a place beforehand
+SHARED = np.array([0, 1, 0, 1, 2]), np.array([1, 1, 2, 2, 2])  # loads, in the order of what bins say of two of them
 
 
-def believing(active, random):
+def believing(active, random, turns=False):
     """A state in which friction is known with some error."""
     states = np.zeros(1, STATE)
-    start(states, DRIFT)
+    start(states, DRIFT, turns)
     (state,) = states
     state["active"] = active
     np.testing.assert_allclose(state["information"], OFFSETS + np.diag([PRIOR_STD**-2, 0.0, 0.0]))
@@ -32,11 +33,29 @@ def fill(state, bins, load_of, random, clearly=1.0):
         slopes = random.standard_normal((6, COUNT))
         pulled = columns.T @ (columns @ load_of(n)[:active] + slopes @ delta + 0.3 * random.standard_normal(6))
         head = state["head"] = (state["head"] + 1) % WINDOW
-        for name, gained in (("information", columns.T @ columns), ("moment", pulled), ("drag", columns.T @ slopes)):
-            part = (slice(active),) * (2 if name == "information" else 1)
-            state[f"bin_{name}"][head][part] = gained
-            state[name][part] += gained
+        gained = [sums.astype("f4") for sums in (columns.T @ columns, pulled, columns.T @ slopes)]
+        for name, sums in zip(("information", "moment", "drag"), gained, strict=True):
+            state[name][(slice(active),) * (2 if name == "information" else 1)] += sums
+        information, moment, drag = gained
+        state["bin_information"][head], state["bin_moment"][head] = information[0, 0], moment[0]
+        state["swing_drag" if state["turns"] else "bin_drag"][head] = drag[0]
+        if active > 1:
+            state["swing_information"][head], state["swing_moment"][head] = information[SHARED], moment[1:]
+            state["swing_drag"][head][1:] = drag[1:]
     state["filled"] = bins
+
+
+def told_by(state, index, active):
+    """Information, moment and drag of a bin."""
+    information = np.full((active, active), state["bin_information"][index])
+    moment, drag = np.full(active, state["bin_moment"][index]), np.zeros((active, COUNT))
+    drag[:] = state["swing_drag"][index][:active]
+    if not state["turns"]:
+        drag[0] = state["bin_drag"][index]
+    if active > 1:
+        information[SHARED] = information.T[SHARED] = state["swing_information"][index]
+        moment[1:] = state["swing_moment"][index]
+    return information, moment, drag
 
 
 @pytest.mark.parametrize("active", [1, LOADS])
@@ -66,9 +85,8 @@ def distances(state):
     result = np.full(state["filled"], np.nan)
     hidden = 0.0  # kg^2 of the mass alone, beyond noise and what the model lacks
     for n in range(state["filled"]):
-        since = since + state["bin_information"][index, :active, :active]
-        pulled = pulled + state["bin_moment"][index, :active]
-        dragged = dragged + state["bin_drag"][index, :active]
+        information, moment, drag = told_by(state, index, active)
+        since, pulled, dragged = since + information, pulled + moment, dragged + drag
         index = index - 1 if index else WINDOW - 1
         if n + 1 < change.SHORTEST:
             continue
@@ -103,11 +121,12 @@ def distances(state):
     ],
     ids=["pick", "release", "part of it", "just now", "too soon", "another place", "too little", "of a bad model"],
 )
+@pytest.mark.parametrize("turns", [False, True], ids=["three axes", "a fourth axis"])
 @pytest.mark.parametrize("active", [1, LOADS])
-def test_an_onset_is_where_the_loads_differ_most_from_those_before(active, load, other, bias, onset, told):
+def test_an_onset_is_where_the_loads_differ_most_from_those_before(active, turns, load, other, bias, onset, told):
     """And from there on the estimate is that of the samples since."""
     random = np.random.default_rng(5)
-    state = believing(active, random)
+    state = believing(active, random, turns)
     state["bias"], state["inflation"], state["head"] = bias, 1.3, -100 % WINDOW
     for name in ("since_drag", "since_moment", "since_information", "before_moment", "before_information", "hidden"):
         state[name] = 7.0  # left by the sample before
@@ -129,9 +148,10 @@ def test_an_onset_is_where_the_loads_differ_most_from_those_before(active, load,
         assert change._step_distance(state, 0.0) == pytest.approx(expected[-1], rel=1e-6)
         return
     assert abs(best - onset) <= 2
-    information = OFFSETS[:active, :active] + state["bin_information"][kept, :active, :active].sum(axis=0)
+    information, moment, drag = (sum(sums) for sums in zip(*(told_by(state, n, active) for n in kept), strict=True))
+    information = OFFSETS[:active, :active] + information
     np.testing.assert_allclose(state["information"][:active, :active], information, rtol=1e-9, atol=1e-9)
-    for name in ("moment", "drag"):
-        np.testing.assert_allclose(state[name][:active], state[f"bin_{name}"][kept, :active].sum(axis=0), atol=1e-9)
+    np.testing.assert_allclose(state["moment"][:active], moment, atol=1e-9)
+    np.testing.assert_allclose(state["drag"][:active], drag, atol=1e-9)
     assert state["filled"] == best
     assert state["raw_information"] == pytest.approx(1.3 * state["information"][0, 0])

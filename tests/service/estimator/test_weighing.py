@@ -1,5 +1,7 @@
 """One sample into the payload estimate, against sums by matrices."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from schemas.messages import Gripper
 from service.estimator import slow
 from service.estimator.departure import COUNT, OWN, PARTS
 from service.estimator.payload import step
-from service.estimator.payload.loads import weigh_whole
+from service.estimator.payload.loads import pair, weigh_whole
 from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, STATE, sample_variance, settings, start
 from tests.service.estimator.test_departure import PRIOR as DRIFT
 from tests.service.estimator.test_departure import slopes_of
@@ -56,11 +58,12 @@ def test_what_a_model_left_counts_for_as_long_as_it_lasts_where_it_stands_out():
     assert found == pytest.approx([0.09 + 0.64 * 0.16 * 5, 0.25 * 5, 0.04])
 
 
+@pytest.mark.parametrize("turns", [0, 1], ids=["three axes", "a fourth axis"])
 @pytest.mark.parametrize("active", [1, LOADS])
-def test_every_sample_adds_what_it_says_and_the_past_fades(active):
+def test_every_sample_adds_what_it_says_and_the_past_fades(active, turns):
     """Seven of them, two a bin, in the metric of noise that scatters 1.7 times as much as it should, 2.9 where a joint
     creeps."""
-    random, state = np.random.default_rng(1), fresh(inflation=1.7, breakaway=2.9, creeps=[0, 1, 0])
+    random, state = np.random.default_rng(1), fresh(inflation=1.7, breakaway=2.9, creeps=[0, 1, 0], turns=turns)
     information, moment, drag, raw = PRIOR[:active, :active], np.zeros(active), np.zeros((active, COUNT)), PRIOR[0, 0]
     bins = np.zeros((4, active, active + 1 + COUNT))
     fade = np.exp(-PERIOD / 3.0)
@@ -85,14 +88,27 @@ def test_every_sample_adds_what_it_says_and_the_past_fades(active):
     np.testing.assert_allclose(state["moment"][:active], moment)
     np.testing.assert_allclose(state["drag"][:active], drag)
     np.testing.assert_allclose(state["raw_information"], raw)
-    mine = slice(active)
-    np.testing.assert_allclose(state["bin_information"][:4, mine, mine], bins[:, :, :active])
-    np.testing.assert_allclose(state["bin_moment"][:4, mine], bins[:, :, active])
-    np.testing.assert_allclose(state["bin_drag"][:4, mine], bins[:, :, active + 1 :])
     assert state["untold"] == pytest.approx(0.02 - 7 * PERIOD)
     assert state["turning"] == (15_000 if active > 1 else 0), "samples of 5 times 3 s"
+    np.testing.assert_allclose(state["bin_information"][:4], bins[:, 0, 0])
+    np.testing.assert_allclose(state["bin_moment"][:4], bins[:, 0, active])
+    nearly, drag = partial(np.testing.assert_allclose, rtol=1e-5, atol=1e-5), bins[:, :, active + 1 :]
+    if turns:
+        nearly(state["swing_drag"][:4, 0], drag[:, 0])
+    else:
+        np.testing.assert_allclose(state["bin_drag"][:4], drag[:, 0])
+    assert state["bin_drag" if turns else "swing_drag"][:, :1].any() == 0
+    if active == 1:
+        assert not any(state[name].any() for name in ("swing_information", "swing_moment"))
+        return
+    nearly(state["swing_drag"][:4, 1:], drag[:, 1:])
+    nearly(state["swing_moment"][:4], bins[:, 1:, active])
+    for n, (p, q) in enumerate([(0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]):
+        assert pair(p, q) == n
+        nearly(state["swing_information"][:4, n], bins[:, p, q])
 
 
+@pytest.mark.parametrize("turns", [0, 1], ids=["three axes", "a fourth axis"])
 @pytest.mark.parametrize(
     ("bias", "fields", "keep"),
     [
@@ -102,11 +118,12 @@ def test_every_sample_adds_what_it_says_and_the_past_fades(active):
         (0.3, {"active": LOADS, "turning": 9}, 1.0),
     ],
 )
-def test_where_what_the_model_lacks_forbids_trust_noise_is_averaged_no_longer(bias, fields, keep):
+def test_where_what_the_model_lacks_forbids_trust_noise_is_averaged_no_longer(bias, fields, keep, turns):
     """Newer samples weigh as much as they tell: the past fades, in the window of onsets too."""
-    state = fresh(bias=bias, moment=10.0, drag=2.0, raw_information=30.25, told=100.0, **fields)
+    state = fresh(bias=bias, moment=10.0, drag=2.0, raw_information=30.25, told=100.0, turns=turns, **fields)
     state["information"][0, 0], state["filled"] = 50.25, 2
-    for name in ("bin_information", "bin_moment", "bin_drag", "bin_told"):
+    kept_in = ("bin_information", "bin_moment", "swing_drag" if turns else "bin_drag", "bin_told")
+    for name in kept_in:
         state[name][[0, -1]] = 1.0
     state["in_bin"] = 1
     rest(state)
@@ -115,24 +132,28 @@ def test_where_what_the_model_lacks_forbids_trust_noise_is_averaged_no_longer(bi
     assert state["information"][0, 0] == pytest.approx(0.25 + 50.0 * kept)
     assert state["raw_information"] == pytest.approx(0.25 + 30.0 * kept)
     assert (state["moment"][0], state["drag"][0, 0], state["told"]) == pytest.approx((10 * kept, 2 * kept, 100 * kept))
-    for name in ("bin_information", "bin_moment", "bin_drag", "bin_told"):
+    for name in kept_in:
         assert state[name].reshape(150, -1)[[0, -1], 0] == pytest.approx(kept / fade)
 
 
 def tell(state, times):
     """Samples that say next to nothing."""
     for _ in range(times):
-        state["weight"], state["column"], state["residual"] = 1e-9, 1.0, 0.0
+        state["weight"], state["column"], state["residual"] = 1e-9, 0.0, 0.0
+        state["column"][:, : state["active"]] = 1.0
         step.payload_kernel(SETTINGS, state)
 
 
-def test_a_bin_that_comes_round_again_starts_at_nothing():
-    state = fresh(bin_information=1.0, bin_moment=1.0, bin_drag=1.0, head=148, filled=149)
+@pytest.mark.parametrize(("turns", "active"), [(0, 1), (0, LOADS), (1, 1), (1, LOADS)])
+def test_a_bin_that_comes_round_again_starts_at_nothing(turns, active):
+    kept = ["bin_information", "bin_moment", "swing_drag" if turns else "bin_drag"]
+    kept += ["swing_information", "swing_moment", "swing_drag"] if active > 1 else []
+    state = fresh(head=148, filled=149, turns=turns, active=active, turning=1000, **dict.fromkeys(kept, 1.0))
     tell(state, 2)
     assert (state["head"], state["filled"], state["in_bin"]) == (149, 150, 0)
     tell(state, 2)
     assert (state["head"], state["filled"]) == (0, 150)
-    for name in ("bin_information", "bin_moment", "bin_drag"):
+    for name in kept:
         empty = (np.abs(state[name].reshape(150, -1)) < 1e-6).all(axis=1)
         np.testing.assert_array_equal(np.flatnonzero(empty), [0, 149])
 
