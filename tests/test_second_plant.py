@@ -12,7 +12,18 @@ from drivers.trace import read_trace
 from schemas.robot import Identified, load_robot
 from service.model.effects import CATALOGUE
 from tests.bench.second_plant.cases import at_rest, draw, make, motions, placed
-from tests.bench.second_plant.closed_chain import ANGLE_RATE, CYCLE_S, MOTOR_RATE, SPEED, Plant, energy, run
+from tests.bench.second_plant.closed_chain import (
+    ANGLE,
+    ANGLE_RATE,
+    CYCLE_S,
+    MOTOR,
+    MOTOR_RATE,
+    SPEED,
+    Plant,
+    energy,
+    run,
+)
+from tests.bench.second_plant.closed_chain import PLACE as PLATFORM
 from tests.bench.second_plant.faults import DISTURBANCES, EFFECTS, afflicted, disturbed, may_join
 from tests.bench.second_plant.inverse import along, angles, elbows, required
 from tests.bench.second_plant.recorder import coloured, reported, scope
@@ -177,3 +188,21 @@ def test_a_seed_is_one_case_and_another_is_another() -> None:
         strict=True,
     ):
         np.testing.assert_array_equal(one, two)
+
+
+def test_a_soft_gear_begins_bent_by_its_weight_and_does_not_swing(bare: Plant) -> None:
+    """Against a start at which it is straight: then the platform falls and swings."""
+    soft = bare._replace(
+        stiffness=np.full(3, 2500.0), damping=np.full(3, 0.6), position_gain=np.full(3, 3e3),
+        velocity_gain=np.full(3, 20.0),
+    )  # fmt: skip
+    state = at_rest(soft, PLACE)
+    hold = np.repeat(state[None, MOTOR : MOTOR + 3], 1200, axis=0)
+    load = soft.stiffness * (state[MOTOR : MOTOR + 3] - state[ANGLE : ANGLE + 3])
+    straight = state.copy()
+    straight[ANGLE : ANGLE + 3], straight[PLATFORM : PLATFORM + 3] = state[MOTOR : MOTOR + 3], PLACE
+    swings = [
+        np.ptp(run(soft, start, hold, 0 * hold, 0 * hold + load, 0.0)[2][:, 2]) for start in (state, straight)
+    ]  # fmt: skip
+    assert swings[0] < 0.1 * swings[1]
+    assert state[PLATFORM + 2] < PLACE[2] - 5e-4

@@ -83,7 +83,7 @@ def diagnose(
     searched = _searched(robot, traces, pooled.problem_of(recordings), effects, given, progress)
     best = searched.selection.best.hypothesis
     again = pooled.floor_in_band(searched.problem, searched.floor, best)
-    if not np.array_equal(again[1].band, searched.floor.band):
+    if np.abs(np.log(again[1].band / searched.floor.band)).max() > np.log(WITHIN_NOISE):
         searched = _searched(robot, traces, again, effects, given, progress)
     problem, floor, split, plain = searched.problem, searched.floor, searched.split, searched.plain
     scope, regressors, selection = searched.scope, searched.regressors, searched.selection

@@ -57,19 +57,22 @@ def floor(recordings: Sequence[Recording], residuals: Sequence[np.ndarray], band
 
 
 def refined(recordings: Sequence[Recording], residuals: Sequence[np.ndarray], known: Floor, band: Band) -> Floor:
-    """The floor read inside the analysis band, of joints whose level there was extrapolated or guessed.
+    """The floor read inside the analysis band, from the windows in which the best model leaves least.
 
-    residuals: (N, n) N m of the best model that there is. In the windows in which it leaves least that is noise, and
-    what of it is not makes the floor too high: it is believed up to `MEMORY` times the density just above the band,
-    which is what noise of first order may rise by. Less than was guessed says no more than the guess.
+    residuals: (N, n) N m of the best model that there is. What of them is no noise makes the reading too high, so it is
+    believed as far as the noise just above the band allows: where that is white, up to its level there, which noise with
+    a memory exceeds inside the band; where the level inside was extrapolated or guessed, up to `MEMORY` times its
+    density, which is what noise of first order may rise by. A reading below a guess says no more than the guess.
     """
     length = round(RESOLVED / (band.cutoff_hz * band.period))
     inside = _levels(recordings, residuals, [(2 * band.cutoff_hz / RESOLVED, band.cutoff_hz)], length)[:, 0]
     above = _profile(recordings, residuals, band)[:, 0]
-    level = inside * band.white_share**0.5
+    share = band.white_share**0.5
+    level, flagged = inside * share, known.coloured | known.unknown
     read = (known.coloured | (known.unknown & (level > known.band))) & (inside < MEMORY**0.5 * above)
-    level = np.where(read, level, known.band)
-    return Floor(known.sample, level, known.coloured | read, known.unknown & ~read)
+    white = np.maximum(known.band, np.minimum(inside, above) * share)
+    found = np.where(read, level, np.where(flagged, known.band, white))
+    return Floor(known.sample, found, known.coloured | read, known.unknown & ~read)
 
 
 def white_noise(recordings: Sequence[Recording], residuals: Sequence[np.ndarray] | None = None) -> np.ndarray:

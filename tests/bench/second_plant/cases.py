@@ -119,10 +119,17 @@ def motions(case: Case, rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 def at_rest(plant: Plant, place: np.ndarray) -> np.ndarray:
-    """State of the plant with its platform at rest at `place` (3,)."""
+    """State of the plant at rest with its motors where they have to be for a platform at `place` (3,); compliant gears
+    are bent by the weight behind them, as they are where a vibration has died out, so the platform hangs lower."""
     state = np.zeros(STATES)
-    state[PLACE : PLACE + 3] = place
-    state[ANGLE : ANGLE + 3] = state[MOTOR : MOTOR + 3] = angles(plant, place[None])[0]
+    motor = angles(plant, place[None])
+    standing = along(plant, np.repeat(place[None], 5, axis=0), CYCLE_S)
+    load = required(plant, standing)[2]
+    soft = plant.stiffness > 0.0
+    bent = np.where(soft, load / np.where(soft, plant.stiffness, 1.0) + np.sign(load) * plant.lash / 2, 0.0)
+    state[MOTOR : MOTOR + 3] = motor[0]
+    state[ANGLE : ANGLE + 3] = motor[0] - bent
+    state[PLACE : PLACE + 3] = placed(plant, motor - bent)[0] if soft.any() else place
     return state
 
 
