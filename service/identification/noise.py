@@ -59,10 +59,10 @@ def floor(recordings: Sequence[Recording], residuals: Sequence[np.ndarray], band
 def refined(recordings: Sequence[Recording], residuals: Sequence[np.ndarray], known: Floor, band: Band) -> Floor:
     """The floor read inside the analysis band, from the windows in which the best model leaves least.
 
-    residuals: (N, n) N m of the best model that there is. What of them is no noise makes the reading too high, so it is
-    believed as far as the noise just above the band allows: where that is white, up to its level there, which noise with
-    a memory exceeds inside the band; where the level inside was extrapolated or guessed, up to `MEMORY` times its
-    density, which is what noise of first order may rise by. A reading below a guess says no more than the guess.
+    residuals: (N, n) N m of the best model that there is. Any structure in them makes the reading too high, so it is
+    limited by the noise just above the band. Where noise was taken as white: by its level there, which noise of first
+    order exceeds inside the band. Where the level inside was extrapolated or guessed: by `MEMORY` times its density,
+    the most that noise of first order may rise by. A reading below a guess does not replace the guess.
     """
     length = round(RESOLVED / (band.cutoff_hz * band.period))
     inside = _levels(recordings, residuals, [(2 * band.cutoff_hz / RESOLVED, band.cutoff_hz)], length)[:, 0]
