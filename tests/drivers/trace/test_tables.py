@@ -198,7 +198,7 @@ def test_dates_flags_products_percent_and_unsigned(tmp_path: Path) -> None:
     path.write_text(text)
     kept = read_trace(path, columns=columns.model_copy(update={"where": Columns(where=where).where}))  # pyright: ignore[reportArgumentType]
     assert len(kept) == 200
-    assert "100 of 300 rows have not 1 in column 'on' and were left out" in [f.message for f in kept.findings]
+    assert "100 of 300 rows do not have 1 in column 'on' and were left out" in [f.message for f in kept.findings]
 
 
 @pytest.mark.parametrize(

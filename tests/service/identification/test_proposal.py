@@ -273,7 +273,7 @@ def test_a_command_is_in_the_unit_in_which_it_goes_as_far(name: str, per_metre: 
     assert entries(found, "position") == [{"unit": "m"}]
     assert found.columns.get("position_command") == (None if unit is None else [{"name": name, "unit": unit}])
     assert found.channels.position_command == (() if unit is None else [name])
-    assert any(f"{name!r} are in another unit" in doubt for doubt in found.doubts) == (unit is None)
+    assert any(f"{name!r} have another unit" in doubt for doubt in found.doubts) == (unit is None)
     assert any(f"{name!r} are mm of the joint" in reason for reason in found.reasons) == (unit == "mm")
 
 
@@ -294,7 +294,7 @@ def test_a_torque_command_in_another_unit_than_the_torque_is_left_out() -> None:
     columns = {**made.columns, "force cmd [%]": made.columns["force"] / 8}
     found = propose(replace(made, columns=columns), AXIS, Stated())
     assert "torque_command" not in found.columns
-    assert any("'force cmd [%]' are in another unit" in doubt for doubt in found.doubts)
+    assert any("'force cmd [%]' have another unit" in doubt for doubt in found.doubts)
 
 
 def test_increments_of_a_linear_axis_are_so_many_a_metre(tmp_path: Path) -> None:
@@ -437,7 +437,7 @@ def test_of_several_ways_to_read_positions_it_is_said_how_well_each_fits(geared:
     found = propose(written(log), geared, Stated())
     (line,) = (one for one in found.reasons if one.startswith("positions are rad of the joint"))
     assert float(re.findall(r"\(([0-9.e+]+) times likelier\)", line)[0]) > 1000
-    assert float(re.findall(r"([0-9.e+-]+) % of the torque is left on rows left out", line)[0]) < 5.0
+    assert float(re.findall(r"([0-9.e+-]+) % of the torque remains unexplained on held-out rows", line)[0]) < 5.0
     assert any(one.startswith("torques are assumed to be N m, the file does not say") for one in found.reasons)
 
 
