@@ -56,7 +56,7 @@ def to_mjcf(robot: Robot) -> Export:
     take the torque that a log reports, but for what the callback's `Measurement` does to both.
 
     Raises:
-        RobotError: an effect that is not known, or figures that no body can have.
+        RobotError: an effect that is not known, or parameters that no body can have.
     """
     terms, base = terms_of(robot), base_of(robot)
     changed, ratio, scale = corrected(robot)
