@@ -245,7 +245,7 @@ def payload(robot: Description, trace: recorded.Trace, frame: str | None = None)
     from service.identification.payload import common_error, levels, payload_history
 
     if frame is not None:
-        raise DataError(f"frame {frame!r}: a Delta robot carries on its platform")
+        raise DataError(f"frame {frame!r}: a Delta robot has its load on the platform")
     found = payload_history(robot, trace)
     return PayloadResult(robot, trace.name, found, tuple(levels(found)), common_error(robot))
 

@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 def command(
     twin: Annotated[Path, typer.Argument(metavar="FOLDER", help="What `deltatwin export --to c` or `--to st` wrote")],
-    log: Annotated[
-        Path, typer.Option(help="Recording (MCAP) with the samples that the controller heard and what it answered")
-    ],
+    log: Annotated[Path, typer.Option(help="Recording (MCAP) with the controller's samples and its answers")],
     json: AsJson = False,
 ) -> None:
     """Compare each recorded answer with that of the twin: torque, source, flags; payload and errors where they are.
