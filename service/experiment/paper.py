@@ -242,8 +242,8 @@ def _table_2(found: PaperResult) -> PageTable:
     )
     note = (
         f"{len(found.scores)} picks of {found.scores[0].truth.mass:g} kg between two conveyors. Every sample, "
-        f"unfiltered; m̂_p by the paper's recursion, forgetting factor {found.forgetting:g} per millisecond, as known at "
-        "each sample. The published values are not known to us."
+        f"unfiltered; m̂_p by the paper's recursion, forgetting factor {found.forgetting:g} per millisecond, as known "
+        "at each sample. The published values are not known to us."
     )
     head = ("τ − τ̂ / N m", "m_p = 0: μ", "m_p = 0: σ", "m_p = m̂_p: μ", "m_p = m̂_p: σ")
     return PageTable(f"Table 2: error of {FRICTION} over υ_P without and with the estimated payload", head, rows, note)
