@@ -138,7 +138,7 @@ def test_a_constant_that_is_told_is_taken(geared: Robot, log: Trace) -> None:
 
 def test_cables_that_are_swapped_are_doubted_and_not_put_right(geared: Robot, log: Trace) -> None:
     found = propose(written(log, order=(1, 0, 2)), geared, Stated())
-    assert any("in the order 2, 1, 3: cables swapped?" in doubt for doubt in found.doubts)
+    assert any("in the order 2, 1, 3: are cables swapped?" in doubt for doubt in found.doubts)
     assert [entry["name"] for entry in found.columns["torque"]] == ["tau1", "tau2", "tau3"]
 
 
@@ -172,7 +172,7 @@ def test_increments_take_a_number_that_has_to_be_said(geared: Robot, log: Trace)
         propose(made, geared, Stated())
     found = propose(made, geared, Stated(counts_per_rev=65536.0))
     assert entries(found, "position") == [{"unit": "counts", "counts_per_rev": 65536.0, "side": "motor"}] * 3
-    assert "positions are increments, 65536 a turn" in found.reasons
+    assert "positions are increments, 65536 per turn" in found.reasons
 
 
 @pytest.mark.parametrize(
@@ -205,7 +205,7 @@ def test_what_is_told_is_not_guessed(geared: Robot, log: Trace) -> None:
     found = propose(written(log), None, stated)
     assert found.columns["time"] == {"rate_hz": 1000.0}
     assert [entry["name"] for entry in found.columns["position"]] == ["q3", "q2", "q1"]
-    assert "positions are rad: told" in found.reasons
+    assert "positions are rad: given by the user" in found.reasons
     assert "columns are recognised by their names" not in found.reasons
     assert "signs and the side of the gear cannot be checked without --robot" in found.doubts
     assert "torques are assumed to be N m, the file does not say" in found.doubts
