@@ -208,7 +208,7 @@ def test_what_is_told_is_not_guessed(geared: Robot, log: Trace) -> None:
     assert "positions are rad: given by the user" in found.reasons
     assert "columns are recognised by their names" not in found.reasons
     assert "signs and the side of the gear cannot be checked without --robot" in found.doubts
-    assert "torques are assumed to be N m, the file does not say" in found.doubts
+    assert "torques are assumed to be N m: the file does not say" in found.doubts
     with pytest.raises(DataError, match=r"2 positions .* with 3 torques .*; give --position and --torque"):
         propose(written(log), None, Stated(position=["q1", "q2"], torque=stated.torque))
     with pytest.raises(
@@ -438,7 +438,7 @@ def test_of_several_ways_to_read_positions_it_is_said_how_well_each_fits(geared:
     (line,) = (one for one in found.reasons if one.startswith("positions are rad of the joint"))
     assert float(re.findall(r"\(([0-9.e+]+) times likelier\)", line)[0]) > 1000
     assert float(re.findall(r"([0-9.e+-]+) % of the torque remains unexplained on held-out rows", line)[0]) < 5.0
-    assert any(one.startswith("torques are assumed to be N m, the file does not say") for one in found.reasons)
+    assert any(one.startswith("torques are assumed to be N m: the file does not say") for one in found.reasons)
 
 
 def test_the_rows_that_count_are_told_with_the_columns(geared: Robot, log: Trace) -> None:

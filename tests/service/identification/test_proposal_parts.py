@@ -188,7 +188,7 @@ def test_newton_metres_that_nobody_said_are_sure_where_the_fit_goes_with_them(
 ) -> None:
     ranked = fitting(share, scale, by_masses=by_masses)
     found = read(monkeypatch, geared, ranked, told=False)
-    line = f"torques are assumed to be N m, the file does not say{why}"
+    line = f"torques are assumed to be N m: the file does not say{why}"
     sure = why == "; the fit confirms it"
     assert (line in found.reasons, line in found.doubts) == (sure, not sure)
     told = read(monkeypatch, geared, ranked)
