@@ -1,17 +1,18 @@
-"""Robot dynamics beside the real machine, of Delta robots, servo axes and arms: identification, payload, gap.
+"""Models of Delta robots, servo axes and arms, compared with the real machine: identification, payload, gap.
 
     import deltatwin as dt
 
     robot = dt.load_robot("robot.toml")
     logs = [dt.read_trace(path, robot) for path in ("fit_a.csv", "fit_b.csv", "fit_c.csv")]
-    known = dt.identify(robot, logs)               # known.robot carries what was identified
+    known = dt.identify(robot, logs)               # known.robot has the identified parameters
     found = dt.diagnose(robot, logs)               # which unmodelled effect causes the gap; found.robot is corrected
     dt.save_robot(found.robot, "corrected.toml")
     dt.payload(found.robot, dt.read_trace("pick.csv", robot)).plot()
 
-What `__all__` names is the promise: it keeps its meaning from one minor version to the next, or warns for one first.
-All quantities are in SI units, at the joint side of the gears: s, rad, N m, kg; m and N for linear axes. Joints count
-from 0 in arrays and from 1 in texts and data frames. Every error is a `DeltatwinError` whose message is one line.
+The names in `__all__` are stable: they keep their meaning from one minor version to the next, or warn for one version
+first. All quantities are in SI units, on the joint side of the gears: s, rad, N m, kg; m and N for linear axes. Joints
+are numbered from 0 in arrays and from 1 in texts and frames. Every error is a `DeltatwinError` whose message is one
+line.
 
 Nothing large is imported before it is used.
 """

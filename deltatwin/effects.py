@@ -1,4 +1,4 @@
-"""What a file with effects of one's own imports, for `--effects` and `diagnose(..., effects=...)`.
+"""The names that a file with your own effects imports, for `--effects` and `diagnose(..., effects=...)`.
 
 from deltatwin.effects import Amplitude, Effect
 

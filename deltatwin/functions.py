@@ -44,7 +44,7 @@ def read_trace(path: str | Path, robot: Description | None = None, columns: Colu
             `twincat_scope`, or a `Columns`.
 
     Returns:
-        N samples at the joint side, s, rad, N m; `findings` lists what was noticed.
+        N samples on the joint side, s, rad, N m; `findings` lists the faults found.
 
     Raises:
         TraceError: the file is unusable, naming file, line, column and value.
@@ -63,8 +63,8 @@ def load_robot(path: str | Path, effects: str | Path | None = None) -> Descripti
     """Read the description of a Delta robot, of servo axes or of an arm.
 
     Args:
-        path: a TOML file, or the name of a robot that comes along: `d3-1200`.
-        effects: Python file with effects of your own that the description carries.
+        path: a TOML file, or the name of a bundled robot: `d3-1200`.
+        effects: Python file with effects of your own that the description names.
 
     Returns:
         The checked description; its attributes are the keys of the file. It is not changed in place.
@@ -123,10 +123,10 @@ def identify(
     """Identify inertia, gravity, forearm and friction, with standard errors: weighted least squares over all logs.
 
     Args:
-        robot: as described; what it carries as identified is replaced, effects are left out.
+        robot: as described; identified parameters are replaced, effects are left out.
         traces: logs of the robot without payload, three or more of 5 s.
-        method: of a Delta; `paper` is the published grid search, for comparison.
-        carried: mass in kg and log of known loads that hang throughout: they fix torque constants and platform mass.
+        method: for a Delta; `paper` is the published grid search, for comparison.
+        carried: mass in kg and log of known loads carried throughout; they calibrate torque constants, platform mass.
 
     Returns:
         `robot` with its `[identified]` section, the parameters with their verdicts, the residuals.
@@ -136,7 +136,7 @@ def identify(
 
     Example:
         >>> import deltatwin as dt
-        >>> robot, log = dt.load_demo()  # it carries products: a real identification takes logs without
+        >>> robot, log = dt.load_demo()  # it has products: use logs without payload
         >>> known = dt.identify(robot, log)
         >>> known.to_frame()["name"].to_list()[:2]
         ['rho_1', 'rho_2']
@@ -161,12 +161,12 @@ def diagnose(
     """Find which unmodelled effect causes the gap between model and machine, and how far it shrinks on held-out data.
 
     Args:
-        robot: as described; effects that it carries are part of the model.
+        robot: as described; its effects are part of the model.
         traces: logs, three or more of 5 s in which all joints move and reverse.
-        tests: logs that are used for nothing but trying the correction.
-        baseline: the description whose gap counts as the one before; default: `robot` identified anew.
+        tests: logs that are used only to test the correction.
+        baseline: the description for the gap before; default: `robot` identified from `traces`.
         effects: Python file with effects of your own.
-        progress: told what is at hand; takes seconds to a minute in all.
+        progress: called with the name of each stage; all stages take seconds to a minute.
 
     Returns:
         The document (as `diagnosis.json`), its sentences, and the corrected robot.
@@ -186,11 +186,11 @@ def diagnose(
 
 
 def evaluate(robot: Description, traces: Traces) -> EvaluationResult:
-    """Measured minus predicted torque for each model that `robot` carries parameters for.
+    """Measured minus predicted torque for each model that `robot` has parameters for.
 
     Args:
         robot: plain, identified or corrected.
-        traces: logs, best such as no fit has seen.
+        traces: logs, preferably held out of every fit.
 
     Returns:
         Per log, model and joint: mean, standard deviation and rms of the error in N m, below 40 Hz while moving.
@@ -245,7 +245,7 @@ def payload(robot: Description, trace: recorded.Trace, frame: str | None = None)
     from service.identification.payload import common_error, levels, payload_history
 
     if frame is not None:
-        raise DataError(f"frame {frame!r}: a Delta robot carries on its platform")
+        raise DataError(f"frame {frame!r}: a Delta robot has its load on the platform")
     found = payload_history(robot, trace)
     return PayloadResult(robot, trace.name, found, tuple(levels(found)), common_error(robot))
 
@@ -290,8 +290,8 @@ def rollout(
         robots: an identified or corrected machine, or several by name to compare, the best last.
         traces: the logs, cut into windows.
         horizon: length of a window, s.
-        commands: put the recorded position commands in instead, through the drives; of a Delta.
-        progress: told what is at hand.
+        commands: drive the simulation by the recorded position commands, through the drives; for a Delta.
+        progress: called with the name of each stage.
 
     Returns:
         Rms error after the horizon, of each machine, of the plain one, and of noise alone: mrad and mm of a Delta, rad

@@ -1,4 +1,4 @@
-"""The corrected robot inside MuJoCo, without a plugin: effects that MuJoCo has no word for act in every step.
+"""The corrected robot inside MuJoCo, without a plugin: effects that MuJoCo cannot express act in every step.
 
     import mujoco
     from deltatwin.mujoco import attach, model_of
@@ -8,7 +8,7 @@
     with attach(model, corrected):
         mujoco.mj_step(model, data)
 
-What the export writes as a Python file is what runs here.
+It runs the same code as the Python file of the export.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -34,7 +34,7 @@ def model_of(robot: Description) -> mujoco.MjModel:
     """The machine as `deltatwin export --to mjcf` writes it.
 
     Raises:
-        RobotError: an effect that is not known, or figures that no body can have.
+        RobotError: an effect that is not known, or parameters that no body can have.
 
     Example:
         >>> import deltatwin as dt

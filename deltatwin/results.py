@@ -53,11 +53,11 @@ class Result(ABC):
     @property
     @abstractmethod
     def conclusion(self) -> str:
-        """What it comes to, in a sentence or a few."""
+        """The conclusion, in one or more sentences."""
 
     @abstractmethod
     def to_frame(self) -> pl.DataFrame:
-        """The figures as a Polars data frame; `.to_pandas()` makes it one of pandas."""
+        """The values as a Polars data frame; `.to_pandas()` converts it to pandas."""
 
     @abstractmethod
     def plot(self) -> go.Figure:
@@ -92,7 +92,7 @@ class IdentificationResult(Result):
 
     Attributes:
         robot: the description with its `[identified]` section; `deltatwin.save_robot` writes it.
-        warnings: what you have to know before you use it.
+        warnings: read these before you use the result.
         traces: names of the logs.
     """
 
@@ -109,7 +109,7 @@ class IdentificationResult(Result):
         return " ".join([of_fit(self.fit)[0], *(f"Warning: {warning}." for warning in self.warnings)])
 
     def to_frame(self) -> pl.DataFrame:
-        """A row a parameter: name, value, std_error, unit, verdict, reason."""
+        """One row per parameter: name, value, std_error, unit, verdict, reason."""
         from service.model.description import in_units_of
 
         keys = ("name", "value", "std_error", "unit", "verdict", "reason")
@@ -117,7 +117,7 @@ class IdentificationResult(Result):
         return _frame([row | {"unit": in_units_of(self.robot, row["unit"])} for row in rows])
 
     def plot(self) -> go.Figure:
-        """Torque, what the model leaves of it and the noise, rms of each joint; logarithmic."""
+        """Torque, residual and noise, rms of each joint; logarithmic."""
         from deltatwin.plots import of_identification
 
         return of_identification(self)
@@ -136,11 +136,11 @@ class IdentificationResult(Result):
 
 @dataclass(frozen=True, repr=False)
 class EvaluationResult(Result):
-    """How far each model is off.
+    """The error of each model.
 
     Attributes:
         robot: whose models they are.
-        evaluations: one a log; `.torque[model]` is (N, n) N m of every row, `.events` what stands far above the rest.
+        evaluations: one per log; `.torque[model]` is (N, n) N m of every row, `.events` stretches far above the rest.
     """
 
     robot: Description
@@ -160,7 +160,7 @@ class EvaluationResult(Result):
         return of_evaluation(self.robot, self.evaluations)[0]
 
     def to_frame(self) -> pl.DataFrame:
-        """A row a log, model and joint: mean, std and rms of the error in N m (N for linear axes)."""
+        """One row per log, model and joint: mean, std and rms of the error in N m (N for linear axes)."""
         return _frame(
             [
                 {"trace": one.trace.name, "model": model, "joint": joint + 1, "mean": float(moments.mean[joint]),
@@ -195,8 +195,8 @@ class PayloadResult(Result):
         robot: the identified robot.
         trace: name of the log.
         history: arrays (N,): `time` s, `mass` kg, `std_dev` kg, `trusted`, `event` (0 none, 1 pick, 2 release).
-        levels: each mass that came to hang, from event to event, with its standard deviations.
-        common_error: what all masses of this robot are off by alike.
+        levels: each payload, from event to event, with its standard deviations.
+        common_error: the error that all masses of this robot share.
     """
 
     robot: Robot
@@ -222,7 +222,7 @@ class PayloadResult(Result):
         return of_payload(self.levels, self.common_error)
 
     def to_frame(self) -> pl.DataFrame:
-        """A row a sample: time_s, mass_kg, std_dev_kg, trusted, event. `.levels` has the picks."""
+        """One row per sample: time_s, mass_kg, std_dev_kg, trusted, event. `.levels` has the picks."""
         from drivers.data_frames import pl
 
         found = self.history
@@ -274,7 +274,7 @@ class DiagnosisResult(Result):
         return "\n\n".join("\n".join(group) for group in paragraphs(self.document))
 
     def to_frame(self) -> pl.DataFrame:
-        """A row a parameter of each named effect: effect, joints, probability, parameter, value, low, high, unit."""
+        """One row per parameter of the effects: effect, joints, probability, parameter, value, low, high, unit."""
         rows = [
             {"effect": effect.name, "joints": effect.joints, "probability": effect.probability, "parameter": name,
              "value": one.value, "low": one.ci95[0], "high": one.ci95[1], "unit": one.unit}
@@ -327,7 +327,7 @@ class RolloutResult(Result):
         return " ".join(sentences(self.document))
 
     def to_frame(self) -> pl.DataFrame:
-        """A row a robot, and one of noise alone: rms after the horizon, mrad of each joint and mm of the platform."""
+        """One row per robot, and one for noise: rms after the horizon, mrad of each joint and mm of the platform."""
         return _frame(
             [
                 {"robot": one.robot, "platform_mm": one.platform_mm, "ran_away": one.ran_away}
@@ -357,7 +357,7 @@ class RolloutResult(Result):
 
 @dataclass(frozen=True, repr=False)
 class LoadResult(Result):
-    """The load that an arm carried all through a log.
+    """The load that an arm carried throughout a log.
 
     Attributes:
         robot: the identified arm.

@@ -29,7 +29,7 @@ Mapping = str | Path | Columns  # a mapping of foreign columns: its file, its na
 
 @dataclass(frozen=True, repr=False)
 class Trace(recorded.Trace):
-    """N samples of n joints as they were recorded; nothing is repaired, what is wrong is flagged and listed.
+    """N samples of n joints as they were recorded; nothing is repaired, faults are flagged and listed.
 
     Attributes:
         time: (N,) s.
@@ -37,8 +37,8 @@ class Trace(recorded.Trace):
         position_command, torque_command: (N, n), or None where the source has none.
         fourth_position: (N,) rad, the axis of the gripper, or None.
         gripper: (N,) of 0 unknown, 1 open, 2 closed, or None.
-        flags: (N,) uint32, bits of what is wrong with a row; 0 where nothing is.
-        findings: what was noticed; each has a `message` and `rows`.
+        flags: (N,) uint32, bits for the faults of a row; 0: none.
+        findings: the faults found; each has a `message` and `rows`.
         path: the file, or the name given.
 
     Example:
@@ -70,7 +70,7 @@ class Trace(recorded.Trace):
         angular: bool = True,
         robot: Description | None = None,
     ) -> Trace:
-        """A trace of your own arrays, checked as a file is.
+        """A trace from your own arrays, checked like a file.
 
         Args:
             time: (N,) s, rising; or datetime64.
@@ -80,11 +80,11 @@ class Trace(recorded.Trace):
             gripper: (N,) 0 unknown, 1 open, 2 closed.
             name: what messages and documents call it.
             angular: False for linear axes, in m and N.
-            robot: whose joint range the positions are held against.
+            robot: the positions are checked against its joint range.
 
         Raises:
-            TraceError: arrays that do not fit together, hold no numbers, or are no recording: time that mostly does
-                not rise, positions out of any range.
+            TraceError: arrays that do not match, do not contain numbers, or are not a recording: time that mostly
+                does not rise, positions out of any range.
         """
         clock, epoch_ns = _clock(time, name)
         channels = {"position": position, "torque": torque}
@@ -111,17 +111,17 @@ class Trace(recorded.Trace):
     def from_dataframe(
         cls, frame: Any, *, columns: Mapping | None = None, name: str = "frame", robot: Description | None = None
     ) -> Trace:
-        """A trace of a Polars, pandas or Arrow table, checked as a file is.
+        """A trace from a Polars, pandas or Arrow table, checked like a file.
 
         Args:
-            frame: with columns called as in our own CSV (`time_s`, `position_1_rad`, `torque_1_nm`, ...), or any.
-            columns: the mapping of a table whose columns are called otherwise: a TOML file (`deltatwin import` writes
-                one), `emps` or `twincat_scope`, or a `Columns`.
+            frame: table with the column names of our CSV (`time_s`, `position_1_rad`, `torque_1_nm`, ...), or others.
+            columns: the mapping of a table with other column names: a TOML file (`deltatwin import` writes one), `emps`
+                or `twincat_scope`, or a `Columns`.
             name: what messages and documents call it.
             robot: gives joint range and the gear ratio of motor-side columns.
 
         Raises:
-            TraceError: a column is missing or holds no numbers, or it is no recording.
+            TraceError: a column is missing or does not contain numbers, or the table is not a recording.
         """
         names = [str(column) for column in frame.columns]
         mapping = columns if columns is None or isinstance(columns, Columns) else find_columns(columns)
@@ -137,7 +137,7 @@ class Trace(recorded.Trace):
         return cls.of(assemble(table, wanted, mapping, robot, Path(name), [], 0, "row"))
 
     def to_frame(self) -> pl.DataFrame:
-        """A Polars data frame with the columns of our own CSV; `.to_pandas()` makes it one of pandas."""
+        """A Polars data frame with the columns of our own CSV; `.to_pandas()` converts it to pandas."""
         return table_of(self)
 
     def plot(self) -> go.Figure:

@@ -3,11 +3,11 @@ for logs of real drives that are no Delta.
 
 name = "emps"
 kind = "axes"
-columns = "emps"            # a column mapping: a file, or one that comes along, by name
+columns = "emps"            # a column mapping: a file, or the name of a bundled one
 coupling = [[1, 0], [1, 1]] # row i: how far motor i, behind its gear, turns for a turn of each joint; default: its own
 [[axis]]
 unit = "m"                  # of the position: m, or rad; torque is then a force in N, or N m
-gravity = false             # turns about a vertical axis, or is balanced; default: a turning axis bears a weight
+gravity = false             # vertical axis of rotation, or balanced; default: a rotary axis bears a weight
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class Axis(TomlTable):
     angle; what does not change is its constant load."""
 
     unit: Literal["m", "rad"] = "rad"  # of the position
-    gear_ratio: Positive = 1.0  # motor turns for a turn of the axis
-    gravity: bool | None = None  # default: a turning axis bears a weight
+    gear_ratio: Positive = 1.0  # motor turns per turn of the axis
+    gravity: bool | None = None  # default: a rotary axis bears a weight
 
     @model_validator(mode="after")
     def _weight(self) -> Axis:

@@ -4,9 +4,9 @@ name = "ur10"
 kind = "chain"
 urdf = "ur10.urdf"                # beside this file
 joints = ["pan", "lift", "elbow"] # joints of the URDF, in the order of the log
-held = ["finger"]                 # joints that stood still at their zero
+held = ["finger"]                 # joints that were at rest at zero
 columns = "ur10_columns.toml"
-gear_ratio = 101                  # motor turns a joint turn, for ripple orders: one, or one a joint
+gear_ratio = 101                  # motor turns per joint turn, for ripple orders: one, or one per joint
 masses = "known"                  # those of the URDF, or of [identified]; default: to be identified
 gravity_mps2 = [0.0, 0.0, -9.81]  # in the URDF's base frame; on the ceiling [0.0, 0.0, 9.81]
 coupling = [[1, 0], [1, 1]]       # as of axes
@@ -47,10 +47,10 @@ class Chain(Machine):
 
     kind: Literal["chain"]  # of the machine
     called: ClassVar[str] = "an arm"
-    urdf: str  # file beside this one
+    urdf: str  # file next to this one
     joints: Annotated[Names, Field(min_length=1)]  # of the URDF, in the order of the log
-    held: Names = Field([])  # joints that stood still at their zero
-    gear_ratio: Positive | list[Positive] = 1.0  # motor turns for a turn of the joint: one, or one for each joint
+    held: Names = Field([])  # joints that were at rest at zero
+    gear_ratio: Positive | list[Positive] = 1.0  # motor turns per turn of the joint: one, or one for each joint
     masses: Literal["identified", "known"] = "identified"  # known: those of the URDF, or of `identified`
     gravity_mps2: Gravity = Field([0.0, 0.0, -9.81])  # in the base frame of the URDF
     payload: CarriedMass | None = None

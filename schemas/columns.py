@@ -49,7 +49,7 @@ class TimeColumn(TomlTable):
     name: str = "time_s"  # of the column
     # datetime: text such as 2026-11-22 09:30:00.125; filetime: 100 ns since 1601, as Windows and TwinCAT count
     unit: Literal["s", "ms", "us", "ns", "datetime", "filetime"] = "s"
-    date: str | None = None  # name of the column with the day, where `name` has the time of day alone
+    date: str | None = None  # column with the day, if `name` has the time of day only
     rate_hz: Positive | None = None  # of a table without stamps: its rows are 1/rate_hz s apart
     backwards: bool = False  # of such a table: its last row was the first
 
@@ -74,9 +74,9 @@ class _JointChannel(_Channel):
     gear_ratio: Positive | None = None  # motor turns per joint turn; absent: `drive.gear_ratio` of the robot
     sign: Literal[1, -1] = 1  # -1: positive turns the active link up
     zero: float = 0.0  # reading, in the column's unit, where the joint's angle (or torque) is zero
-    bits: Literal[8, 16, 32] | None = None  # width of an unsigned reading that is meant signed
-    times: str | None = None  # name of a column to multiply with, such as the voltage a duty cycle is a share of
-    between: Literal["linear", "hold"] = "linear"  # value between two samples where the stamps are another channel's
+    bits: Literal[8, 16, 32] | None = None  # width of a signed value that was recorded as unsigned
+    times: str | None = None  # column by which the values are multiplied, such as a voltage for a duty cycle
+    between: Literal["linear", "hold"] = "linear"  # value between two samples, if another channel gives the stamps
 
 
 class PositionColumn(_JointChannel):
@@ -84,7 +84,7 @@ class PositionColumn(_JointChannel):
 
     unit: Literal["rad", "mrad", "deg", "turns", "counts", "m", "cm", "mm", "um"] = "rad"  # of the column
     counts_per_rev: Positive | None = None  # encoder increments per turn of its shaft,
-    counts_per_m: Positive | None = None  # or per metre that a linear axis goes
+    counts_per_m: Positive | None = None  # or per metre of a linear axis
 
     @model_validator(mode="after")
     def _complete(self) -> PositionColumn:
@@ -142,8 +142,8 @@ class RowFilter(TomlTable):
     others are left out, and that is told."""
 
     name: str  # of the column
-    equals: float = 1.0  # value of rows that count
-    unlike: float | None = None  # value of rows that do not
+    equals: float = 1.0  # value of rows to use
+    unlike: float | None = None  # value of rows to leave out
 
     @model_validator(mode="after")
     def _one(self) -> RowFilter:
@@ -164,7 +164,7 @@ class RowFilter(TomlTable):
 class GripperColumn(_Channel):
     """The state of the gripper: `open` where it holds nothing, any other number where it is closed."""
 
-    open: float = 0.0  # value where it holds nothing
+    open: float = 0.0  # value when it is open
     between: Literal["hold"] = "hold"  # value between two samples
 
 
@@ -197,12 +197,14 @@ class Columns(TomlTable):
     decimal: Literal[".", ","] = "."  # mark in numbers
     thousands: Literal[".", ",", " ", "'"] | None = None  # mark between groups of three digits
     encoding: Annotated[str, AfterValidator(_text_encoding)] = "utf-8"  # of the text
-    header_line: Annotated[int, Field(ge=0, le=MAX_LINE)] = 1  # 0: there is none, columns are called 1, 2, ...
-    data_line: Annotated[int, Field(ge=1, le=MAX_LINE)] | None = None  # of numbers; absent: the one behind the header
-    beside: Annotated[list[str], _LISTED] = []  # files in the same folder whose rows go on to the right
-    topic: str | None = None  # of the joint states in a bag that has several
+    header_line: Annotated[int, Field(ge=0, le=MAX_LINE)] = 1  # 0: no header, columns are called 1, 2, ...
+    data_line: Annotated[int, Field(ge=1, le=MAX_LINE)] | None = (
+        None  # first line of numbers; absent: the one after the header
+    )
+    beside: Annotated[list[str], _LISTED] = []  # files in the same folder whose columns continue the rows
+    topic: str | None = None  # topic of the joint states, for a bag with several
     where: Annotated[RowFilter | None, BeforeValidator(_table)] = None
-    joints: Annotated[int, Field(ge=1, le=MAX_JOINTS)] = 3  # how many `{joint}` stands for
+    joints: Annotated[int, Field(ge=1, le=MAX_JOINTS)] = 3  # number of joints for `{joint}`
     time: Annotated[TimeColumn, BeforeValidator(_table)] = TimeColumn()
     position: _Position = [PositionColumn(name="position_{joint}_rad")]
     torque: _Torque = [TorqueColumn(name="torque_{joint}_nm")]

@@ -24,15 +24,15 @@ class JointFriction(TomlTable):
     motor_coulomb_friction: JointParameter | None = None
     # rad/s or m/s over which Coulomb friction changes sign; 0: a jump
     friction_transition: NotNegative | list[Positive] = 0.0
-    torque_timing_s: float = 0.0  # by which the torque is older than the position, within a sample
+    torque_timing_s: float = 0.0  # time by which the torque is older than the position, within a sample
 
 
 class Machine(Described):
     """n servo joints. coupling: row i, how far motor i, behind its gear, turns for a turn of each joint; default: its
     own."""
 
-    columns: str | None = None  # column mapping: a file beside this one, or one that comes along
-    coupling: list[list[float]] | None = None  # turns of each motor for a turn of each joint
+    columns: str | None = None  # column mapping: a file next to this one, or the name of a bundled one
+    coupling: list[list[float]] | None = None  # turns of each motor per turn of each joint
     effect: list[EffectEntry] = []
 
     @property

@@ -45,7 +45,7 @@ class Geometry(TomlTable):
     arm_angles_deg: Three = [0.0, 120.0, 240.0]  # azimuth of each arm about the z axis
     active_link_length_error: Three = [0.0, 0.0, 0.0]  # true minus nominal per arm, found by `diagnose`
     passive_link_length_error: Three = [0.0, 0.0, 0.0]  # the same of the forearms
-    base_radius_error: Three = [0.0, 0.0, 0.0]  # the same of the joints' distance from the axis, less the platform's
+    base_radius_error: Three = [0.0, 0.0, 0.0]  # the same of base radius minus platform radius
     joint_offset_rad: Three = [0.0, 0.0, 0.0]  # true minus measured angle per joint, found by `diagnose`
     # lowest and highest joint angle
     joint_range_rad: Annotated[list[float], Field(min_length=2, max_length=2)] = [-1.6, 2.2]
@@ -80,7 +80,7 @@ class Mass(TomlTable):
 class RatedTorque(TomlTable):
     """0x6077 counts per mille of the motor's rated torque, 0x6076, N m."""
 
-    reference: Literal["rated_torque"]  # what 1000 per mille stand for
+    reference: Literal["rated_torque"]  # the torque of 1000 per mille
     rated_torque_nm: Positive  # 0x6076, of the motor
 
     @property
@@ -92,7 +92,7 @@ class RatedTorque(TomlTable):
 class StandstillTorque(TomlTable):
     """0x6077 counts per mille of the motor's standstill (stall) torque, N m."""
 
-    reference: Literal["standstill_torque"]  # what 1000 per mille stand for
+    reference: Literal["standstill_torque"]  # the torque of 1000 per mille
     standstill_torque_nm: Positive  # of the motor
 
     @property
@@ -107,7 +107,7 @@ class RatedCurrent(TomlTable):
     Each of the two says whether it means the rms or the peak of the sinusoidal phase current.
     """
 
-    reference: Literal["rated_current"]  # what 1000 per mille stand for
+    reference: Literal["rated_current"]  # the current of 1000 per mille
     rated_current_a: Positive  # of the motor
     rated_current_form: Literal["rms", "peak"]  # of the phase current
     torque_constant_nmpa: Positive  # N m per ampere, of the motor
@@ -131,13 +131,13 @@ class JointDrive(TomlTable):
     """
 
     station: Annotated[int, Field(ge=1, le=0xFFFF)] | None = None  # configured station address; an ENI needs it
-    place: Annotated[int, Field(ge=1)] | None = None  # on the wire, from the master; needed where more is than drives
+    place: Annotated[int, Field(ge=1)] | None = None  # on the wire, from the master; needed if there are other stations
     counts_per_turn: Positive  # encoder counts per motor turn, 0x608F
-    gear_ratio: Positive | None = None  # where it differs from [drive]
+    gear_ratio: Positive | None = None  # if it differs from [drive]
     sign: Literal[1, -1]  # -1: the drive counts up while the active link rises
     zero_counts: int  # 0x6064 at joint angle 0
     torque: Annotated[RatedTorque | StandstillTorque | RatedCurrent, Field(discriminator="reference")]
-    torque_sign: Literal[1, -1] | None = None  # where it differs from `sign` (0x607E)
+    torque_sign: Literal[1, -1] | None = None  # if it differs from `sign` (0x607E)
     velocity_unit_counts_per_s: Positive | None = None  # one unit of 0x606C, or:
     velocity_unit_rpm: Positive | None = None  # of the motor; with neither 0x606C is not checked
     outputs_address: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None  # logical address of the first byte
@@ -159,17 +159,17 @@ class JointDrive(TomlTable):
 
 
 class GripperInput(TomlTable):
-    """Where the gripper's switch or vacuum sensor is wired to: one of a drive's digital inputs, a bit of 0x60FD."""
+    """The digital input of a drive to which the gripper's switch or vacuum sensor is wired: a bit of 0x60FD."""
 
-    joint: Annotated[int, Field(ge=1, le=3)]  # whose drive has it, and maps 0x60FD among its inputs
-    bit: Annotated[int, Field(ge=0, le=31)]  # CiA 402 leaves 16 to 31 to the maker
-    closed: Literal[0, 1] = 1  # its value where the gripper may hold something
+    joint: Annotated[int, Field(ge=1, le=3)]  # the joint whose drive has the input and maps 0x60FD
+    bit: Annotated[int, Field(ge=0, le=31)]  # 16 to 31 are manufacturer-specific in CiA 402
+    closed: Literal[0, 1] = 1  # value of the bit when the gripper is closed
 
 
 class Drive(TomlTable):
-    """What stands between the bus and the joint. `joint`: one drive a joint, in joint order, where a bus is decoded."""
+    """The conversion between bus and joint. `joint`: one drive per joint, in joint order, to decode a bus."""
 
-    gear_ratio: Positive = 1.0  # motor turns for a turn of the joint
+    gear_ratio: Positive = 1.0  # motor turns per turn of the joint
     position_resolution_rad: Positive = 2.4e-7  # one encoder count at the joint; a 20-bit encoder behind a 25:1 gear
     eni: str | None = None  # ENI file that maps the process data, relative to the robot description
     joint: Annotated[list[JointDrive], Field(max_length=3)] = []
@@ -189,23 +189,23 @@ class Drive(TomlTable):
 
 
 class Limits(TomlTable):
-    """What the joints and the gripper can bear. Joint side, the same for all three joints.
+    """Limits of joints and gripper. Joint side, the same for all three joints.
 
-    No feed-forward leaves the estimator or reaches a drive beyond these, whatever comes in.
+    No feed-forward beyond these limits leaves the estimator or reaches a drive, whatever the input.
     """
 
-    peak_torque_nm: Positive | None = None  # default: what the robot needs at 10 g with its greatest payload
+    peak_torque_nm: Positive | None = None  # default: the torque at 10 g with the largest payload
     torque_slope_nmps: Positive | None = None  # default: from one peak to the other in 20 ms
-    torque_fade_s: Positive = 0.05  # in which a feed-forward without fresh input goes to zero
-    joint_speed_radps: Positive = 40.0  # a position or command that moved faster is a jump
+    torque_fade_s: Positive = 0.05  # in which a feed-forward without new input fades to zero
+    joint_speed_radps: Positive = 40.0  # faster motion of a position or command counts as a jump
     joint_acceleration_radps2: Positive | None = None  # of planned motion; default: 250
-    max_payload_kg: Positive = 6.0  # greatest payload that the robot carries
-    friction_drift: Positive = 0.3  # share of the identified friction beyond which health says that it has changed
-    torque_scale_drift: Positive = 0.04  # the same of a joint's torque, by its own size; magnets lose 0.1 %/K
+    max_payload_kg: Positive = 6.0  # largest payload
+    friction_drift: Positive = 0.3  # share of the identified friction beyond which health reports a drift
+    torque_scale_drift: Positive = 0.04  # the same for a joint's torque scale; magnets lose 0.1 %/K
 
 
 class Servo(TomlTable):
-    """The drives' cascade, joint side, a figure a joint; `service/rollout/servo.py` has its law."""
+    """The drives' control cascade, joint side, one value per joint; its law is in `service/rollout/servo.py`."""
 
     position_gain_ps: Three  # 1/s
     velocity_gain_nms: Three  # N m for a rad/s
@@ -218,17 +218,17 @@ class Servo(TomlTable):
 class FourthAxis(TomlTable):
     """The axis that turns the gripper, driven from the base through a telescopic shaft; its angle is `position_4_rad`.
 
-    Of these the three arms feel the shaft's mass alone: what turns about the axis the parallelograms hold.
+    Of these values only the shaft's mass acts on the three arms: the parallelograms support torques about the axis.
     """
 
-    shaft_mass_kg: NotNegative = 0.0  # what of the shaft moves with the platform, beside `mass.platform`
+    shaft_mass_kg: NotNegative = 0.0  # part of the shaft that moves with the platform, in addition to `mass.platform`
     inertia_kgm2: NotNegative = 0.0  # about the axis, without load
     viscous_friction_nms: NotNegative = 0.0  # of the shaft
     coulomb_friction_nm: NotNegative = 0.0  # of the shaft
 
 
 class Parameter(TomlTable):
-    """One identified number with its standard error in the same unit, and whether the data could tell it."""
+    """One identified value with its standard error in the same unit, and whether the data determine it."""
 
     value: float  # as fitted
     std_error: NotNegative = 0.0  # of `value`
@@ -236,7 +236,7 @@ class Parameter(TomlTable):
 
 
 class JointParameter(TomlTable):
-    """The same for one number a joint."""
+    """The same with one value per joint."""
 
     value: list[float]  # as fitted, joint 1 first
     std_error: list[NotNegative] = []  # of each `value`
@@ -270,19 +270,19 @@ class Identified(TomlTable):
         value=0.0
     )  # forearm mass whose rod coupling is added; 0: two point masses
     torque_noise_nm: JointParameter | None = None  # rms per sample of the torque signal's white noise
-    model_error_nm: JointParameter | None = None  # rms of what the model leaves above that noise, while moving
+    model_error_nm: JointParameter | None = None  # rms residual of the model above that noise, while moving
     torque_commanded: bool = False  # the reported torque is the commanded one and white noise
     friction_transition_radps: NotNegative = 0.0  # speed over which Coulomb friction changes sign; 0: a jump
-    # Standard error of the torque constants as a share, by a known load; absent where none was weighed.
+    # Standard error of the torque constants as a share, by a known load; absent without one.
     torque_constant_error: NotNegative | None = None
-    torque_timing_s: float = 0.0  # by which the torque is older than the position, within a sample
+    torque_timing_s: float = 0.0  # time by which the torque is older than the position, within a sample
 
 
 class EffectEntry(TomlTable):
     """One unmodelled effect that `diagnose` named. Parameters as name -> {value, unit, std_error}."""
 
     name: str  # of the catalogue
-    joints: list[Annotated[int, Field(ge=1)]]  # that it sits on, from 1; empty: the robot as a whole
+    joints: list[Annotated[int, Field(ge=1)]]  # on which it acts, from 1; empty: the whole robot
     parameters: dict[str, EffectParameter]  # by the names of the effect's reference page
 
 

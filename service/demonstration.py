@@ -169,7 +169,7 @@ def _same_as_own(name: str, heard: np.ndarray, own: np.ndarray, run: slice, robo
     return Check(
         f"{name}: the plant's own trace, {INPUT_DELAY_CYCLES} cycle later",
         f"{known.sum()} cycles in operation; off by {position:.3f} counts, {torque:.3f} per mille "
-        f"({others:.0f} counts a cycle earlier or later); {len(missing)} missing, {untold} of them unexplained",
+        f"({others:.0f} counts one cycle earlier or later); {len(missing)} missing, {untold} of them unexplained",
         "0.501 counts and per mille; 0 unexplained",
         bool(position <= 0.501 and torque <= 0.501 < others and untold == 0 and known.sum() > len(missing)),
     )

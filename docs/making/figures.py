@@ -125,7 +125,7 @@ def page(name: str) -> str:
     ]
     origins = sorted({(one.date, one.commit, one.machine) for one in bench.figures})
     text = f"# {bench.title}\n\n{bench.about}\n\n" + table(
-        ["What", "Measured", "Bound", "Count", "Interval, notes"], rows
+        ["Quantity", "Measured", "Bound", "Count", "Interval, notes"], rows
     )
     text += "\nTo measure it again:\n\n```console\n" + "\n".join(f"$ {command}" for command in bench.run) + "\n```\n"
     text += f"\nSource: `results/{name}.json`.\n\n"

@@ -29,33 +29,38 @@ def command(
     robot: Annotated[
         Path, typer.Argument(metavar="FILE|NAME", help="Robot description (TOML), identified or corrected")
     ],
-    out: Annotated[Path, typer.Option(help="File to write; of c, st: folder")],
+    out: Annotated[Path, typer.Option(help="File to write; for c and st: folder")],
     to: Annotated[
         Format,
         typer.Option(
-            help="mjcf: MuJoCo; urdf: of an arm all, of a Delta the actuated links, for viewers; c: feed-forward and "
-            "payload as C99; fmu: the same for co-simulation; st: as Structured Text and PLCopen XML; sheet: figures "
-            "for a controller's own rigid model"
+            help="mjcf: MuJoCo; urdf: the whole arm, or the actuated links of a Delta for viewers; c: feed-forward and "
+            "payload as C99; fmu: the same for co-simulation; st: the same as Structured Text and PLCopen XML; sheet: "
+            "parameters for a controller's own rigid model"
         ),
     ] = Format.mjcf,
     effects: OwnEffects = None,
-    rate: Annotated[float, typer.Option(min=10.0, max=50_000.0, help="Of c, fmu, st: cycles a second, Hz")] = 1000.0,
-    name: Annotated[str, typer.Option(help="Of c, fmu, st: beginning of files, types and functions")] = "deltatwin",
-    fmi: Annotated[int, typer.Option(min=2, max=3, help="Of fmu: version of the standard, 2 or 3")] = 3,
+    rate: Annotated[
+        float, typer.Option(min=10.0, max=50_000.0, help="For c, fmu, st: cycles per second (Hz)")
+    ] = 1000.0,
+    name: Annotated[str, typer.Option(help="For c, fmu, st: prefix of files, types and functions")] = "deltatwin",
+    fmi: Annotated[int, typer.Option(min=2, max=3, help="For fmu: version of the standard, 2 or 3")] = 3,
     log: Annotated[
-        list[Path] | None, typer.Option(help="Of sheet: held-out log, what is left of its torque; may come again")
+        list[Path] | None, typer.Option(help="For sheet: held-out log to report its residual torque; may be repeated")
     ] = None,
-    float32: Annotated[bool, typer.Option("--float32", help="Of c: in single precision; see its error there")] = False,
-    nominal: Annotated[bool, typer.Option("--nominal", help="Of c, fmu, st: also where never identified")] = False,
+    float32: Annotated[
+        bool, typer.Option("--float32", help="For c: single precision; the header states its error")
+    ] = False,
+    nominal: Annotated[
+        bool, typer.Option("--nominal", help="For c, fmu, st: also without identified parameters")
+    ] = False,
 ) -> None:
-    """Write the robot, as identified and corrected, for MuJoCo, or the actuated part of it for viewers; or its
-    estimator as code for its controller.
+    """Write the identified and corrected robot for MuJoCo or viewers, or its estimator as code for a controller.
 
-    Effects that MuJoCo cannot express come as a separate Python file, to be called in your own loop: friction and the
-    like before each step, what delay, filter and encoder do to a log after it. What neither has is listed.
+    Effects that MuJoCo cannot express are written to a separate Python file, to be called in your own loop: friction
+    and similar effects before each step; delay, filter and encoder error of a log after it. Effects that neither
+    contains are listed.
 
-    The C code does what `deltatwin estimate` does, to the same bits, without heap; docs/how-to/controller.md says how
-    to call it.
+    The C code gives the same bits as `deltatwin estimate`, without heap; docs/how-to/controller.md says how to call it.
 
     Of an arm the URDF is its own with identified masses, centres and inertias that bodies can have, and friction of
     the joints; base parameters with standard errors come as JSON beside it. Servo axes come as MJCF.
@@ -102,7 +107,7 @@ def command(
     make_folder(out.parent)
     if to is Format.urdf:
         write_text(out, to_urdf(description))
-        print(f"wrote {out}: base and active links; a URDF has no closed chain")
+        print(f"wrote {out}: base and active links; a URDF cannot contain a closed chain")
         return
     made = to_mjcf(description)
     made.spec.compile()
@@ -116,7 +121,7 @@ def command(
         if called:
             print(f"  call Effects before every step for {', '.join(called)}")
         if made.measured:
-            print(f"  Measurement gives what a log shows: {', '.join(made.measured)}")
+            print(f"  Measurement turns true values into those of a log: {', '.join(made.measured)}")
     for name, why in made.left_out.items():
         print(f"{name} is left out: {why}", file=sys.stderr)
 
@@ -168,7 +173,7 @@ def _sheet(robot: Robot, out: Path, logs: list[Path]) -> None:
     write_text(out, to_sheet(robot, list(reading(logs, robot, None, "reading"))))
     print(f"wrote {out}")
     if not logs:
-        print("next: --log with held-out logs says what each figure leaves of the torque")
+        print("next: --log with held-out logs shows the residual torque after each group of parameters")
 
 
 def _unit(robot: Robot, out: Path, rate: float, name: str, fmi: int, nominal: bool) -> None:
@@ -180,6 +185,6 @@ def _unit(robot: Robot, out: Path, rate: float, name: str, fmi: int, nominal: bo
 
     make_folder(out.parent)
     twin = write_fmu(robot, 1.0 / rate, 2 if fmi == 2 else 3, out, name, nominal)
-    print(f"wrote {out}: FMI {fmi}.0, co-simulation, a step every {1e6 / rate:g} us, one instance in a process")
+    print(f"wrote {out}: FMI {fmi}.0, co-simulation, a step every {1e6 / rate:g} us, one instance per process")
     for effect, why in twin.left_out.items():
         print(f"{effect} is left out: {why}", file=sys.stderr)

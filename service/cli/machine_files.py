@@ -33,7 +33,7 @@ def write_machine(description: Description, to: str, out: Path) -> None:
         print(line)
     if description.identified is None:
         print(
-            f"{description.name}: never identified: these are the described figures; run deltatwin identify",
+            f"{description.name} was never identified: these are the described parameters; run deltatwin identify",
             file=sys.stderr,
         )
     for name, why in made.left_out.items():

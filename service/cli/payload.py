@@ -68,7 +68,7 @@ def command(
         return
     description = as_delta(described, Question.PICKS)
     if frame is not None:
-        raise DataError(f"--frame {frame}: a Delta robot carries on its platform")
+        raise DataError(f"--frame {frame}: a Delta robot has its load on the platform")
     screen = console()
     scores: list[Score] = []
     seen: dict[str, list[MassLevel]] = {}

@@ -55,8 +55,8 @@ def command(
         str | None,
         typer.Option(
             metavar="FILE",
-            help="What the robot really is (TOML), or `ideal`: exactly as described, no friction, no noise. "
-            "Default: the one that comes along for this robot, else ideal.",
+            help="True parameters of the robot (TOML), or `ideal`: exactly as described, no friction, no noise. "
+            "Default: the bundled ones of this robot, else ideal.",
         ),
     ] = None,
     live: Annotated[

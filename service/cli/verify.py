@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 def command(
     twin: Annotated[Path, typer.Argument(metavar="FOLDER", help="What `deltatwin export --to c` or `--to st` wrote")],
-    log: Annotated[
-        Path, typer.Option(help="Recording (MCAP) with the samples that the controller heard and what it answered")
-    ],
+    log: Annotated[Path, typer.Option(help="Recording (MCAP) with the controller's samples and its answers")],
     json: AsJson = False,
 ) -> None:
     """Compare each recorded answer with that of the twin: torque, source, flags; payload and errors where they are.
@@ -53,12 +51,12 @@ def _document(one: Compared) -> dict[str, Any]:
 
 
 def _said(one: Compared) -> str:
-    parts = [f"{one.answers} answers, {one.alike} the same bit for bit"]
+    parts = [f"{one.answers} answers, {one.alike} bit-identical"]
     if one.missing:
-        parts.append(f"{one.missing} samples without one")
+        parts.append(f"{one.missing} samples without an answer")
     if one.alike < one.answers:
         off = ", ".join(f"{name} {value:.3g}" for name, value in one.largest.items() if value)
-        parts.append(f"largest differences: {off or 'none of a number with a unit'}")
+        parts.append(f"largest differences: {off or 'none in a value with a unit'}")
     if one.first is not None:
         first, joint = one.first, f" of joint {one.first.joint}" if one.first.joint else ""
         parts.append(
@@ -73,10 +71,12 @@ def _conclusion(found: dict[str, Compared]) -> str:
         return "the controller answers as its twin, bit for bit"
     feedforward = found["feedforward"]
     if all(one.first is None for one in found.values()):
-        return "the controller answers as its twin, but for its mathematics library's rounding"
+        return "the controller answers as its twin, except for the rounding of its mathematics library"
     if 0 <= feedforward.last_row < feedforward.answers // 2:
         return (
-            "the controller's torque is its twin's again in the second half: the recording begins later than the "
-            "controller did, or its figures were loaded anew; record from init on"
+            "the controller's torque equals its twin's only in the second half: the recording begins after the "
+            "controller's start, or parameters were loaded meanwhile; record from init on"
         )
-    return "the controller does not answer as its twin: look at the first difference; other code, figures or cycle?"
+    return (
+        "the controller does not answer as its twin: see the first difference. Are code, parameters or cycle different?"
+    )

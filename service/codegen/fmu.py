@@ -128,7 +128,7 @@ def variables(robot: Robot, period: float) -> list[Variable]:
             "position_command",
             "sample.position_command",
             "rad",
-            "command; beyond the joint's range: none",
+            "command; a value beyond the joint's range means none",
             "1e9",
         ),
     ]
@@ -154,7 +154,7 @@ def variables(robot: Robot, period: float) -> list[Variable]:
             add(name, "parameter", "fixed", place, unit, one.meaning, start=value, low=low, high=high)
     for name, place, unit, meaning in (
         ("feedforward", "answer.torque", "N.m", "torque for the drive"),
-        ("error", "error.full", "N.m", "reported torque less the fullest model's, a fixed lag ago"),
+        ("error", "error.full", "N.m", "reported torque minus that of the fullest model, a fixed lag ago"),
     ):
         for i in range(3):
             add(f"{name}_{i + 1}", "output", "discrete", f"{place}[{i}]", unit, meaning)
@@ -163,7 +163,7 @@ def variables(robot: Robot, period: float) -> list[Variable]:
     for name, place, meaning in (
         ("source", "answer.source", "0 estimate, 1 command, 2 reference, 3 none"),
         ("answer_flags", "answer.flags", "bits of the sample's and the answer's state"),
-        ("mass_trusted", "payload.trusted", "1 where the mass may be used"),
+        ("mass_trusted", "payload.trusted", "1 if the mass may be used"),
         ("mass_event", "payload.event", "1 pick, 2 release"),
     ):
         add(name, "output", "discrete", place, "", meaning, is_real=False)

@@ -90,7 +90,5 @@ def read_twin(folder: Path) -> tuple[Manifest, Robot]:
     manifest = validate(Manifest, values if isinstance(values, dict) else {}, path, StorageError)
     texts = [read_bytes(folder / file, MAX_CODE_BYTES, StorageError) for file in manifest.files]
     if hashlib.sha256(b"".join(texts)).hexdigest() != manifest.sha256:
-        raise StorageError(
-            f"{folder}: {' or '.join(manifest.files)} was changed since it was exported: export it again"
-        )
+        raise StorageError(f"{folder}: {' or '.join(manifest.files)} was changed after the export: export it again")
     return manifest, load_robot(folder / DESCRIPTION)

@@ -33,16 +33,16 @@ class Library:
         if described.model_dump() != robot.model_dump():
             raise RobotError(f"{path.parent}: exported from another description than {robot.origin}: export it again")
         if not manifest.id:
-            raise StorageError(f"{path.parent}: holds Structured Text: export --to c into a folder of its own")
+            raise StorageError(f"{path.parent}: contains Structured Text: export --to c into a separate folder")
         try:
             self._library = ctypes.CDLL(str(path.resolve()))
         except OSError as error:
-            raise StorageError(f"{path}: no library that this machine can load: {error}") from None
+            raise StorageError(f"{path}: not a library that this machine can load: {error}") from None
         self._name, self._path = manifest.name, path
         said = self._function("id", ctypes.c_uint64)()
         if f"{said:016x}" != manifest.id:
             raise StorageError(
-                f"{path}: compiled from other code than {path.parent / manifest.name}.c: compile it anew"
+                f"{path}: compiled from other code than {path.parent / manifest.name}.c: compile it again"
             )
         layout = layout_of(robot, state.settings(robot, manifest.period_s, 1))
         self._records = {
@@ -59,7 +59,7 @@ class Library:
             found = getattr(self._library, f"{self._name}_{name}")
         except AttributeError:
             raise StorageError(
-                f"{self._path}: has no function {self._name}_{name}: not compiled from the code beside it"
+                f"{self._path}: has no function {self._name}_{name}: not compiled from the code in its folder"
             ) from None
         found.restype = returns
         return found

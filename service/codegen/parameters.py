@@ -26,10 +26,10 @@ LOADABLE = (
     Loadable("viscous", "N m s/rad", "viscous friction of each joint", 0.0, 1e3),
     Loadable("coulomb", "N m", "Coulomb friction of each joint", 0.0, 1e4),
     Loadable("scale", "-", "reported over true torque of each joint", 0.2, 5.0),
-    Loadable("peak", "N m", "feed-forward torque at most", 1e-3, 1e6),
-    Loadable("slope", "N m/s", "its slope at most", 1e-3, 1e9),
-    Loadable("fade", "s", "in which it goes to zero without usable motion", 1e-4, 100.0),
-    Loadable("max_payload", "kg", "payload at most", 1e-3, 1e3),
+    Loadable("peak", "N m", "largest feed-forward torque", 1e-3, 1e6),
+    Loadable("slope", "N m/s", "largest slope of the feed-forward", 1e-3, 1e9),
+    Loadable("fade", "s", "time in which the feed-forward fades to zero without usable motion", 1e-4, 100.0),
+    Loadable("max_payload", "kg", "largest payload", 1e-3, 1e3),
 )
 
 

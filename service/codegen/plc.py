@@ -117,7 +117,7 @@ def _parameters(writer: Writer) -> list[DataType]:
         kind = writer.array(Array("f8", shape)) if shape else "LREAL"
         note = f"{one.unit}, {one.meaning}; {number(one.low, Scalar.REAL)} to {number(one.high, Scalar.REAL)}"
         members.append(Variable(writer.member(state.SETTINGS, one.name), kind, said_in_st(note)))
-    return [DataType(f"{writer.prefix}_parameters_t", tuple(members), comment="figures that may be loaded")]
+    return [DataType(f"{writer.prefix}_parameters_t", tuple(members), comment="parameters that may be loaded")]
 
 
 def _block(
@@ -127,17 +127,17 @@ def _block(
     for helper in ("no_number", "isfinite"):
         writer.helper(helper)
     topic = {one: f"{name}_{one}_t" for one in (*IN, *OUT, "parameters")}
-    fourth = [Variable("has_fourth_position", "BOOL", "its fourth_position is there")] if has_fourth else []
+    fourth = [Variable("has_fourth_position", "BOOL", "sample.fourth_position is valid")] if has_fourth else []
     inputs = [
-        Variable("init", "BOOL", "in one cycle: begin; nothing is seen yet, nothing known of the payload"),
+        Variable("init", "BOOL", "for one cycle: start without history; the payload is unknown"),
         Variable("period_s", "LREAL", f"s, of the task's cycle; made for {period:g}"),
-        Variable("sample", topic["sample"], "of this cycle"),
-        Variable("has_position_command", "BOOL", "its position_command is there"),
-        Variable("has_torque_command", "BOOL", "its torque_command is there"),
+        Variable("sample", topic["sample"], "sample of this cycle"),
+        Variable("has_position_command", "BOOL", "sample.position_command is valid"),
+        Variable("has_torque_command", "BOOL", "sample.torque_command is valid"),
         *fourth,
         Variable("plan", "BOOL", "planned is the motion of a coming cycle"),
         Variable("planned", topic["reference"]),
-        Variable("load", "BOOL", "at a standstill: take the parameters and begin anew"),
+        Variable("load", "BOOL", "at a standstill: load the parameters and start again"),
         Variable("parameters", topic["parameters"]),
         Variable("ask_findings", "BOOL", "about once a second: fill friction and health"),
     ]
@@ -146,7 +146,7 @@ def _block(
     outputs = [
         Variable("code", "DINT", codes),
         Variable("feedforward", topic["feedforward"], "torque for the drives; zero where code is not 0 or -4"),
-        Variable("has_payload", "BOOL", "payload and error are there, of a fixed lag ago"),
+        Variable("has_payload", "BOOL", "payload and error are valid; they are a fixed lag old"),
         *(Variable(one, topic[one]) for one in ("payload", "error", "friction")),
         Variable("health", "LINT", health),
         Variable("parameters_now", topic["parameters"]),

@@ -41,13 +41,17 @@ def to_sheet(robot: Robot, traces: Sequence[Trace]) -> str:
         RobotError: the robot was not identified. TraceError: a log is no motion of it.
     """
     if robot.identified is None:
-        raise RobotError(f"{robot.origin}: identified: not there: run `deltatwin identify`")
+        raise RobotError(f"{robot.origin}: identified: missing: run `deltatwin identify`")
     changed, ratio, _ = corrected(robot)
     model = pack(changed)
     rho_1, rho_2 = lengthened(robot.identified.rho_1.value, robot.identified.rho_2.value, ratio)
     axes = axis_inertia(model, rho_1)
     said = re.sub(r"[^A-Za-z0-9_. -]", "?", robot.name)
-    lines = [f"# {said}: figures for a controller's own model", "", f"By deltatwin {version('deltatwin')}. SI units."]
+    lines = [
+        f"# {said}: parameters for a controller's own model",
+        "",
+        f"By deltatwin {version('deltatwin')}. SI units.",
+    ]
     lines += _masses(robot, changed) + _added(robot, model, rho_1, rho_2) + _axes(robot, robot.identified, axes)
     lines += _effects(robot)
     if traces:
@@ -73,7 +77,7 @@ def _masses(robot: Robot, changed: Robot) -> list[str]:
     rows = [
         ("length of the active links", _each(lengths), "m"),
         ("length of the forearms", _each(forearms), "m"),
-        ("base radius less platform radius", f"{geometry.base_radius - geometry.platform_radius:.6g}", "m"),
+        ("base radius minus platform radius", f"{geometry.base_radius - geometry.platform_radius:.6g}", "m"),
         ("mass of an active link", f"{mass.active_link:.6g}", "kg"),
         ("mass of a forearm, both rods", f"{mass.passive_link:.6g}", "kg"),
         ("mass of the platform", f"{mass.platform:.6g}", "kg"),
@@ -92,10 +96,11 @@ def _added(robot: Robot, model: DeltaModel, rho_1: np.ndarray, rho_2: np.ndarray
         ("added static moment of the arm", *(f"{value:.5g}" for value in moment), "kg m"),
     ]
     text = [
-        "", "## What the drawing lacks", "",
-        "Added inertia is that of rotor and gear and of arms that are no uniform rods: enter it as the motor's or the",
-        "gear's inertia. The added static moment is mass times the distance of its centre from the joint; where the",
-        "controller has no such figure, shift the arm's centre of mass by it over the arm's mass.", "",
+        "", "## Additions to the drawing", "",
+        "The added inertia is that of rotor and gear, and of arms that are not uniform rods: enter it as inertia of",
+        "the motor or the gear. The added static moment is mass times the distance of its centre from the joint.",
+        "If the controller has no such parameter, shift the arm's centre of mass by the moment over the arm's mass.",
+        "",
     ]  # fmt: skip
     return [*text, *_table(("figure", "axis 1", "axis 2", "axis 3", "unit"), rows)]
 
@@ -107,7 +112,7 @@ def _axes(robot: Robot, found: Identified, axes: np.ndarray) -> list[str]:
     spread = [one or [0.0] * 3 for one in errors]
     mean = axes.mean(axis=0)
     rows = [
-        ("inertia, mean amid the workspace", *(f"{value:.5g}" for value in mean), "kg m^2"),
+        ("inertia, mean in the middle of the workspace", *(f"{value:.5g}" for value in mean), "kg m^2"),
         ("its range there", *(f"{low:.4g} to {high:.4g}" for low, high in zip(axes.min(0), axes.max(0), strict=True)),
          "kg m^2"),
         ("inertia at the motor", *(f"{value:.5g}" for value in mean / gear**2), "kg m^2"),
@@ -127,7 +132,10 @@ def _effects(robot: Robot) -> list[str]:
     if not robot.effect:
         return []
     names = ", ".join(re.sub(r"[^a-z0-9_]", "?", entry.name) for entry in robot.effect)
-    return ["", f"Effects that no such figure has, but for changed lengths: {names}. The code (`--to c`) has them."]
+    return [
+        "",
+        f"Effects that no parameter here contains, except changed lengths: {names}. The code (`--to c`) contains them.",
+    ]
 
 
 def _left(robot: Robot, traces: Sequence[Trace], axes: np.ndarray) -> list[str]:
@@ -145,9 +153,11 @@ def _left(robot: Robot, traces: Sequence[Trace], axes: np.ndarray) -> list[str]:
         rms = np.sqrt(np.nanmean(np.concatenate(errors) ** 2, axis=0))
         rows.append((stage, *(f"{value:.3g}" for value in rms)))
     count = sum(int(np.isfinite(error).any(axis=1).sum()) for error in left["masses as drawn"])
-    text = f"N m rms of the torque, while moving, over {count} samples of {len(traces)} logs, payloads not taken off."
-    head = ("put in", "axis 1", "axis 2", "axis 3")
-    return ["", "## What is left of the torque", "", text, "", *_table(head, rows)]
+    text = (
+        f"N m rms of the torque, while moving, over {count} samples of {len(traces)} logs; payloads are not subtracted."
+    )
+    head = ("included", "axis 1", "axis 2", "axis 3")
+    return ["", "## Residual torque", "", text, "", *_table(head, rows)]
 
 
 def _of_axes(robot: Robot, theta_dot: np.ndarray, theta_ddot: np.ndarray, inertia: np.ndarray) -> np.ndarray:

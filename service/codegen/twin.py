@@ -40,10 +40,10 @@ IN, OUT = ("sample", "reference"), ("feedforward", "payload", "error", "friction
 ROOTS = {"answer": answer_kernel, "look_back": look_back_kernel, "plan": plan_kernel, "findings": findings_kernel}
 # What findings say of the machine; the rest of health is of a process on the bus.
 HEALTH = {
-    HealthFlag.FRICTION_DRIFT: "friction is further from the identified one than the description allows",
-    HealthFlag.SCALE_DRIFT: "a torque constant is",
-    HealthFlag.COMMAND_REFUTED: "the drives do not do what torque_command says: masses are weighed without it",
-    HealthFlag.EFFECT_LEFT_OUT: "the description names an effect that the online model does without",
+    HealthFlag.FRICTION_DRIFT: "friction has drifted from the identified value by more than the description allows",
+    HealthFlag.SCALE_DRIFT: "a torque constant has drifted by more than the description allows",
+    HealthFlag.COMMAND_REFUTED: "the drives do not follow torque_command: masses are estimated without it",
+    HealthFlag.EFFECT_LEFT_OUT: "the description names an effect that the online model leaves out",
 }
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 _ID = "THE_ID_OF_THIS_CODE"
@@ -77,7 +77,9 @@ def check_name(name: str) -> str:
         CodegenError: C would not take it.
     """
     if not _IDENTIFIER.fullmatch(name) or word(name) != name:
-        raise CodegenError(f"--name: {name!r}: letters, digits and _ from a letter on, at most 31, no word of C")
+        raise CodegenError(
+            f"--name: {name!r}: use at most 31 letters, digits and _, beginning with a letter, and no keyword of C"
+        )
     return name
 
 
@@ -140,11 +142,11 @@ def lowered(robot: Robot, period: float, nominal: bool) -> tuple[np.ndarray, Pro
     """
     if robot.identified is None and not nominal:
         raise RobotError(
-            f"{robot.origin}: identified: not there: friction would be zero and rho 1; run `deltatwin identify`, "
+            f"{robot.origin}: identified: missing: friction would be zero and rho 1; run `deltatwin identify`, "
             "or give --nominal"
         )
     if not SHORTEST_PERIOD <= period <= LONGEST_PERIOD:
-        raise CodegenError(f"a cycle of {period:g} s: from {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s are possible")
+        raise CodegenError(f"a cycle of {period:g} s: must be {SHORTEST_PERIOD:g} to {LONGEST_PERIOD:g} s")
     settings = state.settings(robot, period, 1)
     program, step = Program(layout_of(robot, settings)), (Array(Record(state.STEP), (1,)),)
     return settings, program, {root: program.function(kernel, step) for root, kernel in ROOTS.items()}

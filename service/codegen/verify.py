@@ -61,7 +61,9 @@ def verify(robot: Robot, manifest: Manifest, recorded: Mapping[str, Recorded]) -
     """
     for topic in ("sample", "feedforward"):
         if not len(recorded[topic].records):
-            raise DataError(f"no {topic} messages: record both what the controller heard and what it answered")
+            raise DataError(
+                f"no {topic} messages: record both the samples that the controller received and its answers"
+            )
     expected = _expected(Estimator(robot, manifest.period_s), recorded["sample"], recorded["reference"])
     return {
         topic: _compare(recorded[topic].records, expected[topic], fields)

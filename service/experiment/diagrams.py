@@ -8,7 +8,7 @@ IDENTIFICATION = Diagram(
     "figure_2",
     "Figure 2: how the gray-box model is identified",
     "Drawn by us from the method, not copied. A net analyzer takes joint positions and torques off the EtherCAT bus; "
-    "ρ1 and ρ2 come from a grid search on each trajectory, friction from least squares on what is left, and both are "
+    "ρ1 and ρ2 come from a grid search on each trajectory, friction from least squares on the residual, and both are "
     "means over the trajectories.",
     (
         Box("robot\nSIPRO D3-1200", 0, 0),
@@ -35,8 +35,8 @@ IDENTIFICATION = Diagram(
 WEIGHING = Diagram(
     "figure_9",
     "Figure 9: how the payload is estimated and used",
-    "Drawn by us from the method, not copied, and with its misprints put right: the difference between measured and "
-    "predicted torque is taken to the platform, and recursive least squares with forgetting weigh it.",
+    "Drawn by us from the method, not copied, with its misprints corrected: the difference between measured and "
+    "predicted torque is projected onto the platform; recursive least squares with forgetting estimate the payload.",
     (
         Box("net analyzer\non EtherCAT", 0, 1),
         Box("θ̇, θ̈ from θ", 1, 0),

@@ -242,8 +242,8 @@ def _table_2(found: PaperResult) -> PageTable:
     )
     note = (
         f"{len(found.scores)} picks of {found.scores[0].truth.mass:g} kg between two conveyors. Every sample, "
-        f"unfiltered; m̂_p by the paper's recursion, forgetting {found.forgetting:g} a millisecond, as known at each "
-        "sample. The published values are not known to us."
+        f"unfiltered; m̂_p by the paper's recursion, forgetting factor {found.forgetting:g} per millisecond, as known "
+        "at each sample. The published values are not known to us."
     )
     head = ("τ − τ̂ / N m", "m_p = 0: μ", "m_p = 0: σ", "m_p = m̂_p: μ", "m_p = m̂_p: σ")
     return PageTable(f"Table 2: error of {FRICTION} over υ_P without and with the estimated payload", head, rows, note)
@@ -334,7 +334,7 @@ def _methods(found: PaperResult) -> PageTable:
         )
     head = ("identified by", "ρ1", "ρ2", "f_v / N m s/rad", "f_c / N m", "σ / N m", "σ in the band / N m")
     note = "σ of the error over υ_F, joints 1 to 3: of every sample as measured, and in motion below 40 Hz."
-    return PageTable("Identification: the paper's method as it stands and filtered, and ours", head, tuple(rows), note)
+    return PageTable("Identification: the paper's method, unchanged and filtered, and ours", head, tuple(rows), note)
 
 
 def _weighed(found: PaperResult) -> PageTable:
@@ -366,12 +366,12 @@ def _weighed(found: PaperResult) -> PageTable:
         "rms when empty / kg",
     )
     note = (
-        f"υ_P, {found.scores[0].truth.mass:g} kg. Settled: within the larger of 5 % and 50 g, and staying to the "
-        f"release. Forgetting {found.forgetting:g} a millisecond. The paper's model: {FRICTION}, identified literally; "
-        "ours: the full model, pooled. “At rest”: any joint below 0.01 rad/s, told after the fact; our estimator has "
-        "to tell it live."
+        f"υ_P, {found.scores[0].truth.mass:g} kg. Settled: within the larger of 5 % and 50 g until the release. "
+        f"Forgetting factor {found.forgetting:g} per millisecond. The paper's model: {FRICTION}, identified literally; "
+        "ours: the full model, pooled. “At rest”: any joint below 0.01 rad/s, determined afterwards; our estimator has "
+        "to decide it live."
     )
-    return PageTable("Payload: what the model gives and what the algorithm gives", head, tuple(rows), note)
+    return PageTable("Payload: contributions of model and algorithm", head, tuple(rows), note)
 
 
 def _each_pick(found: PaperResult) -> PageTable:
@@ -475,7 +475,7 @@ def _per_trajectory(found: PaperResult) -> Figure:
             )
         )
     caption = (
-        "The grid search leaves friction out, so ρ1 and ρ2 soak up some of it; the pooled fit does not. Simulated."
+        "The grid search does not model friction, so ρ1 and ρ2 absorb part of it; the pooled fit models it. Simulated."
     )
     return Figure("trajectories", "ρ1 and ρ2 by trajectory", caption, tuple(panels))
 

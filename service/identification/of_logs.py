@@ -33,7 +33,7 @@ def identify_logs(
     """
     if isinstance(description, Machine):
         if carried:
-            raise RobotError(f"{description.origin}: --carried: a load hangs on the platform of a Delta robot")
+            raise RobotError(f"{description.origin}: --carried: it needs the platform of a Delta robot")
         if method == "paper":
             raise RobotError(f"{description.origin}: --method paper: the paper's method is for a Delta robot")
         return identify_axes(description, list(logs)), ()

@@ -569,7 +569,7 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
     if side is not None and not (told and fits):
         why = "; the fit confirms it" if fits else f"; by the masses one unit would be {fit.by_masses / side:.3g} N m"
         why = "; the fit is poor" if fit.share >= SUSPECT else why
-        by = f"torques are assumed to be N m, the file does not say{why}"
+        by = f"torques are assumed to be N m: the file does not say{why}"
         said_so = f"torques are N m by the file{why}" if told else by
         if not told or fit.share < SUSPECT:
             (reasons if fits else doubts).append(said_so)

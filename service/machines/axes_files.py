@@ -38,7 +38,7 @@ def to_mjcf(axes: Axes) -> MachineFile:
         if mechanism.shared and weight.any():
             raise RobotError(
                 f"robot {axes.name}: axis {number} bears a weight and {', '.join(mechanism.shared)} turns with several "
-                "axes: MuJoCo has no word for both together"
+                "axes: MuJoCo cannot express both together"
             )
         body = parent.add_body(name=f"body_{number}", pos=[0.0, APART * min(number - 1, 1), float(number == 1)])
         if mechanism.shared:

@@ -71,7 +71,7 @@ class ChainMachine(MachineModel):
         named = self.frame(frame)
         columns = self.mechanism.arm.body_on(named)
         if not columns.any():
-            raise RobotError(f"{self.chain.name}: link {named!r} stands still: a load on it shows in no torque")
+            raise RobotError(f"{self.chain.name}: link {named!r} does not move: no torque shows a load on it")
         return named, columns
 
     def to_mjcf(self) -> MachineFile:

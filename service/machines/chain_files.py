@@ -38,7 +38,7 @@ def to_urdf(chain: Chain) -> MachineFile:
     root = fromstring(read_bytes(chain.arm.path, MAX_BYTES, RobotError), forbid_dtd=True)
     _write_into(root, chain, bodies)
     text = '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-    left_out = {entry.name: "a URDF has no word for it" for entry in chain.effect}
+    left_out = {entry.name: "a URDF cannot express it" for entry in chain.effect}
     return MachineFile(text, _figures(chain, bodies), left_out, _said(chain, bodies))
 
 
@@ -65,7 +65,7 @@ def to_mjcf(chain: Chain) -> MachineFile:
         left_out = finish(spec, chain, chain.joints, bodies.found.rotors, bodies.load)
         spec.compile()
     except ValueError as cause:
-        raise RobotError(f"{chain.arm.path}: MuJoCo does not take it: {cause}") from cause
+        raise RobotError(f"{chain.arm.path}: MuJoCo does not accept it: {cause}") from cause
     return MachineFile(spec.to_xml(), _figures(chain, bodies), left_out, _said(chain, bodies))
 
 
@@ -113,7 +113,9 @@ def _said(chain: Chain, bodies: IdentifiedBodies) -> list[str]:
         said.append(f"the payload on {chain.payload.frame} is not in the file")
     if bodies.lean:
         told = ", ".join(f"{name} by {abs(off):.1f}" for name, off in bodies.lean.items())
-        said.append(f"no bodies have these parameters, the nearest miss {told} standard errors: log more motion")
+        said.append(
+            f"no bodies can have these parameters; the nearest ones miss {told} standard errors: log more motion"
+        )
     return said
 
 

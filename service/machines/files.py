@@ -97,7 +97,7 @@ def finish(
                 tendon.wrap_joint(name, float(turns))
         tendon.armature, tendon.frictionloss = rotors[number], base.coulomb[number]
         _linear(tendon, "damping", base.viscous[number])
-    why = "MuJoCo has no word for it; `deltatwin rollout` has"
+    why = "MuJoCo cannot express it; `deltatwin rollout` contains it"
     return {term.effect.name: why for term in terms if term.effect.name not in NATIVE}
 
 

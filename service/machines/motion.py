@@ -90,8 +90,8 @@ def multisine(
             return motion
         path = [part * SHRINK for part in path]
     raise DataError(
-        f"{machine.description.name}: to hold it in the middle of its range takes up to {np.abs(needed).max():.3g}, "
-        f"the least torque limit of a joint is {np.min(limits.torque):g}"
+        f"{machine.description.name}: holding it in the middle of its range needs up to {np.abs(needed).max():.3g}, "
+        f"but the smallest torque limit of a joint is {np.min(limits.torque):g}"
     )
 
 

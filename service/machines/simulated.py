@@ -60,7 +60,9 @@ def simulate(machine: MachineModel, motion: JointMotion, rng: np.random.Generato
 
     angles, _ = run(machine, base, (motion.theta[:1], motion.theta_dot[:1]), drive, len(motion.theta), motion.period)
     if not np.isfinite(angles).all():
-        raise DataError(f"{robot.name}: the simulated drives lose the motion: its parameters are of no such machine")
+        raise DataError(
+            f"{robot.name}: the simulated drives lose the motion: its parameters are not those of a real machine"
+        )
     pushed[-1] = pushed[-2]
     torque = (pushed + np.vstack([pushed[:1], pushed[:-1]])) / 2  # at the samples, not between them
     if robot.effect:

@@ -126,5 +126,5 @@ class RecordingWriter:
         try:
             yield
         except OSError as error:
-            how = f"what is on disk: deltatwin recover {self.path} OUT.mcap"
+            how = f"to save the data on disk: deltatwin recover {self.path} OUT.mcap"
             raise StorageError(f"{self.path}: recording stopped: {error.strerror}; {how}") from error

@@ -90,7 +90,7 @@ def browser() -> str:
     """
     found = next(filter(None, map(shutil.which, BROWSERS)), None)
     if found is None:
-        raise StorageError(f"printing takes Chromium, Chrome or Edge: none of {', '.join(BROWSERS)} is on the path")
+        raise StorageError(f"printing needs Chromium, Chrome or Edge: none of {', '.join(BROWSERS)} is on the path")
     return found
 
 

@@ -54,7 +54,9 @@ def plan(
     limits, home = planner.limits, np.full((1, 3), HOME)
     held = float(np.abs(planner.torque(home, 0 * home, 0 * home)).max())
     if held > limits.torque:
-        raise DataError(f"a torque limit of {limits.torque:.4g} N m leaves no motion: at rest it takes {held:.4g} N m")
+        raise DataError(
+            f"a torque limit of {limits.torque:.4g} N m allows no motion: holding the robot needs {held:.4g} N m"
+        )
     count = _count(duration)
     length = (duration - REST_BEFORE - REST_AFTER) / count
     best: list[np.ndarray | None] = [None] * count
@@ -86,7 +88,7 @@ def plan(
                 shown[place] = question.shown(stretch(planner, found.x, length))
             except DataError as error:
                 given = f"{limits.speed:.4g} rad/s, {limits.acceleration:.4g} rad/s^2 and {limits.torque:.4g} N m"
-                raise DataError(f"limits of {given} leave no motion of {length:.2g} s: {error}") from error
+                raise DataError(f"limits of {given} allow no motion of {length:.2g} s: {error}") from error
     return joined([stretch(planner, point, length) for point in best if point is not None])
 
 

@@ -129,7 +129,7 @@ class Apart:
         for hypothesis in self.rivals:  # their bases differ in timing alone, which a scene does not have
             prediction, slopes = tangent(scene, hypothesis, band)
             if (most := float(np.abs(prediction).max())) > self.view.peak:
-                raise DataError(f"{_in_words(hypothesis)} takes {most:.4g} N m, the drives give {self.view.peak:.4g}")
+                raise DataError(f"{_in_words(hypothesis)} needs {most:.4g} N m, the drives give {self.view.peak:.4g}")
             found.append((self.view.rows(scene, band, prediction), self.view.rows(scene, band, slopes)))
         grams = [slopes.T @ slopes for _, slopes in found]
         size = max(len(gram) for gram in grams) + 1

@@ -56,7 +56,7 @@ def to_mjcf(robot: Robot) -> Export:
     take the torque that a log reports, but for what the callback's `Measurement` does to both.
 
     Raises:
-        RobotError: an effect that is not known, or figures that no body can have.
+        RobotError: an effect that is not known, or parameters that no body can have.
     """
     terms, base = terms_of(robot), base_of(robot)
     changed, ratio, scale = corrected(robot)
@@ -205,7 +205,7 @@ import math
 from types import SimpleNamespace
 
 GEAR_RATIO = {gear_ratio!r}
-SMOOTH = {smooth!r}  # rad/s over which friction turns
+SMOOTH = {smooth!r}  # rad/s over which friction changes sign
 BRISTLE, DISTANCE = {bristle!r}, {distance!r}  # N m of friction that builds up, over rad
 
 
@@ -250,7 +250,7 @@ class Effects:
             torque = BRISTLE[i] * self.slide(i, q[i], DISTANCE[i])
             torque += sum(form(effect, now, i) for form, effect in AT_JOINTS)
             for form, effect in BY_LOAD:
-                # what is left of the drive's torque goes through the gear: load and friction by the load together
+                # the gear transmits the rest of the drive's torque: the load, and the friction that it causes
                 left = float(data.qfrc_actuator[dof] + data.qfrc_passive[dof])
                 now.load[i] = left = left - self.dry[dof] * now.direction[i] - torque
                 torque += form(effect, now, i) / (1.0 + form(effect, now, i) / left) if left else 0.0
@@ -276,7 +276,7 @@ class Measurement:
     def angle(self, angle):
         """Of the angles of the motors, three values."""
         read = angle = [float(value) for value in angle]
-        for _ in range(4):  # what is wrong with the angle turns with the angle that is read
+        for _ in range(4):  # the error of the angle is periodic in the angle that is read
             off = [0.0, 0.0, 0.0]
             for i, cosine, sine, order in {wobble!r}:
                 turn = order * GEAR_RATIO * read[i]

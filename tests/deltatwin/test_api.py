@@ -169,9 +169,9 @@ def test_a_foreign_frame_takes_a_mapping(tmp_path: Path) -> None:
 def test_what_is_wrong_with_arrays_is_one_line_or_a_flag() -> None:
     time, ones = np.arange(1000) * 1e-3, 0.1 * np.ones((1000, 3))
     for position, torque, what in (
-        (ones[:-1], ones, r"position has the shape \(999, 3\), time has 1000 samples"),
+        (ones[:-1], ones, r"position has shape \(999, 3\), but time has 1000 samples"),
         (ones, ones[:, :2], "arrays of different numbers of joints: {'position': 3, 'torque': 2}"),
-        (ones, [["a"]] * 1000, "torque holds no numbers"),
+        (ones, [["a"]] * 1000, "torque does not contain numbers"),
         (np.degrees(ones), ones, "degrees for radians"),
     ):
         with pytest.raises(dt.TraceError, match=what):

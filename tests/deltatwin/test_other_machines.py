@@ -58,5 +58,5 @@ def test_the_motion_of_an_arm(arm: tuple[dt.Description, Path]) -> None:
 
 def test_what_is_of_an_arm_is_not_asked_of_a_delta() -> None:
     robot, log = dt.load_demo()
-    with pytest.raises(dt.DataError, match="carries on its platform"):
+    with pytest.raises(dt.DataError, match="has its load on the platform"):
         dt.payload(robot, log, "flange")  # type: ignore[call-overload]

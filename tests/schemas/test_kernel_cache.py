@@ -124,7 +124,7 @@ def test_what_is_damaged_is_made_anew_and_said_once(ours, kind, damage):
     if damage is not turned or kind == "*.nbc":  # a bit of an index may only say that there is nothing
         assert len(said.splitlines()) == 1
         assert "compiled kernels are damaged" in said
-        assert said.endswith("made anew")
+        assert said.endswith("compiled again")
     assert run(ours) == ("1", "")
 
 

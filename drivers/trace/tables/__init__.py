@@ -100,7 +100,7 @@ def joined(tables: Sequence[Table], clocks: Sequence[str | None] = ()) -> Table:
         stem = other.path.name.split(".")[0]
         clock = clocks[number] if clocks else None
         if len(other) != len(first) and clock is None:
-            raise TraceError(f"{other.path}: {len(other)} rows, {first.path.name} beside it has {len(first)}")
+            raise TraceError(f"{other.path}: {len(other)} rows, but {first.path.name} has {len(first)}")
         later_s = (other.epoch_ns - first.epoch_ns) / NANOSECONDS if first.epoch_ns else 0.0
         for name, values in other.columns.items():
             unit, time = other.units.get(name), other.time_of.get(name, clock)

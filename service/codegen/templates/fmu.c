@@ -1,4 +1,4 @@
-/* The twin as an FMU of FMI {{ fmi }}.0 for co-simulation: one instance in a process, one step a sample. */
+/* The twin as an FMU of FMI {{ fmi }}.0 for co-simulation: one instance per process, one step per sample. */
 #include "{{ name }}.h"
 
 #include <math.h>

@@ -14,14 +14,14 @@
 extern "C" {
 #endif
 
-/* What functions return. */
+/* Return codes. */
 #define {{ macro }}_OK (0)
-#define {{ macro }}_NOTHING (1)       /* of a look back: samples do not reach back to it yet */
-#define {{ macro }}_NOT_READY (-1)    /* no init before, or one that failed: every answer is zero */
-#define {{ macro }}_WRONG_PERIOD (-2) /* of init: made for another cycle */
+#define {{ macro }}_NOTHING (1)       /* look back: not enough samples yet */
+#define {{ macro }}_NOT_READY (-1)    /* init was not called or failed: every answer is zero */
+#define {{ macro }}_WRONG_PERIOD (-2) /* init: the code was made for another cycle */
 #define {{ macro }}_NO_ARGUMENT (-3)  /* a null pointer */
-#define {{ macro }}_OUT_OF_RANGE (-4) /* of load: a figure that no robot has; all stay as they were */
-#define {{ macro }}_NOT_FINITE (-5)   /* the answer was no number, and is zero; init again */
+#define {{ macro }}_OUT_OF_RANGE (-4) /* load: a parameter is out of range; nothing was loaded */
+#define {{ macro }}_NOT_FINITE (-5)   /* the answer was not a number and was set to zero; call init again */
 
 #define {{ macro }}_PERIOD {{ period_literal }} /* s */
 
@@ -37,36 +37,36 @@ typedef struct {
 } {{ name }}_{{ message.topic }};
 
 {% endfor %}
-/* Bits of what findings return. */
+/* Bits returned by findings. */
 {% for flag in health %}
 #define {{ macro }}_{{ flag.name }} {{ flag.value }} /* {{ flag.comment }} */
 {% endfor %}
 
-/* Figures that may be loaded while the controller runs; all others are constants. */
+/* Parameters that may be loaded while the controller runs; all others are constants. */
 typedef struct {
 {% for one in loadable %}
     {{ one.declared }}; /* {{ one.unit }}, {{ one.meaning }}; {{ one.low }} to {{ one.high }} */
 {% endfor %}
 } {{ name }}_parameters;
 
-/* Which code this is: of twin.json beside it. */
+/* Identifier of this code, as in twin.json next to it. */
 uint64_t {{ name }}_id(void);
-/* Begin: nothing is seen yet, and nothing known of payload and changed friction. period_s: of the controller's cycle. */
+/* Start without history: payload and drift of friction are unknown. period_s: of the controller's cycle. */
 int {{ name }}_init(double period_s);
-/* A sample in which nothing is said, to be filled with what is known: stamp, sequence, positions and torques at least. */
+/* An empty sample. Fill in at least stamp, sequence, positions and torques. */
 void {{ name }}_clear({{ name }}_sample *sample);
-/* Once a cycle: one sample in, the torque for the drives out. */
+/* Once per cycle: takes one sample, gives the torque for the drives. */
 int {{ name }}_step(const {{ name }}_sample *sample, {{ name }}_feedforward *answer);
-/* After a step, when the drives have their torque: payload and errors a fixed lag ago. Left out, the next step does it
- * first. */
+/* After a step, when the drives have their torque: payload and errors a fixed lag ago. If it is not called, the next
+ * step does its work first. */
 int {{ name }}_look_back({{ name }}_payload *payload, {{ name }}_error *error);
-/* About once a second: how far friction is from the identified one. Returns bits, or a code below zero. */
+/* About once a second: drift of friction from the identified values. Returns bits, or a code below zero. */
 int {{ name }}_findings({{ name }}_friction *friction);
-/* The planned motion of a coming cycle: while it lies ahead, the torque is for it. */
+/* The planned motion of a coming cycle: the torque is for it as long as it is ahead. */
 int {{ name }}_plan(const {{ name }}_reference *reference);
-/* The figures of now. */
+/* The present parameters. */
 void {{ name }}_parameters_now({{ name }}_parameters *parameters);
-/* At a standstill: take other figures and begin anew. If one is out of range, all stay as they were. */
+/* At a standstill: load other parameters and start again. If one is out of range, nothing is loaded. */
 int {{ name }}_load(const {{ name }}_parameters *parameters);
 
 #ifdef __cplusplus

@@ -198,7 +198,7 @@ def test_dates_flags_products_percent_and_unsigned(tmp_path: Path) -> None:
     path.write_text(text)
     kept = read_trace(path, columns=columns.model_copy(update={"where": Columns(where=where).where}))  # pyright: ignore[reportArgumentType]
     assert len(kept) == 200
-    assert "100 of 300 rows have not 1 in column 'on' and were left out" in [f.message for f in kept.findings]
+    assert "100 of 300 rows do not have 1 in column 'on' and were left out" in [f.message for f in kept.findings]
 
 
 @pytest.mark.parametrize(
@@ -224,7 +224,7 @@ def test_files_side_by_side_at_a_stated_rate(tmp_path: Path) -> None:
     )
     comes_back(tmp_path / "position.csv", columns)
     (tmp_path / "current.csv").write_text("J1,J2,J3\n1,2,3\n4,5,6\n")
-    with pytest.raises(TraceError, match=r"current\.csv: 2 rows, position\.csv beside it has 300"):
+    with pytest.raises(TraceError, match=r"current\.csv: 2 rows, but position\.csv has 300"):
         read_trace(tmp_path / "position.csv", columns=columns)
 
 

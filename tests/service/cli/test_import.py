@@ -194,7 +194,7 @@ def test_sixteen_bits_without_sign_rows_that_count_and_a_product(tmp_path: Path,
     options = ["--torque-unit", "V 0.05", "--torque-times", "u", "--where", "ready=1", "--yes"]
     said = imported(tmp_path / "log.csv", "--robot", "d3-1200", *options)
     assert "'tau1', 'tau2', 'tau3' are 16-bit numbers read without sign: 65535 means -1" in said
-    assert "500 of 4000 rows have not 1 in column 'ready'" in said
+    assert "500 of 4000 rows do not have 1 in column 'ready'" in said
     back = read_trace(tmp_path / "log.mcap")
     assert len(back) == 3500
     np.testing.assert_allclose(back.torque, raw[:3500] / 20, atol=1e-9)
@@ -241,7 +241,7 @@ def test_what_is_read_is_never_written(tmp_path: Path, log: Trace) -> None:
     assert len(read_trace(tmp_path / "run.imported.mcap")) == 1500
     command = ["import", str(path), "--robot", "d3-1200", "--yes", "--overwrite", "--out"]
     done = CliRunner().invoke(app, [*command, str(tmp_path / "." / "run.mcap")])
-    assert "run.mcap: is what is read" in str(done.exception)
+    assert "run.mcap: is an input file" in str(done.exception)
     assert path.read_bytes() == before
 
 

@@ -61,12 +61,12 @@ def test_code_of_another_cycle_robot_or_file_is_refused(described, library, robo
     other = compiled(described.folder / "r.toml", tmp_path / "other", 1 / PERIOD, "--nominal", optimised="-O0")
     source = other.with_name("deltatwin.c")
     source.write_text(source.read_text().replace("1e-09", "2e-09"))
-    with pytest.raises(StorageError, match=r"deltatwin\.c was changed since it was exported"):
+    with pytest.raises(StorageError, match=r"deltatwin\.c was changed after the export"):
         Library(other, described, PERIOD)
     text = tmp_path / "other" / "libtext.so"
     compiled(described.folder / "r.toml", tmp_path / "other", 1 / PERIOD, optimised="-O0")
     text.write_text("no library")
-    with pytest.raises(StorageError, match=r"libtext\.so: no library that this machine can load"):
+    with pytest.raises(StorageError, match=r"libtext\.so: not a library that this machine can load"):
         Library(text, described, PERIOD)
     compiled(described.folder / "r.toml", tmp_path / "slow", 100.0, optimised="-O0")
     stale = tmp_path / "other" / "libstale.so"

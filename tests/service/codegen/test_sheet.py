@@ -53,7 +53,7 @@ def test_an_axis_alone_takes_the_inertia_that_the_page_says(robot) -> None:
         step = found.rho_1.value * moving[:, INERTIA] + moving[:, PLATFORM] - resting[:, PLATFORM]
         own[:, axis] = step[:, axis]
     np.testing.assert_allclose(axis_inertia(model, np.full(3, found.rho_1.value)), own, rtol=1e-9)
-    np.testing.assert_allclose(row(sheet, "inertia, mean amid the workspace"), own.mean(axis=0), rtol=1e-4)
+    np.testing.assert_allclose(row(sheet, "inertia, mean in the middle of the workspace"), own.mean(axis=0), rtol=1e-4)
     gear = robot.drive.gear_ratio
     np.testing.assert_allclose(row(sheet, "inertia at the motor"), own.mean(axis=0) / gear**2, rtol=1e-4)
     assert row(sheet, "Coulomb friction") == found.coulomb_friction_nm.value
@@ -74,5 +74,5 @@ def test_each_figure_leaves_less_of_a_held_out_log(robot, make, tmp_path: Path) 
 
 
 def test_a_robot_that_was_never_identified_has_no_figures(robot, tmp_path: Path) -> None:
-    with pytest.raises(Exception, match="identified: not there"):
+    with pytest.raises(Exception, match="identified: missing"):
         to_sheet(robot.model_copy(update={"identified": None}), [])

@@ -184,5 +184,5 @@ def test_a_folder_holds_text_document_and_description(robot, tmp_path: Path) -> 
 def test_what_was_never_identified_is_refused(robot, tmp_path: Path) -> None:
     save_robot(robot.model_copy(update={"identified": None}), tmp_path / "r.toml")
     told = CliRunner().invoke(app, ["export", str(tmp_path / "r.toml"), "--to", "st", "--out", str(tmp_path / "t")])
-    assert "r.toml: identified: not there" in str(told.exception)
+    assert "r.toml: identified: missing" in str(told.exception)
     assert not (tmp_path / "t").exists()

@@ -51,7 +51,7 @@ def said(folder: Path, log: Path, code: int, *options: str) -> str:
 def test_the_same_bits(robot, make, folder, tmp_path) -> None:
     log = record(tmp_path / "run.mcap", answered(robot, make(1.0, noise=0.2).samples))
     shown = said(folder, log, 0)
-    assert "feedforward: 1000 answers, 1000 the same bit for bit" in shown
+    assert "feedforward: 1000 answers, 1000 bit-identical" in shown
     assert "answers as its twin, bit for bit" in shown
     document = json.loads(said(folder, log, 0, "--json"))
     assert document["feedforward"]["alike"] == 1000
@@ -79,8 +79,8 @@ def test_another_librarys_rounding_is_told_from_another_answer(robot, make, fold
     messages = answered(robot, make(1.0, noise=0.2).samples)
     messages["feedforward"]["torque"][300:310, 2] += 3e-14
     shown = said(folder, record(tmp_path / "a.mcap", messages), 0)
-    assert "990 the same bit for bit; largest differences: torque 3." in shown
-    assert "but for its mathematics library's rounding" in shown
+    assert "990 bit-identical; largest differences: torque 3." in shown
+    assert "except for the rounding of its mathematics library" in shown
     messages["feedforward"]["torque"][400:, 1] -= 0.25
     messages["payload"]["trusted"][700] ^= 1
     shown = said(folder, record(tmp_path / "b.mcap", messages), MISSED)
@@ -95,7 +95,7 @@ def test_lost_answers_are_counted(robot, make, folder, tmp_path) -> None:
     messages = answered(robot, make(1.0).samples)
     messages["feedforward"] = np.delete(messages["feedforward"], slice(100, 130))
     shown = said(folder, record(tmp_path / "run.mcap", messages), 0)
-    assert "970 answers, 970 the same bit for bit; 30 samples without one" in shown
+    assert "970 answers, 970 bit-identical; 30 samples without an answer" in shown
 
 
 def test_a_recording_that_begins_later_than_the_controller(robot, make, folder, tmp_path) -> None:

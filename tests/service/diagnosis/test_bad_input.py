@@ -61,7 +61,7 @@ def test_no_reversals(write: Write, diagnosed) -> None:
     found, text = diagnosed(*logs)
     assert not {effect["name"] for effect in found["effects"]} & {"stribeck_friction", "asymmetric_friction"}
     for joint in (1, 2, 3):
-        assert f"Joint {joint} moves one way only" in text
+        assert f"Joint {joint} moves in one direction only" in text
     assert "Record runs with reversals" in text
 
 

@@ -213,7 +213,7 @@ class TestVerdict:
             assert said.number == f"{error / 1e-3:.2g} times"
             assert said.lines[0].startswith("Platform error, feedback alone → rigid tau_FF → corrected tau_FF: ")
             assert said.lines[1] == "The correction: backlash in joint 2."
-            assert said.lines[2].startswith("The online model does not carry backlash")
+            assert said.lines[2].startswith("The online model does not contain backlash")
 
     def test_the_page_begins_with_it(self, tmp_path: Path) -> None:
         runs = [followed(FEEDBACK, 5e-3), followed(RIGID, 1e-3), followed(CORRECTED, 5e-4)]

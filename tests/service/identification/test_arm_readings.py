@@ -55,7 +55,7 @@ def test_a_joint_that_was_recorded_with_the_other_sign(
     assert signs(found, "torque") == (list(turned) if torques_too else [1, 1, 1])
     told = [line for line in found.doubts if "with the other sign of the position of joint" in line]
     assert len(told) == (turned != (1, 1, 1))
-    assert all("times likelier): so it is taken" in line for line in told)
+    assert all("times likelier): the other sign is used" in line for line in told)
 
 
 @pytest.mark.parametrize("what", ["order", "zero"])
@@ -82,7 +82,7 @@ def test_degrees_that_no_joint_could_turn_as_radians_are_not_called_radians(
     found = propose(table(log, np.degrees(log[:, 1:4]), log[:, 4:]), robot, Stated())
     assert [entry["unit"] for entry in found.columns["position"]] == ["deg"] * 3
     assert any(
-        "positions are assumed to be deg of the joint, alalthough the file says rad" in line for line in found.doubts
+        "positions are assumed to be deg of the joint, although the file says rad" in line for line in found.doubts
     )
     assert not any("positions are rad" in line for line in found.reasons)
 

@@ -189,7 +189,7 @@ def test_an_axis_of_which_all_logs_leave_a_fifth_is_told(second: float, told: st
     fit = stub(residual=residual, torque=np.array([[10.0, 20.0], [40.0, 20.0]]))
     found = axes._much_left(fit)
     assert len(found) == (told is not None)
-    assert all(line.startswith(f"the model leaves 21 % of the torque of {told}: ") for line in found)
+    assert all(line.startswith(f"the model leaves 21 % of the torque of {told} unexplained. ") for line in found)
 
 
 @pytest.mark.parametrize(("seconds", "enough"), [(3.9, False), (4.1, True)])

@@ -64,7 +64,12 @@ def test_torque_constants_and_platform_are_put_right(found: tuple[Calibration, l
     told = replace(found[1][0], torque_command=found[1][0].torque)
     np.testing.assert_array_equal(calibration.true(told).torque_command, calibration.true(told).torque)
     assert all(
-        words in said for words in ("joint 1: the drive reports 1.05", "joint 2: the drive", "mass.platform: 1.4")
+        words in said
+        for words in (
+            "joint 1: by the known load, the drive reports 1.05",
+            "joint 2: by the known",
+            "mass.platform: 1.4",
+        )
     )
     assert "joint 3" not in said
 

@@ -119,7 +119,7 @@ def test_joints_in_another_order_than_the_log_has_are_told(bench: Path, tmp_path
     robot.write_text(robot.read_text().replace('"j1", "j2"', '"j2", "j1"'))
     logs = [bench / "log_0.csv", bench / "log_1.csv"]
     told = " ".join(run("identify", *logs, "--robot", robot, "--out", tmp_path / "out.toml").split())
-    assert "Are order of joints, gear ratio and coupling right?" in told
+    assert "order of joints, gear ratio and coupling right?" in told
     own = run("identify", *logs, "--robot", bench / "small.toml", "--out", tmp_path / "own.toml")
     assert "order of joints" not in " ".join(own.split())
 

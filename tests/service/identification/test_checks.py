@@ -113,7 +113,9 @@ def test_payload_on_one_log_is_named(robot: Robot, record: Record) -> None:
 
 def test_heavy_payload_on_one_log_is_an_error(robot: Robot, record: Record) -> None:
     logs = [record(seed, Truth(payload=2.0 if seed == 2 else 0.0)) for seed in range(5)]
-    with pytest.raises(DataError, match=r"^log_2\.csv: does not go with the other logs.*\+\d\.\d+ kg on the platform"):
+    with pytest.raises(
+        DataError, match=r"^log_2\.csv: does not match the other logs.*\+\d\.\d+ kg more on the platform"
+    ):
         run(robot, logs)
 
 
@@ -122,9 +124,9 @@ def test_payload_on_a_plant_log_is_named(data: Path) -> None:
     folder = data / "payload_logs" / "case_001"
     robot = load_robot(folder / "robot.toml")
     logs = [read_trace(path, robot) for path in [*sorted(folder.glob("fit_*.csv")), folder / "pick_a.csv"]]
-    with pytest.raises(DataError, match=r"^pick_a\.csv: does not go with the other logs.*: a payload\?$") as said:
+    with pytest.raises(DataError, match=r"^pick_a\.csv: does not match the other logs.*: a payload\?$") as said:
         run(robot, logs)
-    asked = re.search(r"asks for \+(\d\.\d+) kg", str(said.value))
+    asked = re.search(r"fits \+(\d\.\d+) kg", str(said.value))
     (case,) = (c for c in json.loads((data / "payload_logs/key.json").read_text()) if c["case"] == "case_001")
     picks = case["picks"]["pick_a"]
     least = sum(mass * (until - begin) for begin, until, mass in picks) / (picks[-1][1] - picks[0][0])

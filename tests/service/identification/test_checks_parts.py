@@ -46,7 +46,7 @@ def told(
     return checks.check_fit(logs, fit, 2.0)
 
 
-OUT = "b: does not go with the other logs, the fit to those leaves"
+OUT = "b: does not match the other logs: the fit to those leaves"
 
 
 @pytest.mark.parametrize(
@@ -78,14 +78,14 @@ def test_a_log_that_others_explain_three_times_worse_than_each_other_is_named(
 
 
 def test_a_log_that_others_do_not_explain_or_that_no_fit_does_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(DataError, match=r"^b: does not go .* 41 % .* most on joint 3$"):
+    with pytest.raises(DataError, match=r"^b: does not match .* 41 % .* most on joint 3$"):
         told(monkeypatch, 0.41, 0.1)
-    with pytest.raises(DataError, match=r"^b: does not go .* 21 % .*; a load$"):
+    with pytest.raises(DataError, match=r"^b: does not match .* 21 % .*; a load$"):
         told(monkeypatch, 0.21, 0.01, hint="a load")
     warning, alike = told(monkeypatch, 0.21, 0.01, hint="a load", taken=0.49)
     assert re.match("b: does not match .* 21 % .* does this motion excite an unmodelled effect", warning)
     assert "load" not in warning + alike
-    with pytest.raises(DataError, match=r"^b: does not go .* 41 % .* most on joint 3$"):
+    with pytest.raises(DataError, match=r"^b: does not match .* 41 % .* most on joint 3$"):
         told(monkeypatch, 0.41, 0.1, hint="a load", taken=0.49)
     assert told(monkeypatch, 0.19, 0.01, hint="a load.") == ["b: a load. Identify on motion without payload", "alike"]
     assert told(monkeypatch, 0.1, 0.1, share=0.49) == ["alike"]
@@ -123,7 +123,7 @@ def test_a_log_is_loaded_that_steadily_asks_for_more_than_the_others(
     if spread:  # rms of 2 s, -s, -s is s sqrt 2
         by_log["b"] = mass, spread / 2**0.5
     found = checks._loads(logs, fit, 2.0)
-    assert found == ({"b": f"it asks for {mass:+.2f} kg more on the platform: a payload?"} if loaded else {})
+    assert found == ({"b": f"its torque fits {mass:+.2f} kg more on the platform: a payload?"} if loaded else {})
 
 
 def test_what_a_payload_would_take_is_a_mass_a_block_by_weight_and_inertia() -> None:

@@ -60,17 +60,17 @@ def test_logs_are_told_together_by_how_long_a_torque_stands(logs: dict[str, floa
 def test_identify_says_which_logs_have_it(robot: Robot, record: Record) -> None:
     logs = [held(record(0), 8), record(1), quick(record(2), 16), held(record(3), 8)]
     found = identify(robot, [summarise(pack(robot), log) for log in logs])
-    assert [one for one in found.warnings if "comes anew" in one] == told_of_held(
+    assert [one for one in found.warnings if "is updated only" in one] == told_of_held(
         {"log_0.csv": 0.008, "log_2.csv": 0.004, "log_3.csv": 0.008}
     )
     plain = identify(robot, [summarise(pack(robot), record(seed)) for seed in range(2)])
-    assert not [one for one in plain.warnings if "comes anew" in one]
+    assert not [one for one in plain.warnings if "is updated only" in one]
 
 
 def test_axes_are_told_as_well(record: Record) -> None:
     axes = Axes(name="axes", kind="axes", axis=[Axis(), Axis(), Axis()])
     found = identify_axes(axes, [held(record(0), 8), record(1)])
-    assert [one for one in found.warnings if "comes anew" in one] == told_of_held({"log_0.csv": 0.008})
+    assert [one for one in found.warnings if "is updated only" in one] == told_of_held({"log_0.csv": 0.008})
 
 
 def test_evaluate_says_so_on_stderr_and_to_programs(robot: Robot, record: Record, tmp_path: Path) -> None:
@@ -81,6 +81,6 @@ def test_evaluate_says_so_on_stderr_and_to_programs(robot: Robot, record: Record
     result = CliRunner().invoke(app, ["evaluate", *paths, "--robot", str(tmp_path / "robot.toml"), "--json"])
     assert result.exit_code == 0, result.output
     assert [one["torque_held_s"] for one in json.loads(result.stdout)["traces"]] == [0.004, 0.0]
-    assert result.stderr.count("comes anew") == 1
+    assert result.stderr.count("is updated only") == 1
     assert f"warning: {told_of_held({paths[0]: 0.004})[0]}" in result.stderr
     assert evaluate(robot, record(0)).held == 0.0

@@ -93,11 +93,11 @@ def test_identify_says_that_a_torque_is_a_command():
     for gain, said in ((2000.0, [1, 2, 3]), (0.0, [])):
         traces = [commanded(seed, gain) for seed in (1, 2, 3)]
         found = identify(ROBOT, [summarise(pack(ROBOT), trace) for trace in traces])
-        lines = [line for line in found.warnings if "controller's answer" in line]
-        assert [line.split(" is the")[0] for line in lines] == [f"the torque of joint {joint}" for joint in said]
+        lines = [line for line in found.warnings if "controller's response" in line]
+        assert [line.split(" was not")[0] for line in lines] == [f"the torque of joint {joint}" for joint in said]
         mixed = [traces[0], replace(traces[1], position_command=None), traces[2]]
         found = identify(ROBOT, [summarise(pack(ROBOT), trace) for trace in mixed])
-        assert not any("controller's answer" in line for line in found.warnings), "not all logs have commands"
+        assert not any("controller's response" in line for line in found.warnings), "not all logs have commands"
 
 
 def test_of_an_axis_too():
@@ -107,6 +107,6 @@ def test_of_an_axis_too():
     axes = Axes.model_validate({"name": "one", "kind": "axes", "axis": [{"gravity": False}]})
     for error, said in ((torque / 50.0, 1), (0.01 * random.standard_normal(len(time)), 0)):
         log = Trace(Path("log"), time, angle[:, None], torque[:, None], position_command=(angle + error)[:, None])
-        lines = [line for line in identify_axes(axes, [log]).warnings if "controller's answer" in line]
+        lines = [line for line in identify_axes(axes, [log]).warnings if "controller's response" in line]
         assert len(lines) == said
         assert all("(50 N m per rad" in line for line in lines)

@@ -307,7 +307,7 @@ def test_a_truth_file_is_read_and_one_that_is_none_is_named_with_its_line(tmp_pa
     path.write_text("from_s,until_s,mass_kg\n0.1,0.5,1.5\n0.7,0.9,2\n")
     assert read_truth(path) == [Pick(0.1, 0.5, 1.5), Pick(0.7, 0.9, 2.0)]
     path.write_text("from_s,until_s,mass_kg\n0.1,0.5,1.5\n0.1,nan,1.5\n")
-    with pytest.raises(TraceError, match=r"truth.csv:3: wanted"):
+    with pytest.raises(TraceError, match=r"truth.csv:3: expected"):
         read_truth(path)
     path.write_text("from_s,until_s,mass_kg\n0.1,0.5,heavy\n")
     with pytest.raises(TraceError, match=r"truth.csv:2: expected from_s, until_s, mass_kg as numbers"):

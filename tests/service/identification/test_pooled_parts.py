@@ -170,7 +170,7 @@ def test_what_slow_logs_leave_open_of_a_delta_stands_as_described(monkeypatch: p
     result = pooled.fit(made, np.ones(3), ROBOT)
     held = np.flatnonzero([estimate.std_error == 0.0 for estimate in result.estimates])
     assert held.tolist() == [0, 2, 3, 4]
-    assert [result.estimates[k].reason[:26] for k in held] == ["these logs determine it only t"] * 2 + [
+    assert [result.estimates[k].reason[:26] for k in held] == ["these logs determine it on"] * 2 + [
         "the best fit to these logs"
     ] * 2
     assert result.values[held].tolist() == [1.0, ROBOT.mass.passive_link, 0.0, 0.0]
@@ -227,7 +227,7 @@ def test_of_parameters_that_do_not_show_none_are_told_and_of_two_alike_one_is_he
     [
         (True, "joint 2 never moves", 0.0, "not identifiable", "joint 2 never moves; 2.5 assumed"),
         (False, "joint 2 never reverses", 0.01, "not identifiable", "joint 2 never reverses"),
-        (False, "", 0.51, "not identifiable", "open by 51 %"),
+        (False, "", 0.51, "not identifiable", "determined only to 51 %"),
         (False, "", 0.49, "weak", "determined only to 49 %: log more motion that excites it"),
         (False, "", 0.11, "weak", "determined only to 11 %: log more motion that excites it"),
         (False, "", 0.09, "identifiable", ""),

@@ -138,7 +138,7 @@ def test_a_constant_that_is_told_is_taken(geared: Robot, log: Trace) -> None:
 
 def test_cables_that_are_swapped_are_doubted_and_not_put_right(geared: Robot, log: Trace) -> None:
     found = propose(written(log, order=(1, 0, 2)), geared, Stated())
-    assert any("in the order 2, 1, 3: cables swapped?" in doubt for doubt in found.doubts)
+    assert any("in the order 2, 1, 3: are cables swapped?" in doubt for doubt in found.doubts)
     assert [entry["name"] for entry in found.columns["torque"]] == ["tau1", "tau2", "tau3"]
 
 
@@ -172,7 +172,7 @@ def test_increments_take_a_number_that_has_to_be_said(geared: Robot, log: Trace)
         propose(made, geared, Stated())
     found = propose(made, geared, Stated(counts_per_rev=65536.0))
     assert entries(found, "position") == [{"unit": "counts", "counts_per_rev": 65536.0, "side": "motor"}] * 3
-    assert "positions are increments, 65536 a turn" in found.reasons
+    assert "positions are increments, 65536 per turn" in found.reasons
 
 
 @pytest.mark.parametrize(
@@ -205,10 +205,10 @@ def test_what_is_told_is_not_guessed(geared: Robot, log: Trace) -> None:
     found = propose(written(log), None, stated)
     assert found.columns["time"] == {"rate_hz": 1000.0}
     assert [entry["name"] for entry in found.columns["position"]] == ["q3", "q2", "q1"]
-    assert "positions are rad: told" in found.reasons
+    assert "positions are rad: given by the user" in found.reasons
     assert "columns are recognised by their names" not in found.reasons
     assert "signs and the side of the gear cannot be checked without --robot" in found.doubts
-    assert "torques are assumed to be N m, the file does not say" in found.doubts
+    assert "torques are assumed to be N m: the file does not say" in found.doubts
     with pytest.raises(DataError, match=r"2 positions .* with 3 torques .*; give --position and --torque"):
         propose(written(log), None, Stated(position=["q1", "q2"], torque=stated.torque))
     with pytest.raises(
@@ -273,7 +273,7 @@ def test_a_command_is_in_the_unit_in_which_it_goes_as_far(name: str, per_metre: 
     assert entries(found, "position") == [{"unit": "m"}]
     assert found.columns.get("position_command") == (None if unit is None else [{"name": name, "unit": unit}])
     assert found.channels.position_command == (() if unit is None else [name])
-    assert any(f"{name!r} are in another unit" in doubt for doubt in found.doubts) == (unit is None)
+    assert any(f"{name!r} have another unit" in doubt for doubt in found.doubts) == (unit is None)
     assert any(f"{name!r} are mm of the joint" in reason for reason in found.reasons) == (unit == "mm")
 
 
@@ -294,7 +294,7 @@ def test_a_torque_command_in_another_unit_than_the_torque_is_left_out() -> None:
     columns = {**made.columns, "force cmd [%]": made.columns["force"] / 8}
     found = propose(replace(made, columns=columns), AXIS, Stated())
     assert "torque_command" not in found.columns
-    assert any("'force cmd [%]' are in another unit" in doubt for doubt in found.doubts)
+    assert any("'force cmd [%]' have another unit" in doubt for doubt in found.doubts)
 
 
 def test_increments_of_a_linear_axis_are_so_many_a_metre(tmp_path: Path) -> None:
@@ -437,8 +437,8 @@ def test_of_several_ways_to_read_positions_it_is_said_how_well_each_fits(geared:
     found = propose(written(log), geared, Stated())
     (line,) = (one for one in found.reasons if one.startswith("positions are rad of the joint"))
     assert float(re.findall(r"\(([0-9.e+]+) times likelier\)", line)[0]) > 1000
-    assert float(re.findall(r"([0-9.e+-]+) % of the torque is left on rows left out", line)[0]) < 5.0
-    assert any(one.startswith("torques are assumed to be N m, the file does not say") for one in found.reasons)
+    assert float(re.findall(r"([0-9.e+-]+) % of the torque remains unexplained on held-out rows", line)[0]) < 5.0
+    assert any(one.startswith("torques are assumed to be N m: the file does not say") for one in found.reasons)
 
 
 def test_the_rows_that_count_are_told_with_the_columns(geared: Robot, log: Trace) -> None:

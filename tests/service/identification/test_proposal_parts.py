@@ -22,6 +22,7 @@ from tests.service.world import stub
 
 GEAR = 25.0
 ROWS = 300
+AGAINST = "axis 2: as recorded, the torque pushes against the motion: the other sign is used"
 UP, ORDER = (1, 1, 1), (0, 1, 2)
 JOINTS = Channels("t", ("q1", "q2", "q3"), ("tau1", "tau2", "tau3"))
 ANGLES, TORQUES = np.random.default_rng(0).standard_normal((2, ROWS, 3))
@@ -88,7 +89,7 @@ def test_where_half_of_the_torque_is_left_nothing_is_told(
     found = read(monkeypatch, geared, fitting(share, signs=(1, -1, 1), turned=(-1, 1, -1)))
     assert found.share == share
     assert (found.signs, found.torque_signs) == ((UP, UP) if hopeless else ((1, -1, 1), [-1, 1, -1]))
-    line = f"read like this, the robot's equations leave {100 * share:.2g} % of the torque"
+    line = f"read like this, the robot's equations leave {100 * share:.2g} % of the torque unexplained"
     if hopeless:
         assert found.doubts == [f"{line}: this log does not determine signs and gear side"]
         assert found.reasons == []
@@ -105,7 +106,7 @@ def test_signs_are_certain_where_others_are_a_thousand_times_less_likely(
 ) -> None:
     """Of twenty pieces the square has to be twice as much, 1000^(1/10); the third and further do not matter."""
     found = read(monkeypatch, geared, fitting(0.3), fitting(second, signs=(1, -1, 1)), fitting(0.9, signs=(1, 1, -1)))
-    line = "read like this, the robot's equations leave 30 % of the torque"
+    line = "read like this, the robot's equations leave 30 % of the torque unexplained"
     doubt = f"{line}, with other signs of the positions {100 * second:.2g} %: the signs are uncertain"
     assert (found.reasons, found.doubts) == (([line], []) if certain else ([], [doubt]))
 
@@ -148,7 +149,7 @@ def test_a_scale_near_one_or_the_gear_is_that(
             "side" in read_as
         )
     else:
-        assert found.doubts == [f"one unit of torque taken as {scale:.4g} N m, {readings.WHENCE}"]
+        assert found.doubts == [f"one unit of torque is assumed to be {scale:.4g} N m, {readings.WHENCE}"]
 
 
 @pytest.mark.parametrize(
@@ -187,7 +188,7 @@ def test_newton_metres_that_nobody_said_are_sure_where_the_fit_goes_with_them(
 ) -> None:
     ranked = fitting(share, scale, by_masses=by_masses)
     found = read(monkeypatch, geared, ranked, told=False)
-    line = f"torques are assumed to be N m, the file does not say{why}"
+    line = f"torques are assumed to be N m: the file does not say{why}"
     sure = why == "; the fit confirms it"
     assert (line in found.reasons, line in found.doubts) == (sure, not sure)
     told = read(monkeypatch, geared, ranked)
@@ -316,7 +317,7 @@ def test_an_axis_sign_is_told_beside_its_weight_and_each_axis_for_itself() -> No
 
     signs, said = signs_of(weighed(0.5, 0.0), weighed(-0.5, 0.0))
     assert signs == [1, -1]
-    assert [line.split(" (")[0] for line in said] == ["axis 2: the torque pushes against the motion: the other sign"]
+    assert [line.split(" (")[0] for line in said] == [AGAINST]
     assert signs_of(weighed(0.0, -3.0), weighed(0.0, 3.0))[0] == [-1, 1]
     hum = np.sin(0.3 * np.arange(4000))
     signs, said = signs_of(lambda x, v, a: hum, weighed(-0.5, 0.0))
@@ -408,7 +409,7 @@ def test_an_axis_turns_as_far_as_it_likes_and_its_increments_are_said() -> None:
     assert (
         readings.Candidates([made], channels, geared, 1.0, Stated(position_unit="rad")).positions(reasons, []) == both
     )
-    assert reasons == ["positions are rad: told"]
+    assert reasons == ["positions are rad: given by the user"]
     for stated in (Stated(counts_per_rev=500.0), Stated(position_unit="counts", counts_per_rev=500.0)):
         first, *_ = readings.Candidates([made], channels, geared, 1.0, stated).positions([], [])
         assert first == {"unit": "counts", "counts_per_rev": 500.0}
@@ -455,8 +456,8 @@ def test_stamps_of_a_twincat_export_are_known_by_the_name_that_all_its_channels_
     [
         ("s", 1e-3, True, "stamps in 't' are s: 1000 Hz"),
         ("datetime", 1e-3, True, "stamps in 't' are datetime: 1000 Hz"),
-        ("", 1e-3, False, "stamps in 't' are s: 1000 Hz, by the rate alone"),
-        ("", 4.0, False, "stamps in 't' are ms: 250 Hz, by the rate alone"),
+        ("", 1e-3, False, "stamps in 't' are s: 1000 Hz, judged by the rate alone"),
+        ("", 4.0, False, "stamps in 't' are ms: 250 Hz, judged by the rate alone"),
     ],
 )
 def test_it_is_said_in_what_stamps_are_and_doubted_where_only_their_rate_tells(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from schemas.errors import DataError
+from schemas.words import percent
 from service.identification import units
 from tests.service.subject import Hypothesis, fit
 from tests.service.world import BASE, course, problem, stub
@@ -71,8 +72,8 @@ def test_degrees_are_told_by_what_each_reading_leaves(
     monkeypatch: pytest.MonkeyPatch, radians: float, degrees: float, wrong: bool
 ) -> None:
     told = refused(monkeypatch, radians, degrees)
-    share = round(100 * (degrees / radians) ** 0.5)
-    words = f"a, b: the torque fits positions in degrees, not in rad ({share}% is left"
+    share = percent((degrees / radians) ** 0.5)
+    words = f"a, b: the torque fits positions in degrees, not in rad (residual {share} of that in rad)"
     assert told.startswith(words) if wrong else told == ""
 
 

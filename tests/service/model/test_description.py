@@ -168,7 +168,7 @@ def test_an_arm_is_read_as_it_was_written(tmp_path: Path) -> None:
 
     with pytest.raises(RobotError, match=f"identified.rigid: '{first}' is missing"):
         hypothesis_of(changed({name: figure for name, figure in rigid.items() if name != first}))
-    with pytest.raises(RobotError, match=r"identified.rigid: small.urdf has no 'Ixx_9' to be told"):
+    with pytest.raises(RobotError, match=r"identified.rigid: 'Ixx_9' is not a parameter of small.urdf"):
         hypothesis_of(changed(rigid | {"Ixx_9": Parameter(value=1.0)}))
 
 
@@ -216,7 +216,7 @@ def test_effects_are_read_as_they_were_written() -> None:
     def wrong(**update: object) -> Description:
         return written.model_copy(update={"effect": [first.model_copy(update=update)]})
 
-    with pytest.raises(RobotError, match=r"effect stribeck_friction: joints \[1, 4\], there are 1 to 3"):
+    with pytest.raises(RobotError, match=r"effect stribeck_friction: joints \[1, 4\]: the joints are 1 to 3"):
         terms_of(wrong(joints=[1, 4]))
     with pytest.raises(RobotError, match="parameter 'v_s' is missing"):
         terms_of(wrong(parameters={name: parameters[name] for name in ("f_s_1", "f_s_3")}))

@@ -137,7 +137,7 @@ def of_closed_loop(runs: Any, page: str) -> None:
     said = headline_of(page)
     if any(run.spoilt for run in runs):
         assert said["tone"] == "open"
-        assert "do not count" in said["answer"]
+        assert "are not valid" in said["answer"]
         return
     before, after = (runs[0], runs[-1]) if len(runs) > 3 else runs[1:]
     found = ratio(before, after)

@@ -185,7 +185,7 @@ def test_a_page_is_printed_where_there_is_a_browser(
             print_page(tmp_path / "page.html", tmp_path / "no" / "page.pdf")
     monkeypatch.setenv("PATH", "")
     done = CliRunner().invoke(app, ["diagnose", "none.csv", "--robot", "d3-1200", "--out", str(tmp_path), "--pdf"])
-    assert "printing takes Chromium, Chrome or Edge" in str(done.exception)  # and not that there is no log
+    assert "printing needs Chromium, Chrome or Edge" in str(done.exception)  # and not that there is no log
 
 
 def test_a_page_that_cannot_be_written_is_named(page: Page, tmp_path: Path) -> None:

@@ -217,7 +217,7 @@ def test_what_cannot_be_planned_is_said_in_a_line(short: None, tmp_path: Path) -
         assert isinstance(done.exception, DataError), done.output
         return str(done.exception)
 
-    assert "at rest it takes" in refused("--max-torque", "5")
+    assert "holding the robot needs" in refused("--max-torque", "5")
     assert "0.01 rad/s, " in refused("--max-speed", "0.01")
     folder_of(tmp_path, [STRIBECK])
     assert "(1 candidate)" in refused()

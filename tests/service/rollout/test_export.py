@@ -145,7 +145,7 @@ def test_the_command_writes_model_and_callback_and_says_what_is_left_out(tmp_pat
     told = CliRunner().invoke(app, ["export", str(tmp_path / "corrected.toml"), "--out", str(tmp_path / "robot.xml")])
     assert told.exit_code == 0, told.output
     assert "call Effects before every step for stribeck_friction\n" in told.output
-    assert "Measurement gives what a log shows: torque_filter\n" in told.output
+    assert "Measurement turns true values into those of a log: torque_filter\n" in told.output
     assert "torque_delay is left out: the log shows the torque early" in told.output
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
     assert [model.joint(f"arm{i}").name for i in range(3)] == ["arm0", "arm1", "arm2"]
