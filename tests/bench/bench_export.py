@@ -180,7 +180,8 @@ def write(result: dict[str, Any]) -> None:
     step, most = result["step_cycles"], result["most_instructions_a_step"]
     spread = f"p99 {step['p99']}, p99.9 {step['p99_9']}, p99.999 {step['p99_999']}, most {step['worst']}"
     told["cycles"] = step["median"], step["steps"], f"{spread}; {step['cycles_a_ns']} a ns"
-    how = "SCHED_FIFO 80 on one processor, memory locked" if step["alone"] else "other processes within it"
+    how = f"load {os.getloadavg()[0]:.0f}, "
+    how += "SCHED_FIFO 80 on one processor, memory locked" if step["alone"] else "other processes within it"
     told["cycles_worst"] = step["worst"], step["steps"], f"{how}; interrupts and the hypervisor within it"
     told["step"] = round(step["median"] / step["cycles_a_ns"] / 1000, 2), step["steps"], None
     told["instructions"] = result["mean_instructions_a_step"], most["steps"], None
