@@ -143,7 +143,8 @@ def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool, single
     if single:
         print(f"in single precision: {ERROR}")
     print(
-        f"next: gcc -O2 -std=c99 -ffp-contract=off -c {out / name}.c, and call {name}_init, then {name}_step each cycle"
+        f"next: gcc -O2 -std=c99 -ffp-contract=off -c {out / name}.c, link with -lm, and call {name}_init, then "
+        f"{name}_step each cycle"
     )
 
 

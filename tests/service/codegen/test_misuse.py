@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from service.codegen.twin import to_c
 from service.estimator import state
 from service.estimator.estimator import Estimator
 from tests.known import PERIOD, make, robot
-from tests.service.codegen.built import Built, converted, differences, needs_compiler, pointer
+from tests.service.codegen.built import COMPILER, Built, converted, differences, needs_compiler, pointer
 from tests.service.codegen.test_twin import with_effects
 
 __all__ = ["make", "robot"]
@@ -178,6 +179,25 @@ def test_what_was_never_identified_is_refused_unless_it_is_asked_for(robot, tmp_
     assert "r.toml: identified: missing" in str(told.exception)
     assert not (tmp_path / "t").exists()
     assert export(*arguments, "--nominal").exit_code == 0
+
+
+@pytest.mark.parametrize("to", ["c", "st", "fmu"])
+def test_an_effect_that_the_code_does_without_is_named(robot, tmp_path: Path, to: str) -> None:
+    late = with_effects(robot, ["torque_delay"])
+    late.effect[0].parameters["delay"] = late.effect[0].parameters["delay"].model_copy(update={"value": 0.5})
+    save_robot(late, tmp_path / "r.toml")
+    told = export(str(tmp_path / "r.toml"), "--to", to, "--rate", "8000", "--out", str(tmp_path / "t"))
+    if to == "fmu" and COMPILER is None:
+        assert "gcc is not installed" in str(told.exception)
+        return
+    assert told.exit_code == 0, told.output
+    assert re.search(r"^torque_delay is left out: .+", told.output, re.MULTILINE)
+
+
+def test_a_cycle_that_no_controller_has_is_refused(robot) -> None:
+    for period in (0.0, 1.0, 1e-6, math.nan):
+        with pytest.raises(Exception, match=r"a cycle of .* s: from .* to .* s are possible"):
+            to_c(robot, period)
 
 
 @pytest.mark.parametrize("name", ["3d", "a b", "double", "a-b", "", "x" * 32, "é", "*/ int x; /*"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 from pathlib import Path
 
@@ -50,6 +51,19 @@ def block(heading: str, language: str, number: int = 0) -> str:
     return re.findall(rf"```{language}\n(.*?)```", part, re.DOTALL)[number]
 
 
+CYCLES = 50
+CALLED = f"""
+int wait_for_cycle(void) {{ static int count = 0; return count++ < {CYCLES}; }}
+void read_drives(deltatwin_sample *sample)
+{{
+    sample->stamp_nanosec = (uint32_t)sample->sequence * 1000000U;
+    for (int i = 0; i < 3; i++) {{
+        sample->position[i] = sample->position_command[i] = 0.5;
+        sample->torque[i] = 10.0;
+    }}
+}}
+void write_torque_offset(const double *torque) {{ printf("%g\\n", torque[0]); }}
+"""
 GIVEN = """static deltatwin_sample sample;
 static deltatwin_feedforward answer;
 static deltatwin_payload payload;
@@ -77,6 +91,23 @@ def test_the_loop_compiles_without_a_warning(robot, tmp_path: Path, name: str) -
     command = [COMPILER or "gcc", *FLAGS, "-c", str(tmp_path / "loop.c"), "-o", str(tmp_path / "loop.o")]
     made = subprocess.run(command, capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
+
+
+@needs_compiler
+def test_the_command_of_the_page_makes_a_program_that_answers(robot, tmp_path: Path) -> None:
+    twin, loop = to_c(robot, PERIOD), block("In a C loop", "c")
+    (tmp_path / "twin").mkdir()
+    (tmp_path / "twin" / "deltatwin.h").write_text(twin.header)
+    (tmp_path / "twin" / "deltatwin.c").write_text(twin.source)
+    (tmp_path / "loop.c").write_text("#include <stdio.h>\n" + ROUND_IT.format(loop=loop) + CALLED)
+    part = PAGE.read_text(encoding="utf-8").split("## In a C loop\n", 1)[1]
+    command = re.search(r"^    (gcc .*)$", part, re.MULTILINE)
+    assert command is not None
+    made = subprocess.run(shlex.split(command[1]), cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
+    told = subprocess.run(["./loop"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout.split()
+    assert len(told) == CYCLES
+    assert float(told[-1]) != 0.0
 
 
 def test_the_call_in_structured_text_is_one_and_names_what_the_block_has(robot) -> None:

@@ -56,6 +56,26 @@ def test_the_demo_log_comes_out_bit_for_bit(tmp_path: Path) -> None:
         assert differences(built.run(samples), wanted) == []
 
 
+@pytest.mark.parametrize("case", ["plant_logs/case_004", "payload_logs/case_001"])
+def test_stored_logs_of_other_robots_come_out_bit_for_bit(data: Path, tmp_path: Path, case: str) -> None:
+    logs = sorted((data / case).glob("*.csv"))
+    assert stored(data / case / "robot.toml", [logs[0], logs[-1]], tmp_path)[0] == {}
+
+
+def stored(description: Path, logs: list[Path], folder: Path) -> tuple[dict[str, list[str]], int]:
+    """What differs, by log, each plain and with faults; and how many samples they are."""
+    robot, built, wrong, count = load_robot(description), None, {}, 0
+    for path in logs:
+        trace = read_trace(path, robot)
+        built = built or Built(robot, trace.period, folder, "-O0")
+        for samples in (trace.samples(), disturbed(trace.samples())):
+            assert built.init() == 0
+            found, count = differences(built.run(samples), expected(built, samples)), count + len(samples)
+            wrong |= {path.name: found} if found else {}
+    assert count > 0
+    return wrong, count
+
+
 def test_every_effect_is_in_a_group() -> None:
     assert {name for names in GROUPS.values() for name in names} == {entry.name for entry in CATALOGUE} == set(FOUND)
 
