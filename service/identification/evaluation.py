@@ -50,7 +50,7 @@ class Evaluation:
     for a fault; their motion is bridged and their torque predicted all the same. Where something was picked, `errors`
     has one more entry, WITH_PAYLOAD: the fullest model with the payload mass as the estimator knew it at each sample.
     events: of the last of `errors`. calm: as `errors`, outside them. held: s for which each torque stood in the trace,
-    0 where it did not.
+    0 where it did not. band_hz: below which errors count.
     """
 
     trace: Trace
@@ -60,6 +60,7 @@ class Evaluation:
     events: list[Event]
     calm: dict[str, Moments]
     held: float
+    band_hz: float
 
     @property
     def calm_share(self) -> float:
@@ -94,6 +95,7 @@ def evaluate(robot: Description, trace: Trace) -> Evaluation:
         found,
         {name: _moments(np.where(free, error, np.nan)) for name, error in errors.items()},
         held_s(along.parts),
+        along.band_hz,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from schemas.trace import Trace
 from service.model.description import hypothesis_of, torque_along
 from service.model.friction import mean_direction
 from service.model.mechanism import mechanism_of
-from service.model.signals import Segment, between, lowpass, segments, usable
+from service.model.signals import Segment, between, lowpass, resolved_hz, segments, usable
 
 MODELS = ("M_KH", "M_Id", "M_Id+F", "full")  # each a superset of the one before; full adds forearm and effects
 FULL = MODELS[-1]
@@ -37,6 +38,11 @@ class Motion:
     moving: np.ndarray
     measured: np.ndarray
     parts: Sequence[Segment]
+
+    @cached_property
+    def band_hz(self) -> float:
+        """Below it the positions tell the acceleration: where models are compared."""
+        return resolved_hz(self.parts)
 
 
 def motion(trace: Trace) -> Motion:
@@ -105,11 +111,11 @@ def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, 
 
 
 def error_in_band(trace: Trace, along: Motion, torque: np.ndarray) -> np.ndarray:
-    """tau - `torque` (N, 3) through the common low-pass, N m; NaN where a joint rests or rows are faulty. along: the
-    smoothed motion of `trace`."""
+    """tau - `torque` (N, 3) below `along.band_hz`, N m; NaN where a joint rests or rows are faulty. along: the smoothed
+    motion of `trace`."""
     result = np.full(torque.shape, np.nan)
     for part in along.parts:
         rows = _rows(part, trace)
         error = part.torque - between(part.time, trace.time[rows], torque[rows])
-        result[rows] = between(trace.time[rows], part.time, lowpass(error, part.period))
+        result[rows] = between(trace.time[rows], part.time, lowpass(error, part.period, along.band_hz))
     return np.where(along.moving, result, np.nan)
