@@ -106,6 +106,7 @@ def _json(results: list[Evaluation], unit: str, conclusion: str) -> str:
     from dataclasses import asdict
 
     from service.identification.evaluation import pooled_by_model
+    from service.identification.frequency import MEASURED, responses
 
     def figures(errors: dict[str, Moments]) -> dict[str, dict[str, Any]]:
         return {
@@ -113,7 +114,11 @@ def _json(results: list[Evaluation], unit: str, conclusion: str) -> str:
             for name, moments in errors.items()
         }
 
+    spectra = {name: [result.spectra[name] for result in results] for name in results[0].spectra}
+    measured = spectra.pop(MEASURED)
+    response = responses(measured, spectra, "m/s / N" if unit == "N" else "rad/s / (N m)")
     document = {
+        "frequency_response": [one.model_dump() for one in response],
         "analysis_hz": round(min(result.band_hz for result in results), 3),
         "unit": unit,
         "conclusion": conclusion,

@@ -56,7 +56,7 @@ def motion(trace: Trace) -> Motion:
     moving, measured = np.zeros(shape, bool), np.zeros(len(trace), bool)
     parts = segments(trace)
     for part in parts:
-        rows = _rows(part, trace)
+        rows = rows_of(part, trace)
         for order, values in enumerate((part.theta, part.theta_dot, part.theta_ddot)):
             signals[order, rows] = between(trace.time[rows], part.time, values)
         moving[rows] = between(trace.time[rows], part.time, part.moving) > 0.5
@@ -69,7 +69,7 @@ def motion(trace: Trace) -> Motion:
     return Motion(signals[0], signals[1], signals[2], moving, measured, parts)
 
 
-def _rows(part: Segment, trace: Trace) -> np.ndarray:
+def rows_of(part: Segment, trace: Trace) -> np.ndarray:
     """The usable rows that a part spans; all of its own, and those between, where it was brought to an even clock."""
     rows = np.arange(part.rows[0], part.rows[-1] + 1)
     return rows[usable(trace)[rows]]
@@ -115,7 +115,7 @@ def error_in_band(trace: Trace, along: Motion, torque: np.ndarray) -> np.ndarray
     motion of `trace`."""
     result = np.full(torque.shape, np.nan)
     for part in along.parts:
-        rows = _rows(part, trace)
+        rows = rows_of(part, trace)
         error = part.torque - between(part.time, trace.time[rows], torque[rows])
         result[rows] = between(trace.time[rows], part.time, lowpass(error, part.period, along.band_hz))
     return np.where(along.moving, result, np.nan)
