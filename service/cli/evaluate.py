@@ -116,7 +116,7 @@ def _json(results: list[Evaluation], unit: str, conclusion: str) -> str:
 
     spectra = {name: [result.spectra[name] for result in results] for name in results[0].spectra}
     measured = spectra.pop(MEASURED)
-    response = responses(measured, spectra, "m/s / N" if unit == "N" else "rad/s / (N m)")
+    response = responses(measured, spectra, "m/(N s)" if unit == "N" else "rad/(N m s)")
     document = {
         "frequency_response": [one.model_dump() for one in response],
         "analysis_hz": round(min(result.band_hz for result in results), 3),

@@ -90,7 +90,7 @@ def frequency_response(findings: Findings) -> list[FrequencyResponse]:
         for name, hypothesis in hypotheses.items():
             torque = predict(hypothesis.seen(recording), hypothesis)
             models[name].append(spectra_of(torque, segment.theta_dot, segment.period))
-    return responses(measured, models, in_units_of(findings.robot, "rad/s / (N m)"))
+    return responses(measured, models, in_units_of(findings.robot, "rad/(N m s)"))
 
 
 def document(

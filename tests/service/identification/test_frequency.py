@@ -34,7 +34,7 @@ def test_the_response_of_a_known_machine_and_of_a_model_that_is_too_heavy() -> N
     logs = [driven(seed) for seed in range(3)]
     measured = [spectra_of(*log, PERIOD) for log in logs]
     heavy = [spectra_of(*driven(seed, inertia=2 * INERTIA), PERIOD) for seed in range(3)]
-    (found,) = responses(measured, {"heavy": heavy}, "rad/s / (N m)")
+    (found,) = responses(measured, {"heavy": heavy}, "rad/(N m s)")
     hertz = np.array(found.hz)
     inside = hertz < 100.0
     expected = 1.0 / (1j * 2 * np.pi * hertz * INERTIA + VISCOUS)
@@ -49,7 +49,7 @@ def test_the_response_of_a_known_machine_and_of_a_model_that_is_too_heavy() -> N
 
 def test_coherence_tells_where_noise_is_as_loud_as_the_motion() -> None:
     torque, speed = driven(2, noise=0.05)
-    (found,) = responses([spectra_of(torque, speed, PERIOD)], {}, "rad/s / (N m)")
+    (found,) = responses([spectra_of(torque, speed, PERIOD)], {}, "rad/(N m s)")
     frequency, expected = coherence(torque[:, 0], speed[:, 0], 1 / PERIOD, nperseg=1000, noverlap=500)
     for hertz, told in zip(found.hz, found.coherence, strict=True):
         low, high = EDGES[np.searchsorted(EDGES, hertz) - 1], EDGES[np.searchsorted(EDGES, hertz)]
