@@ -175,14 +175,16 @@ def diagnose(
         DataError: no joint moves, a torque that was not recorded, logs of several rates. TraceError: a log is unusable.
     """
     from service.diagnosis.diagnose import diagnose as find
-    from service.diagnosis.documents.document import corrected, document
+    from service.diagnosis.documents.document import corrected, document, frequency_response
     from service.diagnosis.documents.online import online_trial
     from service.model.effects import catalogue
 
     logs, kept = as_list(traces), as_list(tests)
     findings = find(robot, logs, catalogue(None if effects is None else Path(effects)), progress, baseline, kept)
     tried = online_trial(findings, logs, kept, [])
-    return DiagnosisResult(corrected(findings), document(findings, kept, None, tried), findings)
+    return DiagnosisResult(
+        corrected(findings), document(findings, kept, None, tried, frequency_response(findings)), findings
+    )
 
 
 def evaluate(robot: Description, traces: Traces) -> EvaluationResult:

@@ -306,6 +306,19 @@ class OnlineTrial(DocumentPart):
     corrected: OnlineFigures | None = None
 
 
+class FrequencyResponse(DocumentPart):
+    """From the torque of a joint (from 1) to its speed, over all of the motion. magnitude, in `unit`, and phase_deg:
+    by name, `measured` and each model along the measured motion. coherence: share of the measured speed's power that
+    follows the measured torque linearly; where it is far below 1 the response says nothing."""
+
+    joint: int
+    unit: str
+    hz: list[float]
+    coherence: list[float]
+    magnitude: dict[str, list[float]]
+    phase_deg: dict[str, list[float]]
+
+
 class Provenance(DocumentPart):
     """When, by which version of deltatwin, from what: SHA-256 of each input file by its name."""
 
@@ -321,7 +334,7 @@ class Diagnosis(DocumentPart):
     correction on logs given for that alone. given: effects that the description carried already. follows: what is left
     follows, strongest first. moved: base parameters from the baseline's, where one is given. rivals: what a motion that
     settles it has to tell apart, best first. online: what the correction is worth to the estimator; of a Delta whose
-    logs were at hand.
+    logs were at hand. frequency_response: measured, and of the models before and after; where the logs were at hand.
     """
 
     schema_: Literal["deltatwin.diagnosis/2"] = Field("deltatwin.diagnosis/2", alias="schema")
@@ -344,6 +357,7 @@ class Diagnosis(DocumentPart):
     moved: dict[str, Moved] = {}
     rivals: list[Rival] = []
     online: OnlineTrial | None = None
+    frequency_response: list[FrequencyResponse] = []
 
 
 def named_joints(joints: Sequence[int]) -> str:

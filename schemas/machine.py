@@ -24,7 +24,7 @@ class JointFriction(TomlTable):
     motor_coulomb_friction: JointParameter | None = None
     # rad/s or m/s over which Coulomb friction changes sign; 0: a jump
     friction_transition: NotNegative | list[Positive] = 0.0
-    torque_timing_s: float = 0.0  # time by which the torque is older than the position, within a sample
+    torque_timing_s: float = 0.0  # time by which the torque is older than the position
 
 
 class Machine(Described):

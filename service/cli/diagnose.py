@@ -58,7 +58,7 @@ def command(
     from schemas.errors import DataError
     from schemas.files import make_folder, write_text
     from service.diagnosis.diagnose import diagnose
-    from service.diagnosis.documents.document import corrected, document, made_from
+    from service.diagnosis.documents.document import corrected, document, frequency_response, made_from
     from service.diagnosis.documents.headline import headline
     from service.diagnosis.documents.online import online_trial
     from service.diagnosis.documents.online_text import noted
@@ -87,7 +87,7 @@ def command(
         status.update("writing the report")
         named = filter(None, (baseline, effects, columns and Path(columns)))
         sources = [*traces, robot, *named, *(test or []), *(loaded or []), *(loads or [])]
-        result = document(findings, tests, made_from(sources), tried)
+        result = document(findings, tests, made_from(sources), tried, frequency_response(findings))
         write_text(out / "diagnosis.json", result.model_dump_json(indent=1, by_alias=True))
         target = out / "corrected.toml"
         save_description(corrected(findings), target, template=robot)

@@ -106,7 +106,7 @@ def _json(results: list[Evaluation], unit: str, conclusion: str) -> str:
     from dataclasses import asdict
 
     from service.identification.evaluation import pooled_by_model
-    from service.model.signals import ANALYSIS_HZ
+    from service.identification.frequency import MEASURED, responses
 
     def figures(errors: dict[str, Moments]) -> dict[str, dict[str, Any]]:
         return {
@@ -114,8 +114,12 @@ def _json(results: list[Evaluation], unit: str, conclusion: str) -> str:
             for name, moments in errors.items()
         }
 
+    spectra = {name: [result.spectra[name] for result in results] for name in results[0].spectra}
+    measured = spectra.pop(MEASURED)
+    response = responses(measured, spectra, "m/(N s)" if unit == "N" else "rad/(N m s)")
     document = {
-        "analysis_hz": ANALYSIS_HZ,
+        "frequency_response": [one.model_dump() for one in response],
+        "analysis_hz": round(min(result.band_hz for result in results), 3),
         "unit": unit,
         "conclusion": conclusion,
         "models": figures(pooled_by_model(results)),
@@ -138,7 +142,6 @@ def _json(results: list[Evaluation], unit: str, conclusion: str) -> str:
 
 def _table(results: list[Evaluation], unit: str) -> Table:
     from service.identification.evaluation import pooled_by_model
-    from service.model.signals import ANALYSIS_HZ
 
     shown = pooled_by_model(results)
     if any(result.events for result in results):
@@ -149,7 +152,8 @@ def _table(results: list[Evaluation], unit: str) -> Table:
         for name, moments in shown.items()
     ]
     head = ("model", *(f"joint {joint + 1}: mean, std" for joint in range(len(rows[0]) - 1)))
-    title = f"torque minus model, {unit}, below {ANALYSIS_HZ:g} Hz while moving, {counted(len(results), 'trace')}"
+    below = min(result.band_hz for result in results)
+    title = f"torque minus model, {unit}, below {below:.3g} Hz while moving, {counted(len(results), 'trace')}"
     return table(head, rows, title)
 
 

@@ -20,7 +20,6 @@ from service.identification.fit import WITHIN_COLOURED
 from service.identification.payload import CommonError, MassLevel
 from service.identification.pooled import Plain
 from service.model.description import in_units_of
-from service.model.signals import ANALYSIS_HZ
 
 if TYPE_CHECKING:
     from service.identification.load import Load
@@ -98,7 +97,8 @@ def _noise(robot: Description, results: Sequence[Evaluation]) -> np.ndarray | No
     if not isinstance(robot, Robot) or robot.identified is None or robot.identified.torque_noise_nm is None:
         return None
     period = float(np.median([result.trace.period for result in results]))
-    return np.array(robot.identified.torque_noise_nm.value) * np.sqrt(min(1.0, 2 * ANALYSIS_HZ * period))
+    band = float(np.median([result.band_hz for result in results]))
+    return np.array(robot.identified.torque_noise_nm.value) * np.sqrt(min(1.0, 2 * band * period))
 
 
 def _rms(values: np.ndarray) -> np.ndarray:

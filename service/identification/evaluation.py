@@ -14,11 +14,13 @@ from schemas.messages import PayloadEvent
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.identification.events import Event, JointRun, events, outside
+from service.identification.frequency import MEASURED, Spectra, spectra_of
 from service.identification.held import held_s
 from service.identification.payload import weighed
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
-from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along
+from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along, rows_of
+from service.model.signals import between
 
 WITH_PAYLOAD = "full, m_p estimated"
 
@@ -50,7 +52,8 @@ class Evaluation:
     for a fault; their motion is bridged and their torque predicted all the same. Where something was picked, `errors`
     has one more entry, WITH_PAYLOAD: the fullest model with the payload mass as the estimator knew it at each sample.
     events: of the last of `errors`. calm: as `errors`, outside them. held: s for which each torque stood in the trace,
-    0 where it did not.
+    0 where it did not. band_hz: below which errors count. spectra: measured, and by
+    model name, over all parts between faults.
     """
 
     trace: Trace
@@ -60,6 +63,8 @@ class Evaluation:
     events: list[Event]
     calm: dict[str, Moments]
     held: float
+    band_hz: float
+    spectra: dict[str, Spectra]
 
     @property
     def calm_share(self) -> float:
@@ -94,7 +99,20 @@ def evaluate(robot: Description, trace: Trace) -> Evaluation:
         found,
         {name: _moments(np.where(free, error, np.nan)) for name, error in errors.items()},
         held_s(along.parts),
+        along.band_hz,
+        _spectra(trace, along, torque),
     )
+
+
+def _spectra(trace: Trace, along: Motion, torque: dict[str, np.ndarray]) -> dict[str, Spectra]:
+    found: dict[str, Spectra] = {}
+    for part in along.parts:
+        rows = rows_of(part, trace)
+        at = {name: between(part.time, trace.time[rows], values[rows]) for name, values in torque.items()}
+        for name, values in ({MEASURED: part.torque} | at).items():
+            mine = spectra_of(values, part.theta_dot, part.period)
+            found[name] = found[name] + mine if name in found else mine
+    return found
 
 
 def _events(trace: Trace, error: np.ndarray) -> list[Event]:

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from service.model.hypothesis import Hypothesis
-from service.model.parameters import FILTERED_LIMIT, TIMING_LIMIT, Parameters
+from service.model.parameters import FILTERED_LIMIT, LONGEST_DELAY, TIMING_LIMIT, Parameters
 from service.model.scene import Recording, Scene
 from service.model.signals import Band
 from service.model.torque import tangent
@@ -32,7 +32,8 @@ class Problem:
     target: (M, n) a recording. rows: (M, n) bool. sigma: (n,) N m, rms of the noise in the band, the unit of residuals.
     weights: (M, n) a recording, by which residuals are multiplied besides; none: 1. fields: (R, K) a recording, torque
     of each joint that nobody asks about; what it could explain, with figures of its own a joint, says nothing.
-    filtered: the noise has a memory, so the torque went through a filter.
+    filtered: the noise has a memory, so the torque went through a filter. bare: no effect is looked for on it, so
+    that a delay of whole samples is the base model's.
     """
 
     recordings: Sequence[Recording]
@@ -43,6 +44,7 @@ class Problem:
     weights: Sequence[np.ndarray] = ()
     fields: Sequence[np.ndarray] = ()
     filtered: bool = False
+    bare: bool = False
 
     @classmethod
     def of(cls, recordings: Sequence[Recording], band: Band, sigma: np.ndarray) -> Problem:
@@ -65,6 +67,8 @@ class Problem:
     @property
     def apart(self) -> float:
         """Samples that torque and position may be, before it is an effect."""
+        if self.bare:
+            return LONGEST_DELAY / self.band.period
         return FILTERED_LIMIT if self.filtered else TIMING_LIMIT
 
     @property

@@ -12,6 +12,8 @@ from service.identification.fit import Fit, Problem, solve
 BLOCK = 0.5  # s, of bootstrap and jackknife: longer than the residual remembers
 FOLDS = 4  # where fewer than three traces are given
 TURN = 1.0  # s of a trace in a fold, where folds take turns
+WANTED_GAIN = 0.01  # of the squared residual of data left out that what is optional has to remove
+WANTED_Z = 3.0  # standard errors over blocks
 UNEVEN = 8.0  # times the spread that equal traces would be predicted with by each other: logs of one kind have 1.4
 
 
@@ -99,3 +101,10 @@ def block_loss(residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:
     for residual, block in zip(residuals, split.block, strict=True):
         loss += np.bincount(block, residual**2, split.blocks)
     return loss
+
+
+def gains(lost: np.ndarray, kept: np.ndarray) -> bool:
+    """Whether something optional is worth it: (blocks,) losses on data left out without it and with it."""
+    gain = lost - kept
+    spread = np.sqrt(len(gain)) * np.std(gain)
+    return bool(gain.sum() > max(WANTED_GAIN * lost.sum(), WANTED_Z * spread))

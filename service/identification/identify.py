@@ -10,6 +10,7 @@ import numpy as np
 
 from schemas.axes import Description
 from schemas.errors import DataError
+from schemas.machine import Machine
 from schemas.robot import JointParameter, Robot
 from service.identification import checks, paper, pooled
 from service.identification.held import told_of_held
@@ -19,6 +20,7 @@ from service.identification.regression import PARAMETERS, NormalEquations
 from service.identification.units import refuse_wrong_angles
 from service.model.description import identified_of
 from service.model.nominal import pack
+from service.model.parameters import TIMING_LIMIT
 from service.model.scene import Base, Recording
 
 Method = Literal["pooled", "paper"]
@@ -59,7 +61,7 @@ def fit_to(robot: Description, recordings: Sequence[Recording], names: Sequence[
     Raises:
         DataError: logs of several rates, or the angles are no radians.
     """
-    problem, noise = pooled.problem_of(recordings)
+    problem, noise = pooled.problem_of(recordings, bare=isinstance(robot, Machine))
     fit = pooled.fit(problem, noise.sample, robot)
     refuse_wrong_angles(problem, ", ".join(names), fit.fitted)
     return fit
@@ -78,8 +80,14 @@ def written(
         said = f"{names}: from an earlier diagnosis, left out here; `diagnose` finds the effects that remain"
         constants = ", `identify --carried` calibrates torque constants" if isinstance(robot, Robot) else ""
         warnings = [*warnings, said + constants]
-    if abs(base.timing) >= AT_LIMIT * fit.problem.apart * fit.problem.recordings[0].segment.period:
-        older, newer = ("torque", "position") if base.timing > 0 else ("position", "torque")
+    older, newer = ("torque", "position") if base.timing > 0 else ("position", "torque")
+    if fit.problem.bare and abs(base.timing) > TIMING_LIMIT * fit.problem.recordings[0].segment.period:
+        warnings = [
+            *warnings,
+            f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}: that is part of the description "
+            "(torque_timing_s); better correct it in the drive or recorder",
+        ]
+    elif abs(base.timing) >= AT_LIMIT * fit.problem.apart * fit.problem.recordings[0].segment.period:
         said = (
             f"the {older} is {1e3 * abs(base.timing):.3g} ms older than the {newer}, {fit.problem.apart} of a sample. "
             "This is the fit's limit: the delay may be larger, or another effect; `deltatwin diagnose` shows more"

@@ -23,9 +23,10 @@ import numpy as np
 from schemas.axes import Description
 from schemas.errors import DataError
 from schemas.robot import Robot
+from service.identification import bare as bare_model
 from service.identification import fit as solver
 from service.identification.fit import Problem
-from service.identification.folds import Split, block_loss, held_out
+from service.identification.folds import Split, block_loss, gains, held_out
 from service.identification.noise import Floor, floor, refined, white_noise
 from service.model.hypothesis import Hypothesis
 from service.model.parameters import Parameters, Quantity, base_parameters
@@ -36,8 +37,6 @@ from service.model.torque import predict
 
 START_TRANSITION = 0.002  # rad/s
 WIDER_TRANSITIONS = (0.01, 0.04, 0.15, 0.4)  # rad/s, tried where each friction has its own: slopes do not lead there
-WANTED_GAIN = 0.01  # of the squared residual of data left out that optional coefficients have to remove
-WANTED_Z = 3.0  # standard errors over blocks
 MOST_RIPPLES = 4  # orders a joint that the band has to reach
 RIPPLE_REACH = 1.3  # times their frequency at the middle speed
 # Standard error over value (or over what would make 5 % of the torque, if that is more).
@@ -131,8 +130,9 @@ def refuse_dead_torque(recordings: Sequence[Recording]) -> None:
                 )
 
 
-def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:
-    """The problem in units of the noise, which is read from the residual of a first fit; and the noise.
+def problem_of(recordings: Sequence[Recording], bare: bool = False) -> tuple[Problem, Floor]:
+    """The problem in units of the noise, which is read from the residual of a first fit; and the noise. bare: no effect
+    is looked for on it: there need be no ripple in its band.
 
     Raises:
         DataError: logs of several rates, naming them.
@@ -142,12 +142,13 @@ def problem_of(recordings: Sequence[Recording]) -> tuple[Problem, Floor]:
     problem = Problem.of(recordings, band, np.maximum(white_noise(recordings), 1e-9))  # how joints weigh, for now
     first = solver.fit(problem, start(problem), iterations=2).hypothesis
     left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first)]
-    above = [values - lowpass(values, period, band.cutoff_hz) for values in left]
-    wider = Band.of(period, max(band.cutoff_hz, _ripple_hz(recordings, above)))
-    if wider.cutoff_hz > band.cutoff_hz:
-        problem = Problem.of(recordings, wider, problem.sigma)
+    if not bare:
+        above = [values - lowpass(values, period, band.cutoff_hz) for values in left]
+        wider = Band.of(period, max(band.cutoff_hz, _ripple_hz(recordings, above)))
+        if wider.cutoff_hz > band.cutoff_hz:
+            problem = Problem.of(recordings, wider, problem.sigma)
     found = floor(recordings, left, problem.band)
-    return replace(problem, sigma=found.band, filtered=bool(found.coloured.any())), found
+    return replace(problem, sigma=found.band, filtered=bool(found.coloured.any()), bare=bare), found
 
 
 def floor_in_band(problem: Problem, known: Floor, best: Hypothesis) -> tuple[Problem, Floor]:
@@ -241,9 +242,7 @@ def _wants(fitted: solver.Fit, split: Split, columns: np.ndarray) -> bool:
     """Whether data left out lose by holding the rigid coefficients of `columns` at zero."""
     without = fitted.holding(columns, np.zeros(len(columns)))
     kept, lost = (block_loss(held_out(one, split), split) for one in (fitted, without))
-    gain = lost - kept
-    spread = np.sqrt(len(gain)) * np.std(gain)
-    return bool(gain.sum() > max(WANTED_GAIN * lost.sum(), WANTED_Z * spread))
+    return gains(lost, kept)
 
 
 @dataclass(frozen=True)
@@ -261,19 +260,23 @@ class _Told:
 
 def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
     """Fit the plain model. noise: (n,) N m a sample. robot: what of it stands where the data cannot tell."""
-    fitted = _base(problem)
+    fitted, weighed, drawn = _base(problem), problem, 0.0
+    if problem.bare:
+        weighed, fitted, drawn = bare_model.refined(problem, fitted)
     known = base_parameters(problem.recordings[0].mechanism)
     nominal = np.full(len(known), np.nan)
     if isinstance(robot, Robot):
         nominal[:3] = 1.0, 1.0, robot.mass.passive_link
-    told = _told(problem, fitted, known, nominal)
+    told = _told(weighed, fitted, known, nominal, drawn)
     base = fitted.hypothesis.base
     k, n = len(base.rigid), len(base.viscous)
     rigid, viscous, coulomb = np.split(told.values, [k, k + n])
     base = replace(base, rigid=rigid, viscous=viscous, coulomb=coulomb)
     plain = solver.evaluate(problem, replace(fitted.hypothesis, base=base))
     logs = [np.full(len(rows), number) for rows, number in zip(plain.residuals, problem.logs, strict=True)]
-    left, right = _normal_equations(plain, told.values, logs, max(problem.logs) + 1)
+    as_weighed = plain if weighed is problem else solver.evaluate(weighed, plain.hypothesis)
+    left, right = _normal_equations(as_weighed, told.values, logs, max(problem.logs) + 1)
+    left, right = _drawn(left, right, problem, drawn, told.assumed)
     residual = problem.rms(plain.residuals)
     without, held_out, alone = told.values[None], np.full(residual.shape, np.nan), residual
     if len(left) > 1:
@@ -286,19 +289,21 @@ def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
     return Plain(problem, plain, _estimates(known, told), noise, held_out, residual, torque, without, alone)
 
 
-def _told(problem: Problem, fitted: solver.Fit, known: Sequence[Quantity], nominal: np.ndarray) -> _Told:
+def _told(
+    problem: Problem, fitted: solver.Fit, known: Sequence[Quantity], nominal: np.ndarray, drawn: float = 0.0
+) -> _Told:
     """Least squares over all blocks; what they leave open or would have below its least is held, one at a time.
 
-    nominal: (P,) what stands by the description, NaN where it says nothing.
+    nominal: (P,) what stands by the description, NaN where it says nothing. drawn: as `bare.refined` has it.
     """
     split = Split.of(problem)
     values = Parameters(fitted.hypothesis).values[: len(known)]
     blocks = _normal_equations(_timing_apart(fitted), values, split.block, split.blocks)
     filled = np.einsum("bpp->b", blocks[0]) > 0
-    left, right = (part[filled] for part in blocks)
-    whole = left.sum(axis=0), right.sum(axis=0)
     described = problem.recordings[0].mechanism.start
     assumed = np.where(np.isnan(nominal), np.pad(described, (0, len(known) - len(described))), nominal)
+    left, right = _drawn(blocks[0][filled], blocks[1][filled], problem, drawn, assumed)
+    whole = left.sum(axis=0), right.sum(axis=0)
     scale, low = _scale(problem, fitted, nominal), np.array([parameter.low for parameter in known])
     reasons = _structure(problem)
     held = np.array([reasons.get(parameter.name, "").endswith("never moves") for parameter in known])
@@ -352,6 +357,17 @@ def _normal_equations(
             left[number] += mine.T @ mine
             right[number] += mine.T @ wanted[group == number]
     return left, right
+
+
+def _drawn(
+    left: np.ndarray, right: np.ndarray, problem: Problem, drawn: float, described: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations (G, P, P) and (G, P) with what draws the masses of an arm to those described (P,), in each group
+    its share of all."""
+    links = np.zeros(len(described), bool)
+    links[: len(problem.recordings[0].mechanism.coefficients)] = bare_model.links_of(problem)
+    pull = drawn * np.where(links, np.einsum("gpp->gp", left), 0.0)
+    return left + pull[:, :, None] * np.eye(len(described)), right + pull * described
 
 
 def _timing_apart(fitted: solver.Fit) -> solver.Fit:

@@ -17,6 +17,7 @@ from service.model.mechanism import Mechanism
 
 TIMING_LIMIT = 0.25  # samples: a shift below this is sampling, beyond it an effect
 FILTERED_LIMIT = 0.5  # the same of a torque that went through a recorder's filter, which makes it late
+LONGEST_DELAY = 0.02  # s that torque and position may be apart where no effect is looked for, as `torque_delay` has it
 REACH, REACH_OF_RANGE = 0.5, 0.02  # of a value, of its range: further than both together a slope says nothing
 TRANSITION = (2e-4, 2e-2)  # rad/s, limits of the speed over which Coulomb friction turns; beyond is an effect
 WIDE_TRANSITION = 0.5  # rad/s, the upper limit where each friction has its own
@@ -116,7 +117,8 @@ class Parameters:
         low[: len(base)], high[: len(base)] = [known.low for known in base], [known.high for known in base]
         low[self.transition], high[self.transition] = TRANSITION
         if np.ndim(self.hypothesis.base.transition):
-            high[self.transition] = WIDE_TRANSITION
+            widest = self.hypothesis.base.widest
+            high[self.transition] = WIDE_TRANSITION if widest is None else widest
         low[self.timing], high[self.timing] = -apart * period, apart * period
         for mine, parameters in zip(self.terms, self.of_terms, strict=True):
             low[mine], high[mine] = [known.low for known in parameters], [known.high for known in parameters]

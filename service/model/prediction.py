@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from schemas.trace import Trace
 from service.model.description import hypothesis_of, torque_along
 from service.model.friction import mean_direction
 from service.model.mechanism import mechanism_of
-from service.model.signals import Segment, between, lowpass, segments, usable
+from service.model.signals import Segment, between, lowpass, resolved_hz, segments, usable
 
 MODELS = ("M_KH", "M_Id", "M_Id+F", "full")  # each a superset of the one before; full adds forearm and effects
 FULL = MODELS[-1]
@@ -38,6 +39,11 @@ class Motion:
     measured: np.ndarray
     parts: Sequence[Segment]
 
+    @cached_property
+    def band_hz(self) -> float:
+        """Below it the positions tell the acceleration: where models are compared."""
+        return resolved_hz(self.parts)
+
 
 def motion(trace: Trace) -> Motion:
     """Smooth the parts of `trace` between faults and bridge the faults.
@@ -50,7 +56,7 @@ def motion(trace: Trace) -> Motion:
     moving, measured = np.zeros(shape, bool), np.zeros(len(trace), bool)
     parts = segments(trace)
     for part in parts:
-        rows = _rows(part, trace)
+        rows = rows_of(part, trace)
         for order, values in enumerate((part.theta, part.theta_dot, part.theta_ddot)):
             signals[order, rows] = between(trace.time[rows], part.time, values)
         moving[rows] = between(trace.time[rows], part.time, part.moving) > 0.5
@@ -63,7 +69,7 @@ def motion(trace: Trace) -> Motion:
     return Motion(signals[0], signals[1], signals[2], moving, measured, parts)
 
 
-def _rows(part: Segment, trace: Trace) -> np.ndarray:
+def rows_of(part: Segment, trace: Trace) -> np.ndarray:
     """The usable rows that a part spans; all of its own, and those between, where it was brought to an even clock."""
     rows = np.arange(part.rows[0], part.rows[-1] + 1)
     return rows[usable(trace)[rows]]
@@ -105,11 +111,11 @@ def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, 
 
 
 def error_in_band(trace: Trace, along: Motion, torque: np.ndarray) -> np.ndarray:
-    """tau - `torque` (N, 3) through the common low-pass, N m; NaN where a joint rests or rows are faulty. along: the
-    smoothed motion of `trace`."""
+    """tau - `torque` (N, 3) below `along.band_hz`, N m; NaN where a joint rests or rows are faulty. along: the smoothed
+    motion of `trace`."""
     result = np.full(torque.shape, np.nan)
     for part in along.parts:
-        rows = _rows(part, trace)
+        rows = rows_of(part, trace)
         error = part.torque - between(part.time, trace.time[rows], torque[rows])
-        result[rows] = between(trace.time[rows], part.time, lowpass(error, part.period))
+        result[rows] = between(trace.time[rows], part.time, lowpass(error, part.period, along.band_hz))
     return np.where(along.moving, result, np.nan)

@@ -23,7 +23,8 @@ class Base:
 
     transition: rad/s over which friction turns from one sign to the other, f_c tanh(theta_dot / transition), one for
     all or one (F,) each; 0: a jump. timing: s by which the torque is older than the position, a fraction of a sample.
-    wanted: (k,) bool, coefficients that a fit moves; None: all.
+    wanted: (k,) bool, coefficients that a fit moves; None: all. widest: (F,) rad/s that a fit may give each transition
+    at most; None: `parameters.WIDE_TRANSITION`.
     """
 
     rigid: np.ndarray
@@ -32,6 +33,7 @@ class Base:
     transition: float | np.ndarray = 0.0
     timing: float = 0.0
     wanted: np.ndarray | None = None
+    widest: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from schemas.axes import Description
 from schemas.diagnosis import (
     Diagnosis,
     Estimate,
+    FrequencyResponse,
     Gap,
     Moved,
     NamedEffect,
@@ -33,9 +34,11 @@ from service.diagnosis.findings import Findings
 from service.diagnosis.fit.selection import added
 from service.estimator.effects import form_of
 from service.identification.folds import block_loss
+from service.identification.frequency import responses, spectra_of
 from service.model.description import base_errors, described, digits, entry, in_units_of
 from service.model.effects.base import Effect
 from service.model.parameters import Parameters, base_parameters, shown_parameters
+from service.model.torque import predict
 
 Z95 = 1.96
 
@@ -77,11 +80,28 @@ def made_from(paths: Iterable[Path]) -> Provenance:
     return Provenance(at=datetime.now(UTC).isoformat(timespec="seconds"), version=version("deltatwin"), inputs=inputs)
 
 
+def frequency_response(findings: Findings) -> list[FrequencyResponse]:
+    """Measured, and of the models before and after, along the motion of all logs."""
+    measured, models = [], {"before": [], "after": []}
+    hypotheses = {"before": findings.reference, "after": findings.best.hypothesis}
+    for recording in findings.problem.recordings:
+        segment = recording.segment
+        measured.append(spectra_of(segment.torque, segment.theta_dot, segment.period))
+        for name, hypothesis in hypotheses.items():
+            torque = predict(hypothesis.seen(recording), hypothesis)
+            models[name].append(spectra_of(torque, segment.theta_dot, segment.period))
+    return responses(measured, models, in_units_of(findings.robot, "rad/(N m s)"))
+
+
 def document(
-    findings: Findings, tests: Sequence[Trace] = (), made: Provenance | None = None, online: OnlineTrial | None = None
+    findings: Findings,
+    tests: Sequence[Trace] = (),
+    made: Provenance | None = None,
+    online: OnlineTrial | None = None,
+    response: Sequence[FrequencyResponse] = (),
 ) -> Diagnosis:
     """`diagnosis.json`. tests: logs to try the correction on, kept out of everything else. online: how it did for the
-    estimator, where that was tried."""
+    estimator, where that was tried. response: as `frequency_response` has it, where that was asked for."""
     problem, split = findings.problem, findings.split
     compared = comparisons(findings.selection, split, problem.count)
     before = statistics.rms_per_joint(problem, findings.before)
@@ -136,6 +156,7 @@ def document(
         moved=_moved(findings),
         rivals=_rivals(findings, compared),
         online=online,
+        frequency_response=list(response),
     )
 
 

@@ -16,6 +16,7 @@ from service.diagnosis.documents.over_time import gap_over_time, worst_second
 from service.diagnosis.documents.text import ONLINE, answer, base_in_words, in_words, paragraphs, share_of_gap
 from service.diagnosis.evidence.where import RowStates
 from service.diagnosis.findings import Findings
+from service.identification.frequency import cross_density
 from service.model.description import in_units_of
 from service.model.hypothesis import Hypothesis
 from service.model.torque import predict
@@ -49,6 +50,7 @@ def of_document(document: Diagnosis) -> dict[str, go.Figure | None]:
         "Composition of the gap": _budget(document),
         "Where the gap lies": _regimes(document),
         "Candidates, and whether the checks accepted them": _ranking(document),
+        "Frequency response from torque to speed": _response(document),
     }
 
 
@@ -208,6 +210,36 @@ def _ranking(document: Diagnosis) -> go.Figure:
     return figure
 
 
+def _response(document: Diagnosis) -> go.Figure | None:
+    """Magnitude, phase and coherence of each joint, measured and of the models before and after."""
+    every = document.frequency_response
+    if not every:
+        return None
+    figure = make_subplots(
+        rows=3, cols=len(every), shared_xaxes=True, vertical_spacing=0.05, row_heights=[0.45, 0.3, 0.25],
+        subplot_titles=[f"joint {one.joint}" for one in every],
+    )  # fmt: skip
+    for column, one in enumerate(every, start=1):
+        for name, magnitude in one.magnitude.items():
+            look = {"color": Colour[name.upper()], "width": 2 if name == "measured" else 1.3}
+            shared = {"x": one.hz, "name": name, "legendgroup": name, "line": look}
+            figure.add_trace(go.Scatter(y=magnitude, showlegend=column == 1, **shared), row=1, col=column)
+            figure.add_trace(go.Scatter(y=one.phase_deg[name], showlegend=False, **shared), row=2, col=column)
+        coherence = go.Scatter(
+            x=one.hz, y=one.coherence, name="coherence", showlegend=column == 1, line={"color": Colour.NOISE}
+        )
+        figure.add_trace(coherence, row=3, col=column)
+    figure.update_xaxes(**LOG_AXIS)
+    figure.update_xaxes(title_text="frequency, Hz", row=3)
+    figure.update_yaxes(row=1, **LOG_AXIS)
+    figure.update_yaxes(row=2, range=[-180, 180], tickvals=[-180, -90, 0, 90, 180])
+    figure.update_yaxes(row=3, range=[0, 1.02])
+    for row, title in enumerate((every[0].unit, "phase, °", "coherence"), start=1):
+        figure.update_yaxes(title_text=title, row=row, col=1)
+    figure.update_layout(under_buttons(560, titles=True))
+    return figure
+
+
 def _spectrum(findings: Findings) -> go.Figure:
     n = len(findings.problem.sigma)
     figure = make_subplots(rows=1, cols=n, shared_yaxes=True, subplot_titles=[f"joint {j + 1}" for j in range(n)])
@@ -240,18 +272,6 @@ def _density(findings: Findings, hypothesis: Hypothesis) -> tuple[np.ndarray, np
     for recording in findings.problem.recordings:
         residual = recording.segment.torque - predict(hypothesis.seen(recording), hypothesis)
         if len(residual) >= window:
-            frequency, density = welch(residual, recording.segment.period, window)
-            total, weight = total + density * len(residual), weight + len(residual)
+            frequency, density = cross_density(residual, residual, recording.segment.period, window)
+            total, weight = total + np.real(density) * len(residual), weight + len(residual)
     return np.round(frequency[1:], 2), np.sqrt(np.asarray(total)[1:] / max(weight, 1))
-
-
-def welch(values: np.ndarray, period: float, window: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (F,) Hz and spectral density (F, n), a square per Hz, of values (N, n) every `period` s: the mean
-    over Hann windows of so many samples, each half over the last and without its mean. As SciPy's, which takes longer
-    to import than the report to write."""
-    parts = np.lib.stride_tricks.sliding_window_view(values, window, axis=0)[:: window - window // 2]
-    taper = np.hanning(window + 1)[:-1]
-    spectrum = np.fft.rfft((parts - parts.mean(axis=-1, keepdims=True)) * taper, axis=-1)
-    density = (np.abs(spectrum) ** 2).mean(axis=0).T * period / np.sum(taper**2)
-    density[1 : (window + 1) // 2] *= 2.0  # of both signs of a frequency
-    return np.fft.rfftfreq(window, period), density

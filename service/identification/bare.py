@@ -1,0 +1,109 @@
+"""The base model where nothing is looked for beside it: what `identify` fits to axes and arms.
+
+It has to predict other logs. So each joint weighs by what is left on it, which on a real machine is the model's own
+error rather than noise. Friction turns over a wide range of speeds only where data left out gain by it: there it has
+the shape to take the place of other friction. The masses of an arm are drawn towards those of its URDF as far as data
+left out gain by that.
+
+Source: Gautier, Dynamic identification of robots with power model, 1997 (doi 10.1109/ROBOT.1997.619069), for weights by
+what a first fit leaves of each joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from service.identification import fit as solver
+from service.identification.fit import Fit, Problem
+from service.identification.folds import Split, block_loss, gains, held_out
+from service.model.hypothesis import Hypothesis
+from service.model.mechanism import SerialArm
+from service.model.parameters import TRANSITION, WIDE_TRANSITION, Parameters
+from service.model.signals import LEVER
+
+REWEIGHED = 2  # times: weights move the parameters, and so what is left
+# Weight of the squared torque of each coefficient's step away from the URDF, over that of squared residuals
+DRAWN = (0.01, 0.1, 1.0)
+
+
+def refined(problem: Problem, fitted: Fit) -> tuple[Problem, Fit, float]:
+    """The problem as its joints weigh in the end, the fit to it, and how far masses are drawn to those described, in
+    terms of `DRAWN`; 0: not at all. fitted: the base model by the weights of `problem`."""
+    fitted, weighed = narrowed(problem, fitted), problem
+    for _ in range(REWEIGHED):
+        weighed = by_what_is_left(problem, fitted.hypothesis)
+        fitted = solver.fit(weighed, fitted.hypothesis)
+    return weighed, fitted, drawn(weighed, fitted)
+
+
+def narrowed(problem: Problem, fitted: Fit) -> Fit:
+    """Refitted with narrow transitions of friction, but for those that data left out want wide."""
+    base, mechanism = fitted.hypothesis.base, problem.recordings[0].mechanism
+    narrow = TRANSITION[1] * (1.0 if problem.recordings[0].segment.angular else LEVER)
+    wide = np.asarray(base.transition) > narrow
+    if not wide.any():
+        return fitted
+    split = Split.of(problem)
+    held = _within(problem, fitted, np.full(len(wide), narrow))
+    kept, lost = (_by_joint(problem, split, held_out(one, split)) for one in (fitted, held))
+    wanted = [gains(lost[:, row != 0].sum(axis=1), kept[:, row != 0].sum(axis=1)) for row in mechanism.rows]
+    if not (wide & wanted).any():
+        return held
+    return _within(problem, fitted, np.where(wide & wanted, WIDE_TRANSITION, narrow))
+
+
+def _within(problem: Problem, fitted: Fit, widest: np.ndarray) -> Fit:
+    """Refitted with transitions of at most `widest` (F,)."""
+    base = fitted.hypothesis.base
+    base = replace(base, transition=np.minimum(base.transition, widest), widest=widest)
+    return solver.fit(problem, replace(fitted.hypothesis, base=base))
+
+
+def _by_joint(problem: Problem, split: Split, residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """(blocks, n) sums of squares."""
+    joints = problem.joints_of_rows
+    each = [
+        block_loss([np.where(mine == joint, r, 0.0) for mine, r in zip(joints, residuals, strict=True)], split)
+        for joint in range(len(problem.sigma))
+    ]
+    return np.stack(each, axis=1)
+
+
+def by_what_is_left(problem: Problem, hypothesis: Hypothesis) -> Problem:
+    """Each joint weighed by the rms that a hypothesis leaves on it, as if that were its noise."""
+    residuals = solver.evaluate(problem, hypothesis).residuals
+    (left,) = problem.rms(residuals, [0] * len(residuals))
+    share = problem.sigma / np.maximum(left, problem.sigma)
+    return replace(problem, weights=[np.broadcast_to(share, target.shape) for target in problem.target])
+
+
+def links_of(problem: Problem) -> np.ndarray:
+    """(k,) bool: rigid coefficients that a description has values for."""
+    mechanism = problem.recordings[0].mechanism
+    if isinstance(mechanism, SerialArm):
+        return mechanism.links
+    return np.zeros(len(mechanism.coefficients), bool)
+
+
+def drawn(problem: Problem, fitted: Fit) -> float:
+    """How far masses are best drawn to those described."""
+    links, parameters = links_of(problem), Parameters(fitted.hypothesis)
+    if not links.any():
+        return 0.0
+    mechanism, split = problem.recordings[0].mechanism, Split.of(problem)
+    change = np.zeros(fitted.tangents[0].shape[1])
+    change[: len(links)] = np.where(links, mechanism.start - parameters.values[: len(links)], 0.0)
+    described = replace(
+        fitted, residuals=[r - t @ change for r, t in zip(fitted.residuals, fitted.tangents, strict=True)]
+    )
+    square = np.asarray(sum((t**2).sum(axis=0) for t in fitted.moving))
+    pull = np.diag(square * np.pad(links, (0, len(square) - len(links))))
+    best, least = 0.0, block_loss(held_out(fitted, split), split)
+    for share in DRAWN:
+        loss = block_loss(held_out(described, split, prior=share * pull), split)
+        if gains(least, loss):
+            best, least = share, loss
+    return best
