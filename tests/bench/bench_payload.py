@@ -253,7 +253,7 @@ def _range(values: Iterable[float], digits: int = 0) -> str:
     """From the least to the greatest, of those that there are."""
     there = [value for value in values if value == value]
     if not there:
-        return "none to be judged"
+        return "n/a"
     low, high = (f"{one:.{digits}f}" for one in (min(there), max(there)))
     return low if low == high else f"{low} to {high}"
 
