@@ -38,6 +38,7 @@ def command(
             help="Known load carried throughout a log: 3.0:log.csv (kg). Calibrates torque constants and platform mass",
         ),
     ] = None,
+    spread: Annotated[bool, typer.Option("--spread", help="Table of the parameters of each log alone")] = False,
     json: AsJson = False,
     columns: ColumnsFrom = None,
 ) -> None:
@@ -67,12 +68,16 @@ def command(
         document = {"parameters": parameters, "warnings": list(result.warnings), "conclusion": of_fit(result.fit)[0]}
         if figures:
             document["calibration"] = [asdict(figure) for figure in figures]
+        if spread:
+            document["runs"] = _runs(result.fit, [path.name for path in traces])
         typer.echo(as_json("identification", document | {"out": str(out)}))
         return
     screen = console()
     screen.print(_parameters(result.fit.estimates, description))
     if figures:
         screen.print(_calibrated(figures))
+    if spread:
+        screen.print(_spread(result.fit, [path.name for path in traces], description))
     screen.print(_residuals(result.fit, [path.name for path in traces], description))
     for warning in result.warnings:
         typer.secho(f"warning: {warning}", fg="yellow")
@@ -110,6 +115,28 @@ def _parameters(estimates: Sequence[ParameterEstimate], robot: Description) -> T
     return table(
         ("parameter", "value", "std. error", "unit", "verdict", "reason"), rows, "identified", figures=slice(1, 3)
     )
+
+
+def _runs(fit: Plain, names: Sequence[str]) -> list[dict[str, object]]:
+    """Each log's parameters by a fit to it alone."""
+    return [
+        {"trace": name, "parameters": {one.name: value for one, value in zip(fit.estimates, values, strict=True)}}
+        for name, values in zip(names, fit.runs.tolist(), strict=True)
+    ]
+
+
+def _spread(fit: Plain, names: Sequence[str], robot: Description) -> Table:
+    """Parameters of each log alone, and how far they are apart."""
+    import numpy as np
+
+    from service.model.description import in_units_of
+
+    rows = []
+    for one, values in zip(fit.estimates, fit.runs.T, strict=True):
+        told = [_figures(value, one.std_error)[0] for value in (one.value, float(np.ptp(values)), *values.tolist())]
+        rows.append((one.name, *told, in_units_of(robot, one.unit)))
+    head = ("parameter", "all", "highest - lowest", *names, "unit")
+    return table(head, rows, "each log alone", figures=slice(1, len(head) - 1))
 
 
 def _residuals(fit: Plain, names: Sequence[str], robot: Description) -> Table:

@@ -72,7 +72,7 @@ class Plain:
     sample. held_out: (T, n) rms of the residual of each log under the fit to the others, N m in the
     analysis band, NaN for a single log. residual: (T, n) the same under the fit to all. torque: (T, n) rms. without:
     (T, P) values from the other logs (from all, for a single one). alone: (T, n) as residual, each log under a fit of
-    its own.
+    its own; runs: (T, P) its values.
     """
 
     problem: Problem
@@ -84,6 +84,7 @@ class Plain:
     torque: np.ndarray
     without: np.ndarray
     alone: np.ndarray
+    runs: np.ndarray
 
     @property
     def values(self) -> np.ndarray:
@@ -279,14 +280,14 @@ def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
     left, right = _drawn(left, right, problem, drawn, told.assumed)
     residual = problem.rms(plain.residuals)
     without, held_out, alone = told.values[None], np.full(residual.shape, np.nan), residual
+    runs = _solve(left, right, told.held, told.assumed) if len(left) > 1 else without
     if len(left) > 1:
         without = _solve(left.sum(axis=0) - left, right.sum(axis=0) - right, told.held, told.assumed)
         held_out, alone = (
-            np.array([_left(problem, plain, one)[log] for log, one in enumerate(found)])
-            for found in (without, _solve(left, right, told.held, told.assumed))
+            np.array([_left(problem, plain, one)[log] for log, one in enumerate(found)]) for found in (without, runs)
         )
     torque = problem.rms([problem.select(i, target) for i, target in enumerate(problem.target)])
-    return Plain(problem, plain, _estimates(known, told), noise, held_out, residual, torque, without, alone)
+    return Plain(problem, plain, _estimates(known, told), noise, held_out, residual, torque, without, alone, runs)
 
 
 def _told(

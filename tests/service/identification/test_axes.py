@@ -124,6 +124,23 @@ def test_each_friction_turns_over_its_own_width(found: Axes) -> None:
     assert max(widths[1:]) < 0.02
 
 
+def test_the_spread_shows_the_log_of_another_machine(bench: Path, tmp_path: Path) -> None:
+    """One whose drives report half as much again: each of its parameters is."""
+    header, *rows = (bench / "log_1.csv").read_text().splitlines()
+    table = np.array([row.split(",") for row in rows], float)
+    table[:, 4:] *= 1.5
+    np.savetxt(tmp_path / "other.csv", table, "%.10g", ",", header=header, comments="")
+    arguments = ["identify", bench / "log_0.csv", tmp_path / "other.csv", "--robot", bench / "bench.toml", "--spread"]
+    arguments += ["--columns", bench / "columns.toml", "--out", tmp_path / "out.toml"]
+    shown = run(app, [*map(str, arguments), "--json"], catch_exceptions=False)
+    first, second = (one["parameters"] for one in json.loads(shown.stdout)["runs"])
+    for name, value in (("inertia_1", INERTIA[0]), ("gravity_sin_1", SIN), ("f_c_2", COULOMB[1])):
+        assert first[name] == pytest.approx(value, rel=0.05), name
+        assert second[name] == pytest.approx(1.5 * value, rel=0.05), name
+    told = run(app, list(map(str, arguments)), catch_exceptions=False).output
+    assert "highest - lowest" in " ".join(told.split())
+
+
 def test_evaluate_and_diagnose_take_what_was_found(bench: Path, found: Axes, tmp_path: Path) -> None:
     log = ["--columns", str(bench / "columns.toml")]
     shown = run(app, ["evaluate", str(bench / "log_2.csv"), "--robot", str(bench / "identified.toml"), "--json", *log])

@@ -102,7 +102,9 @@ def test_a_verdict_is_weak_at_best_where_trajectories_disagree_or_there_is_one(m
     errors = np.array([0.19, 0.21, 0.0, np.nan, 0.1, 0.1, 0.1, 0.1, 0.1])
     monkeypatch.setattr(paper, "means", lambda logs: (np.full(9, float(len(logs) - 4)), errors))
     monkeypatch.setattr(paper, "rms_residual", lambda log, values: np.full(3, log * values[0]))
-    known: Any = {name: None for name in ("problem", "fitted", "noise", "residual", "torque", "without", "alone")}
+    known: Any = {
+        name: None for name in ("problem", "fitted", "noise", "residual", "torque", "without", "alone", "runs")
+    }
     fit = Plain(estimates=estimates, held_out=np.zeros((1, 3)), **known)
     logs: Any = [5.0, 7.0]
     found = paper.refit(logs, fit)
