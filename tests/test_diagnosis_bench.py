@@ -122,6 +122,15 @@ def test_kept_answers_are_not_asked_again(tmp_path: Path) -> None:
         bench.kept_in(kept)
 
 
+def test_a_stop_is_told_from_a_fault_in_whatever_it_comes_wrapped() -> None:
+    wrapped = SystemError("returned a result with an exception set")
+    wrapped.__cause__ = SystemError("returned a result with an exception set")
+    assert not bench.interrupted(wrapped)
+    wrapped.__cause__.__cause__ = KeyboardInterrupt()
+    assert bench.interrupted(wrapped)
+    assert bench.interrupted(KeyboardInterrupt())
+
+
 def test_the_gap_is_that_of_the_joints_that_move(tmp_path: Path) -> None:
     rng, time = np.random.default_rng(0), np.arange(4000) * 1e-3
     angle = np.stack([np.sin(6 * time), np.sin(5 * time), 0 * time], axis=1)
