@@ -83,8 +83,9 @@ def test_intervals_are_those_of_the_tables() -> None:
     assert scores.proportion(10, 10)[1] == 1.0
     assert np.round(scores.rate(0, 10), 3).tolist() == [0.0, 0.369]  # Garwood 1936: 3.689
     assert np.round(scores.rate(3, 1), 3).tolist() == [0.619, 8.767]
-    low, high = scores.mean_interval([0.0, 1.0] * 50)
-    assert 0.35 < low < 0.45 < 0.55 < high < 0.65
+    assert scores.mean_interval([1.0, 0.0, 1.0]) == pytest.approx(scores.proportion(2, 3))
+    assert scores.mean_interval([1.0] * 3) == pytest.approx(scores.proportion(3, 3))
+    assert scores.mean_interval([0.0] * 3) == pytest.approx(scores.proportion(0, 3))
 
 
 def test_figures_of_a_family_leave_out_what_cannot_be_found() -> None:
@@ -120,6 +121,15 @@ def test_kept_answers_are_not_asked_again(tmp_path: Path) -> None:
     kept.write_text(kept.read_text() + '{"family": "pair"\n')
     with pytest.raises(TraceError, match=r"answers.jsonl, line 3: not an answer of this bench"):
         bench.kept_in(kept)
+
+
+def test_a_stop_is_told_from_a_fault_in_whatever_it_comes_wrapped() -> None:
+    wrapped = SystemError("returned a result with an exception set")
+    wrapped.__cause__ = SystemError("returned a result with an exception set")
+    assert not bench.interrupted(wrapped)
+    wrapped.__cause__.__cause__ = KeyboardInterrupt()
+    assert bench.interrupted(wrapped)
+    assert bench.interrupted(KeyboardInterrupt())
 
 
 def test_the_gap_is_that_of_the_joints_that_move(tmp_path: Path) -> None:

@@ -253,6 +253,13 @@ def run(wanted: Sequence[tuple[str, int]], kept: Path | None, jobs: int) -> list
     return found
 
 
+def interrupted(error: BaseException | None) -> bool:
+    """Whether it is Ctrl-C or SIGTERM, or what Numba makes of one that comes while it loads a kernel."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
 def main() -> None:
     """Ask, print the table, and store it."""
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -261,6 +268,7 @@ def main() -> None:
     arguments.add_argument("--first", type=int, default=0, help="of the set's seeds, counted from 0")
     arguments.add_argument("--set", choices=("calibrate", "report"), default="report", dest="which")
     arguments.add_argument("--kept", type=Path, help="file of answers, to go on with")
+    arguments.add_argument("--kept-only", action="store_true", help="ask nothing new: the figures of what --kept holds")
     arguments.add_argument("--jobs", type=int, default=2)
     arguments.add_argument("--store", action="store_true", help="put the figures into results/diagnosis.json")
     given = arguments.parse_args()
@@ -270,10 +278,15 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for the processes that are started, as the program does
     try:
         seeds = seeds_of(given.which, given.first, given.cases)
-        answers = run([(family, seed) for seed in seeds for family in given.families], given.kept, given.jobs)
+        wanted = [(family, seed) for seed in seeds for family in given.families]
+        if given.kept_only:
+            wanted = [case for case in wanted if case in kept_in(given.kept)]
+        answers = run(wanted, given.kept, given.jobs)
     except (ValueError, DeltatwinError) as error:
         sys.exit(str(error))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        if not interrupted(error):
+            raise
         print("stopped" + ("" if given.kept is None else f"; what was answered is in {given.kept}"), file=sys.stderr)
         sys.exit(130)
     print(shown(answers))

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest, chi2
+from scipy.stats import beta, binomtest, chi2
 
 SAME = ({"asymmetric_friction", "torque_offset"},)  # a constant and a friction that differs between the directions
 CORRECTS = {
@@ -154,13 +154,13 @@ def rate(events: int, count: int) -> tuple[float, float]:
     return float(low) / count, float(chi2.ppf(0.975, 2 * events + 2)) / 2 / count
 
 
-def mean_interval(values: Sequence[float], draws: int = 2000) -> tuple[float, float]:
-    """95 % interval of a mean, by bootstrap over the cases."""
-    rng, every = np.random.default_rng(0), np.asarray(values, float)
-    if not len(every):
-        return 0.0, 1.0
-    means = every[rng.integers(len(every), size=(draws, len(every)))].mean(axis=1)
-    return float(np.quantile(means, 0.025)), float(np.quantile(means, 0.975))
+def mean_interval(values: Sequence[float]) -> tuple[float, float]:
+    """95 % interval of a mean of values between 0 and 1: that of a share with the same sum, since of all such values
+    zeros and ones scatter most. Of equal values, where a bootstrap has no width, it has that of their number."""
+    total, count = float(np.sum(values)), len(values)
+    low = beta.ppf(0.025, total, count - total + 1) if total > 0 else 0.0
+    high = beta.ppf(0.975, total + 1, count - total) if total < count else 1.0
+    return float(low), float(high)
 
 
 @dataclass(frozen=True)
