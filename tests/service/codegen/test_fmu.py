@@ -154,7 +154,7 @@ def test_what_was_never_identified_is_refused(described, tmp_path: Path) -> None
     told = CliRunner().invoke(
         app, ["export", str(tmp_path / "r.toml"), "--to", "fmu", "--out", str(tmp_path / "r.fmu")]
     )
-    assert "r.toml: identified: not there" in str(told.exception)
+    assert "r.toml: identified: missing" in str(told.exception)
     assert not (tmp_path / "r.fmu").exists()
 
 

@@ -196,7 +196,7 @@ def test_an_effect_that_the_code_does_without_is_named(robot, tmp_path: Path, to
 
 def test_a_cycle_that_no_controller_has_is_refused(robot) -> None:
     for period in (0.0, 1.0, 1e-6, math.nan):
-        with pytest.raises(Exception, match=r"a cycle of .* s: from .* to .* s are possible"):
+        with pytest.raises(Exception, match=r"a cycle of .* s: must be .* to .* s"):
             to_c(robot, period)
 
 
