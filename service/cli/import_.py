@@ -208,7 +208,7 @@ def _targets(files: list[Path], proposal: Proposal, out: Path | None, overwrite:
         if path.resolve() in (file.resolve() for file in files):
             raise StorageError(f"{path}: is an input file; give another one with --out")
         if path.exists() and not overwrite:
-            raise StorageError(f"{path}: exists already; replace it with --overwrite, or give another one with --out")
+            raise StorageError(f"{path}: exists already; --overwrite replaces it, --out gives another name")
     if len({path.resolve() for path in logs}) < len(logs):
         raise StorageError(f"{out}: two of the runs have the same name: import them one by one")
     return logs, mapping
