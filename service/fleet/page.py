@@ -39,10 +39,10 @@ def headline(fleet: Fleet, folder: Path) -> Headline:
     of = "judged"
     if not judged:
         step = "the reasons are below; record motion in which all joints move and reverse."
-        return Headline("open", f"None of {robots} could be judged.", number, of, step)
+        return Headline("open", f"No day of {robots} could be judged.", number, of, step)
     there = [(robot, change) for robot, change in found(fleet) if not change.gone]
     if not there:
-        return Headline("good", f"None of {robots} has changed.", number, of, "nothing; judge the next day's logs.")
+        return Headline("good", f"No change in {robots}.", number, of, "nothing; judge the next day's logs.")
     changed = list(dict.fromkeys(robot for robot, _ in there))
     robot, first = there[0]
     where = f" in {named_joints(first.joints)}" if first.joints else ""

@@ -43,7 +43,7 @@ def test_an_answer_that_does_not_come_is_told(tmp_path: Path) -> None:
     page.write_text('```toml title="a.txt"\nmass 3.0\n```\n```bash\ncat a.txt\n```\n```text\nmass 2.5\n```\n')
     assert run(page, made(tmp_path / "one")) == "mass 3.0\n"
     page.write_text("```bash\necho mass\n```\n```text\nlength 2.5\n```\n")
-    with pytest.raises(TutorialError, match=r"'length 2.5' does not stand"):
+    with pytest.raises(TutorialError, match=r"'length 2.5' is not in the output"):
         run(page, made(tmp_path / "two"))
     page.write_text("```bash\nexit 3\n```\n")
     with pytest.raises(TutorialError, match="exit code 3"):

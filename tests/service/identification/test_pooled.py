@@ -157,7 +157,7 @@ def test_angles_in_another_unit_are_told_where_the_range_does_not(robot: Robot, 
         theta, theta_dot, theta_ddot = multisine(seed, 8.0, 2.0, 1e-3)
         small = record(seed, motion=(0.02 * (theta - 0.5), 0.02 * theta_dot, 0.02 * theta_ddot))
         logs.append(replace(small, position=np.degrees(small.position)))
-    with pytest.raises(DataError, match=r"the torque fits positions in degrees, not in rad \(\d+% is left"):
+    with pytest.raises(DataError, match=r"the torque fits positions in degrees, not in rad \(residual \d+ % of that"):
         fit(robot, logs)
     still = [
         replace(log, position=np.radians(log.position)) for log in (record(seed, amplitude=1.0) for seed in range(2))
