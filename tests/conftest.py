@@ -42,7 +42,8 @@ MASTER = "tests/drivers/ethercat/test_master.py::test_"
 FAILS = f"{MASTER}what_fails_while_running_ends_the_run_with_its_name"
 JUMPS = f"{MASTER}a_target_that_jumps_or_cannot_be_is_not_sent"
 SLOW = (
-    "tests/deltatwin/test_notebook.py", "tests/drivers/ethercat/test_faults",
+    "tests/deltatwin/test_notebook.py", "tests/drivers/ethercat/test_faults.py",
+    "tests/drivers/ethercat/test_faults_library.py",
     "tests/drivers/ethercat/test_frames.py::test_mutated_frames_give",
     f"{MASTER}motors_go_ahead_of_the_plan",
     f"{MASTER}a_motion_from_a_file_is_what_the_robot_does", f"{MASTER}a_second_master_finds_the_drives",

@@ -288,7 +288,7 @@ def test_friction_outlives_a_restart(robot, make, kept):
     path, before = kept
     estimator, said = after_a_restart(robot, make, path)
     np.testing.assert_allclose(learnt(estimator)[0], learnt(before)[0], atol=0.1)
-    assert "counted 100%" in said
+    assert "used with weight 100%" in said
     anew, _ = after_a_restart(robot, make, path.with_name("none.json"))
     assert rms(learnt(anew)[0] - learnt(before)[0]) > 3 * rms(learnt(estimator)[0] - learnt(before)[0])
 
@@ -312,7 +312,7 @@ def test_what_was_learnt_yesterday_says_little_of_a_cold_gear(robot, make, kept)
     change(path, written_at=ago(hours=12))
     estimator, said = after_a_restart(robot, make, path)
     anew, _ = after_a_restart(robot, make, path.with_name("none.json"))
-    assert "counted 0%" in said
+    assert "used with weight 0%" in said
     np.testing.assert_allclose(learnt(estimator)[0], learnt(anew)[0], atol=0.02)
 
 
@@ -342,7 +342,7 @@ def test_an_hour_leaves_a_third_of_what_was_learnt(robot, kept):
 def test_clocks_may_differ_by_a_minute(robot, kept):
     path, _ = kept
     change(path, written_at=ago(seconds=-50))
-    assert "counted 100%" in Keeper(path, robot).begin(Estimator(robot, PERIOD))
+    assert "used with weight 100%" in Keeper(path, robot).begin(Estimator(robot, PERIOD))
     change(path, written_at=ago(seconds=-90))
     with pytest.raises(StorageError, match="in the future"):
         Keeper(path, robot)

@@ -87,7 +87,7 @@ def test_health_says_that_friction_is_not_what_was_identified(bench, tmp_path, r
     assert (told["friction"][-1]["drift"] > robot.limits.friction_drift).any() == drifted
     assert (HealthFlag.FRICTION_DRIFT in HealthFlag(int(health["flags"]))) == drifted
     bench.node.close()
-    assert "counted 100%" in Keeper(tmp_path / KEPT, robot).begin(Estimator(robot, 1e-3))
+    assert "used with weight 100%" in Keeper(tmp_path / KEPT, robot).begin(Estimator(robot, 1e-3))
 
 
 @pytest.mark.parametrize(("scale", "changed"), [(0.03, False), (-0.06, True)], ids=["within", "beyond"])
@@ -213,7 +213,7 @@ def test_it_runs_until_it_is_stopped_and_then_keeps_what_it_learnt(bus_folder, t
         until(lambda: heard.extend(health.take()[0]) or any(HealthFlag.STOPPED & int(one["flags"]) for one in heard))
         assert len(answers.take()[0]) == len(records) == heard[-1]["received"]
         assert HealthFlag.NO_REALTIME & int(heard[-1]["flags"])
-    assert "counted 100%" in Keeper(tmp_path / KEPT, robot).begin(Estimator(robot, 1e-3))
+    assert "used with weight 100%" in Keeper(tmp_path / KEPT, robot).begin(Estimator(robot, 1e-3))
 
 
 def test_another_sample_rate_needs_two_readings(bench, make, capsys):
