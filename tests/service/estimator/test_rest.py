@@ -90,7 +90,7 @@ def known(**fields):
     start(states, DRIFT)
     (state,) = states
     state["information"][0, 0], state["moment"][0], state["raw_information"] = 100.0, 200.0, 100.0
-    state["bin_information"][:, 0, 0], state["bin_moment"][:, 0] = 0.1, 0.2
+    state["bin_information"][:], state["bin_moment"][:] = 0.1, 0.2
     state["filled"], state["told"], state["untold"] = 150, 900.0, 0.0
     state["mass"] = state["load"] = 2.0
     state["std_dev"], state["quiet"], state["resting"] = 0.1, 100_000, 1
@@ -192,7 +192,7 @@ def test_slow_motion_does_not_take_over_a_mass_from_before_a_rest(stood, gripper
 def test_a_mass_that_was_held_to_nothing_is_lifted_from_nothing():
     """-1 kg hang nowhere: the load that is picked is not a kilogram lighter for it."""
     state = known(mass=0.0, load=0.0, std_dev=1.0)
-    state["moment"][0], state["bin_moment"][:, 0] = -100.0, -0.1
+    state["moment"][0], state["bin_moment"][:] = -100.0, -0.1
     assert list(stand(state, torques(kilograms=2.0, samples=AT + 35)).values()) == [PayloadEvent.PICK]
     assert state["mass"] == pytest.approx(2.0, abs=0.3)
     assert state["drag"][0].tolist() == [0.0] * COUNT

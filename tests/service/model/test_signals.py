@@ -398,7 +398,7 @@ def test_repeated_rows_are_left_out_without_a_cut() -> None:
 def test_nothing_usable_names_the_file() -> None:
     log = trace(1000)
     log.flags[::100] |= np.uint32(SampleFlag.BUS_FAULT)
-    with pytest.raises(TraceError, match=r"log\.csv: longest part without a fault lasts 0\.099 s"):
+    with pytest.raises(TraceError, match=r"log\.csv: the longest part without a fault lasts 0\.099 s"):
         signals.segments(log)
 
 
@@ -471,7 +471,7 @@ def test_a_gap_is_more_than_half_a_sample_too_much(step: float, count: int) -> N
 def test_one_usable_row_is_no_motion() -> None:
     log = trace(1000)
     log.flags[2:] = SampleFlag.OUT_OF_RANGE
-    with pytest.raises(TraceError, match=r"log\.csv: longest part"):
+    with pytest.raises(TraceError, match=r"log\.csv: the longest part"):
         signals.segments(log)
     log.flags[1:] = SampleFlag.OUT_OF_RANGE
     with pytest.raises(TraceError, match=r"log\.csv: 1 usable rows of 1000"):
