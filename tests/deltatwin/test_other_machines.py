@@ -34,8 +34,8 @@ def test_the_load_of_an_arm(arm: tuple[dt.Description, Path]) -> None:
     np.testing.assert_allclose([table[f"centre {axis}"]["value"] for axis in "xyz"], LOAD.centre, atol=0.01)
     assert all(row["separable"] for row in table.values())
     assert "kg on flange" in found.conclusion
-    without, with_it = found.plot().data
-    assert sum(with_it.y) < 0.2 * sum(without.y)
+    without, with_it = (sum(bar.y) for bar in found.plot().select_traces())
+    assert with_it < 0.2 * without
     assert "1.7" in found._repr_html_()
     with pytest.raises(dt.RobotError, match="has no link 'hand'"):
         dt.payload(robot, dt.read_trace(folder / "load.csv", robot), "hand")
@@ -49,7 +49,7 @@ def test_the_motion_of_an_arm(arm: tuple[dt.Description, Path]) -> None:
     table = {row["robot"]: row for row in found.to_frame().iter_rows(named=True)}
     for joint in range(1, 5):
         assert table["identified"][f"joint_{joint}"] < 0.2 * table["stands still"][f"joint_{joint}"]
-    names = [line.name for line in found.plot().data]
+    names = [line.name for line in found.plot().select_traces()]
     assert names == ["plain", "identified", "floor"]
     assert "% of their travel" in found.conclusion
     with pytest.raises(dt.RobotError):

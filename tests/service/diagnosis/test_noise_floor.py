@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import freqz, lfilter
+from scipy.signal import lfilter
 
 from schemas.trace import Trace
 from service.identification import pooled
@@ -17,12 +17,13 @@ from tests.service.diagnosis.test_diagnose_parts import ROBOT, log
 
 PERIOD = 1e-3
 MEMORY = 4.0  # samples
+POLES = np.array([1.0, -np.exp(-1.0 / MEMORY)])
 SECONDS = 12.0
 
 
 def filtered(white: np.ndarray) -> np.ndarray:
     """Noise of first order, as a filter in a drive makes it."""
-    return lfilter([1.0], [1.0, -np.exp(-1.0 / MEMORY)], white, axis=0)
+    return np.asarray(lfilter([1.0], POLES, white, axis=0))
 
 
 def noisy(seed: int, more: float = 0.0, part: float = 1.0) -> Trace:
@@ -46,9 +47,9 @@ def floors(traces: list[Trace]) -> tuple[np.ndarray, np.ndarray, float]:
     problem, first = pooled.problem_of(recordings)
     best = pooled.fit(problem, first.sample, ROBOT).fitted.hypothesis
     _, found = pooled.floor_in_band(problem, first, best)
-    frequency, response = freqz([1.0], [1.0, -np.exp(-1.0 / MEMORY)], worN=20_000, fs=1 / PERIOD)
-    inside = frequency < problem.band.cutoff_hz
-    share = float(np.sum(np.abs(response[inside]) ** 2)) / len(frequency)
+    frequency = np.linspace(0.0, 0.5 / PERIOD, 20_000)
+    density = np.abs(POLES[0] + POLES[1] * np.exp(-2j * np.pi * frequency * PERIOD)) ** -2.0
+    share = float(np.sum(density[frequency < problem.band.cutoff_hz])) / len(frequency)
     return first.band, found.band, 0.1 * share**0.5
 
 

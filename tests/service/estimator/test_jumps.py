@@ -14,11 +14,9 @@ from service.estimator.estimator import Estimator
 from service.model.dynamics import torque_terms
 from service.model.nominal import pack
 
+RATES = [100, 125, 200, 250, 300, 333, 500, 1000, 4000, 8000]  # Hz
 QUICK = (100, 300, 1000)
-RATES = [  # Hz
-    pytest.param(rate, marks=() if rate in QUICK else pytest.mark.slow)
-    for rate in (100, 125, 200, 250, 300, 333, 500, 1000, 4000, 8000)
-]
+AT_EVERY_RATE = [pytest.param(rate, marks=() if rate in QUICK else pytest.mark.slow) for rate in RATES]
 FLAGGED = SampleFlag.JUMP | SampleFlag.COMMAND_JUMP | SampleFlag.GAP_BEFORE
 HERE = np.array([0.3, 0.5, 0.2])
 SEAM = np.array([0.091, -0.374, 0.278])  # rad, of the demo log in a loop
@@ -109,7 +107,7 @@ JUMPS = {
 
 @pytest.mark.parametrize("moved", ["both", "position", "command", "no commands", "with plans"])
 @pytest.mark.parametrize("jump", JUMPS)
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", AT_EVERY_RATE)
 def test_a_robot_that_stands_gets_its_weight_whatever_its_pose_jumps_by(smooth, rate, jump, moved):
     period = 1 / rate
     count = round(2 * SECONDS * rate)
@@ -127,7 +125,7 @@ def test_a_robot_that_stands_gets_its_weight_whatever_its_pose_jumps_by(smooth, 
 
 
 @pytest.mark.parametrize("lost", [1, 3, 8, 20, 25, 30, 40, 45, 50, 60, 100])
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", AT_EVERY_RATE)
 def test_behind_a_hole_too(smooth, rate, lost):
     """ms that were lost before the jump: the longer, the more a joint could have moved meanwhile."""
     period = 1 / rate
@@ -176,7 +174,7 @@ def test_no_draw_of_jumps_gets_out_of_the_bounds(smooth, make):
 
 
 @pytest.mark.parametrize("commands", [True, False])
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", AT_EVERY_RATE)
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.6, 0.95, 1.3])
 def test_a_jump_that_may_be_motion_is_stopped_by_the_next_sample(smooth, rate, share, commands):
     """At worst the torque sets out for what such a motion would ask, for the sample or two until it stands."""
@@ -191,7 +189,7 @@ def test_a_jump_that_may_be_motion_is_stopped_by_the_next_sample(smooth, rate, s
     assert np.abs(out["torque"]).max() < 0.6 * bounds_of(smooth).peak_nm, "as a move of the empty robot at 10 g"
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", AT_EVERY_RATE)
 def test_a_move_at_ten_g_is_neither_a_jump_nor_held(smooth, make, rate):
     """Joints at 300 rad/s^2 and more."""
     period = 1 / rate
