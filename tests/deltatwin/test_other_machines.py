@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,8 @@ def test_the_load_of_an_arm(arm: tuple[dt.Description, Path]) -> None:
     np.testing.assert_allclose([table[f"centre {axis}"]["value"] for axis in "xyz"], LOAD.centre, atol=0.01)
     assert all(row["separable"] for row in table.values())
     assert "kg on flange" in found.conclusion
-    without, with_it = (sum(bar.y) for bar in found.plot().select_traces())
+    shown: Any = found.plot()
+    without, with_it = (sum(bar.y) for bar in shown.data)
     assert with_it < 0.2 * without
     assert "1.7" in found._repr_html_()
     with pytest.raises(dt.RobotError, match="has no link 'hand'"):
@@ -49,8 +51,8 @@ def test_the_motion_of_an_arm(arm: tuple[dt.Description, Path]) -> None:
     table = {row["robot"]: row for row in found.to_frame().iter_rows(named=True)}
     for joint in range(1, 5):
         assert table["identified"][f"joint_{joint}"] < 0.2 * table["stands still"][f"joint_{joint}"]
-    names = [line.name for line in found.plot().select_traces()]
-    assert names == ["plain", "identified", "floor"]
+    shown: Any = found.plot()
+    assert [line.name for line in shown.data] == ["plain", "identified", "floor"]
     assert "% of their travel" in found.conclusion
     with pytest.raises(dt.RobotError):
         dt.rollout(robot, log, commands=True)
