@@ -30,7 +30,7 @@ def command(
     from replay.realtime import go_realtime
     from schemas.messages import Role
     from schemas.questions import Question, load_delta
-    from service.estimator.estimator import Estimator
+    from service.estimator.estimator import compile_all
     from service.estimator.keep import Keeper
     from service.estimator.node import run
 
@@ -42,7 +42,7 @@ def command(
     keeper = None if keep is None else Keeper(keep, description)
     check_free(description.name, Role.ESTIMATOR, zenoh_config, insecure)
     typer.echo("estimate: starting; a first run compiles, about half a minute", err=True)
-    Estimator(description, 1e-3).warm_up()  # before anybody can hear that the role is alive
+    compile_all(description)  # before anybody can hear that the role is alive
     standing = go_realtime("estimate")
     with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure, ros_domain) as bus:
         typer.echo(f"estimating for {description.name}; Ctrl-C ends it", err=True)

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -109,28 +110,37 @@ class Estimator:
         return HealthFlag(findings_kernel(self._steps))
 
     def warm_up(self) -> None:
-        """Compile `plan` and `step`, without touching the state, so that the first live sample is not seconds late.
+        """Compile `plan` and `step`, without touching the state, so that the first live sample is not seconds late."""
+        self._compile(lambda: None)
 
-        Where nothing is compiled yet, a second process takes the part that looks back, half of it: Numba compiles one
-        function at a time, and this process finds what the other one left in the cache.
-        """
+    def _compile(self, wait: Callable[[], object]) -> None:
+        """wait: for what another process compiles meanwhile."""
         fresh = state.fresh(self._steps["settings"])
-        beside = None if _is_compiled() else subprocess.Popen(
-            [sys.executable, "-c", f"from {__name__} import compile_look_back; compile_look_back({os.getpid()})"],
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+        plan_kernel(fresh)
+        answer_kernel(fresh)
+        wait()
+        look_back_kernel(fresh)
+        findings_kernel(fresh)
+
+
+def compile_all(robot: Robot) -> None:
+    """Compile what an estimator of `robot` runs.
+
+    Where nothing is compiled yet, a second process takes the part that looks back, half of it: Numba compiles one
+    function at a time, and this process finds what the other one left in the cache.
+    """
+    if _is_compiled():
+        Estimator(robot, 1e-3).warm_up()
+        return
+    with subprocess.Popen(
+        [sys.executable, "-c", f"from {__name__} import compile_look_back; compile_look_back({os.getpid()})"],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    ) as beside:  # fmt: skip
         try:
-            plan_kernel(fresh)
-            answer_kernel(fresh)
-            if beside is not None:
-                beside.wait()  # if it failed, the next line compiles all of it
-            look_back_kernel(fresh)
-            findings_kernel(fresh)
+            Estimator(robot, 1e-3)._compile(beside.wait)  # if it failed, all is compiled here
         finally:
-            if beside is not None:
-                beside.kill()
-                beside.wait()
+            beside.kill()
 
 
 def compile_look_back(asking: int) -> None:

@@ -190,8 +190,8 @@ def test_who_compiles_for_a_process_that_was_killed_does_not_go_on(tmp_path: Pat
     code = """
 from replay.demo import ROBOT
 from schemas.robot import load_robot
-from service.estimator.estimator import Estimator
-Estimator(load_robot(ROBOT), 1e-3).warm_up()
+from service.estimator.estimator import compile_all
+compile_all(load_robot(ROBOT))
 """
     asking = subprocess.Popen([sys.executable, "-c", code], env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)})
     try:
