@@ -83,14 +83,17 @@ def diagnose(
     searched = _searched(robot, traces, pooled.problem_of(recordings), effects, given, progress)
     best = searched.selection.best.hypothesis
     again = pooled.floor_in_band(searched.problem, searched.floor, best)
-    if np.abs(np.log(again[1].band / searched.floor.band)).max() > np.log(WITHIN_NOISE):
-        searched = _searched(robot, traces, again, effects, given, progress)
+    risen = again[1].band / searched.floor.band  # of the floor: what names do not depend on, the verdict does
+    if np.abs(np.log(risen)).max() > np.log(WITHIN_NOISE):
+        searched, risen = _searched(robot, traces, again, effects, given, progress), np.ones_like(risen)
     problem, floor, split, plain = searched.problem, searched.floor, searched.split, searched.plain
     scope, regressors, selection = searched.scope, searched.regressors, searched.selection
     progress("checking on held-out data")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     coloured = bool((floor.coloured | floor.unknown).any())
-    limit = (WITHIN_COLOURED if coloured else WITHIN_NOISE) * _floor(problem, reversal)
+    limit = (
+        (WITHIN_COLOURED if coloured else WITHIN_NOISE) * _floor(problem, reversal) * float(np.mean(risen**2)) ** 0.5
+    )
     selection = _past_fault(regressors, selection, limit, scope.allows, progress)
     selection = exchanged(regressors, selection, limit, scope.allows, progress)
     angular = all(trace.angular for trace in traces)

@@ -63,7 +63,8 @@ def test_what_is_left_is_noise_up_to_6_percent_above_its_floor_and_25_where_that
         found = diagnose.diagnose(ROBOT, traces, ())
         counts = np.sum([rows.sum(axis=0) for rows in found.problem.rows], axis=0)
         floor = np.repeat((found.reversal**2 + found.problem.sigma**2) / found.problem.sigma**2, counts)
-        assert found.limit == pytest.approx(above * np.sqrt(floor.mean()))
+        read = found.limit / (above * np.sqrt(floor.mean()))  # the floor as it is read in the band, over what is taken
+        assert 1.0 - 1e-9 <= read <= diagnose.WITHIN_NOISE
         codes = [one.code for one in found.cannot_tell if one.code.startswith("noise")]
         assert codes == ([code] if code else [])
         assert found.verdict == "within_noise"
