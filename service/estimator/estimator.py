@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -111,7 +112,8 @@ class Estimator:
 
     def warm_up(self) -> None:
         """Compile `plan` and `step`, without touching the state, so that the first live sample is not seconds late."""
-        self._compile(lambda: None)
+        with _look_back_beside() as wait:
+            self._compile(wait)
 
     def _compile(self, wait: Callable[[], object]) -> None:
         """wait: for what another process compiles meanwhile."""
@@ -124,13 +126,18 @@ class Estimator:
 
 
 def compile_all(robot: Robot) -> None:
-    """Compile what an estimator of `robot` runs.
+    """What `warm_up` does, for a process that has no estimator yet: one is built while the other process starts."""
+    with _look_back_beside() as wait:
+        Estimator(robot, 1e-3)._compile(wait)
 
-    Where nothing is compiled yet, a second process takes the part that looks back, half of it: Numba compiles one
-    function at a time, and this process finds what the other one left in the cache.
-    """
+
+@contextlib.contextmanager
+def _look_back_beside() -> Iterator[Callable[[], object]]:
+    """Where nothing is compiled yet, a second process takes the part that looks back, half of it: Numba compiles one
+    function at a time, and this process finds what the other one left in the cache. Gives what waits for it; if it
+    failed, this process compiles all."""
     if _is_compiled():
-        Estimator(robot, 1e-3).warm_up()
+        yield lambda: None
         return
     with subprocess.Popen(
         [sys.executable, "-c", f"from {__name__} import compile_look_back; compile_look_back({os.getpid()})"],
@@ -138,7 +145,7 @@ def compile_all(robot: Robot) -> None:
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     ) as beside:  # fmt: skip
         try:
-            Estimator(robot, 1e-3)._compile(beside.wait)  # if it failed, all is compiled here
+            yield beside.wait
         finally:
             beside.kill()
 
