@@ -317,7 +317,7 @@ def rollout(
     from service.rollout.document import document
     from service.rollout.gap import PLAIN, compare, plain, refuse_another_robot
 
-    given = {name: as_delta(one, Question.COMMANDS if commands else Question.PLATFORM) for name, one in named.items()}
+    given = {name: as_delta(one, Question.COMMANDS) for name, one in named.items()}
     refuse_another_robot(given)
     compared = {PLAIN: plain(next(iter(given.values()))), **given}
     found = compare(compared, logs, horizon, commands, progress)

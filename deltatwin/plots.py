@@ -123,7 +123,7 @@ def of_joint_rollout(result: JointRolloutResult) -> go.Figure:
     """Rms error of one joint over the horizon, a line a machine: of the joint that the last machine misses most."""
     found = result.found
     *machines, floor, _ = found.deviations
-    joint = int(np.nanargmax(np.nan_to_num(machines[-1].growth[-1])))
+    joint = int(np.argmax(np.nan_to_num(machines[-1].growth[-1])))
     unit = "mrad" if found.angular else "mm"
     figure = go.Figure()
     for one in (*machines, floor):

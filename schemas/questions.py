@@ -19,7 +19,6 @@ class Question(Enum):
     CODE = "code for a controller", "for a simulator: deltatwin export --to mjcf"
     CLOSED_LOOP = "closed loop on the bus", "for a simulated log: deltatwin simulate"
     COMMANDS = "rollout of position commands through drives", "for recorded torque: without --commands"
-    PLATFORM = "rollout of a platform", "for its joints: deltatwin rollout"
     PICKS = (
         "detection of picks and releases",
         "for one load throughout: deltatwin payload without --truth and --predictions",

@@ -83,7 +83,7 @@ def diagnose(
     searched = _searched(robot, traces, pooled.problem_of(recordings), effects, given, progress)
     best = searched.selection.best.hypothesis
     again = pooled.floor_in_band(searched.problem, searched.floor, best)
-    risen = again[1].band / searched.floor.band  # of the floor: what names do not depend on, the verdict does
+    risen = again[1].band / searched.floor.band
     if np.abs(np.log(risen)).max() > np.log(WITHIN_NOISE):
         searched, risen = _searched(robot, traces, again, effects, given, progress), np.ones_like(risen)
     problem, floor, split, plain = searched.problem, searched.floor, searched.split, searched.plain
@@ -91,6 +91,7 @@ def diagnose(
     progress("checking on held-out data")
     reversal = statistics.reversal_noise(problem, selection.best.hypothesis.base.coulomb)
     coloured = bool((floor.coloured | floor.unknown).any())
+    # The floor as it was read, also where it is too near for a second search.
     limit = (
         (WITHIN_COLOURED if coloured else WITHIN_NOISE) * _floor(problem, reversal) * float(np.mean(risen**2)) ** 0.5
     )

@@ -142,21 +142,27 @@ def problem_of(recordings: Sequence[Recording], bare: bool = False) -> tuple[Pro
     band = Band.of(period, resolved_hz([recording.segment for recording in recordings]))
     problem = Problem.of(recordings, band, np.maximum(white_noise(recordings), 1e-9))  # how joints weigh, for now
     first = solver.fit(problem, start(problem), iterations=2).hypothesis
-    left = [scene.segment.torque - predict(scene, first) for scene in problem.scenes(first)]
+    left = _of_every_sample(problem, first)
     if not bare:
         above = [values - lowpass(values, period, band.cutoff_hz) for values in left]
         wider = Band.of(period, max(band.cutoff_hz, _ripple_hz(recordings, above)))
         if wider.cutoff_hz > band.cutoff_hz:
             problem = Problem.of(recordings, wider, problem.sigma)
-    found = floor(recordings, left, problem.band)
-    return replace(problem, sigma=found.band, filtered=bool(found.coloured.any()), bare=bare), found
+    return _in_units_of(floor(recordings, left, problem.band), replace(problem, bare=bare))
 
 
 def floor_in_band(problem: Problem, known: Floor, best: Hypothesis) -> tuple[Problem, Floor]:
     """The problem in units of a noise floor that is read inside the band, from the residual of the `best` model; where
     the floor was read from white noise above it, as it is."""
-    left = [scene.segment.torque - predict(scene, best) for scene in problem.scenes(best)]
-    found = refined(problem.recordings, left, known, problem.band)
+    return _in_units_of(refined(problem.recordings, _of_every_sample(problem, best), known, problem.band), problem)
+
+
+def _of_every_sample(problem: Problem, hypothesis: Hypothesis) -> list[np.ndarray]:
+    """Residual (N, n) N m of a hypothesis, of each recording, neither filtered nor thinned out."""
+    return [scene.segment.torque - predict(scene, hypothesis) for scene in problem.scenes(hypothesis)]
+
+
+def _in_units_of(found: Floor, problem: Problem) -> tuple[Problem, Floor]:
     return replace(problem, sigma=found.band, filtered=bool(found.coloured.any())), found
 
 

@@ -115,7 +115,6 @@ class Soak:
         self._at = time.monotonic()
         self._counted = {"lost": 0, "late": 0}
         self._shown = multiprocessing.get_context("spawn").Value("q", 0)
-        self.lost = 0  # samples since the start
         self.answered: list[float] = []  # s, the estimator's median latency as it says it each second
 
     def start(self, rate: float, beside: str | None) -> None:
@@ -151,6 +150,11 @@ class Soak:
         self._launch("player", "replay", played, *robot, "--loop", "0", "--rate", str(rate))
         self._at = time.monotonic()
         self._before = {name: usage(process.pid) for name, process in self.processes.items()}
+
+    @property
+    def lost(self) -> int:
+        """Samples since the start, as of the last row."""
+        return self._counted["lost"]
 
     def _launch(self, name: str, *arguments: object) -> None:
         place = ["taskset", "-c", str(self._processors[name])] if name in self._processors else []
@@ -198,7 +202,6 @@ class Soak:
             "late": int(self._last["player"]["late"]) if "player" in self._last else 0,
         }
         cells += [str(counts[what] - self._counted[what]) for what in counts]
-        self.lost = counts["lost"]
         self._counted = counts
         for name in ("player", "estimator"):
             timed = by_role[name][by_role[name]["latency_max"] > 0]
