@@ -27,7 +27,7 @@ from service.identification.channels import (
     time_unit,
 )
 from service.identification.evidence import Run
-from service.identification.readings import Candidates, Reading, Stated, judge, named, scale_of
+from service.identification.readings import Candidates, Lines, Reading, Stated, judge, named, scale_of
 
 LEAPS = 0.5  # of the way that readings go, that is left where their sign is put right
 FOLLOWS_WITHIN = 2.0  # factor between the way of a command and that of what follows it
@@ -147,17 +147,16 @@ def _reading(
             found = judge(robot, logs, positions, torque, (unit is not None, told))
         if robot.linear and unit is None:
             found.doubts.append(f"positions are assumed to be {positions[0]['unit']}, by their range")
-    reasons += found.reasons
     if None in found.torque.values():
         raise DataError(
             f"{runs[0].path}: torques are {found.torque['unit']}: how many N m per unit? give it with --torque-unit"
         )
     signs = [int(a * b) for a, b in zip(own, found.torque_signs, strict=True)]
-    if stated.sign is not None and signs != own:
-        reasons[:] = [line for line in reasons if "other sign" not in line]
-        doubts.append("the signs given by --sign contradict the motion")
-        signs = own
-    doubts += found.doubts
+    if stated.sign is not None:  # who says it is not asked about it
+        against = ["the signs given by --sign contradict the motion"] if signs != own else []
+        found, signs = replace(found, of_signs=Lines(doubts=against)), own
+    reasons += [*found.of_signs.reasons, *found.reasons]
+    doubts += [*found.of_signs.doubts, *found.doubts]
     return replace(found, torque_signs=signs)
 
 

@@ -72,9 +72,18 @@ class Stated:
 
 
 @dataclass(frozen=True)
+class Lines:
+    """What is told of one choice. reasons: why it is so; doubts: what of it is not sure."""
+
+    reasons: Sequence[str] = ()
+    doubts: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
 class Reading:
-    """How the numbers are read. position, torque: keys of a column, but its name. told: why; doubts: what is not sure.
-    left: of the torque, where it could be tried."""
+    """How the numbers are read. position, torque: keys of a column, but its name. left: of the torque, where it could
+    be tried. reasons: why; doubts: what is not sure; of_signs: both, of the torques' signs, which a later choice may
+    set anew."""
 
     position: dict[str, Any]
     torque: dict[str, Any]
@@ -83,6 +92,7 @@ class Reading:
     torque_signs: Sequence[int] = ()
     reasons: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    of_signs: Lines = Lines()
 
     @property
     def share(self) -> float:
@@ -354,7 +364,9 @@ def judge(
     if choice.second is not None:
         _tell_choice(best, found[choice.second], choice, told[0], named(positions[0]))
     if isinstance(robot, Chain):
-        return _of_arm(robot, runs, best)
+        best = _of_arm(robot, runs, best)
+        best.doubts.extend(_of_masses(robot, runs, best))
+        return best
     _doubt_gear(robot, runs, best, torque)
     return best
 
@@ -396,14 +408,21 @@ def _of_machine(
         reading.doubts.append("hardly any joint moves: this log does not determine the signs")
         return reading
     signs, odds = _torque_signs(sums, count)
-    _tell_signs(reading, odds)
-    one = sums.torque_of_masses(signs)
-    if one is not None and not 1 / SAME <= one <= SAME:
-        reading.doubts.append(
-            f"by the masses of the URDF one unit of torque is {one:.3g} N m at the joint: is the unit or the constant "
-            "wrong, or is it the motor's torque?"
-        )
-    return replace(reading, left=sums.left(signs), torque_signs=signs)
+    return replace(reading, left=sums.left(signs), torque_signs=signs, of_signs=_of_signs(odds))
+
+
+def _of_masses(robot: Chain, runs: Sequence[Run], taken: Reading) -> list[str]:
+    """A doubt where the described masses' torque has another size than what was recorded."""
+    sums = None
+    if taken.left is not None:
+        sums = machine_sums(robot, _at_joints(robot, runs, taken.position, taken.torque, taken.signs))
+    one = None if sums is None else sums.torque_of_masses(taken.torque_signs)
+    if one is None or 1 / SAME <= one <= SAME:
+        return []
+    return [
+        f"by the masses of the URDF one unit of torque is {one:.3g} N m at the joint: is the unit or the constant "
+        "wrong, or is it the motor's torque?"
+    ]
 
 
 def _at_joints(
@@ -454,12 +473,10 @@ def _of_arm(robot: Chain, runs: Sequence[Run], best: Reading) -> Reading:
             f"unexplained, as recorded {_percent(recorded.overall)} ({said(log_odds(left, recorded))} times likelier)"
         )
         if recorded.overall > SUSPECT:
-            doubts = [line for line in doubts if "sign of the torque" not in line and "by the masses" not in line]
             doubts.append(f"{line}: the other sign is used")
-            reasons = [line for line in best.reasons if "pushes against" not in line]
             turned = [joint + 1 for joint in range(robot.count) if signs[joint] < 0]
-            reasons += [f"the torque of {named_joints(turned)} has the other sign"] if turned else []
-            best = replace(best, left=left, signs=flips, torque_signs=signs, reasons=reasons)
+            lines = Lines([f"the torque of {named_joints(turned)} has the other sign"] if turned else [])
+            best = replace(best, left=left, signs=flips, torque_signs=signs, of_signs=lines)
         else:
             doubts.append(f"{line}: left as recorded")
     if best.share > POOR:
@@ -487,20 +504,23 @@ def _flipped(
     return max(found, key=lambda one: one[0])
 
 
-def _tell_signs(reading: Reading, odds: np.ndarray) -> None:
+def _of_signs(odds: np.ndarray) -> Lines:
+    """What is told of the torques' signs. odds: (n,), see `_torque_signs`."""
     open_ones = [joint + 1 for joint in np.flatnonzero(np.abs(odds) < SURE).tolist()]
-    for joint in np.flatnonzero(odds <= -SURE).tolist():
-        reading.reasons.append(
-            f"axis {joint + 1}: as recorded, the torque pushes against the motion: the other sign is used "
-            f"({said(odds[joint])} times likelier)"
-        )
+    reasons = [
+        f"axis {joint + 1}: as recorded, the torque pushes against the motion: the other sign is used "
+        f"({said(odds[joint])} times likelier)"
+        for joint in np.flatnonzero(odds <= -SURE).tolist()
+    ]
+    doubts = []
     if open_ones:
         most = said(float(odds[np.array(open_ones) - 1].min()))
         likelier = f"; the other is {most} times likelier" if odds[np.array(open_ones) - 1].min() < 0 else ""
-        reading.doubts.append(
+        doubts.append(
             f"sign of the torque of {named_joints(open_ones)}: inertia and friction are too small in this log to "
             f"determine it{likelier}; left as recorded, set it with --sign"
         )
+    return Lines(reasons, doubts)
 
 
 def _of_delta(
@@ -548,10 +568,13 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
         order = ", ".join(str(k + 1) for k in reads.order)
         doubts.append(f"the torques fit better in the order {order}: are cables swapped? Set the order with --torque")
         return Reading(reading.position, torque, fit.left, AS_GIVEN, AS_GIVEN, reasons, doubts)
-    for what, which in (("torque", reads.signs), ("position", fit.signs)):
-        turned = named_joints([j + 1 for j in range(3) if which[j] < 0])
-        if turned:
-            reasons.append(f"the {what} of {turned} has the other sign")
+    of_torque, of_position = (
+        [f"the {what} of {turned} has the other sign"]
+        if (turned := named_joints([j + 1 for j in range(3) if which[j] < 0]))
+        else []
+        for what, which in (("torque", reads.signs), ("position", fit.signs))
+    )
+    reasons += of_position
     side = next((s for s in (1.0, gear) if 1 / SAME <= reads.scale / s <= SAME), None) if known else None
     fits = fit.share < SUSPECT and 1 / SAME <= fit.by_masses / reads.scale <= SAME
     if side is None:
@@ -574,7 +597,7 @@ def _scaled(reading: Reading, robot: Robot, fit: DeltaFit, known: bool, told: bo
         if not told or fit.share < SUSPECT:
             (reasons if fits else doubts).append(said_so)
     signs = [int(sign) for sign in reads.signs]
-    return Reading(reading.position, torque, fit.left, fit.signs, signs, reasons, doubts)
+    return Reading(reading.position, torque, fit.left, fit.signs, signs, reasons, doubts, Lines(of_torque))
 
 
 def _doubt_gear(robot: Robot | Axes, runs: Sequence[Run], best: Reading, torque: dict[str, Any]) -> None:

@@ -89,6 +89,16 @@ def test_signs(geared: Robot, log: Trace, where: str, turn: tuple[float, ...]) -
     assert f"the {where} of joints 2 and 3 has the other sign" in found.reasons
 
 
+def test_a_sign_of_the_torque_that_is_said_takes_nothing_from_what_is_told_of_positions(
+    geared: Robot, log: Trace
+) -> None:
+    found = propose(written(log, (1, -1, -1), 1.0), geared, Stated(sign=[-1]))
+    assert [e.get("sign", 1) for e in entries(found, "torque")] == [-1, -1, -1]
+    assert "the position of joints 2 and 3 has the other sign" in found.reasons
+    assert not [line for line in found.reasons if "torque of joints" in line]
+    assert "the signs given by --sign contradict the motion" in found.doubts
+
+
 def test_the_motors_torque_is_told_by_the_gear(geared: Robot, log: Trace) -> None:
     found = propose(written(log, torque=1 / GEAR), geared, Stated())
     assert entries(found, "torque") == [{"unit": "N m", "side": "motor"}] * 3

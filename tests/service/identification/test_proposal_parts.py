@@ -17,7 +17,7 @@ from service.identification.channels import Channels
 from service.identification.checks import TorqueReading
 from service.identification.evidence import DeltaFit, Left, Run
 from service.identification.proposal import propose
-from service.identification.readings import Reading, Stated
+from service.identification.readings import Lines, Reading, Stated
 from tests.service.world import stub
 
 GEAR = 25.0
@@ -94,9 +94,8 @@ def test_where_half_of_the_torque_is_left_nothing_is_told(
         assert found.doubts == [f"{line}: this log does not determine signs and gear side"]
         assert found.reasons == []
     else:
-        assert found.reasons == [
-            line, "the torque of joints 1 and 3 has the other sign", "the position of joint 2 has the other sign"
-        ]  # fmt: skip
+        assert found.reasons == [line, "the position of joint 2 has the other sign"]
+        assert found.of_signs == Lines(["the torque of joints 1 and 3 has the other sign"])
         assert found.doubts == []
 
 
