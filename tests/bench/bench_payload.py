@@ -156,7 +156,8 @@ def judge(robot: Robot, log: Trace, picks: Sequence[Pick]) -> dict[str, float]:
 
     z: rms of what is left of the error by its random standard deviation, where `off`, the share of the mass by which
     all masses of the log are off alike, is taken off; z_all: rms of the error by its standard deviation; both of
-    samples that are trusted.
+    samples that are trusted, of each mass from when its change has been told (that it comes late is `in_time`'s) or
+    may be waited for no longer.
     """
     found = weighed(robot, log)
     time = found.time - found.time[0]
@@ -168,6 +169,7 @@ def judge(robot: Robot, log: Trace, picks: Sequence[Pick]) -> dict[str, float]:
     judged = changes[changes < end - FOUND]
     error = np.abs(found.mass - true)
     moves = np.abs(np.gradient(log.position, time, axis=0)).max(axis=1) > LEAST_SPEED
+    told = time[found.event != 0]
     right, awake, covered, steady, squares, sure = [], [], [], [], [], np.zeros(len(time), bool)
     for begin, until in pairwise([*judged, *changes[len(judged) :], end][: len(judged) + 1]):
         span = (time >= begin + SETTLED) & (time < until)
@@ -176,11 +178,10 @@ def judge(robot: Robot, log: Trace, picks: Sequence[Pick]) -> dict[str, float]:
         since = slice(round(begin / log.period), round((begin + SETTLED) / log.period))
         awake.append(np.count_nonzero(moves[since]) * log.period >= AWAKE)
         trusted = span & found.trusted
-        sure |= trusted
+        sure |= trusted & (time >= min([*told[(told >= begin) & (told < begin + FOUND)], begin + FOUND]))
         covered.append(error[trusted] <= 2 * found.std_dev[trusted] + SLACK)
         steady.append(found.trusted[late])
         squares.append(error[late] ** 2)
-    told = time[found.event != 0]
     lag = told[:, None] - changes
     false = ~((lag >= 0) & (lag <= FOUND)).any(axis=1)
     after = told[:, None] - judged

@@ -110,7 +110,8 @@ ADVICE = {
     "record_runs": "Record three or more runs of 5 s: picks, a multisine and a slow sweep with reversals.",
     "record_all_joints": "Record runs in which all joints move.",
     "record_reversals": "Record runs with reversals.",
-    "check_description": "Check the description (lengths, gravity, gear ratio, order and sign of joints).",
+    "check_description": "Check the description: lengths, gravity, gear ratio, order and sign of joints, and that it "
+    "has all joints of the machine.",
     "check_runs": "Check that all runs are of the same robot with the same tool, in the same condition.",
     "check_base": "Check the base model: kind, gravity, gear ratio, coupling of joints, order and sign of columns.",
     "record_more": "Record more motion of the kind that shows the gap, and note what else changed between the runs.",
