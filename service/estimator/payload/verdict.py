@@ -73,31 +73,78 @@ UNKNOWN, OPEN = Gripper.UNKNOWN.value, Gripper.OPEN.value
 @kernel
 def conclude(settings, state):
     """Mass, standard deviation and trust of now. Returns the event that they amount to."""
-    active, inverse, drag = state.active, state.inverse, state.contrast[0]
     mass = locate(state)
-    for a in range(departure.COUNT):
-        drag[a] = 0.0
-        for p in range(active):
-            drag[a] += inverse[0, p] * state.drag[p, a]
-    doubt = departure.covariance_kernel(state.departure, drag, drag)
+    doubt = _doubt(state)
     # what was learnt while the model fitted says less once it no longer does
     worse = max(1.0, state.inflation * state.information[0, 0] / state.raw_information)
-    state.shortfall *= settings.remember
-    state.bias = gentle = 0.0
-    as_identified = soft = False
-    if state.leverage > 0.0:  # averages that are not full yet are judged by what is in them
-        lacking = settings.model_error + max(state.excess / state.judged, (state.inflation - 1.0) / COLOUR)
-        state.bias = BIAS_SHARE * BIAS_SHARE * lacking * state.judged / state.leverage
-        as_identified = lacking <= 2.0 * settings.model_error
-        soft = lacking > SOFT * settings.model_error
-        gained = state.raw_information - prior_of(0)
-        if gained > 0.0:  # a block since the last change may tell less of the mass, in a gentle move
-            lacking = max(lacking, state.scatter / state.judged - LEAST_INFLATION)
-            share = max(BIAS_SHARE * BIAS_SHARE, 1.0 / (1.0 + state.told * settings.period / BIAS_AVERAGING))
-            gentle = share * lacking * state.told / (settings.block_size * gained)
-    std_dev = math.sqrt(worse * inverse[0, 0] + doubt + state.bias + settings.unsure)
+    lacking, gentle = _lacking(settings, state)
     known_empty = state.gripper == OPEN
+    std_dev = math.sqrt(worse * state.inverse[0, 0] + doubt + state.bias + settings.unsure)
     contradicted = known_empty and mass > EMPTY_SIGMAS * std_dev + SMALLEST_CHANGE
+    std_dev = _with_shortfall(settings, state, mass, std_dev)
+    trusted = is_sure(std_dev, mass) and state.inflation < FOREIGN
+    state.quiet += 1
+    state.burst = max(0.0, state.burst - EVENT_RATE * settings.period)
+    held = min(max(mass, 0.0), settings.max_payload)
+    margin = CONTRADICTION * std_dev + CONTRADICTION_FLOOR
+    if mass < -margin or mass > settings.max_payload + margin or state.burst > EVENT_BURST:
+        trusted = False
+        std_dev = max(std_dev, abs(mass - held))
+    if contradicted:  # the gripper says one thing, the torque another
+        trusted, std_dev = False, max(std_dev, held)
+    elif known_empty:
+        trusted, held, std_dev = True, 0.0, 0.0
+    event = _happened(settings, state, held, std_dev, doubt, lacking, trusted)
+    if event != PayloadEvent.NONE.value:
+        state.untold = min(state.untold, LEAST_TIME)  # weighed anew
+        begin_whole(state)
+    state.mass = _averaged(settings, state, mass, held)
+    borne_out = trusted and (known_empty or state.untold == 0.0)
+    std_dev = _scattering(settings, state, std_dev, doubt, worse, gentle)
+    fits = state.scatter <= LASTING * state.judged or state.inflation < STILL_LASTING
+    sure = borne_out and (known_empty or (fits and is_sure(std_dev, mass)))
+    _say(settings, state, mass, held, std_dev, sure)
+    if sure:
+        state.sure_for += settings.period
+    _reckon(settings, state, borne_out, sure)
+    return event
+
+
+@kernel
+def _doubt(state):
+    """Variance of the mass, kg^2, for what is not known of friction and scale; state.contrast[0]: what each of them
+    does to it."""
+    drag = state.contrast[0]
+    for a in range(departure.COUNT):
+        drag[a] = 0.0
+        for p in range(state.active):
+            drag[a] += state.inverse[0, p] * state.drag[p, a]
+    return departure.covariance_kernel(state.departure, drag, drag)
+
+
+@kernel
+def _lacking(settings, state):
+    """state.bias: variance of the mass, kg^2, for what the model lacks. Returns how much that is over the noise, -1
+    before anything tells, and the variance that it has since the last change, kg^2."""
+    state.bias = gentle = 0.0
+    if not state.leverage > 0.0:
+        return -1.0, gentle
+    # averages that are not full yet are judged by what is in them
+    lacking = settings.model_error + max(state.excess / state.judged, (state.inflation - 1.0) / COLOUR)
+    state.bias = BIAS_SHARE * BIAS_SHARE * lacking * state.judged / state.leverage
+    gained = state.raw_information - prior_of(0)
+    if gained > 0.0:  # a block since the last change may tell less of the mass, in a gentle move
+        now = max(lacking, state.scatter / state.judged - LEAST_INFLATION)
+        share = max(BIAS_SHARE * BIAS_SHARE, 1.0 / (1.0 + state.told * settings.period / BIAS_AVERAGING))
+        gentle = share * now * state.told / (settings.block_size * gained)
+    return lacking, gentle
+
+
+@kernel
+def _with_shortfall(settings, state, mass, std_dev):
+    """The standard deviation, kg, with what a mass below nothing, or of nothing, has shown to be wrong with others."""
+    state.shortfall *= settings.remember
+    known_empty = state.gripper == OPEN
     # what hangs on nothing is an error too, whichever way
     empty = known_empty or (state.gripper == UNKNOWN and state.load < SMALLEST_CHANGE and mass < SMALLEST_CHANGE)
     wrong = (abs(mass) if empty else -mass) - CONTRADICTION * std_dev - SHORTFALL_FLOOR
@@ -108,30 +155,27 @@ def conclude(settings, state):
     std_dev = math.hypot(std_dev, state.shortfall)
     if empty:
         std_dev = max(std_dev, (abs(mass) - SHORTFALL_FLOOR) / CONTRADICTION)
-    trusted = is_sure(std_dev, mass) and state.inflation < FOREIGN
-    state.quiet += 1
-    state.burst = max(0.0, state.burst - EVENT_RATE * settings.period)
-    margin = CONTRADICTION * std_dev + CONTRADICTION_FLOOR
-    if mass < -margin or mass > settings.max_payload + margin or state.burst > EVENT_BURST:
-        trusted = False
-        std_dev = max(std_dev, abs(mass - min(max(mass, 0.0), settings.max_payload)))
-    held = min(max(mass, 0.0), settings.max_payload)
-    if contradicted:  # the gripper says one thing, the torque another
-        trusted, std_dev = False, max(std_dev, held)
-    elif known_empty:
-        trusted, held, std_dev = True, 0.0, 0.0
-    event = PayloadEvent.NONE.value
+    return std_dev
+
+
+@kernel
+def _happened(settings, state, held, std_dev, doubt, lacking, trusted):
+    """The event that a mass of `held` kg amounts to; the load believed becomes it where it is one, or sure."""
+    as_identified = 0.0 <= lacking <= 2.0 * settings.model_error
+    soft = lacking > SOFT * settings.model_error
+    known_empty = state.gripper == OPEN
     if state.last_event == PayloadEvent.RELEASE.value and _refining(settings, state):
         state.load = min(state.load, held)  # the rest of a release is no second one
     own = max(0.0, std_dev * std_dev - doubt)
     if known_empty:
         own = std_dev * std_dev
         for a in range(departure.COUNT):
-            drag[a] = 0.0
+            state.contrast[0, a] = 0.0
     variance = _step_variance(state, held - state.load, own)
     foreign = not as_identified and state.bias > SMALLEST_CHANGE * SMALLEST_CHANGE
     least = _least_step(settings, state, own, variance, as_identified, foreign)
     refined = own < state.load_variance and (held - state.load) ** 2 < variance + state.load_variance
+    event = PayloadEvent.NONE.value
     if state.rest.step != 0.0:
         if not (foreign and soft):
             event = (PayloadEvent.PICK if state.rest.step > 0.0 else PayloadEvent.RELEASE).value
@@ -146,22 +190,30 @@ def conclude(settings, state):
             state.crept = 0.0 if trusted and state.unheard == 0 else state.crept
         else:
             event = _event(settings, state, held, own, variance, trusted or refined)
-    if event != PayloadEvent.NONE.value:
-        state.untold = min(state.untold, LEAST_TIME)  # weighed anew
-        begin_whole(state)
-    state.mass = _averaged(settings, state, mass, held)
-    borne_out = trusted and (known_empty or state.untold == 0.0)
-    if not known_empty:  # a change may hide in what passes for the model's error; none to take a load away for
-        here = (PLACE_SHARE / BIAS_SHARE) ** 2 * state.bias if lacks_a_load(settings, state) else 0.0
-        more = max(0.0, max(gentle, here) - state.bias)
-        std_dev = math.sqrt(std_dev * std_dev + state.hidden + more)
-        floor = worse * inverse[0, 0] * (1.0 - state.measured / state.inflation)
-        cautious = floor + (1.0 - SCATTERED_SHARE) * (doubt + state.bias + more) + settings.unsure
-        state.random_std_dev = math.sqrt(max(0.0, std_dev * std_dev - cautious))
-    else:
+    return event
+
+
+@kernel
+def _scattering(settings, state, std_dev, doubt, worse, gentle):
+    """The standard deviation, kg, with what a change may hide in; state.random_std_dev: of the error that differs from
+    one mass to the next."""
+    if state.gripper == OPEN:
         state.random_std_dev = std_dev
-    fits = state.scatter <= LASTING * state.judged or state.inflation < STILL_LASTING
-    sure = borne_out and (known_empty or (fits and is_sure(std_dev, mass)))
+        return std_dev
+    # a change may hide in what passes for the model's error; none to take a load away for
+    here = (PLACE_SHARE / BIAS_SHARE) ** 2 * state.bias if lacks_a_load(settings, state) else 0.0
+    more = max(0.0, max(gentle, here) - state.bias)
+    std_dev = math.sqrt(std_dev * std_dev + state.hidden + more)
+    floor = worse * state.inverse[0, 0] * (1.0 - state.measured / state.inflation)
+    cautious = floor + (1.0 - SCATTERED_SHARE) * (doubt + state.bias + more) + settings.unsure
+    state.random_std_dev = math.sqrt(max(0.0, std_dev * std_dev - cautious))
+    return std_dev
+
+
+@kernel
+def _say(settings, state, mass, held, std_dev, sure):
+    """Trust, and the standard deviations with the error that all masses have in common."""
+    known_empty = state.gripper == OPEN
     tool = 0.0  # of a gripper that is heard the shortfall says what hangs there when it is open
     if state.gripper == UNKNOWN:
         tool = TOOL_SHARE * _ground(settings, state, sure, max(state.mass, -mass))
@@ -171,10 +223,6 @@ def conclude(settings, state):
     common = tool + settings.common_share * held
     state.common_std_dev = math.sqrt(common * common + (0.0 if known_empty else settings.unsure))
     state.std_dev = math.hypot(std_dev, common)
-    if sure:
-        state.sure_for += settings.period
-    _reckon(settings, state, borne_out, sure)
-    return event
 
 
 @kernel
