@@ -6,7 +6,7 @@ import numpy as np
 
 from schemas.messages import REFERENCE, SAMPLE
 
-_REAL = np.array(
+REAL = np.array(
     [np.nan, np.inf, -np.inf, 1e308, -1e308, 1e-308, 0.0, 1e5, -200.0, 90.0, 2.1, -1.5, 0.4],
 )
 _SEQUENCES = np.array([0, 1, 39, 2**31, 2**62, 2**63 - 1, 2**63, 2**64 - 1], np.uint64)
@@ -22,7 +22,7 @@ def hostile(random: np.random.Generator, good: np.ndarray, count: int) -> np.nda
     for field in ("position", "torque", "position_command"):
         share = random.choice([0.0, 0.01, 0.1, 0.5])
         struck = random.random((count, 3)) < share
-        samples[field] = np.where(struck, random.choice(_REAL, (count, 3)), samples[field])
+        samples[field] = np.where(struck, random.choice(REAL, (count, 3)), samples[field])
     for field, values in (("sequence", _SEQUENCES), ("stamp_sec", _SECONDS), ("stamp_nanosec", _NANOSECONDS)):
         struck = random.random(count) < random.choice([0.0, 0.01, 0.2])
         samples[field][struck] = random.choice(values, struck.sum())
@@ -44,7 +44,7 @@ def reference(random: np.random.Generator, sequence: int) -> np.void:
         for field, scale in (("position", 1.0), ("velocity", 30.0), ("acceleration", 4000.0)):
             record[field] = random.uniform(-scale, scale, 3)
             if random.random() < 0.3:
-                record[field][random.integers(3)] = random.choice(_REAL)
+                record[field][random.integers(3)] = random.choice(REAL)
     return record
 
 

@@ -132,7 +132,7 @@ def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool, single
 
     from service.codegen.float32 import ERROR
     from service.codegen.folder import write_twin
-    from service.codegen.twin import to_c
+    from service.codegen.twin import STATIC_BYTES, to_c
 
     twin = to_c(robot, 1.0 / rate, name, nominal, single)
     for path in write_twin(robot, 1.0 / rate, twin, out):
@@ -140,6 +140,12 @@ def _code(robot: Robot, out: Path, rate: float, name: str, nominal: bool, single
     for effect, why in twin.left_out.items():
         print(f"{effect} is left out: {why}", file=sys.stderr)
     print(f"one sample every {1e6 / rate:g} us; {twin.static_bytes / 1024:.0f} KiB static, no heap")
+    if twin.static_bytes > STATIC_BYTES:
+        print(
+            f"static memory: {twin.static_bytes} bytes, more than {STATIC_BYTES}: at {rate:g} Hz the look back waits "
+            f"{twin.looked_back} samples for a torque that is reported late",
+            file=sys.stderr,
+        )
     if single:
         print(f"in single precision: {ERROR}")
     print(

@@ -26,6 +26,7 @@ STORED = {
     "u8": "uint64_t",
     "i4": "int32_t",
     "u4": "uint32_t",
+    "i2": "int16_t",
     "u1": "uint8_t",
 }
 ZERO = {Scalar.BOOL: "false", Scalar.INT: "0", Scalar.UINT: "0U", Scalar.REAL: "0.0"}

@@ -53,7 +53,7 @@ def layout_of(robot: Robot, settings: np.ndarray) -> Layout:
     if not turns:
         fields[TOPICS["sample"].dtype, _FOURTH] = np.nan
         shapes[STATE, "turn"] = (1,)
-    unused = ("bin_drag",) if turns else ("swing_information", "swing_moment", "swing_drag")
+    unused = ("bin_drag",) if turns else ("swing_information", "swing_moment", "swing_drag", "swing_step")
     shapes |= {(payload.STATE, name): (1, *_shape(payload.STATE, name)[1:]) for name in unused}
     for dtype, name in shapes:
         _shape(dtype, name)

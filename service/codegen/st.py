@@ -23,7 +23,16 @@ from service.codegen.tree import Assign, Bind, Do, Expr, Fill, For, Function, If
 from service.codegen.types import Array, Record, Reference, Scalar, Several, Type
 
 SCALARS = {Scalar.BOOL: "BOOL", Scalar.INT: "LINT", Scalar.UINT: "ULINT", Scalar.REAL: "LREAL"}
-STORED = {"f8": "LREAL", "f4": "REAL", "i8": "LINT", "u8": "ULINT", "i4": "DINT", "u4": "UDINT", "u1": "USINT"}
+STORED = {
+    "f8": "LREAL",
+    "f4": "REAL",
+    "i8": "LINT",
+    "u8": "ULINT",
+    "i4": "DINT",
+    "u4": "UDINT",
+    "i2": "INT",
+    "u1": "USINT",
+}
 _BINARY = {
     "mul": ("*", 6), "div": ("/", 6), "add": ("+", 5), "sub": ("-", 5),
     "lt": ("<", 4), "le": ("<=", 4), "gt": (">", 4), "ge": (">=", 4), "eq": ("=", 3), "ne": ("<>", 3),

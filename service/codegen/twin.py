@@ -32,10 +32,12 @@ from service.estimator import state
 from service.estimator.estimator import LONGEST_PERIOD, SHORTEST_PERIOD
 from service.estimator.feedforward import plan_kernel
 from service.estimator.findings import findings_kernel
+from service.estimator.kalman import MAX_LAG
 from service.estimator.left_out import left_out
 from service.estimator.step import answer_kernel, look_back_kernel
 
 SAME_PERIOD = 1e-3  # relative, of the cycle that init is told
+STATIC_BYTES = 65_536  # of a small controller; more are said
 IN, OUT = ("sample", "reference"), ("feedforward", "payload", "error", "friction")
 ROOTS = {"answer": answer_kernel, "look_back": look_back_kernel, "plan": plan_kernel, "findings": findings_kernel}
 # What findings say of the machine; the rest of health is of a process on the bus.
@@ -53,6 +55,7 @@ _TEMPLATES = Path(__file__).parent / "templates"
 @dataclass(frozen=True)
 class Twin:
     """header, source: of C99. static_bytes: of what it remembers and its settings, where doubles are aligned to eight.
+    looked_back: samples that the look back remembers.
     left_out: effect -> why the online model does without. single: in single precision. id: 64 bits of the SHA-256 of
     both texts, which the code says of itself."""
 
@@ -60,6 +63,7 @@ class Twin:
     header: str
     source: str
     static_bytes: int
+    looked_back: int
     left_out: dict[str, str]
     single: bool
     id: int
@@ -95,11 +99,14 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
     settings, program, functions = lowered(robot, period, nominal)
     layout, roots = program.layout, {root: function.name for root, function in functions.items()}
     writer, macro = Writer(layout, name), name.upper()
+    size, looked_back = in_c(layout, state.STEP, single).itemsize, layout.constant("MAX_LAG", MAX_LAG)
     loadable = [_loadable(writer, one) for one in parameters.LOADABLE]
     known = {"name": name, "macro": macro, "version": version("deltatwin"), "robot": said(robot.name)}
     header = template("twin.h").render(
         **known,
         period=period,
+        static_bytes=size,
+        looked_back=looked_back,
         single=f"In single precision: {float32.ERROR}" if single else "",
         period_literal=number(period, Scalar.REAL),
         effects=", ".join(said(entry.name) for entry in robot.effect) or "none",
@@ -130,8 +137,7 @@ def to_c(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = F
         header, source = float32.in_single(header), float32.in_single(source)
     own = int(hashlib.sha256((header + source).encode()).hexdigest()[:16], 16)
     source = source.replace(_ID, f"UINT64_C({own})")
-    size = in_c(layout, state.STEP, single).itemsize
-    return Twin(name, header, source, size, left_out(robot, period), single, own)
+    return Twin(name, header, source, size, looked_back, left_out(robot, period), single, own)
 
 
 def lowered(robot: Robot, period: float, nominal: bool) -> tuple[np.ndarray, Program, dict[str, Function]]:

@@ -26,6 +26,8 @@ OWN = 4  # a joint's: Coulomb N m, viscous N m s/rad, offset N m, scale of the r
 SCALE = 3
 BALLS = 4  # of the robot: dry friction of a forearm's ball joints at either end, N m
 PARTS, COUNT = OWN + 1, 3 * OWN + 1
+LOWER = np.tril_indices(COUNT)  # rows and columns of a symmetric matrix that are stored once, in the order of `below`
+TRIANGLE = len(LOWER[0])
 
 # One standard deviation of what a gear does from day to day, as a share of what was identified, and at least this.
 DRIFT_SHARE = 0.15
@@ -53,9 +55,9 @@ STATE = np.dtype(
         ("sum_load", "f8", 3),  # phi
         ("sum_pull", "f8", 3),  # residual
         ("sum_shape", "f8", (3, PARTS)),
-        ("block_information", "f8", (COUNT, COUNT)),
+        ("block_information", "f8", TRIANGLE),  # by `below`
         ("block_moment", "f8", COUNT),
-        ("earlier_information", "f8", (2, COUNT, COUNT)),  # as they were UNDONE blocks ago at most, and at least
+        ("earlier_information", "f8", (2, TRIANGLE)),  # as they were UNDONE blocks ago at most, and at least
         ("earlier_moment", "f8", (2, COUNT)),
         ("since", "i8"),  # blocks since the first of these
         ("delta", "f8", COUNT),  # joint by joint
@@ -91,13 +93,20 @@ def aged(information: np.ndarray, moment: np.ndarray, prior: np.ndarray, share: 
     known = np.diag(1.0 / prior**2)
     covariance = np.linalg.inv(information + known)
     later = np.linalg.inv(share**2 * covariance + (1.0 - share**2) * np.diag(prior**2))
-    return later - known, later @ (share * (covariance @ moment))
+    below_diagonal = np.tril(later - known, -1)  # which the other half is, to the bit
+    return below_diagonal + below_diagonal.T + np.diag(np.diag(later - known)), later @ (share * (covariance @ moment))
 
 
 @kernel
 def place(joint, part):
     """Where a part of a joint's shape has its departure."""
     return COUNT - 1 if part == BALLS else OWN * joint + part
+
+
+@kernel
+def below(row, column):
+    """Where a symmetric matrix that is stored once has `column` of `row`, no later than it."""
+    return row * (row + 1) // 2 + column
 
 
 @kernel
@@ -129,7 +138,9 @@ def eliminate_kernel(state):
                     at, pull = place(i, a), state.sum_shape[i, a] * part
                     state.block_moment[at] += pull * state.sum_pull[j]
                     for b in range(PARTS):
-                        state.block_information[at, place(j, b)] += pull * state.sum_shape[j, b]
+                        to = place(j, b)
+                        if to <= at:
+                            state.block_information[below(at, to)] += pull * state.sum_shape[j, b]
     _clear_sums(state)
 
 
@@ -157,39 +168,43 @@ def learn_kernel(state, prior, forgetting, inflation):
     state.since += 1
     if state.since >= UNDONE:
         state.since = 0
-        _copy(
-            state.earlier_information[0], state.earlier_moment[0], state.earlier_information[1], state.earlier_moment[1]
-        )
-        _copy(state.information, state.moment, state.earlier_information[0], state.earlier_moment[0])
+        for n in range(TRIANGLE):
+            state.earlier_information[1, n] = state.earlier_information[0, n]
+        for a in range(COUNT):
+            state.earlier_moment[1, a] = state.earlier_moment[0, a]
+        _note_earlier(state)
     for a in range(COUNT):
         state.moment[a] = state.moment[a] * forgetting + state.block_moment[a] / inflation
         state.block_moment[a] = 0.0
-        for b in range(COUNT):
-            state.information[a, b] = state.information[a, b] * forgetting + state.block_information[a, b] / inflation
-            state.block_information[a, b] = 0.0
+        for b in range(a + 1):
+            known = state.information[a, b] * forgetting + state.block_information[below(a, b)] / inflation
+            state.information[a, b] = state.information[b, a] = known
+            state.block_information[below(a, b)] = 0.0
     _solve(state, prior)
 
 
 @kernel
 def unlearn_kernel(state, prior):
     """Nothing is known of the newest UNDONE blocks, nor of some before."""
-    _copy(state.earlier_information[1], state.earlier_moment[1], state.information, state.moment)
-    _copy(state.information, state.moment, state.earlier_information[0], state.earlier_moment[0])
+    for a in range(COUNT):
+        state.moment[a] = state.earlier_moment[1, a]
+        for b in range(a + 1):
+            state.information[a, b] = state.information[b, a] = state.earlier_information[1, below(a, b)]
+    _note_earlier(state)
     state.since = 0
     _clear_sums(state)
-    for a in range(COUNT):
-        state.block_moment[a] = 0.0
-        for b in range(COUNT):
-            state.block_information[a, b] = 0.0
+    state.block_moment[:] = 0.0
+    state.block_information[:] = 0.0
     _solve(state, prior)
 
 
 @kernel
-def _copy(information, moment, information_to, moment_to):
+def _note_earlier(state):
+    """Keep what is known now as what was before the blocks to come."""
     for a in range(COUNT):
-        moment_to[a] = moment[a]
-        for b in range(COUNT):
-            information_to[a, b] = information[a, b]
+        state.earlier_moment[0, a] = state.moment[a]
+        for b in range(a + 1):
+            state.earlier_information[0, below(a, b)] = state.information[a, b]
 
 
 @kernel

@@ -64,11 +64,13 @@ TRACK = np.dtype(
     align=True,
 )
 
-# One cycle in the lag line: what the smoother needs to know of it.
+# Of a covariance that is symmetric, what the smoother needs: the jerk's own variance is last, and not among it.
+SHARED = ORDER * (ORDER + 1) // 2 - 1
+# One cycle in the lag line: what the smoother needs to know of it, and no more, since a controller has little memory.
 SLOT = np.dtype(
     [
-        ("state", "f8", (3, ORDER)),
-        ("covariance", "f8", (ORDER, ORDER)),
+        ("state", "f8", (3, ORDER - 1)),  # without the jerk
+        ("covariance", "f8", SHARED),  # by `shared`
         ("gain", "f8", ORDER),
         ("scaled", "f8", 3),
         ("gap", "i8"),  # cycles since the slot before
@@ -242,15 +244,23 @@ def coast_kernel(track, cycles):
 
 
 @kernel
+def shared(one, other):
+    """Where a slot has what two orders share, not both the jerk."""
+    low, high = min(one, other), max(one, other)
+    return low * (2 * ORDER - 1 - low) // 2 + high
+
+
+@kernel
 def keep_kernel(track, gap, slot):
     """Put the newest cycle into the lag line."""
     for row in range(ORDER):
         slot.gain[row] = track.gain[row]
-        for column in range(ORDER):
-            slot.covariance[row, column] = track.covariance[row, column]
+    for row in range(ORDER - 1):
+        for column in range(row, ORDER):
+            slot.covariance[shared(row, column)] = track.covariance[row, column]
     for i in range(3):
         slot.scaled[i] = track.scaled[i]
-        for order in range(ORDER):
+        for order in range(ORDER - 1):
             slot.state[i, order] = track.state[i, order]
     slot.gap = gap
 
@@ -284,7 +294,7 @@ def smooth_kernel(transition, slots, newest, lag, adjoint, smoothed):
         for order in range(3):
             total = slot.state[i, order]
             for k in range(ORDER):
-                total += slot.covariance[order, k] * adjoint[k]
+                total += slot.covariance[shared(order, k)] * adjoint[k]
             smoothed[order, i] = total
 
 
@@ -299,7 +309,7 @@ def acceleration_variance_kernel(motion, slots, newest, lag, carried):
     if index < 0:
         index += len(slots)
     for row in range(ORDER):
-        carried[row] = slots[index].covariance[row, 2]
+        carried[row] = slots[index].covariance[shared(row, ACCELERATION)]
     variance = carried[2]
     for _ in range(lag):
         index = index + 1 if index + 1 < len(slots) else 0

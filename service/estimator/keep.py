@@ -23,7 +23,7 @@ from schemas.errors import StorageError
 from schemas.files import check_folder, read_bytes, write_text
 from schemas.robot import Identified, Robot
 from schemas.toml import validate
-from service.estimator.departure import COUNT, aged, drift
+from service.estimator.departure import COUNT, LOWER, aged, drift
 from service.estimator.estimator import Estimator
 
 MAX_BYTES = 64 << 10  # a whole one has 3 kB
@@ -87,7 +87,8 @@ class Keeper:
         friction["information"], friction["moment"] = aged(
             np.array(kept.information), np.array(kept.moment), self._drift, left
         )
-        friction["earlier_information"], friction["earlier_moment"] = friction["information"], friction["moment"]
+        friction["earlier_information"] = friction["information"][LOWER]
+        friction["earlier_moment"] = friction["moment"]
         return f"{self._path}: friction as learnt {age.total_seconds() / 60:.0f} min ago, used with weight {left:.0%}"
 
     def note(self, estimator: Estimator) -> None:

@@ -67,8 +67,7 @@ SETTINGS = np.dtype(
 # One cycle in the lag line, beside what the smoother keeps of it.
 _PAST = np.dtype(
     [
-        ("torque", "f8", 3),
-        ("acting", "f8", 3),  # behind a drive that follows what is reported
+        ("acting", "f8", 3),  # N m, as reported, or behind a drive that follows what is reported
         ("torque_command", "f8", 3),
         ("commanded", "i8"),  # whether there was one
         ("stamp_sec", "i4"),
@@ -95,6 +94,7 @@ STATE = np.dtype(
         ("command_stray_position", "f8", 3),
         ("slots", kalman.SLOT, kalman.MAX_LAG + 1),
         ("past", _PAST, kalman.MAX_LAG + 1),
+        ("newest_torque", "f8", 3),  # N m, reported
         ("head", "i8"),
         ("filled", "i8"),
         ("unsettled", "i8"),  # samples until the newest hole is no longer felt in the smoothed motion

@@ -158,7 +158,7 @@ def _remember(settings, state, sample, flags, gap):
             past.commanded = 0
     for i in range(3):
         past.torque_command[i] = sample.torque_command[i] if past.commanded != 0 else 0.0
-        past.torque[i] = past.acting[i] = sample.torque[i] if flags & UNUSABLE == 0 else 0.0
+        state.newest_torque[i] = past.acting[i] = sample.torque[i] if flags & UNUSABLE == 0 else 0.0
     if settings.readout.follows > 0.0 and flags & UNUSABLE == 0:
         follow_kernel(settings.readout, state.readout, past.acting, gap * settings.period)
 
@@ -173,7 +173,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
     flags = past.flags
     newest = state.past[state.head]
     if newest.commanded != 0 and compare_kernel(
-        settings.drive_torque, state.drive_torque, newest.torque, newest.torque_command, settings.period
+        settings.drive_torque, state.drive_torque, state.newest_torque, newest.torque_command, settings.period
     ):
         weigh_anew_kernel(weighed)  # it was by what was no torque
     carried = min(max(weighed.mass, 0.0), settings.max_payload)
@@ -235,9 +235,9 @@ def _read_out(settings, state, index, past):
     the reports that tell it are there."""
     commanded = past.commanded != 0 and is_used(settings.drive_torque, state.drive_torque)
     if settings.readout.active == 0:
-        drive = past.torque_command if commanded else past.torque
-        for i in range(3):
-            state.reported[i], state.acting[i] = past.torque[i], drive[i]
+        drive = past.torque_command if commanded else past.acting
+        for i in range(3):  # no drive follows here: what acts is what is reported
+            state.reported[i], state.acting[i] = past.acting[i], drive[i]
         return True
     reading, first = settings.readout, settings.readout.first
     weigh_reports_kernel(reading.shift, first, state.past, index, UNUSABLE, False, state.reported)

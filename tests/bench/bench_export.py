@@ -26,7 +26,7 @@ from docs.making.figures import store
 from drivers.trace import read_trace
 from replay.demo import LOG, ROBOT
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD
-from schemas.robot import FourthAxis, Robot, load_robot
+from schemas.robot import Robot, load_robot
 from service.codegen.tree import For
 from service.codegen.twin import lowered, to_c
 from service.estimator import state
@@ -39,7 +39,8 @@ from tests.service.codegen.built import COMPILER, FLAGS, Built, differences, exp
 from tests.service.codegen.disturbed import disturbed
 from tests.service.codegen.sanitized import Sanitized
 from tests.service.codegen.strucpp import Strucpp
-from tests.service.codegen.test_hostile import streams
+from tests.service.codegen.test_hostile import FOURTH_AXIS, streams, turned
+from tests.service.codegen.test_memory import AXES, PERIODS, ROBOTS, bytes_of, laden
 from tests.service.codegen.test_twin import GROUPS, stored, with_effects
 from tests.service.estimator.test_effects import FOUND, effect
 
@@ -152,6 +153,7 @@ def main() -> None:
         result |= timed(built, samples, folder, given.steps) | sizes(folder)
         result |= {
             "fourth_axis_bytes": fourth_axis(robot),
+            "most_bytes": most_bytes(),
             "loops": loops(robot),
             "single": single(robot, samples, folder),
         }
@@ -195,6 +197,8 @@ def write(result: dict[str, Any]) -> None:
         f"{loop['constant']} of constant bounds, at most {loop['longest']}",
     )
     told["static_fourth_axis"] = result["fourth_axis_bytes"], 1, None
+    largest = result["most_bytes"]
+    told["static_most"] = largest["most"], largest["combinations"], "robots, rates of 250 Hz to 8 kHz, axes, effects"
     off = result["single"]
     told["single_rms"] = off["rms"], off["samples"], f"99.9 % within {off['most']} N m; trusted masses {off['mass']} kg"
     told["single_static"] = off["static_bytes"], 1, None
@@ -354,7 +358,14 @@ def processors(instructions: int) -> dict[str, tuple[float, str]]:
 
 def fourth_axis(robot: Robot) -> int:
     """Static bytes with one."""
-    return to_c(robot.model_copy(update={"fourth_axis": FourthAxis(shaft_mass_kg=0.2)}), PERIOD).static_bytes
+    return to_c(robot.model_copy(update={"fourth_axis": FOURTH_AXIS}), PERIOD).static_bytes
+
+
+def most_bytes() -> dict[str, int]:
+    """Static bytes, the most: robots that come along, several rates, with and without a fourth axis and effects."""
+    robots = [load_robot(path).model_copy(update={"fourth_axis": axis}) for path in ROBOTS for axis in AXES.values()]
+    found = [bytes_of(one, period) for robot in robots for one in (robot, laden(robot)) for period in PERIODS]
+    return {"most": max(found), "combinations": len(found)}
 
 
 def loops(robot: Robot) -> dict[str, int]:
@@ -414,14 +425,16 @@ def structured_text(robot: Robot, samples: np.ndarray, strucpp: Path, folder: Pa
 
 
 def hostile(robot: Robot, folder: Path, count: int, seed: int) -> dict[str, Any]:
-    """Samples under address, undefined, float-cast-overflow and the code's own checks of every index: of the robot and
-    of ones with effects that remember."""
+    """Samples under address, undefined, float-cast-overflow and the code's own checks of every index: of the robot, of
+    one with a fourth axis and of ones with effects that remember."""
     good, made, largest, programs = read_trace(LOG, robot).samples()[1200:1600], 0, 0.0, []
-    for group in ("none", "gears", "loose", "friction"):
+    turning = robot.model_copy(update={"fourth_axis": FOURTH_AXIS})
+    for group in ("none", "turning", "gears", "loose", "friction"):
         (own := folder / f"hostile_{group}").mkdir()
-        programs.append(Sanitized(with_effects(robot, GROUPS.get(group, ())), PERIOD, own, "-O1"))
+        described = with_effects(turning if group == "turning" else robot, GROUPS.get(group, ()))
+        programs.append(Sanitized(described, PERIOD, own, "-O1"))
     while made < count:
-        samples = streams(good, min(count // len(programs), PART), seed + made)
+        samples = turned(streams(good, min(count // len(programs), PART), seed + made), seed + made)
         for program in programs:
             largest, made = max(largest, float(np.abs(program.run(samples)).max())), made + len(samples)
             print(f"\r{made} hostile samples, largest torque {largest:.0f} N m", end="", flush=True)
@@ -445,12 +458,14 @@ def stored_logs(folder: Path) -> dict[str, Any]:
 
 
 def drawn(folder: Path, count: int, seed: int) -> dict[str, Any]:
-    """Robots drawn at random, each with up to four effects, along the demo log with faults, bit for bit."""
+    """Robots drawn at random, each with up to four effects and one in four with a fourth axis, along the demo log with
+    faults, bit for bit."""
     random, wrong = np.random.default_rng(seed), []
     base = load_robot(ROBOT)
-    samples = disturbed(read_trace(LOG, base).samples()[:4000])
+    plain = disturbed(read_trace(LOG, base).samples()[:4000])
     for number in range(count):
         robot = _draw(base, random)
+        samples = plain if robot.fourth_axis is None else turned(plain, number)
         built = Built(robot, PERIOD, folder, "-O0", f"robot_{number}")
         assert built.init() == 0
         found = differences(built.run(samples), expected(built, samples))
@@ -458,7 +473,7 @@ def drawn(folder: Path, count: int, seed: int) -> dict[str, Any]:
             wrong.append({"effects": [one.name for one in robot.effect], "differences": found[:3]})
         print(f"\r{number + 1} robots, {len(wrong)} differ", end="", flush=True)
     print()
-    return {"robots": count, "samples_each": len(samples), "differ": len(wrong), "which": wrong}
+    return {"robots": count, "samples_each": len(plain), "differ": len(wrong), "which": wrong}
 
 
 def _draw(base: Robot, random: np.random.Generator) -> Robot:
@@ -479,7 +494,8 @@ def _draw(base: Robot, random: np.random.Generator) -> Robot:
         effect(str(name), [1, 2, 3] if name in whole or name in reports else own)
         for name, own in zip(names, joints, strict=True)
     ]
-    return base.model_copy(update={"geometry": geometry, "mass": mass, "effect": effects})
+    axis = FOURTH_AXIS if random.random() < 0.25 else None
+    return base.model_copy(update={"geometry": geometry, "mass": mass, "effect": effects, "fourth_axis": axis})
 
 
 if __name__ == "__main__":

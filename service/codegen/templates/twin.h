@@ -3,6 +3,7 @@
 {% if single %}
  * {{ single }}.
 {% endif %}
+ * Static memory: {{ static_bytes }} bytes, with a look back of {{ looked_back }} samples; no heap.
  * Compile with -ffp-contract=off and without -ffast-math, for the same bits as the service. */
 #ifndef {{ macro }}_H
 #define {{ macro }}_H

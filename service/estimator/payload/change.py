@@ -11,7 +11,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from service.estimator import departure
-from service.estimator.payload.loads import bin_drag, corrected_moment, invert, pair, prior_of
+from service.estimator.payload.loads import bin_drag, corrected_moment, invert, pair, prior_of, swing_drag
 from service.estimator.payload.state import LOADS, PRIOR_STD, SMALLEST_CHANGE, WINDOW
 
 # Squared, normalised difference at which a change is believed: with some thousand onsets looked at a second, and model
@@ -90,7 +90,7 @@ def _look_at_offsets(state, index):
     for p in range(1, LOADS):
         pulled = np.float64(state.swing_moment[index, p - 1])
         for a in range(departure.COUNT):
-            dragged = np.float64(state.swing_drag[index, p, a])
+            dragged = swing_drag(state, index, p, a)
             state.since_drag[p, a] += dragged
             pulled -= dragged * state.departure.delta[a]
         state.since_moment[p] += pulled
@@ -173,7 +173,7 @@ def _start_anew(state, bins):
             for p in range(1, LOADS):
                 state.moment[p] += np.float64(state.swing_moment[index, p - 1])
                 for a in range(departure.COUNT):
-                    state.drag[p, a] += np.float64(state.swing_drag[index, p, a])
+                    state.drag[p, a] += swing_drag(state, index, p, a)
         index = index - 1 if index > 0 else WINDOW - 1
     state.filled = bins
     state.raw_information = state.information[0, 0] * state.inflation

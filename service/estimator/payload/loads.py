@@ -6,7 +6,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from service.estimator import departure
-from service.estimator.payload.state import OFFSET_STD, PRIOR_STD
+from service.estimator.payload.state import FINEST, LOADS, OFFSET_STD, PRIOR_STD
 
 
 @kernel
@@ -37,9 +37,29 @@ def pair(one, other):
 
 
 @kernel
+def swing_drag(state, index, load, at):
+    """What friction's part `at` does to the moment of `load` in a bin that is full."""
+    return state.swing_drag[index, load, at] * np.float64(state.swing_step[index, load])
+
+
+@kernel
 def bin_drag(state, index, at):
-    """What friction's part `at` does to the mass's moment in a bin."""
-    return np.float64(state.swing_drag[index, 0, at]) if state.turns != 0 else state.bin_drag[index, at]
+    """The same of the mass."""
+    return swing_drag(state, index, 0, at) if state.turns != 0 else state.bin_drag[index, at]
+
+
+@kernel
+def fill_swing(state, index):
+    """Store what friction did in the bin that is full now, in steps of 1 / FINEST of a load's largest."""
+    for load in range(LOADS):
+        largest = 0.0
+        for a in range(departure.COUNT):
+            largest = max(largest, abs(state.filling_drag[load, a]))
+        state.swing_step[index, load] = largest / FINEST
+        step = np.float64(state.swing_step[index, load])
+        for a in range(departure.COUNT):
+            steps = state.filling_drag[load, a] / step if step > 0.0 else 0.0
+            state.swing_drag[index, load, a] = round(max(-FINEST, min(FINEST, steps)))
 
 
 @kernel

@@ -40,6 +40,7 @@ LEAST_TIME = 0.02  # s
 UNCALIBRATED = 0.035
 LOADS = 3  # m and, where the fourth axis turns, the m d_1 and m d_2 of `turning`
 PAIRS = LOADS * (LOADS + 1) // 2 - 1  # of loads that share information, the mass with itself apart
+FINEST = 32767.0  # steps to either side of nothing that two bytes have
 # One standard deviation of m d: 4 kg at 50 mm.
 OFFSET_STD = 0.2  # kg m
 WEIGHT, RESIDUAL, COLUMN = range(3)  # of a joint's sums over a block
@@ -56,10 +57,13 @@ STATE = np.dtype(
         ("bin_moment", "f8", WINDOW),
         ("bin_drag", "f8", (WINDOW, departure.COUNT)),  # of a robot without a fourth axis
         ("bin_told", "f8", WINDOW),
-        # in single precision, since a controller has little memory: of the offsets too, while the fourth axis turns
+        # narrower, since a controller has little memory: of the offsets too, while the fourth axis turns
         ("swing_information", "f4", (WINDOW, PAIRS)),  # by `pair`
         ("swing_moment", "f4", (WINDOW, LOADS - 1)),
-        ("swing_drag", "f4", (WINDOW, LOADS, departure.COUNT)),  # of the mass: of a robot with a fourth axis
+        # of the mass: of a robot with a fourth axis; in steps of 1 / FINEST of a load's largest in the bin
+        ("swing_drag", "i2", (WINDOW, LOADS, departure.COUNT)),
+        ("swing_step", "f4", (WINDOW, LOADS)),
+        ("filling_drag", "f8", (LOADS, departure.COUNT)),  # the same of the bin that is being filled
         ("turns", "i8"),  # whether the robot has one
         ("told", "f8"),  # samples that the information is from
         ("active", "i8"),  # loads to be found: the mass alone, or all where the fourth axis turns

@@ -10,7 +10,7 @@ from schemas.kernels import kernel
 from schemas.messages import Gripper
 from service.estimator import departure, slow
 from service.estimator.payload.change import find_change
-from service.estimator.payload.loads import begin_whole, corrected_moment, pair, prior_of
+from service.estimator.payload.loads import begin_whole, corrected_moment, fill_swing, pair, prior_of
 from service.estimator.payload.rest import jolt_kernel, moved_kernel, rest_kernel
 from service.estimator.payload.scatter import part_blocks, scatter_kernel
 from service.estimator.payload.state import LEAST_TIME, LOADS, MEMORY_TIME, PRIOR_STD, STILL_TIME, TELLING_TIME, WINDOW
@@ -92,7 +92,7 @@ def _gather_moment(settings, state, load):
             if load == 0 and state.turns == 0:
                 state.bin_drag[head, at] += dragged
             else:
-                state.swing_drag[head, load, at] += dragged
+                state.filling_drag[load, at] += dragged
     state.moment[load] = state.moment[load] * settings.forgetting + gained
     if load == 0:
         state.bin_moment[head] += gained
@@ -120,6 +120,8 @@ def _gather_whole(settings, state):
 @kernel
 def _close_bin(settings, state):
     """Look whether the load has changed, and begin the next bin."""
+    if state.turns != 0 or state.active > 1:
+        fill_swing(state, state.head)
     _forget_beyond_bias(state)
     onset = find_change(state)
     head = state.head = (state.head + 1) % WINDOW
@@ -143,7 +145,9 @@ def _empty_bin(state, index):
     if state.turns != 0 or state.active > 1:
         state.swing_information[index] = 0.0
         state.swing_moment[index] = 0.0
-        state.swing_drag[index] = 0.0
+        state.swing_drag[index] = 0
+        state.swing_step[index] = 0.0
+        state.filling_drag[:] = 0.0
 
 
 @kernel
@@ -167,11 +171,11 @@ def _forget_beyond_bias(state):
         state.bin_information[index] *= keep
         state.bin_moment[index] *= keep
         state.bin_told[index] *= keep
-        for a in range(departure.COUNT):
-            if state.turns == 0:
+        if state.turns == 0:
+            for a in range(departure.COUNT):
                 state.bin_drag[index, a] *= keep
-            else:
-                state.swing_drag[index, 0, a] *= keep
+        else:
+            state.swing_step[index, 0] *= keep
         index = index - 1 if index > 0 else WINDOW - 1
 
 

@@ -27,7 +27,7 @@ from tests.service.codegen.built import COMPILER, converted, pointer
 
 TYPES = {
     "LREAL": "double", "REAL": "float", "BOOL": "uint8_t", "LINT": "int64_t", "ULINT": "uint64_t", "DINT": "int32_t",
-    "UDINT": "uint32_t", "USINT": "uint8_t", "LWORD": "uint64_t",
+    "UDINT": "uint32_t", "INT": "int16_t", "USINT": "uint8_t", "LWORD": "uint64_t",
 }  # fmt: skip
 OPERATORS = {"=": "==", "<>": "!=", "AND": "&", "OR": "|", "XOR": "^"}
 LIBRARY = {"SQRT": "sqrt", "SIN": "sin", "COS": "cos", "TAN": "tan", "EXP": "exp", "LN": "log", "ATAN": "atan",

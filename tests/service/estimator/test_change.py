@@ -5,7 +5,7 @@ import pytest
 
 from service.estimator.departure import COUNT
 from service.estimator.payload import change
-from service.estimator.payload.loads import locate
+from service.estimator.payload.loads import fill_swing, locate
 from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, SMALLEST_CHANGE, STATE, WINDOW, start
 from tests.service.estimator.test_departure import PRIOR as DRIFT
 
@@ -33,23 +33,30 @@ def fill(state, bins, load_of, random, clearly=1.0):
         slopes = random.standard_normal((6, COUNT))
         pulled = columns.T @ (columns @ load_of(n)[:active] + slopes @ delta + 0.3 * random.standard_normal(6))
         head = state["head"] = (state["head"] + 1) % WINDOW
-        gained = [sums.astype("f4") for sums in (columns.T @ columns, pulled, columns.T @ slopes)]
-        for name, sums in zip(("information", "moment", "drag"), gained, strict=True):
-            state[name][(slice(active),) * (2 if name == "information" else 1)] += sums
-        information, moment, drag = gained
+        information, moment = (columns.T @ columns).astype("f4"), pulled.astype("f4")
         state["bin_information"][head], state["bin_moment"][head] = information[0, 0], moment[0]
-        state["swing_drag" if state["turns"] else "bin_drag"][head] = drag[0]
+        state["bin_drag"][head] = 0.0 if state["turns"] else columns[:, 0] @ slopes
+        state["filling_drag"] = 0.0
+        for load in range(0 if state["turns"] else 1, active):
+            state["filling_drag"][load] = columns[:, load] @ slopes
+        fill_swing(state, head)
         if active > 1:
             state["swing_information"][head], state["swing_moment"][head] = information[SHARED], moment[1:]
-            state["swing_drag"][head][1:] = drag[1:]
+        for name, sums in zip(("information", "moment", "drag"), told_by(state, head, active), strict=True):
+            state[name][(slice(active),) * (2 if name == "information" else 1)] += sums
     state["filled"] = bins
+
+
+def swung(state):
+    """(WINDOW, LOADS, COUNT), what friction does to loads in the bins of a robot with a fourth axis."""
+    return state["swing_drag"] * state["swing_step"][..., None].astype(float)
 
 
 def told_by(state, index, active):
     """Information, moment and drag of a bin."""
     information = np.full((active, active), state["bin_information"][index])
     moment, drag = np.full(active, state["bin_moment"][index]), np.zeros((active, COUNT))
-    drag[:] = state["swing_drag"][index][:active]
+    drag[:] = swung(state)[index][:active]
     if not state["turns"]:
         drag[0] = state["bin_drag"][index]
     if active > 1:
