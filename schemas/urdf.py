@@ -4,7 +4,7 @@ the joints that are logged. What it weighs and how it moves is Pinocchio's."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,35 +45,8 @@ def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
     root = _root(path)
     joints = {_text(path, joint, "name"): joint for joint in root.findall("joint")}
     links = {_text(path, link, "name"): link for link in root.findall("link")}
-    for name, joint in joints.items():
-        for end in ("parent", "child"):
-            if _text(path, joint, "link", end) not in links:
-                raise RobotError(f"{path}: joint {name!r}: its {end} {_text(path, joint, 'link', end)!r} is not a link")
-    moving = [name for name, joint in joints.items() if joint.get("type") != "fixed"]
-    for name in (*logged, *held):
-        if name not in joints:
-            raise RobotError(f"{path}: no joint {name!r}; those that move: {', '.join(moving) or 'none'}")
-    for name in moving:
-        kind, follows = joints[name].get("type"), joints[name].find("mimic")
-        if kind in ("floating", "planar"):
-            raise RobotError(f"{path}: joint {name!r} is {kind}: the arm's base must be fixed")
-        if name in logged and follows is not None:
-            raise RobotError(
-                f"{path}: joint {name!r} follows {follows.get('joint')!r} (mimic) and has no torque of its own: leave "
-                "it out of `joints`"
-            )
-        if name in logged and kind not in TURNS:
-            raise RobotError(f"{path}: joint {name!r} is {kind}; only joints that turn are supported")
-    if loose := [name for name in moving if name not in logged and name not in held]:
-        named = ", ".join(map(repr, loose))
-        verb, it, was = ("moves", "it", "it was") if len(loose) == 1 else ("move", "them", "they were")
-        raise RobotError(
-            f"{path}: joint{'s' * (len(loose) > 1)} {named} {verb}, too: name {it} in `joints`, in the order of the "
-            f"log, or in `held` if {was} at rest at zero"
-        )
-    for name in logged:
-        if name not in moving:
-            raise RobotError(f"{path}: joint {name!r} is fixed; those that move: {', '.join(moving) or 'none'}")
+    _check_ends(path, joints, links)
+    _check_joints(path, joints, logged, held)
     _massive(path, joints, links, logged)
     most = tuple(_most(path, name, joints[name]) for name in logged)
     limits = tuple(_prepared(path, name, joints[name]) for name in logged)
@@ -84,6 +57,46 @@ def read_urdf(path: Path, logged: Sequence[str], held: Sequence[str]) -> Urdf:
             for shape in link.findall(part):
                 link.remove(shape)
     return Urdf(path, tostring(root, encoding="unicode"), tuple(links), limits, most)
+
+
+def _check_ends(path: Path, joints: Mapping[str, Element], links: Mapping[str, Element]) -> None:
+    for name, joint in joints.items():
+        for end in ("parent", "child"):
+            if _text(path, joint, "link", end) not in links:
+                raise RobotError(f"{path}: joint {name!r}: its {end} {_text(path, joint, 'link', end)!r} is not a link")
+
+
+def _check_joints(path: Path, joints: Mapping[str, Element], logged: Sequence[str], held: Sequence[str]) -> None:
+    """Whether each joint is as its being logged, held or neither asks for."""
+    moving = [name for name, joint in joints.items() if joint.get("type") != "fixed"]
+    for name in (*logged, *held):
+        if name not in joints:
+            raise RobotError(f"{path}: no joint {name!r}; those that move: {', '.join(moving) or 'none'}")
+    for name in moving:
+        _check_moving(path, name, joints[name], name in logged)
+    if loose := [name for name in moving if name not in logged and name not in held]:
+        named = ", ".join(map(repr, loose))
+        verb, it, was = ("moves", "it", "it was") if len(loose) == 1 else ("move", "them", "they were")
+        raise RobotError(
+            f"{path}: joint{'s' * (len(loose) > 1)} {named} {verb}, too: name {it} in `joints`, in the order of the "
+            f"log, or in `held` if {was} at rest at zero"
+        )
+    for name in logged:
+        if name not in moving:
+            raise RobotError(f"{path}: joint {name!r} is fixed; those that move: {', '.join(moving) or 'none'}")
+
+
+def _check_moving(path: Path, name: str, joint: Element, logged: bool) -> None:
+    kind, follows = joint.get("type"), joint.find("mimic")
+    if kind in ("floating", "planar"):
+        raise RobotError(f"{path}: joint {name!r} is {kind}: the arm's base must be fixed")
+    if logged and follows is not None:
+        raise RobotError(
+            f"{path}: joint {name!r} follows {follows.get('joint')!r} (mimic) and has no torque of its own: leave it "
+            "out of `joints`"
+        )
+    if logged and kind not in TURNS:
+        raise RobotError(f"{path}: joint {name!r} is {kind}; only joints that turn are supported")
 
 
 def turning_joints(path: Path) -> list[str]:

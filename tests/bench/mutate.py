@@ -118,13 +118,33 @@ def _body(outer: str) -> bool:
 
 
 def _changes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    """What a node may be changed to, and what that is called."""
+    yield from _of_value(node)
+    yield from _of_operator(node)
+    yield from _of_call(node)
+    if isinstance(node, ast.IfExp):
+        other = copy.deepcopy(node)
+        other.body, other.orelse = other.orelse, other.body
+        yield "branches swapped", other
+    elif _acts(node):
+        yield "line dropped", ast.Pass()
+    elif isinstance(node, ast.Break):
+        yield "break to continue", ast.Continue()
+    elif isinstance(node, ast.Continue):
+        yield "continue to break", ast.Break()
+
+
+def _of_value(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
     if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
         value = node.value
         changed = value + 1 if isinstance(value, int) else (2.0 * value if value else 1.0)
         yield f"{value!r} to {changed!r}", ast.Constant(changed)
     elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
         yield f"{node.value} to {not node.value}", ast.Constant(not node.value)
-    elif isinstance(node, ast.Compare):
+
+
+def _of_operator(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    if isinstance(node, ast.Compare):
         for index, operator in enumerate(node.ops):
             if type(operator) in COMPARISONS:
                 other = copy.deepcopy(node)
@@ -143,10 +163,12 @@ def _changes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
         other = copy.deepcopy(node)
         other.op = ast.Or() if isinstance(node.op, ast.And) else ast.And()
         yield "and/or swapped", other
-    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.Not | ast.Invert):
-        if not isinstance(node.operand, ast.Constant):
-            yield f"{type(node.op).__name__} dropped", copy.deepcopy(node.operand)
-    elif isinstance(node, ast.Call):
+    elif isinstance(node, ast.UnaryOp) and not isinstance(node.op, ast.UAdd) and type(node.operand) is not ast.Constant:
+        yield f"{type(node.op).__name__} dropped", copy.deepcopy(node.operand)
+
+
+def _of_call(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    if isinstance(node, ast.Call):
         name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
         if name in NAMES:
             other = copy.deepcopy(node)
@@ -157,16 +179,6 @@ def _changes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
             yield f"{name} to {NAMES[name]}", other
         if name in UNWRAPPED and len(node.args) == 1 and not node.keywords:
             yield f"{name} dropped", copy.deepcopy(node.args[0])
-    elif isinstance(node, ast.IfExp):
-        other = copy.deepcopy(node)
-        other.body, other.orelse = other.orelse, other.body
-        yield "branches swapped", other
-    elif _acts(node):
-        yield "line dropped", ast.Pass()
-    elif isinstance(node, ast.Break):
-        yield "break to continue", ast.Continue()
-    elif isinstance(node, ast.Continue):
-        yield "continue to break", ast.Break()
 
 
 def _acts(node: ast.AST) -> bool:
