@@ -42,6 +42,8 @@ STATE = np.dtype(
         ("started", "i8"),
         ("acted", "f8", (TOLD + MODELS, 3)),  # N m, last torque that acted, of what is told and of each model
         ("reported", "f8", (TOLD + MODELS, 3)),  # N m, what is reported of it
+        ("load_before", "f8"),  # kg, until the last change
+        ("remains", "f8", 3),  # N m/kg, what of it is reported still
     ],
     align=True,
 )
@@ -93,6 +95,15 @@ def lag_kernel(settings, state, torque, first, elapsed):
             now = torque[n, i]
             torque[n, i] = reported[i] = keep * reported[i] + (mean - keep) * acted[i] + (1.0 - mean) * now
             acted[i] = now
+
+
+@kernel
+def keep_load_kernel(settings, state, load, column, since):
+    """A load of `load` kg was another `since` s ago: what of `column` (3,) N m/kg is reported now belongs to it yet."""
+    keep = ramp(since / settings.lag)[0]
+    state.load_before = load
+    for i in range(3):
+        state.remains[i] = keep * column[i]
 
 
 @kernel

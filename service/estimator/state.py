@@ -209,8 +209,9 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     prior = departure.drift(record["viscous"][0], record["coulomb"][0])
     limit, variance = robot.limits.max_payload_kg, record["variance"][0]
     record["payload"] = payload.settings(
-        period, prior, limit, left_over, variance, calibrated, mass_error(described), robot.fourth_axis is not None
-    )
+        period, prior, limit, left_over, variance, calibrated, mass_error(described), robot.fourth_axis is not None,
+        float(reading["lag"]),
+    )  # fmt: skip
     record["friction_drift"] = robot.limits.friction_drift
     record["scale_drift"] = robot.limits.torque_scale_drift
     record["left_out"] = bool(without)

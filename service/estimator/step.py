@@ -43,7 +43,7 @@ from service.estimator.kalman import (
 )
 from service.estimator.payload.state import LOADS, PRIOR_STD
 from service.estimator.payload.step import loosen_kernel, payload_kernel, unseen_kernel, weigh_anew_kernel
-from service.estimator.readout import TOLD, follow_kernel, lag_kernel, weigh_reports_kernel
+from service.estimator.readout import TOLD, follow_kernel, keep_load_kernel, lag_kernel, weigh_reports_kernel
 from service.estimator.stream import (
     BACKWARDS,
     COMMAND_JUMP,
@@ -69,6 +69,7 @@ from service.estimator.turning import swing_kernel, turn_kernel
 from service.model.dynamics import GRAVITY, INERTIA, PLATFORM, REST_SPEED
 from service.model.gears import begin_swing_kernel, observe_kernel
 from service.model.kinematics import REACHED
+from service.model.signals import ramp
 
 # Presliding and Stribeck effects live below this speed: the payload looks at a joint there where nothing is faster.
 REVERSAL_SPEED = 0.05  # rad/s
@@ -203,6 +204,8 @@ def lagged_kernel(settings, state, payload_out, error_out):
                 sticks[i] = settings.coulomb[i] if weighed.weight[i] <= 0.0 else 0.0
             observe_kernel(settings.gears, branch.twist, left, state.push, sticks, since * settings.period)
         event = payload_kernel(settings.payload, weighed)
+        if settings.readout.lag > 0.0 and weighed.changed > 0:
+            keep_load_kernel(settings.readout, state.readout, carried, state.told[1], weighed.changed * settings.period)
         if settings.geared != 0 and weighed.changed > 0:
             _swing_anew(settings, state, carried)
         _errors(settings, state, since, error_out)
@@ -296,20 +299,22 @@ def _tell(settings, state, loose, since):
 
 @kernel
 def _tell_as_reported(settings, state, elapsed):
-    """Put what the payload is told by behind the low-pass of the report, `elapsed` s after the last. A mass that has
-    changed since is still in what is reported now; what is left of it there is no part of the one of now."""
-    told, weighed = state.told, state.payload
+    """Put what the payload is told by behind the low-pass of the report, `elapsed` s after the last. The load until the
+    last change is still in what is reported now, and what is left of it there is no part of the one of now."""
+    told, weighed, reading = state.told, state.payload, state.readout
     for i in range(3):
-        told[0, i] += weighed.mass * weighed.column[i, 0]
         for p in range(LOADS):
             told[1 + p, i] = weighed.column[i, p]
         for a in range(PARTS):
             told[1 + LOADS + a, i] = weighed.shape[i, a]
-    lag_kernel(settings.readout, state.readout, told, 0, elapsed)
+    lag_kernel(settings.readout, reading, told, 0, elapsed)
+    keep = ramp(elapsed / settings.readout.lag)[0] if elapsed > 0.0 else 0.0
     for i in range(3):
-        told[0, i] -= weighed.mass * told[1, i]
+        reading.remains[i] *= keep
+        told[0, i] += reading.load_before * reading.remains[i]
         for p in range(LOADS):
             weighed.column[i, p] = told[1 + p, i]
+        weighed.column[i, 0] -= reading.remains[i]
         for a in range(PARTS):
             weighed.shape[i, a] = told[1 + LOADS + a, i]
 

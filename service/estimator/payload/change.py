@@ -24,7 +24,7 @@ HIDDEN_SIGMAS = 5.0  # of noise beyond which a step that is not believed is a do
 
 
 @kernel
-def find_change(state):
+def find_change(settings, state):
     """If the load is another since some bin than before, start its estimate anew from that bin.
 
     With I, b the information and moment since the onset (1) and before (0), the step b1/I1 - b0/I0 has the covariance
@@ -74,8 +74,28 @@ def find_change(state):
             best, best_count = distance, n + 1
     if best_count > 0:
         state.hidden = 0.0
+        if settings.settling > 0.0 and active == 1:
+            _leave_old_load_out(settings, state, best_count)
         _start_anew(state, best_count)
     return best_count
+
+
+@kernel
+def _leave_old_load_out(settings, state, bins):
+    """Of the newest `bins`, in which the load was another already, leave in only what they say of it: behind a low-pass
+    of the report a share of each still is the load until then."""
+    index = state.head
+    for n in range(bins):
+        gone = math.exp((n + 0.5 - bins) / settings.settling)
+        here = 1.0 - gone
+        state.bin_moment[index] = here * (state.bin_moment[index] - gone * state.mass * state.bin_information[index])
+        state.bin_information[index] *= here * here
+        if state.turns == 0:
+            for a in range(departure.COUNT):
+                state.bin_drag[index, a] *= here
+        else:
+            state.swing_step[index, 0] *= here
+        index = index - 1 if index > 0 else WINDOW - 1
 
 
 @kernel

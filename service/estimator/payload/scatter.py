@@ -147,9 +147,10 @@ def part_blocks(settings, state, samples):
         state.sums[state.block] = 0.0
         _empty_creeping(state)
     state.fresh = 0
-    _note_delta(state)
-    departure.unlearn_kernel(state.departure, settings.prior)  # which a swinging load looks like until it is found
-    _weigh_load_again(state)
+    if state.active > 1:
+        _note_delta(state)
+        departure.unlearn_kernel(state.departure, settings.prior)  # which a swinging load looks like until it is found
+        _weigh_load_again(state)
     index = state.block
     for _ in range(BLOCKS - 1):
         index = index - 1 if index > 0 else BLOCKS - 1

@@ -165,6 +165,7 @@ SETTINGS = np.dtype(
         ("common_share", "f8"),  # of a mass, standard deviation of what the torque constants put all masses off by
         ("unsure", "f8"),  # kg^2, variance of a mass for what is not known of the effects
         ("turns", "i8"),  # whether the robot has a fourth axis
+        ("settling", "f8"),  # bins, time constant of the low-pass that the torque is reported behind; 0: none
     ],
     align=True,
 )
@@ -189,11 +190,13 @@ def settings(
     torque_constant_error: float | None = None,
     unsure: float = 0.0,
     turns: bool = False,
+    lag: float = 0.0,
 ) -> np.ndarray:
     """One SETTINGS record. period: s. prior: (COUNT,) of departure. max_payload: kg. model_error: (3,) N m rms that the
     model left where it was identified. variance: (3,) (N m)^2, as `sample_variance`. torque_constant_error: standard
     error of the torque constants as a share, None where nobody calibrated them. unsure: kg, standard deviation of a
-    mass for what is not known of the effects. turns: whether the robot has a fourth axis."""
+    mass for what is not known of the effects. turns: whether the robot has a fourth axis. lag: s, time constant of the
+    low-pass that the torque is reported behind."""
     record = np.zeros((), SETTINGS)
     for name, time in (("bin_size", BIN_TIME), ("block_size", BLOCK_TIME)):
         record[name] = max(1, round(time / period))
@@ -209,6 +212,7 @@ def settings(
     record["prior"], record["period"], record["max_payload"] = prior, period, max_payload
     record["common_share"] = UNCALIBRATED if torque_constant_error is None else torque_constant_error
     record["unsure"], record["turns"] = unsure**2, turns
+    record["settling"] = lag / (record["bin_size"] * period)
     return record
 
 

@@ -123,7 +123,7 @@ def _close_bin(settings, state):
     if state.turns != 0 or state.active > 1:
         fill_swing(state, state.head)
     _forget_beyond_bias(state)
-    onset = find_change(state)
+    onset = find_change(settings, state)
     head = state.head = (state.head + 1) % WINDOW
     state.filled = min(WINDOW, state.filled + 1)
     _empty_bin(state, head)
@@ -131,7 +131,7 @@ def _close_bin(settings, state):
         begin_whole(state)
         samples = state.changed = onset * settings.bin_size
         state.untold = max(0.0, LEAST_TIME - samples * settings.period)
-        if state.active > 1:
+        if state.active > 1 or settings.settling > 0.0:
             part_blocks(settings, state, samples)
 
 

@@ -6,7 +6,16 @@ import pytest
 from service.estimator.departure import COUNT
 from service.estimator.payload import change
 from service.estimator.payload.loads import fill_swing, locate
-from service.estimator.payload.state import LOADS, OFFSET_STD, PRIOR_STD, SMALLEST_CHANGE, STATE, WINDOW, start
+from service.estimator.payload.state import (
+    LOADS,
+    OFFSET_STD,
+    PRIOR_STD,
+    SETTINGS,
+    SMALLEST_CHANGE,
+    STATE,
+    WINDOW,
+    start,
+)
 from tests.service.estimator.test_departure import PRIOR as DRIFT
 
 OFFSETS = np.diag([0.0, OFFSET_STD**-2, OFFSET_STD**-2])  # what is known of a place beforehand
@@ -146,7 +155,7 @@ def test_an_onset_is_where_the_loads_differ_most_from_those_before(active, turns
     assert changes == (active in told)
     kept = [(state["head"] - n) % WINDOW for n in range(best)]
     before = {name: state[name].copy() for name in ("information", "moment", "drag", "filled")}
-    assert change.find_change(state) == (best if changes else 0)
+    assert change.find_change(np.zeros((), SETTINGS), state) == (best if changes else 0)
     assert state["hidden"] == (0.0 if changes else pytest.approx(hidden, rel=1e-6, abs=1e-12))
     np.testing.assert_allclose(state["since_information"][:active, :active], since, rtol=1e-9)
     np.testing.assert_allclose(state["before_information"][:active, :active], since_not, rtol=1e-9)

@@ -6,8 +6,9 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.signal import TransferFunction, lfilter, lfilter_zi
 
-from schemas.messages import REFERENCE, SAMPLE, FeedforwardSource, SampleFlag, set_stamp
+from schemas.messages import REFERENCE, SAMPLE, FeedforwardSource, SampleFlag, set_stamp, stamp_ns
 from schemas.robot import EffectEntry, EffectParameter
 from service.estimator import state
 from service.estimator.bounds import bounds_of
@@ -115,6 +116,28 @@ def test_behind_a_pick_soft_gears_are_doubted_for_a_swing(robot, make):
     assert max(doubts[found - 50 : found - 1]) < 0.05
     assert max(doubts[found : found + 3]) > 1.5
     assert doubts[-1] < 0.05
+
+
+@pytest.mark.parametrize("load", [(3.0, 0.0), (1.0, 2.5)], ids=["release", "another"])
+def test_behind_a_filter_of_the_report_a_load_is_weighed_without_what_is_left_of_the_one_before(robot, make, load):
+    """To 2 % of the change within 30 ms of it. The filter is another code's, by its first-order hold."""
+    cutoff, before, after = 50.0, *load
+    made = make(1.3, payload=lambda time: np.where(time < 1.0, before, after), noise=0.0)
+    low_pass = TransferFunction([1.0], [1 / (2 * np.pi * cutoff), 1.0]).to_discrete(PERIOD, "foh")
+    numerator, denominator = np.atleast_1d(low_pass.num), np.atleast_1d(low_pass.den)
+    samples = made.samples.copy()
+    start = lfilter_zi(numerator, denominator)[:, None] * samples["torque"][:1]
+    samples["torque"], _ = lfilter(numerator, denominator, samples["torque"], axis=0, zi=start)
+    samples["torque"] += 0.05 * np.random.default_rng(3).standard_normal(samples["torque"].shape)
+    parameters = {"cutoff": EffectParameter(value=cutoff, unit="Hz")}
+    filtered = robot.model_copy(
+        update={"effect": [EffectEntry(name="torque_filter", joints=[], parameters=parameters)]}
+    )
+    answers = Estimator(filtered, PERIOD).run(samples).payload
+    time = stamp_ns(answers) * 1e-9 - stamp_ns(samples)[0] * 1e-9
+    soon, later = (time > 1.03) & (time < 1.05), time > 1.15
+    assert np.abs(answers["mass"][soon] - after).max() < 0.02 * abs(after - before)
+    assert answers["trusted"][later].mean() > 0.8
 
 
 def planned(estimator, sequence, position, known):
