@@ -31,7 +31,7 @@ NESTED = {_HEADER: f"{_TIME} stamp\nstring frame_id\n", _TIME: "int32 sec\nuint3
 _PRIMITIVES = {
     "uint8": "u1", "int32": "<i4", "uint32": "<u4", "int64": "<i8", "uint64": "<u8", "float64": "<f8",
 }  # fmt: skip
-_FIELD = re.compile(r"^(?P<type>[\w/]+)(?:\[(?P<count>\d+)\])?\s+(?P<name>[a-z]\w*)$")
+_FIELD = re.compile(r"^(?P<type>[\w/]+)(?:\[(?P<count>\d{1,6})\])?\s+(?P<name>[a-z]\w*)$")
 _CONSTANT = re.compile(r"^\w+\s+[A-Z]\w*\s*=")
 
 

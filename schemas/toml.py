@@ -21,6 +21,7 @@ MAX_DEPTH = 12  # tables and lists in each other; descriptions have four
 _QUOTED = re.compile(
     r'"""(?:\\.|[^\\])*?(?:"""|\Z)|"(?:\\.|[^"\\\n])*+"?|' r"'''.*?(?:'''|\Z)|'[^'\n]*+'?|#[^\n]*+", re.DOTALL
 )  # strings and comments; one that is open goes to the end, once and not again from each quote in it
+MOST_SHOWN = 100  # characters of a value in a message
 _LONG_KEY = re.compile(rf"(?<![\w+:-])(?:[\w+:-]++[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
 
@@ -88,10 +89,19 @@ def explain(error: ValidationError) -> str:
     first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])  # a misspelt key, not its absence
     key = ".".join(str(part) for part in first["loc"]) or "file"
     if first["type"] == "extra_forbidden":
-        return f"{key}: unknown key (value {first['input']!r})"
+        return f"{key}: unknown key (value {_shown(first['input'])})"
     if first["type"] == "missing":
         return f"{key}: missing key"
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "value_error" and not first["loc"]:
         return message  # of the file as a whole: it names its keys
-    return f"{key}: {message}" if first["type"] == "value_error" else f"{key}: {message} (got {first['input']!r})"
+    return f"{key}: {message}" if first["type"] == "value_error" else f"{key}: {message} (got {_shown(first['input'])})"
+
+
+def _shown(value: object) -> str:
+    """A value of a file as it is shown in a message, however much of it there is."""
+    try:
+        text = repr(value)
+    except ValueError:  # of more digits than Python writes; TOML has them as hexadecimal numbers
+        return "a number of thousands of digits"
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."

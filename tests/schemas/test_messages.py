@@ -13,7 +13,7 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as Ros2Writer
 
 from schemas.errors import MessageError
-from schemas.messages import SEQUENCE_BYTES, TOPICS, Message, SampleFlag, set_stamp, stamp_ns
+from schemas.messages import SEQUENCE_BYTES, TOPICS, Message, SampleFlag, fields_of, set_stamp, stamp_ns
 
 COUNT = 50
 HEADER = ("cdr_header", "stamp_sec", "stamp_nanosec", "frame_id")
@@ -146,3 +146,9 @@ def test_stamps_keep_every_nanosecond(time_ns: int) -> None:
 
 def test_flags_fit_their_field() -> None:
     assert max(SampleFlag) < 2**32
+
+
+@pytest.mark.parametrize("count", ["9" * 5000, "99999999"])
+def test_a_foreign_message_of_endless_length_is_refused(count):
+    with pytest.raises(MessageError, match=r"cannot read 'float64\[9+"):
+        fields_of(f"float64[{count}] a")

@@ -73,6 +73,8 @@ ONE, TWO = (f"\n[identified]\ntorque_noise_nm = {{value = {v}}}\n#" for v in ([1
         ("[geometry] # metres", "[mass2]", r"geometry: missing key|mass2: unknown key"),
         ("0.86", '"long"', r"geometry\.passive_link_length: .*valid number.*\(got 'long'\)"),
         ("0.86", "[0.86]", r"geometry\.passive_link_length: .*\(got \[0\.86\]\)"),
+        ("0.86", "0x" + 5000 * "f", r"geometry\.passive_link_length: .*\(got a number of thousands of digits\)"),
+        ("0.86", repr(1000 * "x"), r"geometry\.passive_link_length: .*\(got 'x{99}\.\.\.\)"),
         ("0.86", "nan", r"geometry\.passive_link_length: .*\(got nan\)"),
         ("9.81", "inf", r"gravity_mps2: .*\(got inf\)"),
         ("9.81", "-9.81", r"gravity_mps2: .*greater than 0.*\(got -9\.81\)"),

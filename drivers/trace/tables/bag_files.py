@@ -152,10 +152,12 @@ def _from_sqlite(plain: Path, path: Path, choose: Choose) -> list[Stored]:
         bag.set_progress_handler(clock, STEPS)
         bag.set_authorizer(_allowed)
         return _rows(bag, size, path, choose)
-    except (sqlite3.Error, ValueError, TypeError, OverflowError) as error:
+    except (sqlite3.Error, ValueError, TypeError, OverflowError, MemoryError) as error:
         if clock.stop is not None:
             raise clock.stop from None
         over = f"it would take more than {seconds:.3g} s" if "interrupted" in str(error) else str(error)
+        if isinstance(error, MemoryError):  # SQLite's answer to a damaged length
+            over = "a row of it says that it is longer than memory"
         raise TraceError(f"{path}: not a rosbag2 database: {over}") from error
     finally:
         if bag is not None:

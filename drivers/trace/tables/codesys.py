@@ -20,6 +20,7 @@ from schemas.files import MIB, read_bytes
 MAX_BYTES = 1024 * MIB
 MICROSECONDS = 32  # bit of `Flags` in the CSV
 FIRST_LINE = "[key]; [value]"  # of the CSV
+_FLAGS = re.compile(r"[0-9]{0,20}")
 _VARIABLE = re.compile(r"^\d+\.Variable;\s*(.*)$")
 
 
@@ -71,7 +72,9 @@ def read_csv(path: Path, text: str) -> Table:
             name, rows = match[1].strip(), []
         elif line.startswith("Flags;"):
             flags = line.partition(";")[2].strip()
-            micro = flags.isdecimal() and bool(int(flags) & MICROSECONDS)
+            if not _FLAGS.fullmatch(flags):  # they say the unit of the stamps
+                raise TraceError(f"{path}: Flags are no number: {flags[:20]!r}")
+            micro = bool(int(flags or 0) & MICROSECONDS)
     close()
     return _table(path, blocks, micro)
 

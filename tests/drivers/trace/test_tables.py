@@ -242,6 +242,7 @@ def test_files_side_by_side_at_a_stated_rate(tmp_path: Path) -> None:
         ("a.trace", b"<Trace><TraceData/></Trace>"),
         ("a.xml", b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'),
         ("a.csv", b"only words\nand more words\n"),
+        ("a.csv", codesys_trace({"a": [0.0]}, TIME[:1])[0].replace("Flags; 32", "Flags; " + "9" * 5000).encode()),
     ],
 )
 def test_damaged_files_are_one_line_that_names_them(tmp_path: Path, name: str, data: bytes) -> None:
@@ -249,6 +250,27 @@ def test_damaged_files_are_one_line_that_names_them(tmp_path: Path, name: str, d
     with pytest.raises(TraceError, match=name.replace(".", r"\.")) as told:
         read_table(tmp_path / name)
     assert "\n" not in str(told.value)
+
+
+def test_a_length_in_a_bag_that_sqlite_takes_for_more_than_memory(tmp_path: Path) -> None:
+    """Eight bytes made the greatest number, anywhere: one line at most, also where SQLite wants more than the memory."""
+    bag = sqlite3.connect(tmp_path / "whole.db3")
+    bag.execute("PRAGMA page_size = 512")
+    bag.execute("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
+    bag.execute("CREATE TABLE messages(id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB)")
+    bag.execute("INSERT INTO topics VALUES (2, '/joint_states', 'sensor_msgs/msg/JointState', 'cdr')")
+    bag.execute("INSERT INTO messages VALUES (0, 2, 0, ?)", (bytes(100),))
+    bag.commit()
+    bag.close()
+    whole, told = (tmp_path / "whole.db3").read_bytes(), set[str]()
+    for at in range(0, len(whole) - 8, 3):
+        (tmp_path / "a.db3").write_bytes(whole[:at] + b"\xff" * 7 + b"\x7f" + whole[at + 8 :])
+        try:
+            read_table(tmp_path / "a.db3")
+        except TraceError as error:
+            told.add(str(error))
+    assert all("\n" not in line and "a.db3: " in line for line in told)
+    assert any("longer than memory" in line for line in told)
 
 
 def test_mat_with_data_of_no_type_is_refused_before_scipy_crashes(tmp_path: Path) -> None:
