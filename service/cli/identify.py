@@ -38,6 +38,14 @@ def command(
             help="Known load carried throughout a log: 3.0:log.csv (kg). Calibrates torque constants and platform mass",
         ),
     ] = None,
+    rig: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TRACE:KEY=VALUE,...",
+            help="What a servo axis moves in this log, known: log.csv:mass=0.5,length=0.1 (kg, m). Keys: mass, length, "
+            "inertia (kg m^2), angle (rad, where it hangs), axis",
+        ),
+    ] = None,
     spread: Annotated[bool, typer.Option("--spread", help="Table of the parameters of each log alone")] = False,
     json: AsJson = False,
     columns: ColumnsFrom = None,
@@ -50,6 +58,7 @@ def command(
 
     from schemas.axes import load_description, save_description
     from schemas.files import make_folder
+    from service.identification import rigs
     from service.identification.conclusion import of_fit
     from service.identification.of_logs import identify_logs
     from service.model.description import in_units_of
@@ -59,7 +68,9 @@ def command(
     loads = [_load(text) for text in carried or ()]
     heavy = reading([path for _, path in loads], description, columns, "reading")
     known = [(mass, log) for (mass, _), log in zip(loads, heavy, strict=True)]
-    result, figures = identify_logs(description, reading(traces, description, columns, "reading"), method, known)
+    of_logs = rigs.of_logs([rigs.Rig.read(text) for text in rig or ()], [str(path) for path in traces])
+    logs = reading(traces, description, columns, "reading")
+    result, figures = identify_logs(description, logs, method, known, of_logs)
     save_description(result.robot, out, template=robot)
     if json:
         parameters = [

@@ -80,12 +80,7 @@ def diagnose(
         raise DataError(f"{traces[0].path}: no joint moves")
     pooled.refuse_dead_torque(recordings)
     given = _given(robot, baseline)
-    searched = _searched(robot, traces, pooled.problem_of(recordings), effects, given, progress)
-    best = searched.selection.best.hypothesis
-    again = pooled.floor_in_band(searched.problem, searched.floor, best)
-    risen = again[1].band / searched.floor.band
-    if np.abs(np.log(risen)).max() > np.log(WITHIN_NOISE):
-        searched, risen = _searched(robot, traces, again, effects, given, progress), np.ones_like(risen)
+    searched, risen = _in_its_noise(robot, traces, recordings, effects, given, progress)
     problem, floor, split, plain = searched.problem, searched.floor, searched.split, searched.plain
     scope, regressors, selection = searched.scope, searched.regressors, searched.selection
     progress("checking on held-out data")
@@ -153,6 +148,20 @@ class _Searched:
     scope: SearchScope
     regressors: Regressors
     selection: Selection
+
+
+def _in_its_noise(
+    robot: Description, traces: Sequence[Trace], recordings: Sequence[Recording], effects: Sequence[Effect],
+    given: tuple[Term, ...], progress: Callable[[str], None],
+) -> tuple[_Searched, np.ndarray]:  # fmt: skip
+    """A search in units of a noise floor that its best model confirms, and (n,) how far that model has it higher."""
+    first = _searched(robot, traces, pooled.problem_of(recordings), effects, given, progress)
+    again = pooled.floor_in_band(first.problem, first.floor, first.selection.best.hypothesis)
+    risen = again[1].band / first.floor.band
+    if np.abs(np.log(risen)).max() <= np.log(WITHIN_NOISE):
+        return first, risen
+    del first  # a catalogue's regressors
+    return _searched(robot, traces, again, effects, given, progress), np.ones_like(risen)
 
 
 def _searched(

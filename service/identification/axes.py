@@ -8,7 +8,7 @@ import numpy as np
 
 from schemas.axes import Axes
 from schemas.chain import Chain
-from schemas.errors import DataError
+from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from schemas.words import percent
 from service.identification import checks
@@ -17,7 +17,8 @@ from service.identification.held import held_s, told_of_held
 from service.identification.identify import fit_to, written
 from service.identification.loops import loops_of, position_errors, told
 from service.identification.pooled import Identification, Plain, refuse_dead_torque
-from service.model.mechanism import SerialArm, mechanism_of
+from service.identification.rigs import Rig, on_rig
+from service.model.mechanism import Mechanism, SerialArm, mechanism_of
 from service.model.parameters import base_parameters
 from service.model.scene import Recording
 from service.model.signals import segments_of, thin
@@ -27,18 +28,21 @@ CLEARLY = 0.95  # of what the masses found leave of stretches left out; nearer t
 BLOCKS_A_PARAMETER = {"axes": 2, "chain": 1}  # a mass shows in the torque of several joints of an arm
 
 
-def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification[Axes | Chain]:
-    """Fit axes to traces by pooled least squares.
+def identify_axes(
+    axes: Axes | Chain, traces: Sequence[Trace], rigs: Sequence[Rig | None] = ()
+) -> Identification[Axes | Chain]:
+    """Fit axes to traces by pooled least squares. rigs: what an axis moves in each log alone.
 
     Raises:
+        RobotError: a rig of an arm, or of an axis that there is not.
         TraceError: a trace without a usable part, naming the file.
         DataError: too little motion, or logs of several rates, naming them.
     """
     mechanism = mechanism_of(axes)
     logs = segments_of(traces)
     recordings = [
-        Recording(thin(part), mechanism, number, trace.name)
-        for number, (trace, parts) in enumerate(zip(traces, logs, strict=True))
+        Recording(thin(part), _of_log(axes, mechanism, rig, trace.name), number, trace.name)
+        for number, (trace, rig, parts) in enumerate(zip(traces, rigs or [None] * len(traces), logs, strict=True))
         for part in parts
     ]
     refuse_dead_torque(recordings)
@@ -52,6 +56,14 @@ def identify_axes(axes: Axes | Chain, traces: Sequence[Trace]) -> Identification
     fit = fit_to(axes, recordings, [trace.path.name for trace in traces])
     held = told_of_held({trace.path.name: held_s(parts) for trace, parts in zip(traces, logs, strict=True)})
     return written(axes, fit, fit.fitted.hypothesis.base, [*_commanded(fit, traces), *held, *_warnings(fit, traces)])
+
+
+def _of_log(axes: Axes | Chain, mechanism: Mechanism, rig: Rig | None, log: str) -> Mechanism:
+    if rig is None:
+        return mechanism
+    if isinstance(axes, Chain):
+        raise RobotError(f"--rig {log}: {axes.name} is an arm: its loads are in the description, as payload")
+    return on_rig(axes, rig, log)
 
 
 def _commanded(fit: Plain, traces: Sequence[Trace]) -> list[str]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import overload
 
 import numpy as np
 
@@ -142,6 +143,26 @@ class Problem:
         return np.concatenate([self.of_joint(index, joint, values[:, joint]) for joint in range(len(self.sigma))])
 
 
+class Again(Sequence[np.ndarray]):
+    """Tangents that are evaluated whenever they are asked for, and not kept."""
+
+    def __init__(self, problem: Problem, hypothesis: Hypothesis) -> None:
+        self._problem, self._hypothesis = problem, hypothesis
+
+    def __len__(self) -> int:
+        return len(self._problem.recordings)
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        return iter(evaluate(self._problem, self._hypothesis).tangents)
+
+    @overload
+    def __getitem__(self, index: int) -> np.ndarray: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[np.ndarray]: ...
+    def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
+        return evaluate(self._problem, self._hypothesis).tangents[index]
+
+
 @dataclass(frozen=True)
 class Fit:
     """A hypothesis at its optimum: residuals (R,) and tangents (R, F) a recording, in units of the noise.
@@ -152,10 +173,18 @@ class Fit:
 
     hypothesis: Hypothesis
     residuals: list[np.ndarray]
-    tangents: list[np.ndarray]
+    tangents: Sequence[np.ndarray]
     inside: np.ndarray
     free: np.ndarray
     reach: tuple[np.ndarray, np.ndarray]
+
+    def light(self, problem: Problem) -> Fit:
+        """The same without its tangents, the most of it: of many fits that are kept, few are asked for theirs."""
+        return replace(self, tangents=Again(problem, self.hypothesis))
+
+    def whole(self) -> Fit:
+        """The same with tangents that are kept."""
+        return replace(self, tangents=list(self.tangents))
 
     @property
     def moving(self) -> list[np.ndarray]:

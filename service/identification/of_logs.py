@@ -13,6 +13,7 @@ from service.identification.calibration import CalibratedFigure, calibrate
 from service.identification.identify import Method, identify
 from service.identification.pooled import Identification
 from service.identification.regression import summarise
+from service.identification.rigs import Rig
 from service.model.nominal import pack
 
 
@@ -21,14 +22,15 @@ def identify_logs(
     logs: Iterable[Trace],
     method: Method = "pooled",
     carried: Sequence[tuple[float, Trace]] = (),
+    rigs: Sequence[Rig | None] = (),
 ) -> tuple[Identification, Sequence[CalibratedFigure]]:
     """Fit `description` to `logs`; of a Delta each log is read once and not kept.
 
     method: of a Delta. carried: mass in kg and log of each known load that hangs on a Delta throughout; the figures
-    say what it tells of torque constants and platform.
+    say what it tells of torque constants and platform. rigs: of axes, what one of them moves in each log.
 
     Raises:
-        RobotError: `carried` or the paper's method for what is no Delta.
+        RobotError: `carried` or the paper's method for what is no Delta, `rigs` for what are no axes.
         DataError, TraceError: the data cannot give an answer, naming the log.
     """
     if isinstance(description, Machine):
@@ -36,7 +38,9 @@ def identify_logs(
             raise RobotError(f"{description.origin}: --carried: it needs the platform of a Delta robot")
         if method == "paper":
             raise RobotError(f"{description.origin}: --method paper: the paper's method is for a Delta robot")
-        return identify_axes(description, list(logs)), ()
+        return identify_axes(description, list(logs), rigs), ()
+    if any(rigs):
+        raise RobotError(f"{description.origin}: --rig: it needs servo axes; a known load of a Delta is --carried")
     if not carried:
         model = pack(description)
         return identify(description, [summarise(model, trace) for trace in logs], method), ()

@@ -45,7 +45,9 @@ def to_mjcf(axes: Axes) -> MachineFile:
             parent = body  # MuJoCo couples joints of one tree alone; what has no mass couples no more than that
         elif number > 1:
             body.pos = [0.0, APART * (number - 1), 1.0]
-        rotors.append(_add_axis(body, number, axes.axis[number - 1].unit == "m", inertia, weight / GRAVITY))
+        linear = axes.axis[number - 1].unit == "m"
+        alone = linear and not mechanism.shared  # a carriage, which carries no other axis
+        rotors.append(_add_axis(body, number, linear, inertia, weight / GRAVITY, inertia if alone else NOTHING))
     rotors += [found[f"inertia_{motor}"] for motor in mechanism.shared]
     spec.option.gravity = [0.0, 0.0, -GRAVITY]
     load = np.array([found[f"offset_{number}"] for number in range(1, axes.count + 1)])
@@ -55,13 +57,16 @@ def to_mjcf(axes: Axes) -> MachineFile:
     return MachineFile(spec.to_xml(), figures(axes, {}), left_out)
 
 
-def _add_axis(body: mujoco.MjsBody, number: int, linear: bool, inertia: float, moment: np.ndarray) -> float:
+def _add_axis(
+    body: mujoco.MjsBody, number: int, linear: bool, inertia: float, moment: np.ndarray, mass: float
+) -> float:
     """Give a body its joint and its weight; the inertia, kg m^2 or kg, that is left for the rotor. moment: (2,) kg m,
-    mass times the place of its centre along y and z: the torque s sin q + c cos q is that of m g (c, -s)."""
+    mass times the place of its centre along y and z: the torque s sin q + c cos q is that of m g (c, -s). mass: kg,
+    without a weight. Of a linear axis it is the inertia: MuJoCo measures friction by the mass of bodies alone."""
     joint = body.add_joint(name=f"axis_{number}", axis=[1.0, 0.0, 0.0])
     joint.type = mujoco.mjtJoint.mjJNT_SLIDE if linear else mujoco.mjtJoint.mjJNT_HINGE
     size = float(np.linalg.norm(moment))
-    mass = size**2 / (IN_BODY * inertia) if size else NOTHING
+    mass = size**2 / (IN_BODY * inertia) if size else mass
     centre = moment / mass
     body.explicitinertial, body.mass, body.ipos, body.inertia = True, mass, [0.0, *centre], [NOTHING] * 3
     shape = body.add_geom(mass=0.0, contype=0, conaffinity=0)
@@ -74,4 +79,4 @@ def _add_axis(body: mujoco.MjsBody, number: int, linear: bool, inertia: float, m
             [0.0, 0.0, 0.0, 0.0, *tip],
             [0.02, 0.0, 0.0],
         )
-    return inertia - mass * float(centre @ centre)
+    return inertia - (mass if linear else mass * float(centre @ centre))

@@ -22,6 +22,9 @@ from service.model.parameters import base_parameters
 from service.model.signals import time_constant
 
 STEP = 0.5e-3  # s
+# Friction of a joint is a soft constraint in MuJoCo: by its defaults a light joint has all of it only above 0.1 rad/s.
+FIRM = [2 * STEP, 1.0]  # s, damping ratio: the fastest that a step resolves
+FIRM_SHARE = [0.99, 0.99, 1e-3, 0.5, 2.0]  # of the force that would hold the joint, from the first micrometre on
 NATIVE = ("drive_lag", "torque_offset", "joint_spring", "rotor_inertia")  # effects that MuJoCo has a word for
 
 
@@ -81,6 +84,7 @@ def finish(
     for number, name in enumerate(joints):
         joint = spec.joint(name)
         joint.armature, joint.frictionloss = rotors[number], base.coulomb[number]
+        joint.solref_friction, joint.solimp_friction = FIRM, FIRM_SHARE
         _linear(joint, "damping", base.viscous[number])
         if spring[number] > 0:
             _linear(joint, "stiffness", spring[number])
@@ -96,6 +100,7 @@ def finish(
             if turns:
                 tendon.wrap_joint(name, float(turns))
         tendon.armature, tendon.frictionloss = rotors[number], base.coulomb[number]
+        tendon.solref_friction, tendon.solimp_friction = FIRM, FIRM_SHARE
         _linear(tendon, "damping", base.viscous[number])
     why = "MuJoCo cannot express it; `deltatwin rollout` contains it"
     return {term.effect.name: why for term in terms if term.effect.name not in NATIVE}

@@ -138,12 +138,46 @@ class Arm:
     def columns(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
         """(N, n, 10 n): torque along (N, n) motions, N m per unit of each weight."""
         data, compute = self._model.createData(), self._library.computeJointTorqueRegressor
-        motions = np.empty((3, *theta.shape))
-        motions[:, :, self._order] = theta, theta_dot, theta_ddot
-        result = np.empty((len(theta), self.joints, len(self._columns)))
+        motions = self._in_order(theta, theta_dot, theta_ddot)
+        result, block = np.empty((len(theta), self.joints, len(self._columns))), np.ix_(self._order, self._columns)
         for row in range(len(theta)):
-            result[row] = compute(self._model, data, *motions[:, row])[np.ix_(self._order, self._columns)]
+            result[row] = compute(self._model, data, *motions[:, row])[block]
         return result
+
+    def _in_order(self, *motion: np.ndarray) -> np.ndarray:
+        """(m, N, n) of m parts (N, n) of a motion, joints as Pinocchio has them."""
+        result = np.empty((len(motion), *motion[0].shape))
+        result[:, :, self._order] = motion
+        return result
+
+    def torque(
+        self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, weights: np.ndarray
+    ) -> np.ndarray:
+        """(N, n) N m along (N, n) motions, of links of `weights` (10 n,)."""
+        return self._torque(self._weighing(weights), self._in_order(theta, theta_dot, theta_ddot))
+
+    def _torque(self, model: Any, motions: np.ndarray) -> np.ndarray:
+        """(N, n) N m along (3, N, n) motions in Pinocchio's order."""
+        data, compute = model.createData(), self._library.rnea
+        result = np.empty(motions.shape[1:])
+        for row in range(len(result)):
+            result[row] = compute(model, data, *motions[:, row])
+        return result[:, self._order]
+
+    def slopes(
+        self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, weights: np.ndarray
+    ) -> np.ndarray:
+        """(joint, N, n, 3): of the same torque, with the angle, speed and acceleration of a joint."""
+        model, motions = self._weighing(weights), self._in_order(theta, theta_dot, theta_ddot)
+        data, compute = model.createData(), self._library.computeRNEADerivatives
+        block = np.ix_(self._order, self._order)
+        result = np.empty((3, *theta.shape, self.joints))
+        for row in range(len(theta)):
+            compute(model, data, *motions[:, row])
+            upper = np.triu(data.M)
+            for part, values in zip(result, (data.dtau_dq, data.dtau_dv, upper + np.triu(upper, 1).T), strict=True):
+                part[row] = values[block]
+        return np.ascontiguousarray(result.transpose(3, 1, 2, 0))
 
     def misplaced(
         self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, weights: np.ndarray
@@ -151,19 +185,13 @@ class Arm:
         """(N, n, 6 n): torque along (N, n) motions that links of `weights` (10 n,) ask for beside that of the URDF, N m
         per m and per rad that each joint is off in the link before it, along and about its own axes there."""
         library, model = self._library, self._weighing(weights)
-        motions = np.empty((3, *theta.shape))
-        motions[:, :, self._order] = theta, theta_dot, theta_ddot
-
-        def torque() -> np.ndarray:
-            data = model.createData()
-            return np.array([library.rnea(model, data, *motions[:, row]) for row in range(len(theta))])
-
-        described, result = torque(), np.empty((*theta.shape, 6 * self.joints))
+        motions = self._in_order(theta, theta_dot, theta_ddot)
+        described, result = self._torque(model, motions), np.empty((*theta.shape, 6 * self.joints))
         for place, number in enumerate(self._numbers):
             placed = model.jointPlacements[number].copy()
             for along in range(6):
                 model.jointPlacements[number] = placed * library.exp6(STEP * np.eye(6)[along])
-                result[..., 6 * place + along] = ((torque() - described) / STEP)[:, self._order]
+                result[..., 6 * place + along] = (self._torque(model, motions) - described) / STEP
             model.jointPlacements[number] = placed
         return result
 

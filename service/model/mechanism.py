@@ -6,7 +6,7 @@ the platform and in the ball joints need.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -343,6 +343,28 @@ class SerialArm(_Servos):
         only where a joint is turned so that motion would tell more of the links.
         """
         return self.arm.misplaced(theta, theta_dot, theta_ddot, self.told(coefficients)[1])
+
+    def torque(
+        self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
+    ) -> np.ndarray:
+        """(N, n) N m along (N, n) motions: that of `rigid`, without its columns."""
+        values, weights = self.told(coefficients)
+        load = np.array([values.get(f"offset_{joint + 1}", 0.0) for joint in range(self.joints)])
+        return self.arm.torque(theta, theta_dot, theta_ddot, weights) + theta_ddot @ self._turning(values) + load
+
+    def slopes(
+        self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray
+    ) -> np.ndarray:
+        """(joint, N, n, 3): of that torque, with the angle, speed and acceleration of a joint."""
+        values, weights = self.told(coefficients)
+        result = self.arm.slopes(theta, theta_dot, theta_ddot, weights)
+        result[..., 2] += self._turning(values)[:, None]
+        return result
+
+    def _turning(self, values: Mapping[str, float]) -> np.ndarray:
+        """(n, n) kg m^2: the mass matrix of rotors, in terms of `told`."""
+        names = [f"rotor_{joint + 1}" for joint in range(self.joints)] + [f"inertia_{motor}" for motor in self.shared]
+        return (self.rows.T * [values.get(name, 0.0) for name in names]) @ self.rows
 
     def rigid(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> Rigid:
         """Torque of (N, n) motions."""

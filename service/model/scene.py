@@ -9,7 +9,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from service.model.friction import mean_direction
-from service.model.mechanism import Arms, Delta, Mechanism, Rigid
+from service.model.mechanism import Arms, Delta, Mechanism, Rigid, SerialArm
 from service.model.nominal import Correction
 from service.model.signals import Segment
 
@@ -189,11 +189,38 @@ class Scene:
         """(N, n, 3): of load and viscous friction with the joint's angle, speed and acceleration, N m/rad, N m s/rad,
         kg m^2."""
         if joint not in self._slopes:
-            slopes = np.tensordot(self.recording.by_motion[joint], np.append(self.base.rigid, 1.0), 1)
+            slopes = self._rigid_slopes(joint)
             rows = self.mechanism.rows
             slopes[..., 1] += (self.base.viscous * rows[:, joint]) @ rows
             self._slopes[joint] = slopes
         return self._slopes[joint]
+
+    def _rigid_slopes(self, joint: int) -> np.ndarray:
+        if self._of_arm is not None:
+            return self._of_arm[joint]
+        return np.tensordot(self.recording.by_motion[joint], np.append(self.base.rigid, 1.0), 1)
+
+    @cached_property
+    def _of_arm(self) -> np.ndarray | None:
+        """(joint, N, n, 3): slopes of the rigid torque of an arm, by its own derivatives. With its many coefficients
+        `by_motion` would take hundreds of megabytes."""
+        if not isinstance(self.mechanism, SerialArm):
+            return None
+        motion = self.segment
+        return self.mechanism.slopes(motion.theta, motion.theta_dot, motion.theta_ddot, self.base.rigid)
+
+    @cached_property
+    def _load_of_arm(self) -> np.ndarray:
+        """`load`, by the algorithm that `moved` uses: their difference is of the motion alone."""
+        assert isinstance(self.mechanism, SerialArm)
+        motion = self.segment
+        return self.mechanism.torque(motion.theta, motion.theta_dot, motion.theta_ddot, self.base.rigid)
+
+    def moved(self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
+        """(N, n) N m: rigid torque along another motion, above that along the recorded one."""
+        if isinstance(self.mechanism, SerialArm):
+            return self.mechanism.torque(theta, theta_dot, theta_ddot, self.base.rigid) - self._load_of_arm
+        return self.mechanism.rigid(theta, theta_dot, theta_ddot).torque(self.base.rigid) - self.load
 
     @cached_property
     def _slopes(self) -> dict[int, np.ndarray]:

@@ -36,6 +36,7 @@ ANALYSIS_HZ = 40.0  # of the low-pass on regressors and torque
 ANALYSIS_ORDER = 4
 PADDING = 15  # samples that a signal goes on beyond its ends, turned round there: SciPy's for this order
 REST_HZ = 60.0  # of the position whose slope tells rest from motion
+ROUNDING = 1e-12  # of the largest position, that a change of units leaves where samples repeat
 LEVER = 0.1  # m: of an axis that goes along a line, a speed or a way of so much counts as one of a radian
 REST_TIME = 0.040  # s below REST_SPEED that make a rest
 REST_MARGIN = 0.015  # s left out on both sides of a rest
@@ -424,7 +425,8 @@ def position_noise(position: np.ndarray) -> np.ndarray:
     fourth = np.abs(np.diff(position, 4, axis=0))
     typical = np.median(fourth, axis=0) / 0.6745  # of a normal distribution
     coarse = np.sqrt(np.mean(fourth**2, axis=0))  # where most samples repeat the last: an encoder's steps
-    return np.where(typical > 0, typical, coarse) / 70**0.5
+    repeated = typical <= ROUNDING * np.abs(position).max(axis=0)
+    return np.where(repeated, coarse, typical) / 70**0.5
 
 
 def _segment(

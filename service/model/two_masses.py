@@ -131,6 +131,6 @@ def two_masses(scene: Scene, joint: int, figures: Sequence[tuple[float, float, f
         moved = [signal.copy() for signal in (motion.theta, motion.theta_dot, motion.theta_ddot)]
         for signal, relative in zip(moved, (angle, speed, change), strict=True):
             signal[:, joint] += relative[:, i]
-        torque[..., i] = scene.mechanism.rigid(*moved).torque(scene.base.rigid) - scene.load
+        torque[..., i] = scene.moved(*moved)
         torque[:, joint, i] -= gears.motor[i] * change[:, i]
     return torque

@@ -266,4 +266,4 @@ def _in_its_place(
         if candidate.effect is not effect and dictionary.nothing - loss > least:
             model = score(fit_added(problem, fewer.fitted, candidate.term()), regressors.split)
             if fault_of(problem, model.hypothesis, given) is None:
-                yield model
+                yield model.light(problem)

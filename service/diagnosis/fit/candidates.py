@@ -85,7 +85,7 @@ class Regressors:
         bent = [term.effect for term in hypothesis.terms if term.effect.measured and not term.effect.amplitudes]
         if bent == self.seen:
             return
-        self.seen = bent
+        self.seen, self.pieces, self.grams = bent, [], []  # what they take is free before more is asked for
         scenes = self.problem.scenes(hypothesis)
         found = THREADS.map(lambda n, scene: self._pieces(n, scene, hypothesis), range(len(scenes)), scenes)
         self.pieces = list(chain.from_iterable(found))
@@ -115,26 +115,42 @@ class Regressors:
         """Of a recording; an effect is filtered in one go. A list: a generator would do its work in whose thread reads
         it."""
         problem, joints = self.problem, range(scene.joints)
+        counts = problem.rows[number].sum(axis=0)
+        every = [np.empty((count, len(self.reach[joint]))) for joint, count in enumerate(counts)]
+        filled = [0 for _ in joints]
+        for several, band in self._in_band(scene, hypothesis):
+            for joint, values in zip(several, band, strict=True):
+                part = slice(filled[joint], filled[joint] + values.shape[1])
+                every[joint][:, part] = problem.of_joint(number, joint, values)
+                filled[joint] = part.stop
         result: list[Piece] = []
-        parts: list[list[np.ndarray]] = [[] for _ in joints]
-        for effect, keys in groupby(self.index, key=itemgetter(0)):
-            places = [
-                (joint, columns_of(scene, hypothesis, effect, joint, [point for *_, point in points]))
-                for joint, points in groupby(keys, key=itemgetter(1))
-            ]
-            band = problem.band(np.concatenate([values for _, values in places], axis=-1))
-            owner = np.concatenate([np.full(values.shape[-1], joint) for joint, values in places])
-            for joint in joints:
-                mine = band[:, owner == joint] if effect.own_joint else band[:, joint]
-                parts[joint].append(problem.of_joint(number, joint, mine))
-        ends = np.cumsum([0, *problem.rows[number].sum(axis=0)])
-        for joint, (start, end) in enumerate(pairwise(ends)):
-            columns, fold = np.concatenate(parts[joint], axis=1), self.split.fold[number][start:end]
+        for joint, (start, end) in enumerate(pairwise(np.cumsum([0, *counts]))):
+            fold = self.split.fold[number][start:end]
             for one in np.unique(fold):
-                mine = fold == one
-                rows = slice(start, end) if mine.all() else start + np.flatnonzero(mine)
-                result.append(Piece(int(one), joint, number, rows, columns if mine.all() else columns[mine]))
+                rows = _without_gap(np.flatnonzero(fold == one))
+                whole = slice(start + rows.start, start + rows.stop) if isinstance(rows, slice) else start + rows
+                result.append(Piece(int(one), joint, number, whole, every[joint][rows]))
         return result
+
+    def _in_band(self, scene: Scene, hypothesis: Hypothesis) -> Iterator[tuple[Sequence[int], list[np.ndarray]]]:
+        """The candidates in their order: joints that some reach, and the torque (M, K) they add to each, in the band.
+        Of an effect on its own joint all joints are filtered in one go; of others, which are n times as much, one."""
+        band = self.problem.band
+        for effect, keys in groupby(self.index, key=itemgetter(0)):
+            places = [(joint, [point for *_, point in points]) for joint, points in groupby(keys, key=itemgetter(1))]
+            if effect.own_joint:
+                values = [columns_of(scene, hypothesis, effect, *place) for place in places]
+                ends = np.cumsum([part.shape[-1] for part in values])[:-1]
+                yield [joint for joint, _ in places], np.split(band(np.concatenate(values, axis=-1)), ends, axis=-1)
+                continue
+            for place in places:
+                yield range(scene.joints), list(band(columns_of(scene, hypothesis, effect, *place)).swapaxes(0, 1))
+
+
+def _without_gap(rows: np.ndarray) -> np.ndarray | slice:
+    """Rising indices, as a slice where none is left out: that takes no copy."""
+    start, stop = int(rows[0]), int(rows[-1]) + 1
+    return slice(start, stop) if stop - start == len(rows) else rows
 
 
 def _by_fold(pieces: Sequence[Piece], folds: int) -> list[list[Piece]]:
@@ -150,7 +166,7 @@ def columns_of(
         return reported(scene, hypothesis, values)
     if not any(term.effect.measured for term in hypothesis.terms):
         return values
-    return reported(scene, hypothesis, on_joint(values, joint, scene.joints))[:, joint]
+    return reported(scene, hypothesis, on_joint(values, joint, scene.joints))[:, joint].copy()  # without the others
 
 
 class Dictionary:

@@ -59,6 +59,7 @@ def exchanged(
         if not tried:
             continue
         tried.sort(key=lambda scored: scored.loss + 2 * size(scored))
+        tried[0] = tried[0].whole()
         kept = pruned(problem, regressors.split, tried[0], selection.none, problem.count, given)
         if len(set(kept.names[given:])) > MOST_EFFECTS or _left(problem, kept) > limit:
             continue
@@ -97,7 +98,7 @@ def _fitted(regressors: Regressors, parent: Scored, several: tuple[Candidate, ..
     for candidate in first:
         terms = (*fitted.hypothesis.terms, candidate.term())
         fitted = replace(fitted, hypothesis=fitted.hypothesis.carrying(terms))
-    return score(fit_added(regressors.problem, fitted, last.term()), regressors.split)
+    return score(fit_added(regressors.problem, fitted, last.term()), regressors.split).light(regressors.problem)
 
 
 def _left(problem: Problem, scored: Scored) -> float:

@@ -50,6 +50,14 @@ class Scored:
         """What was fitted."""
         return self.fitted.hypothesis
 
+    def light(self, problem: Problem) -> Scored:
+        """As `Fit.light`."""
+        return replace(self, fitted=self.fitted.light(problem))
+
+    def whole(self) -> Scored:
+        """As `Fit.whole`."""
+        return replace(self, fitted=self.fitted.whole())
+
     @property
     def loss(self) -> float:
         """Squared residuals in all."""
@@ -200,7 +208,8 @@ def additions(
     for loss, candidate in dictionary.ranking(best.hypothesis.terms, mechanism.joints, allows)[:SHORTLIST]:
         if dictionary.nothing - loss > 0.3 * LEAST_GAIN * problem.count:
             progress(f"fitting {candidate.effect.name.replace('_', ' ')}")
-            exact.append(score(fit_added(problem, best.fitted, candidate.term()), regressors.split))
+            added = score(fit_added(problem, best.fitted, candidate.term()), regressors.split)
+            exact.append(added.light(problem))
     if not exact:
         return [], None
 
@@ -210,7 +219,8 @@ def additions(
             ordered = one_cause_first(ordered, best, 0 if problem.weights else problem.count)
         return ordered
 
-    return _sound_first(problem, exact, best, none, given, order)
+    (first, *others), fault = _sound_first(problem, exact, best, none, given, order)
+    return [first.whole(), *others], fault
 
 
 def _sound_first(
@@ -235,7 +245,7 @@ def _sound_first(
 
 def size(scored: Scored) -> int:
     """How many parameters it has."""
-    return scored.fitted.tangents[0].shape[1]
+    return len(scored.fitted.free)
 
 
 def simplest_first(tried: list[Scored], without: Scored) -> list[Scored]:

@@ -19,10 +19,11 @@ def made(loss: float, size: int = 1, noise: float = 0.0, term: object = None, na
     """A fit of `size` parameters; noise: of its blocks, about their mean."""
     away = np.random.default_rng(1).standard_normal(BLOCKS)
     away = noise * (away - away.mean()) / away.std()
-    return stub(
-        name=name, loss=loss, blocks=loss / BLOCKS + away, fitted=stub(tangents=[np.zeros((1, size))]),
-        hypothesis=stub(terms=[term]),
+    result = stub(
+        name=name, loss=loss, blocks=loss / BLOCKS + away, fitted=stub(free=np.ones(size, bool)),
+        hypothesis=stub(terms=[term]), light=lambda problem: result, whole=lambda: result,
     )  # fmt: skip
+    return result
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ def model(left: float, *names: str, size: int = 3, away: float = 0.0) -> Scored:
     terms = tuple(stub(effect=named(name), **alone) for name in names)
     hypothesis = stub(terms=terms, base=stub(viscous=np.zeros(2)))
     return stub(  # pyright: ignore[reportReturnType]
-        names=names, hypothesis=hypothesis, fitted=stub(hypothesis=hypothesis, tangents=[np.zeros((1, size))]),
+        names=names, hypothesis=hypothesis, fitted=stub(hypothesis=hypothesis, free=np.ones(size, bool)),
         loss=left, blocks=left / BLOCKS + np.tile([away, -away], BLOCKS // 2),
     )  # fmt: skip
 

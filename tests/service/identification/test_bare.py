@@ -8,15 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from schemas.axes import Axes
+from drivers.trace import read_trace
+from schemas.axes import Axes, load_axes
 from schemas.trace import Trace
 from service.identification import bare
 from service.identification.axes import identify_axes
-from service.identification.fit import Problem, evaluate
+from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import gains
 from service.identification.pooled import Identification
 from service.model.mechanism import DecoupledAxes
 from service.model.prediction import motion
+from tests.service import arm
 from tests.service.sines import sines
 
 PERIOD, SECONDS = 4e-3, 10.0
@@ -113,3 +115,22 @@ def test_errors_are_compared_where_the_encoder_tells_the_acceleration() -> None:
     coarse = replace(fine, position=np.round(fine.position / 1.5e-3) * 1.5e-3)
     assert motion(fine).band_hz == 40.0
     assert 3.0 <= motion(coarse).band_hz < 25.0
+
+
+@pytest.mark.parametrize(
+    ("share", "noise", "masses", "draws"), [(0.12, 1.5, 1.0, True), (0.12, 1.5, 4.0, False), (1.0, 0.0, 1.0, False)]
+)
+def test_masses_are_drawn_to_a_urdf_as_far_as_data_left_out_gain_by_it(tmp_path, share, noise, masses, draws) -> None:
+    """Small motion in noise tells little of the masses: a right URDF is worth its prior, a wrong one is not. What large
+    motion tells needs none."""
+    pytest.importorskip("pinocchio")
+    more = noise * np.random.default_rng(4).standard_normal((round(arm.SECONDS / arm.PERIOD), 3))
+    logs = [read_trace(arm.record(tmp_path / f"log_{seed}.csv", seed, more, share=share)) for seed in range(2)]
+    urdf = arm.URDF
+    for kg in (4, 3, 1.5):
+        urdf = urdf.replace(f'mass value="{kg}"', f'mass value="{masses * kg}"')
+    robot = load_axes(arm.write(tmp_path, urdf))
+    found = identify_axes(robot, logs).fit
+    weighed = bare.by_what_is_left(found.problem, found.fitted.hypothesis)
+    fitted = fit(weighed, found.fitted.hypothesis)
+    assert (bare.drawn(weighed, fitted) > 0) == draws

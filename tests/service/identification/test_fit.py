@@ -210,3 +210,19 @@ def test_what_a_field_could_explain_of_a_joint_says_nothing(weighed):
     assert logs.count - beside.count >= 1
     constant = replace(beside, fields=[np.ones((len(joint), 1))])
     assert (constant.select(0, np.ones((*logs.rows[0].shape, 2))) == 0).all(), "no rounding stands for a figure"
+
+
+def test_a_light_fit_has_its_tangents_when_they_are_asked_for() -> None:
+    """And holds none of them; a whole one holds them again."""
+    run = course(1, 1.0)
+    made = problem([run], [run.torque])
+    full = fit(made, Hypothesis(BASE))
+    light = full.light(made)
+    assert not isinstance(light.tangents, list)
+    assert len(light.tangents) == len(full.tangents)
+    for again in (light, light.whole()):
+        for one, other in zip(again.tangents, full.tangents, strict=True):
+            np.testing.assert_array_equal(one, other)
+        np.testing.assert_array_equal(again.tangents[0], full.tangents[0])
+    assert light.cost == full.cost
+    assert isinstance(light.whole().tangents, list)

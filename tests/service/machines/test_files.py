@@ -162,3 +162,43 @@ def test_the_small_arm_with_a_held_finger_and_its_own_urdf(tmp_path: Path) -> No
     np.testing.assert_allclose(
         arm.torque(*motion, urdf=(tmp_path / "out.urdf").read_text()), arm.torque(*motion), atol=0.02
     )
+
+
+@pytest.mark.parametrize("axis", ['unit = "m"', "", "gravity = false"])
+@pytest.mark.parametrize("inertia", [95.0, 0.004])
+def test_a_sliding_axis_stops_where_coulomb_friction_stops_it(tmp_path: Path, axis: str, inertia: float) -> None:
+    """From 0.05 rad/s or m/s in MuJoCo, after v^2 / 2a of closed form."""
+    coulomb, speed = 0.2 * inertia**0.5, 0.05
+    (tmp_path / "axis.toml").write_text(
+        f'name = "axis"\nkind = "axes"\n[[axis]]\n{axis}\n[identified]\ninertia = {{ value = [{inertia}] }}\n'
+        "offset = { value = [0.0] }\nviscous_friction = { value = [0.0] }\n"
+        f"coulomb_friction = {{ value = [{coulomb}] }}\n"
+    )
+    write_machine(load_axes(tmp_path / "axis.toml"), "mjcf", tmp_path / "axis.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "axis.xml"))
+    model.opt.timestep = 1e-4
+    data = mujoco.MjData(model)
+    data.qvel[0] = speed
+    rate = coulomb / inertia
+    for _ in range(round(1.5 * speed / rate / 1e-4)):
+        mujoco.mj_step(model, data)
+    assert data.qpos[0] == pytest.approx(speed**2 / rate / 2, rel=0.05)
+    assert abs(data.qvel[0]) < 0.01 * speed
+
+
+def test_friction_of_an_arm_is_all_there_at_low_speed(tmp_path: Path) -> None:
+    chain = load_axes(arm.write(tmp_path))
+    assert isinstance(chain, Chain)
+    mechanism, rubs = SerialArm.of(chain), JointParameter(value=[1.0, 0.7, 0.4])
+    rigid = {
+        name: Parameter(value=float(value), std_error=0.01)
+        for name, value in zip(mechanism.coefficients, mechanism.start, strict=True)
+    }
+    known = ChainIdentified(rigid=rigid, viscous_friction=JointParameter(value=[0.0] * 3), coulomb_friction=rubs)
+    write_machine(chain.model_copy(update={"identified": known}), "mjcf", tmp_path / "arm.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    data = mujoco.MjData(model)
+    data.qvel[:] = [0.02, -0.02, 0.02]
+    model.opt.gravity[:] = 0.0
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.qfrc_constraint, [-1.0, 0.7, -0.4], rtol=1e-3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from tests.service import arm
 
 pytest.importorskip("pinocchio")
 DRAW = np.random.default_rng(5)
+COUPLED = "coupling = [[1, 0, 0], [0, 1, 0], [0, 1, 1]]\n"  # motor 3 turns with joint 2 too
 MOTION = DRAW.uniform(-1.5, 1.5, (3, 40, 3)) * np.array([1.0, 2.0, 5.0])[:, None, None]
 
 
@@ -158,3 +160,27 @@ def test_a_joint_elsewhere_is_told_of_the_links_as_identified_and_of_what_they_c
         atol=1e-6,
     )
     assert np.abs(loaded.misplaced(*MOTION, coefficients=loaded.start).reshape(120, -1) - first).max() > 1
+
+
+@pytest.mark.parametrize("more", ["", 'masses = "known"\npayload = { frame = "tool" }\n', COUPLED])
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])
+def test_derivatives_are_differences_of_the_columns(tmp_path: Path, more: str, order: list[int]) -> None:
+    """Pinocchio's recursive algorithms against the regressor, at coefficients that no URDF says."""
+    path = arm.write(tmp_path, more=more)
+    path.write_text(path.read_text().replace('"j1", "j2", "j3"', ", ".join(f'"j{joint + 1}"' for joint in order)))
+    description = load_axes(path)
+    assert isinstance(description, Chain)
+    found = SerialArm.of(description)
+    values = found.start + DRAW.uniform(0.1, 0.5, len(found.start))
+    motion = MOTION[:, :, order]
+
+    def torque(*moved: np.ndarray) -> np.ndarray:
+        return found.rigid(*moved).torque(values)
+
+    np.testing.assert_allclose(found.torque(*motion, values), torque(*motion), atol=5e-4)
+    slopes = found.slopes(*motion, values)
+    for joint, part in product(range(3), range(3)):
+        step = 1e-5 * (np.arange(3) == joint)
+        above, below = ([x + way * step if i == part else x for i, x in enumerate(motion)] for way in (1, -1))
+        expected = (torque(*above) - torque(*below)) / 2e-5
+        np.testing.assert_allclose(slopes[joint, :, :, part], expected, atol=5e-4)

@@ -177,6 +177,8 @@ def test_the_noise_of_positions_is_told_from_spikes_and_from_the_steps_of_an_enc
     still = np.where(np.arange(20_000) % 50 < 49, 0.0, 1e-3)[:, None]  # one in fifty off by a step
     expected = 1e-3 / 50**0.5
     np.testing.assert_allclose(signals.position_noise(still), expected, rtol=0.01)
+    rounded = np.where(random.random(still.shape) < 0.5, 1.0 + 1e-16, 1.0 - 1e-16) * (1.0 + still)  # of other units
+    np.testing.assert_allclose(signals.position_noise(rounded), expected, rtol=0.01)
 
 
 def test_thinning_keeps_what_is_slow_of_the_torque() -> None:
