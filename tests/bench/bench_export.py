@@ -21,12 +21,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fmpy.validation import validate_fmu
 
 from docs.making.figures import store
 from drivers.trace import read_trace
 from replay.demo import LOG, ROBOT
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD
 from schemas.robot import Robot, load_robot
+from service.codegen.fmu import write_fmu
 from service.codegen.tree import For
 from service.codegen.twin import lowered, to_c
 from service.estimator import state
@@ -39,9 +41,11 @@ from tests.service.codegen.built import COMPILER, FLAGS, Built, differences, exp
 from tests.service.codegen.disturbed import disturbed
 from tests.service.codegen.sanitized import Sanitized
 from tests.service.codegen.strucpp import Strucpp
+from tests.service.codegen.test_fmu import in_fmpy, recorded
 from tests.service.codegen.test_hostile import FOURTH_AXIS, streams, turned
 from tests.service.codegen.test_memory import AXES, PERIODS, ROBOTS, bytes_of, laden
 from tests.service.codegen.test_twin import GROUPS, stored, with_effects
+from tests.service.codegen.test_windows import HAS_WINE, under_wine
 from tests.service.estimator.test_effects import FOUND, effect
 
 PERIOD = 1e-3
@@ -162,6 +166,9 @@ def main() -> None:
         if given.strucpp:
             result["structured_text"] = structured_text(robot, samples, given.strucpp, folder)
             write(result)
+        result["fmu"] = units(robot, folder)
+        if HAS_WINE:
+            result["windows"] = windows(robot, folder)
         result["stored"] = stored_logs(folder)
         write(result)
         if given.hostile:
@@ -206,6 +213,11 @@ def write(result: dict[str, Any]) -> None:
         told[key] = result[name], 1, None
     if result.get("clang_tidy"):
         told["clang_tidy"] = result["clang_tidy"]["findings"], f"{result['clang_tidy']['lines']} lines", None
+    if "fmu" in result:
+        told["fmu"] = result["fmu"]["differ"], result["fmu"]["samples"], "FMI 2.0 and 3.0 in FMPy, with faults"
+    if "windows" in result:
+        found = result["windows"]
+        told["windows"] = found["largest"], found["samples"], f"by Wine and MinGW; {found['alike']} bit for bit"
     if "stored" in result:
         told["stored_logs"] = result["stored"]["differ"], result["stored"]["samples"], result["stored"]["which"]
     if "hostile" in result:
@@ -422,6 +434,35 @@ def structured_text(robot: Robot, samples: np.ndarray, strucpp: Path, folder: Pa
         del found
     return {"largest": float(f"{largest:.1e}"), "alike": f"{alike} of {count} numbers", "samples": 2 * len(samples),
             "compiler": "STruC++"}  # fmt: skip
+
+
+def units(robot: Robot, folder: Path) -> dict[str, int]:
+    """FMUs in FMPy along the whole demo log with faults: samples whose torque or mass differs in a bit from the
+    service's; and what FMPy's checker finds, which must be nothing."""
+    described, differ, count = robot.model_copy(update={"fourth_axis": FOURTH_AXIS}), 0, 0
+    samples = recorded(described)
+    wanted = Estimator(described, PERIOD).run(samples)
+    told = wanted.payload["sequence"].astype(int) + int(state.settings(described, PERIOD, 1)["motion"]["lag"][0])
+    for fmi in (2, 3):
+        write_fmu(described, PERIOD, fmi, path := folder / f"{fmi}.fmu", "deltatwin")
+        assert validate_fmu(str(path)) == []
+        torque, mass, _ = in_fmpy(path, fmi, samples, folder / f"fmu_{fmi}")
+        wrong = (torque != wanted.feedforward["torque"]).any(axis=1)
+        wrong[told] |= mass[told] != wanted.payload["mass"]
+        differ, count = differ + int(wrong.sum()), count + len(samples)
+    return {"differ": differ, "samples": count}
+
+
+def windows(robot: Robot, folder: Path) -> dict[str, Any]:
+    """The FMU's library for Windows along the demo log with faults, by FMI 2.0 and 3.0: largest difference, N m."""
+    described, largest, alike, count = robot.model_copy(update={"fourth_axis": FOURTH_AXIS}), 0.0, 0, 0
+    samples = recorded(described)
+    wanted = Estimator(described, PERIOD).run(samples).feedforward["torque"]
+    for fmi in (2, 3):
+        (own := folder / f"windows_{fmi}").mkdir()
+        off = np.abs(under_wine(described, samples, fmi, own, folder / "wine")[:, :3] - wanted)
+        largest, alike, count = max(largest, float(off.max())), alike + int((off == 0.0).sum()), count + off.size
+    return {"largest": float(f"{largest:.1e}"), "alike": f"{alike} of {count} torques", "samples": 2 * len(samples)}
 
 
 def hostile(robot: Robot, folder: Path, count: int, seed: int) -> dict[str, Any]:

@@ -105,16 +105,19 @@ def faulty(samples: np.ndarray) -> np.ndarray:
     return made
 
 
-@pytest.mark.parametrize("fmi", [3, 2])
-def test_the_demo_log_with_faults_comes_out_as_in_the_service(described, paths, tmp_path: Path, fmi: Any) -> None:
-    assert validate_fmu(str(paths[fmi])) == []
-    samples = faulty(read_trace(LOG, described).samples()[:STEPS])
-    samples["sequence"], samples["torque_command"] = np.arange(STEPS), np.nan
-    set_stamp(samples, np.arange(STEPS) * 1_000_000)
-    wanted = Estimator(described, PERIOD).run(samples)
-    unit = Unit(paths[fmi], fmi, tmp_path / "unpacked")
+def recorded(robot: Robot, steps: int | None = None) -> np.ndarray:
+    """Samples along the demo log with faults, counted and stamped as an FMU does."""
+    samples = faulty(read_trace(LOG, robot).samples()[:steps])
+    samples["sequence"], samples["torque_command"] = np.arange(len(samples)), np.nan
+    set_stamp(samples, np.arange(len(samples)) * 1_000_000)
+    return samples
+
+
+def in_fmpy(path: Path, fmi: int, samples: np.ndarray, folder: Path) -> tuple[np.ndarray, np.ndarray, set[int]]:
+    """Feed-forward torques (N, 3) N m, masses (N,) kg, and the sources that there were."""
+    unit = Unit(path, fmi, folder)
     unit.begin()
-    torque, mass, sources = np.zeros((STEPS, 3)), np.zeros(STEPS), set()
+    torque, mass, sources = np.zeros((len(samples), 3)), np.zeros(len(samples)), set()
     for k, sample in enumerate(samples):
         for name in ("position", "torque", "position_command"):
             unit.set(dict(zip(joints(name), sample[name], strict=True)))
@@ -124,6 +127,15 @@ def test_the_demo_log_with_faults_comes_out_as_in_the_service(described, paths, 
         torque[k], (mass[k],) = unit.get(*joints("feedforward")), unit.get("mass")
         sources.add(unit.whole("source"))
     unit.end()
+    return torque, mass, sources
+
+
+@pytest.mark.parametrize("fmi", [3, 2])
+def test_the_demo_log_with_faults_comes_out_as_in_the_service(described, paths, tmp_path: Path, fmi: Any) -> None:
+    assert validate_fmu(str(paths[fmi])) == []
+    samples = recorded(described, STEPS)
+    wanted = Estimator(described, PERIOD).run(samples)
+    torque, mass, sources = in_fmpy(paths[fmi], fmi, samples, tmp_path / "unpacked")
     np.testing.assert_array_equal(torque, wanted.feedforward["torque"])
     assert mass[-1] == wanted.payload["mass"][-1]
     assert set(mass) == {0.0, *wanted.payload["mass"]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import subprocess
@@ -27,6 +28,7 @@ from tests.service.estimator.test_effects import FOUND
 MOST = 65_536  # bytes
 # Of the file beside its step: whether it is ready, and whether a look back is due; rounded up by the linker.
 FLAGS_OF_ITS_OWN = 32
+OF_THE_COMPILER = {"memcpy", "memset"}  # what gcc calls to assign a struct, on a machine without a C library too
 ROBOTS = [*sorted(SHIPPED.glob("*.toml")), ROBOT]
 AXES = {"three axes": None, "a fourth axis": FourthAxis(shaft_mass_kg=0.2)}
 PERIODS = [4e-3, 1e-3, 0.25e-3, 0.125e-3]
@@ -67,17 +69,24 @@ def test_every_robot_that_comes_along_fits(path: Path, axes: str, period: float,
     assert bytes_of(robot, period, single=True) <= MOST
 
 
-def late(robot: Robot) -> Robot:
-    """Whose torque is reported 15 ms late, which is 120 samples at 8 kHz."""
-    delay = EffectEntry(name="torque_delay", joints=[1, 2, 3], parameters={"delay": EffectParameter(value=0.015)})
-    return robot.model_copy(update={"effect": [delay]})
+def late(robot: Robot, delay_s: float = 0.015) -> Robot:
+    """With a torque that is reported late: 15 ms are 120 samples at 8 kHz."""
+    delay = EffectEntry(name="torque_delay", joints=[1, 2, 3], parameters={"delay": EffectParameter(value=delay_s)})
+    others = [one for one in robot.effect if one.name != delay.name]
+    return robot.model_copy(update={"effect": [*others, delay]})
+
+
+@pytest.mark.parametrize("delay_s", [0.007, -0.001])
+def test_a_torque_that_is_reported_late_or_early_fits_at_8_khz_too(delay_s: float) -> None:
+    robot = load_robot(ROBOT).model_copy(update={"fourth_axis": AXES["a fourth axis"]})
+    assert bytes_of(late(laden(robot), delay_s), 0.125e-3) <= MOST
 
 
 @needs_compiler
 @pytest.mark.skipif(shutil.which("size") is None, reason="no size of binutils on this machine")
 @pytest.mark.parametrize("axes", AXES)
 @pytest.mark.parametrize("change", [laden, late])
-def test_it_is_as_much_as_the_export_says(change, axes: str, tmp_path: Path) -> None:
+def test_it_is_as_much_as_the_export_says_and_needs_math_alone(change, axes: str, tmp_path: Path) -> None:
     robot = change(load_robot(ROBOT).model_copy(update={"fourth_axis": AXES[axes]}))
     save_robot(robot, tmp_path / "robot.toml")
     arguments = ["export", str(tmp_path / "robot.toml"), "--to", "c", "--rate", "8000", "--out", str(tmp_path)]
@@ -86,6 +95,8 @@ def test_it_is_as_much_as_the_export_says(change, axes: str, tmp_path: Path) -> 
     subprocess.run([COMPILER or "gcc", "-O0", *FLAGS, "-c", "deltatwin.c", "-o", "t.o"], check=True, cwd=tmp_path)
     size = subprocess.run(["size", "t.o"], check=True, cwd=tmp_path, capture_output=True, text=True).stdout
     _, data, bss, *_ = map(int, size.splitlines()[1].split()[:3])
+    names = subprocess.run(["nm", "-u", "t.o"], check=True, cwd=tmp_path, capture_output=True, text=True).stdout
+    assert set(re.findall(r"U (\w+)", names)) - {"_GLOBAL_OFFSET_TABLE_"} <= OF_THE_COMPILER | set(dir(math)) | {"rint"}
     (said,) = re.findall(r"Static memory: (\d+) bytes", (tmp_path / "deltatwin.h").read_text())
     assert 0 <= data + bss - int(said) <= FLAGS_OF_ITS_OWN
     assert (data + bss > MOST) == (change is late)
