@@ -253,7 +253,7 @@ def test_damaged_files_are_one_line_that_names_them(tmp_path: Path, name: str, d
 
 
 def test_a_length_in_a_bag_that_sqlite_takes_for_more_than_memory(tmp_path: Path) -> None:
-    """Eight bytes made the greatest number, anywhere: one line at most, also where SQLite wants more than the memory."""
+    """Eight bytes made the greatest number, anywhere: one line at most, also where SQLite wants too much memory."""
     bag = sqlite3.connect(tmp_path / "whole.db3")
     bag.execute("PRAGMA page_size = 512")
     bag.execute("CREATE TABLE topics(id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
