@@ -131,6 +131,35 @@ class Follows(DocumentPart):
     share: float
 
 
+class Extreme(DocumentPart):
+    """Least or largest value of a torque or force, and where that is. One number each, or x, y and z."""
+
+    value: list[float]
+    at: list[float]
+
+
+class Located(DocumentPart):
+    """What the residual depends on that no effect explains. A torque of one joint (from 1) that depends on its angle,
+    on its angle and the direction of motion (friction there) or on its speed; or, joint None, a force on the platform
+    that depends on its position.
+
+    alternative: the data do not separate it from the one before it that is none. share: of all residuals above the
+    noise, on held-out data, with its 95 % interval over blocks. rms: of torque or force about its mean over the motion,
+    in `unit`. extremes: the least and the largest torque, or the largest force; up to a constant where the base model
+    takes that.
+    """
+
+    joint: int | None
+    over: Literal["angle", "friction_at_angle", "speed", "platform"]
+    alternative: bool
+    share: float
+    share_ci95: tuple[float, float]
+    rms: float
+    unit: str
+    extremes: list[Extreme]
+    at_unit: str
+
+
 class Moved(DocumentPart):
     """A parameter of the base model, with its standard error, before and after; an error of 0 is not known."""
 
@@ -332,9 +361,10 @@ class Diagnosis(DocumentPart):
 
     plain: parameters of the base model fitted without effects. base: refitted together with the effects. tests: the
     correction on logs given for that alone. given: effects that the description carried already. follows: what is left
-    follows, strongest first. moved: base parameters from the baseline's, where one is given. rivals: what a motion that
-    settles it has to tell apart, best first. online: what the correction is worth to the estimator; of a Delta whose
-    logs were at hand. frequency_response: measured, and of the models before and after; where the logs were at hand.
+    follows, strongest first. located: on what it depends, where more than noise is left. moved: base parameters from
+    the baseline's, where one is given. rivals: what a motion that settles it has to tell apart, best first. online:
+    what the correction is worth to the estimator; of a Delta whose logs were at hand. frequency_response: measured, and
+    of the models before and after; where the logs were at hand.
     """
 
     schema_: Literal["deltatwin.diagnosis/2"] = Field("deltatwin.diagnosis/2", alias="schema")
@@ -354,6 +384,7 @@ class Diagnosis(DocumentPart):
     tests: list[Unseen] = []
     given: list[str]
     follows: list[Follows] = []
+    located: list[Located] = []
     moved: dict[str, Moved] = {}
     rivals: list[Rival] = []
     online: OnlineTrial | None = None

@@ -16,6 +16,7 @@ from schemas.diagnosis import (
     Estimate,
     FrequencyResponse,
     Gap,
+    Located,
     Moved,
     NamedEffect,
     Online,
@@ -27,6 +28,7 @@ from schemas.diagnosis import (
 from schemas.robot import JointParameter, Robot
 from schemas.trace import Trace
 from service.diagnosis.evidence import statistics
+from service.diagnosis.evidence.located import located
 from service.diagnosis.evidence.rivals import ModelComparison, comparisons, undecided
 from service.diagnosis.evidence.unseen import unseen
 from service.diagnosis.evidence.where import where
@@ -153,11 +155,19 @@ def document(
         tests=[unseen(findings, trace) for trace in tests],
         given=[term.effect.name for term in findings.given],
         follows=findings.follows,
+        located=_located(findings),
         moved=_moved(findings),
         rivals=_rivals(findings, compared),
         online=online,
         frequency_response=list(response),
     )
+
+
+def _located(findings: Findings) -> list[Located]:
+    """On what the residual depends, where the effects leave one."""
+    if findings.verdict not in ("unexplained", "partly_explained"):
+        return []
+    return located(findings.robot, findings.problem, findings.split, findings.best.hypothesis)
 
 
 def _of_work(findings: Findings, residuals: Sequence[np.ndarray], runs: np.ndarray) -> list[float]:

@@ -146,6 +146,21 @@ PLANNED = (
     "deltatwin plan-motion --robot FILE --diagnosis FOLDER --out motion.csv plans the run that separates the candidate "
     "effects."
 )
+# what a residual depends on -> what it is, what to check
+LOCATED = {
+    "angle": (
+        "a torque in {} that depends on its angle",
+        "Check what pulls at the arm or touches it there: a cable, a stop, a cover.",
+    ),
+    "friction_at_angle": (
+        "friction in {} that depends on its angle", "Check gear and bearings at that angle: wear, dirt, a rough place."
+    ),
+    "speed": ("a torque in {} that depends on its speed", "Check friction there: lubricant, seals, a dragging brake."),
+    "platform": (
+        "a force on {} that depends on its position",
+        "Check what pulls or touches there: a hose, a cable, a magnet, a jet of air.",
+    ),
+}  # fmt: skip
 MOST_TOLD = 6  # events
 MOST_NEAR = 3  # candidates listed where none is named
 HARDLY = 0.1  # shrink below which there was hardly a gap
@@ -382,6 +397,28 @@ def _follows(document: Diagnosis) -> list[str]:
     ]
 
 
+def _located(document: Diagnosis) -> list[str]:
+    """On what the residual depends, and what to check."""
+    lines = []
+    for one in document.located:
+        kind, check = LOCATED[one.over]
+        low, high = (f"{100 * value:.0f}" for value in one.share_ci95)
+        place = "the platform" if one.joint is None else f"joint {one.joint}"
+        begin = "Or, which the data do not separate from that: " if one.alternative else ""
+        extremes = " and ".join(f"{_vector(e.value)} {one.unit} at {_vector(e.at)} {one.at_unit}" for e in one.extremes)
+        span = "between" if len(one.extremes) > 1 else "at most"
+        lines.append(
+            f"{begin}{percent(one.share)} [{low}, {high}] of the residual is {kind.format(place)}: "
+            f"{significant(one.rms)} {one.unit} rms, {span} {extremes}. {check}"
+        )
+    return lines
+
+
+def _vector(values: list[float]) -> str:
+    told = ", ".join(significant(value) for value in values)
+    return f"({told})" if len(values) > 1 else told
+
+
 def _moved(document: Diagnosis) -> list[str]:
     """Base parameters against the baseline's."""
     lines = [
@@ -485,6 +522,7 @@ def _remaining(document: Diagnosis) -> list[str]:
             if bands and bands.share > 0:
                 line += f" {percent(bands.share)} of it lies at {bands.from_hz:g} to {bands.to_hz:g} Hz."
             lines.append(line)
+    lines += _located(document)
     lines += _follows(document)
     if document.where.bursts:
         lines.append(_bursts(document.where.bursts, document.where.bursts_rhythm_s))

@@ -137,6 +137,23 @@ def test_what_remains_is_told_where_it_lies() -> None:
     ]  # fmt: skip
 
 
+def test_what_the_residual_depends_on_is_told_with_what_to_check() -> None:
+    pull = {"joint": None, "over": "platform", "alternative": False, "share": 0.46, "share_ci95": [0.3, 0.62],
+            "rms": 1.234, "unit": "N", "extremes": [{"value": [9.0, -5.0, 6.0], "at": [-0.3, 0.0, -0.85]}],
+            "at_unit": "m"}  # fmt: skip
+    torque = {"joint": 2, "over": "angle", "alternative": True, "share": 0.4, "share_ci95": [0.2, 0.6], "rms": 0.98,
+              "unit": "N m", "at_unit": "rad",
+              "extremes": [{"value": [-2.28], "at": [0.8268]}, {"value": [2.24], "at": [-0.3341]}]}  # fmt: skip
+    assert text.paragraphs(document(located=[pull, torque]))[3][1:3] == [
+        "46 % [30, 62] of the residual is a force on the platform that depends on its position: 1.23 N rms, at most "
+        "(9, -5, 6) N at (-0.3, 0, -0.85) m. Check what pulls or touches there: a hose, a cable, a magnet, a jet of "
+        "air.",
+        "Or, which the data do not separate from that: 40 % [20, 60] of the residual is a torque in joint 2 that "
+        "depends on its angle: 0.98 N m rms, between -2.28 N m at 0.827 rad and 2.24 N m at -0.334 rad. Check what "
+        "pulls at the arm or touches it there: a cable, a stop, a cover.",
+    ]
+
+
 def test_what_came_nearest_is_told_where_nothing_is_named() -> None:
     ranked = [{"name": name, "joints": joints, "probability": 0.1, "after_nm": 1.0, "shrink": shrink}
               for name, joints, shrink in (("arm_mass", [1], 0.02), ("cogging", [], 0.05), ("tool_mass", [], -0.1),
