@@ -14,6 +14,7 @@ from drivers.trace.tables import Table
 from schemas.axes import Description
 from schemas.chain import Chain
 from schemas.columns import CHANNELS, TIME_UNITS
+from schemas.diagnosis import named_joints
 from schemas.errors import DataError
 from schemas.units import LINEAR, POSITION_SCALES, POSITION_UNITS, TORQUE_UNITS
 from service.identification.channels import (
@@ -152,12 +153,23 @@ def _reading(
             f"{runs[0].path}: torques are {found.torque['unit']}: how many N m per unit? give it with --torque-unit"
         )
     signs = [int(a * b) for a, b in zip(own, found.torque_signs, strict=True)]
-    if stated.sign is not None:  # who says it is not asked about it
-        against = ["the signs given by --sign contradict the motion"] if signs != own else []
-        found, signs = replace(found, of_signs=Lines(doubts=against)), own
+    if stated.sign is not None:
+        found, signs = replace(found, of_signs=Lines(doubts=_of_stated(signs != own, found.of_signs.open))), own
     reasons += [*found.of_signs.reasons, *found.reasons]
     doubts += [*found.of_signs.doubts, *found.doubts]
     return replace(found, torque_signs=signs)
+
+
+def _of_stated(against: bool, unconfirmed: Sequence[int]) -> list[str]:
+    """What is told of signs that the user says."""
+    if against:
+        return ["the signs given by --sign contradict the motion"]
+    if not unconfirmed:
+        return []
+    return [
+        f"sign of the torque of {named_joints(unconfirmed)}: as --sign says; inertia and friction are too small in "
+        "this log to confirm it"
+    ]
 
 
 def _run(table: Table, channels: Channels, signs: Sequence[int], rate: float | None) -> Run:

@@ -73,10 +73,12 @@ class Stated:
 
 @dataclass(frozen=True)
 class Lines:
-    """What is told of one choice. reasons: why it is so; doubts: what of it is not sure."""
+    """What is told of the torques' signs. reasons: why they are so; doubts: what of it is not sure. open: joints, from
+    1, whose sign the log does not determine."""
 
     reasons: Sequence[str] = ()
     doubts: Sequence[str] = ()
+    open: Sequence[int] = ()
 
 
 @dataclass(frozen=True)
@@ -520,7 +522,7 @@ def _of_signs(odds: np.ndarray) -> Lines:
             f"sign of the torque of {named_joints(open_ones)}: inertia and friction are too small in this log to "
             f"determine it{likelier}; left as recorded, set it with --sign"
         )
-    return Lines(reasons, doubts)
+    return Lines(reasons, doubts, open_ones)
 
 
 def _of_delta(
