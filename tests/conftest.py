@@ -74,6 +74,7 @@ SLOW = (
     "tests/service/estimator/test_jumps.py::test_no_draw", "tests/service/estimator/test_loss.py",
     "tests/service/estimator/test_plants.py", "tests/service/experiment",
     "tests/service/fleet/test_fleet.py", "tests/service/identification/test_chain.py",
+    "tests/service/diagnosis/test_located.py::test_a_magnet",
     "tests/service/identification/test_load.py", "tests/service/machines/test_every_command.py",
     "tests/service/machines/test_motion.py::test_what_is_simulated",
     "tests/service/identification/test_pooled.py::test_standard_errors_cover_the_truth",

@@ -1,14 +1,16 @@
 """Where the residual sits that no effect explains: as a force on the platform that depends on its position, or as a
 torque of one joint that depends on its angle or its speed.
 
-Each is a Gaussian process with squared-exponential covariance, fitted together with all parameters of the model; a
-priori it is as large as what is left above the noise. How much it explains is measured on held-out data.
+Each is a Gaussian process with squared-exponential covariance, fitted together with all parameters of the model. A
+priori it is as large as what is left above the noise, and half as much is left beside it. How much it explains is
+measured on held-out data.
 
 Source: Kennedy, O'Hagan: Bayesian calibration of computer models, 2001 (a discrepancy as a Gaussian process).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -27,7 +29,7 @@ from service.model.scene import Scene
 
 Over = Literal["angle", "friction_at_angle", "speed", "platform"]
 UNITS: dict[Over, str] = {"angle": "rad", "friction_at_angle": "rad", "speed": "rad/s", "platform": "m"}
-WIDTH, WIDTH_OF_PLACE = 0.05, 0.2  # length over which a process varies, of the range of angle or speed; of the platform
+WIDTH, WIDTH_OF_PLACE = 0.05, 0.15  # length over which it varies, of the range of angle or speed; of the platform's
 APART = 1.25  # widths between the points that carry a process: less adds columns and no detail
 FAR = 1.5  # widths from any motion, from which such a point is left out
 LEAST_SHARE = 0.05  # of the residual's energy above the noise that is worth telling
@@ -75,10 +77,11 @@ def located(robot: Description, problem: Problem, split: Split, hypothesis: Hypo
     left, known = best.residuals, [np.zeros((len(residual), 0)) for residual in best.residuals]
     level = _above(problem, left)
     everything = list(_processes(problem, best, level)) if level.any() else []
+    prior = 1.0 + float(np.mean(level)) / 2.0  # noise and the rest, over what a weight of 1 may be
     found, total = [], sum(float(residual @ residual) for residual in left) - problem.count
     while everything and _above(problem, left).any():
         blocks = block_loss(left, split)
-        tried = [_beside(best, split, known, process, blocks) for process in everything]
+        tried = [_beside(best, split, known, process, prior, blocks) for process in everything]
         tried = [one for one in tried if z_score(blocks, blocks - one.gains) > LEAST_Z]
         worth = [one for one in tried if one.gains.sum() > LEAST_SHARE * total]
         if not worth:
@@ -87,7 +90,7 @@ def located(robot: Description, problem: Problem, split: Split, hypothesis: Hypo
         same = [t for t in worth if len({t.process.joint, first.process.joint} - {None}) < 2]
         alike = [t for t in same if t is first or z_score(blocks - t.gains, blocks - first.gains) < TOLD_APART]
         for one in sorted(alike, key=lambda one: -float(one.gains.sum())):
-            found.append(_told(robot, problem, best, one, total, one is not first))
+            found.append(_told(robot, problem, best, one, prior, total, one is not first))
         left, known = first.residuals, first.columns
         everything = [one.process for one in tried if one.process.joint != first.process.joint]
     return found
@@ -102,10 +105,11 @@ def _above(problem: Problem, residuals: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _beside(
-    best: Scored, split: Split, known: Sequence[np.ndarray], process: Process, blocks: np.ndarray
+    best: Scored, split: Split, known: Sequence[np.ndarray], process: Process, prior: float,
+    blocks: np.ndarray,
 ) -> Tried:  # fmt: skip
     columns = [np.concatenate(parts, axis=1) for parts in zip(known, process.columns, strict=True)]
-    rest = beside(best.fitted, columns, split, prior=1.0)
+    rest = beside(best.fitted, columns, split, prior)
     return Tried(process, columns, rest, blocks - block_loss(rest, split))
 
 
@@ -154,9 +158,10 @@ def _features(place: Sequence[np.ndarray], width: float) -> list[np.ndarray]:
     Source: Williams, Seeger: Using the Nyström method to speed up kernel machines, 2001.
     """
     every = np.concatenate(place)
-    low, unit = every.min(axis=0), width * np.maximum(np.ptp(every, axis=0), 1e-9)
-    axis = np.linspace(0.0, 1.0 / width, int(np.ceil(1.0 / width / APART)) + 1)
-    grid = np.stack(np.meshgrid(*[axis] * every.shape[1], indexing="ij"), axis=-1).reshape(-1, every.shape[1])
+    low, ways = every.min(axis=0), np.ptp(every, axis=0)
+    unit = width * max(float(ways.max()), 1e-9)
+    axes = [np.linspace(0.0, way / unit, math.ceil(way / unit / APART) + 1) for way in ways]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(ways))
     visited = np.unique(np.round(2.0 * (every - low) / unit), axis=0) / 2.0
     carriers = grid[((grid[:, None] - visited[None]) ** 2).sum(axis=2).min(axis=1) < FAR**2]
     value, vector = np.linalg.eigh(_covariance(carriers, carriers))
@@ -170,11 +175,12 @@ def _covariance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _told(
-    robot: Description, problem: Problem, best: Scored, tried: Tried, total: float, alternative: bool
+    robot: Description, problem: Problem, best: Scored, tried: Tried, prior: float, total: float,
+    alternative: bool,
 ) -> Located:  # fmt: skip
     """total: squares of all residuals above the noise. alternative: to what was told before it."""
     process, step = tried.process, problem.band.step
-    weight = _weight(best, tried.columns)[-process.columns[0].shape[1] :].reshape(-1, process.values[0].shape[1])
+    weight = _weight(best, tried.columns, prior)[-process.columns[0].shape[1] :].reshape(-1, process.values[0].shape[1])
     rows = [r.any(axis=1) if process.joint is None else r[:, process.joint] for r in problem.rows]
     value = np.concatenate([v[::step][m] @ weight.T for v, m in zip(process.values, rows, strict=True)])
     place = np.concatenate([p[::step][m] for p, m in zip(process.place, rows, strict=True)])
@@ -197,12 +203,12 @@ def _told(
     )  # fmt: skip
 
 
-def _weight(best: Scored, columns: Sequence[np.ndarray]) -> np.ndarray:
+def _weight(best: Scored, columns: Sequence[np.ndarray], prior: float) -> np.ndarray:
     """(C,) posterior mean on all rows, the model's parameters free."""
     own = best.fitted.moving
     both = [np.concatenate(parts, axis=1) for parts in zip(own, columns, strict=True)]
     gram = np.asarray(sum(c.T @ c for c in both))
     moment = np.asarray(sum(c.T @ r for c, r in zip(both, best.fitted.residuals, strict=True)))
     open_ = own[0].shape[1]
-    gram[open_:, open_:] += np.eye(len(gram) - open_)
+    gram[open_:, open_:] += prior * np.eye(len(gram) - open_)
     return solve(gram, moment)[open_:]
