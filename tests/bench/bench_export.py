@@ -39,13 +39,13 @@ from tests.bench.need import need
 from tests.conftest import DATA
 from tests.service.codegen.built import COMPILER, FLAGS, Built, differences, expected
 from tests.service.codegen.disturbed import disturbed
+from tests.service.codegen.on_windows import HAS_WINE, under_wine
 from tests.service.codegen.sanitized import Sanitized
 from tests.service.codegen.strucpp import Strucpp
 from tests.service.codegen.test_fmu import in_fmpy, recorded
 from tests.service.codegen.test_hostile import FOURTH_AXIS, streams, turned
 from tests.service.codegen.test_memory import AXES, PERIODS, ROBOTS, bytes_of, laden
 from tests.service.codegen.test_twin import GROUPS, stored, with_effects
-from tests.service.codegen.test_windows import HAS_WINE, under_wine
 from tests.service.estimator.test_effects import FOUND, effect
 
 PERIOD = 1e-3
