@@ -82,6 +82,9 @@ def broke(error: BaseException) -> bool:
     without its result, a module that could not be imported, a class that was not built."""
     if _Interrupt.swallowed or KeyboardInterrupt.__name__ in str(error):  # compiled code tells of it in words alone
         return True
+    # or not even so: a library's own C code puts another error in its place while it is imported
+    if isinstance(error, ImportError) and time.monotonic() - _Interrupt.raised_s < SAME_WISH_S:
+        return True
     cause: BaseException | None = error
     while cause is not None and not isinstance(cause, KeyboardInterrupt):
         cause = cause.__cause__ or (cause.__context__ if isinstance(cause, ImportError) else None)

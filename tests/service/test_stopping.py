@@ -115,7 +115,13 @@ def test_what_a_library_makes_of_an_interrupt_is_no_traceback() -> None:
             os.kill(os.getpid(), signal.SIGINT) or time.sleep(5)
     class Owner:
         field = Field()"""
-    for left_behind in (compiler, loading, building, naming):
+    replacing = """
+    try:
+        os.kill(os.getpid(), signal.SIGHUP) or time.sleep(5)
+    except KeyboardInterrupt:
+        pass
+    raise ImportError("numba._devicearray failed to import")"""
+    for left_behind in (compiler, loading, building, naming, replacing):
         done = run(AS_MAIN.format(left_behind))
         assert (done.returncode, done.stderr) == (130, "")
     done = run(AS_MAIN.format("raise RuntimeError('of its own')"))
@@ -132,6 +138,15 @@ def test_an_error_after_an_interrupt_that_was_answered_is_told() -> None:
     done = run(AS_MAIN.format(cleaning))
     assert done.returncode == 1
     assert done.stderr.endswith("RuntimeError: of its own\n")
+    later = """
+    try:
+        os.kill(os.getpid(), signal.SIGINT) or time.sleep(5)
+    except KeyboardInterrupt:
+        time.sleep(1.1)
+    raise ImportError("of its own")"""
+    done = run(AS_MAIN.format(later))
+    assert done.returncode == 1
+    assert done.stderr.endswith("ImportError: of its own\n")
 
 
 def test_what_makes_files_whole_is_not_torn_by_the_same_ctrl_c_from_another_side() -> None:
