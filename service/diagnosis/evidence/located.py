@@ -11,7 +11,7 @@ Source: Kennedy, O'Hagan: Bayesian calibration of computer models, 2001 (a discr
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -76,13 +76,13 @@ def located(robot: Description, problem: Problem, split: Split, hypothesis: Hypo
     best = score(evaluate(problem, hypothesis), split)
     left, known = best.residuals, [np.zeros((len(residual), 0)) for residual in best.residuals]
     level = _above(problem, left)
-    everything = list(_processes(problem, best, level)) if level.any() else []
+    everything: Iterable[Process] = _processes(problem, best, level)
     prior = 1.0 + float(np.mean(level)) / 2.0  # noise and the rest, over what a weight of 1 may be
     found, total = [], sum(float(residual @ residual) for residual in left) - problem.count
-    while everything and _above(problem, left).any():
+    while _above(problem, left).any():
         blocks = block_loss(left, split)
-        tried = [_beside(best, split, known, process, prior, blocks) for process in everything]
-        tried = [one for one in tried if z_score(blocks, blocks - one.gains) > LEAST_Z]
+        asked = (_beside(best, split, known, process, prior, blocks) for process in everything)
+        tried = [one for one in asked if z_score(blocks, blocks - one.gains) > LEAST_Z]  # the others are not kept
         worth = [one for one in tried if one.gains.sum() > LEAST_SHARE * total]
         if not worth:
             break
