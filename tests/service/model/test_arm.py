@@ -177,8 +177,9 @@ def test_derivatives_are_differences_of_the_columns(tmp_path: Path, more: str, o
     def torque(*moved: np.ndarray) -> np.ndarray:
         return found.rigid(*moved).torque(values)
 
-    np.testing.assert_allclose(found.torque(*motion, values), torque(*motion), atol=5e-4)
-    slopes = found.slopes(*motion, values)
+    theta, speed, acceleration = motion
+    np.testing.assert_allclose(found.torque(theta, speed, acceleration, values), torque(*motion), atol=5e-4)
+    slopes = found.slopes(theta, speed, acceleration, values)
     for joint, part in product(range(3), range(3)):
         step = 1e-5 * (np.arange(3) == joint)
         above, below = ([x + way * step if i == part else x for i, x in enumerate(motion)] for way in (1, -1))
