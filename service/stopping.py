@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from types import TracebackType
 from typing import Any
 
 ENDING = [number for name in ("SIGINT", "SIGTERM", "SIGHUP") if (number := getattr(signal, name, None))]
@@ -38,6 +39,7 @@ def _handle(handler: Callable[..., object]) -> None:
 
 def end_at_once(code: int = INTERRUPTED) -> None:
     """Let it end the process where it stands: nothing is begun yet, or all files are whole."""
+    sys.excepthook = _not_handed_on  # here: Typer, once imported, keeps to the hook that it has found
     _handle(lambda *_: os._exit(code))
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -54,7 +56,8 @@ def terminate_as_interrupt() -> None:
     """Let SIGTERM, and a terminal that is closed, end a command the way Ctrl-C does: files whole, counts reported.
 
     The second of two within `SAME_WISH_S` does not tear up what the first one makes whole. An interrupt that was raised
-    where no exception gets out, as in what a compiler calls back or an object's end, is raised again.
+    where no exception gets out, as in what a compiler calls back, an object's end or a library's C code that prints
+    what it was told, is raised again.
     """
     sys.unraisablehook = _not_raised
     _handle(_interrupt)
@@ -68,9 +71,20 @@ def _interrupt(*_: object) -> None:
 
 
 def _not_raised(unraisable: Any) -> None:
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        _raise_again()
+    else:
         sys.__unraisablehook__(unraisable)
-        return
+
+
+def _not_handed_on(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    if issubclass(kind, KeyboardInterrupt):
+        _raise_again()
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
+def _raise_again() -> None:
     _Interrupt.swallowed = True
     if hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, signal.default_int_handler)

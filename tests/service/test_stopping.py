@@ -97,6 +97,26 @@ def test_an_interrupt_that_is_swallowed_by_what_a_library_calls_back_is_raised_a
     assert (done.returncode, done.stdout, done.stderr) == (130, "swallowed\n", "")
 
 
+def test_an_interrupt_that_a_library_prints_is_no_traceback_and_raised_again(tmp_path: Path) -> None:
+    """C code that cannot hand an exception on prints it (PyErr_Print), which calls `sys.excepthook`."""
+    done = run("""
+import os, signal, sys, time
+class Prints:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numba":
+            try:
+                os.kill(os.getpid(), signal.SIGHUP) or time.sleep(5)
+            except KeyboardInterrupt:
+                sys.excepthook(*sys.exc_info())
+            time.sleep(50)
+sys.meta_path.insert(0, Prints())
+sys.argv = ["deltatwin", "simulate", "--robot", "d3-1200", "--out", sys.argv[1]]
+from deltatwin.__main__ import main
+main()
+""", str(tmp_path / "log.mcap"))  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 def test_what_a_library_makes_of_an_interrupt_is_no_traceback() -> None:
     compiler = """
     import ctypes
