@@ -154,7 +154,7 @@ def _reading(
         )
     signs = [int(a * b) for a, b in zip(own, found.torque_signs, strict=True)]
     if stated.sign is not None:
-        found, signs = replace(found, of_signs=Lines(doubts=_of_stated(signs != own, found.of_signs.open))), own
+        found, signs = replace(found, of_signs=Lines(doubts=_of_stated(signs != own, found.of_signs.unsure))), own
     reasons += [*found.of_signs.reasons, *found.reasons]
     doubts += [*found.of_signs.doubts, *found.doubts]
     return replace(found, torque_signs=signs)

@@ -73,12 +73,12 @@ class Stated:
 
 @dataclass(frozen=True)
 class Lines:
-    """What is told of the torques' signs. reasons: why they are so; doubts: what of it is not sure. open: joints, from
-    1, whose sign the log does not determine."""
+    """What is told of the torques' signs. reasons: why they are so; doubts: what of it is not sure. unsure: joints,
+    from 1, whose sign the log does not determine."""
 
     reasons: Sequence[str] = ()
     doubts: Sequence[str] = ()
-    open: Sequence[int] = ()
+    unsure: Sequence[int] = ()
 
 
 @dataclass(frozen=True)

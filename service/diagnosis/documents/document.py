@@ -42,8 +42,6 @@ from service.model.effects.base import Effect
 from service.model.parameters import Parameters, base_parameters, shown_parameters
 from service.model.torque import predict
 
-Z95 = 1.96
-
 
 def corrected(findings: Findings) -> Description:
     """The description with base model and effects refitted together, and a robot's with what that leaves of runs left
@@ -205,7 +203,7 @@ def _torque(findings: Findings) -> np.ndarray:
 
 
 def _estimate(value: float, error: float, unit: str, meaning: str = "") -> Estimate:
-    interval = (digits(value - Z95 * error), digits(value + Z95 * error))
+    interval = (digits(value - statistics.Z95 * error), digits(value + statistics.Z95 * error))
     return Estimate(value=digits(value), unit=unit, ci95=interval, meaning=meaning)
 
 

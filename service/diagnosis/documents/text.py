@@ -20,6 +20,7 @@ from schemas.diagnosis import (
 from schemas.words import percent, significant, words
 from service.diagnosis.documents.online_text import sentences_of
 from service.diagnosis.evidence.rivals import SURE
+from service.diagnosis.evidence.statistics import Z95
 from service.identification.loops import gains_in_words
 
 VERDICTS = {
@@ -165,7 +166,6 @@ MOST_TOLD = 6  # events
 MOST_NEAR = 3  # candidates listed where none is named
 HARDLY = 0.1  # shrink below which there was hardly a gap
 WORSE = 1.05  # gap on held-out data, after over before, from which the correction is said to do harm
-Z95 = 1.96
 LEAST_CONCENTRATED = 0.2  # of the gap in one regime
 
 

@@ -15,6 +15,7 @@ from schemas.diagnosis import Caution
 from service.diagnosis.evidence import rivals, statistics
 from service.diagnosis.evidence.placement import Placement
 from service.diagnosis.evidence.rivals import LIKELY
+from service.diagnosis.evidence.statistics import Z95
 from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, TOLD_APART, Scored, Selection, without
@@ -31,7 +32,6 @@ LEAST_SHRINK = 0.015  # of the rms on data left out that a name has to be worth,
 MOST_CHANGE = 0.25  # of an effect's figures from run to run; true ones of ten labelled cases stay within 0.07
 LEAST_UNKNOWN = 0.1  # the same of all names together where the noise is not known and what is left is far above it
 LEAST_PART = 0.1  # of what tells an effect's figures that a run has to hold to be asked for its own
-Z95 = 1.96
 # Of what an effect on a serial arm takes, that it still takes where joints may be elsewhere: true ones keep two thirds
 # and more, what stands in for a wrong URDF nothing.
 STANDS = 0.3

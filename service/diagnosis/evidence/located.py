@@ -20,6 +20,7 @@ import numpy as np
 from schemas.axes import Description
 from schemas.diagnosis import Extreme, Located
 from service.diagnosis.evidence.placement import beside
+from service.diagnosis.evidence.statistics import Z95
 from service.diagnosis.fit.selection import LEAST_Z, TOLD_APART, Scored, score, z_score
 from service.identification.fit import Problem, evaluate, solve
 from service.identification.folds import Split, block_loss
@@ -34,7 +35,6 @@ APART = 1.25  # widths between the points that carry a process: less adds column
 FAR = 1.5  # widths from any motion, from which such a point is left out
 LEAST_SHARE = 0.05  # of the residual's energy above the noise that is worth telling
 STANDS_OUT = 1.2  # times the noise's energy, below which the residual of a joint is not asked about
-Z95 = 1.96
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from service.model.parameters import Parameters
 # A reversal's place between two samples is known to about this share of the sample time.
 REVERSAL_PLACE = 0.2
 DRAWS = 2000
+Z95 = 1.96  # standard deviations to either side that 95 % of a normal distribution lie within
 TOLD_APART_FROM_OTHERS = 1e-8  # of a parameter's effect, squared, that others do not reproduce; less is rounding
 SAME_FIT = 1e-6  # of the squared residual by which two ways to write one model may differ
 # Of the rms acceleration of the liveliest run: one with less is a slow sweep, made to identify, not what a robot does.

@@ -11,7 +11,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from service.estimator import departure
-from service.estimator.payload.loads import bin_drag, corrected_moment, invert, pair, prior_of, swing_drag
+from service.estimator.payload.loads import bin_drag, corrected_moment, invert, pair, prior_of, swing_drag, weaken_drag
 from service.estimator.payload.state import LOADS, PRIOR_STD, SMALLEST_CHANGE, WINDOW
 
 # Squared, normalised difference at which a change is believed: with some thousand onsets looked at a second, and model
@@ -90,11 +90,7 @@ def _leave_old_load_out(settings, state, bins):
         here = 1.0 - gone
         state.bin_moment[index] = here * (state.bin_moment[index] - gone * state.mass * state.bin_information[index])
         state.bin_information[index] *= here * here
-        if state.turns == 0:
-            for a in range(departure.COUNT):
-                state.bin_drag[index, a] *= here
-        else:
-            state.swing_step[index, 0] *= here
+        weaken_drag(state, index, here)
         index = index - 1 if index > 0 else WINDOW - 1
 
 

@@ -49,6 +49,16 @@ def bin_drag(state, index, at):
 
 
 @kernel
+def weaken_drag(state, index, keep):
+    """Leave a share of what friction does to the moment of the mass in a bin that is full."""
+    if state.turns == 0:
+        for a in range(departure.COUNT):
+            state.bin_drag[index, a] *= keep
+    else:
+        state.swing_step[index, 0] *= keep
+
+
+@kernel
 def fill_swing(state, index):
     """Store what friction did in the bin that is full now, in steps of 1 / FINEST of a load's largest."""
     for load in range(LOADS):

@@ -10,7 +10,7 @@ from schemas.kernels import kernel
 from schemas.messages import Gripper
 from service.estimator import departure, slow
 from service.estimator.payload.change import find_change
-from service.estimator.payload.loads import begin_whole, corrected_moment, fill_swing, pair, prior_of
+from service.estimator.payload.loads import begin_whole, corrected_moment, fill_swing, pair, prior_of, weaken_drag
 from service.estimator.payload.rest import jolt_kernel, moved_kernel, rest_kernel
 from service.estimator.payload.scatter import part_blocks, scatter_kernel
 from service.estimator.payload.state import LEAST_TIME, LOADS, MEMORY_TIME, PRIOR_STD, STILL_TIME, TELLING_TIME, WINDOW
@@ -171,11 +171,7 @@ def _forget_beyond_bias(state):
         state.bin_information[index] *= keep
         state.bin_moment[index] *= keep
         state.bin_told[index] *= keep
-        if state.turns == 0:
-            for a in range(departure.COUNT):
-                state.bin_drag[index, a] *= keep
-        else:
-            state.swing_step[index, 0] *= keep
+        weaken_drag(state, index, keep)
         index = index - 1 if index > 0 else WINDOW - 1
 
 
