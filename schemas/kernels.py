@@ -1,4 +1,4 @@
-"""How a kernel is compiled: `@kernel` before it, or `@kernel(nogil=True)`; and how it is kept.
+"""How a kernel is compiled: `@kernel` before it, `@kernel(nogil=True)`, or `@part`; and how it is kept.
 
 A kept kernel that is not whole is made anew, and one that cannot be kept is made for this process alone: either is said
 once. Each carries a checksum, since what is loaded is machine code.
@@ -31,6 +31,12 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     if isinstance(kept, IndexDataCacheFile):
         kept.__class__ = _Kept
     return compiled
+
+
+def part(function: Callable[..., Any]) -> Any:
+    """A kernel that only passes on to others, for one caller: it is compiled as a part of that. The machine code of a
+    kernel holds all that it calls, which would be compiled once more for each of these that lies in between."""
+    return kernel(function, inline="always")
 
 
 class _Kept(IndexDataCacheFile):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from schemas.kernels import kernel
+from schemas.kernels import kernel, part
 from schemas.messages import FeedforwardSource, SampleFlag
 from service.estimator import departure
 from service.estimator.branch import ANSWERED, MEASURED, wake_kernel
@@ -31,7 +31,7 @@ _ESTIMATE, _COMMAND = FeedforwardSource.ESTIMATE.value, FeedforwardSource.COMMAN
 _REFERENCE, _NONE = FeedforwardSource.REFERENCE.value, FeedforwardSource.NONE.value
 
 
-@kernel
+@part
 def feedforward_kernel(settings, state, sample, passed, out):
     """Fill torque, source and target of `out` for `sample`, `passed` cycles after the last answer. Returns flags."""
     source, flags = _choose(settings, state, sample, out)
@@ -172,7 +172,7 @@ def plan_kernel(steps):
     state.reference_faults = flags
 
 
-@kernel
+@part
 def _for_motion(settings, state, sample, since, links):
     """state.wanted (3,) N m: the torque for state.trajectory, `since` cycles after the last, with payload and friction
     of now; False where there is no pose for it. links: it is theirs, and state.ahead (3,) rad how far the motors are
@@ -197,7 +197,7 @@ def _for_motion(settings, state, sample, since, links):
     return finite
 
 
-@kernel
+@part
 def _place_links(settings, state, branch, mass):
     """As `place_kernel`, where state.trajectory is that of the links. mass: kg carried. Returns whether there is a pose
     for it."""
@@ -287,7 +287,7 @@ def torque_kernel(settings, state, branch, seconds, mass):
         state.full[i] *= settings.scale[i]
 
 
-@kernel
+@part
 def _slope_by_load(settings, state, now, mass):
     """Fill state.share, and take from state.full what it makes of `mass`."""
     for i in range(3):

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from schemas.kernels import kernel
+from schemas.kernels import kernel, part
 from schemas.messages import PayloadEvent
 from service.estimator.branch import ANSWERED, MEASURED, forget_kernel, wake_kernel
 from service.estimator.commanded import compare_kernel, is_used
@@ -164,7 +164,7 @@ def _remember(settings, state, sample, flags, gap):
         follow_kernel(settings.readout, state.readout, past.acting, gap * settings.period)
 
 
-@kernel
+@part
 def lagged_kernel(settings, state, payload_out, error_out):
     """Model errors and payload at the sample `lag` ago, with motion smoothed by what came since."""
     lag, motion, weighed, branch = settings.motion.lag, state.trajectory, state.payload, state.branch[MEASURED]
@@ -222,7 +222,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
     payload_out.sequence = error_out.sequence = past.sequence
 
 
-@kernel
+@part
 def _swing_anew(settings, state, carried):
     """The gears swing since a change of load that this sample shows. carried: kg, until then. What was told since, told
     it as of a load that hangs there since ever, and is in doubt by what a swing leaves of its mean."""
@@ -232,7 +232,7 @@ def _swing_anew(settings, state, carried):
     loosen_kernel(weighed, 0.5 * step * step / max(1.0, swings * swings))
 
 
-@kernel
+@part
 def _read_out(settings, state, index, past):
     """state.reported (3,) and state.acting (3,), N m: report and torque that acts at the slot `index`. Returns whether
     the reports that tell it are there."""
@@ -297,7 +297,7 @@ def _tell(settings, state, loose, since):
         weighed.residual[i] = measured - state.told[0, i]
 
 
-@kernel
+@part
 def _tell_as_reported(settings, state, elapsed):
     """Put what the payload is told by behind the low-pass of the report, `elapsed` s after the last. The load until the
     last change is still in what is reported now, and what is left of it there is no part of the one of now."""
@@ -355,7 +355,7 @@ def _behind(settings, state, since, error_out):
         error_out.full[i] -= models[3, i]
 
 
-@kernel
+@part
 def step_kernel(settings, state, sample, feedforward):
     """One sample. Fills `feedforward`. Returns whether there is a sample the fixed lag ago, to look back on."""
     gap = cycles_since(settings, state, sample)

@@ -4,7 +4,7 @@ mean over stretches of a move they show what the model lacks, and the mass is as
 
 from __future__ import annotations
 
-from schemas.kernels import kernel
+from schemas.kernels import kernel, part
 from service.estimator import departure
 from service.estimator.payload.state import BLOCKS, COLOUR, COLUMN, LOADS, MEAN_PATH, RESIDUAL, WEIGHT
 
@@ -22,7 +22,7 @@ PENDING = 5  # newest blocks that a change not yet found may lie in
 CREEPING_TIME = 0.5  # s
 
 
-@kernel
+@part
 def scatter_kernel(settings, state):
     """Average of what the residuals of a block show at right angles to phi, friction and offset taken off, over their
     noise."""

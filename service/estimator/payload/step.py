@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from schemas.kernels import kernel
+from schemas.kernels import kernel, part
 from schemas.messages import Gripper
 from service.estimator import departure, slow
 from service.estimator.payload.change import find_change
@@ -117,7 +117,7 @@ def _gather_whole(settings, state):
     state.whole_information = prior + (state.whole_information - prior) * settings.forgetting + gained
 
 
-@kernel
+@part
 def _close_bin(settings, state):
     """Look whether the load has changed, and begin the next bin."""
     if state.turns != 0 or state.active > 1:
@@ -240,7 +240,7 @@ def loosen_kernel(state, variance):
     slow.grip_kernel(state.slow, PRIOR_STD * PRIOR_STD)
 
 
-@kernel
+@part
 def _weigh_slowly(settings, state):
     """Where nothing moves fast: take what gravity says for all that is known of the mass. Returns whether it says
     anything."""

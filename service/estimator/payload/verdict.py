@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 
-from schemas.kernels import kernel
+from schemas.kernels import kernel, part
 from schemas.messages import Gripper, PayloadEvent
 from service.estimator import departure
 from service.estimator.payload.loads import begin_whole, locate, prior_of, weigh_whole
@@ -70,7 +70,7 @@ EMPTY_SIGMAS = 5.0  # by which a mass contradicts an open gripper
 UNKNOWN, OPEN = Gripper.UNKNOWN.value, Gripper.OPEN.value
 
 
-@kernel
+@part
 def conclude(settings, state):
     """Mass, standard deviation and trust of now. Returns the event that they amount to."""
     mass = locate(state)
