@@ -89,6 +89,8 @@ class Estimator:
         """Take (N,) records of SAMPLE."""
         self.look_back()
         count = len(samples)
+        samples = samples.view()
+        samples.flags.writeable = False  # as what came off a wire is: compiled once for both
         feedforward, payload, error = (message.empty(count) for message in (FEEDFORWARD, PAYLOAD, MODEL_ERROR))
         lagged = run_kernel(self._steps, samples, feedforward, payload, error)
         return Result(feedforward, payload[:lagged], error[:lagged])
