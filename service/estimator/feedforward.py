@@ -44,7 +44,8 @@ def feedforward_kernel(settings, state, sample, passed, out):
         if since == 0 and settings.remembers != 0:
             flags |= STATE_NEW
     links = source == _REFERENCE and settings.leads != 0
-    if source != _NONE and _for_motion(settings, state, sample, since, links):
+    transition = settings.transition if source == _ESTIMATE else settings.wanted_transition
+    if source != _NONE and _for_motion(settings, state, sample, since, links, transition):
         if (source == _COMMAND and state.command_stray > 0) or (source == _ESTIMATE and state.stray > 0):
             _stay(state)
         flags |= _within_bounds(settings, state, seconds, out)
@@ -173,10 +174,10 @@ def plan_kernel(steps):
 
 
 @part
-def _for_motion(settings, state, sample, since, links):
+def _for_motion(settings, state, sample, since, links, transition):
     """state.wanted (3,) N m: the torque for state.trajectory, `since` cycles after the last, with payload and friction
     of now; False where there is no pose for it. links: it is theirs, and state.ahead (3,) rad how far the motors are
-    before them."""
+    before them. transition: rad/s over which friction turns."""
     mass, branch, seconds = state.payload.usable, state.branch[ANSWERED], since * settings.period
     if links:
         placed = _place_links(settings, state, branch, mass)
@@ -184,7 +185,7 @@ def _for_motion(settings, state, sample, since, links):
         placed = place_kernel(settings, state, ANSWERED, seconds, mass) == REACHED
     if not placed:
         return False
-    torque_kernel(settings, state, branch, sample.stamp_sec + sample.stamp_nanosec * 1e-9, mass)
+    torque_kernel(settings, state, branch, sample.stamp_sec + sample.stamp_nanosec * 1e-9, mass, transition)
     finite = True
     for i in range(3):
         scale = 1.0 + state.payload.departure.sure[departure.place(i, departure.SCALE)]
@@ -254,12 +255,13 @@ def place_kernel(settings, state, number, elapsed, mass):
 
 
 @kernel
-def torque_kernel(settings, state, branch, seconds, mass):
+def torque_kernel(settings, state, branch, seconds, mass, transition):
     """After `place_kernel`: state.full (3,), reported torque, N m, of the fullest model without payload, and
-    state.share (3,), of the payload's torque, what friction by the load adds. mass: kg, that this friction is for."""
+    state.share (3,), of the payload's torque, what friction by the load adds. mass: kg, that this friction is for.
+    transition: rad/s over which friction turns."""
     motion = state.trajectory
     for i in range(3):
-        state.direction[i] = direction(motion[VELOCITY, i], settings.transition)
+        state.direction[i] = direction(motion[VELOCITY, i], transition)
         state.full[i] = state.load[i] + dry_and_viscous(settings, state, i)
         state.load[i] += mass * state.push[i]
         state.share[i] = branch.doubt[i] = 0.0
@@ -304,8 +306,8 @@ def _slope_by_load(settings, state, now, mass):
 
 @kernel
 def dry_and_viscous(settings, state, i):
-    """Coulomb and viscous friction of joint i, N m."""
-    return friction_kernel(settings.viscous[i], settings.coulomb[i], state.trajectory[VELOCITY, i], settings.transition)
+    """Coulomb and viscous friction of joint i, N m, at state.trajectory and state.direction."""
+    return friction_kernel(settings.viscous[i], settings.coulomb[i], state.trajectory[VELOCITY, i], state.direction[i])
 
 
 @kernel

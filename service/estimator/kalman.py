@@ -116,10 +116,21 @@ def design(period: float, resolution: float, least_lag: int = 1) -> MotionFilter
         lag=max(least_lag, min(LONGEST_SMOOTHING, round(SMOOTHING_LAG / period))),
         acceleration_variance=math.nan,
     )
+    prior = _settled(motion)
+    return motion._replace(behind=_behind(motion, prior), acceleration_variance=_steady_variance(motion, prior))
+
+
+def speed_deviation(motion: MotionFilter) -> float:
+    """Standard deviation of the newest speed once the filter has settled, rad/s."""
+    prior = _settled(motion)
+    return math.sqrt(prior[VELOCITY, VELOCITY] - prior[0, VELOCITY] ** 2 / (prior[0, 0] + motion.resolution**2))
+
+
+def _settled(motion: MotionFilter) -> np.ndarray:
+    """Covariance of a prediction once the filter has settled, (4, 4)."""
     from scipy.linalg import solve_discrete_are
 
-    prior = solve_discrete_are(motion.transition.T, np.eye(ORDER, 1), motion.noise, np.array([[resolution**2]]))
-    return motion._replace(behind=_behind(motion, prior), acceleration_variance=_steady_variance(motion, prior))
+    return solve_discrete_are(motion.transition.T, np.eye(ORDER, 1), motion.noise, np.array([[motion.resolution**2]]))
 
 
 def _behind(motion: MotionFilter, prior: np.ndarray) -> float:

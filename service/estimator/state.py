@@ -44,6 +44,7 @@ SETTINGS = np.dtype(
         ("viscous", "f8", 3),  # N m s/rad
         ("coulomb", "f8", 3),  # N m
         ("transition", "f8"),  # rad/s over which friction turns, 0: within the rest speed
+        ("wanted_transition", "f8"),  # rad/s, the same of a motion that is commanded or planned
         ("effect", effects.EFFECT, effects.MAX_EFFECTS),
         ("remembers", "i8"),  # whether an effect carries a state
         ("encoded", "i8"),  # whether an effect corrects the angles
@@ -185,6 +186,8 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
         turning = identified.friction_transition_radps
         # sharper than this it would chatter with the noise of a joint at rest
         record["transition"] = turning if turning > 0.5 * REST_SPEED else 0.0
+        if turning > 0.0:  # what is commanded does not chatter at rest, and creeps as well as its filter tells
+            record["wanted_transition"] = max(turning, min(kalman.speed_deviation(motion), REST_SPEED))
         record["forearm"] = identified.forearm_inertia_kg.value
         record["viscous"] = identified.viscous_friction_nms.value
         record["coulomb"] = identified.coulomb_friction_nm.value

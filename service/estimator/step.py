@@ -194,7 +194,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
     else:
         told = _read_out(settings, state, index, past)
         swing_kernel(settings, state, weighed.column)
-        torque_kernel(settings, state, branch, past.stamp_sec + past.stamp_nanosec * 1e-9, carried)
+        torque_kernel(settings, state, branch, past.stamp_sec + past.stamp_nanosec * 1e-9, carried, settings.transition)
         _tell(settings, state, _is_loose(settings, state) or not told, since)
         weighed.gripper = past.gripper
         if settings.geared != 0 and told:

@@ -24,9 +24,9 @@ def direction(theta_dot: float, transition: float) -> float:
 
 
 @kernel
-def friction_kernel(viscous: float, coulomb: float, theta_dot: float, transition: float) -> float:
-    """Friction torque of one joint, N m. viscous: N m s/rad, coulomb: N m, theta_dot and transition: rad/s."""
-    return viscous * theta_dot + coulomb * direction(theta_dot, transition)
+def friction_kernel(viscous: float, coulomb: float, theta_dot: float, turned: float) -> float:
+    """Friction torque of one joint, N m. viscous: N m s/rad, coulomb: N m, theta_dot: rad/s, turned: `direction`."""
+    return viscous * theta_dot + coulomb * turned
 
 
 @kernel

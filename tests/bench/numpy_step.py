@@ -51,6 +51,11 @@ class NumpyEstimator:
         self.filter = design(period, robot.drive.position_resolution_rad)
         found = robot.identified
         assert found is not None
+        settling = Track(self.filter, np.zeros(3))
+        for _ in range(2000):
+            settling.follow(np.zeros(3))
+        noise = min(settling.covariance[1, 1] ** 0.5, REST_SPEED)
+        self.transition = max(found.friction_transition_radps, noise)  # of a commanded motion
         self.rho_1, self.rho_2, self.forearm = found.rho_1.value, found.rho_2.value, found.forearm_inertia_kg.value
         self.viscous = np.array(found.viscous_friction_nms.value)
         self.coulomb = np.array(found.coulomb_friction_nm.value)
@@ -84,8 +89,10 @@ class NumpyEstimator:
             answer[field] = sample[field]
         answer["target_sequence"] = sample["sequence"]
         if self.count > SETTLE_TIME / self.period:
-            mass = self.mass()
-            inertia, gravity, platform, forearm, friction, load, balls = self.terms(*self.commanded.state[:, :3].T)
+            mass, turned = self.mass(), np.tanh(self.commanded.state[:, 1] / self.transition)
+            inertia, gravity, platform, forearm, friction, load, balls = self.terms(
+                *self.commanded.state[:, :3].T, turned
+            )
             answer["source"] = 1
             answer["torque"] = (
                 (1.0 + self.learnt("sure")[3:-1:4])
@@ -93,7 +100,7 @@ class NumpyEstimator:
                     self.rho_1 * inertia + self.rho_2 * gravity + platform
                     + self.forearm * forearm + friction + mass * load
                 )
-                + self.learnt_friction(self.commanded.state[:, 1], balls)
+                + self.learnt_friction(self.commanded.state[:, 1], balls, turned)
             )  # fmt: skip
         else:
             answer["source"] = 3
@@ -108,7 +115,8 @@ class NumpyEstimator:
             adjoint[0] += innovation / spread - gain @ adjoint
             adjoint = self.filter.transition.T @ adjoint
         state = state + (covariance @ adjoint).T
-        inertia, gravity, platform, forearm, friction, load, balls = self.terms(*state[:, :3].T)
+        direction = np.clip(state[:, 1] / REST_SPEED, -1, 1)
+        inertia, gravity, platform, forearm, friction, load, balls = self.terms(*state[:, :3].T, direction=direction)
         grey = self.rho_1 * inertia + self.rho_2 * gravity + platform
         full = grey + self.forearm * forearm + friction
         torque = sample["torque"]
@@ -120,7 +128,6 @@ class NumpyEstimator:
         now["column"][:, 0], now["weight"] = (1.0 + scale) * load, 1.0 / noise
         now["creeps"] = (speed > REVERSAL_SPEED) & (speed <= CREEPING_SPEED)
         now["residual"] = torque - full + scale * carried
-        direction = np.clip(state[:, 1] / REST_SPEED, -1, 1)
         now["shape"] = np.stack([direction, state[:, 1], np.ones(3), full + carried, balls], axis=1)
         event = payload_kernel(self.weigher, now)
         mass = self.mass()
@@ -134,7 +141,7 @@ class NumpyEstimator:
         payload["excitation"], payload["event"] = now["information"][0, 0] - p.PRIOR_STD**-2, event
         return payload.tobytes(), error.tobytes()
 
-    def terms(self, theta, theta_dot, theta_ddot):
+    def terms(self, theta, theta_dot, theta_ddot, direction):
         """inertia, gravity, platform, forearm, friction, load per kg and that of ball joints per N m, (3,) each."""
         model = self.model
         angle = theta + model.joint_offset
@@ -169,16 +176,16 @@ class NumpyEstimator:
             -model.link_mass * slope @ model.gravity,
             model.moving_mass * load,
             -(jacobian.T @ rod.sum(axis=0) - np.einsum("ia,ia->i", slope, rod)) / 6,
-            self.viscous * theta_dot + self.coulomb * np.clip(theta_dot / REST_SPEED, -1, 1),
+            self.viscous * theta_dot + self.coulomb * direction,
             load,
             jacobian.T @ push.sum(axis=0) - np.einsum("ia,ia->i", slope, push) - np.einsum("ia,ia->i", axle, bend),
         )
 
-    def learnt_friction(self, theta_dot: np.ndarray, balls: np.ndarray) -> np.ndarray:
+    def learnt_friction(self, theta_dot: np.ndarray, balls: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """(3,) N m, what is sure of it beside the identified. balls: (3,), of ball joints per N m."""
         sure = self.learnt("sure")
         dry, viscous, offset, _ = sure[:-1].reshape(3, 4).T
-        return dry * np.clip(theta_dot / REST_SPEED, -1, 1) + viscous * theta_dot + offset + sure[-1] * balls
+        return dry * direction + viscous * theta_dot + offset + sure[-1] * balls
 
     def learnt(self, field: str) -> np.ndarray:
         """(13,): Coulomb N m, viscous N m s/rad, offset N m, scale of each joint; friction of ball joints N m."""

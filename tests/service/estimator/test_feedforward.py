@@ -163,13 +163,33 @@ def test_learnt_friction_is_reported_as_the_drives_report_torque(step):
     assert [feedforward.load_kernel(settings, now, i) for i in range(3)] == pytest.approx([2.0, 3.3, 3.6])
 
 
+def test_friction_turns_as_sharply_as_identified_where_the_motion_is_commanded(step, robot):
+    """Where it is measured, not sharper than the noise of its speed at rest."""
+    sharp = robot.identified.model_copy(update={"friction_transition_radps": 0.002})
+    record = state.fresh(state.settings(robot.model_copy(update={"identified": sharp}), PERIOD, 2))
+    settings, now = record["settings"][0], record["state"][0]
+    assert settings["wanted_transition"] == 0.002
+    for source, speed, share in ((S.COMMAND, 0.006, np.tanh(3.0)), (S.ESTIMATE, 0.006, 0.6), (S.COMMAND, 0.0, 0.0)):
+        torque = []
+        for direction in (1.0, -1.0):
+            for track in ("measured", "commanded"):
+                now[track]["state"][:, 0], now[track]["state"][:, 1:] = HERE, [direction * speed, 0.0, 0.0]
+                now[track]["seen"], now[track]["used"] = HERE, 50 * (track == "measured" or source == S.COMMAND)
+            answer = FEEDFORWARD.empty(1)[0]
+            feedforward.feedforward_kernel(settings, now, record["sample"][0], 1000, answer)
+            assert answer["source"] == source
+            torque.append(np.array(answer["torque"]))
+        dry = 0.5 * (torque[0] - torque[1]) - settings["viscous"] * speed
+        np.testing.assert_allclose(dry, share * settings["coulomb"], atol=1e-3)
+
+
 def test_what_is_wanted_is_the_models_torque_a_payload_and_learnt_friction(step, robot):
     now, settings, found = step["state"][0], step["settings"][0], robot.identified
     settings["scale"], now["trajectory"] = [1.0, 1.1, 0.9], [[0.3, 0.4, 0.5], [2.0, -1.0, 3.0], [10.0, 20.0, -30.0]]
     sure = np.arange(13.0)
     sure[[3, 7, 11]] = scale = [0.05, -0.03, 0.0]
     now["payload"]["usable"], now["payload"]["departure"]["sure"] = 1.5, sure
-    assert feedforward._for_motion(settings, now, step["sample"][0], 1, False)
+    assert feedforward._for_motion(settings, now, step["sample"][0], 1, False, 0.0)
     inertia, gravity, platform, forearm, load = torque_terms(pack(robot), *now["trajectory"])
     rigid = found.rho_1.value * inertia + found.rho_2.value * gravity + platform
     rigid += found.forearm_inertia_kg.value * forearm
@@ -180,6 +200,6 @@ def test_what_is_wanted_is_the_models_torque_a_payload_and_learnt_friction(step,
     moved = (1 + np.array(scale)) * (now["full"] + 1.5 * settings["scale"] * load)
     np.testing.assert_allclose(now["wanted"], moved + learnt, rtol=1e-9)
     now["payload"]["usable"] = np.inf
-    assert not feedforward._for_motion(settings, now, step["sample"][0], 1, False), "no torque that is none"
+    assert not feedforward._for_motion(settings, now, step["sample"][0], 1, False, 0.0), "no torque that is none"
     now["trajectory"][0] = 3.0
-    assert not feedforward._for_motion(settings, now, step["sample"][0], 1, False), "no pose"
+    assert not feedforward._for_motion(settings, now, step["sample"][0], 1, False, 0.0), "no pose"

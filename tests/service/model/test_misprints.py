@@ -118,11 +118,11 @@ def test_potential_energy_and_gravity_torque(model, robot, pose):
 
 def test_friction_coefficients_stand_in_the_order_of_their_columns():
     """Phi = [theta_dot, sign theta_dot] goes with [f_v, f_c]."""
-    from service.model.friction import friction_kernel
+    from service.model.friction import direction, friction_kernel
 
     f_v, f_c, speed = 1.4, 3.0, np.array([-2.0, 0.7, 5.0])
     phi = np.stack([speed, np.sign(speed)], axis=1)
-    kernel = np.array([friction_kernel(f_v, f_c, s, 0.0) for s in speed])
+    kernel = np.array([friction_kernel(f_v, f_c, s, direction(s, 0.0)) for s in speed])
     assert np.allclose(phi @ [f_v, f_c], kernel)
     assert not np.allclose(phi @ [f_c, f_v], kernel)
 
