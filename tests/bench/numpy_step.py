@@ -90,9 +90,8 @@ class NumpyEstimator:
         answer["target_sequence"] = sample["sequence"]
         if self.count > SETTLE_TIME / self.period:
             mass, turned = self.mass(), np.tanh(self.commanded.state[:, 1] / self.transition)
-            inertia, gravity, platform, forearm, friction, load, balls = self.terms(
-                *self.commanded.state[:, :3].T, turned
-            )
+            motion = self.commanded.state[:, :3].T
+            inertia, gravity, platform, forearm, friction, load, balls = self.terms(*motion, direction=turned)
             answer["source"] = 1
             answer["torque"] = (
                 (1.0 + self.learnt("sure")[3:-1:4])
