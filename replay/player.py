@@ -18,7 +18,7 @@ import numpy as np
 from drivers.health import Health
 from replay.clock import Pacer
 from schemas.errors import TraceError
-from schemas.messages import NANOSECONDS, NO_FRAME, SAMPLE, StopReason, stamp_ns
+from schemas.messages import NANOSECONDS, NO_FRAME, SAMPLE, Message, StopReason, stamp_ns
 from schemas.trace import Trace
 
 LEAD_NS = 20_000_000  # from the call to the first deadline
@@ -32,12 +32,13 @@ _STAMP_OFFSET: int = SAMPLE.dtype.fields["stamp_sec"][1]  # pyright: ignore[repo
 class Schedule:
     """What is to be sent, and when.
 
-    payload: N messages, one behind the other. stamp, due: (N,) int64 ns, bus time and time since the start of a loop.
-    sequence: (N,) int64. loops: times to play, 0 without end. A loop adds stamp_span, due_span (ns) and sequence_span.
+    payload: N messages of `size` bytes, one behind the other. stamp, due: (N,) int64 ns, bus time and time since the
+    start of a loop. sequence: (N,) int64. loops: times to play, 0 without end. A loop adds stamp_span, due_span (ns) and sequence_span.
     period_ns: median time between two samples as they go out.
     """
 
     payload: bytearray
+    size: int
     stamp: np.ndarray
     due: np.ndarray
     sequence: np.ndarray
@@ -63,6 +64,7 @@ class Played:
 
 def schedule(
     trace: Trace,
+    message: Message = SAMPLE,
     *,
     rate: float | None = None,
     speed: float = 1.0,
@@ -72,13 +74,13 @@ def schedule(
 ) -> Schedule:
     """Encode the samples of `trace` from `start` to `stop` (s after its first) and lay down when each goes out.
 
-    rate: samples a second, evenly, instead of the recorded times. speed: how many times faster than that. The stamps
-    stay those of the trace; over loops stamp and sequence rise on.
+    message: of the machine's samples. rate: samples a second, evenly, instead of the recorded times. speed: how many
+    times faster than that. The stamps stay those of the trace; over loops stamp and sequence rise on.
 
     Raises:
         TraceError: fewer than two samples in the range.
     """
-    samples = trace.samples()
+    samples = trace.samples(message)
     since = stamp_ns(samples) - stamp_ns(samples)[0]
     chosen = np.flatnonzero(
         (since >= start * NANOSECONDS) & (since <= (np.inf if stop is None else stop * NANOSECONDS))
@@ -101,6 +103,7 @@ def schedule(
     due = np.rint(due).astype(np.int64)
     return Schedule(
         payload=bytearray(samples.tobytes()),
+        size=message.dtype.itemsize,
         stamp=stamp,
         due=due,
         sequence=sequence,
@@ -152,7 +155,7 @@ def _send(schedule: Schedule, put: Callable[[bytes], object]) -> Iterator[int]:
 
     Stamp and sequence are written into the encoded message in that pause too, so that every loop costs the same.
     """
-    payload, size, count = schedule.payload, SAMPLE.dtype.itemsize, len(schedule)
+    payload, size, count = schedule.payload, schedule.size, len(schedule)
     stamp, due, sequence = (
         schedule.stamp.data,
         schedule.due.data,

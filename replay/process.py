@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from schemas.robot import Robot
-from service.estimator.estimator import Estimator, Result, rate_of
+from schemas.axes import Description
+from service.estimator.estimator import Result, rate_of
+from service.estimator.online import estimator_of
 
 
-def process(robot: Robot, samples: np.ndarray) -> Result:
-    """What the estimator node answers to `samples` ((N,) records of SAMPLE), period read from the stamps as there.
+def process(robot: Description, samples: np.ndarray) -> Result:
+    """What the estimator node answers to `samples` ((N,) records of SAMPLE, or JOINT_SAMPLE), period read from the
+    stamps as there.
 
     Raises:
-        DataError: the stamps do not rise.
+        DataError: the stamps do not rise. Others as `estimator_of`.
     """
-    return Estimator(robot, *rate_of(samples)).run(samples)
+    return estimator_of(robot, *rate_of(samples)).run(samples)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import BaseModel
 
+from schemas.messages import OF_JOINTS, Topics
 from schemas.robot import Described, EffectEntry, JointParameter, check_joints
 from schemas.toml import NotNegative, Positive, TomlTable
 
@@ -27,13 +28,32 @@ class JointFriction(TomlTable):
     torque_timing_s: float = 0.0  # time by which the torque is older than the position
 
 
+class JointLimits(TomlTable):
+    """Limits of the joints, a number a joint, for the feed-forward online and for planned motion.
+
+    No feed-forward beyond them leaves the estimator, whatever the input. Those of an arm are in its URDF, and are only
+    needed here where they are others.
+    """
+
+    torque: list[Positive] | None = None  # N m, or N: largest feed-forward
+    speed: list[Positive] | None = None  # rad/s, or m/s; twice as fast counts as a jump of the position
+    torque_fade_s: Positive = 0.05  # in which a feed-forward without new input fades to zero
+    position_resolution: Positive = 1e-5  # rad, or m: standard deviation of a position sample
+
+
 class Machine(Described):
     """n servo joints. coupling: row i, how far motor i, behind its gear, turns for a turn of each joint; default: its
     own."""
 
     columns: str | None = None  # column mapping: a file next to this one, or the name of a bundled one
     coupling: list[list[float]] | None = None  # turns of each motor per turn of each joint
+    limits: JointLimits = JointLimits()
     effect: list[EffectEntry] = []
+
+    @property
+    def topics(self) -> Topics:
+        """What its roles say on the bus."""
+        return OF_JOINTS
 
     @property
     def files(self) -> dict[str, str]:
@@ -59,6 +79,9 @@ class Machine(Described):
     def _check(self, identified: BaseModel | None) -> None:
         count = self.count
         check_joints(identified, self.effect, count)
+        for name, numbers in (("torque", self.limits.torque), ("speed", self.limits.speed)):
+            if numbers is not None and len(numbers) != count:
+                raise ValueError(f"limits.{name}: {len(numbers)} values for {count} joints")
         if self.coupling is not None:
             if [len(row) for row in self.coupling] != [count] * count:
                 raise ValueError(f"coupling: {count} rows of {count} numbers are needed, one row per motor")

@@ -250,6 +250,12 @@ FRICTION = _load("Friction")
 HEALTH = _load("Health")
 GAP = _load("Gap")
 FINDING = _load("Finding")
+JOINT_SAMPLE = _load("JointSample")
+JOINT_REFERENCE = _load("JointReference")
+JOINT_FEEDFORWARD = _load("JointFeedforward")
+JOINT_ERROR = _load("JointError")
+LOAD = _load("Load")
+MOST_JOINTS: int = JOINT_SAMPLE.dtype["position"].shape[0]  # of an arm or of axes on the bus
 
 TOPICS = {
     "sample": SAMPLE,
@@ -261,7 +267,33 @@ TOPICS = {
     "health": HEALTH,
     "gap": GAP,
     "finding": FINDING,
+    "joint_sample": JOINT_SAMPLE,
+    "joint_reference": JOINT_REFERENCE,
+    "joint_feedforward": JOINT_FEEDFORWARD,
+    "load": LOAD,
+    "joint_error": JOINT_ERROR,
 }
+
+
+class Topics(NamedTuple):
+    """Names in TOPICS of what a robot's roles say of each cycle; which they are depends on the kind of machine."""
+
+    sample: str
+    reference: str
+    feedforward: str
+    payload: str
+    error: str
+
+
+OF_DELTA = Topics("sample", "reference", "feedforward", "payload", "error")
+OF_JOINTS = Topics("joint_sample", "joint_reference", "joint_feedforward", "load", "joint_error")
+SAMPLES = tuple(topics.sample for topics in (OF_DELTA, OF_JOINTS))
+
+
+def topics_of(own: Topics) -> dict[str, Message]:
+    """TOPICS of a robot whose kind of machine has `own`."""
+    other = {topic for topics in (OF_DELTA, OF_JOINTS) if topics != own for topic in topics}
+    return {topic: message for topic, message in TOPICS.items() if topic not in other}
 
 
 def stamp_ns(records: np.ndarray | np.void) -> np.ndarray:

@@ -14,7 +14,9 @@ from schemas.robot import Robot
 class Question(Enum):
     """A question that only some kinds of machine answer: its words, and what to run instead."""
 
-    ONLINE = "feed-forward torque and payload sample by sample", "on a log: deltatwin evaluate"
+    WATCH = "watching of the gap on the bus", "on a log: deltatwin fleet"
+    VIEW = "view in a browser", "on a terminal: deltatwin top"
+    LEARNING = "learning of friction online", "without --keep"
     FIELDBUS = "decoding and driving of EtherCAT drives", "for a log from elsewhere: deltatwin import"
     CODE = "code for a controller", "for a simulator: deltatwin export --to mjcf"
     CLOSED_LOOP = "closed loop on the bus", "for a simulated log: deltatwin simulate"

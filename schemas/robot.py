@@ -14,6 +14,7 @@ from schemas.columns import Columns
 from schemas.errors import RobotError
 from schemas.files import make_folder, write_text
 from schemas.keys import check_robot_name
+from schemas.messages import OF_DELTA, Topics
 from schemas.toml import NotNegative, Positive, Three, TomlTable, read_toml, validate
 
 
@@ -351,6 +352,11 @@ class Described(TomlTable):
         raise NotImplementedError
 
     @property
+    def topics(self) -> Topics:
+        """What its roles say on the bus."""
+        raise NotImplementedError
+
+    @property
     def linear(self) -> bool:
         """Metres and newtons, on all joints."""
         return False
@@ -381,6 +387,10 @@ class Robot(Described):
     def _for_each_joint(self) -> Robot:
         check_joints(self.identified, self.effect, 3)
         return self
+
+    @property
+    def topics(self) -> Topics:
+        return OF_DELTA
 
     @property
     def count(self) -> int:

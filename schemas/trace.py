@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from schemas.errors import TraceError, printable
-from schemas.messages import NANOSECONDS, SAMPLE, SampleFlag, set_stamp
+from schemas.messages import JOINT_SAMPLE, MOST_JOINTS, NANOSECONDS, SAMPLE, Message, SampleFlag, set_stamp
 
 
 @dataclass(frozen=True)
@@ -84,21 +84,25 @@ class Trace:
         fraction = np.rint((self.time - seconds) * NANOSECONDS).astype(np.int64)
         return seconds.astype(np.int64) * NANOSECONDS + fraction + self.epoch_ns
 
-    def samples(self) -> np.ndarray:
-        """The trace as (N,) records of `schemas.messages.SAMPLE`; sequence as recorded, else rows from 0.
+    def samples(self, message: Message = SAMPLE) -> np.ndarray:
+        """The trace as (N,) records of SAMPLE or JOINT_SAMPLE; sequence as recorded, else rows from 0.
 
         Raises:
-            TraceError: the trace has not three joints.
+            TraceError: the trace has not three joints, or more than the message holds.
         """
-        if self.position.shape[1] != 3:
-            raise TraceError(f"{self.path}: {self.position.shape[1]} joints, a sample message holds 3")
-        records = SAMPLE.empty(len(self))
+        joints = self.position.shape[1]
+        if message is SAMPLE and joints != 3:
+            raise TraceError(f"{self.path}: {joints} joints, a sample message holds 3")
+        if joints > MOST_JOINTS:
+            raise TraceError(f"{self.path}: {joints} joints, a sample message holds {MOST_JOINTS} at most")
+        records = message.empty(len(self))
         set_stamp(records, self.time_ns)
         records["sequence"] = np.arange(len(self), dtype=np.uint64) if self.sequence is None else self.sequence
-        records["position"] = self.position
-        records["torque"] = self.torque
-        records["position_command"] = np.nan if self.position_command is None else self.position_command
-        records["torque_command"] = np.nan if self.torque_command is None else self.torque_command
+        for name in ("position", "torque", "position_command", "torque_command"):
+            values = getattr(self, name)
+            records[name][:, :joints] = np.nan if values is None else values
+        if message is JOINT_SAMPLE:
+            records["joints"] = joints
         if self.fourth_position is not None:
             records["fourth_position"] = self.fourth_position
         if self.gripper is not None:

@@ -10,7 +10,7 @@ first; and `health`, which every role writes under one key, is believed to be th
 from __future__ import annotations
 
 from schemas.keys import liveliness_key, robot_key, topic_key
-from schemas.messages import TOPICS, Role
+from schemas.messages import OF_DELTA, OF_JOINTS, SAMPLES, TOPICS, Role
 
 SOURCES = (Role.TAP, Role.PLAYER, Role.ROBOT)  # any of them may be the one that writes `sample`
 COMMON_NAME = 64  # longest common name of a certificate (RFC 5280, ub-common-name)
@@ -27,12 +27,14 @@ _WRITERS: dict[str, tuple[Role, ...]] = {
     "gap": (Role.WATCH,),
     "finding": (Role.WATCH,),
 }
+_WRITERS |= {joint: _WRITERS[own] for own, joint in zip(OF_DELTA, OF_JOINTS, strict=True) if own in _WRITERS}
 _LISTENERS: dict[str, tuple[Role, ...]] = {
     "sample": (Role.ESTIMATOR, Role.WATCH),
     "reference": (Role.ESTIMATOR,),
     "payload": (Role.WATCH,),
     "feedforward": (Role.ROBOT, Role.MASTER),
 }
+_LISTENERS |= {joint: _LISTENERS[own] for own, joint in zip(OF_DELTA, OF_JOINTS, strict=True) if own in _LISTENERS}
 
 
 def common_name(robot: str | None, role: Role) -> str:
@@ -42,7 +44,7 @@ def common_name(robot: str | None, role: Role) -> str:
 
 def writers(topic: str, source: Role) -> tuple[Role, ...]:
     """Roles that may write `topic`, one of `schemas.messages.TOPICS`, where `source` is the one that writes samples."""
-    return (source,) if topic == "sample" else _WRITERS[topic]
+    return (source,) if topic in SAMPLES else _WRITERS[topic]
 
 
 def readers(topic: str) -> tuple[Role, ...]:

@@ -16,7 +16,7 @@ from drivers.inbox import sending
 from drivers.view.scene import ViewerScene
 from schemas.errors import BusError
 from schemas.keys import topic_name
-from schemas.messages import TOPICS
+from schemas.messages import OF_DELTA, topics_of
 from schemas.robot import Robot
 from schemas.ros2 import RosType, ros_type
 
@@ -35,7 +35,7 @@ class LiveView:
     """
 
     def __init__(self, bus: Bus, robot: Robot, host: str, port: int) -> None:
-        self._inboxes = {topic: bus.subscribe(topic, clock=sending) for topic in TOPICS}
+        self._inboxes = {topic: bus.subscribe(topic, clock=sending) for topic in topics_of(OF_DELTA)}
         self._context = context = foxglove.Context()  # channels do not keep it alive
 
         def channel(name: str, kind: RosType) -> foxglove.Channel:
@@ -43,7 +43,8 @@ class LiveView:
             return foxglove.Channel(name, message_encoding="cdr", schema=schema, context=context)
 
         self._channels = {
-            topic: channel(topic_name(robot.name, topic), ros_type(message)) for topic, message in TOPICS.items()
+            topic: channel(topic_name(robot.name, topic), ros_type(message))
+            for topic, message in topics_of(OF_DELTA).items()
         }
         self._scene, self._shape_at = ViewerScene(robot), 0
         self._drawn = {name: channel(name, kind) for name, kind in self._scene.topics.items()}

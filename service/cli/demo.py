@@ -62,7 +62,7 @@ def command(
 
             for role in roles:
                 role.wait_ready()
-        live = Joints(bus)
+        live = Joints(bus, robot)
         player = crew.start("", "replay", LOG, "--robot", ROBOT, "--wait", 20)
         with Live(console=screen, refresh_per_second=8, transient=True) as display:
             while player.running:

@@ -20,7 +20,9 @@ def command(
         Path | None, typer.Option(help="File that keeps the learnt friction over a restart", metavar="FILE")
     ] = None,
 ) -> None:
-    """Answer every sample on the bus with feed-forward torque, payload mass and model errors, until Ctrl-C.
+    """Answer every sample on the bus with feed-forward torque, payload and model errors, until Ctrl-C.
+
+    Of an arm the payload is mass, centre and inertia on its tool; servo axes have none.
 
     The sample rate is read from the stamps. Player, estimator and monitor may start and restart in any order.
 
@@ -28,21 +30,23 @@ def command(
     """
     from drivers.bus import check_free, open_bus
     from replay.realtime import go_realtime
+    from schemas.axes import load_description
     from schemas.messages import Role
-    from schemas.questions import Question, load_delta
-    from service.estimator.estimator import compile_all
+    from schemas.questions import Question, as_delta
+    from schemas.robot import Robot
     from service.estimator.keep import Keeper
     from service.estimator.node import run
+    from service.estimator.online import compile_estimator
 
-    description = load_delta(robot, Question.ONLINE, effects)
-    if description.identified is None:
+    description = load_description(robot, effects)
+    if isinstance(description, Robot) and description.identified is None:
         typer.echo(
             f"{robot}: no [identified] parameters: friction is zero and rho 1; run `deltatwin identify`", err=True
         )
-    keeper = None if keep is None else Keeper(keep, description)
+    keeper = None if keep is None else Keeper(keep, as_delta(description, Question.LEARNING))
     check_free(description.name, Role.ESTIMATOR, zenoh_config, insecure)
     typer.echo("estimate: starting; a first run compiles, about half a minute", err=True)
-    compile_all(description)  # before anybody can hear that the role is alive
+    compile_estimator(description)  # before anybody can hear that the role is alive
     standing = go_realtime("estimate")
     with open_bus(description.name, Role.ESTIMATOR, zenoh_config, insecure, ros_domain) as bus:
         typer.echo(f"estimating for {description.name}; Ctrl-C ends it", err=True)

@@ -12,17 +12,23 @@ if TYPE_CHECKING:
     import numpy as np
 
     from drivers.bus import Bus
+    from schemas.axes import Description
 
-JOINTS = ("sample", "feedforward", "payload", "error")
 MOST_EVENTS = 4  # listed
+WIDTH = 3  # columns at least: the payload takes as many
+ERRORS = {"M_KH": "kh", "M_Id+F": "id_friction", "rigid": "rigid", "with friction": "friction", "full": "full"}
 WINDOW_NS = 1_000_000_000  # of what the errors are an rms of
 
 
 class Joints:
     """The newest of every joint, the model errors of the last second, the payload and its last events."""
 
-    def __init__(self, bus: Bus) -> None:
-        self._inboxes = {topic: bus.subscribe(topic) for topic in JOINTS}
+    def __init__(self, bus: Bus, description: Description) -> None:
+        self._topics, self._count = description.topics, description.count
+        self._units = (
+            ("m", "N") if description.linear else ("rad", "N m") if description.angular else ("rad, m", "N m, N")
+        )
+        self._inboxes = {topic: bus.subscribe(topic) for topic in self._topics if topic != self._topics.reference}
         self._newest: dict[str, np.ndarray] = {}
         self._events: list[str] = []
 
@@ -37,40 +43,64 @@ class Joints:
             if len(records):
                 kept = np.concatenate([self._newest.get(topic, records[:0]), records])
                 self._newest[topic] = kept[stamp_ns(kept) > stamp_ns(kept[-1]) - WINDOW_NS]
-        for record in self._newest.get("payload", []):
+        for record in self._newest.get(self._topics.payload, []):
             if record["event"]:
                 event = PayloadEvent(int(record["event"])).name.lower()
                 line = f"{float(stamp_ns(record)) * 1e-9:.2f} s {event}"
                 self._events = [*self._events, line][-MOST_EVENTS:] if line not in self._events else self._events
-        shown = table(("", "joint 1", "joint 2", "joint 3"), self._rows(), title)
-        if "sample" in self._newest:
-            clock = float(stamp_ns(self._newest["sample"][-1])) * 1e-9
+        head = ("", *(f"joint {joint + 1}" for joint in range(max(self._count, WIDTH))))
+        rows = [(*row, *[""] * (len(head) - len(row))) for row in self._rows()]
+        shown = table(head, rows, title)
+        if self._topics.sample in self._newest:
+            clock = float(stamp_ns(self._newest[self._topics.sample][-1])) * 1e-9
             shown.caption = f"bus time {clock:.1f} s   {'   '.join(self._events)}"
         return shown
 
     def _rows(self) -> Iterator[tuple[str, ...]]:
         import numpy as np
 
+        (way, torque), topics = self._units, self._topics
         newest = {topic: records[-1] for topic, records in self._newest.items()}
         for label, topic, field, form in (
-            ("position, rad", "sample", "position", "+8.3f"),
-            ("torque measured, N m", "sample", "torque", "+8.2f"),
-            ("torque feed-forward, N m", "feedforward", "torque", "+8.2f"),
+            (f"position, {way}", topics.sample, "position", "+8.3f"),
+            (f"torque measured, {torque}", topics.sample, "torque", "+8.2f"),
+            (f"torque feed-forward, {torque}", topics.feedforward, "torque", "+8.2f"),
         ):
             if topic in newest:
-                yield label, *(format(value, form) for value in newest[topic][field])
-        for label, field in (("M_KH", "kh"), ("M_Id+F", "id_friction"), ("full", "full")):
-            if "error" in newest:
-                values = self._newest["error"][field]
+                yield label, *(format(value, form) for value in newest[topic][field][: self._count])
+        for label, field in ERRORS.items():
+            if topics.error in newest and field in (newest[topics.error].dtype.names or ()):
+                values = self._newest[topics.error][field][:, : self._count]
                 known = np.isfinite(values).sum(axis=0)
                 rms = np.sqrt(np.nansum(values**2, axis=0) / np.maximum(known, 1))
                 told = (format(value, "8.2f") if count else "at rest" for value, count in zip(rms, known, strict=True))
-                yield f"error {label}, rms N m", *told
-        if "payload" in newest:
-            payload = newest["payload"]
-            trust = "trusted" if payload["trusted"] else "not yet trusted"
-            errors = f"± {payload['random_std_dev']:.3f} random ± {payload['common_std_dev']:.3f} common"
-            yield "payload, kg", f"{payload['mass']:.3f}", errors, trust
+                yield f"error {label}, rms {torque}", *told
+        if topics.payload in newest:
+            yield from _payload(newest[topics.payload])
+
+
+def _payload(payload: np.void) -> Iterator[tuple[str, ...]]:
+    """Mass, and of an arm's load centre and inertia, as far as they are known."""
+    import numpy as np
+
+    trust = "trusted" if payload["trusted"] else "not yet trusted"
+    if "centre" not in (payload.dtype.names or ()):
+        errors = f"± {payload['random_std_dev']:.3f} random ± {payload['common_std_dev']:.3f} common"
+        yield "payload, kg", f"{payload['mass']:.3f}", errors, trust
+        return
+    for name, label, known in (
+        ("mass", "load, kg", True), ("centre", "centre, mm", payload["centre_trusted"]),
+        ("inertia", "inertia, g m^2", payload["inertia_trusted"]),
+    ):  # fmt: skip
+        if not (known and np.isfinite(payload["mass"])):
+            yield label, "not yet"
+            continue
+        values, random, common = (1e3**(name != "mass") * np.atleast_1d(payload[f"{name}{part}"])
+                                  for part in ("", "_random", "_common"))  # fmt: skip
+        digits = 3 if name == "mass" else 1
+        told = ", ".join(f"{value:.{digits}f}" for value in values)
+        errors = f"± {random.max():.{digits}f} random ± {common.max():.{digits}f} common"
+        yield label, told, errors, trust if name == "mass" else ""
 
 
 class Roles:

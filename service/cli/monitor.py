@@ -41,28 +41,30 @@ def command(
     from drivers.bus import open_bus, running
     from drivers.view.scene import ViewerScene
     from replay.realtime import PRIORITY, go_realtime
+    from schemas.axes import load_description
     from schemas.errors import StorageError
     from schemas.files import check_folder
     from schemas.messages import Role
-    from schemas.questions import Question, load_delta
+    from schemas.robot import Robot
     from service.cli.progress import counting
     from service.monitor.node import Monitor, run
     from service.monitor.writer import WriterThread
     from service.stopping import stop_requested
 
-    description = load_delta(robot, Question.ONLINE)
+    description = load_description(robot)
     name = description.name
     path = out or Path(f"{name}-{datetime.datetime.now(datetime.UTC):%Y%m%dT%H%M%SZ}.mcap")
     if path.exists():
         raise StorageError(f"{path}: exists already; give another name with --out")
     check_folder(path.parent)  # before anything runs: a monitor that cannot record has nothing to do
-    scene, stopped = ViewerScene(description), stop_requested()
+    scene = ViewerScene(description) if isinstance(description, Robot) else None
+    stopped = stop_requested()
     with counting(f"monitor {name}", 0) as show:
         standing = go_realtime("monitor", PRIORITY - 10)  # below those whose work it watches
         with open_bus(name, Role.MONITOR, zenoh_config, insecure, ros_domain) as bus:
-            writer = WriterThread(path, name, scene)
-            monitor = Monitor(bus, writer, standing)
-            hint = _Silence(name, monitor.tally.received, running)
+            writer = WriterThread(path, name, scene, description.topics)
+            monitor = Monitor(bus, writer, standing, description.topics)
+            hint = _Silence(name, description.topics.sample, monitor.tally.received, running)
             try:
                 run(monitor, stopped, lambda count: (show(count), hint()))
             finally:
@@ -76,8 +78,8 @@ def command(
 class _Silence:
     """Says once, when no sample has come for a while, what runs on this host instead."""
 
-    def __init__(self, robot: str, received: Mapping[str, int], running: Callable[[], list[str]]) -> None:
-        self._robot, self._received, self._running = robot, received, running
+    def __init__(self, robot: str, topic: str, received: Mapping[str, int], running: Callable[[], list[str]]) -> None:
+        self._robot, self._topic, self._received, self._running = robot, topic, received, running
         self._say_at: float | None = time.monotonic() + SILENCE_S
 
     def __call__(self) -> None:
@@ -85,7 +87,7 @@ class _Silence:
             return
         self._say_at = None
         others = [role for role in self._running() if not role.startswith(f"{self._robot}.")]
-        if not self._received["sample"]:
+        if not self._received[self._topic]:
             heard = f"; running on this host: {', '.join(others)}" if others else ""
             typer.echo(f"monitor: no samples of {self._robot} yet{heard}", err=True)
 
@@ -94,17 +96,18 @@ def summary(monitor: Monitor) -> str:
     """Counts by topic as text."""
     from service.monitor.tally import THINNED
 
-    lines = [f"{'topic':<12} {'received':>10} {'lost':>8} {'repeated':>9} {'out of order':>13} {'restarts':>9}"]
+    lines = [f"{'topic':<17} {'received':>10} {'lost':>8} {'repeated':>9} {'out of order':>13} {'restarts':>9}"]
     for topic, received in monitor.tally.received.items():
         if topic in THINNED:
-            lines.append(f"{topic:<12} {received:>10}")
+            lines.append(f"{topic:<17} {received:>10}")
             continue
         counts = monitor.tally.count(topic)
         lines.append(
-            f"{topic:<12} {received:>10} {counts.lost:>8} {counts.repeated:>9} {counts.out_of_order:>13} "
+            f"{topic:<17} {received:>10} {counts.lost:>8} {counts.repeated:>9} {counts.out_of_order:>13} "
             f"{counts.restarts:>9}"
         )
     lost = monitor.tally.thinned_lost
-    lines.append(f"lost of {', '.join(THINNED)} together: {'unknown' if lost is None else lost}")
+    thinned = [topic for topic in monitor.tally.received if topic in THINNED]
+    lines.append(f"lost of {', '.join(thinned)} together: {'unknown' if lost is None else lost}")
     lines.append(f"rejected payloads {monitor.rejected}")
     return "\n".join(lines)

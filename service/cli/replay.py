@@ -43,19 +43,20 @@ def command(
     from drivers.trace import find_columns, read_trace
     from replay.player import play, schedule
     from replay.realtime import go_realtime
-    from schemas.messages import Role
-    from schemas.questions import Question, load_delta
+    from schemas.axes import load_description
+    from schemas.messages import TOPICS, Role
     from service.cli.progress import counting
 
-    description = load_delta(robot, Question.ONLINE)
+    description = load_description(robot)
+    topic = description.topics.sample
     recorded = read_trace(trace, description, find_columns(columns) if columns else None)
     for finding in recorded.findings:
         typer.echo(f"{trace}: {finding.message}", err=True)
-    plan = schedule(recorded, rate=rate, speed=speed, loops=loop, start=start, stop=stop)
+    plan = schedule(recorded, TOPICS[topic], rate=rate, speed=speed, loops=loop, start=start, stop=stop)
     with counting(f"replay {description.name}", len(plan) * loop) as show:
         standing = go_realtime("replay")
         with open_bus(description.name, Role.PLAYER, zenoh_config, insecure, ros_domain) as bus:
-            publisher = bus.publisher("sample")
+            publisher = bus.publisher(topic)
             if not publisher.wait_until_heard(wait):
                 typer.echo(f"nobody subscribes to the samples of {description.name} yet; playing anyway", err=True)
             with Health(bus, standing) as health:

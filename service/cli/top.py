@@ -32,16 +32,17 @@ def command(
     from rich.live import Live
 
     from drivers.bus import open_bus
+    from schemas.axes import load_description
     from schemas.messages import Role
-    from schemas.questions import Question, load_delta
     from service.cli.live import Joints, Roles
     from service.stopping import stop_requested
 
-    name = load_delta(robot, Question.ONLINE).name
+    description = load_description(robot)
+    name = description.name
     stopped, screen = stop_requested(), console()
     with open_bus(name, Role.OBSERVER, zenoh_config, insecure, ros_domain) as bus:
         os.nice(NICENESS)
-        joints, roles = Joints(bus), Roles(bus)
+        joints, roles = Joints(bus, description), Roles(bus)
         if not sys.stdout.isatty():
             while not stopped():
                 time.sleep(1.0)

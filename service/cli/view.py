@@ -34,7 +34,7 @@ def command(
     from schemas.files import write_text
     from schemas.questions import Question, load_delta
 
-    description = load_delta(robot, Question.ONLINE)
+    description = load_delta(robot, Question.VIEW)
     if layout is not None:
         from drivers.view.layout import layout as layout_of
 

@@ -54,7 +54,7 @@ def command(
     from service.watch.node import Examination, WatchNode, beyond_description, run
     from service.watch.watch import Patience, Watch
 
-    description = load_delta(robot, Question.ONLINE, effects)
+    description = load_delta(robot, Question.WATCH, effects)
     if description.identified is None:
         raise DataError(f"{robot}: no [identified] parameters to compare the robot with: run `deltatwin identify`")
     check_free(description.name, Role.WATCH, zenoh_config, insecure)

@@ -44,7 +44,12 @@ def growth_of(robot: Robot, period: float) -> float:
     What alternates from sample to sample is no motion, and a slow stream's cycle is long enough for all of the slope's
     torque. So the slope takes the rise time to build up, at most the ORDER cycles from which a motion is known.
     """
-    return bounds_of(robot).slope_nmps * max(1.0 / ORDER, min(1.0, RISE_TIME / period))
+    return bounds_of(robot).slope_nmps * growth_share(period)
+
+
+def growth_share(period: float) -> float:
+    """The same over the largest slope, 1 / cycle."""
+    return max(1.0 / ORDER, min(1.0, RISE_TIME / period))
 
 
 def acceleration_of(robot: Robot) -> float:

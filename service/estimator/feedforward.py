@@ -7,12 +7,23 @@ import math
 import numpy as np
 
 from schemas.kernels import kernel, part
-from schemas.messages import FeedforwardSource, SampleFlag
+from schemas.messages import SampleFlag
 from service.estimator import departure
 from service.estimator.branch import ANSWERED, MEASURED, wake_kernel
 from service.estimator.effects import effects_kernel, encoder_kernel, remembering_kernel
 from service.estimator.kalman import ACCELERATION, POSITION, VELOCITY
-from service.estimator.stream import COMMAND_ACCELERATION, STATE_NEW, coast_cycles, settled_cycles
+from service.estimator.stream import STATE_NEW, coast_cycles
+from service.estimator.wanted import (
+    COMMAND,
+    ESTIMATE,
+    NONE,
+    REFERENCE,
+    bound_kernel,
+    choose_kernel,
+    fade_kernel,
+    stay_kernel,
+    take_plan_kernel,
+)
 from service.model.dynamics import FOREARM, GRAVITY, INERTIA, PAYLOAD, PLATFORM, terms_kernel
 from service.model.effects.base import Instant
 from service.model.forward import mass_kernel
@@ -20,45 +31,55 @@ from service.model.friction import ball_joint_kernel, direction, friction_kernel
 from service.model.gears import advance_kernel, doubt_kernel, lead_kernel, release_kernel, through_kernel
 from service.model.kinematics import REACHED
 
-REFERENCE_AHEAD = 8  # cycles, planned motion further ahead is not for the next cycles
-REFERENCE_DISTANCE = 0.3  # rad, beyond what a joint moves until then: a plan for another place than the robot's
-
-_LIMITED, _FADING = SampleFlag.LIMITED.value, SampleFlag.FADING.value
 _FRICTION_HELD = SampleFlag.FRICTION_HELD.value
 LOAD_STEP = 1e-3  # N m of load, over which the slope of friction by it is taken
-_COMMAND_RANGE, _COMMAND_JUMP = SampleFlag.COMMAND_OUT_OF_RANGE.value, SampleFlag.COMMAND_JUMP.value
-_ESTIMATE, _COMMAND = FeedforwardSource.ESTIMATE.value, FeedforwardSource.COMMAND.value
-_REFERENCE, _NONE = FeedforwardSource.REFERENCE.value, FeedforwardSource.NONE.value
 
 
 @part
 def feedforward_kernel(settings, state, sample, passed, out):
     """Fill torque, source and target of `out` for `sample`, `passed` cycles after the last answer. Returns flags."""
-    source, flags = _choose(settings, state, sample, out)
+    source, flags = choose_kernel(settings, state, sample, out)
     seconds = passed * settings.period
     branch, since = state.branch[ANSWERED], np.int64(0)
-    if source == _NONE:
+    if source == NONE:
         branch.idle += passed
     else:
         since = wake_kernel(branch, passed, coast_cycles(settings))
         if since == 0 and settings.remembers != 0:
             flags |= STATE_NEW
-    links = source == _REFERENCE and settings.leads != 0
-    transition = settings.transition if source == _ESTIMATE else settings.wanted_transition
-    if source != _NONE and _for_motion(settings, state, sample, since, links, transition):
-        if (source == _COMMAND and state.command_stray > 0) or (source == _ESTIMATE and state.stray > 0):
-            _stay(state)
-        flags |= _within_bounds(settings, state, seconds, out)
+    links = source == REFERENCE and settings.leads != 0
+    transition = settings.transition if source == ESTIMATE else settings.wanted_transition
+    if source != NONE and _for_motion(settings, state, sample, since, links, transition):
+        if (source == COMMAND and state.command_stray > 0) or (source == ESTIMATE and state.stray > 0):
+            stay_kernel(state)
+        _note_reversals(settings, state)
+        flags |= bound_kernel(settings, state, seconds, out)
         if state.payload.departure.held != 0:
             flags |= _FRICTION_HELD
     else:
-        source = _NONE
-        flags |= _fade(settings, state, seconds, out)
-    _lead(settings, state, seconds, links and source != _NONE, out)
+        source = NONE
+        flags |= fade_kernel(settings, state, seconds, out)
+    _lead(settings, state, seconds, links and source != NONE, out)
     for i in range(3):
         state.torque[i] = out.torque[i]
     out.source = state.source = source
     return flags
+
+
+@kernel
+def _note_reversals(settings, state):
+    """state.turned (3,): step of the reported torque by reversals of Coulomb friction since the last answer, N m."""
+    for i in range(3):
+        dry = settings.coulomb[i] + state.payload.departure.sure[departure.place(i, 0)]
+        state.turned[i] = settings.scale[i] * dry * (state.direction[i] - state.direction_before[i])
+        state.direction_before[i] = state.direction[i]
+
+
+@kernel
+def plan_kernel(steps):
+    """Take the planned motion in `steps` (1,) if it is one; else the next answer says what is wrong with it."""
+    step = steps[0]
+    take_plan_kernel(step.settings, step.state, step.reference)
 
 
 @kernel
@@ -79,14 +100,6 @@ def _lead(settings, state, seconds, wanted, out):
 
 
 @kernel
-def _stay(state):
-    """Want what is there: of a motion that jumped, what it was before is as little known as where it leads."""
-    for i in range(3):
-        state.wanted[i] = state.torque[i]
-        state.direction[i] = state.direction_before[i]
-
-
-@kernel
 def hold_kernel(settings, state, sample, out):
     """The answer to a repeated or late sample: that of before, for a stray one must not make the torque drop; once
     nothing else comes it fades."""
@@ -94,8 +107,8 @@ def hold_kernel(settings, state, sample, out):
     state.held += 1
     flags = 0
     if state.held > coast_cycles(settings):
-        state.source = _NONE
-        flags = _fade(settings, state, settings.period, out)
+        state.source = NONE
+        flags = fade_kernel(settings, state, settings.period, out)
         _lead(settings, state, settings.period, False, out)
     else:
         for i in range(3):
@@ -106,71 +119,6 @@ def hold_kernel(settings, state, sample, out):
         state.torque[i] = out.torque[i]
     out.source = state.source
     return flags
-
-
-@kernel
-def _choose(settings, state, sample, out):
-    """Put the motion to answer for into state.trajectory. Returns (source, flags)."""
-    coast, settled = coast_cycles(settings), settled_cycles(settings)
-    motion = state.trajectory
-    out.target_sequence = sample.sequence
-    ahead = np.int64(state.reference_sequence - sample.sequence)
-    flags = state.reference_faults
-    state.reference_faults = 0
-    if state.reference_valid != 0 and state.started != 0 and 0 < ahead <= REFERENCE_AHEAD * settings.stride:
-        if _is_near(settings, state, ahead):
-            out.target_sequence = state.reference_sequence
-            for order in range(3):
-                for i in range(3):
-                    motion[order, i] = state.reference[order, i]
-            return _REFERENCE, flags
-        flags |= _COMMAND_JUMP
-    if state.commanded.used > settled and state.commanded.idle <= coast:
-        _take(state.commanded, motion)
-        return _COMMAND, flags
-    if state.measured.used > settled and state.measured.idle <= coast:
-        _take(state.measured, motion)
-        return _ESTIMATE, flags
-    return _NONE, flags
-
-
-@kernel
-def _take(track, motion):
-    for order in range(3):
-        for i in range(3):
-            motion[order, i] = track.state[i, order]
-
-
-@kernel
-def _is_near(settings, state, ahead):
-    """Whether the joints could be where the plan wants them by then."""
-    reach = REFERENCE_DISTANCE + settings.speed * settings.period * (ahead + state.measured.idle)
-    near = True
-    for i in range(3):
-        near &= abs(state.reference[POSITION, i] - state.measured.seen[i]) <= reach
-    return near
-
-
-@kernel
-def plan_kernel(steps):
-    """Take the planned motion in `steps` (1,) if it is one; else the next answer says what is wrong with it."""
-    settings, state, reference = steps[0].settings, steps[0].state, steps[0].reference
-    flags = 0
-    for i in range(3):
-        position, velocity, acceleration = reference.position[i], reference.velocity[i], reference.acceleration[i]
-        # written so that NaN fails
-        if not (settings.range[0] <= position <= settings.range[1]):
-            flags |= _COMMAND_RANGE
-        if not (abs(velocity) <= settings.speed and abs(acceleration) <= COMMAND_ACCELERATION):
-            flags |= _COMMAND_JUMP
-    if flags == 0:
-        state.reference_valid = 1
-        state.reference_sequence = reference.sequence
-        for i in range(3):
-            state.reference[POSITION, i] = reference.position[i]
-            state.reference[VELOCITY, i] = reference.velocity[i]
-            state.reference[ACCELERATION, i] = reference.acceleration[i]
-    state.reference_faults = flags
 
 
 @part
@@ -338,45 +286,3 @@ def weight_kernel(settings, state, i):
     for axis in range(3):
         weight -= pose.column[i, axis] * pose.lever[i] * gravity[axis]
     return settings.scale[i] * (1.0 + state.share[i]) * weight
-
-
-@kernel
-def _within_bounds(settings, state, seconds, out):
-    """out.torque: what is wanted, at most the peak, and from answer to answer at most the slope, which grows by so much
-    a cycle and may end at once, but for a reversal of Coulomb friction, which is a step by nature."""
-    flags = 0
-    growth = settings.growth * seconds / settings.period
-    for i in range(3):
-        dry = settings.coulomb[i] + state.payload.departure.sure[departure.place(i, 0)]
-        turned = settings.scale[i] * dry * (state.direction[i] - state.direction_before[i])
-        step = max(settings.slope * seconds, abs(turned))
-        least, most = min(0.0, state.climb[i] - growth) * seconds, max(0.0, state.climb[i] + growth) * seconds
-        low = max(-settings.peak, state.torque[i] + max(-step, least - abs(turned)))
-        high = min(settings.peak, state.torque[i] + min(step, most + abs(turned)))
-        torque = min(max(state.wanted[i], low), high)
-        if torque != state.wanted[i]:
-            flags = _LIMITED
-        state.climb[i] = min(max(torque - state.torque[i] - turned, least), most) / seconds
-        out.torque[i] = torque
-        state.direction_before[i] = state.direction[i]
-    state.faded = 0.0
-    state.held = 0
-    return flags
-
-
-@kernel
-def _fade(settings, state, seconds, out):
-    """out.torque: in a straight line from the last usable one to zero within the declared time."""
-    if state.faded == 0.0:
-        for i in range(3):
-            state.fade_from[i] = state.torque[i]
-    state.faded += seconds
-    left = max(0.0, 1.0 - state.faded / settings.fade)
-    flags = 0
-    for i in range(3):
-        out.torque[i] = left * state.fade_from[i]
-        state.climb[i] = (out.torque[i] - state.torque[i]) / seconds
-        if out.torque[i] != 0.0:
-            flags = _FADING
-        state.direction_before[i] = 0.0
-    return flags

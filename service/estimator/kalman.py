@@ -1,12 +1,13 @@
-"""Joint motion from joint position: a Kalman filter for the three joints, with a fixed-lag smoother behind it.
+"""Joint motion from joint position: a Kalman filter for all joints, with a fixed-lag smoother behind it.
 
 State of a joint: position, velocity, acceleration and jerk. The jerk is a first-order Markov process, which is what
 "expected jerk" means physically: of a given rms, changing over a given time.
 
 The covariance runs along with the state, so the gain always belongs to the gap that a sample closes. With every gap
 bounded (a longer one restarts the filter) the model is uniformly observable and controllable, and the filter is stable
-for any pattern of losses (Jazwinski, Stochastic Processes and Filtering Theory, 1970, theorem 7.4). The three joints
-share model, noise and gaps, so they share one covariance. filterpy discretises the model (van Loan).
+for any pattern of losses (Jazwinski, Stochastic Processes and Filtering Theory, 1970, theorem 7.4). The joints share
+model, noise and gaps, so they share one covariance. filterpy discretises the model (van Loan). Records are those of the
+three joints of a Delta; `joints.state` has the same of more.
 """
 
 from __future__ import annotations
@@ -91,9 +92,9 @@ class MotionFilter(NamedTuple):
     acceleration_variance: float
 
 
-def design(period: float, resolution: float, least_lag: int = 1) -> MotionFilter:
+def design(period: float, resolution: float, least_lag: int = 1, jerk: float = EXPECTED_JERK) -> MotionFilter:
     """The filter for samples every `period` s of an encoder with `resolution` rad at the joint. least_lag: samples that
-    the look back waits for at least.
+    the look back waits for at least. jerk: rad/s^3 rms that is expected.
 
     The resolution is taken as the standard deviation of a position sample: quantisation is 0.29 of it, the rest is the
     encoder's own noise.
@@ -105,12 +106,12 @@ def design(period: float, resolution: float, least_lag: int = 1) -> MotionFilter
     drift[0, 1] = drift[1, 2] = drift[2, 3] = 1.0
     drift[3, 3] = -1.0 / JERK_TIME
     drive = np.zeros((ORDER, 1))
-    drive[3, 0] = EXPECTED_JERK * np.sqrt(2.0 / JERK_TIME)
+    drive[3, 0] = jerk * np.sqrt(2.0 / JERK_TIME)
     transition, noise = (np.asarray(matrix, np.float64) for matrix in van_loan_discretization(drift, drive, period))
     motion = MotionFilter(
         transition=np.triu(transition),  # below the diagonal there is rounding alone
         noise=0.5 * (noise + noise.T),
-        first=np.diag(np.array([resolution, FIRST_SPEED, FIRST_ACCELERATION, EXPECTED_JERK]) ** 2),
+        first=np.diag(np.array([resolution, FIRST_SPEED, FIRST_ACCELERATION, jerk]) ** 2),
         resolution=resolution,
         behind=math.nan,
         lag=max(least_lag, min(LONGEST_SMOOTHING, round(SMOOTHING_LAG / period))),
@@ -161,8 +162,8 @@ def _steady_variance(motion: MotionFilter, prior: np.ndarray) -> float:
 
 @kernel
 def restart_kernel(motion, track, position):
-    """Begin at `position` (3,), rad: at rest there, as far as is known."""
-    for i in range(3):
+    """Begin at `position` (n,), rad: at rest there, as far as is known."""
+    for i in range(len(track.seen)):
         track.seen[i] = track.state[i, 0] = position[i]
         for order in range(1, ORDER):
             track.state[i, order] = 0.0
@@ -180,7 +181,7 @@ def predict_kernel(motion, track, cycles):
     """Move on by `cycles`: x = F x, P = F P F' + Q, each time."""
     transition, covariance, carried = motion.transition, track.covariance, track.scratch
     for _ in range(cycles):
-        for i in range(3):
+        for i in range(len(track.seen)):
             for row in range(ORDER):  # upwards, in place: a row needs only those below it
                 total = 0.0
                 for column in range(row, ORDER):
@@ -215,13 +216,13 @@ def predicted_variance_kernel(motion, track, seconds):
 
 @kernel
 def update_kernel(motion, track, position):
-    """Take `position` (3,), rad, at the predicted cycle: K = P H' / S, x = x + K e, P = P - K S K'."""
+    """Take `position` (n,), rad, at the predicted cycle: K = P H' / S, x = x + K e, P = P - K S K'."""
     covariance, gain = track.covariance, track.gain
     noise = motion.resolution * motion.resolution
     spread = covariance[0, 0] + noise
     for row in range(ORDER):
         gain[row] = covariance[row, 0] / spread
-    for i in range(3):
+    for i in range(len(track.seen)):
         innovation = position[i] - track.state[i, 0]
         track.scaled[i] = innovation / spread
         track.seen[i] = position[i]
@@ -240,14 +241,16 @@ def update_kernel(motion, track, position):
 @kernel
 def largest_innovation(motion, track):
     """Of the newest position, over its standard deviation: e / sqrt(S) with S = R / (1 - K_0)."""
-    largest = max(abs(track.scaled[0]), abs(track.scaled[1]), abs(track.scaled[2]))
+    largest = 0.0
+    for i in range(len(track.scaled)):
+        largest = max(largest, abs(track.scaled[i]))
     return largest * motion.resolution / math.sqrt(1.0 - track.gain[0])
 
 
 @kernel
 def coast_kernel(track, cycles):
     """No position came with the predicted cycle."""
-    for i in range(3):
+    for i in range(len(track.seen)):
         track.scaled[i] = 0.0
     for row in range(ORDER):
         track.gain[row] = 0.0
@@ -269,7 +272,7 @@ def keep_kernel(track, gap, slot):
     for row in range(ORDER - 1):
         for column in range(row, ORDER):
             slot.covariance[shared(row, column)] = track.covariance[row, column]
-    for i in range(3):
+    for i in range(len(track.seen)):
         slot.scaled[i] = track.scaled[i]
         for order in range(ORDER - 1):
             slot.state[i, order] = track.state[i, order]
@@ -282,9 +285,9 @@ def smooth_kernel(transition, slots, newest, lag, adjoint, smoothed):
 
         a = F' ((I - K H)' a + H' e / S)     backwards over the samples since, F to the power of each one's gap.
 
-    slots: records of SLOT, a ring. adjoint: (4,) scratch. Filled: smoothed (3, 3): position, velocity, acceleration.
+    slots: records of SLOT, a ring. adjoint: (4,) scratch. Filled: smoothed (3, n): position, velocity, acceleration.
     """
-    for i in range(3):
+    for i in range(len(slots[newest].scaled)):
         for row in range(ORDER):
             adjoint[row] = 0.0
         index = newest

@@ -1,4 +1,5 @@
-"""The estimator on the bus: takes `sample` and `reference`, gives `feedforward`, `payload`, `error` and `friction`."""
+"""The estimator on the bus: takes samples and planned motion, gives feed-forward, payload and errors, in the messages
+of the kind of machine, and of a Delta `friction`."""
 
 from __future__ import annotations
 
@@ -11,12 +12,13 @@ import numpy as np
 from drivers.bus import Bus
 from drivers.health import Health
 from drivers.sequence import SequenceCounter
+from schemas.axes import Description
 from schemas.errors import DataError
-from schemas.messages import REFERENCE, SAMPLE, SEQUENCE_BYTES, HealthFlag, SampleFlag
+from schemas.messages import SEQUENCE_BYTES, TOPICS, HealthFlag, SampleFlag
 from schemas.robot import Robot
 from service.estimator.estimator import PERIOD_SAMPLES, Estimator, Rate, rate_of
 from service.estimator.keep import Keeper
-from service.estimator.left_out import left_out
+from service.estimator.online import Online, estimator_of, left_out
 
 REPORT_PERIOD = 1e-3  # s, shortest between two payload or error messages; nobody steers by them, and they cost as much
 STALE_CYCLES = 20  # without a sample the input is stale ...
@@ -30,16 +32,21 @@ _INVALID = int(SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE | SampleFlag.JU
 class EstimatorNode:
     """One estimator behind one bus; `step` does what came in since the last call."""
 
-    def __init__(self, robot: Robot, bus: Bus, flags: HealthFlag, keeper: Keeper | None = None) -> None:
+    def __init__(self, robot: Description, bus: Bus, flags: HealthFlag, keeper: Keeper | None = None) -> None:
         self._robot, self._keeper = robot, keeper
-        self._samples, self._references = bus.subscribe("sample"), bus.subscribe("reference", capacity=1024)
-        self._put = {topic: bus.publisher(topic).put for topic in ("feedforward", "payload", "error", "friction")}
+        topics = robot.topics
+        self._samples, self._references = bus.subscribe(topics.sample), bus.subscribe(topics.reference, capacity=1024)
+        self._sample, self._reference = TOPICS[topics.sample].dtype, TOPICS[topics.reference].dtype
+        answers = {name: getattr(topics, name) for name in ("feedforward", "payload", "error")}
+        if isinstance(robot, Robot):
+            answers["friction"] = "friction"
+        self._put = {name: bus.publisher(topic).put for name, topic in answers.items()}
         self.health, self._flags = Health(bus, flags), flags
         self._counter = SequenceCounter()
         self._waiting: list[bytes] = []  # the first samples, until they tell the period
         self._recent: list[bytes] = []  # the first ones after a report, which tell whether it is still that
         self._suspected: Rate | None = None  # what one reading of another rate gave
-        self._estimator: Estimator | None = None
+        self._estimator: Online | None = None
         self._every = 1  # samples from report to report
         self._published = self._invalid = self._received = 0
         self._heard_ns, self._silent, self._found = time.monotonic_ns(), False, HealthFlag(0)
@@ -76,10 +83,11 @@ class EstimatorNode:
         silence = HealthFlag.STALE_INPUT if self._silent else HealthFlag(0)
         self.health.flags = self._flags | silence | self._found
 
-    def _tell_findings(self, estimator: Estimator) -> None:
+    def _tell_findings(self, estimator: Online) -> None:
         found = estimator.findings()
-        self._put["friction"](estimator.friction.tobytes())
-        self._published += 1
+        if estimator.friction is not None:
+            self._put["friction"](estimator.friction.tobytes())
+            self._published += 1
         if found != self._found:
             self._found = found
             self._set_flags()
@@ -89,7 +97,7 @@ class EstimatorNode:
         if len(self._waiting) < PERIOD_SAMPLES:
             return
         try:
-            self._start(rate_of(_records(self._waiting)))
+            self._start(rate_of(self._records(self._waiting)))
         except DataError:  # the stamps stand still: health shows samples coming in and nothing going out
             del self._waiting[0]
             return
@@ -98,22 +106,22 @@ class EstimatorNode:
             self._answer(self._estimator, first, int.from_bytes(first[SEQUENCE_BYTES], "little"), came)
 
     def _start(self, rate: Rate) -> None:
-        self._estimator = Estimator(self._robot, *rate)
+        self._estimator = estimator_of(self._robot, *rate)
         without = left_out(self._robot, rate.period)
         for name, why in without.items():
             print(f"estimate: the online model leaves out {name}: {why}", file=sys.stderr)
         self._found = HealthFlag.EFFECT_LEFT_OUT if without else HealthFlag(0)
         self._set_flags()
-        if self._keeper is not None:
+        if self._keeper is not None and isinstance(self._estimator, Estimator):
             print(f"estimate: {self._keeper.begin(self._estimator)}", file=sys.stderr)
         self._every = max(1, round(REPORT_PERIOD / rate.period))
         self._stale_ns = max(STALE_NS, int(STALE_CYCLES * rate.period * 1e9))
 
-    def _answer(self, estimator: Estimator, message: bytes, sequence: int, came: int) -> None:
+    def _answer(self, estimator: Online, message: bytes, sequence: int, came: int) -> None:
         reference = self._references.one()
         if reference is not None:
             newer, _ = self._references.take()
-            estimator.plan(newer[-1] if len(newer) else np.frombuffer(reference, REFERENCE.dtype)[0])
+            estimator.plan(newer[-1] if len(newer) else np.frombuffer(reference, self._reference)[0])
         flags = estimator.step(message)
         self._put["feedforward"](estimator.feedforward.tobytes())  # first: somebody steers by it
         self.health.time_one(time.monotonic_ns() - came)
@@ -131,7 +139,7 @@ class EstimatorNode:
         self._recent.clear()  # read the rate anew
         if self._estimator is not None and not self._silent:
             self._tell_findings(self._estimator)
-            if self._keeper is not None:
+            if self._keeper is not None and isinstance(self._estimator, Estimator):
                 self._keeper.note(self._estimator)
         self.health.publish(
             received=self._received,
@@ -149,14 +157,17 @@ class EstimatorNode:
         Raises:
             StorageError: it cannot be written.
         """
-        if self._keeper is not None and self._estimator is not None:
+        if self._keeper is not None and isinstance(self._estimator, Estimator):
             self._keeper.close(self._estimator)
 
-    def _follow_rate(self, estimator: Estimator) -> None:
+    def _records(self, messages: list[bytes]) -> np.ndarray:
+        return np.frombuffer(b"".join(messages), self._sample)
+
+    def _follow_rate(self, estimator: Online) -> None:
         """Start anew when two readings in a row agree on another rate than that of `estimator`."""
         before, self._suspected = self._suspected, None
         try:
-            found = rate_of(_records(self._recent))
+            found = rate_of(self._records(self._recent))
         except DataError:
             return
         if found.stride == estimator.stride and _close(found.period, estimator.period, PERIOD_CHANGE):
@@ -172,16 +183,12 @@ class EstimatorNode:
         self._start(found)
 
 
-def _records(messages: list[bytes]) -> np.ndarray:
-    return np.frombuffer(b"".join(messages), SAMPLE.dtype)
-
-
 def _close(one: float, other: float, relative: float) -> bool:
     return abs(one / other - 1) <= relative
 
 
 def run(
-    robot: Robot,
+    robot: Description,
     bus: Bus,
     flags: HealthFlag,
     stopped: Callable[[], bool] = lambda: False,

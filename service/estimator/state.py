@@ -125,6 +125,7 @@ STATE = np.dtype(
         ("pose", POSE),
         ("terms", "f8", (len(TERMS), 3)),
         ("direction", "f8", 3),
+        ("turned", "f8", 3),  # N m, step by reversals of Coulomb friction
         ("balls", "f8", 3),  # torque per N m of dry friction in the forearms' ball joints
         ("load", "f8", 3),
         ("push", "f8", 3),  # N m/kg, of the payload

@@ -33,37 +33,25 @@ from service.estimator.kalman import (
     MAX_LAG,
     VELOCITY,
     acceleration_variance_kernel,
-    coast_kernel,
     keep_kernel,
     largest_innovation,
-    predict_kernel,
-    restart_kernel,
     smooth_kernel,
-    update_kernel,
 )
 from service.estimator.payload.state import LOADS, PRIOR_STD
 from service.estimator.payload.step import loosen_kernel, payload_kernel, unseen_kernel, weigh_anew_kernel
 from service.estimator.readout import TOLD, follow_kernel, keep_load_kernel, lag_kernel, weigh_reports_kernel
 from service.estimator.stream import (
-    BACKWARDS,
-    COMMAND_JUMP,
-    GAP,
-    JUMP,
-    NAN,
-    NOT_FOLLOWED,
-    NOT_NEW,
     RANGE,
-    REPEATED,
     SETTLE_TIME,
     STATE_NEW,
+    UNEXPECTED,
     UNUSABLE,
     coast_cycles,
     cycles_since,
-    faults,
-    is_new_command,
-    is_new_stream,
+    judge_kernel,
     restart,
-    restart_cycles,
+    track_command_kernel,
+    track_kernel,
 )  # fmt: skip
 from service.estimator.turning import swing_kernel, turn_kernel
 from service.model.dynamics import GRAVITY, INERTIA, PLATFORM, REST_SPEED
@@ -80,56 +68,8 @@ UNSEEN_TIME = 0.5  # s
 # Variance of an acceleration, over that of one with all samples around it, beyond which it says nothing of the mass: at
 # the edge of a hole it is guessed, and a torque sample is not.
 LOOSE_ACCELERATION = 1.5
-# Standard deviations of an innovation behind a hole beyond which the motion is not what the filter expects: drives that
-# stood without commands and start again.
-UNEXPECTED = 4.0
 # The rigid-body terms are known to about this share of themselves after identification.
 MODEL_SHARE = 0.01
-
-
-@kernel
-def _follow(settings, state, sample, flags, gap):
-    """Move the filter of the measured position on to `sample`, `gap` cycles on."""
-    track = state.measured
-    if track.idle + gap <= restart_cycles(settings):  # beyond that the state is of no use, and must not grow
-        predict_kernel(settings.motion, track, gap)
-    if flags & UNUSABLE == 0:
-        _update(settings, track, sample.position, gap)
-    else:
-        coast_kernel(track, gap)
-
-
-@kernel
-def _update(settings, track, position, gap):
-    """Take `position`, `gap` cycles on. Behind a hole it may be one that the joints were put to: if it is not expected,
-    their speed is not known until the filter has settled again."""
-    behind_hole = track.idle + gap > 1
-    update_kernel(settings.motion, track, position)
-    if behind_hole and largest_innovation(settings.motion, track) > UNEXPECTED:
-        track.used = 1
-
-
-@kernel
-def _follow_command(settings, state, sample, flags, gap):
-    """Move the filter of the commanded position on to `sample`."""
-    track, command, longest = state.commanded, sample.position_command, restart_cycles(settings)
-    if flags & NOT_FOLLOWED == COMMAND_JUMP and is_new_command(settings, state, sample, gap):  # a source may set flags
-        track.used = 0
-    elif flags & NOT_FOLLOWED != 0:
-        if track.used > 0:
-            if track.idle + gap <= longest:
-                predict_kernel(settings.motion, track, gap)
-            coast_kernel(track, gap)
-        return
-    state.command_stray = 0
-    if track.used == 0 or track.idle + gap > longest:
-        restart_kernel(settings.motion, track, command)
-        for i in range(3):
-            for order in range(1, 3):
-                track.state[i, order] = state.measured.state[i, order]  # close, and right within a few samples
-    else:
-        predict_kernel(settings.motion, track, gap)
-        _update(settings, track, command, gap)
 
 
 @kernel
@@ -359,21 +299,7 @@ def _behind(settings, state, since, error_out):
 def step_kernel(settings, state, sample, feedforward):
     """One sample. Fills `feedforward`. Returns whether there is a sample the fixed lag ago, to look back on."""
     gap = cycles_since(settings, state, sample)
-    flags = faults(settings, state, sample, gap)
-    begins = elsewhere = False
-    if flags & (NAN | RANGE) == 0:
-        if state.started == 0:
-            begins = flags & UNUSABLE == 0
-        elif flags & (NOT_NEW | JUMP) == 0:
-            state.stray = 0
-            begins = flags & UNUSABLE == 0 and state.measured.idle + gap > restart_cycles(settings)
-        elif is_new_stream(settings, state, sample):
-            begins = elsewhere = True
-            flags = (flags & ~(REPEATED | BACKWARDS | JUMP)) | GAP
-
-    # a broken sample may not carry the sequence away with it
-    forward = (state.started != 0 or begins) and flags & NOT_NEW == 0
-    forward &= flags & UNUSABLE == 0 or gap <= restart_cycles(settings)
+    flags, begins, elsewhere, forward = judge_kernel(settings, state, sample, gap)
     if forward:
         state.held = 0
         passed = max(gap, np.int64(1))  # none, where a source started over
@@ -387,8 +313,8 @@ def step_kernel(settings, state, sample, feedforward):
             forget_kernel(state.branch[ANSWERED])
             state.readout.started = 0
         else:
-            _follow(settings, state, sample, flags, gap)
-        _follow_command(settings, state, sample, flags, gap)
+            track_kernel(settings, state, sample, flags, gap)
+        track_command_kernel(settings, state, sample, flags, gap)
         state.sequence = sample.sequence
         state.stamp_sec = sample.stamp_sec
         state.stamp_nanosec = sample.stamp_nanosec

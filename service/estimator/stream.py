@@ -12,7 +12,15 @@ import numpy as np
 
 from schemas.kernels import kernel
 from schemas.messages import SampleFlag
-from service.estimator.kalman import ORDER, predicted_variance_kernel, restart_kernel
+from service.estimator.kalman import (
+    ORDER,
+    coast_kernel,
+    largest_innovation,
+    predict_kernel,
+    predicted_variance_kernel,
+    restart_kernel,
+    update_kernel,
+)  # fmt: skip
 
 # s without a usable sample for which the motion may be extrapolated. Behind a longer hole a jump and a motion look
 # alike: the filters start anew, since a derivative across a jump is none.
@@ -26,6 +34,9 @@ COMMAND_ACCELERATION = 5000.0  # rad/s^2
 # Standard deviations that a position may be off what is expected: at rest, its resolution for the command's rounding.
 EXPECTED = 8.0
 LATCHED = 0.25  # cycles that a position may be read early or late where the drives keep no common clock
+# Standard deviations of an innovation behind a hole beyond which the motion is not what the filter expects: drives that
+# stood without commands and start again.
+UNEXPECTED = 4.0
 # A torque sensor that reads beyond this many peak torques is broken.
 TORQUE_SENSE = 10.0
 
@@ -91,7 +102,7 @@ def cycles_since(settings, state, sample):
     if timed > restart_cycles(settings):
         return timed
     by_count = by_time = 0.0
-    for i in range(3):
+    for i in range(len(sample.position)):
         by_count += abs(sample.position[i] - _ahead(state.measured, i, counted * settings.period))
         by_time += abs(sample.position[i] - _ahead(state.measured, i, timed * settings.period))
     return timed if by_time < by_count else counted
@@ -107,7 +118,7 @@ def _ahead(track, i, seconds):
 def faults(settings, state, sample, gap):
     """What is wrong with `sample` and its command, given the stream so far. gap: cycles since the newest sample."""
     flags = np.int64(sample.flags)
-    for i in range(3):
+    for i in range(len(sample.position)):
         if not (math.isfinite(sample.position[i]) and math.isfinite(sample.torque[i])):
             flags |= NAN
         elif (
@@ -148,7 +159,7 @@ def _is_torn(settings, track, position, gap, strays, latched):
     farthest = settings.speed * settings.period * (track.idle + gap)
     reach = _reach(settings, track, gap, strays)
     torn = False
-    for i in range(3):
+    for i in range(len(track.seen)):
         torn |= abs(position[i] - track.seen[i]) > farthest
         late = latched * settings.period * abs(track.state[i, 1])
         torn |= abs(position[i] - _ahead(track, i, gap * settings.period)) > reach + late
@@ -189,7 +200,7 @@ def is_new_stream(settings, state, sample):
     """Whether the strays of late, `sample` being one, continue each other: then the source started over elsewhere."""
     step = np.int64(sample.sequence - state.stray_sequence) // settings.stride
     follows = state.stray > 0 and 0 < step <= STRAY_STEP
-    for i in range(3):
+    for i in range(len(sample.position)):
         follows &= abs(sample.position[i] - state.stray_position[i]) <= settings.speed * settings.period * step
         state.stray_position[i] = sample.position[i]
     state.stray = state.stray + 1 if follows else 1
@@ -201,9 +212,75 @@ def is_new_stream(settings, state, sample):
 def is_new_command(settings, state, sample, gap):
     """The same for commands that jumped: they may go on from where they jumped to."""
     follows = state.command_stray > 0
-    for i in range(3):
+    for i in range(len(sample.position)):
         step = abs(sample.position_command[i] - state.command_stray_position[i])
         follows &= step <= settings.speed * settings.period * gap
         state.command_stray_position[i] = sample.position_command[i]
     state.command_stray = state.command_stray + 1 if follows else 1
     return state.command_stray >= STRAY_RUN
+
+
+@kernel
+def judge_kernel(settings, state, sample, gap):
+    """What `sample`, `gap` cycles on, is to the stream: its flags; whether the stream begins at it, and that elsewhere
+    than it was; whether the stream goes on with it."""
+    flags = faults(settings, state, sample, gap)
+    begins = elsewhere = False
+    if flags & (NAN | RANGE) == 0:
+        if state.started == 0:
+            begins = flags & UNUSABLE == 0
+        elif flags & (NOT_NEW | JUMP) == 0:
+            state.stray = 0
+            begins = flags & UNUSABLE == 0 and state.measured.idle + gap > restart_cycles(settings)
+        elif is_new_stream(settings, state, sample):
+            begins = elsewhere = True
+            flags = (flags & ~(REPEATED | BACKWARDS | JUMP)) | GAP
+    # a broken sample may not carry the sequence away with it
+    forward = (state.started != 0 or begins) and flags & NOT_NEW == 0
+    forward &= flags & UNUSABLE == 0 or gap <= restart_cycles(settings)
+    return flags, begins, elsewhere, forward
+
+
+@kernel
+def track_kernel(settings, state, sample, flags, gap):
+    """Move the filter of the measured position on to `sample`, `gap` cycles on."""
+    track = state.measured
+    if track.idle + gap <= restart_cycles(settings):  # beyond that the state is of no use, and must not grow
+        predict_kernel(settings.motion, track, gap)
+    if flags & UNUSABLE == 0:
+        _update(settings, track, sample.position, gap)
+    else:
+        coast_kernel(track, gap)
+
+
+@kernel
+def _update(settings, track, position, gap):
+    """Take `position`, `gap` cycles on. Behind a hole it may be one that the joints were put to: if it is not expected,
+    their speed is not known until the filter has settled again."""
+    behind_hole = track.idle + gap > 1
+    update_kernel(settings.motion, track, position)
+    if behind_hole and largest_innovation(settings.motion, track) > UNEXPECTED:
+        track.used = 1
+
+
+@kernel
+def track_command_kernel(settings, state, sample, flags, gap):
+    """Move the filter of the commanded position on to `sample`."""
+    track, command, longest = state.commanded, sample.position_command, restart_cycles(settings)
+    if flags & NOT_FOLLOWED == COMMAND_JUMP and is_new_command(settings, state, sample, gap):  # a source may set flags
+        track.used = 0
+    elif flags & NOT_FOLLOWED != 0:
+        if track.used > 0:
+            if track.idle + gap <= longest:
+                predict_kernel(settings.motion, track, gap)
+            coast_kernel(track, gap)
+        return
+    state.command_stray = 0
+    if track.used == 0 or track.idle + gap > longest:
+        restart_kernel(settings.motion, track, command)
+        for i in range(len(track.seen)):
+            for order in range(1, 3):
+                track.state[i, order] = state.measured.state[i, order]  # close, and right within a few samples
+    else:
+        predict_kernel(settings.motion, track, gap)
+        _update(settings, track, command, gap)

@@ -53,10 +53,10 @@ class ChainMachine(MachineModel):
         return at
 
     def limits(self) -> Limits:
-        """Of the URDF; a speed or torque of zero there is none."""
+        """Of the URDF, where a speed or torque of zero is none; those of the description go before them."""
         low, high = np.array(self.chain.arm.limits).T
         speed, effort = np.array(self.chain.arm.most).T
-        return Limits(low, high, speed, np.full(self.chain.count, np.inf), effort)
+        return self._declared(Limits(low, high, speed, np.full(self.chain.count, np.inf), effort))
 
     def place(self, theta: np.ndarray, frame: str | None = None) -> np.ndarray:
         """Of a link of the URDF."""

@@ -7,13 +7,14 @@ where a kind knows a faster way, it overrides it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from schemas.axes import Description
+from schemas.machine import Machine
 from schemas.questions import Question, refuse
 from service.model.mechanism import Mechanism, mechanism_of
 from service.model.scene import Base
@@ -72,7 +73,15 @@ class MachineModel:
 
     def limits(self) -> Limits:
         """What the joints may do."""
-        return Limits.none(self.mechanism.joints)
+        return self._declared(Limits.none(self.mechanism.joints))
+
+    def _declared(self, limits: Limits) -> Limits:
+        """`limits` with those that the description declares."""
+        if not isinstance(self.description, Machine):
+            return limits
+        own = self.description.limits
+        told = {"torque": own.torque, "speed": own.speed}
+        return replace(limits, **{key: np.array(values) for key, values in told.items() if values is not None})
 
     def place(self, theta: np.ndarray, frame: str | None = None) -> np.ndarray:
         """(N, 3) m of a frame, by default the tool, at (N, n) angles, in the base frame."""

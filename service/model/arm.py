@@ -144,6 +144,29 @@ class Arm:
             result[row] = compute(self._model, data, *motions[:, row])[block]
         return result
 
+    def instant(self, weights: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """What gives the torque (n,) N m at one motion (3, n) - angles, speeds, accelerations - of links of `weights`
+        (10 n,), without making anything anew."""
+        model, compute, order = self._weighing(weights), self._library.rnea, self._order
+        data, state = model.createData(), np.empty((3, self.joints))
+
+        def at(motion: np.ndarray) -> np.ndarray:
+            state[:, order] = motion
+            return compute(model, data, state[0], state[1], state[2])[order]
+
+        return at
+
+    def regressor(self) -> Callable[[np.ndarray], np.ndarray]:
+        """The same of `columns`: (n, 10 n) at one motion (3, n)."""
+        model, compute, order = self._model, self._library.computeJointTorqueRegressor, self._order
+        data, state, block = model.createData(), np.empty((3, self.joints)), np.ix_(self._order, self._columns)
+
+        def at(motion: np.ndarray) -> np.ndarray:
+            state[:, order] = motion
+            return compute(model, data, state[0], state[1], state[2])[block]
+
+        return at
+
     def _in_order(self, *motion: np.ndarray) -> np.ndarray:
         """(m, N, n) of m parts (N, n) of a motion, joints as Pinocchio has them."""
         result = np.empty((len(motion), *motion[0].shape))

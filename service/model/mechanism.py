@@ -6,7 +6,7 @@ the platform and in the ball joints need.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -230,6 +230,10 @@ class DecoupledAxes(_Servos):
         columns = [inertia, self._ones(len(theta)), np.sin(angle) * own, np.cos(angle) * own, shared]
         return Rigid(np.zeros(theta.shape), np.concatenate(columns, axis=-1))
 
+    def instant(self, coefficients: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """What gives the torque (n,) N m at one motion (3, n)."""
+        return lambda motion: self.rigid(*motion[:, None]).torque(coefficients)[0]
+
 
 @dataclass(frozen=True, kw_only=True)
 class SerialArm(_Servos):
@@ -351,6 +355,28 @@ class SerialArm(_Servos):
         values, weights = self.told(coefficients)
         load = np.array([values.get(f"offset_{joint + 1}", 0.0) for joint in range(self.joints)])
         return self.arm.torque(theta, theta_dot, theta_ddot, weights) + theta_ddot @ self._turning(values) + load
+
+    def instant(self, coefficients: np.ndarray, more: np.ndarray | float = 0.0) -> Callable[[np.ndarray], np.ndarray]:
+        """What gives that torque (n,) N m at one motion (3, n). more: (10 n,) weights of the links beside."""
+        values, weights = self.told(coefficients)
+        load = np.array([values.get(f"offset_{joint + 1}", 0.0) for joint in range(self.joints)])
+        links, turning = self.arm.instant(weights + more), self._turning(values)
+        return lambda motion: links(motion) + turning @ motion[2] + load
+
+    def regressor(self) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        """What gives the columns (n, k) of `rigid` at one motion (3, n), and those (n, 10 n) of the links."""
+        links, kept, turning = self.arm.regressor(), self._reduction.kept, len(self.frictions)
+        rows, units = self.rows, np.eye(self.joints)
+        of_links = kept[kept >= turning + self.joints] - turning - self.joints
+        rotors, loads = kept[kept < turning], kept[(kept >= turning) & (kept < turning + self.joints)] - turning
+
+        def at(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            every = links(motion)
+            turns = (rows[rotors] * (rows[rotors] @ motion[2])[:, None]).T
+            last = every[:, of_links] if self.asked or self.payload is None else (every @ self.payload)[:, None]
+            return np.hstack([turns, units[:, loads], last]), every
+
+        return at
 
     def slopes(
         self, theta: np.ndarray, theta_dot: np.ndarray, theta_ddot: np.ndarray, coefficients: np.ndarray

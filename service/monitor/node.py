@@ -8,8 +8,8 @@ from collections.abc import Callable
 from drivers.bus import Bus
 from drivers.health import Health
 from drivers.inbox import sending
-from schemas.messages import TOPICS, HealthFlag, StopReason
-from service.monitor.tally import Tally
+from schemas.messages import OF_DELTA, SAMPLES, HealthFlag, StopReason, Topics, topics_of
+from service.monitor.tally import FEEDFORWARDS, Tally
 from service.monitor.writer import WriterThread
 
 CYCLE_S = 0.02
@@ -18,20 +18,20 @@ DEPTH = 1 << 15  # messages a topic's inbox holds: 4 s at 8 kHz
 
 
 def _order(topic: str) -> int:
-    return {"health": 0, "sample": 2}.get(topic, 1)
+    return 2 if topic in SAMPLES else int(topic != "health")
 
 
 class Monitor:
     """Call `step` every `CYCLE_S`; it empties the inboxes into the tally and the writer and publishes health."""
 
-    def __init__(self, bus: Bus, writer: WriterThread, flags: HealthFlag) -> None:
-        self.tally = Tally(bus.stamped)
+    def __init__(self, bus: Bus, writer: WriterThread, flags: HealthFlag, topics: Topics = OF_DELTA) -> None:
+        self.tally = Tally(bus.stamped, topics)
         self._writer = writer
         self._flags = flags
         self.health = Health(bus, flags)
         # When the inboxes are emptied in this order, and their messages counted in the reverse one, the sample of every
         # feed-forward is known, and all that the estimator's health counts is there before it.
-        self._inboxes = {topic: bus.subscribe(topic, DEPTH, sending) for topic in sorted(TOPICS, key=_order)}
+        self._inboxes = {topic: bus.subscribe(topic, DEPTH, sending) for topic in sorted(topics_of(topics), key=_order)}
         self._sample_at = time.monotonic_ns()
 
     def step(self) -> None:
@@ -45,10 +45,11 @@ class Monitor:
                     {"topic": topic, "missed": str(missed), "newest": str(records["sequence"][-1]),
                      "log_time": str(sent[-1])}
                 )  # fmt: skip
-        if "sample" in taken:
+        if any(topic in taken for topic in SAMPLES):
             self._sample_at = time.monotonic_ns()
-        if "feedforward" in taken:
-            self.health.time_many(self.tally.latencies(*taken["feedforward"]))
+        for topic in FEEDFORWARDS:
+            if topic in taken:
+                self.health.time_many(self.tally.latencies(*taken[topic]))
         if taken:
             self._writer.put((taken, gaps))
         stale = time.monotonic_ns() - self._sample_at > STALE_NS

@@ -12,7 +12,7 @@ from drivers.trace.bag import BagWriter
 from drivers.view.scene import ViewerScene
 from schemas.errors import StorageError
 from schemas.keys import topic_name
-from schemas.messages import TOPICS, stamp_ns
+from schemas.messages import OF_DELTA, SAMPLES, Topics, stamp_ns, topics_of
 from schemas.ros2 import ros_type
 
 WAITING = 600  # batches of health, ten minutes at one a second
@@ -28,8 +28,8 @@ class RecordingWriter:
     What `flush` has returned from survives the death of the process; a file without its end is repaired by `recover`.
     """
 
-    def __init__(self, path: Path, robot: str, scene: ViewerScene | None = None) -> None:
-        """scene: of the robot, drawn every `DRAW_NS`.
+    def __init__(self, path: Path, robot: str, scene: ViewerScene | None = None, topics: Topics = OF_DELTA) -> None:
+        """scene: of the robot, drawn every `DRAW_NS`. topics: of the kind of machine.
 
         Raises:
             StorageError: the file exists or cannot be made.
@@ -42,9 +42,9 @@ class RecordingWriter:
             self._stream = path.open("xb")
         except OSError as error:
             raise StorageError(f"{path}: cannot record: {error.strerror}") from error
-        self._names = {topic: topic_name(robot, topic) for topic in TOPICS}
+        self._names = {topic: topic_name(robot, topic) for topic in topics_of(topics)}
         self._scene, self._draw_at, self._shape_at = scene, 0, 0  # ns, log time
-        types = {self._names[topic]: ros_type(message) for topic, message in TOPICS.items()}
+        types = {self._names[topic]: ros_type(message) for topic, message in topics_of(topics).items()}
         self._bag = BagWriter(self._stream, path, types | (scene.topics if scene else {}))
 
     def write(self, topic: str, records: np.ndarray, log_ns: np.ndarray) -> None:
@@ -54,7 +54,7 @@ class RecordingWriter:
             StorageError: the disk refuses.
         """
         stamps = stamp_ns(records)
-        if topic == "sample" and len(records):
+        if topic in SAMPLES and len(records):
             self._bus_less_sending = int(stamps[-1]) - int(log_ns[-1])
             self._write_waiting()
         elif topic == "health":

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.sequence import SequenceCounter
-from schemas.messages import TOPICS, Role, SampleFlag
+from schemas.messages import OF_DELTA, OF_JOINTS, SAMPLES, Role, SampleFlag, Topics, topics_of
 
 INVALID = SampleFlag.NOT_A_NUMBER | SampleFlag.OUT_OF_RANGE
 
 # Told of every n-th sample at a high rate and of none while filters start: a hole in their sequence is no loss.
-THINNED = ("payload", "error", "friction")
-_ANSWERS = ("feedforward", *THINNED)  # what the estimator's health counts as published
+THINNED = ("payload", "error", "friction", OF_JOINTS.payload, OF_JOINTS.error)
+FEEDFORWARDS = (OF_DELTA.feedforward, OF_JOINTS.feedforward)  # a robot has one of them
+_ANSWERS = (*FEEDFORWARDS, *THINNED)  # what the estimator's health counts as published
 _WAITING = 1 << 17  # answers since its last health, 8 s at the fastest: beyond, none comes, and nothing can be told
 _REMEMBERED = 1 << 15  # samples whose time is known when their feed-forward comes; 8 s at 4 kHz
 
@@ -61,11 +62,11 @@ class Tally:
     Of THINNED topics it can only be told together what was lost (`thinned_lost`), and only where Zenoh stamps.
     """
 
-    def __init__(self, stamped: bool) -> None:
-        """stamped: whether the times given to `add` are those of sending."""
-        self.received = dict.fromkeys(TOPICS, 0)
+    def __init__(self, stamped: bool, topics: Topics = OF_DELTA) -> None:
+        """stamped: whether the times given to `add` are those of sending. topics: of the kind of machine."""
+        self.received = dict.fromkeys(topics_of(topics), 0)
         self.invalid = 0
-        self._counters = {(topic, 0): SequenceCounter() for topic in TOPICS if topic not in ("health", *THINNED)}
+        self._counters = {(topic, 0): SequenceCounter() for topic in self.received if topic not in ("health", *THINNED)}
         self._counters |= {("health", int(role)): SequenceCounter() for role in Role}  # each role counts its own
         self._published = PublishedCount() if stamped else None
         self._sequence = np.full(_REMEMBERED, -1, np.int64)
@@ -74,7 +75,12 @@ class Tally:
     @property
     def thinned_lost(self) -> int | None:
         """Messages of THINNED topics that were lost, up to the estimator's last health; None: cannot be told."""
-        return self._published.lost(self.count("feedforward").lost) if self._published else None
+        return self._published.lost(self._holes) if self._published else None
+
+    @property
+    def _holes(self) -> int:
+        """Feed-forward messages that were lost."""
+        return sum(self.count(topic).lost for topic in FEEDFORWARDS)
 
     def add(self, topic: str, records: np.ndarray, sent_ns: np.ndarray) -> int:
         """Count (N,) records; how many sequence numbers were missed among them.
@@ -92,8 +98,8 @@ class Tally:
             self._published.came(sent_ns)
         if self._published and topic == "health":
             for row in np.flatnonzero(records["role"] == Role.ESTIMATOR):
-                self._published.said(records[row], int(sent_ns[row]), self.count("feedforward").lost)
-        if topic == "sample":
+                self._published.said(records[row], int(sent_ns[row]), self._holes)
+        if topic in SAMPLES:
             self.invalid += int(np.count_nonzero(records["flags"] & INVALID))
             sequence = records["sequence"].astype(np.int64)
             self._sequence[sequence % _REMEMBERED] = sequence

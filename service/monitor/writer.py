@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.view.scene import ViewerScene
 from schemas.errors import StorageError
+from schemas.messages import OF_DELTA, Topics
 from service.monitor.recording import RecordingWriter
 
 FLUSH_S = 0.2  # what a kill -9 can cost, together with the node's cycle
@@ -23,11 +24,11 @@ Batch = tuple[dict[str, tuple[np.ndarray, np.ndarray]], list[dict[str, str]]]  #
 class WriterThread:
     """Writes batches to `path` until `close`. When the disk refuses it says so once, and goes on without recording."""
 
-    def __init__(self, path: Path, robot: str, scene: ViewerScene | None = None) -> None:
+    def __init__(self, path: Path, robot: str, scene: ViewerScene | None = None, topics: Topics = OF_DELTA) -> None:
         """Raises StorageError: the file exists, cannot be made, or the disk refuses from the start."""
         self.failed = False
         self.dropped = 0  # messages that could not wait any longer
-        self._recording = RecordingWriter(path, robot, scene)
+        self._recording = RecordingWriter(path, robot, scene, topics)
         try:
             self._recording.flush()
         except StorageError:

@@ -74,21 +74,29 @@ class Kind:
             result[row] = data.qfrc_inverse
         return result
 
-    def record(self, path: Path, seed: int, load: Load | None = None) -> Path:
-        """A log with friction, rotors, constant load and white noise, in our own CSV."""
-        time = np.arange(round(SECONDS / PERIOD)) * PERIOD
+    def record(
+        self, path: Path, seed: int, load: Load | None = None, period: float = PERIOD, seconds: float = SECONDS,
+        encoder: float = 0.0,
+    ) -> Path:  # fmt: skip
+        """A log with friction, rotors, constant load and white noise, in our own CSV. encoder: rad of noise."""
+        time = np.arange(round(seconds / period)) * period
         signals, draw = self.motion(seed, time), np.random.default_rng(1000 + seed)
-        size = np.array(self.noise) * 40
-        needed = self.torque(signals, load) + 0.2 * size * signals[1] + 0.25 * size * np.sign(signals[1]) + 0.05 * size
-        needed += 0.02 * size * signals[2] + draw.normal(0, 1, needed.shape) * self.noise
+        needed = self.needed(signals, load) + draw.normal(0, 1, signals[0].shape) * self.noise
+        read = signals[0] + draw.normal(0, 1, signals[0].shape) * encoder
         header = "time_s," + ",".join(
             f"{name}_{j}_{unit}"
             for name, unit in (("position", "rad"), ("torque", "nm"))
             for j in range(1, self.count + 1)
         )
-        table = np.column_stack([time, signals[0], needed])
+        table = np.column_stack([time, read, needed])
         np.savetxt(path, table, "%.9g", ",", header=header, comments="")
         return path
+
+    def needed(self, signals: list[np.ndarray], load: Load | None = None) -> np.ndarray:
+        """(N, n) N m that the drives need, with friction, rotors and constant load."""
+        size = np.array(self.noise) * 40
+        rubs = 0.2 * size * signals[1] + 0.25 * size * np.sign(signals[1]) + 0.05 * size
+        return self.torque(signals, load) + rubs + 0.02 * size * signals[2]
 
     def motion(self, seed: int, time: np.ndarray) -> list[np.ndarray]:
         """Angle, speed, acceleration (N, n) of sums of sines."""

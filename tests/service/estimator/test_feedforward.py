@@ -5,6 +5,7 @@ import pytest
 
 from schemas.messages import FEEDFORWARD, FeedforwardSource, SampleFlag
 from service.estimator import departure, feedforward, state, stream
+from service.estimator import wanted as rules
 from service.model.dynamics import torque_terms
 from service.model.nominal import pack
 from tests.known import PERIOD
@@ -30,7 +31,7 @@ def step(robot):
 
 def chosen(step):
     answer = FEEDFORWARD.empty(1)[0]
-    source, flags = feedforward._choose(step["settings"][0], step["state"][0], step["sample"][0], answer)
+    source, flags = rules.choose_kernel(step["settings"][0], step["state"][0], step["sample"][0], answer)
     return S(source), F(flags), int(answer["target_sequence"]), step["state"]["trajectory"][0]
 
 
@@ -73,7 +74,7 @@ def test_a_plan_is_for_the_next_eight_cycles(step, ahead, taken):
 def test_a_plan_for_another_place_is_none(step, share):
     """4 sequence numbers ahead, 3 cycles coasted over."""
     step["state"]["measured"]["idle"] = 3
-    reach = feedforward.REFERENCE_DISTANCE + step["settings"]["speed"][0] * PERIOD * 7
+    reach = rules.REFERENCE_DISTANCE + step["settings"]["speed"][0] * PERIOD * 7
     step["state"]["reference"][0, 0, 1] = HERE[1] + share * reach
     source, flags, *_ = chosen(step)
     assert (source, flags) == ((S.REFERENCE, F(0)) if abs(share) < 1 else (S.COMMAND, F.COMMAND_JUMP))
@@ -116,7 +117,8 @@ def test_the_torque_keeps_to_its_peak_and_slope_but_for_a_reversal(step):
         ([49.0, -49.0, 0.0], [60.0, -60.0, 0.0], [50.0, -50.0, 0.0]),
     ):
         now["torque"], now["wanted"], now["direction_before"] = before, wanted, [1.0, 1.0, 0.5]
-        flags = feedforward._within_bounds(settings, now, 0.002, answer)
+        feedforward._note_reversals(settings, now)
+        flags = rules.bound_kernel(settings, now, 0.002, answer)
         np.testing.assert_allclose(answer["torque"], wanted if expected is None else expected)
         assert flags == (0 if expected is None else F.LIMITED)
         np.testing.assert_array_equal(now["direction_before"], now["direction"])
@@ -127,7 +129,7 @@ def test_a_torque_fades_in_a_straight_line_and_stays_away(step):
     now, settings, answer = step["state"][0], step["settings"][0], FEEDFORWARD.empty(1)[0]
     settings["fade"], now["torque"], now["direction_before"] = 0.05, [8.0, 0.0, -4.0], 1.0
     for number in range(1, 60):
-        flags = feedforward._fade(settings, now, PERIOD, answer)
+        flags = rules.fade_kernel(settings, now, PERIOD, answer)
         now["torque"] = answer["torque"]
         left = max(0.0, 1 - number / 50)
         np.testing.assert_allclose(answer["torque"], np.array([8.0, 0.0, -4.0]) * left, atol=1e-12)
