@@ -33,8 +33,8 @@ class Schedule:
     """What is to be sent, and when.
 
     payload: N messages of `size` bytes, one behind the other. stamp, due: (N,) int64 ns, bus time and time since the
-    start of a loop. sequence: (N,) int64. loops: times to play, 0 without end. A loop adds stamp_span, due_span (ns) and sequence_span.
-    period_ns: median time between two samples as they go out.
+    start of a loop. sequence: (N,) int64. loops: times to play, 0 without end. A loop adds stamp_span, due_span (ns)
+    and sequence_span. period_ns: median time between two samples as they go out.
     """
 
     payload: bytearray

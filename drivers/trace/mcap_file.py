@@ -17,11 +17,12 @@ from schemas.axes import Description
 from schemas.errors import MessageError, StorageError, TraceError
 from schemas.files import opened
 from schemas.keys import robot_key, topic_name
-from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, dtype_of, stamp_ns
+from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, SAMPLES, TOPICS, Message, dtype_of, stamp_ns
 from schemas.ros2 import ros_type
 from schemas.trace import Trace
 
-_SAMPLE_TOPIC = re.compile(r"^/?deltatwin/(?P<robot>[^/]+)/sample$")  # the slash came later
+_SAMPLE_TOPIC = re.compile(rf"^/?deltatwin/(?P<robot>[^/]+)/({'|'.join(SAMPLES)})$")  # the slash came later
+_MEASURED = {"stamp_sec", "sequence", "position", "torque", "flags"}
 SHOW_EVERY = 10_000  # samples
 
 
@@ -54,7 +55,7 @@ def robots_and_start(path: Path) -> tuple[list[str], int] | None:
 
 
 def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None) -> np.ndarray:
-    """(N,) records of `schemas.messages.SAMPLE` as they stand in the file `path`, opened as `stream`.
+    """(N,) records of SAMPLE, or of JOINT_SAMPLE, as they stand in the file `path`, opened as `stream`.
 
     Raises:
         TraceError: see `read_mcap`.
@@ -63,7 +64,7 @@ def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None
         summary = read_summary(stream, path)
         if summary is None:
             raise TraceError(f"{path}: the MCAP summary is missing (its writer was killed?): deltatwin recover {path}")
-        topic, dtype = _sample_topic(summary.channels, summary.schemas, path, robot)
+        topic, dtype, message = _sample_topic(summary.channels, summary.schemas, path, robot)
         ids = [channel.id for channel in summary.channels.values() if channel.topic == topic]
         ((data, _),) = read_messages(stream, path, [Wanted(topic, ids, dtype.itemsize)])
     except MessageError as error:
@@ -77,9 +78,9 @@ def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None
     if len(foreign):
         header = bytes(samples["cdr_header"][foreign[0]]).hex()
         raise TraceError(f"{path}: message {foreign[0] + 1} on {topic} has CDR header {header}, expected 00010000")
-    if dtype == SAMPLE.dtype:
+    if dtype == message.dtype:
         return samples
-    current = SAMPLE.empty(len(samples))
+    current = message.empty(len(samples))
     for name in dtype.names or ():
         current[name] = samples[name]
     return current
@@ -87,8 +88,8 @@ def read_samples(stream: IO[bytes], path: Path, robot: Description | None = None
 
 def _sample_topic(
     channels: dict[int, Channel], schemas: dict[int, Schema], path: Path, robot: Description | None
-) -> tuple[str, np.dtype]:
-    """The topic of the samples and the dtype that they were written with."""
+) -> tuple[str, np.dtype, Message]:
+    """The topic of the samples, the dtype that they were written with, and which message it is today."""
     found = {m["robot"]: c for c in channels.values() if (m := _SAMPLE_TOPIC.match(c.topic))}
     if not found:
         topics = ", ".join(sorted(c.topic for c in channels.values())) or "none"
@@ -100,18 +101,19 @@ def _sample_topic(
     channel = found[names[0]] if names else next(iter(found.values()))
     schema = schemas.get(channel.schema_id)
     text = schema.data.decode("utf-8", "replace") if schema else ""
-    dtype = _written_with(text) if channel.message_encoding == "cdr" else None
+    message = TOPICS[channel.topic.rsplit("/", 1)[-1]]
+    dtype = _written_with(text, message) if channel.message_encoding == "cdr" else None
     if dtype is None:
         name = schema.name if schema else "none"
         raise TraceError(
             f"{path}: {channel.topic} holds {channel.message_encoding!r} messages of schema {name}, which is not "
-            f"{SAMPLE.schema_name} in cdr of this version or one before"
+            f"{message.schema_name} in cdr of this version or one before"
         )
-    return channel.topic, dtype
+    return channel.topic, dtype, message
 
 
-def _written_with(text: str) -> np.dtype | None:
-    """The dtype of a version of SAMPLE: fields that it has today, the measured ones among them; None of anything else.
+def _written_with(text: str, message: Message) -> np.dtype | None:
+    """The dtype of a version of `message`: fields that it has today, the measured ones among them; None of others.
 
     Comments and constants may differ, and fields that came later may be missing.
     """
@@ -119,25 +121,34 @@ def _written_with(text: str) -> np.dtype | None:
         dtype = dtype_of(text)
     except MessageError:
         return None
-    fields, ours = dtype.fields or {}, SAMPLE.dtype.fields or {}
+    fields, ours = dtype.fields or {}, message.dtype.fields or {}
     known = all(name in ours and ours[name][0] == fields[name][0] for name in fields)
-    return dtype if known and fields.keys() >= {"stamp_sec", "sequence", "position", "torque", "flags"} else None
+    return dtype if known and fields.keys() >= _MEASURED else None
 
 
 def to_trace(samples: np.ndarray, path: Path) -> Trace:
-    """Records of `schemas.messages.SAMPLE` as a trace with the flags they came with, unchecked."""
-    stamps = stamp_ns(samples)
+    """Records of SAMPLE or JOINT_SAMPLE as a trace with the flags they came with, unchecked.
+
+    Raises:
+        TraceError: records of several numbers of joints.
+    """
+    stamps, names = stamp_ns(samples), samples.dtype.names or ()
+    joints = np.unique(samples["joints"]) if "joints" in names else np.array([3])
+    if len(joints) > 1 or not 0 < joints[0] <= samples["position"].shape[1]:
+        raise TraceError(f"{path}: samples of {', '.join(map(str, joints))} joints: one number of joints is needed")
+    of_joints = slice(int(joints[0]))
     epoch = int(stamps[0]) if np.abs(stamps).max() > EXACT_SECONDS * NANOSECONDS else 0
     commands = {}
     for name in ("position_command", "torque_command"):
-        command = np.ascontiguousarray(samples[name])
+        command = np.ascontiguousarray(samples[name][:, of_joints])
         commands[name] = None if np.isnan(command).all() else command
-    angle, gripper = np.ascontiguousarray(samples["fourth_position"]), samples["gripper"].astype(np.uint32)
+    gripper = samples["gripper"].astype(np.uint32)
+    angle = np.ascontiguousarray(samples["fourth_position"]) if "fourth_position" in names else np.array(np.nan)
     return Trace(
         path=path,
         time=(stamps - epoch) / NANOSECONDS,
-        position=np.ascontiguousarray(samples["position"]),
-        torque=np.ascontiguousarray(samples["torque"]),
+        position=np.ascontiguousarray(samples["position"][:, of_joints]),
+        torque=np.ascontiguousarray(samples["torque"][:, of_joints]),
         fourth_position=None if np.isnan(angle).all() else angle,
         gripper=gripper if gripper.any() else None,
         flags=samples["flags"].astype(np.uint32),

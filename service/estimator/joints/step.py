@@ -197,7 +197,7 @@ def _hold(settings, state, sample, out):
 
 @kernel
 def look_kernel(steps):
-    """Fill state.looked, reported, rubbed, gripper, votes of the sample a fixed lag ago. Returns whether it is usable."""
+    """Fill state.looked, reported, rubbed, gripper, votes of the sample a lag ago. Returns whether it is usable."""
     step = steps[0]
     settings, state, lag = step.settings, step.state, step.settings.motion.lag
     index = (state.head - lag + MAX_LAG + 1) % (MAX_LAG + 1)
