@@ -62,8 +62,9 @@ def samples(kind: Kind, seed: int, load: Load) -> np.ndarray:
     records = JOINT_SAMPLE.empty(len(times))
     set_stamp(records, np.rint(times * NANOSECONDS).astype(np.int64))
     records["sequence"], records["joints"] = np.arange(len(times)), kind.count
-    records["position_command"] = records["torque_command"] = np.nan
+    records["torque_command"] = np.nan
     own = slice(kind.count)
+    records["position_command"][:, own] = signals[0]
     records["position"][:, own] = signals[0] + draw.normal(0, 1, signals[0].shape) * ENCODER
     records["torque"][:, own] = needed + draw.normal(0, 1, needed.shape) * kind.noise
     return records
