@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from schemas.messages import REFERENCE, SAMPLE
+from schemas.messages import REFERENCE, Message
 
 REAL = np.array(
     [np.nan, np.inf, -np.inf, 1e308, -1e308, 1e-308, 0.0, 1e5, -200.0, 90.0, 2.1, -1.5, 0.4],
@@ -15,14 +15,14 @@ _NANOSECONDS = np.array([0, 10**9, 2**32 - 1], np.uint32)
 
 
 def hostile(random: np.random.Generator, good: np.ndarray, count: int) -> np.ndarray:
-    """`count` records of SAMPLE: noise, or `good` from some row on with values, order and stamps put out of joint."""
+    """`count` records as `good` are: noise, or `good` from some row on with values, order and stamps put out of joint."""
     if random.random() < 0.15:
-        return np.frombuffer(random.bytes(SAMPLE.dtype.itemsize * count), SAMPLE.dtype).copy()
+        return np.frombuffer(random.bytes(good.dtype.itemsize * count), good.dtype).copy()
     samples = np.resize(good[random.integers(len(good)) :], count).copy()
     for field in ("position", "torque", "position_command"):
         share = random.choice([0.0, 0.01, 0.1, 0.5])
-        struck = random.random((count, 3)) < share
-        samples[field] = np.where(struck, random.choice(REAL, (count, 3)), samples[field])
+        struck = random.random(samples[field].shape) < share
+        samples[field] = np.where(struck, random.choice(REAL, samples[field].shape), samples[field])
     for field, values in (("sequence", _SEQUENCES), ("stamp_sec", _SECONDS), ("stamp_nanosec", _NANOSECONDS)):
         struck = random.random(count) < random.choice([0.0, 0.01, 0.2])
         samples[field][struck] = random.choice(values, struck.sum())
@@ -36,15 +36,15 @@ def hostile(random: np.random.Generator, good: np.ndarray, count: int) -> np.nda
     return samples
 
 
-def reference(random: np.random.Generator, sequence: int) -> np.void:
+def reference(random: np.random.Generator, sequence: int, message: Message = REFERENCE) -> np.void:
     """A plan for about `sequence`, hostile in one way or another."""
-    record = np.frombuffer(random.bytes(REFERENCE.dtype.itemsize), REFERENCE.dtype).copy()[0]
+    record = np.frombuffer(random.bytes(message.dtype.itemsize), message.dtype).copy()[0]
     if random.random() < 0.7:
         record["sequence"] = (sequence + int(random.integers(0, 10))) % 2**64
         for field, scale in (("position", 1.0), ("velocity", 30.0), ("acceleration", 4000.0)):
-            record[field] = random.uniform(-scale, scale, 3)
+            record[field] = random.uniform(-scale, scale, record[field].shape)
             if random.random() < 0.3:
-                record[field][random.integers(3)] = random.choice(REAL)
+                record[field][random.integers(len(record[field]))] = random.choice(REAL)
     return record
 
 

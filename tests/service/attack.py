@@ -16,7 +16,7 @@ import numpy as np
 from drivers.bus import open_bus
 from drivers.trace import read_trace
 from replay.demo import LOG, ROBOT
-from schemas.messages import CDR_LITTLE_ENDIAN, TOPICS, FeedforwardSource, Role, SampleFlag
+from schemas.messages import CDR_LITTLE_ENDIAN, OF_DELTA, TOPICS, FeedforwardSource, Role, SampleFlag, topics_of
 from schemas.robot import load_robot, save_robot
 from service.estimator.bounds import bounds_of
 
@@ -109,7 +109,7 @@ class Attack:
         # who hears what and counts it as received
         self._targets = [
             (topic, mine.publisher(topic).put, ["monitor", *(("estimator", "watch") if topic == "sample" else ())])
-            for topic in TOPICS
+            for topic in topics_of(OF_DELTA)
         ]
         self._targets.append(("feedforward", robots.publisher("feedforward").put, ["robot"]))
         give_up = time.monotonic() + START_S

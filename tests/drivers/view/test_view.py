@@ -25,7 +25,7 @@ from drivers.trace.tables import read_table
 from drivers.view.layout import layout
 from drivers.view.scene import ViewerScene, transforms
 from schemas.errors import TraceError
-from schemas.messages import PAYLOAD, SAMPLE, TOPICS, PayloadEvent, Role, fields_of, set_stamp
+from schemas.messages import OF_DELTA, PAYLOAD, SAMPLE, TOPICS, PayloadEvent, Role, fields_of, set_stamp, topics_of
 from schemas.robot import load_robot
 from service.monitor.recording import RecordingWriter
 
@@ -159,7 +159,7 @@ def test_a_client_gets_the_messages_as_they_are_and_the_robot(bus_folder: Path, 
         client = await websocket_connect(request, subprotocols=["foxglove.sdk.v1"])
         channels: dict[str, dict] = {}
         got: dict[str, list[tuple[int, bytes]]] = {}
-        while len(channels) < len(TOPICS) + 3:
+        while len(channels) < len(topics_of(OF_DELTA)) + 3:
             message = await asyncio.wait_for(client.read_message(), 20)
             assert message is not None
             if isinstance(message, str) and json.loads(message)["op"] == "advertise":

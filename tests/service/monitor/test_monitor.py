@@ -16,8 +16,10 @@ import pytest
 from mcap.reader import make_reader
 
 from drivers.bus import Bus, Publisher, open_bus
-from schemas.messages import FEEDFORWARD, HEALTH, SAMPLE, TOPICS, HealthFlag, Role, SampleFlag
+from schemas.messages import FEEDFORWARD, HEALTH, OF_DELTA, SAMPLE, TOPICS, HealthFlag, Role, SampleFlag, topics_of
 from service.monitor.tally import Tally
+
+OWN = topics_of(OF_DELTA)
 
 COMMAND = Path(sys.executable).with_name("deltatwin")
 Until = Callable[[Callable[[], bool]], None]
@@ -29,7 +31,7 @@ class Watched:
     def __init__(self, bus: Bus, robot: Path) -> None:
         self.bus = bus
         self.health = bus.subscribe("health")
-        self.publishers = {topic: bus.publisher(topic) for topic in TOPICS}
+        self.publishers = {topic: bus.publisher(topic) for topic in OWN}
         self.robot = robot
         self.said: list[np.void] = []
         self.process: subprocess.Popen[str] | None = None
@@ -84,7 +86,7 @@ def test_everything_on_the_bus_is_in_a_whole_file(watched: Watched, tmp_path: Pa
     path = tmp_path / "run.mcap"
     process = watched.start(path, until)
     sent: dict[str, list[bytes]] = {}
-    for topic, message in TOPICS.items():
+    for topic, message in OWN.items():
         records = message.empty(300)
         records["sequence"] = np.arange(300)
         sent[topic] = [record.tobytes() for record in records]
@@ -96,7 +98,7 @@ def test_everything_on_the_bus_is_in_a_whole_file(watched: Watched, tmp_path: Pa
     out, error = watched.finish(how)
     assert process.returncode == 0, error
     assert "Traceback" not in error
-    for topic in TOPICS:
+    for topic in OWN:
         if topic != "health":
             assert recorded(path, topic).tobytes() == b"".join(sent[topic]), topic
     health = recorded(path, "health")

@@ -17,12 +17,14 @@ from rosbags.rosbag2 import Reader
 from drivers.trace import read_trace, write_trace
 from drivers.trace.mcap_file import read_samples
 from schemas.errors import StorageError
-from schemas.messages import PAYLOAD, SAMPLE, TOPICS, Message, dtype_of, set_stamp
+from schemas.messages import OF_DELTA, PAYLOAD, SAMPLE, TOPICS, Message, dtype_of, set_stamp, topics_of
 from schemas.robot import load_robot
 from schemas.ros2 import type_hash
 from service.monitor.readback import read_recording
 from service.monitor.recording import RecordingWriter
 from service.monitor.recover import Recovered, recover
+
+OWN = topics_of(OF_DELTA)
 
 WALL_NS = 1_790_000_000_000_000_000
 FLUSHES = 10
@@ -49,7 +51,7 @@ def run(tmp_path: Path) -> Path:
         first = number * PER_FLUSH
         log = WALL_NS + np.arange(first, first + PER_FLUSH) * 1_000_000
         recording.write("sample", filled(SAMPLE, PER_FLUSH, first), log)
-        for topic, message in TOPICS.items():
+        for topic, message in OWN.items():
             if topic != "sample":
                 recording.write(topic, filled(message, 1, number), log[:1])
         recording.note("sequence_gap", {"topic": "sample", "missed": str(number)})
@@ -125,7 +127,7 @@ def test_every_field_of_every_message_decodes_as_ros2(run: Path) -> None:
                 if name != "frame_id" and not name.startswith("stamp_"):
                     told = getattr(decoded, name)  # bytes where it is uint8[]
                     assert np.array_equal(record[name], list(told) if isinstance(told, bytes) else told), (topic, name)
-    assert counts == {topic: PER_FLUSH * FLUSHES if topic == "sample" else FLUSHES for topic in TOPICS}
+    assert counts == {topic: PER_FLUSH * FLUSHES if topic == "sample" else FLUSHES for topic in OWN}
 
 
 def test_health_is_on_the_clock_of_the_samples(tmp_path: Path) -> None:
@@ -162,7 +164,7 @@ def test_whole_file_is_copied_whole(run: Path, tmp_path: Path) -> None:
     assert saved.bad_chunks == 0
     assert saved.span_s == pytest.approx(1.999)
     assert saved.counts == {
-        f"/deltatwin/bench/{topic}": PER_FLUSH * FLUSHES if topic == "sample" else FLUSHES for topic in TOPICS
+        f"/deltatwin/bench/{topic}": PER_FLUSH * FLUSHES if topic == "sample" else FLUSHES for topic in OWN
     }
     assert samples(tmp_path / "copy.mcap").tobytes() == samples(run).tobytes()
     with (tmp_path / "copy.mcap").open("rb") as stream:
@@ -173,7 +175,7 @@ def test_whole_file_is_copied_whole(run: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["monitor", "recover", "convert"])
 def test_another_reader_of_bags_takes_it(run: Path, tmp_path: Path, kind: str) -> None:
     """As `ros2 bag info` would, from the file alone, and from what it keeps of itself as metadata.yaml."""
-    path, count = tmp_path / f"{kind}.mcap", {topic: FLUSHES for topic in TOPICS} | {"sample": PER_FLUSH * FLUSHES}
+    path, count = tmp_path / f"{kind}.mcap", {topic: FLUSHES for topic in OWN} | {"sample": PER_FLUSH * FLUSHES}
     if kind == "monitor":
         path = run
     elif kind == "recover":
