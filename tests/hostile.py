@@ -15,7 +15,7 @@ _NANOSECONDS = np.array([0, 10**9, 2**32 - 1], np.uint32)
 
 
 def hostile(random: np.random.Generator, good: np.ndarray, count: int) -> np.ndarray:
-    """`count` records as `good` are: noise, or `good` from some row on with values, order and stamps put out of joint."""
+    """`count` records like `good`: noise, or `good` from some row on with values, order and stamps put out of joint."""
     if random.random() < 0.15:
         return np.frombuffer(random.bytes(good.dtype.itemsize * count), good.dtype).copy()
     samples = np.resize(good[random.integers(len(good)) :], count).copy()

@@ -69,6 +69,7 @@ class LoadMemory:
         self._values = np.zeros(len(self._prior))
         self._gripper = int(Gripper.UNKNOWN)
         self._event = PayloadEvent.NONE
+        self._doubted: tuple[Found, list[np.ndarray], list[np.ndarray]] | None = None  # what was known until a block
         self.forget()
 
     def forget(self) -> None:
@@ -78,7 +79,7 @@ class LoadMemory:
         self._grams: list[np.ndarray] = []
         self._moments: list[np.ndarray] = []
         self._filled = self._bins = 0
-        self._work = None
+        self._work = self._doubted = None
 
     def event(self) -> PayloadEvent:
         """What happened since the last call."""
@@ -154,7 +155,7 @@ class LoadMemory:
         else:
             gram, moment = self._equations(rows, moves, self._sigma)
             yield
-            if self._is_another(gram, moment):
+            if not self._stands(gram, moment):
                 return
             self._keep(gram, moment)
         if len(self._grams) < SCARCE:
@@ -182,28 +183,37 @@ class LoadMemory:
             sigma = np.maximum(sigma, 1e-9)
         return sigma
 
-    def _is_another(self, gram: np.ndarray, moment: np.ndarray) -> bool:
-        """Whether a block is of another load than those before; then that is said, and all forgotten."""
-        if self.found is None or self._covariance is None:
+    def _stands(self, gram: np.ndarray, moment: np.ndarray) -> bool:
+        """Whether a block counts. One that asks for another load does not, as it may be that of the change; the next
+        one says what became of the load."""
+        if self.found is None and self._doubted is None:
+            return True
+        change = self._change(gram, moment)
+        if self._doubted is None and self.found is not None:
+            if change == 0.0:
+                return True
+            self._doubted, self.found = (self.found, self._grams, self._moments), None
+            self._grams, self._moments = [], []
             return False
+        if self._doubted is not None and change == 0.0:
+            self.found, self._grams, self._moments = self._doubted
+        elif change != 0.0:
+            self._event = PayloadEvent.PICK if change > 0 else PayloadEvent.RELEASE
+        self._doubted = None
+        return True
+
+    def _change(self, gram: np.ndarray, moment: np.ndarray) -> float:
+        """kg by which a block asks for another load than the one known last; 0 where it may be the same."""
+        assert self._covariance is not None
         load = slice(_GATHERED)
         score = moment - gram @ self._values
         noise = self._memory * gram + gram @ self._covariance @ gram
-        # what the block alone says of a change, with the parameters of the arm as they are known
+        # what the block alone says, with the parameters of the arm as they are known
         own = gram[load, load] / self._memory + np.diag(self._prior[load])
-        change = np.linalg.solve(own, score[load] / self._memory)
+        change = float(np.linalg.solve(own, score[load] / self._memory)[0])
         weigh = np.linalg.solve(own, np.eye(_GATHERED)[0]) / self._memory
         error = float(np.sqrt(weigh @ noise[load, load] @ weigh))
-        if abs(change[0]) < max(CHANGED * error, SMALLEST_CHANGE):
-            return False
-        self.forget_for(PayloadEvent.PICK if change[0] > 0 else PayloadEvent.RELEASE)
-        return True
-
-    def forget_for(self, event: PayloadEvent) -> None:
-        """The load is another."""
-        work = self._work
-        self.forget()
-        self._work, self._event = work, event
+        return change if abs(change) > max(CHANGED * error, SMALLEST_CHANGE) else 0.0
 
     def _fit(self) -> Iterator[None]:
         blocks = Blocks(np.array(self._grams), np.array(self._moments), self._prior)
