@@ -1,8 +1,9 @@
 """The load of a running arm: blocks of motion gathered sample by sample, fitted as a log's (`machines.load`).
 
 Torque and columns are averaged alike over `BIN` s, which takes noise of the acceleration off both. Each `BLOCK` s of
-motion the newest `MOST_BLOCKS` blocks are fitted anew, a part of that work a sample. A block that another load moved
-ends what was known before.
+motion the newest `MOST_BLOCKS` blocks are fitted anew, a part of that work a sample. A block that asks for another
+load makes the known one doubtful, until two in a row ask for the same other one, or one for the old one again: then it
+was a collision.
 """
 
 from __future__ import annotations
@@ -44,6 +45,17 @@ class Found:
     motion: float
 
 
+@dataclass
+class _Doubted:
+    """What was known, and by how many kg the newest block since then asks for more, with the standard error."""
+
+    found: Found
+    grams: list[np.ndarray]
+    moments: list[np.ndarray]
+    change: float
+    error: float
+
+
 class LoadMemory:
     """Call `add` for every look back; `found` is the newest result, None: not yet."""
 
@@ -69,7 +81,7 @@ class LoadMemory:
         self._values = np.zeros(len(self._prior))
         self._gripper = int(Gripper.UNKNOWN)
         self._event = PayloadEvent.NONE
-        self._doubted: tuple[Found, list[np.ndarray], list[np.ndarray]] | None = None  # what was known until a block
+        self._doubted: _Doubted | None = None
         self.forget()
 
     def forget(self) -> None:
@@ -184,26 +196,31 @@ class LoadMemory:
         return sigma
 
     def _stands(self, gram: np.ndarray, moment: np.ndarray) -> bool:
-        """Whether a block counts. One that asks for another load does not, as it may be that of the change; the next
-        one says what became of the load."""
-        if self.found is None and self._doubted is None:
+        """Whether a block counts. The first that asks for another load does not, as it may be that of the change."""
+        doubted = self._doubted
+        if self.found is None and doubted is None:
             return True
-        change = self._change(gram, moment)
-        if self._doubted is None and self.found is not None:
-            if change == 0.0:
-                return True
-            self._doubted, self.found = (self.found, self._grams, self._moments), None
-            self._grams, self._moments = [], []
+        change, error = self._change(gram, moment)
+        changed = abs(change) > max(CHANGED * error, SMALLEST_CHANGE)
+        if doubted is None:
+            assert self.found is not None
+            if changed:
+                self._doubted = _Doubted(self.found, self._grams, self._moments, change, error)
+                self.found, self._grams, self._moments = None, [], []
+            return not changed
+        if not changed:
+            self.found, self._grams, self._moments = doubted.found, doubted.grams, doubted.moments
+            self._doubted = None
+            return True
+        again = abs(change - doubted.change) < max(CHANGED * float(np.hypot(error, doubted.error)), SMALLEST_CHANGE)
+        if not again:
+            doubted.change, doubted.error = change, error
             return False
-        if self._doubted is not None and change == 0.0:
-            self.found, self._grams, self._moments = self._doubted
-        elif change != 0.0:
-            self._event = PayloadEvent.PICK if change > 0 else PayloadEvent.RELEASE
-        self._doubted = None
+        self._event, self._doubted = (PayloadEvent.PICK if change > 0 else PayloadEvent.RELEASE), None
         return True
 
-    def _change(self, gram: np.ndarray, moment: np.ndarray) -> float:
-        """kg by which a block asks for another load than the one known last; 0 where it may be the same."""
+    def _change(self, gram: np.ndarray, moment: np.ndarray) -> tuple[float, float]:
+        """kg by which a block asks for another load than the one known last, and its standard error."""
         assert self._covariance is not None
         load = slice(_GATHERED)
         score = moment - gram @ self._values
@@ -212,8 +229,7 @@ class LoadMemory:
         own = gram[load, load] / self._memory + np.diag(self._prior[load])
         change = float(np.linalg.solve(own, score[load] / self._memory)[0])
         weigh = np.linalg.solve(own, np.eye(_GATHERED)[0]) / self._memory
-        error = float(np.sqrt(weigh @ noise[load, load] @ weigh))
-        return change if abs(change) > max(CHANGED * error, SMALLEST_CHANGE) else 0.0
+        return change, float(np.sqrt(weigh @ noise[load, load] @ weigh))
 
     def _fit(self) -> Iterator[None]:
         blocks = Blocks(np.array(self._grams), np.array(self._moments), self._prior)
