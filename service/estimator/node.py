@@ -130,9 +130,11 @@ class EstimatorNode:
             self._invalid += 1
         event = estimator.look_back()
         if event > 0 or (event == 0 and sequence // estimator.stride % self._every == 0):
-            self._put["payload"](estimator.payload.tobytes())
+            if estimator.payload is not None:
+                self._put["payload"](estimator.payload.tobytes())
+                self._published += 1
             self._put["error"](estimator.error.tobytes())
-            self._published += 2
+            self._published += 1
 
     def report(self) -> None:
         """Publish health."""

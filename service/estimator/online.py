@@ -14,14 +14,15 @@ from service.estimator.estimator import Estimator, Result, compile_all
 
 
 class Online(Protocol):
-    """What the node asks of an estimator; see `Estimator`. friction: None where none is learnt."""
+    """What the node asks of an estimator; see `Estimator`. payload, friction: None where there is none."""
 
     period: float
     stride: int
     feedforward: np.ndarray
-    payload: np.ndarray
     error: np.ndarray
 
+    @property
+    def payload(self) -> np.ndarray | None: ...
     @property
     def friction(self) -> np.ndarray | None: ...
     def step(self, message: bytes) -> int: ...

@@ -27,7 +27,7 @@ class JointEstimator:
     """Consumes JOINT_SAMPLE in the order they come; the same samples give the same bits, one by one or in any batches.
 
     feedforward, payload, error: (1,) records of JOINT_FEEDFORWARD, LOAD and JOINT_ERROR, what the last `step` and
-    `look_back` said, overwritten by the next.
+    `look_back` said, overwritten by the next. payload: None of axes.
     """
 
     friction = None  # none is learnt
@@ -45,7 +45,8 @@ class JointEstimator:
         self._mechanism, self._base = mechanism, base_of(description)
         self._steps = state.fresh(state.settings(description, period, stride))
         self._given = self._steps["given"].view(np.uint8).data
-        self.feedforward, self.payload, self.error = (self._steps[name] for name in ("feedforward", "load", "error"))
+        self.feedforward, self.error = self._steps["feedforward"], self._steps["error"]
+        self.payload = self._steps["load"] if isinstance(description, Chain) else None
         count, one = description.count, self._steps["state"][0]
         self._motion, self._looked = one["motion"][:, :count], one["looked"][:, :count]
         self._rigid, self._reported = one["rigid"][:count], one["reported"][:count]
@@ -96,8 +97,9 @@ class JointEstimator:
         found = None if self._load is None else self._load.found
         if found is not self._fed:
             self._feed(found)
-        event = PayloadEvent.NONE if self._load is None else self._load.event()
-        self.payload["event"] = event
+        if self._load is None:
+            return int(PayloadEvent.NONE)
+        self._steps["load"]["event"] = event = self._load.event()
         return int(event)
 
     def _weigh(self, load: LoadMemory) -> None:
@@ -127,7 +129,7 @@ class JointEstimator:
         self._say(found)
 
     def _say(self, found: Found | None) -> None:
-        said = self.payload[0]
+        said = self._steps["load"][0]
         for name in ("trusted", "centre_trusted", "inertia_trusted", "motion"):
             said[name] = 0
         for name in ("mass", "centre", "inertia"):
@@ -151,7 +153,7 @@ class JointEstimator:
             self.step(data[n * size : (n + 1) * size])
             answers.append(self.feedforward.tobytes())
             if self.look_back() >= 0:
-                loads.append(self.payload.tobytes())
+                loads += [] if self.payload is None else [self.payload.tobytes()]
                 errors.append(self.error.tobytes())
         return Result(
             *(
