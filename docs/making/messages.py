@@ -10,7 +10,7 @@ from typing import Any
 from docs.making.markdown import cell, code, prose, table
 from drivers.security.rights import readers, writers
 from schemas import messages
-from schemas.messages import TOPICS, Message, Role
+from schemas.messages import SAMPLES, TOPICS, Message, Role
 
 _FIELD = re.compile(r"^(?P<type>[\w/]+(?:\[\d+\])?)\s+(?P<name>[a-z]\w*)\s*(?:#\s*(?P<said>.*))?$")
 _CONSTANT = re.compile(r"^\w+\s+(?P<name>[A-Z]\w*)\s*=\s*(?P<value>-?\d+)\s*(?:#\s*(?P<said>.*))?$")
@@ -34,7 +34,7 @@ def page(topic: str) -> str:
     write, read = (
         ", ".join(role.name.lower() for role in roles) for roles in (writers(topic, Role.TAP), readers(topic))
     )
-    if topic == "sample":
+    if topic in SAMPLES:
         write = "one of tap, player and robot"
     dtype = message.dtype
     rows = []
