@@ -272,7 +272,7 @@ def strike(robot, good: np.ndarray, random: np.random.Generator, rounds: int) ->
 
 
 def test_hostile_streams_leave_the_torque_bounded_and_the_state_whole(four) -> None:
-    """Also a bench of a million: tests/bench/bench_arm_hostile.py."""
+    """Also a bench of a million: tests/bench/bench_hostile_step.py."""
     strike(four, moving(FOUR, 2.0), np.random.default_rng(7), rounds=25)
 
 
