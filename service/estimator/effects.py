@@ -91,22 +91,28 @@ def readout_of(robot: Robot, terms: Sequence[Term]) -> Readout:
     return readout
 
 
-def pack_effects(terms: Sequence[Term]) -> np.ndarray:
-    """(MAX_EFFECTS,) EFFECT records, the unused ones with number -1.
+def of_own_joint(effect: Effect) -> bool:
+    """Whether the online form needs the joint's own motion alone, and nothing of a Delta."""
+    own = effect.per_joint and effect.own_joint and not effect.by_load
+    return effect.name in _INSTANT and own and effect.kinds > {"delta"}
+
+
+def pack_effects(terms: Sequence[Term], record: np.dtype = EFFECT) -> np.ndarray:
+    """(MAX_EFFECTS,) of `record`, EFFECT or the same of more joints, the unused ones with number -1.
 
     Raises:
         RobotError: more effects than fit.
     """
-    records = np.zeros(MAX_EFFECTS, EFFECT)
+    records = np.zeros(MAX_EFFECTS, record)
     records["number"] = -1
     kept = [term for term in terms if term.effect.name in _FORMS]
     if len(kept) > MAX_EFFECTS:
         raise RobotError(f"effect: {len(kept)} tables, the online model holds at most {MAX_EFFECTS}")
-    for record, term in zip(records, kept, strict=False):
-        record["number"] = _NUMBER[term.effect.name]
-        record["nonlinear"][: len(term.nonlinear)] = term.nonlinear
-        record["joint"][list(term.joints) or slice(None)] = 1
-        record["amplitude"][list(term.places), : term.amplitude.shape[1]] = term.amplitude
+    for one, term in zip(records, kept, strict=False):
+        one["number"] = _NUMBER[term.effect.name]
+        one["nonlinear"][: len(term.nonlinear)] = term.nonlinear
+        one["joint"][list(term.joints) or slice(None)] = 1
+        one["amplitude"][list(term.places), : term.amplitude.shape[1]] = term.amplitude
     return records
 
 
@@ -144,13 +150,13 @@ _encoder = _dispatcher(_ENCODERS, "effect, gear_ratio, i, motion", "None")
 
 @kernel
 def effects_kernel(effects, now, torque):
-    """Add the effects' torque at the Instant `now` to `torque` (3,), N m, which holds the base model's; but of those
+    """Add the effects' torque at the Instant `now` to `torque` (n,), N m, which holds the base model's; but of those
     that remember."""
     for n in range(MAX_EFFECTS):
         effect = effects[n]
         if effect.number < 0:
             break
-        for i in range(3):
+        for i in range(len(torque)):
             if effect.joint[i] != 0:
                 torque[i] += _instant(effect, now, i)
 

@@ -51,9 +51,9 @@ def left_out(description: Description, period: float) -> dict[str, str]:
     """Name -> why, of each effect of a description that the estimator does without at a sample every `period` s."""
     if isinstance(description, Robot):
         return of_delta.left_out(description, period)
-    from service.estimator.joints import estimator
+    from service.estimator.joints import state
 
-    return estimator.left_out(description)
+    return state.left_out(description)
 
 
 def compile_estimator(description: Description) -> None:

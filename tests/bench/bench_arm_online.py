@@ -16,7 +16,8 @@ import numpy as np
 
 from docs.making import figures
 from drivers.trace import read_trace
-from schemas.axes import Description, load_description
+from schemas.axes import load_description
+from schemas.chain import Chain
 from schemas.messages import JOINT_SAMPLE, NANOSECONDS, PayloadEvent, set_stamp, stamp_ns
 from service.estimator.joints.estimator import JointEstimator
 from service.identification.axes import identify_axes
@@ -44,13 +45,16 @@ class Row(NamedTuple):
     seconds: np.ndarray
 
 
-def identified(kind: Kind, folder: Path, seed: int) -> Description:
+def identified(kind: Kind, folder: Path, seed: int) -> Chain:
     """The arm without a load, from a URDF that is too heavy."""
     (folder / "arm.urdf").write_text(kind.urdf(scale=HEAVY_URDF))
     (folder / "arm.toml").write_text(kind.description())
     plain = load_description(folder / "arm.toml")
     empty = [kind.record(folder / f"empty_{k}.csv", 1000 * seed + k) for k in range(2)]
-    return identify_axes(plain, [read_trace(path, plain) for path in empty]).robot
+    assert isinstance(plain, Chain)
+    robot = identify_axes(plain, [read_trace(path, plain) for path in empty]).robot
+    assert isinstance(robot, Chain)
+    return robot
 
 
 def samples(kind: Kind, seed: int, load: Load) -> np.ndarray:
@@ -70,7 +74,7 @@ def samples(kind: Kind, seed: int, load: Load) -> np.ndarray:
     return records
 
 
-def measured(kind: Kind, robot: Description, seed: int, load: Load) -> Row:
+def measured(kind: Kind, robot: Chain, seed: int, load: Load) -> Row:
     """One load on one robot."""
     given, estimator = samples(kind, seed, load), JointEstimator(robot, PERIOD)
     size, data = given.dtype.itemsize, given.tobytes()
@@ -82,6 +86,7 @@ def measured(kind: Kind, robot: Description, seed: int, load: Load) -> Row:
         event = estimator.look_back()
         seconds[n] = time.perf_counter() - begin
         if event >= 0:
+            assert estimator.payload is not None
             said.append(estimator.payload.copy())
     loads = np.concatenate(said)
     at = stamp_ns(loads) / NANOSECONDS

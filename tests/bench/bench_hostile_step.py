@@ -2,8 +2,8 @@
 
 uv run python -m tests.bench.bench_hostile_step [--samples 10000000] [--seed 1] [--states | --arm]
 
-states: of a robot with every kind of state that an effect may have, gears, bristles and filters among them. arm: of an arm
-of four joints.
+states: of a robot with every kind of state that an effect may have, gears, bristles and filters among them. arm: of an
+arm of four joints.
 """
 
 from __future__ import annotations

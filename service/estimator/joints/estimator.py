@@ -15,13 +15,6 @@ from service.machines.chain import ChainMachine
 from service.model.description import base_of
 from service.model.mechanism import DecoupledAxes, SerialArm
 
-NO_FORM = "online an arm or axes have no effects yet"
-
-
-def left_out(description: Axes | Chain) -> dict[str, str]:
-    """Name -> why, of each effect of a description that is not carried."""
-    return {entry.name: NO_FORM for entry in description.effect}
-
 
 class JointEstimator:
     """Consumes JOINT_SAMPLE in the order they come; the same samples give the same bits, one by one or in any batches.
@@ -61,7 +54,7 @@ class JointEstimator:
             assert isinstance(machine, ChainMachine)
             self._load = LoadMemory(description, machine, period, machine.limits().speed)
             self._onto = machine.load(None)[1]
-        self._found = HealthFlag.EFFECT_LEFT_OUT if description.effect else HealthFlag(0)
+        self._found = HealthFlag.EFFECT_LEFT_OUT if state.left_out(description) else HealthFlag(0)
         self._say(None)
 
     def step(self, message: bytes) -> int:

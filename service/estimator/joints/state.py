@@ -24,12 +24,14 @@ from schemas.messages import (
     MOST_JOINTS,
     FeedforwardSource,
 )
-from service.estimator import kalman
+from service.estimator import effects, kalman
 from service.estimator.bounds import REVERSAL_TIME, growth_share
 from service.machines import machine_of
 from service.machines.machine import MachineModel
-from service.model.description import base_of
+from service.model.description import base_of, terms_of
 from service.model.dynamics import REST_SPEED
+from service.model.kinematics import POSE
+from service.model.nominal import MODEL
 from service.model.signals import LEVER
 
 MOST_MOTORS = 2 * MOST_JOINTS  # joints, and motors that turn with several
@@ -41,6 +43,7 @@ EXPECTED_JERK = 100.0  # 1/s^2
 # A fixed lag that smooths the acceleration of motion so slow; nobody waits for the load.
 SMOOTHING_LAG = 0.025  # s
 MOST_ACCELERATION = 1000.0  # 1/s of the speed limit: no drive reaches its speed within less than a millisecond
+NO_FORM = "online, joints of an arm or axes have effects only that need nothing but their present motion"
 POSES = 64  # at which the least inertia of a joint is looked for
 
 
@@ -53,6 +56,7 @@ def _of_many(dtype: np.dtype, *per_joint: str) -> np.dtype:
 
 TRACK = _of_many(kalman.TRACK, "state", "scaled", "seen")
 SLOT = _of_many(kalman.SLOT, "state", "scaled")
+EFFECT = _of_many(effects.EFFECT, "joint", "amplitude")
 
 SETTINGS = np.dtype(
     [
@@ -70,6 +74,9 @@ SETTINGS = np.dtype(
         ("viscous", "f8", MOST_MOTORS),  # N m s/rad or N s/m
         ("coulomb", "f8", MOST_MOTORS),  # N m or N
         ("transition", "f8", MOST_MOTORS),  # rad/s or m/s
+        ("effect", EFFECT, effects.MAX_EFFECTS),
+        ("gear_ratio", "f8"),  # of all joints, where they have one
+        ("model", MODEL),  # nothing: of a Delta, which forms of effects on its platform read
         ("late", "f8"),  # cycles that a torque is older than the position
         # inside
         ("range", "f8", 2),
@@ -139,7 +146,10 @@ STATE = np.dtype(
         # of a look back
         ("looked", "f8", (3, MOST_JOINTS)),  # as `motion`
         ("reported", "f8", MOST_JOINTS),  # N m or N
-        ("rubbed", "f8", MOST_JOINTS),  # N m or N, friction
+        ("rubbed", "f8", MOST_JOINTS),  # N m or N, friction and effects
+        ("sense", "f8", MOST_JOINTS),  # direction of motion
+        ("doubt", "f8", MOST_JOINTS),  # nothing
+        ("pose", POSE),  # nothing
         ("gripper", "i8"),
         ("votes", "i8"),  # whether motion and torque are good enough to tell the load
         ("adjoint", "f8", kalman.ORDER),
@@ -161,6 +171,21 @@ STEP = np.dtype(
     ],
     align=True,
 )
+
+
+def left_out(description: Axes | Chain) -> dict[str, str]:
+    """Name -> why, of each effect of a description that is not carried.
+
+    Raises:
+        RobotError: an effect that is not known, or not described in full.
+    """
+    several, found = len(set(description.gear_ratios)) > 1, {}
+    for term in terms_of(description):
+        if not effects.of_own_joint(term.effect):
+            found[term.effect.name] = NO_FORM
+        elif several and term.effect.of_motor_turns:
+            found[term.effect.name] = "its joints have several gear ratios"
+    return found
 
 
 def check(description: Axes | Chain) -> MachineModel:
@@ -210,6 +235,10 @@ def settings(description: Axes | Chain, period: float, stride: int) -> np.ndarra
     one["transition"][:] = np.maximum(base.transition if np.ndim(base.transition) == 0 else 0.0, 0.5 * rest)
     if np.ndim(base.transition):
         one["transition"][:motors] = np.maximum(base.transition, 0.5 * rest)
+    left = left_out(description)
+    kept = [term for term in terms_of(description) if term.effect.name not in left]
+    one["effect"] = effects.pack_effects(kept, EFFECT)
+    one["gear_ratio"] = description.gear_ratios[0]
     one["late"] = base.timing / period
     resolution = description.limits.position_resolution / float(unit.min())
     lag = max(math.ceil(one["late"]) + 1, min(kalman.LONGEST_SMOOTHING, round(SMOOTHING_LAG / period)))

@@ -12,6 +12,7 @@ import numpy as np
 
 from schemas.kernels import kernel
 from schemas.messages import SampleFlag
+from service.estimator.effects import effects_kernel
 from service.estimator.kalman import MAX_LAG, keep_kernel, largest_innovation, smooth_kernel
 from service.estimator.stream import (
     COMMAND_RANGE,
@@ -29,6 +30,7 @@ from service.estimator.stream import (
 )
 from service.estimator.wanted import COMMAND, ESTIMATE, NONE, bound_kernel, choose_kernel, fade_kernel, stay_kernel
 from service.estimator.wanted import take_plan_kernel as plan_inside
+from service.model.effects.base import Instant
 
 # In a shorter hole the load is taken to stay.
 UNSEEN_TIME = 0.5  # s
@@ -135,6 +137,28 @@ def friction_kernel(settings, speed, rubbed, dry):
 
 
 @kernel
+def _effects(settings, state, motion, seconds, torque):
+    """Add the effects' torque (n,) at a motion (3, n)."""
+    if settings.effect[0].number < 0:
+        return
+    for i in range(settings.joints):
+        state.sense[i] = math.tanh(motion[1, i] / settings.transition[i])
+    now = Instant(
+        model=settings.model,
+        gear_ratio=settings.gear_ratio,
+        theta=motion[0],
+        theta_dot=motion[1],
+        theta_ddot=motion[2],
+        direction=state.sense,
+        load=state.rigid,
+        seconds=max(0.0, seconds),
+        pose=state.pose,
+        doubt=state.doubt,
+    )
+    effects_kernel(settings.effect, now, torque)
+
+
+@kernel
 def end_kernel(steps, answers):
     """Fill `feedforward`; `answers`: whether state.rigid is there. Returns the answer's flags, and whether there is a
     sample to look back on."""
@@ -145,7 +169,7 @@ def end_kernel(steps, answers):
         flags |= _hold(settings, state, step.sample, out)
     else:
         seconds = state.passed * settings.period
-        if answers and _want(settings, state):
+        if answers and _want(settings, state, step.sample):
             source = state.source
             if (source == COMMAND and state.command_stray > 0) or (source == ESTIMATE and state.stray > 0):
                 stay_kernel(state)
@@ -167,9 +191,11 @@ def end_kernel(steps, answers):
 
 
 @kernel
-def _want(settings, state):
-    """state.wanted and state.direction, scaled, from state.rigid and friction. Returns whether they are finite."""
+def _want(settings, state, sample):
+    """state.wanted and state.direction, scaled, from state.rigid, friction and effects. Returns whether they are
+    finite."""
     friction_kernel(settings, state.motion[1], state.wanted, state.direction)
+    _effects(settings, state, state.motion, sample.stamp_sec + sample.stamp_nanosec * 1e-9, state.wanted)
     finite = True
     for i in range(settings.joints):
         state.wanted[i] = (state.wanted[i] + state.rigid[i]) / settings.full[i]
@@ -211,6 +237,7 @@ def look_kernel(steps):
     smooth_kernel(settings.motion.transition, state.slots, state.head, lag, state.adjoint, state.trajectory)
     _unscale(settings, state.trajectory, state.looked)
     friction_kernel(settings, state.looked[1], state.rubbed, state.wanted)
+    _effects(settings, state, state.looked, past.stamp_sec + past.stamp_nanosec * 1e-9, state.rubbed)
     if _read(settings, state, index) and state.unsettled == 0:
         state.votes = 1
     return True
