@@ -71,6 +71,8 @@ SLOW = (
     "tests/service/diagnosis/test_earned.py", "tests/service/diagnosis/test_exchange.py",
     "tests/service/diagnosis/test_first_screen.py", "tests/service/diagnosis/test_found_again.py",
     "tests/service/diagnosis/test_base_first.py", "tests/service/diagnosis/test_diagnose.py",
+    *(f"tests/service/estimator/test_joints.py::test_{name}" for name in (
+        "hostile", "the_same_samples", "a_release_and_a_pick", "the_torque_of_an_arm", "motion_that_does_not_tell")),
     "tests/service/diagnosis/test_online.py", "tests/service/machines/test_files.py",
     "tests/service/rollout/test_kernel.py", "tests/service/watch/test_watch.py",
     "tests/service/pages/test_drawn.py",

@@ -2,11 +2,13 @@
 released in motion: how far mass and centre are off, how many errors cover the truth, when a change is seen.
 
 uv run python -m tests.bench.bench_arm_online --robots 4 --loads 4 --store
+uv run python -m tests.bench.bench_arm_online --bus --store
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 import time
 from pathlib import Path
@@ -15,12 +17,15 @@ from typing import NamedTuple
 import numpy as np
 
 from docs.making import figures
+from drivers.bus import open_bus
 from drivers.trace import read_trace
-from schemas.axes import load_description
+from schemas.axes import load_description, save_description
 from schemas.chain import Chain
-from schemas.messages import JOINT_SAMPLE, NANOSECONDS, PayloadEvent, set_stamp, stamp_ns
+from schemas.messages import JOINT_SAMPLE, NANOSECONDS, OF_JOINTS, PayloadEvent, Role, set_stamp, stamp_ns
 from service.estimator.joints.estimator import JointEstimator
 from service.identification.axes import identify_axes
+from service.monitor.readback import read_recording
+from service.supervisor import Supervisor
 from tests.bench.bench_arm_load import CERTAIN, HEAVY_URDF, drawn
 from tests.service.arms import FOUR, SEVEN, SIX, Kind, Load
 
@@ -135,13 +140,43 @@ def result(rows: list[Row]) -> dict[str, tuple[float, int, str | None]]:
     }
 
 
+def on_the_bus(kind: Kind, seconds: float) -> dict[str, tuple[float, int, str | None]]:
+    """A log at 1 kHz through player, estimator and monitor: what was lost, and how long an answer took."""
+    with tempfile.TemporaryDirectory(prefix="dt-") as runtime:
+        folder = Path(runtime)
+        os.environ["XDG_RUNTIME_DIR"] = runtime
+        robot, run = folder / "identified.toml", folder / "run.mcap"
+        save_description(identified(kind, folder, 20), robot)
+        log = kind.record(folder / "log.csv", 77, drawn(kind, np.random.default_rng(7)), PERIOD, seconds, ENCODER)
+        with open_bus(kind.name, Role.OBSERVER) as bus, Supervisor(folder) as crew:
+            for role, words in ((Role.MONITOR, ("monitor", "--out", run)), (Role.ESTIMATOR, ("estimate",))):
+                crew.start(lambda role=role: role in bus.alive, *words, "--robot", robot).wait_ready()
+            crew.run("replay", log, "--robot", robot, "--wait", 20)
+            time.sleep(1.5)
+            crew.check()
+        recorded = read_recording(run)
+    health = recorded["health"].records
+    told = health[(health["role"] == Role.ESTIMATOR) & (health["latency_max"] > 0)]
+    sent, answered = (len(recorded[topic].records) for topic in (OF_JOINTS.sample, OF_JOINTS.feedforward))
+    expected = round(seconds / PERIOD)
+    median, slowest = 1e6 * np.median(told["latency_median"]), 1e6 * np.median(told["latency_p99"])
+    return {
+        "lost": (2 * expected - sent - answered, 2 * expected, None),
+        "latency": (round(float(median)), len(told), f"p99 {slowest:.0f} us"),
+    }
+
+
 def main() -> None:
     """Print each arm, and store what all come to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", type=int, default=4, help="of each arm, with noise and motion of their own")
     parser.add_argument("--loads", type=int, default=4, help="of each robot")
     parser.add_argument("--store", action="store_true", help="put the figures into results/arm_online.json")
+    parser.add_argument("--bus", action="store_true", help="only the arm of six joints over Zenoh, for 30 s")
     given = parser.parse_args()
+    if given.bus:
+        show(on_the_bus(SIX, 30.0), given.store)
+        return
     every: list[Row] = []
     for kind in KINDS:
         rows = []
@@ -159,10 +194,14 @@ def main() -> None:
                         flush=True,
                     )
         every += rows
-    found = result(every)
+    show(result(every), given.store)
+
+
+def show(found: dict[str, tuple[float, int, str | None]], kept: bool) -> None:
+    """Print, and store, figures."""
     for key, (value, count, interval) in found.items():
         print(f"{key}: {value} of {count} ({interval})")
-    if given.store:
+    if kept:
         print(f"stored in {figures.store('arm_online', found)}")
 
 
