@@ -191,6 +191,16 @@ def test_a_gripper_that_says_so_ends_what_was_known_at_once(four) -> None:
     assert (out["trusted"][row - 1], out["trusted"][row]) == (1, 0)
 
 
+def test_a_long_hole_ends_what_was_known_and_a_short_one_does_not(four) -> None:
+    """Nobody saw what became of the load."""
+    samples = moving(FOUR, 5.0, LOAD)
+    for missing, kept in ((300, 1), (700, 0)):
+        out = JointEstimator(four, PERIOD).run(np.delete(samples, np.arange(4000, 4000 + missing))).payload
+        after = np.searchsorted(out["sequence"], 4000 + missing + 60)
+        assert (out["trusted"][after - 200], out["trusted"][after]) == (1, kept), missing
+        assert not out["event"].any()
+
+
 @pytest.mark.parametrize("still", [True, False], ids=["at rest", "turning about the weight"])
 def test_motion_that_does_not_tell_says_not_yet(four, still) -> None:
     """At rest friction is anything; the first axis is upright, and nothing lifts the load."""
