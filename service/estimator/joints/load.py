@@ -78,7 +78,7 @@ class LoadMemory:
         self._sigma: np.ndarray | None = None
         self._work: Iterator[None] | None = None
         self._covariance: np.ndarray | None = None  # of the last fit
-        self._values = np.zeros(len(self._prior))
+        self._values, self._memory = np.zeros(len(self._prior)), 1.0
         self._gripper = int(Gripper.UNKNOWN)
         self._event = PayloadEvent.NONE
         self._doubted: _Doubted | None = None
