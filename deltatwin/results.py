@@ -362,8 +362,8 @@ class LoadResult(Result):
     Attributes:
         robot: the identified arm.
         load: `.mass` kg, `.centre` (3,) m in the axes of the link `.frame`, `.inertia` (6,) kg m^2 about the centre,
-            each with its standard error `.mass_error`, ...; `.seen`, `.centre_told`, `.inertia_told`: whether the
-            motion is enough for it.
+            each with its standard error `.mass_error`, ...; `.common` (10,): the part of these errors that all loads
+            of this arm share; `.seen`, `.centre_told`, `.inertia_told`: whether the motion is enough for it.
     """
 
     robot: Description
