@@ -30,9 +30,8 @@ CautionCode = Literal[
     "too_little_motion", "joints_at_rest", "one_way", "one_run", "beyond_any_robot", "several_arms", "runs_differ",
     "much_is_left", "other_joints", "sine_of_angle", "gravity", "closed_loop", "torque_held", "noise_coloured",
     "noise_unknown",
-    "at_limit", "drives", "by_weight", "does_not_fall", "left_open", "no_shrink", "no_shrink_on", "varies", "one_cause",
-    "set_aside", "by_place", "by_scale", "rivalled", "not_its_own", "no_line", "comes_again", "misplaced", "degrees",
-    "any_shape", "much_beside",
+    "at_limit", "drives", "by_weight", "does_not_fall", "left_open", "no_shrink", "no_shrink_on", "varies", "by_place",
+    "by_scale", "rivalled", "not_its_own", "misplaced", "degrees", "any_shape", "much_beside",
 ]  # fmt: skip
 Advice = Literal[
     "record_runs", "record_all_joints", "record_reversals", "record_more", "check_description", "check_runs",
@@ -44,10 +43,10 @@ class Caution(DocumentPart):
     """What this data cannot say. joints from 1, those it is about; advice: what to record or to check.
 
     effect: that it is about. quantity: of the effect, at its limit or open. share: of the torque's rms that is left, of
-    what is left that follows something, the shrink that is too little, of the motion that was set aside, or of the
-    draws that prefer it. run: the log kept out that does not shrink. gain: of the loop, torque for position error,
-    the lowest of all logs, and gain_most the highest. pitch_m: way of the platform after which it comes again.
-    held_s: time after which a torque comes anew.
+    what is left that follows something, the shrink that is too little, of what the effect explains that its torque does
+    at other times, or of the draws that prefer it. run: the log kept out that does not shrink. gain: of the loop,
+    torque for position error, the lowest of all logs, and gain_most the highest. held_s: time after which a torque
+    comes anew.
     """
 
     code: CautionCode
@@ -59,7 +58,6 @@ class Caution(DocumentPart):
     run: str | None = None
     gain: float | None = None
     gain_most: float | None = None
-    pitch_m: float | None = None
     held_s: float | None = None
 
 

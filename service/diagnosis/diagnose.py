@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,6 @@ from schemas.diagnosis import Caution, Follows, Verdict
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
 from service.diagnosis.evidence import by_angle, statistics
-from service.diagnosis.evidence.aside import Quiet
 from service.diagnosis.evidence.cautions import (
     SearchScope,
     base_doubts,
@@ -26,11 +25,10 @@ from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.evidence.follows import follows
 from service.diagnosis.evidence.unseen import kept_out
 from service.diagnosis.findings import Findings
-from service.diagnosis.fit import signature
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.exchange import exchanged
 from service.diagnosis.fit.orders import more_orders
-from service.diagnosis.fit.selection import FAR_ABOVE, Scored, Selection, score, search
+from service.diagnosis.fit.selection import Scored, Selection, score, search
 from service.identification import pooled
 from service.identification.fit import WITHIN_COLOURED, Problem, evaluate, fit
 from service.identification.folds import Split
@@ -107,23 +105,9 @@ def diagnose(
         wrong = degrees_doubted(problem, best)
         wrong += base_doubts(problem, before, before if best is none else followed(best), none, best)
         doubts = wrong or doubts_of(problem, selection, limit)
-    judged = _judged(regressors, selection, doubts, len(given), kept, unknown, limit, scope.allows)
+    judged = _judged(regressors, selection, doubts, len(given), kept, unknown, limit, scope.allows, progress)
     found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
     errors = statistics.standard_errors(found.best.fitted, split)
-    if regressors.effects and not wrong and mechanism.kind == "delta" and _strange(problem, selection.best, limit):
-        quiet = Quiet.beside(regressors, selection.none, selection.best, len(given), scope.allows, progress)
-        again = search(quiet.regressors, progress, scope.allows, more_orders)
-        again = exchanged(quiet.regressors, again, limit, scope.allows, progress)
-        less = doubts_of(quiet.problem, again, limit)
-        judged = _judged(quiet.regressors, again, less, len(given), kept, unknown, limit, scope.allows)
-        if _tells_more(judged.selection.names, found.names):
-            errors = statistics.standard_errors(judged.selection.best.fitted, split)
-            found, chosen = quiet.selection_on_all(judged.selection), [quiet.on_all(one) for one in judged.chosen]
-            cautions = [quiet.caution(), *judged.cautions]
-        elif untold := _untold(judged.cautions, found.names):
-            judged = _judged(regressors, selection, doubts, len(given), kept, unknown, limit, scope.allows, untold)
-            found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
-            errors = statistics.standard_errors(found.best.fitted, split)
     selection = replace(found, best=statistics.combined(problem, found.best))
     after = statistics.by_fold(chosen, split)
     gap, reference = plain.residuals, plain.hypothesis
@@ -208,17 +192,17 @@ class Judged:
 
 def _judged(
     regressors: Regressors, selection: Selection, doubts: list[Caution], given: int, tests: Sequence[Problem],
-    unknown: bool, limit: float, allows: Callable[[Effect, int], bool], untold: Collection[str] = (),
+    unknown: bool, limit: float, allows: Callable[[Effect, int], bool],
+    progress: Callable[[str], None],
 ) -> Judged:  # fmt: skip
-    """Names have to earn it. doubts: reasons to believe none. unknown: the noise is not known. untold: effects that
-    other rows do not tell from what may be in their place."""
+    """Names have to earn it. doubts: reasons to believe none. unknown: the noise is not known."""
     problem, split, fallen = regressors.problem, regressors.split, faults_of(selection)
     if doubts and (stands := by_angle.named_beside(regressors, selection, doubts, tests, allows, limit)):
         selection, doubts = stands
     elif doubts:
         selection = replace(selection, best=selection.none, path=_untaken(selection))
     else:
-        selection, fell = earned(regressors, selection, tests, allows, limit, untold)
+        selection, fell = earned(regressors, selection, tests, allows, limit, progress)
         fallen += fell
     chosen = statistics.walked(selection, split, problem.count, problem.most)
     after = statistics.by_fold(chosen, split)
@@ -226,25 +210,6 @@ def _judged(
     if fell:
         chosen = [selection.none] * split.folds
     return Judged(selection, chosen, [*doubts, *fallen, *fell])
-
-
-def _strange(problem: Problem, best: Scored, limit: float) -> bool:
-    """Whether something is at work beside `best`: far more than noise is left, or a pull by the platform's place."""
-    left = _left(problem, best.residuals)
-    return left > FAR_ABOVE * limit or (left > limit and signature.pulled(problem, best.hypothesis))
-
-
-def _tells_more(told: Sequence[str], before: Sequence[str]) -> bool:
-    """Whether names told by quiet rows replace those that stood `before`: not where they are a part of them. What
-    stands on all rows does not fall because fewer of them weigh."""
-    return bool(told) and not set(told) < set(before)
-
-
-def _untold(cautions: Sequence[Caution], names: Sequence[str]) -> set[str]:
-    """Of `names`, those found on quiet rows too and not told there from what may be in their place: what tells
-    them on all rows is the stranger."""
-    rivalled = [one.effect for one in cautions if one.code == "rivalled"]
-    return {name for name in names if name in rivalled}
 
 
 def _untaken(selection: Selection) -> list[tuple[list[Scored], Scored | None]]:

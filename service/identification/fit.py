@@ -6,8 +6,6 @@ import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import pairwise
 from typing import overload
 
 import numpy as np
@@ -21,7 +19,6 @@ from service.model.torque import tangent
 # A recording a thread: filters, matrix products and compiled kernels let go of the interpreter.
 THREADS = ThreadPoolExecutor(os.cpu_count())
 ITERATIONS = 6
-TOLD = 1e-8  # of a column, or of a field's largest singular value: what is left of it below that is rounding
 WITHIN_COLOURED = 1.25  # times the noise floor that is read from the noise's colour above the band
 SETTLED = 1e-4  # relative fall of the squared residual that ends the fit
 
@@ -31,8 +28,7 @@ class Problem:
     """Recordings, their torque in the analysis band, and the rows that count.
 
     target: (M, n) a recording. rows: (M, n) bool. sigma: (n,) N m, rms of the noise in the band, the unit of residuals.
-    weights: (M, n) a recording, by which residuals are multiplied besides; none: 1. fields: (R, K) a recording, torque
-    of each joint that nobody asks about; what it could explain, with figures of its own a joint, says nothing.
+    weights: (M, n) a recording, by which residuals are multiplied besides; none: 1.
     filtered: the noise has a memory, so the torque went through a filter. bare: no effect is looked for on it, so
     that a delay of whole samples is the base model's.
     """
@@ -43,7 +39,6 @@ class Problem:
     target: list[np.ndarray] = field(default_factory=list)
     rows: list[np.ndarray] = field(default_factory=list)
     weights: Sequence[np.ndarray] = ()
-    fields: Sequence[np.ndarray] = ()
     filtered: bool = False
     bare: bool = False
 
@@ -76,8 +71,7 @@ class Problem:
     def count(self) -> int:
         """Rows in all recordings and joints, as they weigh: squared residual that noise alone leaves."""
         squares = [self.pick(i, w) ** 2 for i, w in enumerate(self.weights)] or [np.ones(r.sum()) for r in self.rows]
-        spent = sum(float(square @ (q**2).sum(axis=1)) for square, q in zip(squares, self._known_away, strict=False))
-        return round(sum(float(square.sum()) for square in squares) - spent)
+        return round(sum(float(square.sum()) for square in squares))
 
     @property
     def joints_of_rows(self) -> list[np.ndarray]:
@@ -99,6 +93,11 @@ class Problem:
             count[group] += np.bincount(joint, minlength=shape[1])
         return np.sqrt(square / np.maximum(count, 1)) * self.sigma
 
+    def level(self, residuals: Sequence[np.ndarray]) -> np.ndarray:
+        """(n,) rms of each joint's (R,) residuals a recording, in units of the noise, at least 1: joints weigh by it
+        where a disturbance on one must hide nothing of the others."""
+        return np.maximum(self.rms(residuals, [0] * len(self.rows))[0] / self.sigma, 1.0)
+
     def pick(self, index: int, values: np.ndarray) -> np.ndarray:
         """Rows that count of (M, n, ...) of recording `index`, joint after joint."""
         return np.concatenate([values[rows, joint] for joint, rows in enumerate(self.rows[index].T)])
@@ -107,36 +106,7 @@ class Problem:
         """Rows of `joint` that count, of its (M, ...) on recording `index`, in units of the noise, as they weigh."""
         rows = self.rows[index][:, joint]
         unit = self.sigma[joint] / (self.weights[index][rows, joint] if self.weights else np.ones(1))
-        scaled = values[rows] / unit.reshape(-1, *([1] * (values.ndim - 1)))
-        return self.clear(index, self._places(index)[joint], scaled) if self.fields else scaled
-
-    def clear(self, index: int, rows: np.ndarray | slice, values: np.ndarray) -> np.ndarray:
-        """Values (r, ...), as they weigh, of one joint's rows among the (R,) of recording `index` without what `fields`
-        explain of them. rows: all of the joint, or all that a figure of the fields is about."""
-        if not self.fields:
-            return values
-        along = self._known_away[index][rows]
-        left = values - along @ (along.T @ values)
-        told = np.linalg.norm(left, axis=0) > TOLD * np.linalg.norm(values, axis=0)
-        return np.where(told, left, 0.0)
-
-    def _places(self, index: int) -> list[slice]:
-        """Where the rows of each joint are among the (R,) of recording `index`."""
-        return [slice(start, end) for start, end in pairwise(np.cumsum([0, *self.rows[index].sum(axis=0)]).tolist())]
-
-    @cached_property
-    def _known_away(self) -> list[np.ndarray]:
-        """`fields` as they weigh, orthonormal over the rows of each joint."""
-        result = []
-        for index, columns in enumerate(self.fields):
-            weight = self.pick(index, self.weights[index])[:, None] if self.weights else 1.0
-            along = np.zeros(columns.shape)
-            for rows in self._places(index):
-                left, sizes, _ = np.linalg.svd((weight * columns)[rows], full_matrices=False)
-                told = sizes > TOLD * sizes.max(initial=0.0)
-                along[rows, : told.sum()] = left[:, told]
-            result.append(along)
-        return result
+        return values[rows] / unit.reshape(-1, *([1] * (values.ndim - 1)))
 
     def select(self, index: int, values: np.ndarray) -> np.ndarray:
         """The same of (M, n, ...), joint after joint."""

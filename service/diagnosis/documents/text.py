@@ -43,8 +43,6 @@ CAUTIONS = {
     "effects.",
     "several_arms": "Several arms at once would have to be far from the described geometry: the data cannot "
     "separate the effects.",
-    "one_cause": "{Effect} would have to be on {joints} at once with different values, and the residual would still "
-    "be far above the noise. A single cause on the platform looks like that.",
     "runs_differ": "The model fits each run alone, but not all runs together: the data cannot separate the effects.",
     "much_is_left": "The residual is {share} of the torque itself, more than effects of the catalogue "
     "would leave: the data cannot separate them.",
@@ -85,27 +83,21 @@ CAUTIONS = {
     "together: the cause is something else, not accepted.",
     "rivalled": "{Effect}{where} fits, but so do other effects in its place: the data cannot separate them, not "
     "accepted.",
-    "not_its_own": "{Effect}{where} fits, but the residual projects {share} as much onto the same torque at other "
-    "times, in other places or in other runs: the cause is something else, not accepted.",
-    "no_line": "{Effect}{where} fits, but the residual projects {share} as much onto ripples of neighbouring "
-    "orders: the cause is at one place and does not repeat with the turns of the motor, not accepted.",
+    "not_its_own": "{Effect}{where} fits, but the same torque at other times explains {share} as much: the cause is "
+    "something else, not accepted.",
     "misplaced": "The URDF has to be corrected first: another position or orientation of {joints} on the link before "
     "explains {share} of the residual.",
-    "set_aside": "In {share} of the motion{where} there is an unmodelled disturbance. That motion was masked: the "
-    "named effects were found in the rest.",
     "by_place": "An unmodelled disturbance pulls at the platform everywhere. The named effects were found given any "
     "torque that depends on the platform's position: springs, offsets and weights cannot be separated from it.",
-    "by_scale": "{share} of the residual is proportional to the torque itself, with a factor that differs between "
-    "logs and changes within a log: the torque constants drift (do the motors get warm?). Torque scales and their "
-    "aliases cannot be separated from this.",
-    "comes_again": "An unmodelled disturbance pulls at the platform every {pitch:.0f} mm of its path (a toothed belt, "
-    "a rack?). The named effects were found given this disturbance.",
+    "by_scale": "Part of the residual of {joints} is proportional to the torque itself, with a factor that differs "
+    "between logs or changes within a log: the torque constants drift (do the motors get warm?). Torque scales and "
+    "their aliases are hardly separable from this.",
 }
-BESIDE = {"set_aside", "by_place", "comes_again"}  # effects are named given an unmodelled disturbance
+BESIDE = {"by_place", "by_scale"}  # effects are named given an unmodelled disturbance
 # with these the data separate no effect from another
 NO_NAMES = {
     "too_little_motion", "joints_at_rest", "beyond_any_robot", "several_arms", "runs_differ", "much_is_left",
-    "one_cause", "other_joints", "sine_of_angle", "gravity", "degrees",
+    "other_joints", "sine_of_angle", "gravity", "degrees",
 }  # fmt: skip
 ADVICE = {
     "record_runs": "Record three or more runs of 5 s: picks, a multisine and a slow sweep with reversals.",
@@ -343,7 +335,7 @@ def caution(found: Caution) -> str:
         first=found.joints[0] if found.joints else "", last=found.joints[-1] if found.joints else "",
         share=percent(found.share or 0.0), run=found.run,
         gains=gains_in_words(found.gain or 0.0, found.gain_most or 0.0),
-        pitch=1000 * (found.pitch_m or 0.0), held=1000 * (found.held_s or 0.0),
+        held=1000 * (found.held_s or 0.0),
         quantity=words(found.quantity or ""),
     )  # fmt: skip
     return f"{said} {ADVICE[found.advice]}"

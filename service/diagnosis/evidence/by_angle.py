@@ -18,10 +18,10 @@ from numpy.polynomial.chebyshev import chebvander
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence.cautions import doubts_of
 from service.diagnosis.evidence.earned import earned
-from service.diagnosis.evidence.placement import beside
 from service.diagnosis.evidence.rivals import SURE
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import LEAST_Z, Scored, Selection, Standing, worth, z_score
+from service.diagnosis.fit.wide import beside
 from service.identification.fit import Problem
 from service.identification.folds import Split, block_loss, held_out
 from service.model.effects.base import Effect, on_joint
@@ -43,7 +43,7 @@ def named_beside(
     problem = regressors.problem
     if not _much_alone(doubts) or problem.recordings[0].mechanism.kind != "axes":
         return None
-    kept, _ = earned(regressors, _nearest(problem, selection), kept_out, allows, limit)
+    kept, _ = earned(regressors, _nearest(problem, selection), kept_out, allows, limit, lambda _: None)
     left = doubts_of(problem, kept, limit)
     found = {term.effect for term in kept.best.hypothesis.terms[len(kept.none.hypothesis.terms) :]}
     if not found or not _much_alone(left):

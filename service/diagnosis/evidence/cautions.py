@@ -11,7 +11,7 @@ import numpy as np
 
 from schemas.diagnosis import Caution, Follows
 from service.diagnosis.evidence import statistics
-from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, Scored, Selection, each_arm
+from service.diagnosis.fit.selection import LEAST_GAIN, Scored, Selection
 from service.identification.checks import FOREIGN_LEFT, FOREIGN_TOGETHER
 from service.identification.fit import Problem, fit, solve
 from service.identification.noise import Floor
@@ -209,12 +209,6 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caut
             return [Caution(code="several_arms", joints=which, advice="check_description")]
     left = best.loss / problem.count
     gap = selection.none.loss / problem.count
-    beside = bool(problem.weights) or left**0.5 > FAR_ABOVE * limit
-    platform = problem.recordings[0].mechanism.kind == "delta" and beside
-    for term in best.hypothesis.terms[len(selection.none.hypothesis.terms) :] if platform else ():
-        if each_arm(term):
-            which = [joint + 1 for joint in term.joints]
-            return [Caution(code="one_cause", joints=which, effect=term.effect.name, advice="check_description")]
     if left**0.5 <= max(limit, FOREIGN_LEFT):
         return []
     accident = gap - left <= CARRIES_OVER * (gap - 1.0)
@@ -222,6 +216,8 @@ def doubts_of(problem: Problem, selection: Selection, limit: float) -> list[Caut
         alone = _alone(problem, selection)
         if left - alone > FOREIGN_TOGETHER * (left - 1.0):
             return [Caution(code="runs_differ", advice="check_runs")]
+    if problem.recordings[0].mechanism.kind == "delta":  # what is left is opened as discrepancies
+        return []
     torque = sum(
         float(((target[rows] - np.mean(target[rows])) ** 2).sum())
         for target, rows in zip(problem.target, problem.rows, strict=True)
@@ -243,8 +239,6 @@ def _alone(problem: Problem, selection: Selection) -> float:
             recordings=[problem.recordings[i] for i in mine],
             target=[problem.target[i] for i in mine],
             rows=[problem.rows[i] for i in mine],
-            weights=[problem.weights[i] for i in mine] if problem.weights else (),
-            fields=[problem.fields[i] for i in mine] if problem.fields else (),
         )
         cost += fit(part, selection.best.hypothesis, iterations=3).cost
     return cost / problem.count

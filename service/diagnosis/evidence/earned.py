@@ -13,13 +13,13 @@ import numpy as np
 
 from schemas.diagnosis import Caution
 from service.diagnosis.evidence import rivals, statistics
+from service.diagnosis.evidence.accepted import accepted
 from service.diagnosis.evidence.placement import Placement
 from service.diagnosis.evidence.rivals import LIKELY
 from service.diagnosis.evidence.statistics import Z95
 from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
-from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, TOLD_APART, Scored, Selection, without
-from service.diagnosis.fit.signature import ALONE, GOES_BY_PLACE, GOES_BY_SCALE, OWN, OWN_ELSEWHERE, Signature
+from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, Scored, Selection, without
 from service.diagnosis.fit.sound import fault_of
 from service.identification.events import events_of
 from service.identification.fit import Problem, evaluate, solve
@@ -42,19 +42,25 @@ OPEN = 0.5  # standard error over value of a parameter without amplitudes, from 
 
 def earned(
     regressors: Regressors, selection: Selection, kept_out: Sequence[Problem], allows: Callable[[Effect, int], bool],
-    limit: float, untold: Collection[str] = (),
+    limit: float, progress: Callable[[str], None],
 ) -> tuple[Selection, list[Caution]]:  # fmt: skip
     """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on. limit:
-    rms that noise leaves at most. untold: effects that other rows do not tell from what may be in their place."""
+    rms that noise leaves at most."""
     problem, best, given = regressors.problem, selection.best, len(selection.none.hypothesis.terms)
     left = (best.loss / problem.count) ** 0.5
     delta = problem.recordings[0].mechanism.kind == "delta"
-    beside = delta and (bool(problem.weights) or left > FAR_ABOVE * limit)
-    best, fallen = _its_own(regressors, selection, beside) if delta and (beside or left > limit) else (best, [])
-    gone = [effect for effect in _effects(best, given) if effect.name in untold]
-    if gone:
-        fallen += [_fell("rivalled", effect, best) for effect in gone]
-        best = without(problem, regressors.split, selection.none, best, *gone)
+    beside = delta and left > FAR_ABOVE * limit
+    fallen: list[Caution] = []
+    seen: rivals.Seen = lambda model: model  # noqa: E731
+    if delta and left > limit:
+        found = accepted(regressors, selection, allows, progress)
+        fallen += [
+            _fell("not_its_own", effect, model, share=1.0 / max(over, 1.0)) for effect, model, over in found.rejected
+        ]
+        best, selection = found.best, found.continued(selection)
+        fallen += found.opened.cautions()
+        seen = found.given(problem, regressors.split)
+        allows = _but({effect for effect, _, _ in found.rejected}, allows)
     best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside)
     fallen += fell
     if refits and problem.recordings[0].mechanism.kind == "chain":
@@ -62,14 +68,13 @@ def earned(
         fallen += fell
     # where more than noise is left, it is not that by which a likelihood counts: blocks tell how it scatters
     explained = (best.loss / problem.count) ** 0.5 <= limit
-    standings = rivals.standings(regressors, selection, best, refits, allows, explained)
-    least = TOLD_APART if beside and not explained else -np.inf
-    told = [effect for effect, one in standings.items() if one.probability < LIKELY or one.ahead < least]
+    standings = rivals.standings(regressors, selection, best, refits, allows, explained, seen)
+    told = [effect for effect, one in standings.items() if one.probability < LIKELY]
     for effect, one in standings.items():
         better = one.better if effect in told else one.simpler
         if better is not None and fault_of(problem, better.hypothesis, given) is None:
             changed = _in_its_place(selection, best, one.without, better)
-            return earned(regressors, changed, kept_out, allows, limit, untold)
+            return earned(regressors, changed, kept_out, allows, limit, progress)
     if told:
         fallen += [_fell("rivalled", effect, best, share=standings[effect].probability) for effect in told]
         best = without(regressors.problem, regressors.split, selection.none, best, *told)
@@ -80,55 +85,17 @@ def earned(
     return replace(kept, standings=standings), fallen
 
 
+def _but(gone: Collection[Effect], allows: Callable[[Effect, int], bool]) -> Callable[[Effect, int], bool]:
+    """The same without effects that are rejected: they are no rivals either."""
+    return lambda effect, joint: effect not in gone and allows(effect, joint)
+
+
 def _in_its_place(selection: Selection, best: Scored, fewer: Scored, better: Scored) -> Selection:
     """The search with an effect in place of one that was taken as well when others were not known yet, and now is told
     to be worse. fewer: without either."""
     path = [(tried, taken) for tried, taken in selection.path if taken is not None]
     trimmed = selection.trimmed | ({id(path[-1][1]): fewer} if path else {})
     return replace(selection, best=better, path=[*path, ([better, best], better)], trimmed=trimmed)
-
-
-def _its_own(regressors: Regressors, selection: Selection, beside: bool) -> tuple[Scored, list[Caution]]:
-    """What was found without effects that are hardly told beside what is left open; without those that go by the
-    platform's place, or by the scale of a torque, where what is left goes by it; and, beside a stranger, without those
-    to whose torque it gives as much elsewhere; and why each fell."""
-    problem, split, given = regressors.problem, regressors.split, len(selection.none.hypothesis.terms)
-    best, fallen = selection.best, []
-    if problem.fields:
-        bare = Signature(replace(problem, fields=()), best.hypothesis)
-        gone = [effect for effect in _effects(best, given) if bare.left_open(effect, problem.fields) > OWN_ELSEWHERE]
-        if gone:
-            fallen += [_fell("rivalled", effect, best) for effect in gone]
-            best = without(problem, split, selection.none, best, *gone)
-    signature = Signature(problem, best.hypothesis)
-    if signature.goes_by_place() > GOES_BY_PLACE:
-        gone = [effect for effect in _effects(best, given) if signature.by_place(effect) > OWN_ELSEWHERE]
-        if gone:
-            fallen.append(Caution(code="by_place", advice="look_there"))
-            best = without(problem, split, selection.none, best, *gone)
-            signature = Signature(problem, best.hypothesis)
-    share = signature.goes_by_scale()
-    if share > GOES_BY_SCALE:
-        gone = [effect for effect in _effects(best, given) if signature.by_scale(effect) > OWN_ELSEWHERE]
-        fallen.append(Caution(code="by_scale", share=min(share, 1.0), advice="log_warm"))
-        if gone:
-            best = without(problem, split, selection.none, best, *gone)
-    while beside and (effects := _effects(best, given)):
-        signature = Signature(problem, best.hypothesis)
-        asked = {effect: _stands_in(signature, effect) for effect in effects}
-        worst = max(effects, key=lambda effect: asked[effect][0])
-        over, code, share = asked[worst]
-        if over < 1.0:
-            break
-        fallen.append(_fell(code, worst, best, share=share))
-        best = without(problem, split, selection.none, best, worst)
-    return best, fallen
-
-
-def _stands_in(signature: Signature, effect: Effect) -> tuple[float, str, float]:
-    """What is left gives to torque like that of `effect`, over what it may; what that is called, and how much it is."""
-    elsewhere, beside = signature.elsewhere(effect), signature.next_to(effect)
-    return max((OWN * elsewhere, "not_its_own", elsewhere), (beside / ALONE, "no_line", beside))
 
 
 def _borne_out(
@@ -264,9 +231,10 @@ def _carries_over(
     problem: Problem, split: Split, best: Scored, without: Scored, effect: Effect, kept_out: Sequence[Problem]
 ) -> Caution | None:
     """Said of an effect that does not shrink the gap on data left out, or not on a log where it would have to."""
+    even = replace(problem, sigma=problem.sigma / problem.level(best.residuals))
     shrink = statistics.shrink(
-        statistics.pooled_squares(problem, without.residuals, split),
-        statistics.pooled_squares(problem, best.residuals, split),
+        statistics.pooled_squares(even, without.residuals, split),
+        statistics.pooled_squares(even, best.residuals, split),
     )
     if shrink.low <= 0 or shrink.value < LEAST_SHRINK:
         return _fell("no_shrink", effect, best, share=shrink.value)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 import numpy as np
 
 from service.diagnosis.fit.selection import Scored
-from service.identification.fit import Fit, Problem
-from service.identification.folds import Split, held_out
+from service.diagnosis.fit.wide import beside
+from service.identification.fit import Problem
+from service.identification.folds import Split
 from service.model.mechanism import SerialArm
 
 # One standard deviation that a joint of a URDF is off by: castings and tools of another series, rounded drawings.
@@ -33,18 +31,3 @@ class Placement:
         asked = slice(None) if joint is None else slice(6 * joint, 6 * joint + 6)
         left = beside(model.fitted, [each[:, asked] for each in self.columns], self.split, prior=1.0)
         return sum(float(residual @ residual) for residual in left)
-
-
-def beside(fitted: Fit, columns: Sequence[np.ndarray], split: Split, prior: float = 0.0) -> list[np.ndarray]:
-    """Residuals (R,) a recording on data left out, torque of `columns` (R, K) left open. prior: information on each."""
-    own, opened = fitted.moving[0].shape[1], columns[0].shape[1]
-    low, high = (reach[fitted.free] for reach in fitted.reach)
-    free, far = np.ones(own + opened, bool), np.full(opened, np.inf)
-    wide = replace(
-        fitted,
-        tangents=[np.concatenate(parts, axis=1) for parts in zip(fitted.moving, columns, strict=True)],
-        inside=free,
-        free=free,
-        reach=(np.append(low, -far), np.append(high, far)),
-    )
-    return held_out(wide, split, prior=np.diag(np.repeat([0.0, prior], [own, opened])))

@@ -29,6 +29,8 @@ from service.identification.folds import Split
 from service.model.effects.base import Effect
 from service.model.hypothesis import Term
 
+Seen = Callable[[Scored], Scored]
+
 DRAWS = 1000
 SURE = 0.9  # probability from which a name is not asked about again
 CONFUSED = 0.05  # probability from which what stands in for a name is told beside it
@@ -97,39 +99,40 @@ def undecided(selection: Selection, rounds: list[ModelComparison]) -> ModelCompa
 
 def standings(
     regressors: Regressors, selection: Selection, best: Scored, refits: Mapping[Effect, Scored],
-    allows: Callable[[Effect, int], bool], explained: bool,
+    allows: Callable[[Effect, int], bool], explained: bool, seen: Seen = lambda model: model,
 ) -> dict[Effect, Standing]:  # fmt: skip
     """How each effect of `best` stands against models without it, the others fitted anew beside each rival.
 
     When an effect was added, others that are at work were still in the gap, and what stood in for them. What all joints
     may have alike takes no name from an effect, but leaves it no surer than even. refits: `best` without each effect.
-    explained: what `best` leaves is noise, so that a likelihood tells which of two is better.
+    explained: what `best` leaves is noise, so that a likelihood tells which of two is better. seen: a model with the
+    losses of its blocks as they count: given discrepancies, where more than noise is left.
     """
     given = len(selection.none.hypothesis.terms)
-    seen = {}
+    once = {}
     for model, instead in _rivals(regressors, selection, best, refits, allows):
         where = frozenset(Counter(place for term in model.hypothesis.terms for place in _at(term)).items())
-        if where not in seen or model.loss < seen[where][0].loss:
-            seen[where] = model, instead
-    rivals = list(seen.values())
+        if where not in once or model.loss < once[where][0].loss:
+            once[where] = model, instead
+    rivals = list(once.values())
     alike = [(one, instead) for model, instead in rivals for one in _alike(model, instead, regressors.split)]
     others = [model for model, _ in rivals]
-    apart = every = _weighed(regressors, best, others, refits, given)
+    apart = every = _weighed(regressors, best, others, refits, given, seen)
     shared = [one for one, _ in alike]
     level = _level(best, others, shared, refits, given, regressors.split)
     if shared or level:
-        every = _weighed(regressors, best, [*others, *shared], refits, given, level)
+        every = _weighed(regressors, best, [*others, *shared], refits, given, seen, level)
     result = {}
     for effect, refit in refits.items():
         lacks = [place for place, (model, _) in enumerate(every) if effect.name not in model.names[given:]]
         told = [(), *(instead for _, instead in (*rivals, *alike)), *[()] * len(refits)]
         confusable = [name for place in lacks if every[place][1] >= CONFUSED for name in told[place]]
         lacking = [one for one in apart[: 1 + len(rivals)] if effect.name not in one[0].names[given:]]
-        ahead = [z_score(model.blocks, best.blocks) for model, _ in lacking]
+        ahead = [z_score(seen(model).blocks, seen(best).blocks) for model, _ in lacking]
         better = [
             model
             for model, chance in lacking
-            if _one_more(model, refit) and (_told_better(model, best) or (explained and chance >= LIKELY))
+            if _one_more(model, refit) and (_told_better(seen(model), seen(best)) or (explained and chance >= LIKELY))
         ]
         alone = [every[place][0] for place in level if place in lacks and place <= len(rivals)]
         simpler = [model for model in alone if size(model) < size(best)]
@@ -215,23 +218,23 @@ def _one_more(model: Scored, fewer: Scored) -> bool:
 
 
 def _told_better(model: Scored, best: Scored) -> bool:
-    return model.loss < best.loss and z_score(best.blocks, model.blocks) > TOLD_APART
+    return model.blocks.sum() < best.blocks.sum() and z_score(best.blocks, model.blocks) > TOLD_APART
 
 
 def _weighed(
     regressors: Regressors, best: Scored, others: Sequence[Scored], refits: Mapping[Effect, Scored], given: int,
-    level: Sequence[int] = (),
+    seen: Seen, places: Sequence[int] = (),
 ) -> list[tuple[Scored, float]]:  # fmt: skip
-    """`best`, others and refits, each with its probability among them. level: places of those that count like it."""
-    worth = {effect: float((refit.blocks - best.blocks).sum()) for effect, refit in refits.items()}
-    full = [best, *others]
+    """`best`, others and refits, each with its probability among them. seen: as of `standings`. places: of those that
+    count like it."""
+    full, fewer = [seen(model) for model in (best, *others)], [seen(refit) for refit in refits.values()]
+    worth = {effect: float((one.blocks - full[0].blocks).sum()) for effect, one in zip(refits, fewer, strict=True)}
     gains = [
         min((worth[effect] for effect in refits if effect.name not in model.names[given:]), default=0.0)
         for model in full
     ]
-    models = [*full, *refits.values()]
-    chances = shares(models, gains, regressors.split, regressors.problem.count, level)
-    return list(zip(models, chances, strict=True))
+    chances = shares([*full, *fewer], gains, regressors.split, regressors.problem.count, places)
+    return list(zip([best, *others, *refits.values()], chances, strict=True))
 
 
 def _rivals(

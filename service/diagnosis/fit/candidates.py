@@ -7,7 +7,6 @@ adding any candidate and predicting what was left out then costs a small linear 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass
 from itertools import chain, combinations, groupby, pairwise
 from operator import itemgetter
@@ -91,16 +90,6 @@ class Regressors:
         self.pieces = list(chain.from_iterable(found))
         self.grams = self._grams()
 
-    def weighing(self, problem: Problem) -> Regressors:
-        """The same where rows that weighed alike weigh as in `problem`, beside its fields."""
-        other = copy(self)
-        other.problem = problem
-        weights = [problem.pick(number, weights) for number, weights in enumerate(problem.weights)]
-        weighed = ((p, p.columns * weights[p.recording][p.rows, None]) for p in self.pieces)
-        other.pieces = [p._replace(columns=problem.clear(p.recording, p.rows, columns)) for p, columns in weighed]
-        other.grams = other._grams()
-        return other
-
     def _grams(self) -> list[np.ndarray]:
         def one(pieces: list[Piece]) -> np.ndarray:
             gram = np.zeros((len(self.low), len(self.low)))
@@ -172,7 +161,8 @@ def columns_of(
 class Dictionary:
     """Normal equations of the present hypothesis's tangents, every candidate's regressors, and the residual."""
 
-    def __init__(self, regressors: Regressors, fitted: Fit):
+    def __init__(self, regressors: Regressors, fitted: Fit, prior: np.ndarray | float = 0.0):
+        """prior: (P, P) information on the free parameters."""
         regressors.along(fitted.hypothesis)
         self.index, self.effects, self.low = regressors.index, regressors.effects, regressors.low
         own = fitted.moving
@@ -188,15 +178,15 @@ class Dictionary:
             return _assembled(self.own, square, cross, columns)
 
         folds = _by_fold(regressors.pieces, regressors.split.folds)
-        self._reduce(np.stack(list(THREADS.map(one, folds, regressors.grams))))
+        self._reduce(np.stack(list(THREADS.map(one, folds, regressors.grams))), prior)
 
-    def _reduce(self, grams: np.ndarray) -> None:
+    def _reduce(self, grams: np.ndarray, prior: np.ndarray | float) -> None:
         """Project the hypothesis's own tangents out of everything, a fold left out at a time."""
         own, every = self.own, grams.sum(axis=0)
 
         def one(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             train = every - gram
-            map_ = solve(train[:own, :own], train[:own, own:])
+            map_ = solve(train[:own, :own] + prior, train[:own, own:])
             cross = gram[own:, :own] @ map_
             left_out = gram[own:, own:] - cross - cross.T + map_.T @ gram[:own, :own] @ map_
             return train[own:, own:] - train[own:, :own] @ map_, left_out

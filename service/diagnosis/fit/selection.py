@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from service.diagnosis.fit.candidates import JOINT_SHARE, Dictionary, Regressors
-from service.diagnosis.fit.signature import OWN, Signature
 from service.diagnosis.fit.sound import Fault, fault_of
 from service.identification.fit import Fit, Problem, fit
 from service.identification.folds import Split, block_loss, held_out
@@ -184,7 +183,7 @@ def search(
             fault = None
         rough = any(not term.effect.amplitudes for term in best.hypothesis.terms)
         found = worth(exact[0].blocks, best.blocks, none.blocks, rows, problem.most, rough)
-        if fault is not None or not found or not _its_own(problem, exact[0], best):
+        if fault is not None or not found or not _a_large_share(problem, exact[0], best):
             path.append((exact, None))
             break
         path.append((exact, exact[0]))
@@ -216,7 +215,7 @@ def additions(
     def order(tried: list[Scored]) -> list[Scored]:
         ordered = simplest_first(tried, best)
         if mechanism.kind == "delta":
-            ordered = one_cause_first(ordered, best, 0 if problem.weights else problem.count)
+            ordered = one_cause_first(ordered, best, problem.count)
         return ordered
 
     (first, *others), fault = _sound_first(problem, exact, best, none, given, order)
@@ -315,16 +314,10 @@ def worth(
     return gain > least and z_score(without, candidate) > LEAST_Z
 
 
-def _its_own(problem: Problem, candidate: Scored, without: Scored) -> bool:
-    """Whether an addition takes a large share of what is left, or what it takes of something larger is its own."""
+def _a_large_share(problem: Problem, candidate: Scored, without: Scored) -> bool:
+    """Whether an addition takes a large share of what is left: what takes little is asked given discrepancies."""
     rest = without.loss - problem.most**2 * problem.count
-    if without.loss - candidate.loss > LEAST_SHARE_OF_REST * rest:
-        return True
-    if problem.recordings[0].mechanism.kind != "delta":
-        return False
-    signature = Signature(problem, candidate.hypothesis)
-    new = {term.effect for term in candidate.hypothesis.terms[len(without.hypothesis.terms) :]}
-    return all(OWN * signature.elsewhere(effect) < 1.0 for effect in new)
+    return without.loss - candidate.loss > LEAST_SHARE_OF_REST * rest
 
 
 def without(problem: Problem, split: Split, none: Scored, best: Scored, *effects: Effect) -> Scored:

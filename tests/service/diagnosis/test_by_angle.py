@@ -14,8 +14,8 @@ from schemas.trace import Trace
 from schemas.words import percent
 from service.diagnosis.documents.text import sentences
 from service.diagnosis.evidence import by_angle
-from service.diagnosis.evidence.placement import beside
 from service.diagnosis.fit.selection import Standing
+from service.diagnosis.fit.wide import beside
 from service.identification import pooled
 from service.model.mechanism import mechanism_of
 from service.model.signals import segments_of

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.service.diagnosis.toy import named
 from tests.service.subject import EFFECTS, Hypothesis, Regressors, Split, Term, candidates, selection
 from tests.service.world import BASE, course, stub
 from tests.service.world import problem as logged
@@ -375,33 +374,18 @@ def test_a_search_that_ended_at_a_fault_goes_on_with_what_can_be(monkeypatch, po
         assert (found.best, found.fault) == (ended.best, FAULT)
 
 
-@pytest.mark.parametrize(
-    ("loss", "kind", "shares", "own"),
-    [
-        (749.0, "delta", {}, True),  # more than a quarter of the 1000 that are left above the noise: not asked
-        (851.0, "delta", {"one": 0.19}, True),
-        (851.0, "delta", {"one": 0.21}, False),
-        (851.0, "delta", {"one": 0.19, "two": 0.21}, False),
-        (851.0, "axes", {"one": 0.0}, False),
-    ],
-)
-def test_what_takes_little_of_a_large_rest_takes_what_is_its_own(monkeypatch, loss, kind, shares, own):
-    terms = [stub(effect=named(name)) for name in shares or ("one",)]
-    signature = stub(elsewhere=lambda effect: shares[effect.name])
-    monkeypatch.setattr(selection, "Signature", lambda problem, hypothesis: signature)
-    candidate, without = (
-        stub(loss=100.0 + left, hypothesis=stub(terms=t)) for left, t in ((loss, terms), (1000.0, []))
-    )
-    problem = stub(most=1.0, count=100, recordings=[stub(mechanism=stub(kind=kind))])
-    assert selection._its_own(problem, candidate, without) is own
+@pytest.mark.parametrize(("loss", "large"), [(749.0, True), (751.0, False)])
+def test_a_quarter_of_what_is_left_above_the_noise_is_a_large_share(loss, large):
+    candidate, without = stub(loss=100.0 + loss), stub(loss=1100.0)
+    assert selection._a_large_share(stub(most=1.0, count=100), candidate, without) is large
 
 
-def test_a_search_ends_at_what_takes_little_and_not_its_own(monkeypatch):
+def test_a_search_ends_at_what_takes_little(monkeypatch):
     """Noise, and a constant torque: it takes nearly all, and would if it were asked."""
     made = logged(
         [course(seed, 1.0) for seed in (1, 2, 3)], [course(seed, 1.0).torque + [2.0, 0, 0] for seed in (1, 2, 3)]
     )
     regressors = Regressors(made, Split.of(made), [EFFECTS["torque_offset"]], Hypothesis(BASE))
     for own, names in ((True, ("torque_offset",)), (False, ())):
-        monkeypatch.setattr(selection, "_its_own", lambda *_, own=own: own)
+        monkeypatch.setattr(selection, "_a_large_share", lambda *_, own=own: own)
         assert selection.search(regressors, lambda _: None).names == names

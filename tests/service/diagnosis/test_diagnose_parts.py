@@ -158,8 +158,8 @@ class Judging:
         self.asked: dict[str, Any] = {}
         self.split = split_of(4, 25, 2)
 
-        def earned(regressors: Any, found: Any, tests: Any, allows: Any, limit: float, untold: Any) -> Any:
-            self.asked |= {"earned": found, "tests": tests, "allows": allows, "limit": limit, "untold": untold}
+        def earned(regressors: Any, found: Any, tests: Any, allows: Any, limit: float, progress: Any) -> Any:
+            self.asked |= {"earned": found, "tests": tests, "allows": allows, "limit": limit, "progress": progress}
             return found, [self.too_weak]
 
         def together(problem: Any, split: Any, found: Any, after: Any, given: int, guessed: bool) -> Any:
@@ -174,7 +174,7 @@ class Judging:
 
     def __call__(self, *doubts: Caution, unknown: bool = False) -> Any:
         made: Any = stub(problem=stub(count=100, most=1.0), split=self.split)
-        return diagnose._judged(made, self.found, list(doubts), 1, ["kept"], unknown, 1.2, all, {"cogging"})  # pyright: ignore[reportArgumentType]
+        return diagnose._judged(made, self.found, list(doubts), 1, ["kept"], unknown, 1.2, all, print)  # pyright: ignore[reportArgumentType]
 
 
 def selected(none: Any, best: Any) -> Any:
@@ -189,7 +189,7 @@ def test_names_are_asked_whether_they_are_earned_one_by_one_and_together(monkeyp
     assert found.chosen == [judging.best] * 4
     assert found.cautions == [judging.fault, judging.too_weak]
     assert (judging.asked["tests"], judging.asked["allows"], judging.asked["limit"]) == (["kept"], all, 1.2)
-    assert judging.asked["untold"] == {"cogging"}
+    assert judging.asked["progress"] is print
     chance = Judging(monkeypatch, fell=True)
     found = chance()
     assert found.chosen == [chance.none] * 4
@@ -239,30 +239,3 @@ def test_it_is_asked_of_every_search_before_effects_are_exchanged(monkeypatch):
         )
     found = diagnose.diagnose(ROBOT, [log(1), log(2)], [SPRING.effect])
     assert asked == [("_past_fault", found.limit), ("exchanged", found.limit)]
-
-
-@pytest.mark.parametrize(
-    ("left", "pulled", "strange"), [(1.09, True, False), (1.11, True, True), (2.19, False, False), (2.21, False, True)]
-)
-def test_something_is_at_work_beside_what_was_found_where_far_more_is_left_or_a_pull_by_place(
-    monkeypatch, left, pulled, strange
-):
-    """left: rms, of noise that may leave 1.1."""
-    monkeypatch.setattr(diagnose.signature, "pulled", lambda problem, hypothesis: pulled)
-    best = stub(residuals=[np.full(50, left), np.full(50, -left)], hypothesis=None)
-    assert diagnose._strange(stub(count=100), best, 1.1) is strange
-
-
-@pytest.mark.parametrize(
-    ("told", "before", "more"),
-    [
-        ((), (), False),
-        ((), ("one",), False),
-        (("one",), (), True),
-        (("one",), ("one",), True),
-        (("one",), ("one", "two"), False),
-        (("one", "three"), ("one", "two"), True),
-    ],
-)
-def test_names_of_quiet_rows_are_told_where_they_are_no_part_of_those_before(told, before, more):
-    assert diagnose._tells_more(told, before) is more

@@ -182,36 +182,6 @@ def test_a_filter_is_fitted_up_to_its_limit_and_no_further():
     assert nonlinear == pytest.approx(35.0, rel=1e-2)
 
 
-@pytest.mark.parametrize("weighed", [False, True])
-def test_what_a_field_could_explain_of_a_joint_says_nothing(weighed):
-    """As if its columns, own ones a joint, stood beside the model's and nobody asked for their figures."""
-    run, random = course(1, 2.0), np.random.default_rng(3)
-    logs = problem([run], [run.torque + 0.3 * random.standard_normal(run.torque.shape)])
-    if weighed:
-        logs = replace(logs, weights=[random.uniform(0.1, 1.0, logs.rows[0].shape)])
-    plain, joint = evaluate(logs, Hypothesis(BASE)), logs.joints_of_rows[0]
-    columns = random.standard_normal((len(joint), 3))
-    columns[joint == 1, 2] = columns[joint == 1, 0]  # nothing new on one joint
-    beside = replace(logs, fields=[columns])
-    weight = (
-        np.concatenate([logs.weights[0][logs.rows[0][:, j], j] for j in range(3)]) if weighed else np.ones(len(joint))
-    )
-    own = (weight[:, None] * columns)[:, None] * (joint[:, None, None] == np.arange(3)[:, None])
-    own = own.reshape(len(joint), 9)
-    both = np.hstack([plain.tangents[0], own])
-    step = np.linalg.lstsq(both, plain.residuals[0], rcond=None)[0]
-    found = evaluate(beside, Hypothesis(BASE))
-    gram, moment = found.tangents[0].T @ found.tangents[0], found.tangents[0].T @ found.residuals[0]
-    np.testing.assert_allclose(solve(gram, moment), step[:-9], rtol=1e-5, atol=1e-8)
-    left = plain.residuals[0] - both @ step
-    np.testing.assert_allclose(found.residuals[0] - found.tangents[0] @ step[:-9], left, atol=1e-8)
-    away = np.eye(len(joint)) - own @ np.linalg.pinv(own)
-    assert beside.count == pytest.approx(float(np.trace(away @ np.diag(weight**2) @ away)), abs=0.51)  # of white noise
-    assert logs.count - beside.count >= 1
-    constant = replace(beside, fields=[np.ones((len(joint), 1))])
-    assert (constant.select(0, np.ones((*logs.rows[0].shape, 2))) == 0).all(), "no rounding stands for a figure"
-
-
 def test_a_light_fit_has_its_tangents_when_they_are_asked_for() -> None:
     """And holds none of them; a whole one holds them again."""
     run = course(1, 1.0)

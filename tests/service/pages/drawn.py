@@ -104,7 +104,7 @@ def diagnosis(rng: np.random.Generator) -> Diagnosis:
         )  # fmt: skip
     cautions = [
         {"code": str(code), "advice": str(rng.choice(get_args(Advice))), "joints": [1], "effect": others[0],
-         "share": share(rng), "quantity": "rest_angle", "run": "pick", "gain": 3.0, "gain_most": 4.0, "pitch_m": 0.01,
+         "share": share(rng), "quantity": "rest_angle", "run": "pick", "gain": 3.0, "gain_most": 4.0,
          "held_s": 0.002}
         for code in rng.choice(get_args(CautionCode), int(rng.integers(0, 3)), replace=False)
     ]  # fmt: skip

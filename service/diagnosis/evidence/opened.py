@@ -1,0 +1,166 @@
+"""Which discrepancies are at work beside a model: those that explain its residual on held-out data, most first.
+
+Each is fitted together with all parameters of the model and those found before it. A priori it is as large as what is
+left above the noise, and half as much is left beside it. All products of columns are summed once.
+
+Source: Kennedy, O'Hagan: Bayesian calibration of computer models, 2001 (a discrepancy as a Gaussian process).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from schemas.diagnosis import Caution
+from service.diagnosis.discrepancies import DISCREPANCIES
+from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen
+from service.diagnosis.fit.selection import LEAST_Z, Scored, z_score
+from service.identification.fit import Problem, solve
+from service.identification.folds import Split, block_loss
+from service.model.hypothesis import Hypothesis
+
+LEAST_SHARE = 0.05  # of the residual's energy above the noise that is worth telling
+STANDS_OUT = 1.2  # times the noise's energy, below which the residual of a joint is not asked about
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A process together with those found before it. together: all of them, its own last. residuals: held out. gains:
+    (blocks,) squares that it explains there."""
+
+    process: Process
+    together: list[Process]
+    residuals: list[np.ndarray]
+    gains: np.ndarray
+
+
+class Pool:
+    """All discrepancies that there may be, as large as the noise, and their products, summed once a fold.
+
+    Args:
+        problem: The logs, in units of the noise.
+        split: Which rows are held out together.
+        hypothesis: The model whose torque and directions they read.
+        told: Only those that the document tells.
+    """
+
+    def __init__(self, problem: Problem, split: Split, hypothesis: Hypothesis, told: bool = False):
+        self.problem, self.split = problem, split
+        seen, delta = Seen.of(problem, hypothesis, problem.sigma), problem.recordings[0].mechanism.kind == "delta"
+        self.every: list[Process] = []
+        for one in DISCREPANCIES:
+            if one.over is not None or not told:
+                joints = range(len(problem.sigma)) if one.per_joint else (0,) if delta else ()
+                self.every += [one.process(seen, joint) for joint in joints]
+        ends = np.cumsum([0, *(one.columns[0].shape[1] for one in self.every)]).tolist()
+        self.places = {id(one): np.arange(*both) for one, both in zip(self.every, pairwise(ends), strict=True)}
+        self.rows = np.concatenate(
+            [np.concatenate([one.columns[number] for one in self.every], axis=1) for number in range(len(problem.rows))]
+        )
+        fold = np.concatenate(split.fold)
+        self.fold = [fold == number for number in range(split.folds)]
+        self.grams = [part.T @ part for part in (self.rows[mine] for mine in self.fold)]
+
+    def columns(self, together: Sequence[Process]) -> list[np.ndarray]:
+        """(R, C) a recording, of processes side by side."""
+        mine = self.of(together)
+        ends = np.cumsum([0, *(rows.sum() for rows in self.problem.rows)]).tolist()
+        return [self.rows[start:end, mine] for start, end in pairwise(ends)]
+
+    def of(self, together: Sequence[Process]) -> np.ndarray:
+        """(C,) where the columns of processes are."""
+        return np.concatenate([np.zeros(0, int), *(self.places[id(one)] for one in together)])
+
+
+class Beside:
+    """The discrepancies beside a model. every: those of joints of which more than noise is left. prior: (P,)
+    information on each column of the pool: noise and what else is left beside it, over what a weight may be."""
+
+    def __init__(self, pool: Pool, best: Scored):
+        self.pool, self.best, level = pool, best, above(pool.problem, best.residuals)
+        whole, rest = float(np.mean(level)), 1.0 + float(np.mean(level)) / 2.0
+        self.prior = np.zeros(pool.rows.shape[1])
+        self.every = []
+        for one in pool.every:
+            size = whole if one.joint is None else float(level[one.joint])
+            if size > 0.0:
+                self.every.append(one)
+                self.prior[pool.places[id(one)]] = rest / size
+        self.own, self.residual = np.concatenate(best.fitted.moving), np.concatenate(best.fitted.residuals)
+        near = np.column_stack([self.own, self.residual])
+        self.near = [part.T @ part for part in (near[mine] for mine in pool.fold)]
+        self.cross = [near[mine].T @ pool.rows[mine] for mine in pool.fold]
+
+    def held_out(self, together: Sequence[Process]) -> list[np.ndarray]:
+        """Residuals (R,) a recording on held-out data, given these."""
+        mine, own, pool = self.pool.of(together), self.own.shape[1], self.pool
+        grams, moments = [], []
+        for near, cross, far in zip(self.near, self.cross, pool.grams, strict=True):
+            known = near[:own, :own], cross[:own, mine]
+            grams.append(np.block([[known[0], known[1]], [known[1].T, far[np.ix_(mine, mine)]]]))
+            moments.append(np.concatenate([near[:own, own], cross[own, mine]]))
+        gram, moment = sum(grams) + np.diag(np.r_[np.zeros(own), self.prior[mine]]), sum(moments)
+        left = self.residual.copy()
+        for out, without, less in zip(pool.fold, grams, moments, strict=True):
+            step = solve(gram - without, moment - less)
+            left[out] -= self.own[out] @ step[:own] + pool.rows[np.ix_(out, mine)] @ step[own:]
+        return np.split(left, np.cumsum([len(part) for part in self.best.residuals])[:-1])
+
+    def worth(self, known: Sequence[Process], every: Sequence[Process], left: Sequence[np.ndarray]) -> list[Tried]:
+        """Those of `every` that explain something given what is `known`, and not by chance. left: residuals given
+        that."""
+        blocks, result = block_loss(left, self.pool.split), []
+        for process in every:
+            rest = self.held_out([*known, process])
+            tried = Tried(process, [*known, process], rest, blocks - block_loss(rest, self.pool.split))
+            if z_score(blocks, blocks - tried.gains) > LEAST_Z:
+                result.append(tried)
+        return result
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What is at work beside a model. columns: (R, C) a recording, of all that was found. prior: (C,) information on
+    the weight of each. residuals: held out."""
+
+    found: list[Process]
+    columns: list[np.ndarray]
+    prior: np.ndarray
+    residuals: list[np.ndarray]
+
+    def cautions(self) -> list[Caution]:
+        """What was opened, where effects are hardly separable from it."""
+        joints: dict[Discrepancy, list[int]] = {}
+        for one in self.found:
+            joints.setdefault(one.discrepancy, []).extend([] if one.joint is None else [one.joint + 1])
+        return [
+            Caution(code=one.code, joints=sorted(which), advice=one.advice)
+            for one, which in joints.items()
+            if one.code is not None
+        ]
+
+    @classmethod
+    def beside(cls, pool: Pool, best: Scored) -> Opened:
+        """As long as one more explains `LEAST_SHARE`."""
+        beside, left, found = Beside(pool, best), best.residuals, []
+        total = sum(float(residual @ residual) for residual in left) - pool.problem.count
+        every = beside.every
+        while every:
+            tried = [one for one in beside.worth(found, every, left) if one.gains.sum() > LEAST_SHARE * total]
+            if not tried:
+                break
+            first = max(tried, key=lambda one: float(one.gains.sum()))
+            found, left = first.together, first.residuals
+            every = [one.process for one in tried if one is not first]
+        return cls(found, pool.columns(found), beside.prior[pool.of(found)], left)
+
+
+def above(problem: Problem, residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """(n,) mean square of each joint above the noise; 0 where it does not stand out of it."""
+    joint, count = np.concatenate(problem.joints_of_rows), len(problem.sigma)
+    rows = np.maximum(np.bincount(joint, minlength=count), 1)
+    square = np.bincount(joint, np.concatenate(residuals) ** 2, count) / rows
+    return np.where(square > STANDS_OUT, square - 1.0, 0.0)

@@ -1,0 +1,50 @@
+"""A fit with columns beside the model's own parameters: discrepancies, whose weights have a prior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.identification.fit import Fit
+from service.identification.folds import Split, held_out
+
+
+@dataclass(frozen=True)
+class Wide:
+    """fit: tangents of the model's free parameters, then of the columns. prior: (P, P) information on their steps."""
+
+    fit: Fit
+    prior: np.ndarray
+
+    @classmethod
+    def of(cls, fitted: Fit, columns: Sequence[np.ndarray], prior: np.ndarray | float) -> Wide:
+        """columns: (R, K) a recording. prior: information on the weight of each."""
+        own, opened = fitted.moving[0].shape[1], columns[0].shape[1]
+        low, high = (reach[fitted.free] for reach in fitted.reach)
+        free, far = np.ones(own + opened, bool), np.full(opened, np.inf)
+        wide = replace(
+            fitted,
+            tangents=[np.concatenate(parts, axis=1) for parts in zip(fitted.moving, columns, strict=True)],
+            inside=free,
+            free=free,
+            reach=(np.append(low, -far), np.append(high, far)),
+        )
+        return cls(wide, np.diag(np.r_[np.zeros(own), np.broadcast_to(prior, opened)]))
+
+    @classmethod
+    def bare(cls, fitted: Fit) -> Wide:
+        """No columns."""
+        return cls(fitted, np.zeros((fitted.moving[0].shape[1],) * 2))
+
+    def held_out(self, split: Split) -> list[np.ndarray]:
+        """Residuals (R,) a recording on held-out data."""
+        return held_out(self.fit, split, prior=self.prior)
+
+
+def beside(
+    fitted: Fit, columns: Sequence[np.ndarray], split: Split, prior: np.ndarray | float = 0.0
+) -> list[np.ndarray]:
+    """Residuals (R,) a recording on held-out data, torque of `columns` (R, K) left open."""
+    return Wide.of(fitted, columns, prior).held_out(split)
