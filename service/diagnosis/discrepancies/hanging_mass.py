@@ -35,5 +35,5 @@ def _springs(acceleration: np.ndarray, period: float) -> np.ndarray:
         turn = 2.0 * np.pi * hertz
         pole = np.exp(turn * period * (-DAMPING + 1j * np.sqrt(1.0 - DAMPING**2)))
         swing = np.asarray(lfilter([turn * period], [1.0, -pole], acceleration.astype(complex), axis=0))
-        result += [swing.real, swing.imag]
+        result += [np.real(swing), np.imag(swing)]
     return np.stack(result, axis=2)
