@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -76,9 +76,9 @@ class Discrepancy(ABC):
         """The process of (N, K) N m a recording on one joint."""
         return Process(self, joint, [_of_joint(seen.problem, n, joint, t) for n, t in enumerate(torque)], place, values)
 
-    def at_platform(self, seen: Seen, torque: Sequence[np.ndarray], place: Sequence[np.ndarray] = (),
+    def at_platform(self, seen: Seen, torque: Iterable[np.ndarray], place: Sequence[np.ndarray] = (),
                     values: Sequence[np.ndarray] = ()) -> Process:  # fmt: skip
-        """The process of (N, n, K) N m a recording."""
+        """The process of (N, n, K) N m a recording, which are large and kept one at a time."""
         columns = [seen.problem.select(n, seen.problem.band(t)) for n, t in enumerate(torque)]
         return Process(self, None, columns, place, values)
 

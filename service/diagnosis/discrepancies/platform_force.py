@@ -20,8 +20,8 @@ class PlatformForce(Discrepancy):
         lever = float(np.sqrt(3.0 * np.mean(np.concatenate(levers) ** 2)))
         size = float(np.sqrt(np.mean(seen.size**2))) / lever
         values = [size * part for part in features(place, WIDTH)]
-        torque = [
+        torque = (
             (one[..., None] * part[:, None, None]).reshape(*one.shape[:2], -1)
             for one, part in zip(levers, values, strict=True)
-        ]
+        )
         return self.at_platform(seen, torque, place, values)

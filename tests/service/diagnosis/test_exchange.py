@@ -48,7 +48,7 @@ def test_what_explains_all_goes_before_what_stood_in_for_it(wrong_gear):
 
 def test_what_was_exchanged_stands_against_what_may_be_in_its_place(wrong_gear):
     regressors, found = wrong_gear[0], told(wrong_gear, LIMIT)
-    kept, fallen = earned(regressors, found, [], lambda effect, joint: True, LIMIT)
+    kept, fallen = earned(regressors, found, [], lambda effect, joint: True, LIMIT, lambda _: None)
     assert fallen == []
     assert {effect.name for effect in kept.standings} == set(found.names)
     for one in kept.standings.values():
