@@ -614,6 +614,25 @@ def leading(values: np.ndarray, cutoff_hz: float, period: float) -> np.ndarray:
     return values + time_constant(cutoff_hz) * slope
 
 
+@kernel(nogil=True)
+def _recursion(values, keep, result):
+    for c in range(values.shape[1]):
+        state = 0.0j
+        for k in range(len(values)):
+            state = keep * state + values[k, c]
+            result[k, c] = state
+
+
+def recursion(values: np.ndarray, keep: complex) -> np.ndarray:
+    """(N, C) complex: each row of `values` (N, C) and `keep` times the result before it, from nothing on.
+
+    What `scipy.signal.lfilter([1], [1, -keep], values, axis=0)` gives.
+    """
+    result = np.empty(values.shape, np.complex128)
+    _recursion(np.ascontiguousarray(values, np.float64), complex(keep), result)
+    return result
+
+
 def time_constant(cutoff_hz: float) -> float:
     """s of a first-order low-pass."""
     return 0.5 / (np.pi * cutoff_hz)

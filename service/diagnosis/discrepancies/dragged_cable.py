@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
 from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, alike
+from service.model.signals import recursion
 
 WAYS = (0.01, 0.04, 0.15)  # m, over which the force turns over
 STEP = 1e-3  # m of the way
@@ -36,6 +36,6 @@ def _against(position: np.ndarray) -> np.ndarray:
     result = []
     for length in WAYS:
         keep = np.exp(-STEP / length)
-        mean = np.asarray(lfilter([1.0 - keep], [1.0, -keep], direction, axis=0))
+        mean = (1.0 - keep) * recursion(direction, keep).real
         result.append(np.stack([np.interp(way, even, axis) for axis in mean.T], axis=1))
     return np.stack(result, axis=2)

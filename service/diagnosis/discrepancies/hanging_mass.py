@@ -4,9 +4,9 @@ the platform's acceleration with an oscillation."""
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
 from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, alike
+from service.model.signals import recursion
 
 NATURAL_HZ = tuple(np.geomspace(1.5, 16.0, 12).tolist())  # of springs that may be there, each near the next
 DAMPING = 0.1  # of critical
@@ -34,6 +34,6 @@ def _springs(acceleration: np.ndarray, period: float) -> np.ndarray:
     for hertz in NATURAL_HZ:
         turn = 2.0 * np.pi * hertz
         pole = np.exp(turn * period * (-DAMPING + 1j * np.sqrt(1.0 - DAMPING**2)))
-        swing = np.asarray(lfilter([turn * period], [1.0, -pole], acceleration.astype(complex), axis=0))
+        swing = turn * period * recursion(acceleration, pole)
         result += [np.real(swing), np.imag(swing)]
     return np.stack(result, axis=2)

@@ -13,7 +13,7 @@ import pytest
 from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import KalmanFilter
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, lsim, sosfiltfilt
+from scipy.signal import butter, lfilter, lsim, sosfiltfilt
 
 from schemas.errors import DataError, TraceError
 from schemas.messages import SampleFlag
@@ -497,3 +497,10 @@ def test_a_running_mean_is_that_of_scipy(width: int, ends: Literal["edge", "cons
     expected = uniform_filter1d(values, width, axis=0, mode=reference)
     np.testing.assert_allclose(signals.running_mean(values, width, ends), expected, atol=1e-12)
     np.testing.assert_allclose(signals.running_mean(values[:, 1], width, ends), expected[:, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize("keep", [0.9, 0.99 * np.exp(0.05j)])
+def test_a_recursion_is_scipys(keep):
+    values = np.random.default_rng(5).normal(size=(400, 3))
+    expected = lfilter([1.0], [1.0, -keep], values.astype(complex), axis=0)
+    np.testing.assert_allclose(signals.recursion(values, keep), expected, rtol=1e-10, atol=1e-12)
