@@ -26,6 +26,7 @@ ON_THE_CLOCK = (
     "tests/drivers/plant/test_live.py", "tests/replay", "tests/service/test_", "tests/service/monitor",
     "tests/service/cli/test_demo.py", "tests/service/cli/test_replay.py",
     "tests/service/experiment/test_closed_loop.py",
+    "tests/service/machines/test_every_command.py::test_a_log_on_the_bus",
     "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[ethercat",
     "tests/docs/test_tutorials.py::test_a_tutorial_does_what_it_says[first-demo",
 )  # fmt: skip
