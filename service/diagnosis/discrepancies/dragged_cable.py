@@ -36,6 +36,6 @@ def _against(position: np.ndarray) -> np.ndarray:
     result = []
     for length in WAYS:
         keep = np.exp(-STEP / length)
-        mean = (1.0 - keep) * recursion(direction, keep).real
+        mean = (1.0 - keep) * np.real(recursion(direction, keep))
         result.append(np.stack([np.interp(way, even, axis) for axis in mean.T], axis=1))
     return np.stack(result, axis=2)
