@@ -9,7 +9,7 @@ import numpy as np
 
 from schemas.messages import FEEDFORWARD, FRICTION, MODEL_ERROR, PAYLOAD, REFERENCE, SAMPLE, FeedforwardSource
 from schemas.robot import Robot
-from service.estimator import commanded, departure, effects, kalman, readout, turning
+from service.estimator import commanded, departure, effects, kalman, readout, stream, turning
 from service.estimator.bounds import acceleration_of, bounds_of, growth_of
 from service.estimator.branch import BRANCH
 from service.estimator.left_out import left_out, torque_left_out
@@ -82,17 +82,7 @@ _PAST = np.dtype(
 
 STATE = np.dtype(
     [
-        ("started", "i8"),
-        ("sequence", "u8"),
-        ("stamp_sec", "i8"),
-        ("stamp_nanosec", "i8"),
-        ("stray", "i8"),  # samples in a row that continue each other but not the stream
-        ("stray_sequence", "u8"),
-        ("stray_position", "f8", 3),
-        ("measured", kalman.TRACK),
-        ("commanded", kalman.TRACK),
-        ("command_stray", "i8"),  # the same of commands
-        ("command_stray_position", "f8", 3),
+        *stream.fields(3, kalman.TRACK),
         ("slots", kalman.SLOT, kalman.MAX_LAG + 1),
         ("past", _PAST, kalman.MAX_LAG + 1),
         ("newest_torque", "f8", 3),  # N m, reported

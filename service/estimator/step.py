@@ -33,7 +33,6 @@ from service.estimator.kalman import (
     MAX_LAG,
     VELOCITY,
     acceleration_variance_kernel,
-    keep_kernel,
     largest_innovation,
     smooth_kernel,
 )
@@ -42,13 +41,14 @@ from service.estimator.payload.step import loosen_kernel, payload_kernel, unseen
 from service.estimator.readout import TOLD, follow_kernel, keep_load_kernel, lag_kernel, weigh_reports_kernel
 from service.estimator.stream import (
     RANGE,
-    SETTLE_TIME,
     STATE_NEW,
     UNEXPECTED,
+    UNSEEN_TIME,
     UNUSABLE,
     coast_cycles,
     cycles_since,
     judge_kernel,
+    remember_kernel,
     restart,
     track_command_kernel,
     track_kernel,
@@ -63,8 +63,6 @@ from service.model.signals import ramp
 REVERSAL_SPEED = 0.05  # rad/s
 # And die out below this one, in gears that lubricant keeps apart; whether they do is seen (`scatter`).
 CREEPING_SPEED = 0.4  # rad/s
-# In a shorter hole the load is taken to stay; what it did shows as soon as it is weighed again.
-UNSEEN_TIME = 0.5  # s
 # Variance of an acceleration, over that of one with all samples around it, beyond which it says nothing of the mass: at
 # the edge of a hole it is guessed, and a torque sample is not.
 LOOSE_ACCELERATION = 1.5
@@ -75,14 +73,7 @@ MODEL_SHARE = 0.01
 @kernel
 def _remember(settings, state, sample, flags, gap):
     """Put the newest cycle into the lag line."""
-    state.head = (state.head + 1) % (MAX_LAG + 1)
-    if state.filled <= settings.motion.lag and state.measured.used * settings.period > SETTLE_TIME:
-        state.filled += 1
-    keep_kernel(state.measured, gap, state.slots[state.head])
-    if gap > 1 or flags & UNUSABLE != 0:
-        state.unsettled = settings.motion.lag + np.int64(SETTLE_TIME / settings.period)
-    elif state.unsettled > 0:
-        state.unsettled -= 1
+    remember_kernel(settings, state, flags, gap)
     state.unexpected = max(np.int64(0), state.unexpected - 1)
     if state.unsettled > 0 and largest_innovation(settings.motion, state.measured) > UNEXPECTED:
         state.unexpected = 2 * settings.motion.lag

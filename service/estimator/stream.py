@@ -7,6 +7,7 @@ modulo 2^64, is below 2^63.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from schemas.messages import SampleFlag
 from service.estimator.kalman import (
     ORDER,
     coast_kernel,
+    keep_kernel,
     largest_innovation,
     predict_kernel,
     predicted_variance_kernel,
@@ -37,6 +39,8 @@ LATCHED = 0.25  # cycles that a position may be read early or late where the dri
 # Standard deviations of an innovation behind a hole beyond which the motion is not what the filter expects: drives that
 # stood without commands and start again.
 UNEXPECTED = 4.0
+# In a shorter hole the load is taken to stay; what it did shows as soon as it is weighed again.
+UNSEEN_TIME = 0.5  # s
 # A torque sensor that reads beyond this many peak torques is broken.
 TORQUE_SENSE = 10.0
 
@@ -48,6 +52,23 @@ STATE_NEW = SampleFlag.STATE_NEW.value
 NOT_NEW = REPEATED | BACKWARDS
 UNUSABLE = NAN | RANGE | NOT_NEW | JUMP | SampleFlag.BUS_FAULT.value
 NOT_FOLLOWED = NO_COMMAND | COMMAND_RANGE | COMMAND_JUMP
+
+
+def fields(joints: int, track: np.dtype) -> list[tuple[Any, ...]]:
+    """Fields that a stream has in the state of an estimator of so many joints. track: record of its filters."""
+    return [
+        ("started", "i8"),
+        ("sequence", "u8"),
+        ("stamp_sec", "i8"),
+        ("stamp_nanosec", "i8"),
+        ("stray", "i8"),  # samples in a row that continue each other but not the stream
+        ("stray_sequence", "u8"),
+        ("stray_position", "f8", joints),
+        ("measured", track),
+        ("commanded", track),
+        ("command_stray", "i8"),  # the same of commands
+        ("command_stray_position", "f8", joints),
+    ]
 
 
 @kernel
@@ -284,3 +305,16 @@ def track_command_kernel(settings, state, sample, flags, gap):
     else:
         predict_kernel(settings.motion, track, gap)
         _update(settings, track, command, gap)
+
+
+@kernel
+def remember_kernel(settings, state, flags, gap):
+    """Put the newest cycle into the lag line, whose head it becomes."""
+    state.head = (state.head + 1) % len(state.slots)
+    if state.filled <= settings.motion.lag and state.measured.used * settings.period > SETTLE_TIME:
+        state.filled += 1
+    keep_kernel(state.measured, gap, state.slots[state.head])
+    if gap > 1 or flags & UNUSABLE != 0:
+        state.unsettled = settings.motion.lag + np.int64(SETTLE_TIME / settings.period)
+    elif state.unsettled > 0:
+        state.unsettled -= 1

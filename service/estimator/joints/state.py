@@ -24,7 +24,7 @@ from schemas.messages import (
     MOST_JOINTS,
     FeedforwardSource,
 )
-from service.estimator import effects, kalman
+from service.estimator import effects, kalman, stream
 from service.estimator.bounds import REVERSAL_TIME, growth_share
 from service.machines import machine_of
 from service.machines.machine import MachineModel
@@ -105,17 +105,7 @@ _PAST = np.dtype(
 
 STATE = np.dtype(
     [
-        ("started", "i8"),
-        ("sequence", "u8"),
-        ("stamp_sec", "i8"),
-        ("stamp_nanosec", "i8"),
-        ("stray", "i8"),
-        ("stray_sequence", "u8"),
-        ("stray_position", "f8", MOST_JOINTS),
-        ("measured", TRACK),
-        ("commanded", TRACK),
-        ("command_stray", "i8"),
-        ("command_stray_position", "f8", MOST_JOINTS),
+        *stream.fields(MOST_JOINTS, TRACK),
         ("slots", SLOT, kalman.MAX_LAG + 1),
         ("past", _PAST, kalman.MAX_LAG + 1),
         ("head", "i8"),

@@ -13,17 +13,18 @@ import numpy as np
 from schemas.kernels import kernel
 from schemas.messages import SampleFlag
 from service.estimator.effects import effects_kernel
-from service.estimator.kalman import MAX_LAG, keep_kernel, largest_innovation, smooth_kernel
+from service.estimator.kalman import MAX_LAG, largest_innovation, smooth_kernel
 from service.estimator.stream import (
     COMMAND_RANGE,
     NAN,
     RANGE,
-    SETTLE_TIME,
     UNEXPECTED,
+    UNSEEN_TIME,
     UNUSABLE,
     coast_cycles,
     cycles_since,
     judge_kernel,
+    remember_kernel,
     restart,
     track_command_kernel,
     track_kernel,
@@ -32,8 +33,6 @@ from service.estimator.wanted import COMMAND, ESTIMATE, NONE, bound_kernel, choo
 from service.estimator.wanted import take_plan_kernel as plan_inside
 from service.model.effects.base import Instant
 
-# In a shorter hole the load is taken to stay.
-UNSEEN_TIME = 0.5  # s
 KNOWN_FLAGS = (1 << 16) - 1
 FINITE = 1e9  # N m: a torque beyond it is none
 _LIMITED = SampleFlag.LIMITED.value
@@ -103,16 +102,10 @@ def _unscale(settings, inside, motion):
 @kernel
 def _remember(settings, state, given, flags, gap):
     """Put the newest cycle into the lag line."""
-    state.head = (state.head + 1) % (MAX_LAG + 1)
-    if state.filled <= settings.motion.lag and state.measured.used * settings.period > SETTLE_TIME:
-        state.filled += 1
-    keep_kernel(state.measured, gap, state.slots[state.head])
-    if gap > 1 or flags & UNUSABLE != 0:
-        state.unsettled = settings.motion.lag + np.int64(SETTLE_TIME / settings.period)
-    elif state.unsettled > 0:
-        state.unsettled -= 1
-        if largest_innovation(settings.motion, state.measured) > UNEXPECTED:
-            state.unsettled = 2 * settings.motion.lag
+    settling = state.unsettled > 0 and gap <= 1 and flags & UNUSABLE == 0
+    remember_kernel(settings, state, flags, gap)
+    if settling and largest_innovation(settings.motion, state.measured) > UNEXPECTED:
+        state.unsettled = 2 * settings.motion.lag
     past = state.past[state.head]
     past.stamp_sec, past.stamp_nanosec, past.sequence = given.stamp_sec, given.stamp_nanosec, given.sequence
     past.flags, past.gripper = flags, given.gripper
