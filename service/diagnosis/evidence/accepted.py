@@ -1,4 +1,4 @@
-"""Which effects are accepted where more than noise is left beside them: those that explain what neither discrepancies
+"""Which effects are accepted where the residual is above the noise: those that explain what neither discrepancies
 do nor their own torque does at other times.
 
 The discrepancies that explain the residual are opened, with weights of their own. Given these, an effect has to explain
@@ -35,7 +35,7 @@ from service.model.effects.base import Effect
 
 @dataclass(frozen=True)
 class Accepted:
-    """The model of effects that are accepted, the discrepancies beside it, and the effects that were rejected."""
+    """The model of effects that are accepted, the discrepancies opened with it, and the effects that were rejected."""
 
     best: Scored
     opened: Opened
@@ -82,7 +82,7 @@ def accepted(
         opened = Opened.beside(pool, best)
     gone = {effect for effect, _, _ in rejected}
     while len(set(best.names[given:])) < MOST_EFFECTS:
-        progress("weighing effects given discrepancies")
+        progress("comparing effects given discrepancies")
         tried = _added(regressors, pool, best, opened, gone, given, allows)
         if not tried:
             break
@@ -99,7 +99,7 @@ def own(pool: Pool, fewer: Scored, best: Scored, effect: Effect, opened: Opened)
 
 
 def _blocks(problem: Problem, scored: Scored, opened: Opened, split: Split) -> np.ndarray:
-    """(blocks,) squares on held-out data given discrepancies, joints by what is left of them beside these."""
+    """(blocks,) squares on held-out data given discrepancies, joints weighted by their residual given these."""
     left = Wide.of(scored.fitted, opened.columns, opened.prior).held_out(split)
     level = problem.level(opened.residuals)
     return block_loss([r / level[j] for r, j in zip(left, problem.joints_of_rows, strict=True)], split)

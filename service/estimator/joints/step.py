@@ -11,7 +11,6 @@ import math
 import numpy as np
 
 from schemas.kernels import kernel
-from schemas.messages import SampleFlag
 from service.estimator.effects import effects_kernel
 from service.estimator.kalman import MAX_LAG, largest_innovation, smooth_kernel
 from service.estimator.stream import (
@@ -35,7 +34,6 @@ from service.model.effects.base import Instant
 
 KNOWN_FLAGS = (1 << 16) - 1
 FINITE = 1e9  # N m: a torque beyond it is none
-_LIMITED = SampleFlag.LIMITED.value
 
 
 @kernel

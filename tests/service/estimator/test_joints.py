@@ -33,7 +33,6 @@ from tests.service.sines import sines
 
 PERIOD, ENCODER = 1e-3, 1e-5
 LOAD = Load(1.4, (0.02, -0.03, 0.08), (2e-3, 2.6e-3, 1.6e-3))
-EFFORT = 300.0  # N m, of the URDF
 AXES = """name = "bench"
 kind = "axes"
 [limits]
