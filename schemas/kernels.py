@@ -1,5 +1,8 @@
 """How a kernel is compiled: `@kernel` before it, `@kernel(nogil=True)`, or `@part`; and how it is kept.
 
+What other kernels call is compiled without what would let Python call it, a fifth of the time; where Python calls the
+same kernel, it is compiled a second time.
+
 A kept kernel that is not whole is made anew, and one that cannot be kept is made for this process alone: either is said
 once. Each carries a checksum, since what is loaded is machine code.
 """
@@ -15,7 +18,9 @@ from typing import Any
 from schemas.kernel_cache import kept_in  # noqa: F401 - before Numba, which reads the place then
 
 from numba import njit  # isort: skip
+from numba.core import types  # isort: skip
 from numba.core.caching import IndexDataCacheFile  # isort: skip
+from numba.core.registry import CPUDispatcher  # isort: skip
 
 _SUM = hashlib.sha256().digest_size
 _said: set[str] = set()
@@ -23,14 +28,57 @@ _said: set[str] = set()
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Numba's `njit`, cached, and without what would let C call it, which takes a tenth of the time to compile."""
-    flags: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True} | options
     if function is None:
         return lambda given: kernel(given, **options)
+    compiled = _compiled(function, options)
+    if isinstance(compiled, CPUDispatcher):  # not where Numba is told to compile nothing
+        compiled.__class__ = _Kernel
+    return compiled
+
+
+def compile_inside(kernel: Any, arguments: tuple[Any, ...]) -> None:
+    """Compile `kernel` for these Numba types as another kernel would have it that calls it."""
+    kernel.inside.compile(arguments)
+
+
+def _compiled(function: Callable[..., Any], options: dict[str, Any], ending: str = "") -> Any:
+    """ending: of the name under which it is kept."""
+    flags: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True} | options
     compiled = njit(**flags)(function)
     kept = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
     if isinstance(kept, IndexDataCacheFile):
-        kept.__class__ = _Kept
+        _keep_whole(kept, ending)
     return compiled
+
+
+def _keep_whole(kept: Any, ending: str) -> None:
+    """Give Numba's files of one kernel their checksum, and `ending` behind their names."""
+    stem = kept._index_name.removesuffix(".nbi")
+    kept.__class__ = _Kept
+    kept.__init__(kept._cache_path, stem + ending, kept._source_stamp)
+
+
+class _Kernel(CPUDispatcher):
+    """A kernel as Python calls it; `inside` is the same one for other kernels."""
+
+    _inside: Any = None
+
+    @property
+    def inside(self) -> Any:
+        if self._inside is None:
+            options = {key: value for key, value in self.targetoptions.items() if key != "nopython"}
+            self._inside = _compiled(self.py_func, options | {"no_cpython_wrapper": True}, "-inside")
+        return self._inside
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """What a caller needs to know of this one while it is compiled. A number that is written in the call is one as
+        any other: Numba would compile anew for each."""
+        plain = [types.unliteral(given) for given in args]
+        named = {name: types.unliteral(given) for name, given in kws.items()}
+        return self.inside.get_call_template(plain, named)
+
+    def get_overload(self, sig: Any) -> Any:
+        return self.inside.get_overload(sig)
 
 
 def part(function: Callable[..., Any]) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ import numba
 import numpy as np
 
 from schemas.errors import DataError
+from schemas.kernels import compile_inside
 from schemas.messages import FEEDFORWARD, MODEL_ERROR, PAYLOAD, HealthFlag, stamp_ns
 from schemas.robot import Robot
 from service.estimator import state
@@ -114,7 +116,7 @@ class Estimator:
 
     def warm_up(self) -> None:
         """Compile `plan` and `step`, without touching the state, so that the first live sample is not seconds late."""
-        with _look_back_beside() as wait:
+        with _payload_beside() as wait:
             self._compile(wait)
 
     def _compile(self, wait: Callable[[], object]) -> None:
@@ -122,27 +124,27 @@ class Estimator:
         fresh = state.fresh(self._steps["settings"])
         plan_kernel(fresh)
         answer_kernel(fresh)
+        findings_kernel(fresh)
         wait()
         look_back_kernel(fresh)
-        findings_kernel(fresh)
 
 
 def compile_all(robot: Robot) -> None:
     """What `warm_up` does, for a process that has no estimator yet: one is built while the other process starts."""
-    with _look_back_beside() as wait:
+    with _payload_beside() as wait:
         Estimator(robot, 1e-3)._compile(wait)
 
 
 @contextlib.contextmanager
-def _look_back_beside() -> Iterator[Callable[[], object]]:
-    """Where nothing is compiled yet, a second process takes the part that looks back, half of it: Numba compiles one
-    function at a time, and this process finds what the other one left in the cache. Gives what waits for it; if it
-    failed, this process compiles all."""
+def _payload_beside() -> Iterator[Callable[[], object]]:
+    """Where nothing is compiled yet, a second process takes the payload, a third of it that shares next to nothing with
+    the rest: Numba compiles one function at a time, and this process finds what the other one left in the cache. Gives
+    what waits for it; if it failed, this process compiles all."""
     if _is_compiled():
         yield lambda: None
         return
     with subprocess.Popen(
-        [sys.executable, "-c", f"from {__name__} import compile_look_back; compile_look_back({os.getpid()})"],
+        [sys.executable, "-c", f"from {__name__} import compile_payload; compile_payload({os.getpid()})"],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     ) as beside:  # fmt: skip
@@ -152,16 +154,16 @@ def _look_back_beside() -> Iterator[Callable[[], object]]:
             beside.kill()
 
 
-def compile_look_back(asking: int) -> None:
-    """Compile `look_back` and leave it in the cache, the payload first: what the rest shares with `step`, the process
-    `asking` has left there by then. Ends with that process, in whatever way it does."""
+def compile_payload(asking: int) -> None:
+    """Compile the payload's part of `look_back` and leave it in the cache. Ends with the process `asking`, in whatever
+    way that does."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         if os.getppid() != asking:  # it ended while this one was starting
             return
-    steps = np.zeros(1, state.STEP)
-    payload_kernel.compile(tuple(numba.typeof(steps[0][part]["payload"]) for part in ("settings", "state")))
-    look_back_kernel.compile((numba.typeof(steps),))
+    gc.disable()  # the compiler leaves next to no garbage, and looking for it takes a tenth of the time
+    step = np.zeros(1, state.STEP)[0]
+    compile_inside(payload_kernel, tuple(numba.typeof(step[part]["payload"]) for part in ("settings", "state")))
 
 
 def _is_compiled() -> bool:

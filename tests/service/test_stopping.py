@@ -232,7 +232,7 @@ compile_all(load_robot(ROBOT))
     try:
         give_up = time.monotonic() + 120
         while not any(
-            "compile_look_back" in " ".join(child.cmdline()) for child in psutil.Process(asking.pid).children()
+            "compile_payload" in " ".join(child.cmdline()) for child in psutil.Process(asking.pid).children()
         ):
             assert asking.poll() is None
             assert time.monotonic() < give_up
