@@ -90,6 +90,20 @@ def late_by(fault: Fault) -> float:
     return sum(delays) + sum(filters)
 
 
+def fit_logs(machine: Machine, planner: Planner, scenario: Scenario, seed: int) -> list[Trace]:
+    """The four empty logs that a robot is identified on."""
+    rng = np.random.default_rng([seed, 73])
+    pick, sine, slow = FIT_SECONDS
+    empty = [
+        planner.pick_and_place(rng, pick, speed=rng.uniform(*SPEED)),
+        planner.multisine(rng, sine, rng.uniform(*SPEED)),
+        planner.slow(rng, slow),
+        planner.pick_and_place(rng, pick, speed=rng.uniform(*SPEED)),
+    ]
+    plant = scenario.fitted.plant(machine.robot, machine.truth, seed)
+    return [simulate(plant, motion, f"fit_{number}") for number, motion in enumerate(empty)]
+
+
 def draw(folder: Path, robot: str, seed: int, names: list[str]) -> Iterator[str]:
     """Keep the logs of `names` on a robot in `folder`; those that are there stay. Yields each name that is done."""
     machine = Machine.of(robot)
@@ -97,17 +111,7 @@ def draw(folder: Path, robot: str, seed: int, names: list[str]) -> Iterator[str]
 
     @lru_cache
     def fits(name: str) -> list[Trace]:
-        scenario = SCENARIOS["clean"] if name == "clean" else scenario_of(name, machine, seed)
-        rng = np.random.default_rng([seed, 73])
-        pick, sine, slow = FIT_SECONDS
-        empty = [
-            planner.pick_and_place(rng, pick, speed=rng.uniform(*SPEED)),
-            planner.multisine(rng, sine, rng.uniform(*SPEED)),
-            planner.slow(rng, slow),
-            planner.pick_and_place(rng, pick, speed=rng.uniform(*SPEED)),
-        ]
-        plant = scenario.fitted.plant(machine.robot, machine.truth, seed)
-        return [simulate(plant, motion, f"fit_{number}") for number, motion in enumerate(empty)]
+        return fit_logs(machine, planner, scenario_of(name, machine, seed), seed)
 
     @lru_cache
     def identified(name: str) -> Robot:
