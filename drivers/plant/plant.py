@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +23,7 @@ from drivers.plant.mechanism import (
     holding_torque,
     reflected_inertia,
 )
+from drivers.plant.seen import Friction
 from drivers.plant.truth import PlantTruth, load_truth, shipped_truth
 from schemas.errors import DataError
 from schemas.robot import Robot
@@ -46,26 +46,13 @@ class Measured(NamedTuple):
     torque_command: np.ndarray
 
 
-@dataclass
-class Friction:
-    """Friction of the three joints in force at one instant; effects change it."""
-
-    forward: np.ndarray  # (3,) N m, Coulomb level while the joint turns positive
-    backward: np.ndarray  # (3,) N m, while it turns negative
-    viscous: np.ndarray  # (3,) N m s/rad
-    torque: np.ndarray  # (3,) N m, anything else that acts like friction, signed as it acts on the joint
-
-
 class Plant:
     """A simulated Delta robot.
 
     Call `latch` then `run` once a controller cycle: `latch` takes the command for this cycle, reads the sensors and
     closes the drive loops for the first time; `run` lets the physics go to the end of the cycle.
 
-    Attributes read by effects: time s (since power-on); theta, theta_dot (3,) of the links; motor, motor_dot (3,);
-    platform, platform_dot (3,) m; load (3,) N m, torque last passed through the gears, beyond the friction before them;
-    payload kg; rng. They follow the physics: copy what has to last. robot, described: what it was made of, before
-    effects.
+    Effects read it as `Seen`. robot, described: what it was made of, before effects.
     """
 
     def __init__(

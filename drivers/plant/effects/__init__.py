@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 from pydantic import ConfigDict, ValidationError, create_model
 
 from drivers.plant.effects import friction, mechanics, out_of_catalogue, sensing, transmission
 from drivers.plant.effects.base import PlantEffect
+from drivers.plant.truth import PlantTruth
 from schemas.errors import DataError, RobotError
 from schemas.toml import explain
-
-if TYPE_CHECKING:
-    from drivers.plant.truth import PlantTruth
 
 CATALOGUE: dict[str, type[PlantEffect]] = {
     "stribeck_friction": friction.StribeckFriction,

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, get_type_hints
+from typing import Any, Literal, NamedTuple, Self, get_type_hints
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from drivers.plant.mechanism import Design
-    from drivers.plant.plant import Friction, Plant
-    from drivers.plant.truth import PlantTruth
+from drivers.plant.mechanism import Design
+from drivers.plant.seen import Friction, Seen
+from drivers.plant.truth import PlantTruth
 
 JOINTS = np.arange(3)
 
@@ -80,32 +79,32 @@ class PlantEffect:
         """Change what is built."""
         return design
 
-    def start(self, plant: Plant) -> None:
+    def start(self, plant: Seen) -> None:
         """A motion begins: forget the one before."""
 
-    def friction(self, plant: Plant, friction: Friction) -> None:
+    def friction(self, plant: Seen, friction: Friction) -> None:
         """Change the friction in force."""
 
-    def joint_torque(self, plant: Plant) -> np.ndarray:
+    def joint_torque(self, plant: Seen) -> np.ndarray:
         """Extra torque on the links, N m."""
         return np.zeros(3)
 
-    def platform_force(self, plant: Plant) -> np.ndarray:
+    def platform_force(self, plant: Seen) -> np.ndarray:
         """Extra force on the platform, N, base frame."""
         return np.zeros(3)
 
-    def act_on_bodies(self, plant: Plant) -> None:
+    def act_on_bodies(self, plant: Seen) -> None:
         """Write forces on rods and links straight into MuJoCo's `xfrc_applied`."""
 
-    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def motor_torque(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         """Torque at the rotor when the drive means `torque`, N m."""
         return torque
 
-    def reading(self, plant: Plant, position: np.ndarray) -> np.ndarray:
+    def reading(self, plant: Seen, position: np.ndarray) -> np.ndarray:
         """What the encoders make of the true `position`, rad."""
         return position
 
-    def report(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def report(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         """What the drive reports when it means `torque`, N m. Called once a step."""
         return torque
 

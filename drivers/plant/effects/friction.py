@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
 import numpy as np
 
 from drivers.plant.effects.base import Among, JointEffect, PlantEffect, Size, on_one, signed
-
-if TYPE_CHECKING:
-    from drivers.plant.plant import Friction, Plant
-    from drivers.plant.truth import PlantTruth
+from drivers.plant.seen import Friction, Seen
+from drivers.plant.truth import PlantTruth
 
 
 @dataclass
@@ -22,7 +20,7 @@ class StribeckFriction(PlantEffect):
     breakaway_nm: Annotated[list[float], Size(1.2, 2.5, "each")]
     stribeck_speed_radps: Annotated[float, Size(0.08, 0.35, grows=0)]
 
-    def friction(self, plant: Plant, friction: Friction) -> None:
+    def friction(self, plant: Seen, friction: Friction) -> None:
         extra = np.asarray(self.breakaway_nm) * np.exp(-((plant.motor_dot / self.stribeck_speed_radps) ** 2))
         friction.forward += extra
         friction.backward += extra
@@ -44,7 +42,7 @@ class AsymmetricFriction(JointEffect):
         share = float(rng.uniform(0.0, 0.2))
         return cls(coulomb, [share * value for value in coulomb])
 
-    def friction(self, plant: Plant, friction: Friction) -> None:
+    def friction(self, plant: Seen, friction: Friction) -> None:
         half = np.asarray(self.coulomb_nm) / 2
         friction.forward += half
         friction.backward -= half
@@ -59,7 +57,7 @@ class LoadDependentFriction(PlantEffect):
 
     mu: Annotated[list[float], Size(0.035, 0.08, "each")]
 
-    def friction(self, plant: Plant, friction: Friction) -> None:
+    def friction(self, plant: Seen, friction: Friction) -> None:
         extra = np.asarray(self.mu) * np.abs(plant.load)
         friction.forward += extra
         friction.backward += extra
@@ -71,7 +69,7 @@ class NonlinearViscousFriction(PlantEffect):
 
     quadratic_nms2: Annotated[list[float], Size(0.06, 0.15, "each")]
 
-    def friction(self, plant: Plant, friction: Friction) -> None:
+    def friction(self, plant: Seen, friction: Friction) -> None:
         friction.viscous += np.asarray(self.quadratic_nms2) * np.abs(plant.motor_dot)
 
 
@@ -83,7 +81,7 @@ class PositionDependentFriction(JointEffect):
     order: Annotated[float, Among((2.0, 3.0, 4.0, 5.0, 6.0))]
     phase_rad: Annotated[float, Size(0.0, 2 * math.pi, grows=0)]
 
-    def friction(self, plant: Plant, friction: Friction) -> None:
+    def friction(self, plant: Seen, friction: Friction) -> None:
         extra = np.asarray(self.amplitude_nm) * np.sin(self.order * plant.motor + self.phase_rad)
         friction.forward += extra
         friction.backward += extra
@@ -98,7 +96,7 @@ class WarmupFriction(PlantEffect):
     gain: Annotated[list[float], Size(0.5, 1.2, "each")]
     time_constant_s: Annotated[float, Size(10.0, 40.0, grows=0)]
 
-    def friction(self, plant: Plant, friction: Friction) -> None:
+    def friction(self, plant: Seen, friction: Friction) -> None:
         friction.viscous *= 1.0 + np.asarray(self.gain) * math.exp(-plant.time / self.time_constant_s)
 
 
@@ -112,10 +110,10 @@ class PreslidingFriction(PlantEffect):
     stiffness_nmprad: Annotated[list[float], Size(60.0, 200.0, "each", grows=-1)]
     bristle: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
 
-    def start(self, plant: Plant) -> None:
+    def start(self, plant: Seen) -> None:
         self.bristle = np.zeros(3)
 
-    def friction(self, plant: Plant, friction: Friction) -> None:
+    def friction(self, plant: Seen, friction: Friction) -> None:
         stiffness = np.asarray(self.stiffness_nmprad)
         level = np.maximum((friction.forward + friction.backward) / 2, 1e-3)
         limit = level / stiffness
@@ -140,12 +138,12 @@ class PassiveJointFriction(PlantEffect):
     # relative speed below which the dry torque fades, rad/s: a ball seat is compliant
     SOFT = 0.05
 
-    def start(self, plant: Plant) -> None:
+    def start(self, plant: Seen) -> None:
         model = plant.mechanism.model
         self._rods = [model.body(f"rod{i}{rod}").id for i in range(3) for rod in range(2)]
         self._arms = [model.body(f"arm{i}").id for i in range(3) for _ in range(2)]
 
-    def act_on_bodies(self, plant: Plant) -> None:
+    def act_on_bodies(self, plant: Seen) -> None:
         data = plant.data
         # cvel is the spatial velocity, rotation first, of the state that MuJoCo evaluated last: one step old
         spin = data.cvel[:, :3]
@@ -169,7 +167,7 @@ class ShaftFriction(PlantEffect):
     # speed below which the dry force fades, m/s: seals are compliant
     SOFT = 0.005
 
-    def platform_force(self, plant: Plant) -> np.ndarray:
+    def platform_force(self, plant: Seen) -> np.ndarray:
         length = math.sqrt(plant.platform @ plant.platform)
         rate = float(plant.platform @ plant.platform_dot) / length
         return -(self.dry_n * math.tanh(rate / self.SOFT) + self.viscous_nspm * rate) / length * plant.platform

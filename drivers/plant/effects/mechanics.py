@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
 import numpy as np
 
 from drivers.plant.effects.base import JointEffect, PlantEffect, Size, below
-
-if TYPE_CHECKING:
-    from drivers.plant.mechanism import Design
-    from drivers.plant.plant import Plant
-    from drivers.plant.truth import PlantTruth
+from drivers.plant.mechanism import Design
+from drivers.plant.seen import Seen
+from drivers.plant.truth import PlantTruth
 
 
 def _plus(values: list[float], change: list[float]) -> list[float]:
@@ -151,7 +149,7 @@ class JointSpring(JointEffect):
     stiffness_nmprad: Annotated[list[float], Size(1.5, 4.0, "one")]
     zero_rad: Annotated[list[float], Size(-0.3, 0.6, "each", grows=0)]
 
-    def joint_torque(self, plant: Plant) -> np.ndarray:
+    def joint_torque(self, plant: Seen) -> np.ndarray:
         return -np.asarray(self.stiffness_nmprad) * (plant.theta - np.asarray(self.zero_rad))
 
 
@@ -167,7 +165,7 @@ class HoseSpring(PlantEffect):
         point = below(rng, truth, (0.2, 0.35), (0.3, 0.5))
         return cls(float(severity * rng.uniform(10.0, 22.0)), point)
 
-    def platform_force(self, plant: Plant) -> np.ndarray:
+    def platform_force(self, plant: Seen) -> np.ndarray:
         return self.stiffness_npm * (np.asarray(self.point_m) - plant.platform)
 
 
@@ -177,5 +175,5 @@ class AirDrag(PlantEffect):
 
     drag_ns2pm2: Annotated[float, Size(0.5, 1.2)]
 
-    def platform_force(self, plant: Plant) -> np.ndarray:
+    def platform_force(self, plant: Seen) -> np.ndarray:
         return -self.drag_ns2pm2 * math.sqrt(plant.platform_dot @ plant.platform_dot) * plant.platform_dot

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
 import numpy as np
 
 from drivers.plant.effects.base import JointEffect, PlantEffect, Size, below, on_one, signed
-from drivers.plant.mechanism import BaseMode
-
-if TYPE_CHECKING:
-    from drivers.plant.mechanism import Design
-    from drivers.plant.plant import Friction, Plant
-    from drivers.plant.truth import PlantTruth
+from drivers.plant.mechanism import BaseMode, Design
+from drivers.plant.seen import Friction, Seen
+from drivers.plant.truth import PlantTruth
 
 
 @dataclass
@@ -25,7 +22,7 @@ class ContactRail(JointEffect):
     centre_rad: Annotated[float, Size(0.1, 0.4, grows=0)]
     width_rad: Annotated[float, Size(0.03, 0.07, grows=0)]
 
-    def joint_torque(self, plant: Plant) -> np.ndarray:
+    def joint_torque(self, plant: Seen) -> np.ndarray:
         x = (plant.theta - self.centre_rad) / self.width_rad
         return np.asarray(self.torque_nm) * math.exp(0.5) * x * np.exp(-(x**2) / 2)
 
@@ -39,7 +36,7 @@ class StickEvents(JointEffect):
     length_s: Annotated[float, Size(0.04, 0.12, grows=0)]
     _until: float = field(default=-1.0, init=False, repr=False, compare=False)
 
-    def friction(self, plant: Plant, friction: Friction) -> None:
+    def friction(self, plant: Seen, friction: Friction) -> None:
         if plant.time > self._until and plant.rng.random() < self.rate_hz * plant.step:
             self._until = plant.time + self.length_s
         if plant.time < self._until:
@@ -78,7 +75,7 @@ class TorqueDropouts(JointEffect):
             float(rng.uniform(0.01, 0.03)),
         )
 
-    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def motor_torque(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         if plant.time > self._until and plant.rng.random() < self.rate_hz * plant.step:
             self._until = plant.time + self.length_s
         return torque * (1.0 - np.asarray(self.lost)) if plant.time < self._until else torque
@@ -97,7 +94,7 @@ class TorqueConstantDrift(PlantEffect):
     def draw(cls, rng: np.random.Generator, truth: PlantTruth, severity: float) -> Self:
         return cls((severity * rng.uniform(0.06, 0.15, 3)).tolist(), 30.0, float(rng.uniform(3.0, 8.0)))
 
-    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def motor_torque(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         self._heat += ((torque / self.hot_nm) ** 2 - self._heat) * (plant.step / self.time_constant_s)
         return torque / (1.0 + np.asarray(self.loss) * self._heat)
 
@@ -117,7 +114,7 @@ class HoseJerk(PlantEffect):
         point = [float(radius * math.cos(heading)), float(radius * math.sin(heading)), -0.4 * depth]
         return cls(float(severity * rng.uniform(30.0, 80.0)), float(rng.uniform(0.42, 0.50) * depth), point)
 
-    def platform_force(self, plant: Plant) -> np.ndarray:
+    def platform_force(self, plant: Seen) -> np.ndarray:
         line = np.asarray(self.point_m) - plant.platform
         length = math.sqrt(line @ line)
         return line * (self.stiffness_npm * max(length - self.slack_m, 0.0) / length)
@@ -131,7 +128,7 @@ class BeltTooth(PlantEffect):
     pitch_m: Annotated[float, Size(0.03, 0.08, grows=0)]
     phase_rad: Annotated[float, Size(0.0, 2 * math.pi, grows=0)]
 
-    def platform_force(self, plant: Plant) -> np.ndarray:
+    def platform_force(self, plant: Seen) -> np.ndarray:
         return np.array(
             [0.0, self.force_n * math.sin(2 * math.pi * plant.platform[1] / self.pitch_m + self.phase_rad), 0.0]
         )
@@ -145,10 +142,10 @@ class CableMemory(JointEffect):
     relaxation_s: Annotated[float, Size(0.2, 0.6, grows=0)]
     _rest: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
 
-    def start(self, plant: Plant) -> None:
+    def start(self, plant: Seen) -> None:
         self._rest = plant.theta.copy()
 
-    def joint_torque(self, plant: Plant) -> np.ndarray:
+    def joint_torque(self, plant: Seen) -> np.ndarray:
         stretch = plant.theta - self._rest
         self._rest += stretch * (plant.step / self.relaxation_s)
         return -np.asarray(self.stiffness_nmprad) * stretch
@@ -167,7 +164,7 @@ class Magnet(PlantEffect):
         point = below(rng, truth, (0.1, 0.25), (0.85, 0.95))
         return cls(float(severity * signed(rng, 6.0, 12.0)), float(rng.uniform(0.05, 0.09)), point)
 
-    def platform_force(self, plant: Plant) -> np.ndarray:
+    def platform_force(self, plant: Seen) -> np.ndarray:
         line = np.asarray(self.point_m) - plant.platform
         x2 = (line @ line) / self.reach_m**2
         return line * (self.force_n / self.reach_m * math.exp(-x2 / 2))

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
 import numpy as np
 
 from drivers.plant.effects.base import Among, JointEffect, PlantEffect, Size, on_one
-
-if TYPE_CHECKING:
-    from drivers.plant.plant import Plant
-    from drivers.plant.truth import PlantTruth
+from drivers.plant.seen import Seen
+from drivers.plant.truth import PlantTruth
 
 
 @dataclass
@@ -22,7 +20,7 @@ class TorqueScale(JointEffect):
 
     error: Annotated[list[float], Size(0.04, 0.08, "one", either=True)]
 
-    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def motor_torque(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         return torque / (1.0 + np.asarray(self.error))
 
 
@@ -32,7 +30,7 @@ class TorqueOffset(JointEffect):
 
     offset_nm: Annotated[list[float], Size(0.5, 1.2, "one", either=True)]
 
-    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def motor_torque(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         return torque - np.asarray(self.offset_nm)
 
 
@@ -43,10 +41,10 @@ class TorqueDelay(PlantEffect):
     delay_s: Annotated[float, Size(0.001, 0.003)]
     _past: deque[np.ndarray] = field(default_factory=deque, init=False, repr=False, compare=False)
 
-    def start(self, plant: Plant) -> None:
+    def start(self, plant: Seen) -> None:
         self._past = deque([plant.load.copy()], maxlen=math.floor(self.delay_s / plant.step) + 2)
 
-    def report(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def report(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         self._past.appendleft(torque)
         whole, share = divmod(self.delay_s / plant.step, 1.0)
         newer = min(int(whole), len(self._past) - 1)
@@ -61,10 +59,10 @@ class _LowPass(PlantEffect):
     cutoff_hz: float
     _value: np.ndarray = field(default_factory=lambda: np.zeros(3), init=False, repr=False, compare=False)
 
-    def start(self, plant: Plant) -> None:
+    def start(self, plant: Seen) -> None:
         self._value = plant.load.copy()
 
-    def passed(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def passed(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         """What comes out of it one step after `torque` went in."""
         self._value = torque + (self._value - torque) * math.exp(-2 * math.pi * self.cutoff_hz * plant.step)
         return self._value
@@ -76,7 +74,7 @@ class TorqueFilter(_LowPass):
 
     cutoff_hz: Annotated[float, Size(30.0, 80.0, grows=-1)]
 
-    def report(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def report(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         return self.passed(plant, torque)
 
 
@@ -86,7 +84,7 @@ class DriveLag(_LowPass):
 
     cutoff_hz: Annotated[float, Size(40.0, 100.0, grows=-1)]
 
-    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def motor_torque(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         return self.passed(plant, torque)
 
 
@@ -98,7 +96,7 @@ class Cogging(JointEffect):
     order: Annotated[float, Among((1.0, 2.0, 4.0))]  # periods a motor turn
     phase_rad: Annotated[float, Size(0.0, 2 * math.pi, grows=0)]
 
-    def motor_torque(self, plant: Plant, torque: np.ndarray) -> np.ndarray:
+    def motor_torque(self, plant: Seen, torque: np.ndarray) -> np.ndarray:
         angle = self.order * plant.truth.gear_ratio * plant.motor + self.phase_rad
         return torque + np.asarray(self.amplitude_nm) * np.sin(angle)
 
@@ -118,7 +116,7 @@ class EncoderEccentricity(JointEffect):
         amplitude = rng.uniform(0.6, 1.2) / (order * truth.gear_ratio) ** 2
         return cls(on_one(rng, float(severity * amplitude)), order, float(rng.uniform(0, 2 * math.pi)))
 
-    def reading(self, plant: Plant, position: np.ndarray) -> np.ndarray:
+    def reading(self, plant: Seen, position: np.ndarray) -> np.ndarray:
         angle = self.order * plant.truth.gear_ratio * plant.motor + self.phase_rad
         return position + np.asarray(self.amplitude_rad) * np.sin(angle)
 
@@ -129,5 +127,5 @@ class AngleScale(JointEffect):
 
     error: Annotated[list[float], Size(0.01, 0.03, "one", either=True)]
 
-    def reading(self, plant: Plant, position: np.ndarray) -> np.ndarray:
+    def reading(self, plant: Seen, position: np.ndarray) -> np.ndarray:
         return position / (1.0 + np.asarray(self.error))

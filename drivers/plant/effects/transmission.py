@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from drivers.plant.effects.base import JointEffect, Size
-
-if TYPE_CHECKING:
-    from drivers.plant.mechanism import Design
+from drivers.plant.mechanism import Design
 
 # Stiffness of a gear whose play is the point; its teeth bend some 0.5 mrad at 20 N m.
 TOOTH_STIFFNESS = 4e4  # N m/rad
