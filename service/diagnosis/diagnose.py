@@ -24,6 +24,7 @@ from service.diagnosis.evidence.cautions import (
 from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.evidence.follows import follows
 from service.diagnosis.evidence.unseen import kept_out
+from service.diagnosis.evidence.values import Valued
 from service.diagnosis.findings import Findings
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.exchange import exchanged
@@ -106,18 +107,18 @@ def diagnose(
         wrong += base_doubts(problem, before, before if best is none else followed(best), none, best)
         doubts = wrong or doubts_of(problem, selection, limit)
     judged = _judged(regressors, selection, doubts, len(given), kept, unknown, limit, scope.allows, progress)
-    found, chosen, cautions = judged.selection, judged.chosen, judged.cautions
-    errors = statistics.standard_errors(found.best.fitted, split)
-    selection = replace(found, best=statistics.combined(problem, found.best))
-    after = statistics.by_fold(chosen, split)
+    found, cautions = judged.selection, judged.cautions
+    values = Valued.of(problem, split, found)
+    selection = replace(found, best=statistics.combined(problem, values.best))
+    after = statistics.by_fold([values.best if one is found.best else one for one in judged.chosen], split)
     gap, reference = plain.residuals, plain.hypothesis
     if baseline is not None:
         reference = hypothesis_of(baseline)
         gap = evaluate(problem, reference).residuals
     verdict = _verdict(problem, selection, given, after, limit)
     return Findings(
-        robot, problem, split, plain, reference, selection, given, gap, after, floor.sample, reversal, errors, verdict,
-        limit, [*noise_of(floor), *scope.cautions, *cautions], followed(selection.best), baseline,
+        robot, problem, split, plain, reference, selection, given, gap, after, floor.sample, reversal, values.errors,
+        verdict, limit, [*noise_of(floor), *scope.cautions, *cautions], followed(selection.best), baseline,
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from typing import overload
 
 import numpy as np
 
+from service.identification.correlated import WHITE, Correlated
 from service.model.hypothesis import Hypothesis
 from service.model.parameters import FILTERED_LIMIT, LONGEST_DELAY, TIMING_LIMIT, Parameters
 from service.model.scene import Recording, Scene
@@ -227,30 +228,44 @@ def solve(gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
     return root @ (np.swapaxes(root, -2, -1) @ moment)
 
 
-def fit(problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS) -> Fit:
+def fit(
+    problem: Problem, hypothesis: Hypothesis, iterations: int = ITERATIONS, noise: Correlated = WHITE,
+    moved: np.ndarray | None = None,
+) -> Fit:  # fmt: skip
     """Gauss-Newton over all parameters together, from the hypothesis's own, inside their limits.
 
-    Steps that do not help are halved.
+    Steps that do not help are halved. noise: its covariance. moved: (F,) bool, parameters that
+    are fitted; default: all.
     """
     best = evaluate(problem, hypothesis)
+    gram, moment, cost = _equations(best, noise)
     for _ in range(iterations):
-        gram = np.asarray(sum(t.T @ t for t in best.tangents))
-        moment = np.asarray(sum(t.T @ r for t, r in zip(best.tangents, best.residuals, strict=True)))
         parameters = Parameters(best.hypothesis)
         start = parameters.values[parameters.free]
         low, high = parameters.limits(problem.recordings[0].mechanism, problem.band.period, problem.apart)
-        step = within(gram, moment, low - start, high - start)
+        may = np.ones(len(start), bool) if moved is None else moved
+        step = within(gram, moment, np.where(may, low - start, 0.0), np.where(may, high - start, 0.0))
         for share in (1.0, 0.5, 0.2, 0.05):
             candidate = evaluate(problem, parameters.at(start + share * step))
-            if candidate.cost < best.cost:
+            equations = _equations(candidate, noise)
+            if equations[2] < cost:
                 break
         else:
             return best
-        done = candidate.cost > best.cost * (1.0 - SETTLED)
-        best = candidate
+        done = equations[2] > cost * (1.0 - SETTLED)
+        best, (gram, moment, cost) = candidate, equations
         if done:
             break
     return best
+
+
+def _equations(fitted: Fit, noise: Correlated) -> tuple[np.ndarray, np.ndarray, float]:
+    """Gram matrix (F, F), moment (F,) and squared residual, as the noise weighs them."""
+    tangents, residuals = list(fitted.tangents), fitted.residuals
+    slopes, left = noise.weighed(tangents), noise.weighed(residuals)
+    gram = np.asarray(sum(t.T @ w for t, w in zip(tangents, slopes, strict=True)))
+    moment = np.asarray(sum(t.T @ w for t, w in zip(tangents, left, strict=True)))
+    return gram, moment, float(sum(r @ w for r, w in zip(residuals, left, strict=True)))
 
 
 def within(gram: np.ndarray, moment: np.ndarray, low: np.ndarray, high: np.ndarray | float) -> np.ndarray:

@@ -35,12 +35,18 @@ from service.model.effects.base import Effect
 
 @dataclass(frozen=True)
 class Accepted:
-    """The model of effects that are accepted, the discrepancies opened with it, and the effects that were rejected."""
+    """The model of effects that are accepted, the discrepancies opened with it of those that there may be, and the
+    effects that were rejected."""
 
     best: Scored
+    pool: Pool
     opened: Opened
     rejected: list[tuple[Effect, Scored, float]]
     path: list[tuple[list[Scored], Scored | None]]
+
+    def beside(self, best: Scored) -> Opened:
+        """The discrepancies that are open with another model."""
+        return self.opened if best is self.best else Opened.beside(self.pool, best)
 
     def given(self, problem: Problem, split: Split) -> Callable[[Scored], Scored]:
         """A model with the losses of its blocks given the discrepancies."""
@@ -89,7 +95,7 @@ def accepted(
         path.append((tried, tried[0]))
         best = tried[0]
         opened = Opened.beside(pool, best)
-    return Accepted(best, opened, rejected, path)
+    return Accepted(best, pool, opened, rejected, path)
 
 
 def own(pool: Pool, fewer: Scored, best: Scored, effect: Effect, opened: Opened) -> float:

@@ -21,6 +21,7 @@ from service.diagnosis.evidence.unseen import without_events
 from service.diagnosis.fit.candidates import Regressors
 from service.diagnosis.fit.selection import FAR_ABOVE, LEAST_GAIN, Scored, Selection, without
 from service.diagnosis.fit.sound import fault_of
+from service.identification.correlated import WHITE
 from service.identification.events import events_of
 from service.identification.fit import Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations
@@ -44,21 +45,23 @@ def earned(
     regressors: Regressors, selection: Selection, kept_out: Sequence[Problem], allows: Callable[[Effect, int], bool],
     limit: float, progress: Callable[[str], None],
 ) -> tuple[Selection, list[Caution]]:  # fmt: skip
-    """The selection with the names that stand, and why each of the others fell. kept_out: of logs to test on. limit:
-    rms that noise leaves at most."""
+    """The selection with the names that stand and the noise beside them, and why each of the others fell.
+
+    kept_out: of logs to test on. limit: rms that noise leaves at most.
+    """
     problem, best, given = regressors.problem, selection.best, len(selection.none.hypothesis.terms)
     left = (best.loss / problem.count) ** 0.5
     delta = problem.recordings[0].mechanism.kind == "delta"
     beside = delta and left > FAR_ABOVE * limit
     fallen: list[Caution] = []
     seen: rivals.Seen = lambda model: model  # noqa: E731
+    found = None
     if delta and left > limit:
         found = accepted(regressors, selection, allows, progress)
         fallen += [
             _fell("not_its_own", effect, model, share=1.0 / max(over, 1.0)) for effect, model, over in found.rejected
         ]
         best, selection = found.best, found.continued(selection)
-        fallen += found.opened.cautions()
         seen = found.given(problem, regressors.split)
         allows = _but({effect for effect, _, _ in found.rejected}, allows)
     best, refits, fell = _borne_out(regressors, selection, best, kept_out, beside)
@@ -82,7 +85,11 @@ def earned(
         fallen += fell
     kept = _cut(selection, best) if fallen else selection
     standings = {effect: replace(standings[effect], without=refit) for effect, refit in refits.items()}
-    return replace(kept, standings=standings), fallen
+    if found is None:
+        return replace(kept, standings=standings), fallen
+    opened = found.beside(best)
+    noise = opened.noise if refits else WHITE
+    return replace(kept, standings=standings, noise=noise), fallen + opened.cautions()
 
 
 def _but(gone: Collection[Effect], allows: Callable[[Effect, int], bool]) -> Callable[[Effect, int], bool]:
@@ -174,7 +181,7 @@ def _cut(selection: Selection, best: Scored) -> Selection:
             path.append((tried, None))
             break
         path.append((tried, taken))
-    return replace(selection, best=best, path=path, standings={})
+    return replace(selection, best=best, path=path, standings={}, noise=WHITE)
 
 
 def _open(best: Scored, split: Split, effect: Effect) -> Caution | None:

@@ -18,6 +18,7 @@ from schemas.diagnosis import Caution
 from service.diagnosis.discrepancies import DISCREPANCIES
 from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen
 from service.diagnosis.fit.selection import LEAST_Z, Scored, z_score
+from service.identification.correlated import WHITE, Correlated
 from service.identification.fit import Problem, solve
 from service.identification.folds import Split, block_loss
 from service.model.hypothesis import Hypothesis
@@ -130,6 +131,11 @@ class Opened:
     columns: list[np.ndarray]
     prior: np.ndarray
     residuals: list[np.ndarray]
+
+    @property
+    def noise(self) -> Correlated:
+        """With its covariance."""
+        return Correlated(self.columns, self.prior) if self.found else WHITE
 
     def cautions(self) -> list[Caution]:
         """What was opened, where effects are hardly separable from it."""

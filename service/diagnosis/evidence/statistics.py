@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.diagnosis.fit.selection import TOLD_APART, Scored, Selection, worth, z_score
+from service.identification.correlated import WHITE, Correlated
 from service.identification.fit import Fit, Problem, evaluate, solve
 from service.identification.folds import Split, block_loss, normal_equations
 from service.model.parameters import Parameters
@@ -22,15 +23,16 @@ SAME_FIT = 1e-6  # of the squared residual by which two ways to write one model 
 AT_WORK = 0.2
 
 
-def standard_errors(fitted: Fit, split: Split) -> np.ndarray:
+def standard_errors(fitted: Fit, split: Split, noise: Correlated = WHITE) -> np.ndarray:
     """(P,) in the order of `Parameters`, zero for what the fit does not move or the data do not tell from parameters
     before it (`untold`); at a limit as if there were none.
 
-    Blocks of the residual count as independent, samples in a block do not: the residual may be coloured.
+    Blocks of the residual count as independent, samples in a block do not: the residual may be coloured. noise: its
+    covariance, by which the fit weighed.
     """
     told = ~untold(fitted)
     inside, everything = fitted.inside & told, told
-    error = np.where(inside, _errors(fitted, split, inside), _errors(fitted, split, everything))
+    error = np.where(inside, _errors(fitted, split, inside, noise), _errors(fitted, split, everything, noise))
     return Parameters(fitted.hypothesis).spread(error)
 
 
@@ -83,14 +85,15 @@ def combined(problem: Problem, scored: Scored) -> Scored:
     return replace(scored, fitted=again)
 
 
-def _errors(fitted: Fit, split: Split, moved: np.ndarray) -> np.ndarray:
+def _errors(fitted: Fit, split: Split, moved: np.ndarray, noise: Correlated) -> np.ndarray:
     """(F,) with the parameters `moved` (F,) free."""
     tangents = [tangent[:, moved] for tangent in fitted.tangents]
-    gram = np.asarray(sum(t.T @ t for t in tangents))
+    slopes, residuals = noise.weighed(tangents), noise.weighed(fitted.residuals)
+    gram = np.asarray(sum(t.T @ w for t, w in zip(tangents, slopes, strict=True)))
     inverse = solve(gram, np.eye(len(gram)))
     score = np.zeros((split.blocks, len(gram)))
-    for tangent, residual, block in zip(tangents, fitted.residuals, split.block, strict=True):
-        np.add.at(score, block, tangent * residual[:, None])
+    for slope, residual, block in zip(slopes, residuals, split.block, strict=True):
+        np.add.at(score, block, slope * residual[:, None])
     covariance = inverse @ (score.T @ score) @ inverse
     error = np.zeros(len(moved))
     error[moved] = np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -12,6 +12,7 @@ import numpy as np
 
 from service.diagnosis.fit.candidates import JOINT_SHARE, Dictionary, Regressors
 from service.diagnosis.fit.sound import Fault, fault_of
+from service.identification.correlated import WHITE, Correlated
 from service.identification.fit import Fit, Problem, fit
 from service.identification.folds import Split, block_loss, held_out
 from service.model.effects.base import Effect
@@ -114,7 +115,8 @@ class Selection:
 
     path: a round each, the hypotheses fitted and the one taken (None where none was worth it).
     trimmed: a hypothesis taken -> what was left of it after the backward check. fault: of the hypothesis that would
-    have been taken next and cannot be. standings: of each effect of `best` that has earned its name.
+    have been taken next and cannot be. standings: of each effect of `best` that has earned its name. noise: its
+    covariance beside `best`, discrepancies included.
     """
 
     none: Scored
@@ -123,6 +125,7 @@ class Selection:
     trimmed: dict[int, Scored]
     fault: Fault | None = None
     standings: Mapping[Effect, Standing] = field(default_factory=dict)
+    noise: Correlated = WHITE
 
     @property
     def names(self) -> tuple[str, ...]:

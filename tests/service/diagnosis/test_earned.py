@@ -11,6 +11,7 @@ from schemas.diagnosis import Caution
 from service.diagnosis.evidence import earned as judged
 from service.diagnosis.evidence.earned import earned, together
 from service.diagnosis.fit.selection import Standing
+from service.identification.correlated import WHITE
 from tests.service.injected import reports
 from tests.service.subject import (
     EFFECTS,
@@ -326,7 +327,7 @@ def test_where_more_than_noise_is_left_effects_are_asked_given_discrepancies(mon
         return stub(
             best=spring,
             rejected=rejected,
-            opened=stub(cautions=list),
+            beside=lambda _: stub(cautions=list, noise=WHITE),
             given=lambda *_: lambda model: model,
             continued=lambda search: search,
         )
@@ -346,7 +347,7 @@ def test_beside_a_stranger_a_run_may_have_another_figure_by_what_is_left(monkeyp
     every = stub(
         best=found.best,
         rejected=[],
-        opened=stub(cautions=list),
+        beside=lambda _: stub(cautions=list, noise=WHITE),
         given=lambda *_: lambda model: model,
         continued=lambda search: search,
     )
