@@ -31,7 +31,7 @@ CautionCode = Literal[
     "much_is_left", "other_joints", "sine_of_angle", "gravity", "closed_loop", "torque_held", "noise_coloured",
     "noise_unknown",
     "at_limit", "drives", "by_weight", "does_not_fall", "left_open", "no_shrink", "no_shrink_on", "varies", "by_place",
-    "by_scale", "rivalled", "not_its_own", "misplaced", "degrees", "any_shape", "much_beside",
+    "by_scale", "comes_again", "rivalled", "not_its_own", "misplaced", "degrees", "any_shape", "much_beside",
 ]  # fmt: skip
 Advice = Literal[
     "record_runs", "record_all_joints", "record_reversals", "record_more", "check_description", "check_runs",
@@ -45,8 +45,8 @@ class Caution(DocumentPart):
     effect: that it is about. quantity: of the effect, at its limit or open. share: of the torque's rms that is left, of
     what is left that follows something, the shrink that is too little, of what the effect explains that its torque does
     at other times, or of the draws that prefer it. run: the log kept out that does not shrink. gain: of the loop,
-    torque for position error, the lowest of all logs, and gain_most the highest. held_s: time after which a torque
-    comes anew.
+    torque for position error, the lowest of all logs, and gain_most the highest. pitch_m: path of the platform after
+    which a force on it repeats. held_s: time after which a torque comes anew.
     """
 
     code: CautionCode
@@ -58,6 +58,7 @@ class Caution(DocumentPart):
     run: str | None = None
     gain: float | None = None
     gain_most: float | None = None
+    pitch_m: float | None = None
     held_s: float | None = None
 
 

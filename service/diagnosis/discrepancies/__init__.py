@@ -10,8 +10,9 @@ from service.diagnosis.discrepancies.friction_by_angle import FrictionByAngle
 from service.diagnosis.discrepancies.hanging_mass import HangingMass
 from service.diagnosis.discrepancies.other_joints import OtherJoints
 from service.diagnosis.discrepancies.platform_force import PlatformForce
+from service.diagnosis.discrepancies.toothed_belt import ToothedBelt
 
 DISCREPANCIES: tuple[Discrepancy, ...] = (
     PlatformForce(), HangingMass(), DraggedCable(), ByAngle(), FrictionByAngle(), BySpeed(), ByLoad(), DriftingScale(),
-    OtherJoints(),
+    OtherJoints(), ToothedBelt(),
 )  # fmt: skip

@@ -46,13 +46,14 @@ class Process:
     """A discrepancy on these logs. joint: from 0; None of one that acts at the platform. columns: (R, K) a recording,
     torque in the band, in units of the noise, for weights of standard deviation 1. place: (N, d) a recording, SI, that
     it depends on; values: (N, K') a recording, of a weight of 1: N m of the joint, or N of each component of a force.
-    Both empty where there is no place to tell."""
+    Both empty where there is no place to tell. pitch: m of the platform's path, after which it repeats."""
 
     discrepancy: Discrepancy
     joint: int | None
     columns: list[np.ndarray]
     place: Sequence[np.ndarray] = ()
     values: Sequence[np.ndarray] = ()
+    pitch: float | None = None
 
 
 class Discrepancy(ABC):
@@ -77,10 +78,10 @@ class Discrepancy(ABC):
         return Process(self, joint, [_of_joint(seen.problem, n, joint, t) for n, t in enumerate(torque)], place, values)
 
     def at_platform(self, seen: Seen, torque: Iterable[np.ndarray], place: Sequence[np.ndarray] = (),
-                    values: Sequence[np.ndarray] = ()) -> Process:  # fmt: skip
+                    values: Sequence[np.ndarray] = (), pitch: float | None = None) -> Process:  # fmt: skip
         """The process of (N, n, K) N m a recording, which are large and kept one at a time."""
         columns = [seen.problem.select(n, seen.problem.band(t)) for n, t in enumerate(torque)]
-        return Process(self, None, columns, place, values)
+        return Process(self, None, columns, place, values, pitch)
 
 
 def _of_joint(problem: Problem, number: int, joint: int, torque: np.ndarray) -> np.ndarray:

@@ -92,8 +92,10 @@ CAUTIONS = {
     "by_scale": "Part of the residual of {joints} is proportional to the torque itself, with a factor that differs "
     "between logs or changes within a log: the torque constants drift (do the motors get warm?). Torque scales and "
     "their aliases are hardly separable from this.",
+    "comes_again": "An unmodelled disturbance pulls at the platform every {pitch:.0f} mm of its path (a toothed belt, "
+    "a rack?). The named effects were found given this disturbance.",
 }
-BESIDE = {"by_place", "by_scale"}  # effects are named given an unmodelled disturbance
+BESIDE = {"by_place", "by_scale", "comes_again"}  # effects are named given an unmodelled disturbance
 # with these the data separate no effect from another
 NO_NAMES = {
     "too_little_motion", "joints_at_rest", "beyond_any_robot", "several_arms", "runs_differ", "much_is_left",
@@ -335,7 +337,7 @@ def caution(found: Caution) -> str:
         first=found.joints[0] if found.joints else "", last=found.joints[-1] if found.joints else "",
         share=percent(found.share or 0.0), run=found.run,
         gains=gains_in_words(found.gain or 0.0, found.gain_most or 0.0),
-        held=1000 * (found.held_s or 0.0),
+        held=1000 * (found.held_s or 0.0), pitch=1000 * (found.pitch_m or 0.0),
         quantity=words(found.quantity or ""),
     )  # fmt: skip
     return f"{said} {ADVICE[found.advice]}"

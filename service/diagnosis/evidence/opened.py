@@ -21,6 +21,7 @@ from service.diagnosis.fit.selection import LEAST_Z, Scored, z_score
 from service.identification.correlated import WHITE, Correlated
 from service.identification.fit import Problem, solve
 from service.identification.folds import Split, block_loss
+from service.model.description import digits
 from service.model.hypothesis import Hypothesis
 
 LEAST_SHARE = 0.05  # of the residual's energy above the noise that is worth telling
@@ -139,14 +140,17 @@ class Opened:
 
     def cautions(self) -> list[Caution]:
         """What was opened, where effects are hardly separable from it."""
-        joints: dict[Discrepancy, list[int]] = {}
-        for one in self.found:
-            joints.setdefault(one.discrepancy, []).extend([] if one.joint is None else [one.joint + 1])
+        found: dict[Discrepancy, list[Process]] = {}
+        for process in self.found:
+            found.setdefault(process.discrepancy, []).append(process)
         return [
-            Caution(code=one.code, joints=sorted(which), advice=one.advice)
-            for one, which in joints.items()
+            Caution(
+                code=one.code, joints=sorted(process.joint + 1 for process in mine if process.joint is not None),
+                pitch_m=None if mine[0].pitch is None else digits(mine[0].pitch), advice=one.advice,
+            )
+            for one, mine in found.items()
             if one.code is not None
-        ]
+        ]  # fmt: skip
 
     @classmethod
     def beside(cls, pool: Pool, best: Scored) -> Opened:

@@ -72,12 +72,15 @@ def test_friction_is_found_together_with_a_disturbance_on_another_joint(tmp_path
     np.testing.assert_allclose(friction.amplitude[:2, 0], 2.5, rtol=0.1)
 
 
-def test_the_friction_has_its_value_together_with_a_hose(tmp_path):
+@pytest.mark.parametrize(("added", "names"), [(hose, HOSE), (belt, BELT)])
+def test_the_friction_has_its_value_together_with_a_disturbance(tmp_path, added, names):
     """All of it: what falls with speed, Coulomb's and the viscous part. And the gap that is claimed is the model's."""
-    found = found_with(tmp_path, hose, HOSE, 2.5)
+    found = found_with(tmp_path, added, names, 2.5)
     (friction,) = found.best.hypothesis.terms
     np.testing.assert_allclose(friction.amplitude[:, 0], 2.5, rtol=0.1)
     np.testing.assert_allclose(found.best.hypothesis.base.coulomb, 3.0, rtol=0.1)
     np.testing.assert_allclose(found.best.hypothesis.base.viscous, 0.8, rtol=0.1)
     left = (sum(r @ r for r in found.after) / found.best.fitted.cost) ** 0.5
     assert left == pytest.approx(1.0, abs=0.1)
+    pitches = [one.pitch_m for one in found.cannot_tell if one.code == "comes_again"]
+    assert pitches == ([pytest.approx(0.06, rel=0.01)] if added is belt else [])

@@ -194,6 +194,8 @@ def test_there_are_words_for_all_that_cannot_be_told_and_for_every_advice() -> N
     ) in text.sentences(beside)
     warm = text.caution(Caution(code="by_scale", joints=[2], advice="log_warm"))
     assert warm.startswith("Part of the residual of joint 2 is proportional to the torque itself")
+    belt = text.caution(Caution(code="comes_again", pitch_m=0.0643, advice="look_there"))
+    assert "pulls at the platform every 64 mm of its path" in belt
     held = text.caution(Caution(code="torque_held", held_s=0.004, advice="log_quicker"))
     assert held.startswith("The torque is updated only every 4 ms and repeated in between")
 
