@@ -27,7 +27,11 @@ _said: set[str] = set()
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Numba's `njit`, cached, and without what would let C call it, which takes a tenth of the time to compile."""
+    """Numba's `njit`, cached, and without what would let C call it, which takes a tenth of the time to compile.
+
+    A record does not keep the array that it is in: `np.empty(1, TYPE)[0]` in a kernel is memory that is free again. A
+    kernel that needs a record of its own takes it from the array wherever it is used.
+    """
     if function is None:
         return lambda given: kernel(given, **options)
     compiled = _compiled(function, options)

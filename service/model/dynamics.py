@@ -54,8 +54,9 @@ def terms_kernel(model, theta, theta_dot, theta_ddot, pose, terms):
 
 @kernel(nogil=True)
 def _terms_batch(model, theta, theta_dot, theta_ddot, terms):
-    pose = np.empty(1, POSE)[0]
+    poses = np.empty(1, POSE)
     for n in range(len(theta)):
+        pose = poses[0]
         status = terms_kernel(model, theta[n], theta_dot[n], theta_ddot[n], pose, terms[n])
         if status != REACHED:
             return status, n

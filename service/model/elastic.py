@@ -267,8 +267,9 @@ def advance_kernel(model, rho_1, rho_2, forearm, carried, gears, theta, theta_do
 
 @kernel(nogil=True)
 def _elastic_batch(model, rho_1, rho_2, forearm, gears, theta, theta_dot, theta_ddot, period, relative, torque):
-    s = np.zeros(1, ELASTIC)[0]
+    states = np.zeros(1, ELASTIC)
     for n in range(len(theta)):
+        s = states[0]
         if n == 0:
             status = start_kernel(model, rho_1, rho_2, forearm, 0.0, gears, theta[n], theta_dot[n], theta_ddot[n], s)
         else:

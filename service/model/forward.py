@@ -64,8 +64,9 @@ def solve_kernel(matrix, right, result):
 
 @kernel(nogil=True)
 def _forward_batch(model, rho_1, rho_2, forearm, theta, theta_dot, torque, mass, acceleration):
-    pose, terms, bias = np.empty(1, POSE)[0], np.empty((5, 3)), np.empty(3)
+    poses, terms, bias = np.empty(1, POSE), np.empty((5, 3)), np.empty(3)
     for n in range(len(theta)):
+        pose = poses[0]
         status = bias_kernel(model, rho_2, forearm, 0.0, theta[n], theta_dot[n], pose, terms, bias)
         if status != REACHED:
             return status, n

@@ -166,8 +166,9 @@ def inverse_kernel(model, position, theta):
 
 @kernel
 def _forward_batch(model, theta, position, column, lever):
-    pose = np.empty(1, POSE)[0]
+    poses = np.empty(1, POSE)
     for n in range(len(theta)):
+        pose = poses[0]
         status = pose_kernel(model, theta[n], pose)
         if status != REACHED:
             return status, n
@@ -181,8 +182,9 @@ def _forward_batch(model, theta, position, column, lever):
 
 @kernel
 def _motion_batch(model, theta, theta_dot, theta_ddot, position, velocity, acceleration):
-    pose = np.empty(1, POSE)[0]
+    poses = np.empty(1, POSE)
     for n in range(len(theta)):
+        pose = poses[0]
         status = pose_kernel(model, theta[n], pose)
         if status != REACHED:
             return status, n
