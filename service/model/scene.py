@@ -15,6 +15,7 @@ from service.model.signals import Segment
 
 ANGLE_STEP, SPEED_STEP = 1e-5, 1e-3  # rad, rad/s, of the finite differences of the rigid torque
 GEOMETRY_STEP = 5e-4  # m or rad, of the same by lengths and angles of the arms
+GEOMETRY_KEPT = 6  # slopes by geometry of a recording: two parts on three arms are fitted together
 
 
 @dataclass(frozen=True)
@@ -85,8 +86,10 @@ class Recording:
 
     def by_geometry(self, part: str, arm: int) -> tuple[np.ndarray, np.ndarray]:
         """(N, n, k + 1) twice: slope of each column and, last, of the known torque by a part of `Correction` at an arm,
-        m or rad, and the slope of that."""
+        m or rad, and the slope of that. The last `GEOMETRY_KEPT` are kept."""
         if (part, arm) not in self._by_geometry:
+            while len(self._by_geometry) >= GEOMETRY_KEPT:
+                del self._by_geometry[next(iter(self._by_geometry))]
             motion = self.segment.theta, self.segment.theta_dot, self.segment.theta_ddot
             step = GEOMETRY_STEP * np.eye(3)[arm]
             above, below = (

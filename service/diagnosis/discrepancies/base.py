@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -44,8 +44,8 @@ class Seen:
 @dataclass(frozen=True)
 class Process:
     """A discrepancy on these logs. joint: from 0; None of one that acts at the platform. columns: (R, K) a recording,
-    torque in the band, in units of the noise, for weights of standard deviation 1. place: (N, d) a recording, SI, that
-    it depends on; values: (N, K') a recording, of a weight of 1: N m of the joint, or N of each component of a force.
+    torque in the band, in units of the noise, for weights of standard deviation 1. place: (M, d) a recording, SI, that
+    it depends on; values: (M, K') a recording, of a weight of 1: N m of the joint, or N of each component of a force.
     Both empty where there is no place to tell. pitch: m of the platform's path, after which it repeats."""
 
     discrepancy: Discrepancy
@@ -72,16 +72,26 @@ class Discrepancy(ABC):
     def process(self, seen: Seen, joint: int) -> Process:
         """On these logs, of `joint`."""
 
-    def on(self, seen: Seen, joint: int, torque: Sequence[np.ndarray], place: Sequence[np.ndarray] = (),
+    def on(self, seen: Seen, joint: int, torque: Iterable[np.ndarray], place: Sequence[np.ndarray] = (),
            values: Sequence[np.ndarray] = ()) -> Process:  # fmt: skip
         """The process of (N, K) N m a recording on one joint."""
-        return Process(self, joint, [_of_joint(seen.problem, n, joint, t) for n, t in enumerate(torque)], place, values)
+        columns = [_of_joint(seen.problem, n, joint, t) for n, t in enumerate(torque)]
+        return Process(self, joint, columns, _thinned(seen.problem, place), _thinned(seen.problem, values))
 
-    def at_platform(self, seen: Seen, torque: Iterable[np.ndarray], place: Sequence[np.ndarray] = (),
+    def at_platform(self, seen: Seen, torque: Iterable[Iterable[np.ndarray]], place: Sequence[np.ndarray] = (),
                     values: Sequence[np.ndarray] = (), pitch: float | None = None) -> Process:  # fmt: skip
-        """The process of (N, n, K) N m a recording, which are large and kept one at a time."""
-        columns = [seen.problem.select(n, seen.problem.band(t)) for n, t in enumerate(torque)]
-        return Process(self, None, columns, place, values, pitch)
+        """The process of (N, n, K) N m a recording, in parts that are large and kept one at a time."""
+        problem = seen.problem
+        columns = [
+            np.concatenate([_single(problem.select(number, problem.band(part))) for part in parts], axis=1)
+            for number, parts in enumerate(torque)
+        ]
+        return Process(self, None, columns, _thinned(problem, place), _thinned(problem, values), pitch)
+
+
+def _thinned(problem: Problem, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Every sample of (N, ...) a recording that the band keeps."""
+    return [part[:: problem.band.step].copy() for part in parts]
 
 
 def _of_joint(problem: Problem, number: int, joint: int, torque: np.ndarray) -> np.ndarray:
@@ -89,14 +99,19 @@ def _of_joint(problem: Problem, number: int, joint: int, torque: np.ndarray) -> 
     joints = problem.joints_of_rows[number]
     rows = np.zeros((len(joints), torque.shape[1]))
     rows[joints == joint] = problem.of_joint(number, joint, problem.band(torque))
-    return rows
+    return _single(rows)
 
 
-def alike(parts: Sequence[np.ndarray], size: float) -> list[np.ndarray]:
+def _single(rows: np.ndarray) -> np.ndarray:
+    """In single precision: columns are most of the memory of a diagnosis."""
+    return rows.astype(np.float32)
+
+
+def alike(parts: Sequence[np.ndarray], size: float) -> Iterator[np.ndarray]:
     """Columns (N, K) or (N, n, K) a recording so large that together, with weights of standard deviation 1, they have
     an rms of `size`."""
     square = sum(float(np.sum(part**2)) for part in parts) / sum(part[..., 0].size for part in parts)
-    return [part * (size / max(square, 1e-300) ** 0.5) for part in parts]
+    return (part * (size / max(square, 1e-300) ** 0.5) for part in parts)
 
 
 def features(place: Sequence[np.ndarray], width: float) -> list[np.ndarray]:
@@ -119,4 +134,5 @@ def features(place: Sequence[np.ndarray], width: float) -> list[np.ndarray]:
 
 def _covariance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """(N, K) of places (N, d) and (K, d) in widths."""
-    return np.exp(-0.5 * ((one[:, None] - other[None]) ** 2).sum(axis=2))
+    square = sum((mine[:, None] - theirs) ** 2 for mine, theirs in zip(one.T, other.T, strict=True))
+    return np.exp(-0.5 * np.asarray(square))

@@ -23,7 +23,8 @@ class DraggedCable(Discrepancy):
             jacobian = scene.arms.jacobian
             flat, up = (np.einsum("naj,nak->njk", jacobian[:, a], forces[:, a]) for a in (slice(2), slice(2, 3)))
             torque.append(np.concatenate([flat, up], axis=2))
-        return self.at_platform(seen, alike(torque, float(np.sqrt(np.mean(seen.size**2)))))
+        size = float(np.sqrt(np.mean(seen.size**2)))
+        return self.at_platform(seen, ([part] for part in alike(torque, size)))
 
 
 def _against(position: np.ndarray) -> np.ndarray:

@@ -24,7 +24,8 @@ class HangingMass(Discrepancy):
             forces = _springs(np.gradient(arms.velocity, period, axis=0), period)  # (N, 3, K)
             flat, up = (np.einsum("naj,nak->njk", arms.jacobian[:, a], forces[:, a]) for a in (slice(2), slice(2, 3)))
             torque.append(np.concatenate([flat, up], axis=2))
-        return self.at_platform(seen, alike(torque, float(np.sqrt(np.mean(seen.size**2)))))
+        size = float(np.sqrt(np.mean(seen.size**2)))
+        return self.at_platform(seen, ([part] for part in alike(torque, size)))
 
 
 def _springs(acceleration: np.ndarray, period: float) -> np.ndarray:

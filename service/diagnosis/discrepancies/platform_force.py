@@ -6,6 +6,7 @@ import numpy as np
 
 from service.diagnosis.discrepancies.base import Discrepancy, Process, Seen, features
 
+PARTS = 8  # in which columns are filtered: all at once take several times the memory of what is kept
 WIDTH = 0.15  # of the platform's range, over which a force varies
 
 
@@ -21,7 +22,11 @@ class PlatformForce(Discrepancy):
         size = float(np.sqrt(np.mean(seen.size**2))) / lever
         values = [size * part for part in features(place, WIDTH)]
         torque = (
-            (one[..., None] * part[:, None, None]).reshape(*one.shape[:2], -1)
+            (
+                one[:, :, [component]] * some[:, None]
+                for component in range(3)
+                for some in np.array_split(part, PARTS, axis=1)
+            )
             for one, part in zip(levers, values, strict=True)
         )
         return self.at_platform(seen, torque, place, values)

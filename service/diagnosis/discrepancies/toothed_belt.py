@@ -28,7 +28,7 @@ class ToothedBelt(Discrepancy):
             levers = np.swapaxes(scene.arms.jacobian, 1, 2)
             torque.append((levers[..., None] * sides[:, None, None]).reshape(*levers.shape[:2], -1))
         size = float(np.sqrt(np.mean(seen.size**2)))
-        return self.at_platform(seen, alike(torque, size), pitch=float(1.0 / np.hypot(*wave)))
+        return self.at_platform(seen, ([part] for part in alike(torque, size)), pitch=float(1.0 / np.hypot(*wave)))
 
 
 class _Spectrum:

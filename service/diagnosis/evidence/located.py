@@ -55,15 +55,12 @@ def located(robot: Description, problem: Problem, split: Split, hypothesis: Hypo
 def _told(robot: Description, beside: Beside, tried: Tried, total: float, alternative: bool) -> Located:
     """total: squares of all residuals above the noise. alternative: to what was told before it."""
     process, pool, problem = tried.process, beside.pool, beside.pool.problem
-    step = problem.band.step
     assert process.discrepancy.over is not None
-    weight = _weight(beside.best, pool.columns(tried.together), beside.prior[pool.of(tried.together)])[
-        -process.columns[0].shape[1] :
-    ]
-    weight = weight.reshape(-1, process.values[0].shape[1])
+    weight = _weight(beside.best, pool.columns(tried.together), beside.prior[pool.of(tried.together)])
+    weight = weight[-len(pool.of([process])) :].reshape(-1, process.values[0].shape[1])
     rows = [r.any(axis=1) if process.joint is None else r[:, process.joint] for r in problem.rows]
-    value = np.concatenate([v[::step][m] @ weight.T for v, m in zip(process.values, rows, strict=True)])
-    place = np.concatenate([p[::step][m] for p, m in zip(process.place, rows, strict=True)])
+    value = np.concatenate([v[m] @ weight.T for v, m in zip(process.values, rows, strict=True)])
+    place = np.concatenate([p[m] for p, m in zip(process.place, rows, strict=True)])
     if process.joint is None:
         most, unit = [int(np.argmax(np.sum(value**2, axis=1)))], "N"
     else:

@@ -9,7 +9,7 @@ Source: Kennedy, O'Hagan: Bayesian calibration of computer models, 2001 (a discr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -42,6 +42,8 @@ class Tried:
 class Pool:
     """All discrepancies that there may be, as large as the noise, and their products, summed once a fold.
 
+    Columns are kept in single precision, most of the memory that they take; products are in double precision.
+
     Args:
         problem: The logs, in units of the noise.
         split: Which rows are held out together.
@@ -53,24 +55,28 @@ class Pool:
         self.problem, self.split = problem, split
         seen, delta = Seen.of(problem, hypothesis, problem.sigma), problem.recordings[0].mechanism.kind == "delta"
         self.every: list[Process] = []
+        made: list[np.ndarray] = []
         for one in DISCREPANCIES:
             if one.over is not None or not told:
-                joints = range(len(problem.sigma)) if one.per_joint else (0,) if delta else ()
-                self.every += [one.process(seen, joint) for joint in joints]
-        ends = np.cumsum([0, *(one.columns[0].shape[1] for one in self.every)]).tolist()
+                for joint in range(len(problem.sigma)) if one.per_joint else (0,) if delta else ():
+                    process = one.process(seen, joint)
+                    made.append(np.concatenate(process.columns))
+                    kept = replace(process, columns=[], place=(), values=())
+                    self.every.append(replace(process, columns=[]) if told else kept)
+        ends = np.cumsum([0, *(columns.shape[1] for columns in made)]).tolist()
         self.places = {id(one): np.arange(*both) for one, both in zip(self.every, pairwise(ends), strict=True)}
-        self.rows = np.concatenate(
-            [np.concatenate([one.columns[number] for one in self.every], axis=1) for number in range(len(problem.rows))]
-        )
+        self.rows = np.empty((len(made[0]), ends[-1]), np.float32)
+        for start, end in pairwise(ends):
+            self.rows[:, start:end] = made.pop(0)  # which frees it: all of them twice would be the most memory of all
         fold = np.concatenate(split.fold)
         self.fold = [fold == number for number in range(split.folds)]
-        self.grams = [part.T @ part for part in (self.rows[mine] for mine in self.fold)]
+        self.grams = [part.T @ part for part in (self.rows[mine].astype(float) for mine in self.fold)]
 
     def columns(self, together: Sequence[Process]) -> list[np.ndarray]:
         """(R, C) a recording, of processes side by side."""
         mine = self.of(together)
         ends = np.cumsum([0, *(rows.sum() for rows in self.problem.rows)]).tolist()
-        return [self.rows[start:end, mine] for start, end in pairwise(ends)]
+        return [self.rows[start:end, mine].astype(float) for start, end in pairwise(ends)]
 
     def of(self, together: Sequence[Process]) -> np.ndarray:
         """(C,) where the columns of processes are."""

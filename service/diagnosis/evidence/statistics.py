@@ -137,7 +137,13 @@ def walked(selection: Selection, split: Split, rows: int, most: float = 1.0) -> 
     nor in training, and the fold is predicted by the one chosen without it: where the walk ends, or the model chosen on
     all data if the other folds prefer that.
     """
-    result = []
+    result, known = [], {}
+
+    def inner_of(scored: Scored) -> np.ndarray:
+        if id(scored) not in known:
+            known[id(scored)] = _ByFold.of(scored, split)
+        return known[id(scored)].inner(fold)
+
     for fold in range(split.folds):
         outside = [f != fold for f in split.fold]
         share = round(rows * float(np.mean(np.concatenate(outside))))
@@ -145,38 +151,52 @@ def walked(selection: Selection, split: Split, rows: int, most: float = 1.0) -> 
         for tried, taken in selection.path:
             if taken is None:  # what fell, or was not worth it, is not in the model whose gap this is
                 break
-            inner = [(_inner(candidate, split, fold), candidate) for candidate in tried]
+            inner = [(inner_of(candidate), candidate) for candidate in tried]
             loss, best = min(inner, key=lambda item: item[0].sum())
             kept = next(item for item in inner if item[1] is taken)
             if z_score(kept[0], loss) < TOLD_APART:
                 loss, best = kept  # without this fold nothing speaks against the choice made with it
-            if not worth(loss, _inner(chosen, split, fold), _inner(selection.none, split, fold), share, most):
+            if not worth(loss, inner_of(chosen), inner_of(selection.none), share, most):
                 break
             chosen = selection.after(best)
             if best is not taken:
                 break
-        whole, steps = (_inner(scored, split, fold) for scored in (selection.best, chosen))
+        whole, steps = (inner_of(scored) for scored in (selection.best, chosen))
         if z_score(steps, whole) > TOLD_APART:  # another order of steps leads there too
             chosen = selection.best
         result.append(chosen)
     return result
 
 
-def _inner(scored: Scored, split: Split, out: int) -> np.ndarray:
-    """Block losses with `out` neither trained on nor counted, every other fold left out in turn."""
-    fitted = scored.fitted
-    grams, moments = normal_equations(fitted.moving, fitted.residuals, split)
-    residuals = [r.copy() for r in fitted.residuals]
-    for fold in range(split.folds):
-        train = [k for k in range(split.folds) if k not in (fold, out)]
-        if fold == out or not train:
-            continue
-        step = fitted.step(np.asarray(sum(grams[k] for k in train)), np.asarray(sum(moments[k] for k in train)))
-        for residual, slope, f in zip(residuals, fitted.moving, split.fold, strict=True):
-            residual[f == fold] -= slope[f == fold] @ step
-    for residual, f in zip(residuals, split.fold, strict=True):
-        residual[f == out] = 0.0
-    return block_loss(residuals, split)
+@dataclass(frozen=True)
+class _ByFold:
+    """A fitted hypothesis with the normal equations of each fold. moving: (R, F) a recording."""
+
+    fitted: Fit
+    moving: list[np.ndarray]
+    equations: tuple[list[np.ndarray], list[np.ndarray]]
+    split: Split
+
+    @classmethod
+    def of(cls, scored: Scored, split: Split) -> _ByFold:
+        fitted, moving = scored.fitted, scored.fitted.moving
+        return cls(fitted, moving, normal_equations(moving, fitted.residuals, split), split)
+
+    def inner(self, out: int) -> np.ndarray:
+        """Block losses with `out` neither trained on nor counted, every other fold left out in turn."""
+        split, (grams, moments) = self.split, self.equations
+        residuals = [r.copy() for r in self.fitted.residuals]
+        for fold in range(split.folds):
+            train = [k for k in range(split.folds) if k not in (fold, out)]
+            if fold == out or not train:
+                continue
+            gram, moment = (np.asarray(sum(one[k] for k in train)) for one in (grams, moments))
+            step = self.fitted.step(gram, moment)
+            for residual, slope, f in zip(residuals, self.moving, split.fold, strict=True):
+                residual[f == fold] -= slope[f == fold] @ step
+        for residual, f in zip(residuals, split.fold, strict=True):
+            residual[f == out] = 0.0
+        return block_loss(residuals, split)
 
 
 def rms_per_joint(
