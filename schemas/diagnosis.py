@@ -170,7 +170,10 @@ class Moved(DocumentPart):
 
 
 class Gap(DocumentPart):
-    """Rms a joint on runs left out of fitting and selection, in the analysis band. unit: N m, N for linear axes.
+    """Rms a joint on held-out runs, in the analysis band. unit: N m, N for linear axes.
+
+    A run is predicted with parameters fitted to the others. Effects are found and accepted on all runs; those that the
+    search tried are then compared again without the run, and another is taken there if it is clearly better.
 
     torque_nm: rms of the recorded torque on the same samples. shrink: of the runs in which the robot moves as at work,
     all joints pooled; slow_runs are not, and where there are any the gap on the others is in work_before_nm and

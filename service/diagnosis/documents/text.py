@@ -30,7 +30,7 @@ VERDICTS = {
     "partly_explained": "The named effects explain part of the gap; the residual still has structure.",
     "unexplained": "There is structure in the gap, and no effect in the catalogue explains it.",
 }  # fmt: skip
-HELD_OUT = "not used to fit or to choose; the candidates come from a search on all data"
+HELD_OUT = "predicted with parameters fitted to the others; effects were found and accepted on all data"
 # code of a caution -> what the data do not show
 CAUTIONS = {
     "too_little_motion": "The data cannot separate the effects: no joint moves for 3 s in total.",

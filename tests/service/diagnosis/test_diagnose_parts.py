@@ -14,8 +14,18 @@ from schemas.axes import Axes
 from schemas.diagnosis import Caution
 from schemas.errors import DataError, RobotError
 from schemas.trace import Trace
+from service.diagnosis.documents import text
 from tests.service.diagnosis.toy import split_of
-from tests.service.subject import EFFECTS, Hypothesis, Parameters, Term, described, diagnose, statistics
+from tests.service.subject import (
+    EFFECTS,
+    Hypothesis,
+    Parameters,
+    Term,
+    described,
+    diagnose,
+    document,
+    statistics,
+)
 from tests.service.world import BASE, ROBOT, course, stub
 
 SPRING = Term(EFFECTS["joint_spring"], (0,), np.array([[3.0, 1.0]]), ())
@@ -239,3 +249,29 @@ def test_it_is_asked_of_every_search_before_effects_are_exchanged(monkeypatch):
         )
     found = diagnose.diagnose(ROBOT, [log(1), log(2)], [SPRING.effect])
     assert asked == [("_past_fault", found.limit), ("exchanged", found.limit)]
+
+
+def test_the_text_on_held_out_runs_says_what_is_done(monkeypatch):
+    """The search sees all runs; what predicts a run is fitted to the others, by slopes."""
+    seen: list[set[int]] = []
+    searched = diagnose.search
+
+    def listening(regressors: Any, *rest: Any) -> Any:
+        seen.append({recording.trace for recording in regressors.problem.recordings})
+        return searched(regressors, *rest)
+
+    monkeypatch.setattr(diagnose, "search", listening)
+    runs = [log(seed, seconds=4.0) for seed in (1, 2, 3)]
+    pulled = [replace(one, torque=one.torque + (3.0 + one.position[:, :1]) * [1.0, 0.0, 0.0]) for one in runs]
+    found = diagnose.diagnose(ROBOT, pulled, [SPRING.effect])
+    assert found.selection.names == ("joint_spring",)
+    assert seen
+    assert all(traces == {0, 1, 2} for traces in seen)
+    fitted, fold = found.best.fitted, np.concatenate(found.split.fold)
+    slopes, left = (np.concatenate(parts) for parts in (fitted.moving, fitted.residuals))
+    for run in range(3):
+        step = np.linalg.lstsq(slopes[fold != run], left[fold != run], rcond=None)[0]
+        predicted = left[fold == run] - slopes[fold == run] @ step
+        np.testing.assert_allclose(np.concatenate(found.after)[fold == run], predicted, atol=0.05)
+    (line,) = (line for line in text.sentences(document.document(found)) if line.startswith("On held-out"))
+    assert "(predicted with parameters fitted to the others; effects were found and accepted on all data)" in line

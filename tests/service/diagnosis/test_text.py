@@ -44,7 +44,7 @@ def test_a_named_effect_is_told_in_one_line() -> None:
     assert gap == (f"On held-out runs ({text.HELD_OUT}) the gap goes from 2.24 to 1.27 N m, a shrink of 43 % [40, 46].")
     two = document(traces=["a", "b"], gap=document().gap.model_dump() | {"after_nm": [4.0, 1.0]})
     assert text.paragraphs(two)[2][1].startswith(
-        "On held-out stretches (not used to fit or to choose; the candidates come from a search"
+        "On held-out stretches (predicted with parameters fitted to the others; effects were found"
     )
     assert text.paragraphs(two)[2][1].endswith("does not generalise.")
     aside = two.model_copy(update={"cannot_tell": [Caution(code="by_place", advice="look_there")]})
