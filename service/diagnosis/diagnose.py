@@ -31,6 +31,7 @@ from service.diagnosis.fit.exchange import exchanged
 from service.diagnosis.fit.orders import more_orders
 from service.diagnosis.fit.selection import Scored, Selection, score, search
 from service.identification import pooled
+from service.identification.commanded import is_commanded
 from service.identification.fit import WITHIN_COLOURED, Problem, evaluate, fit
 from service.identification.folds import Split
 from service.identification.loops import loops_of, position_errors
@@ -117,8 +118,9 @@ def diagnose(
         gap = evaluate(problem, reference).residuals
     verdict = _verdict(problem, selection, given, after, limit)
     return Findings(
-        robot, problem, split, plain, reference, selection, given, gap, after, floor.sample, reversal, values.errors,
-        verdict, limit, [*noise_of(floor), *scope.cautions, *cautions], followed(selection.best), baseline,
+        robot, problem, split, plain, reference, selection, given, gap, after, floor.sample,
+        all(is_commanded(trace) for trace in traces), reversal, values.errors, verdict, limit,
+        [*noise_of(floor), *scope.cautions, *cautions], followed(selection.best), baseline,
     )  # fmt: skip
 
 

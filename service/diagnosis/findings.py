@@ -21,9 +21,9 @@ class Findings:
     plain: the model that `identify` writes. baseline: the description given as one. reference: the model whose gap is
     "before". given: effects that the description carried already. before, after: residuals (R,) a recording on data
     left out, of the reference and of the corrected model, the latter left out of selection too. noise: (n,) N m a
-    sample. reversal: (n,) N m in the band. errors: as `statistics.standard_errors` of the corrected model. limit: rms
-    up to which what is left is noise. cannot_tell: what this data cannot say. follows: what the corrected model's gap
-    still follows.
+    sample. commanded: whether the reported torque is the commanded one and that noise. reversal: (n,) N m in the band.
+    errors: as `statistics.standard_errors` of the corrected model. limit: rms up to which what is left is noise.
+    cannot_tell: what this data cannot say. follows: what the corrected model's gap still follows.
     """
 
     robot: Description
@@ -36,6 +36,7 @@ class Findings:
     before: list[np.ndarray]
     after: list[np.ndarray]
     noise: np.ndarray
+    commanded: bool
     reversal: np.ndarray
     errors: np.ndarray
     verdict: Verdict

@@ -44,10 +44,10 @@ from service.model.torque import predict
 
 
 def corrected(findings: Findings) -> Description:
-    """The description with base model and effects refitted together, and a robot's with what that leaves of runs left
-    out."""
+    """The description with base model and effects refitted together, and a robot's with what the logs tell its mass's
+    estimate."""
     known = described(findings.robot, findings.best.hypothesis, findings.errors, findings.noise)
-    return with_model_error(findings, known, findings.after)
+    return _with_what_logs_tell(findings, known, findings.after)
 
 
 def identified(findings: Findings) -> Description:
@@ -56,17 +56,21 @@ def identified(findings: Findings) -> Description:
         return findings.baseline
     errors = statistics.standard_errors(findings.plain.fitted, findings.split)
     known = described(findings.robot, findings.plain.hypothesis, errors, findings.noise)
-    return with_model_error(findings, known, findings.before)
+    return _with_what_logs_tell(findings, known, findings.before)
 
 
-def with_model_error(findings: Findings, known: Description, residuals: Sequence[np.ndarray]) -> Description:
-    """A robot's description with what `residuals` on data left out are above the noise."""
+def _with_what_logs_tell(findings: Findings, known: Description, residuals: Sequence[np.ndarray]) -> Description:
+    """A robot's description with what `residuals` on data left out are above the noise, and whether a command may stand
+    for the reported torque."""
     if not isinstance(known, Robot) or known.identified is None:
         return known
     left = statistics.rms_per_joint(findings.problem, residuals)
     error = np.sqrt(np.maximum(left**2 - findings.problem.sigma**2, 0.0))
-    told = known.identified.model_copy(update={"model_error_nm": JointParameter(value=[digits(e) for e in error])})
-    return known.model_copy(update={"identified": told})
+    told = {
+        "model_error_nm": JointParameter(value=[digits(e) for e in error]),
+        "torque_commanded": known.identified.torque_commanded or findings.commanded,
+    }
+    return known.model_copy(update={"identified": known.identified.model_copy(update=told)})
 
 
 def made_from(paths: Iterable[Path]) -> Provenance:

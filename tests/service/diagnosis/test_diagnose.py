@@ -51,6 +51,7 @@ def test_names_what_was_put_in(data, tmp_path, case, name, joints, parameter, tr
     assert measured == pytest.approx(claimed, rel=0.15)
     assert robot.identified is not None
     assert robot.identified.model_error_nm is not None
+    assert robot.identified.torque_commanded == (name is None), "as `identify` says of these logs"
     left = np.hypot(robot.identified.model_error_nm.value, document["gap"]["noise_floor_nm"])
     assert measured == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.15)
 
