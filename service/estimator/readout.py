@@ -35,11 +35,19 @@ SETTINGS = np.dtype(
     ],
     align=True,
 )
-STATE = np.dtype(
+# A drive that follows what it was asked for.
+FOLLOWED = np.dtype(
     [
-        ("asked", "f8", 3),  # N m, last report
+        ("asked", "f8", 3),  # N m, last
         ("acting", "f8", 3),  # N m, what the drive made of it
         ("started", "i8"),
+    ],
+    align=True,
+)
+STATE = np.dtype(
+    [
+        ("report", FOLLOWED),
+        ("command", FOLLOWED),  # which is the report without its noise, where it is used
         ("acted", "f8", (TOLD + MODELS, 3)),  # N m, last torque that acted, of what is told and of each model
         ("reported", "f8", (TOLD + MODELS, 3)),  # N m, what is reported of it
         ("load_before", "f8"),  # kg, until the last change
@@ -73,15 +81,15 @@ def fits(record: np.ndarray, lag: int) -> bool:
 
 
 @kernel
-def follow_kernel(settings, state, torque, elapsed):
+def follow_kernel(settings, followed, torque, elapsed):
     """Make of `torque` (3,) N m, in place, what acts behind a drive that follows it, `elapsed` s after the last."""
     keep, mean = ramp(elapsed / settings.follows)
     for i in range(3):
-        before = state.asked[i] if state.started != 0 else torque[i]
-        acted = state.acting[i] if state.started != 0 else torque[i]
-        state.asked[i] = torque[i]
-        torque[i] = state.acting[i] = keep * acted + (mean - keep) * before + (1.0 - mean) * torque[i]
-    state.started = 1
+        before = followed.asked[i] if followed.started != 0 else torque[i]
+        acted = followed.acting[i] if followed.started != 0 else torque[i]
+        followed.asked[i] = torque[i]
+        torque[i] = followed.acting[i] = keep * acted + (mean - keep) * before + (1.0 - mean) * torque[i]
+    followed.started = 1
 
 
 @kernel

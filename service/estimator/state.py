@@ -86,6 +86,7 @@ STATE = np.dtype(
         ("slots", kalman.SLOT, kalman.MAX_LAG + 1),
         ("past", _PAST, kalman.MAX_LAG + 1),
         ("newest_torque", "f8", 3),  # N m, reported
+        ("newest_command", "f8", 3),  # N m, the same where there is none
         ("head", "i8"),
         ("filled", "i8"),
         ("unsettled", "i8"),  # samples until the newest hole is no longer felt in the smoothed motion

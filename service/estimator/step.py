@@ -89,10 +89,12 @@ def _remember(settings, state, sample, flags, gap):
         if not math.isfinite(sample.torque_command[i]):
             past.commanded = 0
     for i in range(3):
-        past.torque_command[i] = sample.torque_command[i] if past.commanded != 0 else 0.0
         state.newest_torque[i] = past.acting[i] = sample.torque[i] if flags & UNUSABLE == 0 else 0.0
+        state.newest_command[i] = sample.torque_command[i] if past.commanded != 0 else state.newest_torque[i]
+        past.torque_command[i] = state.newest_command[i]
     if settings.readout.follows > 0.0 and flags & UNUSABLE == 0:
-        follow_kernel(settings.readout, state.readout, past.acting, gap * settings.period)
+        follow_kernel(settings.readout, state.readout.report, past.acting, gap * settings.period)
+        follow_kernel(settings.readout, state.readout.command, past.torque_command, gap * settings.period)
 
 
 @part
@@ -105,7 +107,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
     flags = past.flags
     newest = state.past[state.head]
     if newest.commanded != 0 and compare_kernel(
-        settings.drive_torque, state.drive_torque, state.newest_torque, newest.torque_command, settings.period
+        settings.drive_torque, state.drive_torque, state.newest_torque, state.newest_command, settings.period
     ):
         weigh_anew_kernel(weighed)  # it was by what was no torque
     carried = min(max(weighed.mass, 0.0), settings.max_payload)
@@ -302,7 +304,7 @@ def step_kernel(settings, state, sample, feedforward):
             restart(settings, state, sample)
             forget_kernel(state.branch[MEASURED])
             forget_kernel(state.branch[ANSWERED])
-            state.readout.started = 0
+            state.readout.report.started = state.readout.command.started = 0
         else:
             track_kernel(settings, state, sample, flags, gap)
         track_command_kernel(settings, state, sample, flags, gap)

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from schemas.messages import stamp_ns
+from schemas.robot import EffectEntry, EffectParameter
 from service.estimator import commanded
 from service.estimator.estimator import Estimator
+from service.model.signals import leading
 from tests.known import PERIOD
 from tests.service.estimator.test_trust import PICKS, carried, covered
 
@@ -40,6 +42,20 @@ def test_a_mass_is_known_sooner_by_what_the_drives_were_told(told, known):
 
     assert error(np.nan) > 0.03, "too little noise to tell"
     assert error(known.torque) < 0.015
+
+
+def test_a_drive_that_follows_its_command_late_is_weighed_by_what_it_makes_of_it(told, known):
+    """Command and report are what the drive is asked for, 8 ms ahead of what acts."""
+    cutoff = 20.0
+    lag = EffectEntry(name="drive_lag", joints=[], parameters={"cutoff": EffectParameter(value=cutoff)})
+    asked = leading(known.torque, cutoff, PERIOD)
+    samples = known.samples.copy()
+    samples["torque"] += asked - known.torque
+    samples["torque_command"] = asked
+    payload = Estimator(told.model_copy(update={"effect": [lag]}), PERIOD).run(samples).payload
+    time = stamp_ns(payload) * 1e-9
+    settled = np.all([np.abs(time - edge - 0.075) > 0.08 for *edges, _ in PICKS for edge in edges], axis=0)
+    assert np.abs(payload["mass"] - carried(time))[settled & (time > 0.3)].max() < 0.03
 
 
 def test_a_command_is_proved_before_it_is_used(told, known):
