@@ -31,15 +31,15 @@ from service.diagnosis.fit.exchange import exchanged
 from service.diagnosis.fit.orders import more_orders
 from service.diagnosis.fit.selection import Scored, Selection, score, search
 from service.identification import pooled
-from service.identification.commanded import is_commanded
+from service.identification.commanded import command_ahead, is_commanded
 from service.identification.fit import WITHIN_COLOURED, Problem, evaluate, fit
 from service.identification.folds import Split
 from service.identification.loops import loops_of, position_errors
 from service.identification.noise import Floor
 from service.identification.units import refuse_wrong_angles
 from service.model.description import hypothesis_of
-from service.model.effects.base import Effect
-from service.model.hypothesis import Term
+from service.model.effects.base import Effect, Readout
+from service.model.hypothesis import Hypothesis, Term
 from service.model.mechanism import mechanism_of
 from service.model.scene import Recording
 from service.model.signals import fresh, segments_of
@@ -117,11 +117,21 @@ def diagnose(
         reference = hypothesis_of(baseline)
         gap = evaluate(problem, reference).residuals
     verdict = _verdict(problem, selection, given, after, limit)
+    commanded = all(is_commanded(trace) for trace in traces)
+    ahead = None if commanded else _command_ahead(selection.best.hypothesis, traces)
     return Findings(
         robot, problem, split, plain, reference, selection, given, gap, after, floor.sample,
-        all(is_commanded(trace) for trace in traces), reversal, values.errors, verdict, limit,
+        commanded, ahead, reversal, values.errors, verdict, limit,
         [*noise_of(floor), *scope.cautions, *cautions], followed(selection.best), baseline,
     )  # fmt: skip
+
+
+def _command_ahead(best: Hypothesis, traces: Sequence[Trace]) -> float | None:
+    """As `command_ahead`, of what `best` says of the report."""
+    readout = Readout(late=best.base.timing)
+    for term in best.terms:
+        term.effect.read_out(readout, term.nonlinear)
+    return command_ahead(traces, readout)
 
 
 @dataclass(frozen=True)

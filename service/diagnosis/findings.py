@@ -21,7 +21,8 @@ class Findings:
     plain: the model that `identify` writes. baseline: the description given as one. reference: the model whose gap is
     "before". given: effects that the description carried already. before, after: residuals (R,) a recording on data
     left out, of the reference and of the corrected model, the latter left out of selection too. noise: (n,) N m a
-    sample. commanded: whether the reported torque is the commanded one and that noise. reversal: (n,) N m in the band.
+    sample. commanded: whether the reported torque is the commanded one and that noise. ahead: s by which it is
+    behind that and what the corrected model says of the report, None where it is not. reversal: (n,) N m in the band.
     errors: as `statistics.standard_errors` of the corrected model. limit: rms up to which what is left is noise.
     cannot_tell: what this data cannot say. follows: what the corrected model's gap still follows.
     """
@@ -37,6 +38,7 @@ class Findings:
     after: list[np.ndarray]
     noise: np.ndarray
     commanded: bool
+    ahead: float | None
     reversal: np.ndarray
     errors: np.ndarray
     verdict: Verdict

@@ -23,6 +23,7 @@ REACH = 2  # samples to either side that it needs
 TAPS = len(SLOPE) + 3
 MODELS = 4  # whose errors are told
 TOLD = 1 + LOADS + PARTS  # what the payload is told by: the model without it, each load and each part of friction
+COMMAND = TOLD + MODELS  # row of the command
 
 SETTINGS = np.dtype(
     [
@@ -30,6 +31,9 @@ SETTINGS = np.dtype(
         ("first", "i8"),  # samples from the instant to the oldest report that is weighed
         ("shift", "f8", TAPS),  # weights of the report at the instant, oldest first
         ("acting", "f8", TAPS),  # the same of the torque that acts
+        ("ahead", "i8"),  # whether commands are ahead of the report; else they are as it is
+        ("command", "f8", TAPS),  # of them, where they are, the same of what acts
+        ("first_command", "i8"),
         ("lag", "f8"),  # s, 0: none
         ("follows", "f8"),  # s, 0: none
     ],
@@ -48,8 +52,10 @@ STATE = np.dtype(
     [
         ("report", FOLLOWED),
         ("command", FOLLOWED),  # which is the report without its noise, where it is used
-        ("acted", "f8", (TOLD + MODELS, 3)),  # N m, last torque that acted, of what is told and of each model
-        ("reported", "f8", (TOLD + MODELS, 3)),  # N m, what is reported of it
+        # N m, last torque that acted, of what is told, of each model and of the command
+        ("acted", "f8", (COMMAND + 1, 3)),
+        ("reported", "f8", (COMMAND + 1, 3)),  # N m, what is reported of it
+        ("awake", "f8"),  # s, that the command has been behind the low-pass without a hole
         ("load_before", "f8"),  # kg, until the last change
         ("remains", "f8", 3),  # N m/kg, what of it is reported still
     ],
@@ -57,14 +63,18 @@ STATE = np.dtype(
 )
 
 
-def settings(readout: Readout, period: float) -> np.ndarray:
-    """One SETTINGS record. period: s."""
+def settings(readout: Readout, period: float, ahead: float | None = None) -> np.ndarray:
+    """One SETTINGS record. period: s. ahead: s, by which the command is ahead of the report, None: by nothing that is
+    known, as where it is not about `readout.late`."""
     record = np.zeros((), SETTINGS)
     record["active"] = readout != Readout()
     weights, first = shift_weights(-readout.late / period)
     record["first"] = first - REACH
     record["shift"][REACH:-REACH] = weights
     record["acting"] = record["shift"] + readout.lag / period * np.convolve(weights, SLOPE)
+    if ahead is not None and record["active"] and abs(ahead - readout.late) <= REACH * period:
+        weights, record["first_command"] = shift_weights((ahead - readout.late) / period)
+        record["ahead"], record["command"][: len(weights)] = True, weights
     record["lag"], record["follows"] = readout.lag, readout.follows
     return record
 
@@ -72,7 +82,8 @@ def settings(readout: Readout, period: float) -> np.ndarray:
 def newest(record: np.ndarray) -> int:
     """Samples after the instant whose reports are weighed, one at least: a look back may not be nearer."""
     weighed = np.flatnonzero(record["acting"]) if record["active"] else [0]
-    return max(1, int(record["first"]) + int(weighed[-1]))
+    ahead = np.flatnonzero(record["command"]) if record["ahead"] else [0]
+    return max(1, int(record["first"]) + int(weighed[-1]), int(record["first_command"]) + int(ahead[-1]))
 
 
 def fits(record: np.ndarray, lag: int) -> bool:

@@ -126,6 +126,8 @@ STATE = np.dtype(
         ("told", "f8", (readout.TOLD, 3)),  # what the payload is told by, see `step`
         ("acting", "f8", 3),  # N m
         ("reported", "f8", 3),  # N m
+        ("by_command", "i8"),  # whether the former is a command that the latter is behind
+        ("command", "f8", (1, 3)),  # N m, as it would be reported
         ("full", "f8", 3),
         ("wanted", "f8", 3),
         ("ahead", "f8", 3),  # rad, wanted of the motors before the planned positions
@@ -159,7 +161,8 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["model"] = record_of(pack(robot))
     without = left_out(robot, period)
     kept = [term for term in terms if term.effect.name not in without]
-    reading = readout.settings(effects.readout_of(described, kept), period)
+    ahead = None if identified is None or without else identified.torque_command_ahead_s
+    reading = readout.settings(effects.readout_of(described, kept), period, ahead)
     motion = kalman.design(period, robot.drive.position_resolution_rad, readout.newest(reading))
     for name in motion._fields:
         record["motion"][name] = getattr(motion, name)
@@ -200,7 +203,7 @@ def settings(robot: Robot, period: float, stride: int) -> np.ndarray:
     record["scale"] = scale
     record["gear_ratio"] = robot.drive.gear_ratio
     record["variance"] = payload.sample_variance(noise, left_over)
-    record["drive_torque"] = commanded.settings(noise, is_commanded, period)
+    record["drive_torque"] = commanded.settings(noise, is_commanded or bool(reading["ahead"]), period)
     prior = departure.drift(record["viscous"][0], record["coulomb"][0])
     limit, variance = robot.limits.max_payload_kg, record["variance"][0]
     record["payload"] = payload.settings(

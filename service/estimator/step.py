@@ -17,7 +17,7 @@ import numpy as np
 from schemas.kernels import kernel, part
 from schemas.messages import PayloadEvent
 from service.estimator.branch import ANSWERED, MEASURED, forget_kernel, wake_kernel
-from service.estimator.commanded import compare_kernel, is_used
+from service.estimator.commanded import PROOF_TIME, compare_kernel, is_used
 from service.estimator.departure import BALLS, PARTS, SCALE, place
 from service.estimator.feedforward import (
     dry_and_viscous,
@@ -38,7 +38,14 @@ from service.estimator.kalman import (
 )
 from service.estimator.payload.state import LOADS, PRIOR_STD
 from service.estimator.payload.step import loosen_kernel, payload_kernel, unseen_kernel, weigh_anew_kernel
-from service.estimator.readout import TOLD, follow_kernel, keep_load_kernel, lag_kernel, weigh_reports_kernel
+from service.estimator.readout import (
+    COMMAND,
+    TOLD,
+    follow_kernel,
+    keep_load_kernel,
+    lag_kernel,
+    weigh_reports_kernel,
+)
 from service.estimator.stream import (
     RANGE,
     STATE_NEW,
@@ -105,11 +112,8 @@ def lagged_kernel(settings, state, payload_out, error_out):
     past, cycles = state.past[index], state.slots[index].gap
     event = PayloadEvent.NONE.value
     flags = past.flags
-    newest = state.past[state.head]
-    if newest.commanded != 0 and compare_kernel(
-        settings.drive_torque, state.drive_torque, state.newest_torque, state.newest_command, settings.period
-    ):
-        weigh_anew_kernel(weighed)  # it was by what was no torque
+    if settings.readout.ahead == 0 and state.past[state.head].commanded != 0:
+        _compare(settings, state, state.newest_torque, state.newest_command)
     carried = min(max(weighed.mass, 0.0), settings.max_payload)
     since = np.int64(0)
     if flags & UNUSABLE == 0:
@@ -125,7 +129,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
         for i in range(3):
             error_out.kh[i] = error_out.id[i] = error_out.id_friction[i] = error_out.full[i] = math.nan
     else:
-        told = _read_out(settings, state, index, past)
+        told = _read_out(settings, state, index, past, since)
         swing_kernel(settings, state, weighed.column)
         torque_kernel(settings, state, branch, past.stamp_sec + past.stamp_nanosec * 1e-9, carried, settings.transition)
         _tell(settings, state, _is_loose(settings, state) or not told, since)
@@ -137,7 +141,7 @@ def lagged_kernel(settings, state, payload_out, error_out):
                 sticks[i] = settings.coulomb[i] if weighed.weight[i] <= 0.0 else 0.0
             observe_kernel(settings.gears, branch.twist, left, state.push, sticks, since * settings.period)
         event = payload_kernel(settings.payload, weighed)
-        if settings.readout.lag > 0.0 and weighed.changed > 0:
+        if weighed.behind != 0 and weighed.changed > 0:
             keep_load_kernel(settings.readout, state.readout, carried, state.told[1], weighed.changed * settings.period)
         if settings.geared != 0 and weighed.changed > 0:
             _swing_anew(settings, state, carried)
@@ -165,10 +169,30 @@ def _swing_anew(settings, state, carried):
     loosen_kernel(weighed, 0.5 * step * step / max(1.0, swings * swings))
 
 
+@kernel
+def _compare(settings, state, torque, command):
+    """Compare a command (3,) with the torque (3,) that was reported, N m."""
+    if compare_kernel(settings.drive_torque, state.drive_torque, torque, command, settings.period):
+        weigh_anew_kernel(state.payload)  # it was by what was no torque
+
+
 @part
-def _read_out(settings, state, index, past):
-    """state.reported (3,) and state.acting (3,), N m: report and torque that acts at the slot `index`. Returns whether
-    the reports that tell it are there."""
+def _compare_behind(settings, state, since):
+    """The same of the one in state.command, which the report is behind, `since` cycles after the last, 0 where one of
+    the two is not known."""
+    reading, command = state.readout, state.command
+    reading.awake = reading.awake + settings.period if since == 1 else 0.0
+    if settings.readout.lag > 0.0:
+        lag_kernel(settings.readout, reading, command, COMMAND, since * settings.period)
+    if reading.awake > PROOF_TIME:
+        _compare(settings, state, state.reported, command[0])
+
+
+@part
+def _read_out(settings, state, index, past, since):
+    """state.reported (3,) and state.acting (3,), N m: report and torque that acts at the slot `index`, `since` cycles
+    after the last. Returns whether the reports that tell it are there."""
+    state.by_command = 0
     commanded = past.commanded != 0 and is_used(settings.drive_torque, state.drive_torque)
     if settings.readout.active == 0:
         drive = past.torque_command if commanded else past.acting
@@ -176,7 +200,19 @@ def _read_out(settings, state, index, past):
             state.reported[i], state.acting[i] = past.acting[i], drive[i]
         return True
     reading, first = settings.readout, settings.readout.first
-    weigh_reports_kernel(reading.shift, first, state.past, index, UNUSABLE, False, state.reported)
+    whole = weigh_reports_kernel(reading.shift, first, state.past, index, UNUSABLE, False, state.reported)
+    if reading.ahead != 0:
+        command = state.command[0]
+        there = weigh_reports_kernel(
+            reading.command, reading.first_command, state.past, index, UNUSABLE, True, state.acting
+        )
+        for i in range(3):
+            command[i] = state.acting[i]
+        _compare_behind(settings, state, since if whole and there else np.int64(0))
+        commanded = there and is_used(settings.drive_torque, state.drive_torque)
+        if commanded:
+            state.by_command = 1
+            return True
     return weigh_reports_kernel(reading.acting, first, state.past, index, UNUSABLE, commanded, state.acting)
 
 
@@ -223,10 +259,13 @@ def _tell(settings, state, loose, since):
             weighed.resting = 0
         weighed.slow.now.phi[i] = (1.0 + scale) * weight_kernel(settings, state, i)
         weighed.slow.now.weight[i] = weight if REST_SPEED < speed <= REVERSAL_SPEED else 0.0
-    if settings.readout.lag > 0.0:
-        _tell_as_reported(settings, state, since * settings.period)
+    if settings.readout.lag > 0.0 and state.by_command == 0:
+        _tell_as_reported(settings, state, since * settings.period if weighed.behind != 0 else 0.0)
+        weighed.behind = 1
+    else:
+        weighed.behind = 0
     for i in range(3):
-        measured = state.reported[i] if settings.readout.lag > 0.0 else state.acting[i]
+        measured = state.reported[i] if weighed.behind != 0 else state.acting[i]
         weighed.residual[i] = measured - state.told[0, i]
 
 

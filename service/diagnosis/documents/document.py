@@ -47,7 +47,7 @@ def corrected(findings: Findings) -> Description:
     """The description with base model and effects refitted together, and a robot's with what the logs tell its mass's
     estimate."""
     known = described(findings.robot, findings.best.hypothesis, findings.errors, findings.noise)
-    return _with_what_logs_tell(findings, known, findings.after)
+    return _with_what_logs_tell(findings, known, findings.after, findings.ahead)
 
 
 def identified(findings: Findings) -> Description:
@@ -56,12 +56,14 @@ def identified(findings: Findings) -> Description:
         return findings.baseline
     errors = statistics.standard_errors(findings.plain.fitted, findings.split)
     known = described(findings.robot, findings.plain.hypothesis, errors, findings.noise)
-    return _with_what_logs_tell(findings, known, findings.before)
+    return _with_what_logs_tell(findings, known, findings.before, None)
 
 
-def _with_what_logs_tell(findings: Findings, known: Description, residuals: Sequence[np.ndarray]) -> Description:
+def _with_what_logs_tell(
+    findings: Findings, known: Description, residuals: Sequence[np.ndarray], ahead: float | None
+) -> Description:
     """A robot's description with what `residuals` on data left out are above the noise, and whether a command may stand
-    for the reported torque."""
+    for the reported torque, or so many s `ahead` of it for the one that acts."""
     if not isinstance(known, Robot) or known.identified is None:
         return known
     left = statistics.rms_per_joint(findings.problem, residuals)
@@ -69,6 +71,7 @@ def _with_what_logs_tell(findings: Findings, known: Description, residuals: Sequ
     told = {
         "model_error_nm": JointParameter(value=[digits(e) for e in error]),
         "torque_commanded": known.identified.torque_commanded or findings.commanded,
+        "torque_command_ahead_s": None if ahead is None else digits(ahead),
     }
     return known.model_copy(update={"identified": known.identified.model_copy(update=told)})
 

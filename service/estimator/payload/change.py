@@ -74,7 +74,7 @@ def find_change(settings, state):
             best, best_count = distance, n + 1
     if best_count > 0:
         state.hidden = 0.0
-        if settings.settling > 0.0 and active == 1:
+        if state.behind != 0 and active == 1:
             _leave_old_load_out(settings, state, best_count)
         _start_anew(state, best_count)
     return best_count

@@ -131,7 +131,7 @@ def _close_bin(settings, state):
         begin_whole(state)
         samples = state.changed = onset * settings.bin_size
         state.untold = max(0.0, LEAST_TIME - samples * settings.period)
-        if state.active > 1 or settings.settling > 0.0:
+        if state.active > 1 or state.behind != 0:
             part_blocks(settings, state, samples)
 
 

@@ -19,6 +19,7 @@ from schemas.kernels import kernel
 from service.model.mechanism import Mechanism
 from service.model.nominal import Correction
 from service.model.scene import Scene
+from service.model.signals import delayed, lagging
 
 
 class Instant(NamedTuple):
@@ -77,6 +78,11 @@ class Readout:
     late: float = 0.0
     lag: float = 0.0
     follows: float = 0.0
+
+    def report(self, torque: np.ndarray, period: float) -> np.ndarray:
+        """What is reported of torques (N, n) N m that act, a sample every `period` s."""
+        behind = lagging(torque, 0.5 / (np.pi * self.lag), period) if self.lag > 0.0 else torque
+        return delayed(behind, self.late, period)
 
 
 PERIODS = 1.5  # over a joint's travel, below which nothing shows that a torque is periodic

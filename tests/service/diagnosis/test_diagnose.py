@@ -52,6 +52,9 @@ def test_names_what_was_put_in(data, tmp_path, case, name, joints, parameter, tr
     assert robot.identified is not None
     assert robot.identified.model_error_nm is not None
     assert robot.identified.torque_commanded == (name is None), "as `identify` says of these logs"
+    assert robot.identified.torque_command_ahead_s == (pytest.approx(truth, abs=2e-5) if name else None), (
+        "which it and the report are apart by"
+    )
     left = np.hypot(robot.identified.model_error_nm.value, document["gap"]["noise_floor_nm"])
     assert measured == pytest.approx(np.sqrt(np.mean(left**2)), rel=0.15)
 

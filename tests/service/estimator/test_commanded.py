@@ -7,7 +7,7 @@ from schemas.messages import stamp_ns
 from schemas.robot import EffectEntry, EffectParameter
 from service.estimator import commanded
 from service.estimator.estimator import Estimator
-from service.model.signals import leading
+from service.model.signals import lagging, leading
 from tests.known import PERIOD
 from tests.service.estimator.test_trust import PICKS, carried, covered
 
@@ -42,6 +42,49 @@ def test_a_mass_is_known_sooner_by_what_the_drives_were_told(told, known):
 
     assert error(np.nan) > 0.03, "too little noise to tell"
     assert error(known.torque) < 0.015
+
+
+BEHIND = {
+    "torque_delay": ("delay", 0.003, 0.003, lambda torque: np.concatenate([torque[:1].repeat(3, axis=0), torque[:-3]])),
+    "torque_filter": ("cutoff", 50.0, 0.0, lambda torque: lagging(torque, 50.0, PERIOD)),
+}
+
+
+def behind(told, known, effect):
+    """A robot whose report is behind its command by an effect, and its samples."""
+    parameter, value, ahead, reported = BEHIND[effect]
+    entry = EffectEntry(name=effect, joints=[], parameters={parameter: EffectParameter(value=value)})
+    found = told.identified.model_copy(update={"torque_commanded": False, "torque_command_ahead_s": ahead})
+    samples = known.samples.copy()
+    samples["torque"] += reported(known.torque) - known.torque
+    samples["torque_command"] = known.torque
+    return told.model_copy(update={"identified": found, "effect": [entry]}), samples
+
+
+@pytest.mark.parametrize("effect", BEHIND)
+def test_a_mass_is_known_sooner_by_a_command_that_the_report_is_behind(told, known, effect):
+    robot, samples = behind(told, known, effect)
+
+    def error(samples):
+        payload = Estimator(robot, PERIOD).run(samples).payload
+        time = stamp_ns(payload) * 1e-9
+        fresh = np.any([(time > edge + 0.09) & (time < edge + 0.19) for *edges, _ in PICKS for edge in edges], axis=0)
+        return np.abs(payload["mass"] - carried(time))[fresh & (time > 0.5)].max()
+
+    assert error(samples) < 0.015
+    samples["torque_command"] = np.nan
+    assert error(samples) > 0.03, "too little noise to tell"
+
+
+@pytest.mark.parametrize("effect", BEHIND)
+def test_a_command_is_refuted_where_the_report_is_not_behind_it_as_described(told, known, effect):
+    robot, samples = behind(told, known, effect)
+    estimator = Estimator(robot, PERIOD)
+    samples["torque"][2000:] += samples["torque_command"][2000:] - BEHIND[effect][-1](known.torque)[2000:]
+    estimator.run(samples[:2000])
+    assert not estimator.state["drive_torque"]["refuted"]
+    estimator.run(samples[2000:])
+    assert estimator.state["drive_torque"]["refuted"]
 
 
 def test_a_drive_that_follows_its_command_late_is_weighed_by_what_it_makes_of_it(told, known):
