@@ -275,7 +275,7 @@ class Identified(TomlTable):
     torque_commanded: bool = False  # the reported torque is the commanded one and white noise
     # Time by which the commanded torque is ahead of the reported one, where nothing but that, noise and a filter among
     # the effects tells them apart; else absent.
-    torque_command_ahead_s: NotNegative | None = None
+    torque_command_ahead_s: float | None = None
     friction_transition_radps: NotNegative = 0.0  # speed over which Coulomb friction changes sign; 0: a jump
     # Standard error of the torque constants as a share, by a known load; absent without one.
     torque_constant_error: NotNegative | None = None

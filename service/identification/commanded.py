@@ -51,7 +51,7 @@ def command_ahead(traces: Sequence[Trace], readout: Readout) -> float | None:
 
     widest = max(trace.period for trace in traces)
     found: Any = minimize_scalar(square, bounds=(readout.late - widest, readout.late + widest), method="bounded")
-    ahead = max(0.0, float(found.x))
+    ahead = float(found.x)
     return ahead if all(is_commanded(one, reported(ahead, one)) for one in traces) else None
 
 

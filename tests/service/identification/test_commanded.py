@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.identification.commanded import is_commanded
-from tests.known import make, robot, trace_of
+from service.identification.commanded import command_ahead, is_commanded
+from service.model.effects.base import Readout
+from service.model.signals import lagging
+from tests.known import PERIOD, make, robot, trace_of
 
 __all__ = ["make", "robot"]
 
@@ -48,6 +50,29 @@ def test_a_torque_is_the_commanded_one_where_nothing_but_white_noise_is_between(
         flags=whole.flags[:count],
     )  # fmt: skip
     assert is_commanded(trace) is expected
+
+
+TELLS = [
+    (lambda torque: shifted(torque, 2.6), Readout(late=0.0022), 0.0026),
+    (lambda torque: shifted(torque, -0.3), Readout(), -0.0003),
+    (lambda torque: lagging(torque, 40.0, PERIOD), Readout(late=0.0003, lag=1 / (80 * np.pi)), 0.0),
+    (lambda torque: lagging(torque, 40.0, PERIOD), Readout(lag=1 / (100 * np.pi)), None),
+    (lambda torque: shifted(torque, 2.6), Readout(), None),
+    (lambda torque: shifted(torque, 2.6), Readout(late=0.0026, follows=0.008), None),
+    (lambda torque: shifted(torque * [1.0, 1.0, 1.05], 2.6), Readout(late=0.0026), None),
+]
+
+
+@pytest.mark.parametrize(("reported", "readout", "expected"), TELLS, ids=[
+    "late", "early", "filtered", "another filter", "far later", "a drive that follows", "one joint's scale",
+])  # fmt: skip
+def test_how_far_a_command_is_ahead_of_what_is_reported_of_it(make, reported, readout, expected):
+    known = make(4.0)
+    noise = NOISE / 2 * np.random.default_rng(3).standard_normal((2, *known.torque.shape))
+    logs = [replace(trace_of(known), torque=reported(known.torque) + one, torque_command=known.torque) for one in noise]
+    found = command_ahead(logs, readout)
+    assert found == (None if expected is None else pytest.approx(expected, abs=3e-5))
+    assert command_ahead([logs[0], trace_of(known)], readout) is None
 
 
 @pytest.mark.parametrize(("rows", "expected"), [(1000, True), (999, False)])
