@@ -180,11 +180,12 @@ def _compare(settings, state, torque, command):
 def _compare_behind(settings, state, since):
     """The same of the one in state.command, which the report is behind, `since` cycles after the last, 0 where one of
     the two is not known."""
-    reading, command = state.readout, state.command
-    reading.awake = reading.awake + settings.period if since == 1 else 0.0
+    reading, command, known = state.readout, state.command, since > 0
     if settings.readout.lag > 0.0:
         lag_kernel(settings.readout, reading, command, COMMAND, since * settings.period)
-    if reading.awake > PROOF_TIME:
+        reading.awake = reading.awake + settings.period if since == 1 else 0.0
+        known = reading.awake > PROOF_TIME  # until when it may be behind another torque
+    if known:
         _compare(settings, state, state.reported, command[0])
 
 
