@@ -103,6 +103,11 @@ def block_loss(residuals: Sequence[np.ndarray], split: Split) -> np.ndarray:
     return loss
 
 
+def predicts(lost: np.ndarray, kept: np.ndarray) -> bool:
+    """Whether the second of two models that are as simple is the better one: (blocks,) losses on data left out."""
+    return bool(lost.sum() - kept.sum() > WANTED_GAIN * lost.sum())
+
+
 def gains(lost: np.ndarray, kept: np.ndarray) -> bool:
     """Whether something optional is worth it: (blocks,) losses on data left out without it and with it."""
     gain = lost - kept

@@ -280,8 +280,8 @@ def fit(problem: Problem, noise: np.ndarray, robot: Description) -> Plain:
     rigid, viscous, coulomb = np.split(told.values, [k, k + n])
     base = replace(base, rigid=rigid, viscous=viscous, coulomb=coulomb)
     plain = solver.evaluate(problem, replace(fitted.hypothesis, base=base))
-    logs = [np.full(len(rows), number) for rows, number in zip(plain.residuals, problem.logs, strict=True)]
     as_weighed = plain if weighed is problem else solver.evaluate(weighed, plain.hypothesis)
+    logs = [np.full(len(rows), number) for rows, number in zip(as_weighed.residuals, problem.logs, strict=True)]
     left, right = _normal_equations(as_weighed, told.values, logs, max(problem.logs) + 1)
     left, right = _drawn(left, right, problem, drawn, told.assumed)
     residual = problem.rms(plain.residuals)

@@ -120,6 +120,7 @@ def _base_of_machine(machine: Axes | Chain) -> Base:
         with_motors(known.coulomb_friction, known.motor_coulomb_friction),
         np.array(transition) if isinstance(transition, list) else transition,
         known.torque_timing_s,
+        band_hz=np.inf if known.torque_band_hz is None else known.torque_band_hz,
     )
 
 
@@ -215,13 +216,18 @@ def identified_of(
             | timing
         )
     transition = base.transition
-    friction = timing | {
-        "viscous_friction": joints("f_v_{}"),
-        "coulomb_friction": joints("f_c_{}"),
-        "motor_viscous_friction": joints("f_v_motor_{}"),
-        "motor_coulomb_friction": joints("f_c_motor_{}"),
-        "friction_transition": _digits(transition) if isinstance(transition, np.ndarray) else digits(transition),
-    }
+    band = {"torque_band_hz": digits(base.band_hz)} if np.isfinite(base.band_hz) else {}
+    friction = (
+        timing
+        | band
+        | {
+            "viscous_friction": joints("f_v_{}"),
+            "coulomb_friction": joints("f_c_{}"),
+            "motor_viscous_friction": joints("f_v_motor_{}"),
+            "motor_coulomb_friction": joints("f_c_motor_{}"),
+            "friction_transition": _digits(transition) if isinstance(transition, np.ndarray) else digits(transition),
+        }
+    )
     if isinstance(robot, Chain):
         given = {} if robot.identified is None or robot.masses == "identified" else robot.identified.rigid
         rigid = {name: one(name) for name in figures if not name.startswith(("f_v_", "f_c_"))}

@@ -105,7 +105,7 @@ def predict_along(robot: Description, trace: Trace, along: Motion) -> dict[str, 
         friction = friction @ mechanism.rows
         result["M_Id+F"] = result["M_Id"] + friction
         result[FULL] = rigid.torque(base.rigid) + friction
-        if hypothesis.terms or base.timing:
+        if hypothesis.terms or base.timing or np.isfinite(base.band_hz):
             result[FULL] = torque_along(robot, trace.time, along.theta, along.theta_dot, along.theta_ddot)
     return result
 

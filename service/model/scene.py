@@ -25,7 +25,8 @@ class Base:
     transition: rad/s over which friction turns from one sign to the other, f_c tanh(theta_dot / transition), one for
     all or one (F,) each; 0: a jump. timing: s by which the torque is older than the position, a fraction of a sample.
     wanted: (k,) bool, coefficients that a fit moves; None: all. widest: (F,) rad/s that a fit may give each transition
-    at most; None: `parameters.WIDE_TRANSITION`.
+    at most; None: `parameters.WIDE_TRANSITION`. band_hz: up to which the torque follows the motion as modelled; what
+    the model says above it is cut off.
     """
 
     rigid: np.ndarray
@@ -35,6 +36,7 @@ class Base:
     timing: float = 0.0
     wanted: np.ndarray | None = None
     widest: np.ndarray | None = None
+    band_hz: float = np.inf
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ FEWEST = 100  # samples that tell
 LEAST_TORQUE = 1e-12  # N m, or N: the smallest motor's noise is a million times that
 NOISY = 0.03  # of the acceleration, rms: bends an inertia by its square
 LEAST_HZ = 3.0  # of the analysis band
+NARROWER = 1.25  # times, from one band that is tried to the next
 RATE = 1000.0  # Hz, regressors are built at no less than this: plenty for what the motion smoother passes
 CHUNK = 32  # columns filtered at a time: what fits in the cache
 # A torque that the drive makes anew every few samples and holds between:
@@ -459,7 +460,7 @@ def resolved_hz(parts: Sequence[Segment]) -> float:
         live = signal > 0
         if not live.any() or np.median(noise[live] / signal[live]) <= NOISY**2:
             break
-        cutoff /= 1.25
+        cutoff /= NARROWER
     return max(cutoff, LEAST_HZ)
 
 

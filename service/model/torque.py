@@ -13,7 +13,7 @@ from service.model.elastic import coupled
 from service.model.friction import mean_direction
 from service.model.hypothesis import Hypothesis, Term, inside_of
 from service.model.scene import Scene
-from service.model.signals import Band, delayed
+from service.model.signals import Band, delayed, lowpass
 
 
 def unreported(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
@@ -80,7 +80,10 @@ def reported(scene: Scene, hypothesis: Hypothesis, torque: np.ndarray) -> np.nda
 def predict(scene: Scene, hypothesis: Hypothesis) -> np.ndarray:
     """Reported torque (N, n) N m that the hypothesis expects."""
     torque = reported(scene, hypothesis, unreported(scene, hypothesis))
-    return delayed(torque, hypothesis.base.timing, scene.period)
+    torque = delayed(torque, hypothesis.base.timing, scene.period)
+    if hypothesis.base.band_hz < 0.5 / scene.period:
+        return lowpass(torque, scene.period, hypothesis.base.band_hz)
+    return torque
 
 
 def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +128,7 @@ def tangent(scene: Scene, hypothesis: Hypothesis, band: Band) -> tuple[np.ndarra
     columns[..., 0] = delayed(columns[..., 0], hypothesis.base.timing, scene.period)  # slopes can do without
     for index, values in raw.items():
         columns[..., index + 1] = values
-    columns = band(columns)
+    columns = replace(band, cutoff_hz=min(band.cutoff_hz, base.band_hz))(columns)
     return columns[..., 0], columns[..., 1:]
 
 

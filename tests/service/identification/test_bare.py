@@ -17,7 +17,8 @@ from service.identification.fit import Problem, evaluate, fit
 from service.identification.folds import gains
 from service.identification.pooled import Identification
 from service.model.mechanism import DecoupledAxes
-from service.model.prediction import motion
+from service.model.prediction import FULL, error_in_band, motion, predict_along
+from service.model.signals import lowpass
 from tests.service import arm
 from tests.service.sines import sines
 
@@ -97,10 +98,58 @@ def test_an_axis_weighs_by_what_is_left_on_it_not_by_its_noise() -> None:
     weighed = bare.by_what_is_left(quiet, hypothesis)
     residuals = evaluate(weighed, hypothesis).residuals
     joints = np.concatenate(problem.joints_of_rows)
-    each = [np.sqrt(np.mean(np.concatenate(residuals)[joints == joint] ** 2)) for joint in (0, 1)]
-    assert each == pytest.approx([1.0, 1.0], rel=0.02)
+    each = [np.median(np.abs(np.concatenate(residuals)[joints == joint])) for joint in (0, 1)]
+    assert each == pytest.approx([bare.NORMAL] * 2, rel=0.02)
     unweighed = evaluate(quiet, hypothesis).residuals
-    assert np.sqrt(np.mean(np.concatenate(unweighed)[joints == 1] ** 2)) > 5.0
+    assert np.median(np.abs(np.concatenate(unweighed)[joints == 1])) > 5.0 * bare.NORMAL
+
+
+def test_a_stop_takes_no_weight_from_the_axis() -> None:
+    """In one row of ten friction is anything, as near a stop: the axis weighs by what is left in motion."""
+    result = identified(*(log(seed) for seed in range(3)))
+    problem, hypothesis = result.fit.problem, result.fit.fitted.hypothesis
+    still = [np.where(np.arange(len(t)) % 10 == 0, 50.0, 0.0)[:, None] for t in problem.target]
+    stopped = replace(problem, target=[t + s for t, s in zip(problem.target, still, strict=True)])
+    clean, beside = (bare.by_what_is_left(one, hypothesis).weights[0][0, 0] for one in (problem, stopped))
+    assert beside == pytest.approx(clean, rel=0.25)
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_slow_rows_are_masked_where_all_are_predicted_better_without(
+    better: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the slow rows say of friction is then not in the fit."""
+    log_ = log(1)
+    speed = np.gradient(log_.position, PERIOD, axis=0)
+    slow = np.abs(speed) < 0.025 * np.sqrt(np.mean(speed**2))
+    held = replace(log_, torque=log_.torque - 20.0 * np.sign(speed) * slow)
+    monkeypatch.setattr(bare, "predicts", lambda lost, kept: False)
+    plain = identified(held).fit
+    monkeypatch.setattr(bare, "predicts", lambda lost, kept: better)
+    problem = bare.by_what_is_left(plain.problem, plain.fitted.hypothesis)
+    masked, fitted = bare.without_slow(problem, evaluate(problem, plain.fitted.hypothesis))
+    rows = np.concatenate(masked.rows)
+    assert rows.sum() < 0.99 * np.concatenate(problem.rows).sum() if better else masked is problem
+    wrong, before = (abs(float(one.hypothesis.base.coulomb[0]) - COULOMB) for one in (fitted, plain.fitted))
+    assert (wrong < 0.6 * before) == better
+
+
+def test_the_model_is_cut_off_above_the_band_of_a_recorder() -> None:
+    """One that filters torque and motion alike, there and back: friction's jumps are gone from its torque."""
+    sharp, filtered = log(1), []
+    for seed in range(3):
+        one = log(seed)
+        position, torque = (lowpass(values, PERIOD, 4.0) for values in (one.position, one.torque))
+        filtered.append(replace(one, position=position, torque=torque))
+    found, plain = (identified(*logs).robot for logs in (filtered, (sharp, log(2), log(3))))
+    assert found.identified is not None
+    assert plain.identified is not None
+    assert plain.identified.torque_band_hz is None
+    assert found.identified.torque_band_hz == pytest.approx(4.0, rel=0.4)
+    along = motion(filtered[0])
+    cut, whole = (predict_along(robot, filtered[0], along)[FULL] for robot in (found, plain))
+    left = [np.nanstd(error_in_band(filtered[0], along, torque)) for torque in (cut, whole)]
+    assert left[0] < 0.6 * left[1]
 
 
 def test_axes_have_no_masses_to_be_drawn_to() -> None:
