@@ -255,6 +255,8 @@ JOINT_REFERENCE = _load("JointReference")
 JOINT_FEEDFORWARD = _load("JointFeedforward")
 JOINT_ERROR = _load("JointError")
 LOAD = _load("Load")
+JOINT_GAP = _load("JointGap")
+JOINT_FINDING = _load("JointFinding")
 MOST_JOINTS: int = JOINT_SAMPLE.dtype["position"].shape[0]  # of an arm or of axes on the bus
 
 TOPICS = {
@@ -272,21 +274,27 @@ TOPICS = {
     "joint_feedforward": JOINT_FEEDFORWARD,
     "load": LOAD,
     "joint_error": JOINT_ERROR,
+    "joint_gap": JOINT_GAP,
+    "joint_finding": JOINT_FINDING,
 }
 
 
 class Topics(NamedTuple):
-    """Names in TOPICS of what a robot's roles say of each cycle; which they are depends on the kind of machine."""
+    """Names in TOPICS of what a robot's roles say of its joints; which they are depends on the kind of machine."""
 
     sample: str
     reference: str
     feedforward: str
     payload: str
     error: str
+    gap: str
+    finding: str
 
 
-OF_DELTA = Topics("sample", "reference", "feedforward", "payload", "error")
-OF_JOINTS = Topics("joint_sample", "joint_reference", "joint_feedforward", "load", "joint_error")
+OF_DELTA = Topics("sample", "reference", "feedforward", "payload", "error", "gap", "finding")
+OF_JOINTS = Topics(
+    "joint_sample", "joint_reference", "joint_feedforward", "load", "joint_error", "joint_gap", "joint_finding"
+)  # fmt: skip
 SAMPLES = tuple(topics.sample for topics in (OF_DELTA, OF_JOINTS))
 
 

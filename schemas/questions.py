@@ -14,7 +14,6 @@ from schemas.robot import Robot
 class Question(Enum):
     """A question that only some kinds of machine answer: its words, and what to run instead."""
 
-    WATCH = "watching of the gap on the bus", "on a log: deltatwin fleet"
     VIEW = "view in a browser", "on a terminal: deltatwin top"
     LEARNING = "learning of friction online", "without --keep"
     FIELDBUS = "decoding and driving of EtherCAT drives", "for a log from elsewhere: deltatwin import"

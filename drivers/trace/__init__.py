@@ -28,6 +28,7 @@ from schemas.columns import CHANNELS, Columns, load_columns
 from schemas.errors import TraceError
 from schemas.files import opened, whole
 from schemas.machine import Machine
+from schemas.messages import OF_DELTA, OF_JOINTS, TOPICS
 from schemas.questions import Question, as_delta
 from schemas.trace import Trace
 
@@ -151,7 +152,9 @@ def write_trace(
         if path.name.endswith(".mcap"):
             from drivers.trace.mcap_file import write_samples
 
-            write_samples([trace.samples()], partial, robot, trace.path, show)
+            # a Delta's message where it can hold them: three joints that turn
+            topic = (OF_DELTA if trace.angular and trace.position.shape[1] == 3 else OF_JOINTS).sample
+            write_samples([trace.samples(TOPICS[topic])], partial, robot, trace.path, show, topic)
         elif path.name.endswith(CSV_ENDINGS):
             from drivers.trace.csv_file import write_csv
 

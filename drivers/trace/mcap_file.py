@@ -17,7 +17,16 @@ from schemas.axes import Description
 from schemas.errors import MessageError, StorageError, TraceError
 from schemas.files import opened
 from schemas.keys import robot_key, topic_name
-from schemas.messages import CDR_LITTLE_ENDIAN, NANOSECONDS, SAMPLE, SAMPLES, TOPICS, Message, dtype_of, stamp_ns
+from schemas.messages import (
+    CDR_LITTLE_ENDIAN,
+    NANOSECONDS,
+    OF_DELTA,
+    SAMPLES,
+    TOPICS,
+    Message,
+    dtype_of,
+    stamp_ns,
+)
 from schemas.ros2 import ros_type
 from schemas.trace import Trace
 
@@ -164,8 +173,10 @@ def write_samples(
     robot: str,
     source: Path,
     show: Callable[[int], object] = lambda done: None,
+    called: str = OF_DELTA.sample,
 ) -> int:
-    """Write blocks of SAMPLE records, read from `source`, as messages of `robot`; how many.
+    """Write blocks of SAMPLE records, read from `source`, as messages of `robot`; how many. called: their topic, for
+    records of JOINT_SAMPLE that of these.
 
     Raises:
         TraceError: stamps before zero.
@@ -173,8 +184,8 @@ def write_samples(
     """
     done = 0
     with path.open("wb") as stream:
-        topic = topic_name(robot, "sample")
-        bag = BagWriter(stream, path, {topic: ros_type(SAMPLE)})
+        topic = topic_name(robot, called)
+        bag = BagWriter(stream, path, {topic: ros_type(TOPICS[called])})
         for samples in blocks:
             stamps = stamp_ns(samples)
             if stamps.min() < 0:

@@ -29,7 +29,7 @@ def command(
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
 ) -> None:
-    """Compare the robot with its description once a second, until Ctrl-C, and publish the difference as `gap`.
+    """Compare a machine with its description once a second, until Ctrl-C, and publish the difference as `gap`.
 
     The gap is compared with its level in motion of the same kind; motion of a new kind is learnt and raises no alarm.
     Stretches with a payload, as reported by gripper or estimator, are left out. When the gap rises and stays high, the
@@ -45,16 +45,16 @@ def command(
 
     from drivers.bus import check_free, open_bus
     from replay.process import process
+    from schemas.axes import Axes, load_description
     from schemas.errors import DataError
     from schemas.files import make_folder
-    from schemas.messages import Role
-    from schemas.questions import Question, load_delta
+    from schemas.messages import LOAD, TOPICS, Role
     from service.cli.reading import reading
     from service.stopping import stop_requested
     from service.watch.node import Examination, WatchNode, beyond_description, run
     from service.watch.watch import Patience, Watch
 
-    description = load_delta(robot, Question.WATCH, effects)
+    description = load_description(robot, effects)
     if description.identified is None:
         raise DataError(f"{robot}: no [identified] parameters to compare the robot with: run `deltatwin identify`")
     check_free(description.name, Role.WATCH, zenoh_config, insecure)
@@ -62,7 +62,9 @@ def command(
     make_folder(folder)  # before anything runs: a watch that cannot store has nothing to do
     watch = Watch(description, Patience(learn, after))
     for trace in reading(reference or [], description, None, "learning"):
-        watch.learn(trace, process(description, trace.samples()).payload)
+        samples = trace.samples(TOPICS[description.topics.sample])
+        carried = LOAD.empty(0) if isinstance(description, Axes) else process(description, samples).payload
+        watch.learn(trace, carried)
     if reference and watch.learnt < learn:
         typer.echo(
             f"watch: {watch.learnt:.1f} s of free motion in the reference, {learn:g} s are needed for a level; motion "

@@ -10,11 +10,12 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from service.model.effects.base import Amplitude, Effect
+from service.model.mechanism import SerialArm
 from service.model.scene import Scene
 
 
@@ -39,9 +40,31 @@ class FrictionLevel(Effect):
         return np.stack([scene.direction[:, joint], scene.segment.theta_dot[:, joint]], axis=1)
 
 
+@dataclass(frozen=True)
+class ToolLoad(Effect):
+    """A load on the tool of an arm other than it was: a tool that was changed, a part that was not set down."""
+
+    mass: Amplitude = Amplitude("kg", "mass on the tool, now minus before")
+    moment_x: Amplitude = Amplitude("kg m", "mass times its place along x of the tool's frame, now minus before")
+    moment_y: Amplitude = Amplitude("kg m", "the same along y")
+    moment_z: Amplitude = Amplitude("kg m", "the same along z")
+    name = "tool_load"
+    title = "The load on the tool has changed"
+    means = "Check tool, gripper and what they hold; if the change is meant, put it into the description as payload."
+    per_joint = False
+    own_joint = False
+    kinds = frozenset({"chain"})
+    settles = "the same path with and without the tool"
+
+    def regressors(self, scene: Scene, joint: int, nonlinear: tuple[float, ...]) -> np.ndarray:
+        """(N, n, 4)."""
+        arm, motion = cast(SerialArm, scene.mechanism).arm, scene.segment
+        return arm.columns(motion.theta, motion.theta_dot, motion.theta_ddot) @ arm.body_on(arm.tool)[:, :4]
+
+
 def changes(effects: Sequence[Effect], first: int) -> tuple[Effect, ...]:
-    """`effects`, and a change of the friction, at work in recordings of trace number `first` and later."""
-    return tuple(_coming_on(effect, first) for effect in (FrictionLevel(), *effects))
+    """`effects`, and changes of friction and load, at work in recordings of trace number `first` and later."""
+    return tuple(_coming_on(effect, first) for effect in (FrictionLevel(), ToolLoad(), *effects))
 
 
 def _coming_on(effect: Effect, first: int) -> Effect:

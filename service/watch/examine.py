@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from drivers.trace import write_trace
+from schemas.axes import Description, load_description
 from schemas.diagnosis import NamedEffect, named_joints
 from schemas.files import make_folder, write_text
-from schemas.robot import Robot, load_robot
 from schemas.trace import Trace
 from schemas.watch import WatchFinding
 from service.diagnosis.diagnose import diagnose
@@ -43,7 +43,7 @@ def report(description: Path, effects: Path | None, folder: Path, rise: Rise) ->
     Raises:
         DeltatwinError: a file cannot be written, or `examine` gave up.
     """
-    robot = load_robot(description, effects)
+    robot = load_description(description, effects)
     make_folder(folder)
     for name, trace in (("before", rise.before), ("after", rise.after)):
         if trace is not None:
@@ -53,7 +53,7 @@ def report(description: Path, effects: Path | None, folder: Path, rise: Rise) ->
     return finding
 
 
-def examine(robot: Robot, rise: Rise, effects: Sequence[Effect]) -> WatchFinding:
+def examine(robot: Description, rise: Rise, effects: Sequence[Effect]) -> WatchFinding:
     """Find out which of `effects` came between before and after; where there is no before, what the description lacks.
 
     Raises:
@@ -87,7 +87,7 @@ def examine(robot: Robot, rise: Rise, effects: Sequence[Effect]) -> WatchFinding
     return finding.model_copy(update={"text": in_words(finding)})
 
 
-def standing(robot: Robot, before: Sequence[Trace], effects: Sequence[Effect]) -> Robot:
+def standing(robot: Description, before: Sequence[Trace], effects: Sequence[Effect]) -> Description:
     """The description with what it lacked already: else something that came on would stand in for it.
 
     Raises:
@@ -95,9 +95,7 @@ def standing(robot: Robot, before: Sequence[Trace], effects: Sequence[Effect]) -
     """
     if diagnose(robot, before, ()).verdict == "within_noise":
         return robot
-    known = corrected(diagnose(robot, before, effects))
-    assert isinstance(known, Robot)
-    return known
+    return corrected(diagnose(robot, before, effects))
 
 
 def in_words(finding: WatchFinding) -> str:
@@ -106,8 +104,9 @@ def in_words(finding: WatchFinding) -> str:
     verdict, effects = finding.diagnosis.verdict, finding.diagnosis.effects
     if effects:
         after, left = (float(np.hypot.reduce(values)) for values in (finding.after_nm, finding.left_nm))
+        unit = finding.diagnosis.gap.unit
         rest = "" if verdict == "explained" else ", part of it remains unexplained"
-        return f"{rise}: {'; '.join(map(_effect, effects))}; reduces it from {after:.3g} N m to {left:.3g}{rest}"
+        return f"{rise}: {'; '.join(map(_effect, effects))}; reduces it from {after:.3g} {unit} to {left:.3g}{rest}"
     if verdict == "within_noise":
         return f"{rise}, but within the noise of the stretch examined"
     said = [caution.code.replace("_", " ") for caution in finding.diagnosis.cannot_tell]
@@ -130,7 +129,7 @@ def _effect(effect: NamedEffect) -> str:
     return f"{effect.name}{where} ({', '.join(figures)}{doubt})"
 
 
-def _parts(trace: Trace, count: int, robot: Robot) -> list[Trace]:
+def _parts(trace: Trace, count: int, robot: Description) -> list[Trace]:
     """`trace` as runs of equal length, named alike with a number, flagged as a log that is read."""
     trace = flagged(trace, robot)
     return [

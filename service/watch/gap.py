@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from schemas.axes import Description
 from schemas.errors import PoseError
 from schemas.messages import GAP
 from schemas.robot import Robot
@@ -14,7 +15,7 @@ from service.model.description import hypothesis_of
 from service.model.hypothesis import Hypothesis
 from service.model.mechanism import mechanism_of
 from service.model.scene import Recording, Scene
-from service.model.signals import Band, Segment, resolved_hz
+from service.model.signals import LEVER, Band, Segment, resolved_hz
 from service.model.torque import predict
 from service.watch.level import KINDS, kinds
 
@@ -43,12 +44,13 @@ class Stretch:
 class Measure:
     """Measures stretches of `robot` in one band, which is that of the first motion seen. Floor: (n,) N m rms in it."""
 
-    def __init__(self, robot: Robot, first: list[Segment]) -> None:
+    def __init__(self, robot: Description, first: list[Segment]) -> None:
         self._mechanism = mechanism_of(robot)
         self._hypothesis = hypothesis_of(robot)
+        self._unit = LEVER if robot.linear else 1.0
         self.period = first[0].period
         self.band = Band.of(self.period, resolved_hz(first))
-        told = None if robot.identified is None else robot.identified.torque_noise_nm
+        told = robot.identified.torque_noise_nm if isinstance(robot, Robot) and robot.identified else None
         noise = white_noise([self._recording(part) for part in first]) if told is None else np.array(told.value)
         self.floor = np.maximum(noise, 1e-6) * self.band.white_share**0.5
         terms = self._hypothesis.terms
@@ -81,7 +83,7 @@ class Measure:
     def _one(self, part: Segment, rows: np.ndarray) -> Stretch:
         scene = Scene(self._recording(part), self._hypothesis.base)
         every = self.band.step
-        which = kinds(part.theta_dot[::every], part.theta_ddot[::every])
+        which = kinds(part.theta_dot[::every] / self._unit, part.theta_ddot[::every] / self._unit)
         target = self.band(part.torque)
 
         def left(hypothesis: Hypothesis) -> np.ndarray:

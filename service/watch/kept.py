@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, grey_opening, maximum_filter1d, median_filter
 
 from drivers.trace.quality import RowNames, check
+from schemas.axes import Description
 from schemas.messages import NANOSECONDS, Gripper, SampleFlag, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Trace
@@ -19,17 +20,21 @@ MOST_ROWS = 1 << 20  # 71 MB; at 8 kHz the newest 131 s
 CARRIED_KG = 0.06  # half of the least change that the estimator takes for a pick
 TICK_S = 0.05  # that what the estimator sees is kept by
 SPIKE, DOUBT = 5, 9  # ticks, of a median: a release swings below what is left, and is told with a great doubt
-EARLY_S = 0.2  # a pick lasts that long at most before the estimator sees it
+EARLY_S = 0.2  # a pick lasts that long at most before the estimator of a Delta sees it
+EARLY_ARM_S = 1.5  # that of an arm: half a second agrees with another load, the next half confirms it
 BAND_S = 0.05  # that the analysis band smears it over
 LONGEST_PICK_S = 10.0  # a mass that stays for longer is no pick but the robot's
 STRAY_S = 10.0  # from the middle of what came together: a stamp of another clock
 _TICK = round(TICK_S * NANOSECONDS)
-_ROW = np.dtype(
-    [("time", "i8"), ("position", "3f8"), ("torque", "3f4"), ("command", "3f4"), ("flags", "u4"), ("gripper", "u1")]
-)
 
 
-def flagged(trace: Trace, robot: Robot) -> Trace:
+def _row(count: int) -> np.dtype:
+    """A sample of `count` joints."""
+    joints = [("position", "f8", (count,)), ("torque", "f4", (count,)), ("command", "f4", (count,))]
+    return np.dtype([("time", "i8"), *joints, ("flags", "u4"), ("gripper", "u1")])
+
+
+def flagged(trace: Trace, robot: Description) -> Trace:
     """What was kept, flagged like a log that is read.
 
     Raises:
@@ -39,16 +44,20 @@ def flagged(trace: Trace, robot: Robot) -> Trace:
 
 
 class Kept:
-    """Samples of the last `KEEP_S`, `MOST_ROWS` at most. Time is bus time less that of the first sample."""
+    """Samples of `robot` in the last `KEEP_S`, `MOST_ROWS` at most. Time is bus time less that of the first sample."""
 
-    def __init__(self) -> None:
+    def __init__(self, robot: Description) -> None:
+        self._count, self._angular = robot.count, robot.angular
+        self._row = _row(robot.count)
+        delta = isinstance(robot, Robot)
+        self._doubt, self._early = ("std_dev", EARLY_S) if delta else ("mass_random", EARLY_ARM_S)
         self.epoch = 0  # bus time, ns, of the first sample
         self._parts: deque[np.ndarray] = deque()
         self._rows = 0
         self._seen: deque[tuple[int, float, float]] = deque()  # tick of bus time, kg, kg of standard deviation
 
     def add(self, samples: np.ndarray) -> bool:
-        """Take (N,) SAMPLE records in the order they came; whether the clock of the bus began anew."""
+        """Take (N,) records of samples in the order they came; whether the clock of the bus began anew."""
         stamps = stamp_ns(samples)
         middle = int(np.sort(stamps)[len(stamps) // 2])
         same = np.abs(stamps - middle) < STRAY_S * NANOSECONDS
@@ -60,12 +69,11 @@ class Kept:
             self._rows = 0
         if not self._parts:
             self.epoch = int(stamps[0])
-        rows = np.empty(len(samples), _ROW)
+        rows = np.empty(len(samples), self._row)
         rows["time"] = stamps - self.epoch
-        rows["position"], rows["torque"] = samples["position"], samples["torque"]
-        rows["command"], rows["flags"], rows["gripper"] = (
-            samples["position_command"], samples["flags"], samples["gripper"]
-        )  # fmt: skip
+        for name, said in (("position", "position"), ("torque", "torque"), ("command", "position_command")):
+            rows[name] = samples[said][:, : self._count]
+        rows["flags"], rows["gripper"] = samples["flags"], samples["gripper"]
         self._parts.append(rows)
         self._rows += len(rows)
         oldest = rows["time"][-1] - KEEP_S * NANOSECONDS
@@ -74,14 +82,14 @@ class Kept:
         return anew
 
     def carry(self, payload: np.ndarray) -> None:
-        """Take (N,) PAYLOAD records: what the estimator sees on the platform."""
+        """Take (N,) PAYLOAD or LOAD records: what the estimator sees on platform or tool."""
         near = np.abs(stamp_ns(payload) - self.epoch - self.newest * NANOSECONDS) < STRAY_S * NANOSECONDS
-        payload = payload[near & np.isfinite(payload["mass"]) & np.isfinite(payload["std_dev"])]
+        payload = payload[near & np.isfinite(payload["mass"]) & np.isfinite(payload[self._doubt])]
         ticks = stamp_ns(payload) // _TICK
         for k in np.flatnonzero(np.diff(ticks, append=-1)):  # the last of each tick
             while self._seen and self._seen[-1][0] >= ticks[k]:
                 self._seen.pop()
-            self._seen.append((int(ticks[k]), float(payload["mass"][k]), float(payload["std_dev"][k])))
+            self._seen.append((int(ticks[k]), float(payload["mass"][k]), float(payload[self._doubt][k])))
         while self._seen and self._seen[-1][0] - self._seen[0][0] > KEEP_S / TICK_S:
             self._seen.popleft()
 
@@ -99,7 +107,7 @@ class Kept:
         """The samples from `start` to `stop`, s, as a trace, unchecked; flagged LOADED where something was carried."""
         first, last = start * NANOSECONDS, stop * NANOSECONDS
         parts = [part for part in self._parts if part["time"][-1] >= first and part["time"][0] <= last]
-        rows = np.concatenate(parts) if parts else np.empty(0, _ROW)
+        rows = np.concatenate(parts) if parts else np.empty(0, self._row)
         rows = rows[(rows["time"] >= first) & (rows["time"] <= last)]
         command = rows["command"].astype(np.float64)
         return Trace(
@@ -110,6 +118,7 @@ class Kept:
             position_command=command if len(rows) and np.isfinite(command).all() else None,
             flags=np.where(self._loaded(rows), rows["flags"] | np.uint32(SampleFlag.LOADED), rows["flags"]),
             epoch_ns=self.epoch,
+            angular=self._angular,
         )
 
     def _loaded(self, rows: np.ndarray) -> np.ndarray:
@@ -133,5 +142,5 @@ class Kept:
         mass = median_filter(mass, SPIKE, mode="nearest")
         stays = grey_opening(mass, 2 * round(LONGEST_PICK_S / TICK_S / 2) + 1, mode="constant", cval=-np.inf)
         carried = mass - np.maximum(stays, 0.0) > CARRIED_KG + median_filter(doubt, DOUBT, mode="nearest")
-        early, late = (math.ceil(seconds / TICK_S) for seconds in (EARLY_S + BAND_S, BAND_S))
+        early, late = (math.ceil(seconds / TICK_S) for seconds in (self._early + BAND_S, BAND_S))
         return binary_dilation(carried, np.arange(-early, early + 1) <= late), int(ticks[0])

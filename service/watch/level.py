@@ -10,8 +10,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import convolve1d
 
-SPEED_EDGES = np.geomspace(0.1, 6.4, 7)  # rad/s
-ACCELERATION_EDGES = np.geomspace(1.0, 400.0, 14)  # rad/s^2; narrow: what a wrong inertia leaves grows with its square
+SPEED_EDGES = np.geomspace(0.1, 6.4, 7)  # rad/s, or a lever's of linear axes
+ACCELERATION_EDGES = np.geomspace(
+    1.0, 400.0, 14
+)  # rad/s^2, or the same; narrow: what a wrong inertia leaves grows with its square
 KINDS = (len(SPEED_EDGES) + 1) * (len(ACCELERATION_EDGES) + 1)
 KNOWN_ROWS = 120  # rows of a kind from which its level is known; 0.6 s at the 200 Hz of the analysis band
 SEEN_ROWS = 24  # rows of a kind from which its neighbours' level is its own, 0.12 s
@@ -20,7 +22,8 @@ FULL_ROWS = 600  # rows after which it is learnt no more
 
 
 def kinds(theta_dot: np.ndarray, theta_ddot: np.ndarray) -> np.ndarray:
-    """(N, n) kind of motion of every row and joint, 0 to KINDS - 1. theta_dot, theta_ddot: (N, n) rad/s, rad/s^2."""
+    """(N, n) kind of motion of every row and joint, 0 to KINDS - 1. theta_dot, theta_ddot: (N, n) rad/s, rad/s^2;
+    those of linear axes over `LEVER`."""
     speed = np.searchsorted(SPEED_EDGES, np.abs(theta_dot))
     fastest = np.searchsorted(ACCELERATION_EDGES, np.abs(theta_ddot).max(axis=1))
     return speed * (len(ACCELERATION_EDGES) + 1) + fastest[:, None]

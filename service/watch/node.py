@@ -1,4 +1,4 @@
-"""The watch on the bus: takes `sample` and `payload`, gives `gap` once a second and `finding` after a rise."""
+"""The watch on the bus: takes samples and payloads, gives the gap once a second and a finding after a rise."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import numpy as np
 from drivers.bus import Bus
 from drivers.health import Health
 from drivers.sequence import SequenceCounter
-from schemas.messages import FINDING, NANOSECONDS, FindingVerdict, HealthFlag, StopReason, WatchState, set_stamp
+from schemas.axes import Description
+from schemas.messages import NANOSECONDS, TOPICS, FindingVerdict, HealthFlag, StopReason, WatchState, set_stamp
+from schemas.robot import Robot
 from schemas.watch import WatchFinding
 from service.monitor.tally import INVALID
 from service.watch.examine import report, stand_back
@@ -66,8 +68,9 @@ class WatchNode:
     ) -> None:
         self.health = Health(bus)
         self._watch, self._examination_of, self._say = watch, examination, say
-        self._samples, self._payloads = bus.subscribe("sample", DEPTH), bus.subscribe("payload", DEPTH)
-        self._gap, self._finding = bus.publisher("gap").put, bus.publisher("finding").put
+        topics, self._own = watch.robot.topics, slice(watch.robot.count)
+        self._samples, self._payloads = bus.subscribe(topics.sample, DEPTH), bus.subscribe(topics.payload, DEPTH)
+        self._gap, self._finding = bus.publisher(topics.gap).put, bus.publisher(topics.finding).put
         self._counter = SequenceCounter()
         self._examination: Examination | None = None
         self._heard_ns = time.monotonic_ns()
@@ -96,12 +99,12 @@ class WatchNode:
         before, self._state = self._state, WatchState(int(gap["state"]))
         raised = (WatchState.RAISED, WatchState.DIAGNOSING)
         if before == WatchState.LEARNING != self._state:
-            self._say(f"level learnt: {_figures(gap['gap'])} N m rms")
+            self._say(f"level learnt: {_figures(gap['gap'][self._own])} {torque_unit(self._watch.robot)} rms")
             doubt = beyond_description(self._watch)
             if doubt:
                 self._say(f"{doubt}: run `deltatwin diagnose` on a new log")
         elif self._state in raised and before not in raised:
-            self._say(f"gap has risen: {_figures(gap['ratio'])} times its level by joint")
+            self._say(f"gap has risen: {_figures(gap['ratio'][self._own])} times its level by joint")
         elif before in raised and self._state == WatchState.WATCHING:
             self._say("gap is back at its level")
 
@@ -119,10 +122,10 @@ class WatchNode:
             found = examination.result()
         except Exception as error:  # whatever it was, it is told, and the watch goes on
             text = f"the diagnosis failed: {type(error).__name__}: {error}"
-            self._finding(_failed(examination.rise, self._found).tobytes())
+            self._finding(_failed(examination.rise, self._found, self._watch.robot).tobytes())
         else:
             text = found.text
-            self._finding(message_of(found, self._found).tobytes())
+            self._finding(message_of(found, self._found, self._watch.robot).tobytes())
         self._say(f"{text} ({examination.folder})")
         self._found += 1
         self._published += 1
@@ -155,11 +158,16 @@ def _figures(values: np.ndarray) -> str:
     return ", ".join(f"{value:.3g}" for value in values)
 
 
-def message_of(found: WatchFinding, sequence: int) -> np.ndarray:
+def torque_unit(robot: Description) -> str:
+    """Of its joints."""
+    return "N" if robot.linear else "N m"
+
+
+def message_of(found: WatchFinding, sequence: int, robot: Description) -> np.ndarray:
     """A finding as a message (1,)."""
-    message = _message(found.since_s, found.until_s, sequence)
-    message["before"], message["after"] = found.before_nm, found.after_nm
-    message["left"], message["floor"] = found.left_nm, found.floor_nm
+    message = _message(found.since_s, found.until_s, sequence, robot)
+    for name in ("before", "after", "left", "floor"):
+        message[name][:, : robot.count] = getattr(found, f"{name}_nm")
     message["verdict"] = FindingVerdict[found.diagnosis.verdict.upper()]
     for strongest in found.diagnosis.effects[:1]:
         message["probability"] = strongest.probability
@@ -169,17 +177,19 @@ def message_of(found: WatchFinding, sequence: int) -> np.ndarray:
     return message
 
 
-def _failed(rise: Rise, sequence: int) -> np.ndarray:
+def _failed(rise: Rise, sequence: int, robot: Description) -> np.ndarray:
     epoch = rise.after.epoch_ns / NANOSECONDS
-    message = _message(epoch + rise.since, epoch + float(rise.after.time[-1]), sequence)
+    message = _message(epoch + rise.since, epoch + float(rise.after.time[-1]), sequence, robot)
     message["verdict"] = FindingVerdict.FAILED
     for name in ("before", "after", "left", "floor"):
-        message[name] = np.nan
+        message[name][:, : robot.count] = np.nan
     return message
 
 
-def _message(since: float, until: float, sequence: int) -> np.ndarray:
-    message = FINDING.empty(1)
+def _message(since: float, until: float, sequence: int, robot: Description) -> np.ndarray:
+    message = TOPICS[robot.topics.finding].empty(1)
+    if not isinstance(robot, Robot):
+        message["count"] = robot.count
     set_stamp(message, round(until * NANOSECONDS))
     message["sequence"], message["higher_for"] = sequence, until - since
     return message

@@ -11,8 +11,9 @@ from operator import add
 
 import numpy as np
 
+from schemas.axes import Description
 from schemas.errors import DataError, TraceError
-from schemas.messages import GAP, NANOSECONDS, WatchState, set_stamp, stamp_ns
+from schemas.messages import NANOSECONDS, TOPICS, WatchState, set_stamp, stamp_ns
 from schemas.robot import Robot
 from schemas.trace import Trace
 from service.model.signals import EDGE, segments, thin
@@ -47,7 +48,7 @@ class Patience:
 
 @dataclass(frozen=True)
 class Look:
-    """One second. ratio: (3,) root mean of every row's square over its level's, NaN where too little is known."""
+    """One second. ratio: (n,) root mean of every row's square over its level's, NaN where too little is known."""
 
     time: float
     stretch: Stretch
@@ -56,7 +57,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Rise:
-    """What to diagnose. since: s, when the gap rose; joints: (3,) bool, where. before, after: the motion around."""
+    """What to diagnose. since: s, when the gap rose; joints: (n,) bool, where. before, after: the motion around."""
 
     since: float
     joints: np.ndarray
@@ -67,23 +68,28 @@ class Rise:
 class Watch:
     """Give it samples as they come; it gives a GAP record a second, and a `Rise` when there is one to diagnose."""
 
-    def __init__(self, robot: Robot, patience: Patience | None = None) -> None:
+    def __init__(self, robot: Description, patience: Patience | None = None) -> None:
         self._robot, self._patience = robot, patience or Patience()
         self.state = WatchState.LEARNING
         self.diagnosing = False
-        self._kept = Kept()
+        self._kept = Kept(robot)
         self._measure: Measure | None = None
         self._level: Level | None = None
         self.learnt = 0.0  # s of free motion that the level is from
         self._lesson: deque[Stretch] = deque(maxlen=LESSON)
-        self._usual = np.full(3, np.nan)  # the most that `_often` was while the level was learnt
+        self._usual = np.full(robot.count, np.nan)  # the most that `_often` was while the level was learnt
         self._looks: deque[Look] = deque(maxlen=round(KEEP_S / EVERY_S))
         self._due = BEFORE_S + EVERY_S + 2 * EDGE
         self._new: deque[Look] = deque()  # not learnt yet
         self._calm = True
-        self._high = np.zeros(3, bool)  # joints in which the gap has risen
+        self._high = np.zeros(robot.count, bool)  # joints in which the gap has risen
         self._sequence = 0
         self._told_at: float | None = None  # when a rise was last given
+
+    @property
+    def robot(self) -> Description:
+        """What is watched."""
+        return self._robot
 
     @property
     def raised(self) -> bool:
@@ -91,12 +97,13 @@ class Watch:
         return self.state in (WatchState.RAISED, WatchState.DIAGNOSING)
 
     def learn(self, trace: Trace, payload: np.ndarray) -> None:
-        """Take the level from a log. payload: (M,) PAYLOAD records of it. Call `settle` after the last.
+        """Take the level from a log. payload: (M,) PAYLOAD or LOAD records of it. Call `settle` after the last.
 
         Raises:
             DataError: nothing in it tells the gap, naming the file.
         """
-        samples, stamps, learnt = trace.samples(), stamp_ns(payload), self.learnt
+        samples = trace.samples(TOPICS[self._robot.topics.sample])
+        stamps, learnt = stamp_ns(payload), self.learnt
         self._patience, given = Patience(np.inf), self._patience
         for k in range(0, len(samples), step := max(1, round(EVERY_S / trace.period))):
             some = samples[k : k + step]
@@ -104,7 +111,7 @@ class Watch:
             self.add(some, payload[begin : end + 1])
         self._patience = given
         self._anew()
-        self._kept = Kept()
+        self._kept = Kept(self._robot)
         if self.learnt == learnt:
             raise DataError(f"{trace.path}: holds no free motion of {self._robot.name} from which to learn the gap")
 
@@ -119,16 +126,16 @@ class Watch:
 
     @property
     def beyond_description(self) -> np.ndarray:
-        """(3,) gap of what was learnt over what the description left when it was made; NaN: it does not say."""
-        found = self._robot.identified
+        """(n,) gap of what was learnt over what the description left when it was made; NaN: it does not say."""
+        found = self._robot.identified if isinstance(self._robot, Robot) else None
         if found is None or found.model_error_nm is None or self._measure is None or not self._lesson:
-            return np.full(3, np.nan)
+            return np.full(self._robot.count, np.nan)
         total = reduce(add, self._lesson)
         left = np.hypot(self._measure.floor, found.model_error_nm.value)
         return _rms(total.square.sum(axis=0), total.count.sum(axis=0)) / left
 
     def add(self, samples: np.ndarray, payload: np.ndarray | None = None) -> list[np.ndarray]:
-        """Take (N,) SAMPLE and (M,) PAYLOAD records; the GAP records, (1,) each, that became due."""
+        """Take (N,) records of samples and (M,) of payloads or loads; those of the gap, (1,) each, that became due."""
         if len(samples) and self._kept.add(samples):
             self._anew()
         if payload is not None:
@@ -224,15 +231,17 @@ class Watch:
         return None if self._measure is None else self._measure(parts, start, stop)
 
     def _risen(self, stop: float) -> np.ndarray:
-        """(3,) how far the gap stands above its level at `stop`, s: in most looks, or again and again in some."""
+        """(n,) how far the gap stands above its level at `stop`, s: in most looks, or again and again in some."""
         ratios = {
-            count: np.array([one.ratio for one in self._looks if one.time > stop - count * EVERY_S]).reshape(-1, 3)
+            count: np.array([one.ratio for one in self._looks if one.time > stop - count * EVERY_S]).reshape(
+                -1, self._robot.count
+            )
             for count in (WINDOW, OFTEN_WINDOW)
         }
         return np.fmax(_typical(ratios[WINDOW]), _often(ratios[OFTEN_WINDOW]) / self._usual)
 
     def _ratio(self, stretch: Stretch) -> np.ndarray:
-        """(3,) root mean over the rows whose level is known of square over level; NaN where they are too few."""
+        """(n,) root mean over the rows whose level is known of square over level; NaN where they are too few."""
         assert self._level is not None
         assert self._measure is not None
         known = self._level.known
@@ -264,41 +273,43 @@ class Watch:
         return looks[int(np.argmin(spread)) + 1].time - EVERY_S
 
     def _message(self, stop: float, total: Stretch | None, ratio: np.ndarray) -> np.ndarray:
-        message = GAP.empty(1)
+        message, own = TOPICS[self._robot.topics.gap].empty(1), slice(self._robot.count)
         set_stamp(message, round(stop * NANOSECONDS) + self._kept.epoch)
         message["sequence"], self._sequence = self._sequence, self._sequence + 1
-        message["ratio"] = ratio
-        for name in ("gap", "floor", "level", "trend", "share"):
-            message[name] = np.nan
+        if not isinstance(self._robot, Robot):
+            message["joints"] = self._robot.count
+        message["ratio"][:, own], message["share"] = ratio, np.nan
+        for name in ("gap", "floor", "level", "trend"):
+            message[name][:, own] = np.nan
         if self._measure is not None:
-            message["floor"] = self._measure.floor
+            message["floor"][:, own] = self._measure.floor
         if total is None or self._level is None:
             return message
         count = total.count.sum(axis=0)
-        message["gap"] = _rms(total.square.sum(axis=0), count)
+        message["gap"][:, own] = _rms(total.square.sum(axis=0), count)
         known = np.where(self._level.known, total.count, 0.0)
         message["known"] = known.sum() / max(float(count.sum()), 1.0)
         message["moving"] = total.seconds.mean()
         if self.state != WatchState.LEARNING:
-            message["level"] = _rms((known * self._level.mean_square).sum(axis=0), known.sum(axis=0))
+            message["level"][:, own] = _rms((known * self._level.mean_square).sum(axis=0), known.sum(axis=0))
         if len(self._looks) >= TREND_LOOKS:
             time = np.array([look.time for look in self._looks])
             rms = [_rms(look.stretch.square.sum(axis=0), look.stretch.count.sum(axis=0)) for look in self._looks]
-            message["trend"] = [_slope(time, column) * 60.0 for column in np.transpose(rms)]
+            message["trend"][:, own] = [_slope(time, column) * 60.0 for column in np.transpose(rms)]
         message["share"] = np.clip((total.without - total.energy) / max(total.bare, 1e-12), 0.0, 1.0)
         return message
 
 
 def _typical(ratios: np.ndarray) -> np.ndarray:
-    """(3,) median of looks' ratios (M, 3), which a collision or a stop in one of them does not move; NaN of few."""
+    """(n,) median of looks' ratios (M, n), which a collision or a stop in one of them does not move; NaN of few."""
     told = np.isfinite(ratios)
     return np.array([np.median(r[t]) if t.sum() >= HOLD else np.nan for r, t in zip(ratios.T, told.T, strict=True)])
 
 
 def _often(ratios: np.ndarray) -> np.ndarray:
-    """(3,) what looks' ratios (M, 3) reach `OFTEN` times; NaN of few. Friction at reversals is not in every look."""
+    """(n,) what looks' ratios (M, n) reach `OFTEN` times; NaN of few. Friction at reversals is not in every look."""
     if len(ratios) < 2 * OFTEN:
-        return np.full(3, np.nan)
+        return np.full(ratios.shape[1], np.nan)
     told = np.isfinite(ratios)
     largest = np.sort(np.where(told, ratios, -np.inf), axis=0)[-OFTEN]
     return np.where(told.sum(axis=0) >= 2 * OFTEN, largest, np.nan)

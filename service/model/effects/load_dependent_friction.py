@@ -25,7 +25,8 @@ def _online(effect, now, i):
 
 @dataclass(frozen=True)
 class LoadDependentFriction(Effect):
-    mu: Amplitude = Amplitude("", "friction torque per transmitted torque", low=0.0)
+    # at 1 a gear locks itself
+    mu: Amplitude = Amplitude("", "friction torque per transmitted torque", low=0.0, high=1.0)
     motor_share: Nonlinear = Nonlinear(
         "", "share of the acceleration torque on the motor side of the gear", (0.0, 0.25, 0.5, 0.75, 1.0), 0.0, 1.0,
         fixed=True,

@@ -27,7 +27,7 @@ WITHOUT_A_MACHINE = {
     "blindtest", "demo", "doctor", "ethercat-demo", "experiment", "import", "init", "keys", "latency", "recover",
     "verify",
 }  # fmt: skip
-ON_THE_BUS = {"replay", "estimate", "monitor", "top"}  # processes of their own, see the last test
+ON_THE_BUS = {"replay", "estimate", "monitor", "top", "watch"}  # processes of their own, see the last test
 # of each command its words after the name; what it says where a kind has no answer, None: it works
 FIELDBUS, CODE = "EtherCAT drives", "code for a controller"
 TABLE: dict[str, tuple[str, dict[str, str | None]]] = {
@@ -58,7 +58,7 @@ TABLE: dict[str, tuple[str, dict[str, str | None]]] = {
     "estimate": ("--robot {robot}", {}),
     "estimate --keep kept.json": ("--robot {robot}", dict.fromkeys(KINDS, "learning of friction")),
     "monitor": ("--robot {robot} --out {out}.mcap", {}),
-    "watch": ("--robot {robot}", dict.fromkeys(KINDS, "watching of the gap")),
+    "watch": ("--robot {robot}", {}),
     "top": ("--robot {robot}", {}),
     "view": ("--robot {robot}", dict.fromkeys(KINDS, "view in a browser")),
     "tap": ("nowhere0 --robot {robot}", dict.fromkeys(KINDS, FIELDBUS)),
@@ -145,11 +145,14 @@ def test_a_log_on_the_bus_is_answered_recorded_and_shown(
     """Each role a process of its own, as a user starts them."""
     robot, run = str(machines[kind]["robot"]), tmp_path / "run.mcap"
     name = {"axes": "bench", "chain": "small"}[kind]
-    with open_bus(name, Role.WATCH) as bus, Supervisor(tmp_path) as crew:
+    with open_bus(name, Role.TAP) as bus, Supervisor(tmp_path) as crew:
         monitor = crew.start(lambda: Role.MONITOR in bus.alive, "monitor", "--robot", robot, "--out", run)
         estimator = crew.start(lambda: Role.ESTIMATOR in bus.alive, "estimate", "--robot", robot)
         top = crew.start(lambda: Role.OBSERVER in bus.alive, "top", "--robot", robot)
-        for role in (monitor, estimator, top):
+        watch = crew.start(
+            lambda: Role.WATCH in bus.alive, "watch", "--robot", robot, "--learn", 3, "--out", tmp_path / "found"
+        )
+        for role in (monitor, estimator, top, watch):
             role.wait_ready()
         # at half speed: what is compared are bits, and beside other tests a role may be passed over
         crew.run("replay", machines[kind]["log"], "--robot", robot, "--wait", 20, "--speed", 0.5)
@@ -163,6 +166,10 @@ def test_a_log_on_the_bus_is_answered_recorded_and_shown(
     expected = process(load_description(robot), sent)
     for topic, records in zip(("joint_feedforward", "load", "joint_error"), expected, strict=True):
         assert recorded[topic].records.tobytes() == records.tobytes(), topic
+    gap = recorded["joint_gap"].records
+    assert (gap["joints"] == log.position.shape[1]).all()
+    assert np.isfinite(gap["gap"][-1]).all()
+    assert (gap["gap"][-1, : log.position.shape[1]] > 0).all()
     assert "torque feed-forward" in shown
     assert ("load, kg" in shown) == (kind == "chain")
     again = read_trace(run)
