@@ -16,7 +16,6 @@ from schemas.trace import Trace
 from service.identification.events import Event, JointRun, events, outside
 from service.identification.frequency import MEASURED, Spectra, spectra_of
 from service.identification.held import held_s
-from service.identification.payload import weighed
 from service.model.dynamics import PAYLOAD, torque_terms
 from service.model.nominal import pack
 from service.model.prediction import FULL, Motion, error_in_band, motion, predict_along, rows_of
@@ -123,6 +122,8 @@ def _events(trace: Trace, error: np.ndarray) -> list[Event]:
 
 def _carried(robot: Robot, trace: Trace, along: Motion) -> np.ndarray | None:
     """Torque (N, 3), N m, of the payload as the online estimator weighs it; None where it saw no pick."""
+    from service.identification.payload import weighed  # and the estimator with it, which `identify` does without
+
     found = weighed(robot, trace)
     if not (found.event == PayloadEvent.PICK).any():
         return None
