@@ -35,7 +35,7 @@ STATED = {
     ),
     "load_dependent_friction": (
         "per_joint own_joint directional",
-        {"mu": ("", 0.0, INF), "motor_share": ("", 0.0, 1.0, "fixed")},
+        {"mu": ("", 0.0, 1.0), "motor_share": ("", 0.0, 1.0, "fixed")},
         [],
         INF,
         INF,
