@@ -15,7 +15,7 @@ from service.model.effects import CATALOGUE
 FILES = {
     "robot": (Robot, "Delta robot description", "The TOML file of `--robot` for a Delta robot."),
     "axes": (Axes, "Description of axes", 'The TOML file of `--robot` for separate axes, `kind = "axes"`.'),
-    "arm": (Chain, "Arm description", 'The TOML file of `--robot` for a serial arm by its URDF, `kind = "chain"`.'),
+    "arm": (Chain, "Arm description", 'The TOML file of `--robot` for a serial arm with a URDF, `kind = "chain"`.'),
     "columns": (
         Columns, "Column mapping",
         "How the columns of a foreign table are read: `[columns]` in a robot description, or a separate file for "
