@@ -143,7 +143,7 @@ def take_turns(
         for what, prober in probers.items():
             while not prober.heard:
                 if not processes[what].is_alive() or time.monotonic() > give_up:
-                    raise BusError(f"{what}: ended, or listens to nothing after {START_S:g} s")
+                    raise BusError(f"{what}: ended, or did not subscribe within {START_S:g} s")
                 time.sleep(0.05)
             prober.probe(WARM_UP, lambda _: None)  # the first samples design the filters
         done, block = 0, count // BLOCKS

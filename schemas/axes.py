@@ -31,8 +31,8 @@ from schemas.urdf import read_urdf
 
 
 class Axis(TomlTable):
-    """One axis. gear_ratio: motor turns an axis turn, for ripple orders. gravity: whether its weight changes with its
-    angle; what does not change is its constant load."""
+    """One axis. gear_ratio: for the orders of ripple. gravity: whether its weight torque changes with its angle; the
+    part that does not change is its constant load."""
 
     unit: Literal["m", "rad"] = "rad"  # of the position
     gear_ratio: Positive = 1.0  # motor turns per turn of the axis
@@ -51,8 +51,8 @@ class Axis(TomlTable):
 
 
 class AxesIdentified(JointFriction):
-    """torque = inertia x_ddot + friction + offset + sin sin x + cos cos x, SI, a number an axis; and inertia of each
-    motor that turns with several axes."""
+    """torque = inertia x_ddot + friction + offset + gravity_sin sin x + gravity_cos cos x, SI, one value per axis; and
+    the inertia of each motor that turns with several axes."""
 
     inertia: JointParameter
     offset: JointParameter
@@ -62,7 +62,7 @@ class AxesIdentified(JointFriction):
 
 
 class Axes(Machine):
-    """n decoupled axes."""
+    """One or more servo axes that do not influence each other."""
 
     kind: Literal["axes"]  # of the machine
     called: ClassVar[str] = "servo axes"

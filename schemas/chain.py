@@ -29,21 +29,21 @@ Names = Annotated[list[str], Field(max_length=MAX_JOINTS)]
 
 
 class CarriedMass(TomlTable):
-    """A mass on a link of the URDF. centre_m: of its gravity, in the link's frame."""
+    """A mass on a link of the URDF."""
 
     frame: str  # link of the URDF
     mass_kg: NotNegative | None = None  # default: to be identified
-    centre_m: Three = Field([0.0, 0.0, 0.0])  # in the frame of the link
+    centre_m: Three = Field([0.0, 0.0, 0.0])  # centre of mass in the frame of the link
 
 
 class ChainIdentified(JointFriction):
-    """rigid: masses as far as motion tells them (base parameters), rotor inertias and constant loads, by name."""
+    """rigid: base parameters (combinations of masses that motion determines), rotor inertias and constant loads."""
 
     rigid: dict[str, Parameter]
 
 
 class Chain(Machine):
-    """A serial arm."""
+    """A serial arm that is described by a URDF."""
 
     kind: Literal["chain"]  # of the machine
     called: ClassVar[str] = "an arm"

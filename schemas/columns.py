@@ -138,8 +138,8 @@ class TorqueColumn(_JointChannel):
 
 
 class RowFilter(TomlTable):
-    """Rows that count: those with `equals` in the column `name`, or with anything but `unlike` where that is said. The
-    others are left out, and that is told."""
+    """Rows to use: those with the value `equals` in the column `name`, or with any value except `unlike` if that is
+    given. The other rows are left out, and their number is reported."""
 
     name: str  # of the column
     equals: float = 1.0  # value of rows to use

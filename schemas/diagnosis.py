@@ -13,14 +13,14 @@ Verdict = Literal["within_noise", "explained", "partly_explained", "unexplained"
 
 
 class DocumentPart(BaseModel):
-    """A table of a document that we write; a figure may be NaN where there is none."""
+    """A table of a document that we write; a value that does not exist may be NaN."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Online(DocumentPart):
-    """Whether the online model carries an effect: from the present sample, as a state from sample to sample, in its
-    settings, or between the torque and its report; or that it does not."""
+    """Whether and how the online model contains an effect: computed from the present sample, as a state from sample to
+    sample, in its settings, or between the true and the reported torque; or not at all."""
 
     carried: bool
     reason: Literal["present_sample", "state", "settings", "report", "no_online_form"]
@@ -77,12 +77,12 @@ class Estimate(DocumentPart):
 
 
 class NamedEffect(DocumentPart):
-    """An effect that the data support. joints count from 1, empty where the effect sits on no single joint.
+    """An effect that the data support. joints count from 1; empty if the effect acts on the robot as a whole.
 
-    probability: that it is at work, against what may be in its place or nothing, beside all that was found; in the mean
+    probability: that the effect is present, against alternative effects or none, given all other named effects; mean
     over block-bootstrap draws of the data.
-    gap_share: of the gap's energy above the noise that it removes on data left out. title: the name in words of the
-    plant. means: what it means and what to do.
+    gap_share: share of the gap's energy above the noise that it removes on held-out data. title: the effect in plain
+    words. means: what it means and what to do.
     """
 
     name: str
@@ -98,7 +98,7 @@ class NamedEffect(DocumentPart):
 
 
 class Ranked(DocumentPart):
-    """A candidate, named or not. shrink: of the rms on data left out, over what stood before it."""
+    """A candidate, named or not. shrink: of the rms on held-out data, relative to the model before it was added."""
 
     name: str
     joints: list[int]
@@ -108,9 +108,9 @@ class Ranked(DocumentPart):
 
 
 class Rival(DocumentPart):
-    """What came into question where the data decide least: all effects of a model, as a description carries them.
+    """An alternative model at the point where the data decide least: all its effects, as in a description.
 
-    probability, shrink: as in `Ranked`, of the last of them.
+    probability, shrink: as in `Ranked`, of the last effect.
     """
 
     effects: list[EffectEntry]
@@ -119,9 +119,9 @@ class Rival(DocumentPart):
 
 
 class Follows(DocumentPart):
-    """Something that the gap left in a joint (from 1) follows and the model of the joint does not know.
+    """A quantity on which the residual of a joint (from 1) depends, and which the model of the joint does not contain.
 
-    other: the joint whose motion it is. share: of what is left above the noise, on data left out.
+    other: the joint whose motion it is. share: of the residual's energy above the noise, on held-out data.
     """
 
     joint: int
@@ -131,21 +131,21 @@ class Follows(DocumentPart):
 
 
 class Extreme(DocumentPart):
-    """Least or largest value of a torque or force, and where that is. One number each, or x, y and z."""
+    """Smallest or largest value of a torque or force, and where it occurs. One number each, or x, y and z."""
 
     value: list[float]
     at: list[float]
 
 
 class Located(DocumentPart):
-    """What the residual depends on that no effect explains. A torque of one joint (from 1) that depends on its angle,
-    on its angle and the direction of motion (friction there) or on its speed; or, joint None, a force on the platform
-    that depends on its position.
+    """A quantity on which the unexplained residual depends. Either a torque of one joint (from 1) that depends on its
+    angle, on its angle and the direction of motion (friction there) or on its speed; or, if joint is None, a force on
+    the platform that depends on its position.
 
-    alternative: the data do not separate it from the one before it that is none. share: of all residuals above the
-    noise, on held-out data, with its 95 % interval over blocks. rms: of torque or force about its mean over the motion,
-    in `unit`. extremes: the least and the largest torque, or the largest force; up to a constant where the base model
-    takes that.
+    alternative: the data do not separate it from the last entry above for which this is false. share: of the energy of
+    all residuals above the noise, on held-out data, with its 95 % interval over blocks. rms: of torque or force about
+    its mean over the motion, in `unit`. extremes: the smallest and the largest torque, or the largest force; known only
+    up to a constant if the base model contains a constant.
     """
 
     joint: int | None
@@ -160,7 +160,7 @@ class Located(DocumentPart):
 
 
 class Moved(DocumentPart):
-    """A parameter of the base model, with its standard error, before and after; an error of 0 is not known."""
+    """A parameter of the base model, with its standard error, before and after; an error of 0 means unknown."""
 
     before: float
     before_error: float
@@ -212,8 +212,8 @@ class FrequencyShare(DocumentPart):
 
 
 class JointWhere(DocumentPart):
-    """Where the gap of one joint (from 1) lies. rows: compared. budget_nm2: mean square by cause, adding up to that of
-    the base model's gap. Regimes come strongest concentration first."""
+    """How the gap of one joint (from 1) is distributed. rows: number of compared samples. budget_nm2: mean square by
+    cause; their sum is that of the base model's gap. Regimes are sorted, strongest concentration first."""
 
     joint: int
     rows: int
@@ -225,16 +225,16 @@ class JointWhere(DocumentPart):
 
 
 class RunLevel(DocumentPart):
-    """What is left in one run, over the noise."""
+    """Residual of one run, over the noise."""
 
     run: str
     after_over_noise: float
 
 
 class Burst(DocumentPart):
-    """A stretch in which the gap of a joint (from 1) stands far above the rest: an event, not a property.
+    """A stretch in which the gap of a joint (from 1) is far above the rest: an event, not a property.
 
-    over_noise: its rms, slow parts taken out, over the noise floor.
+    over_noise: its rms, without slow parts, over the noise floor.
     """
 
     run: str
@@ -245,7 +245,8 @@ class Burst(DocumentPart):
 
 
 class Where(DocumentPart):
-    """Where the gap lies. Runs come worst first, bursts strongest; bursts_rhythm_s: the period that most keep."""
+    """How the gap is distributed. Runs are sorted worst first, bursts strongest first. bursts_rhythm_s: the period of
+    most bursts."""
 
     joints: list[JointWhere]
     left_out_at_rest_and_ends: float
@@ -255,7 +256,7 @@ class Where(DocumentPart):
 
 
 class Shrunk(DocumentPart):
-    """Rms a joint by the model before and after, in the analysis band."""
+    """Rms per joint with the model before and after, in the analysis band."""
 
     before_nm: list[float]
     after_nm: list[float]
@@ -266,8 +267,8 @@ class Shrunk(DocumentPart):
 class Simulated(DocumentPart):
     """The models before and after, simulated under the recorded torque: rms error after the horizon.
 
-    path_mm: rms way of the measured platform in that time. floor: torque noise and start state alone. None: the
-    simulated robot left the workspace in every window. left_out: effects that have no form forward in time.
+    path_mm: rms distance that the measured platform moves in that time. floor: torque noise and start state alone.
+    None: the simulated robot left the workspace in every window. left_out: effects that cannot be simulated.
     """
 
     horizon_s: float
@@ -282,10 +283,10 @@ class Simulated(DocumentPart):
 
 
 class Unseen(DocumentPart):
-    """A log kept out of everything. bursts: of the corrected model's gap there, and the period in s that most keep.
+    """A test log, used for nothing else. bursts: of the corrected model's gap in it. rhythm_s: period of most bursts.
 
-    simulated: where the robot is a Delta that moves. outside: without the bursts, where there are any. outside_share:
-    of the moving time that is left then.
+    simulated: if the robot is a Delta that moves. outside: without the bursts, if there are any. outside_share: share
+    of the moving time outside the bursts.
     """
 
     trace: str
@@ -298,12 +299,12 @@ class Unseen(DocumentPart):
 
 
 class OnlineFigures(DocumentPart):
-    """What the estimator makes of the loads with one description.
+    """Performance of the estimator on the loads with one description.
 
-    right: changes of the load after which the mass is within the larger of 5 % and 50 g from 150 ms on to the next.
-    trusted: share of the time from 150 ms after each change. false_events: that no change explains. feedforward_nm: rms
-    of measured torque less feed-forward where nothing is carried, joints moving, below 40 Hz; feedforward_over_noise:
-    the same over the noise floor, where nothing is wrong 1.
+    right: number of load changes after which the mass is within the larger of 5 % and 50 g, from 150 ms after the
+    change until the next. trusted: share of the time from 150 ms after each change. false_events: events without a load
+    change. feedforward_nm: rms of measured torque minus feed-forward without a load, while joints move, below 40 Hz.
+    feedforward_over_noise: the same over the noise floor; 1 for a correct model.
     """
 
     right: int
@@ -317,13 +318,13 @@ OnlineReason = Literal["not_carried", "no_rest"]
 
 
 class OnlineTrial(DocumentPart):
-    """What the correction is worth to the estimator, by process replay of logs with known loads.
+    """How much the correction improves the estimator, by process replay of logs with known loads.
 
-    reason: why there are no figures, if there are none: the online model does not carry the effects `left_out`, or no
-    log has two rests in which a load could come and go. traces: the logs; simulated: loads were added to the torque of
-    a log as recorded, while all joints rested; held_out: a log that was not fitted. seconds: of all logs. changes: of
-    the load, that are judged; none where loads cannot be simulated, behind gears that yield. identified: without the
-    correction, or the baseline where one is given.
+    reason: why there are no values, if there are none: the online model does not contain the effects `left_out`, or no
+    log has two rests at which a load could be picked and released. traces: the logs. simulated: loads were added to the
+    recorded torque of a log, while all joints were at rest. held_out: a log that was not fitted. seconds: of all logs.
+    changes: evaluated changes of the load; 0 with elastic gears, where loads cannot be simulated. identified: without
+    the correction, or with the baseline if one is given.
     """
 
     reason: OnlineReason | None = None
@@ -338,9 +339,9 @@ class OnlineTrial(DocumentPart):
 
 
 class FrequencyResponse(DocumentPart):
-    """From the torque of a joint (from 1) to its speed, over all of the motion. magnitude, in `unit`, and phase_deg:
-    by name, `measured` and each model along the measured motion. coherence: share of the measured speed's power that
-    follows the measured torque linearly; where it is far below 1 the response says nothing."""
+    """Frequency response from the torque of a joint (from 1) to its speed, over the whole motion. magnitude, in `unit`,
+    and phase_deg: by name, `measured` and each model along the measured motion. coherence: share of the measured
+    speed's power that follows the measured torque linearly; if it is far below 1, the response is not reliable."""
 
     joint: int
     unit: str
@@ -362,11 +363,11 @@ class Diagnosis(DocumentPart):
     """Where the gap lies, which effect causes it, how far it shrinks.
 
     plain: parameters of the base model fitted without effects. base: refitted together with the effects. tests: the
-    correction on logs given for that alone. given: effects that the description carried already. follows: what is left
-    follows, strongest first. located: on what it depends, where more than noise is left. moved: base parameters from
-    the baseline's, where one is given. rivals: what a motion that settles it has to tell apart, best first. online:
-    what the correction is worth to the estimator; of a Delta whose logs were at hand. frequency_response: measured, and
-    of the models before and after; where the logs were at hand.
+    correction on logs that are used for nothing else. given: effects that the description already contains. follows:
+    quantities on which the residual depends, strongest first. located: the same as torques and forces, if the residual
+    is above the noise. moved: base parameters compared with the baseline's, if one is given. rivals: alternative
+    models that a further motion must separate, best first. online: how much the correction improves the estimator; only
+    for a Delta. frequency_response: measured, and of the models before and after.
     """
 
     schema_: Literal["deltatwin.diagnosis/2"] = Field("deltatwin.diagnosis/2", alias="schema")

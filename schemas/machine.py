@@ -14,9 +14,9 @@ MOST_COUPLED = 1e6  # condition of a coupling matrix
 
 
 class JointFriction(TomlTable):
-    """viscous x_dot + coulomb sign x_dot, SI, a number a joint, and the same of each motor that turns with several.
+    """viscous x_dot + coulomb sign x_dot, SI, one value per joint, and one per motor that turns with several joints.
 
-    friction_transition: one for all, or one a joint and then one such motor.
+    friction_transition: one for all, or one per joint and then one per such motor.
     """
 
     viscous_friction: JointParameter  # N m s/rad, or N s/m
@@ -31,10 +31,10 @@ class JointFriction(TomlTable):
 
 
 class JointLimits(TomlTable):
-    """Limits of the joints, a number a joint, for the feed-forward online and for planned motion.
+    """Limits of the joints, one value per joint, for the feed-forward online and for planned motion.
 
-    No feed-forward beyond them leaves the estimator, whatever the input. Those of an arm are in its URDF, and are only
-    needed here where they are others.
+    No feed-forward beyond them leaves the estimator, whatever the input. An arm's limits are in its URDF; give them
+    here only to replace those.
     """
 
     torque: list[Positive] | None = None  # N m, or N: largest feed-forward

@@ -48,17 +48,17 @@ class SampleFlag(enum.IntFlag):
     NO_COMMAND = 128  # no command came with the sample
     COMMAND_OUT_OF_RANGE = 256  # a commanded position outside the joint range or not finite: not followed
     COMMAND_JUMP = 512  # the command moved further in one cycle than the joint can: not differentiated
-    LIMITED = 1024  # of a feed-forward: the torque or its slope was held at its bound
-    FADING = 2048  # of a feed-forward: no usable motion, the last torque is on its way to zero
-    FRICTION_HELD = 4096  # of a feed-forward: what was learnt of friction, which is in it, is held at its bound
-    LOADED = 8192  # something is carried whose mass is not known: not the robot's own torque
-    STATE_NEW = 16384  # of a result: what effects remember (gears, bristles) starts over, and is unsure for a while
+    LIMITED = 1024  # of a feed-forward: the torque or its slope was limited to its bound
+    FADING = 2048  # of a feed-forward: no usable motion, the last torque fades to zero
+    FRICTION_HELD = 4096  # of a feed-forward: the learnt friction in it is limited to its bound
+    LOADED = 8192  # an unknown payload is carried: the torque is not the robot's own
+    STATE_NEW = 16384  # of a result: the states of effects (gears, bristles) were reset and are uncertain for a while
 
 
 class Gripper(enum.IntEnum):
-    """What the gripper says of itself in a sample."""
+    """State of the gripper in a sample."""
 
-    UNKNOWN = 0  # nothing does
+    UNKNOWN = 0  # no gripper signal
     OPEN = 1  # it holds nothing
     CLOSED = 2  # it may hold something
 
@@ -81,7 +81,7 @@ class PayloadEvent(enum.IntEnum):
 
 
 class Role(enum.IntEnum):
-    """Who speaks. One process of each role per robot."""
+    """The sender of a message. There is one process of each role per robot."""
 
     PLAYER = 0
     ESTIMATOR = 1
@@ -94,49 +94,49 @@ class Role(enum.IntEnum):
 
 
 class WatchState(enum.IntEnum):
-    """What the watch makes of the gap."""
+    """State of the watch."""
 
     LEARNING = 0  # the level is not known yet
-    WATCHING = 1  # the gap is what it was
-    RAISED = 2  # it is higher
-    DIAGNOSING = 3  # it is higher, and a diagnosis is under way
+    WATCHING = 1  # the gap is at its level
+    RAISED = 2  # the gap is higher
+    DIAGNOSING = 3  # the gap is higher, and a diagnosis is running
     NEW_MOTION = 4  # most of the motion is of a kind whose level is not known
-    IDLE = 5  # too little motion to tell
+    IDLE = 5  # too little motion
 
 
 class FindingVerdict(enum.IntEnum):
-    """What a finding says of the risen gap."""
+    """Result of a diagnosis after the gap has risen."""
 
-    EXPLAINED = 0  # by the named effects
-    PARTLY_EXPLAINED = 1
-    UNEXPLAINED = 2  # nothing in the catalogue explains it, or nothing can be told apart
-    WITHIN_NOISE = 3  # nothing is left to explain
-    FAILED = 4  # the diagnosis did not run to its end
+    EXPLAINED = 0  # the named effects explain the gap
+    PARTLY_EXPLAINED = 1  # the named effects explain part of it
+    UNEXPLAINED = 2  # no effect of the catalogue explains it, or the data cannot separate them
+    WITHIN_NOISE = 3  # the gap is within the noise
+    FAILED = 4  # the diagnosis failed
 
 
 class HealthFlag(enum.IntFlag):
-    """Standing conditions of a role."""
+    """Present conditions of a role."""
 
     NO_REALTIME = 1  # SCHED_FIFO or memory locking was refused
     DISK_ERROR = 2  # the log cannot be written
-    STALE_INPUT = 4  # nothing comes in, for longer than some cycles
+    STALE_INPUT = 4  # no input for some cycles
     BUS_FAULT = 8  # working counter, lost cycles or drive state
     DUPLICATE_SOURCE = 16  # two senders on one key
     WRONG_DECLARATION = 32  # drives contradict the robot description
-    STALE_FEEDFORWARD = 64  # the drives get no fresh feed-forward: it fades to zero or is zero
-    FRICTION_DRIFT = 256  # friction is further from the identified one than the robot description allows
-    COMMAND_REFUTED = 512  # the drives do not do what torque_command says, as identified: masses are weighed without it
-    SCALE_DRIFT = 1024  # a torque constant is further from the identified one than the robot description allows
-    EFFECT_LEFT_OUT = 2048  # the description names an effect that the online model does without
-    STOPPED = 128  # the last word of this role; `reason` says why
+    STALE_FEEDFORWARD = 64  # the drives get no new feed-forward: it fades to zero or is zero
+    FRICTION_DRIFT = 256  # friction has drifted from the identified value by more than the robot description allows
+    COMMAND_REFUTED = 512  # the drives do not follow torque_command as identified: masses are estimated without it
+    SCALE_DRIFT = 1024  # a torque constant has drifted by more than the robot description allows
+    EFFECT_LEFT_OUT = 2048  # the description names an effect that the online model leaves out
+    STOPPED = 128  # the last message of this role; `reason` says why it ended
 
 
 class StopReason(enum.IntEnum):
     """Why a role ended, in its last health message."""
 
-    RUNNING = 0  # it has not
-    DONE = 1  # what it was to do is done
-    INTERRUPTED = 2  # by Ctrl-C or a polite kill
+    RUNNING = 0  # the role has not ended
+    DONE = 1  # its work is done
+    INTERRUPTED = 2  # by Ctrl-C or SIGTERM
     BUS_FAULT = 3  # drives, working counter or link
     DISK_ERROR = 4
     ERROR = 5  # anything else, as its stderr says

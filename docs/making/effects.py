@@ -170,7 +170,7 @@ def page(effect: Effect) -> str:
     for title, key in (("Physics and equation", "Physics"), ("In the model", "Implementation")):
         if key in parts:
             text.append(f"## {title}\n\n{parts[key]}\n")
-    text.append("## Check on the machine\n\n" + (effect.means or "Nothing is stored for this effect.") + "\n")
+    text.append("## Check on the machine\n\n" + (effect.means or "No advice is stored for this effect.") + "\n")
     text.append(f"The motion that shows it best: {effect.settles}.\n")
     text.append("## Parameters\n\n" + _quantities(effect))
     text.append("\n## What it is confused with\n\n" + parts.get("Limitations", "") + "\n" + _confused(effect))

@@ -220,7 +220,7 @@ def centre_pose(truth: PlantTruth) -> np.ndarray:
     try:
         kinematics.forward(true_geometry(truth), theta)
     except PoseError as error:
-        raise PoseError(f"the plant cannot be put together in its centre: {error}") from error
+        raise PoseError(f"the simulated robot cannot be assembled in the middle of its workspace: {error}") from error
     return theta
 
 

@@ -184,7 +184,7 @@ class Plant:
             self._advance()
         if self.data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or abs(self.closure_error) > 1e-3:
             raise DataError(
-                f"plant: the mechanism came apart at {self.time:.3f} s, joints at "
+                f"simulated robot: the closed chain broke at {self.time:.3f} s, joints at "
                 f"{', '.join(f'{angle:.3f}' for angle in self.theta)} rad: the motion runs into a singular pose"
             )
 

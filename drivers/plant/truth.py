@@ -26,33 +26,29 @@ POSITION_BANDWIDTH, VELOCITY_BANDWIDTH, INTEGRAL_TIME = 8.0, 30.0, 0.05  # Hz, H
 
 
 class PlantTruth(TomlTable):
-    """Everything the physics is made of. Joint side, SI, one entry an arm where three."""
+    """All parameters of the simulated physics. Joint side, SI; lists of three have one entry per arm."""
 
     gravity_mps2: Three  # vector in the base frame
-    # geometry
-    active_link_length_m: PositivePerJoint
+    active_link_length_m: PositivePerJoint  # from the joint axis to the elbow
     passive_link_length_m: PositivePerJoint  # from elbow to wrist
     base_radius_m: PositivePerJoint  # of the joints' axes
     platform_radius_m: Positive  # from its centre to the wrists
     arm_angles_deg: Three  # azimuth of each arm
     joint_offset_rad: Three = [0.0, 0.0, 0.0]  # true minus measured angle
-    # inertia
-    active_link_kg: PositivePerJoint
-    active_link_centre_m: Three  # mass centre from the joint axis, along the link
+    active_link_kg: PositivePerJoint  # without motor and gear
+    active_link_centre_m: Three  # distance of the centre of mass from the joint axis, along the link
     active_link_inertia_kgm2: PositivePerJoint  # about the joint axis, rotor and gear not included
     forearm_kg: PositivePerJoint  # both rods
-    platform_kg: Positive  # with what it always carries
+    platform_kg: Positive  # with the gripper that it always carries
     rotor_inertia_kgm2: NotNegativePerJoint = [0.0, 0.0, 0.0]  # rotor and gear, reflected to the joint
-    # friction
-    coulomb_friction_nm: NotNegativePerJoint = [0.0, 0.0, 0.0]
+    coulomb_friction_nm: NotNegativePerJoint = [0.0, 0.0, 0.0]  # per joint
     viscous_friction_nms: NotNegativePerJoint = [0.0, 0.0, 0.0]  # N m s/rad
     creep_radps: NotNegative = 0.0  # speed within which dry friction builds up in lubricated gears; 0: true stiction
-    # drives and sensors
-    gear_ratio: Positive = 1.0
+    gear_ratio: Positive = 1.0  # motor turns per turn of the joint
     position_bandwidth_hz: Positive = POSITION_BANDWIDTH  # of the drives' position loop
     velocity_bandwidth_hz: Positive = VELOCITY_BANDWIDTH  # of the velocity loop
     integral_time_s: Positive = INTEGRAL_TIME  # of the velocity loop
-    peak_torque_nm: Positive  # that a drive gives at the joint
+    peak_torque_nm: Positive  # largest torque of a drive, at the joint
     encoder_counts_per_turn: NotNegative = 0.0  # motor side; 0: no quantisation
     encoder_noise_rad: NotNegative = 0.0  # rms per reading, joint side
     torque_noise_nm: NotNegativePerJoint = [0.0, 0.0, 0.0]  # rms per sample of the reported torque

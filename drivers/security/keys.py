@@ -165,7 +165,7 @@ def _heading(host: Host, robot: str | None, role: Role, source: Role, until: dat
     name = role.name.lower()
     return (
         f"// deltatwin {name} of {robot or 'any robot'} on {host.folder}; {source.name.lower()} writes samples.\n"
-        f"// {name}.pem is valid until {until:%Y-%m-%d %H:%M} UTC; files are looked for beside this one.\n"
+        f"// {name}.pem is valid until {until:%Y-%m-%d %H:%M} UTC; other files are expected next to this one.\n"
     )
 
 

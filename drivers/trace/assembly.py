@@ -305,7 +305,7 @@ def _refuse_wraps(raw: np.ndarray, channel: Channel, lines: RowNames, path: Path
         stays = np.convolve(away != usual, np.ones(STAYS), "valid") == STAYS
         if stays.any():
             at = np.flatnonzero(wraps) + 1
-            remedy = f"bits = {bits}" if isinstance(channel.column, TorqueColumn) else "count its turns on first"
+            remedy = f"bits = {bits}" if isinstance(channel.column, TorqueColumn) else "unwrap it first"
             raise TraceError(
                 f"{path}: {channel.label} steps by 2^{bits} {len(at)} times ({lines.name(known[at])}): a reading of "
                 f"{bits} bits that wraps: {remedy}"

@@ -144,7 +144,7 @@ def to_trace(samples: np.ndarray, path: Path) -> Trace:
     stamps, names = stamp_ns(samples), samples.dtype.names or ()
     joints = np.unique(samples["joints"]) if "joints" in names else np.array([3])
     if len(joints) > 1 or not 0 < joints[0] <= samples["position"].shape[1]:
-        raise TraceError(f"{path}: samples of {', '.join(map(str, joints))} joints: one number of joints is needed")
+        raise TraceError(f"{path}: samples of {', '.join(map(str, joints))} joints: the number must not change")
     of_joints = slice(int(joints[0]))
     epoch = int(stamps[0]) if np.abs(stamps).max() > EXACT_SECONDS * NANOSECONDS else 0
     commands = {}

@@ -36,7 +36,7 @@ class Known(NamedTuple):
 
 def command(
     robot: Annotated[Path, robot_file(", or the name of a bundled one.")] = Path("d3-1200"),
-    out: Annotated[Path, typer.Option(help="Folder for page, pictures and figures as JSON.")] = Path("closed-loop"),
+    out: Annotated[Path, typer.Option(help="Folder for page, pictures and values as JSON.")] = Path("closed-loop"),
     identified: Annotated[
         Path | None,
         typer.Option(
@@ -73,10 +73,10 @@ def command(
     json: AsJson = False,
 ) -> None:
     """Run a live simulated robot and the estimator over Zenoh and measure the tracking error: with feedback alone, with
-    the feed-forward torque of every model, with the payload included, and with the estimator ended half way.
+    the feed-forward torque of every model, with the payload included, and with the estimator stopped halfway.
 
-    With --effect or --corrected: feedback alone, the rigid and the corrected feed-forward, on a robot that has the
-    effect. Exit code 3 if too many cycles were late for a valid result.
+    With --effect or --corrected: with feedback alone, with the rigid and with the corrected feed-forward, on a robot
+    that has the effect. Exit code 3 if too many cycles were late for a valid result.
 
     Example: deltatwin closed-loop --robot d3-1200 --payload 1 --payload 3.8 --out closed-loop
 
@@ -164,7 +164,7 @@ def _learn(
     robot, wants_correction = subject.robot, bool(subject.effects) or corrected is not None
     logs: list[Trace] = []
     if identified is None or (wants_correction and corrected is None):
-        task = progress.add_task("logs to identify on", total=LOGS * LOG_S)
+        task = progress.add_task("logs for the identification", total=LOGS * LOG_S)
         motions = identification_motions(planner, np.random.default_rng([seed, 2]), LOGS, LOG_S)
         logs = record(subject.plant(seed + 1), motions, "fit", lambda done: progress.update(task, completed=done))
     if identified is None:
@@ -237,7 +237,7 @@ def _in_words(robot: Robot) -> str:
     told = [
         one.name.replace("_", " ") + (f" in {named_joints(one.joints)}" if one.joints else "") for one in robot.effect
     ]
-    return ", ".join(told) or "no effect was named, so it is the rigid model again"
+    return ", ".join(told) or "no effect was named, so this is the rigid model again"
 
 
 def _left_out(robot: Robot) -> list[str]:

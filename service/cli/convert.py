@@ -25,12 +25,12 @@ def command(
     columns: ColumnsFrom = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
 ) -> None:
-    """Write a trace as .csv, .csv.gz (joint side, SI, every digit) or .mcap (ROS 2 messages, opens in Foxglove).
+    """Write a trace as .csv, .csv.gz (joint side, SI, full precision) or .mcap (ROS 2 messages, opens in Foxglove).
 
-    Rows are kept as recorded; faults in them are reported here and flagged in the MCAP. OUT appears when it is
+    Rows are kept as recorded; faults in them are reported here and flagged in the MCAP. OUT appears only when it is
     complete.
 
-    For a capture, --robot gives the layout and scaling of the drives; contradictions to them are reported.
+    For a capture, --robot gives the layout and scaling of the drives; frames that contradict them are reported.
 
     Example: deltatwin convert scope_export.csv pick.mcap --robot d3.toml --columns twincat.toml
     """

@@ -20,7 +20,8 @@ def command(
     baseline: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE|NAME", help="Identified description for the gap before; default: identify from these logs"
+            metavar="FILE|NAME",
+            help="Identified description that gives the gap before the correction; default: identify from these logs",
         ),
     ] = None,
     effects: OwnEffects = None,
@@ -31,7 +32,7 @@ def command(
     ] = None,
     loaded: Annotated[
         list[Path] | None,
-        typer.Option(metavar="TRACE", help="Log with known loads, to try the estimator on; default: simulated loads"),
+        typer.Option(metavar="TRACE", help="Log with known loads, to test the estimator on; default: simulated loads"),
     ] = None,
     loads: Annotated[
         list[Path] | None,
@@ -45,7 +46,7 @@ def command(
 ) -> None:
     """Show where torque and model differ, which effect explains it, and how far the gap shrinks on held-out logs.
 
-    --robot may also describe axes (kind = "axes") or an arm by its URDF (kind = "chain"). Effects that --robot or
+    --robot may also describe axes (kind = "axes") or an arm with a URDF (kind = "chain"). Effects that --robot or
     --baseline already contain are not searched. --test reports events (stretches far above the rest of the residual)
     separately. For a Delta the result also compares the estimator with and without the correction: mass, false events
     and feed-forward.
@@ -82,7 +83,7 @@ def command(
     picks = [read_truth(path) for path in loads or []]
     with console(stderr=True).status("starting") as status:
         findings = diagnose(description, recorded, known, status.update, reference, tests)
-        status.update("trying the corrected description in the estimator")
+        status.update("testing the corrected description in the estimator")
         tried = online_trial(findings, recorded, tests, list(zip(carriers, picks, strict=True)))
         status.update("writing the report")
         named = filter(None, (baseline, effects, columns and Path(columns)))

@@ -24,8 +24,8 @@ def command(
 ) -> None:
     """Check real time, permissions, programs and optional packages; change nothing.
 
-    The bundle is JSON text; read it before you send it. It holds versions and the kind of machine, no names of host or
-    user, no environment, no logs. The exit code is 0 whatever is missing.
+    The bundle is JSON text; read it before you send it. It contains versions and the type of the machine, but no names
+    of host or user, no environment variables and no logs. The exit code is 0 even if something is missing.
 
     Example: deltatwin doctor --bundle machine.json
     """

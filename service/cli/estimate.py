@@ -11,18 +11,18 @@ from service.cli.options import Insecure, OwnEffects, RosDomain, ZenohConfig, ro
 
 
 def command(
-    robot: Annotated[Path, robot_file("; best from `identify`.")],
+    robot: Annotated[Path, robot_file(", preferably written by `identify`.")],
     zenoh_config: ZenohConfig = None,
     insecure: Insecure = False,
     ros_domain: RosDomain = None,
     effects: OwnEffects = None,
     keep: Annotated[
-        Path | None, typer.Option(help="File that keeps the learnt friction over a restart", metavar="FILE")
+        Path | None, typer.Option(help="File that stores the learnt friction between runs", metavar="FILE")
     ] = None,
 ) -> None:
     """Answer every sample on the bus with feed-forward torque, payload and model errors, until Ctrl-C.
 
-    Of an arm the payload is mass, centre and inertia on its tool; servo axes have none.
+    For an arm the payload is the mass, centre of mass and inertia on its tool; servo axes have no payload.
 
     The sample rate is read from the stamps. Player, estimator and monitor may start and restart in any order.
 

@@ -27,13 +27,13 @@ def command(
     columns: ColumnsFrom = None,
     json: AsJson = False,
     predictions: Annotated[
-        Path | None, typer.Option(help="Folder for the torque of the fullest model: one CSV per trace, all rows")
+        Path | None, typer.Option(help="Folder for the torque of the last model: one CSV per trace, with all rows")
     ] = None,
 ) -> None:
     """Show mean and standard deviation of measured minus predicted torque for each model.
 
     Offline: the motion is smoothed in both directions; joints at rest are left out. Events (stretches far above the
-    rest of the residual) are listed, and the fullest model is also shown without them.
+    rest of the residual) are listed, and the last model is also shown without them.
 
     Example: deltatwin evaluate test_*.csv --robot identified.toml --predictions predicted/
     """
@@ -50,7 +50,7 @@ def command(
     targets = [predictions / _csv_name(path) for path in traces] if predictions else []
     for number, target in enumerate(targets):
         if target in targets[:number]:
-            raise TraceError(f"{traces[number]}: a second trace for {target}")
+            raise TraceError(f"{traces[number]}: a second trace that would be written to {target}")
     results: list[Evaluation] = []
     for number, trace in enumerate(reading(traces, description, columns, "evaluating")):
         result = evaluate(description, trace)

@@ -86,5 +86,5 @@ def command(
         typer.echo(as_json("experiment", {"upsilon_F": errors, "upsilon_P": picks}))
         return
     console().print(table(shown.head, shown.rows, shown.title, shown.note))
-    typer.echo(f"all of it simulated; wrote {out / 'experiment.html'}, .pdf, PNG pictures and identified.toml")
+    typer.echo(f"everything here is simulated; wrote {out / 'experiment.html'}, .pdf, PNG pictures and identified.toml")
     say_headline(report.headline)

@@ -51,19 +51,20 @@ def command(
         bool, typer.Option("--float32", help="For c: single precision; the header states its error")
     ] = False,
     nominal: Annotated[
-        bool, typer.Option("--nominal", help="For c, fmu, st: also without identified parameters")
+        bool, typer.Option("--nominal", help="For c, fmu, st: export even without identified parameters")
     ] = False,
 ) -> None:
     """Write the identified and corrected robot for MuJoCo or viewers, or its estimator as code for a controller.
 
     Effects that MuJoCo cannot express are written to a separate Python file, to be called in your own loop: friction
-    and similar effects before each step; delay, filter and encoder error of a log after it. Effects that neither
+    and similar effects before each step; delay, filter and encoder error of a log after it. Effects that neither file
     contains are listed.
 
     The C code gives the same bits as `deltatwin estimate`, without heap; docs/how-to/controller.md says how to call it.
 
-    Of an arm the URDF is its own with identified masses, centres and inertias that bodies can have, and friction of
-    the joints; base parameters with standard errors come as JSON beside it. Servo axes come as MJCF.
+    For an arm, the URDF is its own with identified, physically possible masses, centres and inertias, and with joint
+    friction; base parameters with standard errors are written to a JSON file next to it. Servo axes can be exported as
+    MJCF.
 
     Example: deltatwin export corrected.toml --to mjcf --out robot.xml
 
@@ -84,7 +85,7 @@ def command(
     from service.cli.machine_files import write_machine
 
     if float32 and to is not Format.c:
-        raise typer.BadParameter(f"--float32: of --to c alone, not of {to.value}")
+        raise typer.BadParameter(f"--float32: only for --to c, not for {to.value}")
     described = load_description(robot, effects)
     if to in (Format.mjcf, Format.urdf) and not isinstance(described, Robot):
         write_machine(described, to.value, out)

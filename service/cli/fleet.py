@@ -35,8 +35,8 @@ def command(
     A robot is a folder: one with a robot.toml, else the first one whose name has no date. Recordings of several robots
     in one folder are separated by the robot names in them. Days come from dates in names (2026-01-31) or from stamps.
     The first day is identified and the others are diagnosed against it; a robot.toml with [identified] is used as it
-    is. Carry the same load on all days, best none. Each day is stored when it is done: the same command continues
-    where it stopped and computes only new days.
+    is. A robot must carry the same load on all days, preferably none. Each day is stored when it is done: the same
+    command continues where it stopped and computes only new days.
 
     Example: deltatwin fleet logs/ --robot d3-1200 --out fleet     # logs/cell_3/2026-01-31/pick.csv
     """

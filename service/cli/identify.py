@@ -42,11 +42,11 @@ def command(
         list[str] | None,
         typer.Option(
             metavar="TRACE:KEY=VALUE,...",
-            help="What a servo axis moves in this log, known: log.csv:mass=0.5,length=0.1 (kg, m). Keys: mass, length, "
-            "inertia (kg m^2), angle (rad, where it hangs), axis",
+            help="Known body that a servo axis moves in this log: log.csv:mass=0.5,length=0.1 (kg, m). Keys: mass, "
+            "length, inertia (kg m^2), angle (rad, where it hangs), axis",
         ),
     ] = None,
-    spread: Annotated[bool, typer.Option("--spread", help="Table of the parameters of each log alone")] = False,
+    spread: Annotated[bool, typer.Option("--spread", help="Also show the parameters of each log alone")] = False,
     json: AsJson = False,
     columns: ColumnsFrom = None,
 ) -> None:

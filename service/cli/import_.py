@@ -86,10 +86,10 @@ def command(
     """List the channels of foreign logs, propose how to read them, and write the mapping and the log.
 
     Unit, clock, sign and side of the gear are taken from the file; what the file does not say is found by fitting the
-    torque to the motion (with --robot). What remains ambiguous is reported, and asked in a terminal. Nothing is
-    repaired.
+    torque to the motion (with --robot). Ambiguous points are reported; in a terminal the command asks for them.
+    Nothing is repaired.
 
-    Writes OUT and, next to it, the mapping (OUT's name with .columns.toml), for --columns or to correct by hand.
+    Writes OUT and, next to it, the mapping (OUT's name with .columns.toml), to use with --columns or to edit.
 
     Example: deltatwin import scope.csv --robot robot.toml --yes
 
@@ -131,7 +131,7 @@ def _ask(proposal: Proposal) -> None:
     import sys
 
     if not sys.stdin.isatty():
-        raise typer.BadParameter("no terminal to ask; --yes accepts the proposal", param_hint="--yes")
+        raise typer.BadParameter("there is no terminal to ask; --yes accepts the proposal", param_hint="--yes")
     if not typer.confirm("accept it?", default=not proposal.doubts, err=True):
         typer.echo("nothing written; correct it with --position, --torque, --time, --torque-unit ...", err=True)
         raise typer.Exit(1)

@@ -41,7 +41,7 @@ def command(
     from service.questions import DELTA, for_axes, for_urdf, write_up
 
     if urdf is not None and axes is not None:
-        raise typer.BadParameter("an arm by its URDF or separate axes, not both", param_hint="--axes")
+        raise typer.BadParameter("an arm from its URDF or separate axes, not both", param_hint="--axes")
     if out.exists():
         raise StorageError(f"{out}: exists already; give another name with --out")
     make_folder(out.parent)

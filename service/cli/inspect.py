@@ -28,8 +28,8 @@ def command(
 ) -> None:
     """Show rate, jitter, gaps, repeats and ranges of each channel, and what is missing or wrong.
 
-    Of a capture: slaves, cycle time and its jitter, working-counter faults, lost cycles, state changes, mapping; with
-    --robot also the objects of the drives and contradictions to their declared scaling.
+    For a capture: slaves, cycle time and its jitter, working-counter faults, lost cycles, state changes, mapping; with
+    --robot also the objects of the drives, and whether they contradict their declared scaling.
 
     Exit code 1 if a trace is unusable; the other traces are still shown.
 

@@ -38,7 +38,7 @@ def command(
         SampleSource, typer.Option(help="The one role that may write samples: tap, player or simulated robot.")
     ] = SampleSource.TAP,
 ) -> None:
-    """Make keys, certificates and Zenoh configurations: roles on several hosts trust each other and nobody else.
+    """Make keys, certificates and Zenoh configurations, so that roles on several hosts trust only each other.
 
     Writes a folder per host with a certificate and a configuration for --zenoh-config for each role: TLS with
     certificates on both sides, no discovery, no access beyond what the role needs. Only the estimator writes

@@ -27,7 +27,8 @@ def write_machine(description: Description, to: str, out: Path) -> None:
     write_text(beside, made.figures)
     print(f"wrote {out}")
     print(
-        f"wrote {beside}: base parameters with standard errors, rotor inertias, constant loads, friction's transition"
+        f"wrote {beside}: base parameters with standard errors, rotor inertias, constant loads, width of the "
+        "friction transition"
     )
     for line in made.said:
         print(line)

@@ -30,9 +30,9 @@ def command(
         str,
         typer.Option(
             metavar="cycle|bus|off|FILE",
-            help="The estimator inside the cycle; one that runs elsewhere, over Zenoh (`deltatwin estimate`, fed by "
-            "`deltatwin tap`); no torque offset; or, in place of the estimator, a library (.so) compiled from what "
-            "`deltatwin export --to c` wrote, in that folder.",
+            help="cycle: the estimator runs inside the cycle; bus: it runs elsewhere and answers over Zenoh "
+            "(`deltatwin estimate`, fed by `deltatwin tap`); off: no torque offset; FILE: in place of the estimator, a "
+            "library (.so) compiled from what `deltatwin export --to c` wrote, in that folder.",
         ),
     ] = CYCLE,
     rate: Annotated[float, typer.Option(min=1.0, help="Cycles per second (Hz).")] = 1000.0,
@@ -59,7 +59,7 @@ def command(
     and drives that map position offset 0x60B0, the motors lead the planned joints by the twist of the gears. Over the
     bus the planned motion is published as `reference`, and only answers to it are used. `health` is published in every
     mode. Ctrl-C stops the drives. A motion from a file is refused if it breaks a limit of speed, acceleration, torque,
-    joint range or workspace, or does not start and end at rest; no product is gripped in it.
+    joint range or workspace, or does not start and end at rest; the robot grips no product in it.
 
     Example: deltatwin master eth1 --robot d3.toml --duration 60
 

@@ -108,6 +108,6 @@ def summary(monitor: Monitor) -> str:
         )
     lost = monitor.tally.thinned_lost
     thinned = [topic for topic in monitor.tally.received if topic in THINNED]
-    lines.append(f"lost of {', '.join(thinned)} together: {'unknown' if lost is None else lost}")
-    lines.append(f"rejected payloads {monitor.rejected}")
+    lines.append(f"lost messages of {', '.join(thinned)} together: {'unknown' if lost is None else lost}")
+    lines.append(f"rejected messages: {monitor.rejected}")
     return "\n".join(lines)

@@ -33,7 +33,7 @@ ZenohConfig = Annotated[
     typer.Option(help="Zenoh configuration, instead of local sockets; across hosts: one made by `deltatwin keys`."),
 ]
 Insecure = Annotated[
-    bool, typer.Option("--insecure", help="Accept a --zenoh-config with which anybody on the network may send.")
+    bool, typer.Option("--insecure", help="Accept a --zenoh-config with which anybody on the network can send.")
 ]
 RosDomain = Annotated[
     int | None,

@@ -39,8 +39,9 @@ def command(
     For an arm: estimate the one load that it carries throughout each trace: mass, centre of mass and, if the motion
     shows it, inertia.
 
-    A mass has two errors, each one standard deviation. The random error differs from mass to mass. The common error is
-    the same share of all masses of this robot until a known load calibrates its torque constants (identify --carried).
+    A mass has two errors, each given as one standard deviation. The random error differs from mass to mass. The common
+    error is the same percentage of all masses of this robot. A known load (identify --carried) calibrates the torque
+    constants and removes it.
 
     With --truth: how soon and how accurately each mass was found, compared with the paper's recursion with a fixed
     forgetting factor on the M_Id+F of this description. For the recursion on the paper's own model: `deltatwin

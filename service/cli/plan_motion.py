@@ -63,12 +63,12 @@ def command(
     effects: OwnEffects = None,
     json: AsJson = False,
 ) -> None:
-    """Plan the run that separates the causes these logs could not separate, and show how well it will do so.
+    """Plan the run that separates the causes these logs could not separate, and show how well it will separate them.
 
     The motion stays in the workspace of the description and within the limits of speed, acceleration and torque in its
     [limits] or in the options; it is for the empty robot and starts and ends at rest. A limit given in neither place is
-    an error. The expected separation counts the noise of the torque only, no other deviation of the robot. For axes and
-    arms: with --for identify, within the limits of the URDF and of the options.
+    an error. The expected separation takes only the noise of the torque into account, no other deviation of the robot.
+    For axes and arms: with --for identify, within the limits of the URDF and of the options.
 
     Example: deltatwin plan-motion --robot r.toml --diagnosis diag --out motion.csv
 
@@ -179,8 +179,8 @@ def _driven(
     peak = bounds_of(robot).peak_nm
     if np.abs(torque).max() > peak:
         raise DataError(
-            f"with friction the motion needs {np.abs(torque).max():.4g} N m, the drives give {peak:.4g} N m: plan with "
-            f"less than --max-torque {most:.4g}"
+            f"with friction the motion needs {np.abs(torque).max():.4g} N m, but the drives give only {peak:.4g} N m: "
+            f"plan with less than --max-torque {most:.4g}"
         )
     return torque
 

@@ -32,14 +32,14 @@ def command(
         str,
         typer.Option(
             metavar="|".join((*KINDS, "FILE")),
-            help="pick: between two conveyors; multisine: excites all; bound: workspace rim; slow: sweep; or a motion "
-            "from a file, as `plan-motion` writes it.",
+            help="pick: between two conveyors; multisine: excites all joints; bound: along the rim of the workspace; "
+            "slow: a slow sweep; or a motion from a file, as `plan-motion` writes it.",
         ),
     ] = "pick",
     out: Annotated[Path | None, typer.Option(help="Trace to write (.csv, .csv.gz, .mcap).")] = None,
     picks: Annotated[
         Path | None,
-        typer.Option(help="CSV to write of the payloads and their times, as --truth of `payload` reads it."),
+        typer.Option(help="CSV to write with the payloads and their times, for --truth of `payload`."),
     ] = None,
     duration: Annotated[float, typer.Option(min=0.5, help="Length of the motion (s).")] = 10.0,
     rate: Annotated[float, typer.Option(min=100.0, max=10000.0, help="Controller cycles per second (Hz).")] = 1000.0,
@@ -60,15 +60,15 @@ def command(
         ),
     ] = None,
     live: Annotated[
-        bool, typer.Option("--live", help="Run in real time on Zenoh, taking feed-forward torque.")
+        bool, typer.Option("--live", help="Run in real time over Zenoh, and apply the feed-forward torque.")
     ] = False,
     loop: Annotated[int, typer.Option(min=0, help="Live: number of times to run the motion; 0: until Ctrl-C.")] = 0,
     later: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME[=VALUE]@SECONDS",
-            help="Effect that comes on while the robot runs, as stribeck_friction@60s; VALUE: its first figure, SI. "
-            "May be repeated.",
+            help="Effect that starts while the robot runs, such as stribeck_friction@60s; VALUE: its first parameter, "
+            "in SI units. May be repeated.",
         ),
     ] = None,
     zenoh_config: ZenohConfig = None,

@@ -19,7 +19,7 @@ def command(
     insecure: Insecure = False,
     ros_domain: RosDomain = None,
 ) -> None:
-    """Show the state of all roles on the bus until Ctrl-C, twenty times per second; into a pipe once per second.
+    """Show the state of all roles on the bus until Ctrl-C, twenty times per second, or once per second in a pipe.
 
     It only listens, and runs at a lower priority than all roles. A robot has one observer: end its `view` first.
 

@@ -19,10 +19,10 @@ def command(
     log: Annotated[Path, typer.Option(help="Recording (MCAP) with the controller's samples and its answers")],
     json: AsJson = False,
 ) -> None:
-    """Compare each recorded answer with that of the twin: torque, source, flags; payload and errors where they are.
+    """Compare each recorded answer with that of the twin: torque, source, flags; payload and errors if recorded.
 
-    The recording begins where the controller began: its first sample is the first after init. Exit code 3 if an answer
-    differs by more than another library's rounding does.
+    The recording must begin with the controller's first sample after init. Exit code 3 if an answer differs by more
+    than the rounding of another mathematics library.
 
     Example: deltatwin verify twin/ --log run.mcap
     """
@@ -68,15 +68,16 @@ def _said(one: Compared) -> str:
 
 def _conclusion(found: dict[str, Compared]) -> str:
     if all(one.alike == one.answers for one in found.values()):
-        return "the controller answers as its twin, bit for bit"
+        return "the controller gives the same answers as its twin, bit for bit"
     feedforward = found["feedforward"]
     if all(one.first is None for one in found.values()):
-        return "the controller answers as its twin, except for the rounding of its mathematics library"
+        return "the controller gives the same answers as its twin, except for the rounding of its mathematics library"
     if 0 <= feedforward.last_row < feedforward.answers // 2:
         return (
             "the controller's torque equals its twin's only in the second half: the recording begins after the "
-            "controller's start, or parameters were loaded meanwhile; record from init on"
+            "controller's start, or parameters were loaded during it; record from init on"
         )
     return (
-        "the controller does not answer as its twin: see the first difference. Are code, parameters or cycle different?"
+        "the controller does not give the same answers as its twin: see the first difference. Are code, parameters or "
+        "cycle different?"
     )

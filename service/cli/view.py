@@ -26,8 +26,8 @@ def command(
     """Serve the bus to Foxglove: torques, model errors, payload, health, and the robot in three dimensions.
 
     In Foxglove: Open connection, Foxglove WebSocket, ws://127.0.0.1:8765; then import the layout. Recordings of
-    `monitor` open with the same layout. At most 200 messages per second and topic are passed on, but every pick and
-    release.
+    `monitor` open with the same layout. At most 200 messages per second and topic are forwarded, but every pick and
+    release is.
 
     Example: deltatwin view --robot d3.toml --layout d3.layout.json && deltatwin view --robot d3.toml
     """

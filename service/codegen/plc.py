@@ -58,7 +58,7 @@ def to_st(robot: Robot, period: float, name: str = "deltatwin", nominal: bool = 
     """
     check_name(name)
     if Names()(name) != name:
-        raise CodegenError(f"--name: {name!r}: in Structured Text no word of its own, no __ and no _ at the end")
+        raise CodegenError(f"--name: {name!r}: in Structured Text use no keyword, no __ and no _ at the end")
     settings, program, functions = lowered(robot, period, nominal)
     writer = Writer(program.layout, name)
     kernels = [writer.function(one) for one in program.functions]

@@ -33,7 +33,7 @@ def to_mjcf(axes: Axes) -> MachineFile:
     for number in range(1, axes.count + 1):
         inertia = found[f"inertia_{number}"]
         if inertia <= 0:
-            raise RobotError(f"robot {axes.name}: axis {number} has an inertia of {inertia:g}: no body has that")
+            raise RobotError(f"robot {axes.name}: axis {number} has an impossible inertia of {inertia:g}")
         weight = np.array([found.get(f"gravity_cos_{number}", 0.0), -found.get(f"gravity_sin_{number}", 0.0)])
         if mechanism.shared and weight.any():
             raise RobotError(

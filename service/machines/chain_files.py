@@ -114,7 +114,8 @@ def _said(chain: Chain, bodies: IdentifiedBodies) -> list[str]:
     if bodies.lean:
         told = ", ".join(f"{name} by {abs(off):.1f}" for name, off in bodies.lean.items())
         said.append(
-            f"no bodies can have these parameters; the nearest ones miss {told} standard errors: log more motion"
+            f"no physical bodies have these parameters; the nearest ones differ in {told} standard errors: record more "
+            "motion"
         )
     return said
 

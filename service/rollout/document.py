@@ -200,7 +200,7 @@ def sentences(result: RolloutDocument) -> list[str]:
         where = ", ".join(f"{one.trace} at {one.from_s:.3f} to {one.until_s:.3f} s" for one in shown)
         more = f" and {len(result.interruptions) - NAMED} more" if len(result.interruptions) > NAMED else ""
         lines.append(
-            f"No window spans an interruption of a log, which costs {counted(result.windows_lost, 'window')}: "
+            f"No window spans an interruption of a log; {counted(result.windows_lost, 'window')} lost for this reason: "
             f"{where}{more}."
         )
     for robot in result.robots:

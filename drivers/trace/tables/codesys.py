@@ -73,7 +73,7 @@ def read_csv(path: Path, text: str) -> Table:
         elif line.startswith("Flags;"):
             flags = line.partition(";")[2].strip()
             if not _FLAGS.fullmatch(flags):  # they say the unit of the stamps
-                raise TraceError(f"{path}: Flags are no number: {flags[:20]!r}")
+                raise TraceError(f"{path}: Flags is not a number: {flags[:20]!r}")
             micro = bool(int(flags or 0) & MICROSECONDS)
     close()
     return _table(path, blocks, micro)

@@ -63,7 +63,7 @@ def _check_elements(
         ValueError: an element of no type that can stand there, longer than what holds it, or without all its parts.
     """
     if depth > DEEPEST_ELEMENT:
-        raise ValueError("elements too deep in each other")
+        raise ValueError("elements are nested too deeply")
     count = 0
     while at + 8 <= len(raw):
         kind, size = struct.unpack_from(f"{order}II", raw, at)
@@ -78,7 +78,7 @@ def _check_elements(
         elif kind == MATRIX and size:
             arrays[0] -= 1
             if arrays[0] < 0:
-                raise ValueError(f"more than {MOST_ARRAYS} arrays: cells are no signals")
+                raise ValueError(f"more than {MOST_ARRAYS} arrays: cells are not signals")
             inner = raw[begin : begin + size]
             (flags,) = struct.unpack_from(f"{order}I", inner.ljust(12, b"\0"), 8)
             held = VALUES | {MATRIX} if flags & 0xFF in HOLDS_MATRICES else VALUES

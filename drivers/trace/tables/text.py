@@ -127,7 +127,7 @@ def _named_in_cells(columns: list[str], texts: Mapping[str, pl.Series], path: Pa
         joints = cells.str.strip_chars().drop_nulls().unique().to_list()
         if len(joints) > 1:
             raise TraceError(
-                f"{path}: {name!r} names several joints, {joints[0]!r}, {joints[1]!r}: one a column is read"
+                f"{path}: {name!r} names several joints, {joints[0]!r}, {joints[1]!r}: only one per column is read"
             )
         found |= {column: joint for joint in joints for column in numbered.get(which[1], [])}
     return found

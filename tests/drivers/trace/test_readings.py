@@ -42,7 +42,7 @@ def test_sixteen_bits_that_wrap(tmp_path: Path) -> None:
     trace = read_trace(log, columns=find_columns(tmp_path / "columns.toml"))
     np.testing.assert_allclose(trace.torque, np.round(torque) * 2e-3)
     log = table(tmp_path, (position + 28e3 + 32768) % 65536 - 32768, torque)
-    with pytest.raises(TraceError, match=r"position_1 \('q1'\) steps by 2\^16 .*count its turns on first"):
+    with pytest.raises(TraceError, match=r"position_1 \('q1'\) steps by 2\^16 .*unwrap it first"):
         read_trace(log, columns=find_columns(tmp_path / "columns.toml"))
 
 

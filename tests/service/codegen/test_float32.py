@@ -55,7 +55,7 @@ def test_nothing_in_it_is_of_double_precision(tmp_path: Path) -> None:
 def test_it_is_of_c_alone(tmp_path: Path) -> None:
     told = CliRunner().invoke(app, ["export", str(ROBOT), "--to", "st", "--float32", "--out", str(tmp_path / "t")])
     assert told.exit_code == 2
-    assert "of --to c alone, not of st" in told.output
+    assert "only for --to c, not for st" in told.output
     assert not (tmp_path / "t").exists()
 
 

@@ -52,7 +52,7 @@ def test_the_same_bits(robot, make, folder, tmp_path) -> None:
     log = record(tmp_path / "run.mcap", answered(robot, make(1.0, noise=0.2).samples))
     shown = said(folder, log, 0)
     assert "feedforward: 1000 answers, 1000 bit-identical" in shown
-    assert "answers as its twin, bit for bit" in shown
+    assert "gives the same answers as its twin, bit for bit" in shown
     document = json.loads(said(folder, log, 0, "--json"))
     assert document["feedforward"]["alike"] == 1000
     assert document["error"]["first"] is None
@@ -88,7 +88,7 @@ def test_another_librarys_rounding_is_told_from_another_answer(robot, make, fold
     assert f"first at sequence 400 (t = 0.400000 s): torque of joint 2 is {first['torque'][1]:.9g}, not" in shown
     assert f"payload: {len(messages['payload'])} answers" in shown
     assert "trusted is" in shown
-    assert "does not answer as its twin" in shown
+    assert "does not give the same answers as its twin" in shown
 
 
 def test_lost_answers_are_counted(robot, make, folder, tmp_path) -> None:

@@ -124,7 +124,7 @@ def test_holes_repeats_disorder_garbage_and_bad_samples_are_counted(
     assert (last["lost"], last["repeated"], last["out_of_order"], last["invalid"]) == (2, 1, 1, 2)
     out, _ = watched.finish()
     assert recorded(path, "sample")["sequence"].tolist() == [0, 1, 2, 5, 6, 6, 8, 7, 9, 10]
-    assert "rejected payloads 3" in out
+    assert "rejected messages: 3" in out
     with path.open("rb") as stream:
         gaps = [m.metadata for m in make_reader(stream).iter_metadata() if m.name == "sequence_gap"]
     assert sum(int(gap["missed"]) for gap in gaps if gap["topic"] == "sample") >= 2
@@ -329,4 +329,4 @@ def test_a_monitor_that_hears_no_payload_of_a_live_estimator_says_how_much_is_mi
         time.sleep(0.001)
     time.sleep(0.5)
     told, _ = watched.finish()
-    assert "lost of payload, error, friction together: 200" in told
+    assert "lost messages of payload, error, friction together: 200" in told

@@ -69,7 +69,7 @@ def test_no_window_spans_a_gap(tmp_path: Path) -> None:
     assert whole.cuts.interruptions == []
     assert (whole.cuts.lost, broken.cuts.lost) == (0, 3)
     said = sentences(document(broken, {"identified": identified()}, ["log"]))
-    assert "which costs 3 windows: log at 1.199 to 1.500 s." in " ".join(said)
+    assert "3 windows lost for this reason: log at 1.199 to 1.500 s." in " ".join(said)
 
 
 def test_where_the_model_runs_away_without_noise_there_is_no_floor_and_no_error(tmp_path: Path) -> None:
