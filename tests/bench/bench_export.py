@@ -363,7 +363,7 @@ def processors(instructions: int) -> dict[str, tuple[float, str]]:
     """Share of a task of 250 us that the longest step takes, by instructions alone: what others count for such code."""
     kinds = {"atom": (1.3e9, 1.0, "Atom E3930, 1.3 GHz, 1"), "a53": (1.2e9, 0.7, "Cortex-A53, 1.2 GHz, 0.7")}
     return {
-        f"task_{name}": (round(instructions / rate / clock * 1e6), f"reckoned: {said} instructions a clock")
+        f"task_{name}": (round(instructions / rate / clock * 1e6), f"computed: {said} instructions a clock")
         for name, (clock, rate, said) in kinds.items()
     }
 
