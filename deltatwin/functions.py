@@ -164,7 +164,7 @@ def diagnose(
         robot: as described; its effects are part of the model.
         traces: logs, three or more of 5 s in which all joints move and reverse.
         tests: logs that are used only to test the correction.
-        baseline: the description for the gap before; default: `robot` identified from `traces`.
+        baseline: the description that gives the gap before the correction; default: `robot` identified from `traces`.
         effects: Python file with effects of your own.
         progress: called with the name of each stage; all stages take seconds to a minute.
 
@@ -192,7 +192,7 @@ def evaluate(robot: Description, traces: Traces) -> EvaluationResult:
 
     Args:
         robot: plain, identified or corrected.
-        traces: logs, preferably held out of every fit.
+        traces: logs, preferably not used for any fit.
 
     Returns:
         Per log, model and joint: mean, standard deviation and rms of the error in N m, below 40 Hz while moving.
@@ -218,21 +218,21 @@ def payload(robot: Axes | Chain, trace: recorded.Trace, frame: str | None = None
 @overload
 def payload(robot: Description, trace: recorded.Trace, frame: str | None = None) -> PayloadResult | LoadResult: ...
 def payload(robot: Description, trace: recorded.Trace, frame: str | None = None) -> PayloadResult | LoadResult:
-    """What the robot carries: of a Delta picks and releases as the online estimator finds them, of an arm the load that
-    it carries all through the log.
+    """What the robot carries: for a Delta picks and releases, as the online estimator finds them; for an arm the load
+    that it carries throughout the log.
 
     Args:
         robot: an identified Delta robot or arm.
         trace: the log.
-        frame: of an arm, the link of its URDF that the load sits on; the last one by default.
+        frame: for an arm, the link of its URDF that carries the load; the last one by default.
 
     Returns:
-        Of a Delta the mass in kg after every sample with its standard deviation, and each level with its event. Of an
+        For a Delta the mass in kg after every sample with its standard deviation, and each level with its event. For an
         arm mass in kg, centre of mass in m and inertia in kg m^2, with standard errors.
 
     Raises:
         DataError: the robot was never identified, the stamps do not rise, or too little motion.
-        RobotError: a machine that carries nothing (servo axes), or no such link. TraceError: the log is unusable.
+        RobotError: a machine without a load (servo axes), or no such link. TraceError: the log is unusable.
 
     Example:
         >>> import deltatwin as dt
@@ -296,12 +296,12 @@ def rollout(
         progress: called with the name of each stage.
 
     Returns:
-        Rms error after the horizon, of each machine, of the plain one, and of noise alone: mrad and mm of a Delta, rad
-        (m for linear axes) of axes and arms.
+        Rms error after the horizon, of each machine, of the plain one, and from noise alone: mrad and mm for a Delta,
+        rad (m for linear axes) for axes and arms.
 
     Raises:
-        DataError: no window of that length, other robots, or the sign of a torque is wrong.
-        RobotError: commands of a machine that is no Delta.
+        DataError: no window of that length, different robots, or the sign of a torque is wrong.
+        RobotError: `commands` for a machine that is not a Delta.
     """
     named: dict[str, Description] = dict(robots) if isinstance(robots, Mapping) else {robots.name: robots}
     if not named:

@@ -34,7 +34,7 @@ def model_of(robot: Description) -> mujoco.MjModel:
     """The machine as `deltatwin export --to mjcf` writes it.
 
     Raises:
-        RobotError: an effect that is not known, or parameters that no body can have.
+        RobotError: an unknown effect, or physically impossible parameters.
 
     Example:
         >>> import deltatwin as dt
@@ -51,14 +51,14 @@ def model_of(robot: Description) -> mujoco.MjModel:
 def attach(model: mujoco.MjModel, robot: Description) -> Iterator[Any]:
     """Let the effects of a corrected Delta robot act on every step of `model`, which is `model_of` it.
 
-    MuJoCo has one control callback in a process: while this is attached nobody else may have it, and no other model can
-    be compiled, since MuJoCo calls it there for a model that Python does not know. It sets
-    `data.qfrc_applied` of the joints and the platform. Yields what a log shows of the robot (`torque(values)` and
-    `angle(values)`, three each), or None where that is what MuJoCo shows.
+    MuJoCo has one control callback per process. While the effects are attached, nothing else may use it, and no other
+    model can be compiled, since MuJoCo would call it for a model that Python does not know. The callback sets
+    `data.qfrc_applied` of the joints and the platform. Yields the conversion from true values to those of a log
+    (`torque(values)` and `angle(values)`, three each), or None if they are the same.
 
     Raises:
-        UnansweredError: no Delta. DataError: somebody has the callback; the model is integrated in parts of a step; an
-            effect has no form in MuJoCo. RobotError: an effect that is not known.
+        UnansweredError: not a Delta. DataError: the callback is already in use; the integrator uses several calls per
+            step; an effect has no form in MuJoCo. RobotError: an unknown effect.
 
     Example:
         >>> import deltatwin as dt, mujoco

@@ -363,7 +363,8 @@ class LoadResult(Result):
         robot: the identified arm.
         load: `.mass` kg, `.centre` (3,) m in the axes of the link `.frame`, `.inertia` (6,) kg m^2 about the centre,
             each with its standard error `.mass_error`, ...; `.common` (10,): the part of these errors that all loads
-            of this arm share; `.seen`, `.centre_told`, `.inertia_told`: whether the motion is enough for it.
+            of this arm share; `.seen`, `.centre_told`, `.inertia_told`: whether the motion determines mass, centre and
+            inertia.
     """
 
     robot: Description
@@ -376,7 +377,7 @@ class LoadResult(Result):
         return of_load(self.load)
 
     def to_frame(self) -> pl.DataFrame:
-        """A row per parameter: name, value, std_error, unit, separable (whether the motion is enough for it)."""
+        """One row per parameter: name, value, std_error, unit, separable (whether the motion determines it)."""
         from service.identification.load import AXES
 
         one = self.load
@@ -417,7 +418,8 @@ class JointRolloutResult(Result):
     """The gap of axes or an arm as motion.
 
     Attributes:
-        found: `.deviations`, of each machine, of noise alone (`floor`) and of standing still; `.horizon` s; `.windows`.
+        found: `.deviations`, of each machine, of noise alone (`floor`) and of a machine at rest; `.horizon` s;
+            `.windows`.
     """
 
     found: JointRollout
@@ -429,7 +431,7 @@ class JointRolloutResult(Result):
         return " ".join(sentences(self.found))
 
     def to_frame(self) -> pl.DataFrame:
-        """A row per machine, and one each of noise alone and of standing still: rms after the horizon, rad (m for
+        """One row per machine, one for noise alone and one for a machine at rest: rms after the horizon, rad (m for
         linear axes) of each joint and m of an arm's tool."""
         return _frame(
             [

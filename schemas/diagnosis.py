@@ -40,13 +40,14 @@ Advice = Literal[
 
 
 class Caution(DocumentPart):
-    """What this data cannot say. joints from 1, those it is about; advice: what to record or to check.
+    """A question that these data cannot answer. joints: those concerned, from 1. advice: what to record or to check.
 
-    effect: that it is about. quantity: of the effect, at its limit or open. share: of the torque's rms that is left, of
-    what is left that follows something, the shrink that is too little, of what the effect explains that its torque does
-    at other times, or of the draws that prefer it. run: the log kept out that does not shrink. gain: of the loop,
-    torque for position error, the lowest of all logs, and gain_most the highest. pitch_m: path of the platform after
-    which a force on it repeats. held_s: time after which a torque comes anew.
+    effect: the effect concerned. quantity: its parameter that is at its limit or undetermined. share, by `code`: the
+    residual's share of the torque's rms, the share of the residual that depends on a quantity, the shrink that is too
+    small, what the effect's torque shifted in time explains relative to the effect, or the share of bootstrap draws
+    that prefer an alternative. run: the held-out log whose gap does not shrink. gain: of the control loop, torque per
+    position error, the lowest of all logs; gain_most: the highest. pitch_m: path of the platform after which a force
+    on it repeats. held_s: time after which the torque is updated.
     """
 
     code: CautionCode
@@ -170,14 +171,14 @@ class Moved(DocumentPart):
 
 
 class Gap(DocumentPart):
-    """Rms a joint on held-out runs, in the analysis band. unit: N m, N for linear axes.
+    """Rms per joint on held-out runs, in the analysis band. unit: N m, N for linear axes.
 
-    A run is predicted with parameters fitted to the others. Effects are found and accepted on all runs; those that the
-    search tried are then compared again without the run, and another is taken there if it is clearly better.
+    A run is predicted with parameters fitted to the others. Effects are found and accepted on all runs; the models that
+    the search tried are then compared again without the run, and another one is used there if it is clearly better.
 
-    torque_nm: rms of the recorded torque on the same samples. shrink: of the runs in which the robot moves as at work,
-    all joints pooled; slow_runs are not, and where there are any the gap on the others is in work_before_nm and
-    work_after_nm. shrink_ci95: of as many other runs of these kinds.
+    torque_nm: rms of the recorded torque on the same samples. shrink: over the runs with motion as in production, all
+    joints pooled. slow_runs: the runs without such motion; if there are any, the gap on the other runs is in
+    work_before_nm and work_after_nm. shrink_ci95: interval for as many other runs of these kinds.
     """
 
     unit: str

@@ -2,7 +2,8 @@
 
 Physics: its plane is turned about the base's axis, at base and platform alike.
 Implementation: as in `geometry`.
-Limitations: all arms turned by the same angle are a turned base, which no torque shows if gravity is along the axis.
+Limitations: if all arms are turned by the same angle, the whole base is turned; no torque shows that if gravity is
+along the axis.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ def _online(effect, now, i):
 class Cogging(Effect):
     cosine: Amplitude = Amplitude("N m", "cosine part of the amplitude, joint side")
     sine: Amplitude = Amplitude("N m", "sine part of the amplitude, joint side")
-    order: Nonlinear = Nonlinear("", "periods a motor turn", COGGING_ORDERS, 0.5, MOST_ORDER, most_step=0.05)
+    order: Nonlinear = Nonlinear("", "periods per motor turn", COGGING_ORDERS, 0.5, MOST_ORDER, most_step=0.05)
     name = "cogging"
     title = "Torque ripple over the motor turn (cogging)"
     means = (

@@ -33,7 +33,7 @@ def _encoder(effect, gear_ratio, i, motion):
 class EncoderEccentricity(Effect):
     cosine: Amplitude = Amplitude("rad", "cosine part, true minus measured angle, joint side")
     sine: Amplitude = Amplitude("rad", "sine part, true minus measured angle, joint side")
-    order: Nonlinear = Nonlinear("", "periods a motor turn", (1, 2, 3, 4), 0.5, 20.0)
+    order: Nonlinear = Nonlinear("", "periods per motor turn", (1, 2, 3, 4), 0.5, 20.0)
     name = "encoder_eccentricity"
     title = "The encoder is mounted off-centre"
     means = (

@@ -30,7 +30,7 @@ class HoseSpring(WholeDelta):
     force_z: Amplitude = Amplitude("N", "force along z, extrapolated to a platform at the origin")
     name = "hose_spring"
     title = "A hose or cable pulls at the platform"
-    means = "Give the hose more slack or guide it otherwise; if it must stay, include it in the model."
+    means = "Give the hose more slack or guide it differently; if it must stay, include it in the model."
     online = staticmethod(_online)
     settles = "slow sweeps to the edges of the workspace"
 

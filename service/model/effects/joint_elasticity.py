@@ -1,6 +1,6 @@
 """Compliance between motor and link.
 
-Physics: the link lags by torque / stiffness; what the motor measures is not where the link is.
+Physics: the link lags by torque / stiffness; the encoder on the motor does not measure the position of the link.
 Implementation: the link is integrated behind the recorded motor motion (spring and damper), and the rigid torque
 corrected by its relative motion; base friction stays on the motor side. First order only for the search.
 Limitations: linear spring; a natural frequency far above the analysis band mimics a small shift in time.

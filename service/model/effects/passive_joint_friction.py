@@ -3,7 +3,8 @@
 Physics: each forearm turns against the active link at its elbow and against the platform; dry friction loses
 T |omega|, viscous friction d omega^2.
 Implementation: omega of a forearm is s x s_dot / l2^2 (no spin about itself); joint torques by virtual power, both
-ends of all forearms with the same coefficients, per ball joint pair. Dry friction fades below `SOFT` as the seat gives.
+ends of all forearms with the same coefficients, per ball joint pair. Dry friction fades below the speed `SOFT`, as the
+seat is compliant.
 Limitations: friction about the rod's own axis and unequal joints are left out.
 """
 

@@ -27,7 +27,7 @@ def _online(effect, now, i):
 class PositionDependentFriction(Effect):
     cosine: Amplitude = Amplitude("N m", "cosine part of the amplitude")
     sine: Amplitude = Amplitude("N m", "sine part of the amplitude")
-    order: Nonlinear = Nonlinear("", "periods a turn of the joint", (1, 2, 3, 4, 5, 6, 8, 10, 12), 0.5, 40.0)
+    order: Nonlinear = Nonlinear("", "periods per turn of the joint", (1, 2, 3, 4, 5, 6, 8, 10, 12), 0.5, 40.0)
     name = "position_dependent_friction"
     title = "Friction varies over the joint's angle"
     means = "A tight spot: check for a bent shaft, a misaligned or worn gear, or a cable that rubs at these angles."

@@ -59,7 +59,7 @@ def test_each_quantity_of_an_effect_has_a_name_of_its_own():
         "cosine_2": 1.5, "sine_2": 2.0, "order_2": 2.0,
     }  # fmt: skip
     assert cogging.parameters["cosine_1_7"].meaning == "cosine part of the amplitude, joint side, joint 1, order 7"
-    assert cogging.parameters["order_2"].meaning == "periods a motor turn, joint 2"
+    assert cogging.parameters["order_2"].meaning == "periods per motor turn, joint 2"
     (only,) = offset.parameters.values()
     assert (only.value, only.unit) == (0.9, "N m")
     assert only.ci95 == pytest.approx((0.9 * (1 - 0.196), 0.9 * (1 + 0.196)))
